@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <chrono>
+
+#include <loopwise/core/stop_token.hpp>
+
+namespace loopwise {
+
+/// Mission time in seconds since the start of the mission. The library reads time through this interface only.
+class Clock {
+ public:
+  virtual ~Clock() = default;
+  [[nodiscard]] virtual double now() const = 0;
+  /// Returns at `time` or soon after a stop request, whichever is first; at once if `time` has passed.
+  virtual void wait_until(double time, const StopToken& stop) = 0;
+};
+
+/// Jumps to the time that is waited for: a replay takes as long as its computations, never longer.
+class VirtualClock final : public Clock {
+ public:
+  explicit VirtualClock(double start = 0.0) : now_(start) {}
+  [[nodiscard]] double now() const override { return now_; }
+  void wait_until(double time, const StopToken& stop) override;
+
+ private:
+  double now_;
+};
+
+/// Follows the steady wall clock, `rate` mission seconds a second.
+class RealClock final : public Clock {
+ public:
+  /// \throws OptionError unless rate > 0.
+  explicit RealClock(double start = 0.0, double rate = 1.0);
+  [[nodiscard]] double now() const override;
+  void wait_until(double time, const StopToken& stop) override;
+
+ private:
+  std::chrono::steady_clock::time_point origin_;
+  double start_;
+  double rate_;
+};
+
+/// Wall time since construction, s. For reports only: no decision may depend on it.
+class Stopwatch {
+ public:
+  Stopwatch() : start_(std::chrono::steady_clock::now()) {}
+  [[nodiscard]] double seconds() const {
+    return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
+  }
+
+ private:
+  std::chrono::steady_clock::time_point start_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <string>
+#include <string_view>
+
+namespace loopwise {
+
+/// Node id. The top 8 bits hold a robot character, the low 56 bits the index of the node: the layout of
+/// gtsam::Symbol, so files of GTSAM and LAMP read unchanged. Plain integers (character 0) are valid keys.
+/// Keys exceed 2^53: never hold one in a double.
+using Key = std::uint64_t;
+
+inline constexpr int kKeyIndexBits = 56;
+inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;
+
+/// Key of node `index` of the robot with this character; character 0 gives the plain integer.
+[[nodiscard]] constexpr Key make_key(char character, std::uint64_t index) {
+  return (static_cast<Key>(static_cast<unsigned char>(character)) << kKeyIndexBits) | (index & kKeyIndexMask);
+}
+
+[[nodiscard]] constexpr char key_character(Key key) { return static_cast<char>(key >> kKeyIndexBits); }
+[[nodiscard]] constexpr std::uint64_t key_index(Key key) { return key & kKeyIndexMask; }
+
+/// For people: "a12" if the character is a letter, otherwise the plain number. Files hold the number.
+[[nodiscard]] std::string key_name(Key key);
+
+/// Reads a decimal number of up to 64 bits or a letter followed by an index ("a12").
+/// \throws InputError naming the text if it is neither.
+[[nodiscard]] Key parse_key(std::string_view text);
+
+}  // namespace loopwise

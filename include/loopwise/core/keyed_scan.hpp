@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/key.hpp>
+
+namespace loopwise {
+
+/// Points of a lidar scan in the body frame of its node, metres. All finite.
+struct PointCloud {
+  std::vector<Eigen::Vector3f> points;
+  std::vector<Eigen::Vector3f> normals;  ///< Unit length, towards the sensor. Empty, or one per point.
+  std::vector<float> intensities;        ///< Empty, or one per point.
+
+  [[nodiscard]] std::size_t size() const { return points.size(); }
+  [[nodiscard]] bool empty() const { return points.empty(); }
+  [[nodiscard]] bool has_normals() const { return !points.empty() && normals.size() == points.size(); }
+  /// Memory that the points hold, for bounded caches.
+  [[nodiscard]] std::size_t bytes() const {
+    return sizeof(*this) + points.capacity() * sizeof(points[0]) + normals.capacity() * sizeof(points[0]) +
+           intensities.capacity() * sizeof(float);
+  }
+};
+
+/// The cloud of a key frame. Cheap to copy: the points are shared and never change.
+struct KeyedScan {
+  Key key = 0;
+  std::int64_t stamp_ns = 0;
+  std::shared_ptr<const PointCloud> cloud;
+};
+
+/// Hands out the scan of a node, or null if there is none. Must be safe to call from several threads;
+/// may throw InputError or IoError if the scan exists but cannot be read.
+using ScanLoader = std::function<std::shared_ptr<const PointCloud>(Key)>;
+
+}  // namespace loopwise

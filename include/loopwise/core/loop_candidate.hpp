@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/options.hpp>
+
+namespace loopwise {
+
+/// Number of a candidate within a run, from 0 in the order of generation.
+using CandidateId = std::uint64_t;
+
+/// Who proposed a candidate.
+enum class CandidateSource { kProximity, kRadio, kUser };
+[[nodiscard]] inline EnumNames<CandidateSource> enum_names(CandidateSource) {
+  return {{CandidateSource::kProximity, "proximity"}, {CandidateSource::kRadio, "radio"}, {CandidateSource::kUser, "user"}};
+}
+
+/// A hypothesis that two nodes saw the same place. It carries no transform: finding one is the costly part.
+/// (a, b) and (b, a) are one candidate.
+struct LoopCandidate {
+  CandidateId id = 0;
+  Key from = 0;  ///< The newer node.
+  Key to = 0;    ///< The older node.
+  CandidateSource source = CandidateSource::kProximity;
+  double time_s = 0.0;      ///< Mission time of its generation.
+  double distance_m = 0.0;  ///< Between the two nodes, by the estimate at that time.
+};
+
+}  // namespace loopwise

@@ -1,0 +1,112 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Options structs describe their own fields once: name, bounds and meaning. Validation, JSON and the printed
+/// reference all come from that one description, a static member template
+///
+///     template <class Self, class Visitor>
+///     static void visit(Self& self, Visitor&& field) {
+///       field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
+///     }
+///
+/// where Self is the struct or its const form. A field may be bool, an integer, double, std::string, an enum with
+/// an `enum_names` overload, or a std::vector<double>.
+#pragma once
+
+#include <cmath>
+#include <limits>
+#include <sstream>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+#include <vector>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+
+/// Range that a number must lie in; for a vector each of its elements. Ignored for text, bool and enums.
+struct Bounds {
+  double min = -std::numeric_limits<double>::infinity();
+  double max = std::numeric_limits<double>::infinity();
+  bool open_min = false;  ///< min itself is not allowed.
+
+  [[nodiscard]] bool contains(double value) const {
+    return (open_min ? value > min : value >= min) && value <= max;  // false for NaN
+  }
+};
+
+[[nodiscard]] constexpr Bounds any_value() { return {}; }
+[[nodiscard]] constexpr Bounds at_least(double min) { return {min, std::numeric_limits<double>::infinity(), false}; }
+[[nodiscard]] constexpr Bounds above(double min) { return {min, std::numeric_limits<double>::infinity(), true}; }
+[[nodiscard]] constexpr Bounds between(double min, double max) { return {min, max, false}; }
+
+/// "> 0", "in [0, 1]", ">= 1"; empty if every value is allowed.
+[[nodiscard]] inline std::string to_string(const Bounds& bounds) {
+  std::ostringstream out;
+  if (std::isfinite(bounds.max)) {
+    if (std::isfinite(bounds.min)) {
+      out << "in " << (bounds.open_min ? "(" : "[") << bounds.min << ", " << bounds.max << "]";
+    } else {
+      out << "<= " << bounds.max;
+    }
+  } else if (std::isfinite(bounds.min)) {
+    out << (bounds.open_min ? "> " : ">= ") << bounds.min;
+  }
+  return out.str();
+}
+
+/// Enumerators with the words that stand for them in files and on the command line. An enum used in options
+/// overloads `enum_names(E)` in its own namespace to return such a list.
+template <class E>
+using EnumNames = std::vector<std::pair<E, std::string_view>>;
+
+/// The word for an enumerator. \throws OptionError if it has none.
+template <class E>
+[[nodiscard]] std::string enum_name(E value) {
+  for (const auto& [enumerator, name] : enum_names(E{})) {
+    if (enumerator == value) return std::string(name);
+  }
+  throw OptionError("enumerator without a name");
+}
+
+/// The enumerator for a word. \throws OptionError naming `what`, the word and what is allowed.
+template <class E>
+[[nodiscard]] E parse_enum(std::string_view what, std::string_view word) {
+  std::string allowed;
+  for (const auto& [enumerator, name] : enum_names(E{})) {
+    if (name == word) return enumerator;
+    allowed += (allowed.empty() ? "" : ", ") + std::string(name);
+  }
+  throw OptionError(std::string(what) + " = \"" + std::string(word) + "\", must be one of: " + allowed);
+}
+
+namespace detail {
+
+inline void check_bounds(std::string_view name, double value, const Bounds& bounds) {
+  if (bounds.contains(value)) return;
+  std::ostringstream out;
+  out << name << " = " << value << ", must be " << (std::isnan(value) ? "a number" : to_string(bounds));
+  throw OptionError(out.str());
+}
+
+struct BoundsVisitor {
+  template <class T>
+  void operator()(std::string_view name, const T& value, const Bounds& bounds, std::string_view) const {
+    if constexpr (std::is_arithmetic_v<T> && !std::is_same_v<T, bool>) {
+      check_bounds(name, static_cast<double>(value), bounds);
+    } else if constexpr (std::is_same_v<T, std::vector<double>>) {
+      for (const double v : value) check_bounds(name, v, bounds);
+    }
+  }
+};
+
+}  // namespace detail
+
+/// Checks every field against its bounds. \throws OptionError naming the first bad field.
+template <class Options>
+void validate(const Options& options) {
+  Options::visit(options, detail::BoundsVisitor{});
+}
+
+}  // namespace loopwise

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <unordered_map>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/registration_result.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/core/se3.hpp>
+
+namespace loopwise {
+
+/// A key frame: pose of the body in the common frame, p_world = pose · p_body.
+struct Node {
+  Key key = 0;
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  std::int64_t stamp_ns = 0;
+  /// Marginal covariance, right perturbation [translation, rotation], when the back end computed it.
+  std::optional<Matrix6d> covariance;
+};
+
+/// What is known of one node's pose beforehand: r = Log(pose⁻¹ · T_node), cost ½ rᵀΩr.
+struct PriorFactor {
+  Key key = 0;
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  Matrix6d information = Matrix6d::Identity();
+};
+
+enum class EdgeKind { kOdometry, kLoopClosure };
+
+/// A measured relative pose: r = Log(T_from_to⁻¹ · T_from⁻¹ · T_to), cost ½·weight·rᵀΩr.
+struct Edge {
+  Key from = 0;
+  Key to = 0;
+  Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
+  Matrix6d information = Matrix6d::Identity();  ///< Ω, order [translation, rotation], symmetric, not indefinite.
+  EdgeKind kind = EdgeKind::kLoopClosure;
+  bool trusted = false;  ///< A known inlier: robust optimisation keeps its weight at 1. Odometry always is.
+  double weight = 1.0;   ///< Of the last robust optimisation, in [0, 1].
+};
+
+/// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, every factor's
+/// nodes exist, poses and information are finite, information is symmetric and not indefinite.
+/// Nodes and edges are numbered in the order of arrival; the numbers are what solvers work with.
+class PoseGraph {
+ public:
+  /// \returns its number. \throws InputError on a repeated key or a pose that is not finite.
+  std::size_t add_node(const Node& node);
+  /// \throws UnknownKeyError; InputError on bad numbers (see check_information).
+  std::size_t add_prior(const PriorFactor& prior);
+  /// \throws UnknownKeyError; InputError on bad numbers or an edge from a node to itself.
+  std::size_t add_edge(const Edge& edge);
+  /// The edge of a verified closure: information is the inverse of its covariance.
+  std::size_t add_closure(const LoopClosure& closure);
+  /// Takes out the edges for which `drop(edge)` holds; those left move up, in order. \returns how many went.
+  template <class Predicate>
+  std::size_t remove_edges_if(Predicate&& drop) {
+    std::vector<Edge> kept;
+    kept.reserve(edges_.size());
+    for (const Edge& edge : edges_) {
+      if (!drop(edge)) kept.push_back(edge);
+    }
+    return replace_edges(std::move(kept));
+  }
+
+  [[nodiscard]] bool contains(Key key) const { return index_.count(key) != 0; }
+  [[nodiscard]] std::optional<std::size_t> find(Key key) const;
+  /// \throws UnknownKeyError
+  [[nodiscard]] std::size_t index_of(Key key) const;
+  /// \throws UnknownKeyError
+  [[nodiscard]] const Node& node(Key key) const { return nodes_[index_of(key)]; }
+
+  [[nodiscard]] const std::vector<Node>& nodes() const { return nodes_; }
+  [[nodiscard]] const std::vector<PriorFactor>& priors() const { return priors_; }
+  [[nodiscard]] const std::vector<Edge>& edges() const { return edges_; }
+  [[nodiscard]] bool empty() const { return nodes_.empty(); }
+  [[nodiscard]] std::vector<Key> keys() const;
+
+  /// Node numbers of an edge's two ends.
+  struct Ends {
+    std::size_t from;
+    std::size_t to;
+  };
+  [[nodiscard]] Ends ends(std::size_t edge) const { return ends_[edge]; }
+  /// Numbers of the edges at a node, in order of arrival.
+  [[nodiscard]] const std::vector<std::size_t>& edges_of(std::size_t node) const { return adjacency_[node]; }
+
+  /// \throws UnknownKeyError; InputError if the pose is not finite.
+  void set_pose(Key key, const Eigen::Isometry3d& pose);
+  /// One pose per node, by number. \throws InputError on another count or a pose that is not finite.
+  void set_poses(const std::vector<Eigen::Isometry3d>& poses);
+  [[nodiscard]] std::vector<Eigen::Isometry3d> poses() const;
+  void set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance);
+  /// \throws InputError unless the weight lies in [0, 1].
+  void set_weight(std::size_t edge, double weight);
+  void set_kind(std::size_t edge, EdgeKind kind) { edges_[edge].kind = kind; }
+
+ private:
+  std::size_t replace_edges(std::vector<Edge> edges);
+
+  std::vector<Node> nodes_;
+  std::vector<PriorFactor> priors_;
+  std::vector<Edge> edges_;
+  std::vector<Ends> ends_;
+  std::vector<std::vector<std::size_t>> adjacency_;
+  std::unordered_map<Key, std::size_t> index_;
+};
+
+/// Connected components by edges. \returns for each node the number of its component, from 0 in node order.
+[[nodiscard]] std::vector<std::size_t> connected_components(const PoseGraph& graph);
+
+/// Marks edges between consecutive nodes of one robot as odometry and all others as loop closures.
+void classify_edges(PoseGraph& graph, const Robots& robots);
+
+/// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.
+/// Positive semi-definite matrices pass, with a tolerance of 1e-9 of the largest element.
+[[nodiscard]] const char* check_information(const Matrix6d& information);
+
+}  // namespace loopwise

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+namespace loopwise {
+
+/// One kind of flaw that a reader met and could live with, how often, and where it first stood.
+struct Problem {
+  std::string kind;     ///< Short and stable, for example "non-unit quaternion".
+  std::string example;  ///< The first occurrence, with file and line or key.
+  std::size_t count = 0;
+};
+
+/// Counted warnings of a reader: nothing is printed by the library and nothing is lost silently.
+class Problems {
+ public:
+  void add(const std::string& kind, const std::string& example, std::size_t count = 1);
+  void add(const Problems& others);
+
+  /// How often this kind was met; 0 if never.
+  [[nodiscard]] std::size_t count(const std::string& kind) const;
+  [[nodiscard]] bool empty() const { return all_.empty(); }
+  /// In the order of first occurrence.
+  [[nodiscard]] const std::vector<Problem>& all() const { return all_; }
+
+ private:
+  std::vector<Problem> all_;
+};
+
+/// One line a problem: "non-unit quaternion (3 times, first: run.g2o:41)".
+[[nodiscard]] std::string to_string(const Problem& problem);
+
+}  // namespace loopwise

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <limits>
+#include <optional>
+#include <string>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/se3.hpp>
+
+namespace loopwise {
+
+/// A computed candidate that passed all tests of the computation: *verified*.
+struct LoopClosure {
+  Key from = 0;
+  Key to = 0;
+  /// Pose of `to` in the frame of `from`: p_from = T_from_to · p_to.
+  Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
+  /// Of T_from_to, right perturbation, order [translation, rotation], m² and rad². Symmetric positive definite.
+  Matrix6d covariance = Matrix6d::Identity();
+};
+
+/// Why a computed candidate is not a closure. The words of to_string() stand in closures.csv and summary.json.
+enum class RejectionReason {
+  kNone,                ///< Not rejected.
+  kMissingScan,         ///< A node without a scan, or one whose file cannot be read.
+  kTooFewPoints,        ///< A scan or its key points are too few to align.
+  kFewMatches,          ///< Too few feature correspondences or inliers.
+  kSacFitness,          ///< Feature-based stage: mean squared distance above the bound.
+  kGicpFitness,         ///< Refinement: mean squared distance above the bound.
+  kLowOverlap,          ///< Too small a share of the source lies on the target.
+  kTransformThreshold,  ///< Moved too far from the graph's relative pose.
+  kNotConverged,        ///< Refinement did not converge, or left the finite numbers.
+  kFailed,              ///< The registrar threw; the message says what.
+};
+[[nodiscard]] EnumNames<RejectionReason> enum_names(RejectionReason);
+
+/// What came of one candidate. A candidate that cannot be computed is not an error but a result with a reason.
+struct RegistrationResult {
+  LoopCandidate candidate;
+  RejectionReason reason = RejectionReason::kNone;
+  std::string message;                 ///< For people: figures against bounds. Empty if verified.
+  std::optional<LoopClosure> closure;  ///< Present exactly if reason is kNone.
+
+  /// Last transform reached, T_from_to; also of a rejected candidate, where one was found.
+  std::optional<Eigen::Isometry3d> T_from_to;
+  /// Mean squared nearest-neighbour distance after the feature-based stage, m². NaN if it did not run.
+  double sac_fitness_m2 = std::numeric_limits<double>::quiet_NaN();
+  /// Mean squared nearest-neighbour distance over all source points after refinement, m². NaN if it did not run.
+  double gicp_fitness_m2 = std::numeric_limits<double>::quiet_NaN();
+  /// Share of source points with a target point nearby after refinement, [0, 1]. NaN if not measured.
+  double overlap = std::numeric_limits<double>::quiet_NaN();
+  /// Wall time by stage, s. For reports only.
+  double features_s = 0.0, global_s = 0.0, refine_s = 0.0;
+
+  [[nodiscard]] bool verified() const { return reason == RejectionReason::kNone && closure.has_value(); }
+  [[nodiscard]] double seconds() const { return features_s + global_s + refine_s; }
+};
+
+}  // namespace loopwise

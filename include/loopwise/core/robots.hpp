@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <loopwise/core/key.hpp>
+
+namespace loopwise {
+
+/// A robot of the team and the range of keys that are its nodes, both ends included.
+struct Robot {
+  std::string name;
+  Key first = 0;
+  Key last = 0;
+};
+
+/// The robot whose nodes carry this character.
+[[nodiscard]] Robot robot_of_character(char character, std::string name);
+
+/// Which key belongs to which robot. Robots are numbered from 0 in the order of their key ranges.
+class Robots {
+ public:
+  Robots() = default;
+
+  /// \throws InputError on an empty or repeated name, a range with last < first, or overlapping ranges.
+  explicit Robots(std::vector<Robot> robots);
+
+  /// One robot per character found, named after it; all plain integers together form the robot "0".
+  [[nodiscard]] static Robots from_keys(const std::vector<Key>& keys);
+
+  [[nodiscard]] std::size_t size() const { return robots_.size(); }
+  [[nodiscard]] bool empty() const { return robots_.empty(); }
+  [[nodiscard]] const Robot& operator[](std::size_t robot) const { return robots_[robot]; }
+  [[nodiscard]] const std::vector<Robot>& all() const { return robots_; }
+
+  /// The robot that owns the key, if any.
+  [[nodiscard]] std::optional<std::size_t> find(Key key) const;
+
+  /// \throws UnknownKeyError if no robot owns the key.
+  [[nodiscard]] std::size_t of(Key key) const;
+
+  /// Index of the node among its robot's own, from 0. \throws UnknownKeyError if no robot owns the key.
+  [[nodiscard]] std::uint64_t node_index(Key key) const;
+
+  /// True if `to` follows `from` directly on one robot's path: the form of an odometry edge.
+  [[nodiscard]] bool consecutive(Key from, Key to) const;
+
+ private:
+  std::vector<Robot> robots_;  // sorted by first
+};
+
+/// Reads "0-624,625-1249" (robots named "0", "1", ...) or "husky=0-624,spot=625-1249" or "a,b" (characters).
+/// \throws OptionError naming the part that cannot be read.
+[[nodiscard]] Robots parse_robots(std::string_view text);
+
+}  // namespace loopwise

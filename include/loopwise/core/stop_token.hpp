@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <atomic>
+#include <memory>
+
+namespace loopwise {
+
+/// Asks long work to end early. Copies share the request; a default token can never be stopped.
+class StopToken {
+ public:
+  StopToken() = default;
+  [[nodiscard]] bool stop_requested() const { return flag_ && flag_->load(std::memory_order_relaxed); }
+
+ private:
+  friend class StopSource;
+  explicit StopToken(std::shared_ptr<const std::atomic<bool>> flag) : flag_(std::move(flag)) {}
+  std::shared_ptr<const std::atomic<bool>> flag_;
+};
+
+/// The side that makes the request. request_stop() is lock-free: a signal handler may call it.
+class StopSource {
+ public:
+  StopSource() : flag_(std::make_shared<std::atomic<bool>>(false)) {}
+  void request_stop() const noexcept { flag_->store(true, std::memory_order_relaxed); }
+  [[nodiscard]] bool stop_requested() const { return flag_->load(std::memory_order_relaxed); }
+  [[nodiscard]] StopToken token() const { return StopToken(flag_); }
+
+ private:
+  std::shared_ptr<std::atomic<bool>> flag_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,192 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/core/pose_graph.hpp>
+
+#include <cmath>
+#include <numeric>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+namespace {
+
+std::string describe(Key key) {
+  const std::string name = key_name(key), number = std::to_string(key);
+  return name == number ? number : number + " (" + name + ")";
+}
+
+void require_pose(const Eigen::Isometry3d& pose, const std::string& what) {
+  if (!pose.matrix().allFinite()) throw InputError(what + ": pose is not finite");
+  const Eigen::Matrix3d R = pose.linear();
+  if ((R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() > 1e-6 || R.determinant() < 0.0) {
+    throw InputError(what + ": pose is not a rigid transform");
+  }
+}
+
+void require_information(const Matrix6d& information, const std::string& what) {
+  if (const char* why = check_information(information)) throw InputError(what + ": information is " + why);
+}
+
+}  // namespace
+
+const char* check_information(const Matrix6d& information) {
+  if (!information.allFinite()) return "not finite";
+  const double scale = information.cwiseAbs().maxCoeff();
+  if ((information - information.transpose()).cwiseAbs().maxCoeff() > 1e-9 * scale) return "not symmetric";
+  if (scale == 0.0) return nullptr;
+  // Scaled to a unit diagonal, so that metres and radians of very different size are judged alike.
+  const Vector6d diagonal = information.diagonal();
+  if (diagonal.minCoeff() < 0.0) return "indefinite";
+  Vector6d d;
+  for (int i = 0; i < 6; ++i) d[i] = diagonal[i] > 0.0 ? 1.0 / std::sqrt(diagonal[i]) : 1.0 / std::sqrt(scale);
+  const Matrix6d scaled = d.asDiagonal() * information * d.asDiagonal();
+  if (Eigen::LLT<Matrix6d>(scaled).info() == Eigen::Success) return nullptr;
+  const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(scaled, Eigen::EigenvaluesOnly);
+  return solver.eigenvalues().minCoeff() < -1e-9 * scaled.cwiseAbs().maxCoeff() ? "indefinite" : nullptr;
+}
+
+std::size_t PoseGraph::add_node(const Node& node) {
+  require_pose(node.pose, "node " + describe(node.key));
+  if (!index_.emplace(node.key, nodes_.size()).second) {
+    throw InputError("node " + describe(node.key) + " is in the graph already");
+  }
+  nodes_.push_back(node);
+  adjacency_.emplace_back();
+  return nodes_.size() - 1;
+}
+
+std::size_t PoseGraph::add_prior(const PriorFactor& prior) {
+  static_cast<void>(index_of(prior.key));
+  require_pose(prior.pose, "prior of " + describe(prior.key));
+  require_information(prior.information, "prior of " + describe(prior.key));
+  priors_.push_back(prior);
+  return priors_.size() - 1;
+}
+
+std::size_t PoseGraph::add_edge(const Edge& edge) {
+  const Ends ends{index_of(edge.from), index_of(edge.to)};
+  const std::string what = "edge " + describe(edge.from) + " to " + describe(edge.to);
+  if (ends.from == ends.to) throw InputError(what + ": both ends are the same node");
+  require_pose(edge.T_from_to, what);
+  require_information(edge.information, what);
+  if (!(edge.weight >= 0.0 && edge.weight <= 1.0)) throw InputError(what + ": weight is outside [0, 1]");
+  const std::size_t number = edges_.size();
+  edges_.push_back(edge);
+  ends_.push_back(ends);
+  adjacency_[ends.from].push_back(number);
+  adjacency_[ends.to].push_back(number);
+  return number;
+}
+
+std::size_t PoseGraph::add_closure(const LoopClosure& closure) {
+  Edge edge;
+  edge.from = closure.from;
+  edge.to = closure.to;
+  edge.T_from_to = closure.T_from_to;
+  const Eigen::LLT<Matrix6d> factor(closure.covariance);
+  if (!closure.covariance.allFinite() || factor.info() != Eigen::Success) {
+    throw InputError("closure " + describe(closure.from) + " to " + describe(closure.to) +
+                     ": covariance is not positive definite");
+  }
+  const Matrix6d information = factor.solve(Matrix6d::Identity());
+  edge.information = 0.5 * (information + information.transpose());
+  edge.kind = EdgeKind::kLoopClosure;
+  return add_edge(edge);
+}
+
+std::size_t PoseGraph::replace_edges(std::vector<Edge> edges) {
+  const std::size_t removed = edges_.size() - edges.size();
+  if (removed == 0) return 0;
+  edges_ = std::move(edges);
+  ends_.clear();
+  for (auto& list : adjacency_) list.clear();
+  for (std::size_t i = 0; i < edges_.size(); ++i) {
+    const Ends ends{index_of(edges_[i].from), index_of(edges_[i].to)};
+    ends_.push_back(ends);
+    adjacency_[ends.from].push_back(i);
+    adjacency_[ends.to].push_back(i);
+  }
+  return removed;
+}
+
+std::optional<std::size_t> PoseGraph::find(Key key) const {
+  const auto found = index_.find(key);
+  return found == index_.end() ? std::nullopt : std::optional<std::size_t>(found->second);
+}
+
+std::size_t PoseGraph::index_of(Key key) const {
+  if (const auto number = find(key)) return *number;
+  throw UnknownKeyError("node " + describe(key) + " is not in the graph");
+}
+
+std::vector<Key> PoseGraph::keys() const {
+  std::vector<Key> keys;
+  keys.reserve(nodes_.size());
+  for (const Node& node : nodes_) keys.push_back(node.key);
+  return keys;
+}
+
+void PoseGraph::set_pose(Key key, const Eigen::Isometry3d& pose) {
+  require_pose(pose, "node " + describe(key));
+  nodes_[index_of(key)].pose = pose;
+}
+
+void PoseGraph::set_poses(const std::vector<Eigen::Isometry3d>& poses) {
+  if (poses.size() != nodes_.size()) {
+    throw InputError(std::to_string(poses.size()) + " poses for " + std::to_string(nodes_.size()) + " nodes");
+  }
+  for (std::size_t i = 0; i < poses.size(); ++i) require_pose(poses[i], "node " + describe(nodes_[i].key));
+  for (std::size_t i = 0; i < poses.size(); ++i) nodes_[i].pose = poses[i];
+}
+
+std::vector<Eigen::Isometry3d> PoseGraph::poses() const {
+  std::vector<Eigen::Isometry3d> poses;
+  poses.reserve(nodes_.size());
+  for (const Node& node : nodes_) poses.push_back(node.pose);
+  return poses;
+}
+
+void PoseGraph::set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance) {
+  if (covariance && !covariance->allFinite()) {
+    throw InputError("node " + describe(nodes_.at(node).key) + ": covariance is not finite");
+  }
+  nodes_.at(node).covariance = covariance;
+}
+
+void PoseGraph::set_weight(std::size_t edge, double weight) {
+  if (!(weight >= 0.0 && weight <= 1.0)) throw InputError("edge weight is outside [0, 1]");
+  edges_.at(edge).weight = weight;
+}
+
+std::vector<std::size_t> connected_components(const PoseGraph& graph) {
+  // Union-find with path halving; the smallest node number of a component is its root.
+  std::vector<std::size_t> parent(graph.nodes().size());
+  std::iota(parent.begin(), parent.end(), std::size_t{0});
+  const auto root = [&parent](std::size_t i) {
+    while (parent[i] != i) i = parent[i] = parent[parent[i]];
+    return i;
+  };
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    const std::size_t a = root(graph.ends(e).from), b = root(graph.ends(e).to);
+    if (a < b) parent[b] = a;
+    if (b < a) parent[a] = b;
+  }
+  std::vector<std::size_t> component(parent.size());
+  std::size_t count = 0;
+  for (std::size_t i = 0; i < parent.size(); ++i) {
+    const std::size_t r = root(i);
+    component[i] = r == i ? count++ : component[r];
+  }
+  return component;
+}
+
+void classify_edges(PoseGraph& graph, const Robots& robots) {
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    const Edge& edge = graph.edges()[e];
+    graph.set_kind(e, robots.consecutive(edge.from, edge.to) ? EdgeKind::kOdometry : EdgeKind::kLoopClosure);
+  }
+}
+
+}  // namespace loopwise

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/core/problems.hpp>
+
+#include <algorithm>
+
+namespace loopwise {
+
+void Problems::add(const std::string& kind, const std::string& example, std::size_t count) {
+  if (count == 0) return;
+  const auto known = std::find_if(all_.begin(), all_.end(), [&](const Problem& p) { return p.kind == kind; });
+  if (known != all_.end()) {
+    known->count += count;
+  } else {
+    all_.push_back({kind, example, count});
+  }
+}
+
+void Problems::add(const Problems& others) {
+  for (const Problem& problem : others.all_) add(problem.kind, problem.example, problem.count);
+}
+
+std::size_t Problems::count(const std::string& kind) const {
+  for (const Problem& problem : all_) {
+    if (problem.kind == kind) return problem.count;
+  }
+  return 0;
+}
+
+std::string to_string(const Problem& problem) {
+  if (problem.count == 1) return problem.kind + " (" + problem.example + ")";
+  return problem.kind + " (" + std::to_string(problem.count) + " times, first: " + problem.example + ")";
+}
+
+}  // namespace loopwise

@@ -1,0 +1,104 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/core/thread_pool.hpp>
+
+#include <condition_variable>
+#include <exception>
+#include <mutex>
+#include <optional>
+#include <string>
+#include <thread>
+
+#include <tbb/global_control.h>
+#include <tbb/task_arena.h>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+namespace {
+
+/// Work of one for_each. Indices and the end of the work pass through one mutex: tasks are coarse, so it costs
+/// nothing, and it orders memory between threads in a way that sanitizers can see.
+class Loop {
+ public:
+  Loop(std::size_t count, const std::function<void(std::size_t)>& body, int runners)
+      : count_(count), body_(body), running_(runners) {}
+
+  void run() {
+    for (std::optional<std::size_t> i = next(); i; i = next()) {
+      try {
+        body_(*i);
+      } catch (...) {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        if (!error_ || *i < error_index_) {
+          error_ = std::current_exception();
+          error_index_ = *i;
+        }
+      }
+    }
+    const std::lock_guard<std::mutex> lock(mutex_);
+    // Notified under the lock: once it is released the waiter may destroy this object.
+    if (--running_ == 0) idle_.notify_all();
+  }
+
+  void wait() {
+    std::unique_lock<std::mutex> lock(mutex_);
+    idle_.wait(lock, [this] { return running_ == 0; });
+    if (error_) std::rethrow_exception(error_);
+  }
+
+ private:
+  std::optional<std::size_t> next() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return next_ < count_ ? std::optional<std::size_t>(next_++) : std::nullopt;
+  }
+
+  const std::size_t count_;
+  const std::function<void(std::size_t)>& body_;
+  std::mutex mutex_;
+  std::condition_variable idle_;
+  std::size_t next_ = 0;
+  int running_;
+  std::exception_ptr error_;
+  std::size_t error_index_ = 0;
+};
+
+}  // namespace
+
+struct ThreadPool::Impl {
+  int num_threads = 1;
+  // TBB starts no more workers than processors minus one unless told; the pool's size is the user's choice.
+  std::unique_ptr<tbb::global_control> limit;
+  std::unique_ptr<tbb::task_arena> arena;
+};
+
+ThreadPool::ThreadPool(int num_threads) : impl_(std::make_unique<Impl>()) { resize(num_threads); }
+ThreadPool::~ThreadPool() = default;
+
+int ThreadPool::num_threads() const { return impl_->num_threads; }
+
+void ThreadPool::resize(int num_threads) {
+  if (num_threads < 0) throw OptionError("threads = " + std::to_string(num_threads) + ", must be >= 0");
+  if (num_threads == 0) num_threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  impl_->num_threads = num_threads;
+  impl_->arena.reset();
+  impl_->limit.reset();
+  if (num_threads > 1) {
+    impl_->limit = std::make_unique<tbb::global_control>(tbb::global_control::max_allowed_parallelism,
+                                                         static_cast<std::size_t>(num_threads) + 1);
+    impl_->arena = std::make_unique<tbb::task_arena>(num_threads, 0);
+  }
+}
+
+void ThreadPool::for_each(std::size_t count, const std::function<void(std::size_t)>& body) {
+  if (count == 0) return;
+  const auto runners = static_cast<int>(std::min<std::size_t>(count, static_cast<std::size_t>(impl_->num_threads)));
+  Loop loop(count, body, runners);
+  if (impl_->arena) {
+    for (int i = 0; i < runners; ++i) impl_->arena->enqueue([&loop] { loop.run(); });
+  } else {
+    loop.run();
+  }
+  loop.wait();
+}
+
+}  // namespace loopwise
