@@ -9,7 +9,9 @@
 
 namespace loopwise {
 
-void VirtualClock::wait_until(double time, const StopToken&) { now_ = std::max(now_, time); }
+void VirtualClock::wait_until(double time, const StopToken&) {
+  now_ = std::max(now_, time);
+}
 
 RealClock::RealClock(double start, double rate)
     : origin_(std::chrono::steady_clock::now()), start_(start), rate_(rate) {

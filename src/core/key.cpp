@@ -8,7 +8,9 @@
 namespace loopwise {
 namespace {
 
-bool is_letter(char c) { return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z'); }
+bool is_letter(char c) {
+  return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
+}
 
 }  // namespace
 
@@ -24,7 +26,8 @@ Key parse_key(std::string_view text) {
   std::uint64_t number = 0;
   const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), number);
   if (error != std::errc() || end != digits.data() + digits.size() || (named && number > kKeyIndexMask)) {
-    throw InputError("\"" + std::string(text) + "\" is not a key: expected a 64-bit number or a letter and an index");
+    throw InputError("\"" + std::string(text) +
+                     "\" is not a key: expected a 64-bit number or a letter and an index");
   }
   return named ? make_key(text.front(), number) : number;
 }

@@ -20,7 +20,8 @@ std::string describe(Key key) {
 void require_pose(const Eigen::Isometry3d& pose, const std::string& what) {
   if (!pose.matrix().allFinite()) throw InputError(what + ": pose is not finite");
   const Eigen::Matrix3d R = pose.linear();
-  if ((R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() > 1e-6 || R.determinant() < 0.0) {
+  if ((R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() > 1e-6 ||
+      R.determinant() < 0.0) {
     throw InputError(what + ": pose is not a rigid transform");
   }
 }
@@ -40,7 +41,8 @@ const char* check_information(const Matrix6d& information) {
   const Vector6d diagonal = information.diagonal();
   if (diagonal.minCoeff() < 0.0) return "indefinite";
   Vector6d d;
-  for (int i = 0; i < 6; ++i) d[i] = diagonal[i] > 0.0 ? 1.0 / std::sqrt(diagonal[i]) : 1.0 / std::sqrt(scale);
+  for (int i = 0; i < 6; ++i)
+    d[i] = diagonal[i] > 0.0 ? 1.0 / std::sqrt(diagonal[i]) : 1.0 / std::sqrt(scale);
   const Matrix6d scaled = d.asDiagonal() * information * d.asDiagonal();
   if (Eigen::LLT<Matrix6d>(scaled).info() == Eigen::Success) return nullptr;
   const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(scaled, Eigen::EigenvaluesOnly);

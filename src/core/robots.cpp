@@ -20,7 +20,8 @@ Robots::Robots(std::vector<Robot> robots) : robots_(std::move(robots)) {
     const Robot& robot = robots_[i];
     if (robot.name.empty()) throw InputError("a robot has an empty name");
     if (!names.insert(robot.name).second) throw InputError("robot \"" + robot.name + "\" is listed twice");
-    if (robot.last < robot.first) throw InputError("robot \"" + robot.name + "\": last key is below the first");
+    if (robot.last < robot.first)
+      throw InputError("robot \"" + robot.name + "\": last key is below the first");
     if (i > 0 && robots_[i - 1].last >= robot.first) {
       throw InputError("robots \"" + robots_[i - 1].name + "\" and \"" + robot.name + "\" share keys");
     }
@@ -35,8 +36,9 @@ Robots Robots::from_keys(const std::vector<Key>& keys) {
     // A character that is no letter gets its number as its name; so do plain integers: "0".
     const std::string name = key_name(make_key(character, 0));
     const bool letter = name.size() == 2 && name[1] == '0' && name[0] == character;
-    robots.push_back(robot_of_character(
-        character, letter ? std::string(1, character) : std::to_string(static_cast<unsigned char>(character))));
+    robots.push_back(
+        robot_of_character(character, letter ? std::string(1, character)
+                                             : std::to_string(static_cast<unsigned char>(character))));
   }
   return Robots(std::move(robots));
 }
@@ -55,7 +57,9 @@ std::size_t Robots::of(Key key) const {
   throw UnknownKeyError("key " + std::to_string(key) + " (" + key_name(key) + ") belongs to no robot");
 }
 
-std::uint64_t Robots::node_index(Key key) const { return key - robots_[of(key)].first; }
+std::uint64_t Robots::node_index(Key key) const {
+  return key - robots_[of(key)].first;
+}
 
 bool Robots::consecutive(Key from, Key to) const {
   if (from == ~Key{0} || to != from + 1) return false;
@@ -82,7 +86,8 @@ Robots parse_robots(std::string_view text) {
     try {
       if (dash != std::string_view::npos) {
         robots.push_back({name, parse_key(range.substr(0, dash)), parse_key(range.substr(dash + 1))});
-      } else if (range.size() == 1 && key_name(make_key(range[0], 0)).front() == range[0] && !std::isdigit(range[0])) {
+      } else if (range.size() == 1 && key_name(make_key(range[0], 0)).front() == range[0] &&
+                 !std::isdigit(range[0])) {
         robots.push_back(robot_of_character(range[0], part.size() == 1 ? std::string(part) : name));
       } else {
         throw fail(part);

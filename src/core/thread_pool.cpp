@@ -16,8 +16,8 @@
 namespace loopwise {
 namespace {
 
-/// Work of one for_each. Indices and the end of the work pass through one mutex: tasks are coarse, so it costs
-/// nothing, and it orders memory between threads in a way that sanitizers can see.
+/// Work of one for_each. Indices and the end of the work pass through one mutex: tasks are coarse, so it
+/// costs nothing, and it orders memory between threads in a way that sanitizers can see.
 class Loop {
  public:
   Loop(std::size_t count, const std::function<void(std::size_t)>& body, int runners)
@@ -71,10 +71,14 @@ struct ThreadPool::Impl {
   std::unique_ptr<tbb::task_arena> arena;
 };
 
-ThreadPool::ThreadPool(int num_threads) : impl_(std::make_unique<Impl>()) { resize(num_threads); }
+ThreadPool::ThreadPool(int num_threads) : impl_(std::make_unique<Impl>()) {
+  resize(num_threads);
+}
 ThreadPool::~ThreadPool() = default;
 
-int ThreadPool::num_threads() const { return impl_->num_threads; }
+int ThreadPool::num_threads() const {
+  return impl_->num_threads;
+}
 
 void ThreadPool::resize(int num_threads) {
   if (num_threads < 0) throw OptionError("threads = " + std::to_string(num_threads) + ", must be >= 0");
@@ -91,7 +95,8 @@ void ThreadPool::resize(int num_threads) {
 
 void ThreadPool::for_each(std::size_t count, const std::function<void(std::size_t)>& body) {
   if (count == 0) return;
-  const auto runners = static_cast<int>(std::min<std::size_t>(count, static_cast<std::size_t>(impl_->num_threads)));
+  const auto runners =
+      static_cast<int>(std::min<std::size_t>(count, static_cast<std::size_t>(impl_->num_threads)));
   Loop loop(count, body, runners);
   if (impl_->arena) {
     for (int i = 0; i < runners; ++i) impl_->arena->enqueue([&loop] { loop.run(); });

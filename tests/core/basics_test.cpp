@@ -95,7 +95,8 @@ TEST_CASE("options: the error names the field, its value and its bounds", "[core
   options.sigmas[1] = 0.0;
   REQUIRE_THROWS_WITH(validate(options), "sigmas = 0, must be > 0");
   REQUIRE(parse_enum<RejectionReason>("reason", "gicp_fitness") == RejectionReason::kGicpFitness);
-  REQUIRE_THROWS_WITH(parse_enum<RejectionReason>("reason", "bad"), Contains("reason = \"bad\", must be one of"));
+  REQUIRE_THROWS_WITH(parse_enum<RejectionReason>("reason", "bad"),
+                      Contains("reason = \"bad\", must be one of"));
 }
 
 TEST_CASE("random: fixed sequences with the right moments", "[core][random]") {

@@ -107,7 +107,8 @@ TEST_CASE("graph: a closure's information is the inverse of its covariance", "[c
   closure.covariance.diagonal() << 0.01, 0.02, 0.03, 1e-4, 2e-4, 3e-4;
   closure.covariance(0, 4) = closure.covariance(4, 0) = 1e-4;
   const std::size_t e = graph.add_closure(closure);
-  REQUIRE((graph.edges()[e].information * closure.covariance - Matrix6d::Identity()).cwiseAbs().maxCoeff() < 1e-12);
+  REQUIRE((graph.edges()[e].information * closure.covariance - Matrix6d::Identity()).cwiseAbs().maxCoeff() <
+          1e-12);
 }
 
 TEST_CASE("graph: components and the kinds of edges", "[core][graph]") {

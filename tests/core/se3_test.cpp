@@ -15,11 +15,13 @@ using testing::random_pose;
 
 constexpr double kPi = 3.14159265358979323846;
 
-/// Twists that reach every branch: the identity, tiny, small, around the series' limits, large, and close to π.
+/// Twists that reach every branch: the identity, tiny, small, around the series' limits, large, and close to
+/// π.
 std::vector<Vector6d> twists() {
   std::vector<Vector6d> all{Vector6d::Zero()};
   Rng rng(1);
-  for (const double angle : {1e-12, 1e-7, 1e-4, 0.0999, 0.1001, 0.5, 0.999, 1.001, 2.0, 3.0, kPi - 1e-3, kPi - 1e-7}) {
+  for (const double angle :
+       {1e-12, 1e-7, 1e-4, 0.0999, 0.1001, 0.5, 0.999, 1.001, 2.0, 3.0, kPi - 1e-3, kPi - 1e-7}) {
     for (int i = 0; i < 8; ++i) {
       Vector6d xi;
       for (int k = 0; k < 6; ++k) xi[k] = rng.normal();
@@ -66,8 +68,8 @@ TEST_CASE("se3: log inverts exp", "[core][se3]") {
 }
 
 TEST_CASE("se3: exp inverts log at a half turn", "[core][se3]") {
-  for (const Eigen::Vector3d& axis : {Eigen::Vector3d(1, 0, 0), Eigen::Vector3d(0, 1, 0), Eigen::Vector3d(0, 0, 1),
-                                      Eigen::Vector3d(1, 2, -3).normalized()}) {
+  for (const Eigen::Vector3d& axis : {Eigen::Vector3d(1, 0, 0), Eigen::Vector3d(0, 1, 0),
+                                      Eigen::Vector3d(0, 0, 1), Eigen::Vector3d(1, 2, -3).normalized()}) {
     Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
     T.linear() = Eigen::AngleAxisd(kPi, axis).toRotationMatrix();
     T.translation() << 1, -2, 3;
@@ -111,10 +113,12 @@ TEST_CASE("se3: inverse Jacobians invert, also at large translations", "[core][s
   for (const Vector6d& xi : twists()) {
     CAPTURE(xi.transpose());
     const double scale = 1.0 + xi.head<3>().norm();
-    REQUIRE((se3::right_jacobian(xi) * se3::right_jacobian_inverse(xi) - Matrix6d::Identity()).cwiseAbs().maxCoeff() <
-            1e-11 * scale);
-    REQUIRE((se3::left_jacobian_inverse(xi) * se3::left_jacobian(xi) - Matrix6d::Identity()).cwiseAbs().maxCoeff() <
-            1e-11 * scale);
+    REQUIRE((se3::right_jacobian(xi) * se3::right_jacobian_inverse(xi) - Matrix6d::Identity())
+                .cwiseAbs()
+                .maxCoeff() < 1e-11 * scale);
+    REQUIRE((se3::left_jacobian_inverse(xi) * se3::left_jacobian(xi) - Matrix6d::Identity())
+                .cwiseAbs()
+                .maxCoeff() < 1e-11 * scale);
   }
 }
 
@@ -132,8 +136,10 @@ TEST_CASE("se3: the edge residual's Jacobians equal central differences", "[core
     const Matrix6d Ji = -Jj * se3::adjoint(Tj.inverse() * Ti);
     for (int k = 0; k < 6; ++k) {
       const Eigen::Isometry3d p = se3::exp(h * Vector6d::Unit(k)), m = se3::exp(-h * Vector6d::Unit(k));
-      REQUIRE(((residual(Ti * p, Tj) - residual(Ti * m, Tj)) / (2 * h) - Ji.col(k)).norm() < 1e-7 * (1 + Ji.norm()));
-      REQUIRE(((residual(Ti, Tj * p) - residual(Ti, Tj * m)) / (2 * h) - Jj.col(k)).norm() < 1e-7 * (1 + Jj.norm()));
+      REQUIRE(((residual(Ti * p, Tj) - residual(Ti * m, Tj)) / (2 * h) - Ji.col(k)).norm() <
+              1e-7 * (1 + Ji.norm()));
+      REQUIRE(((residual(Ti, Tj * p) - residual(Ti, Tj * m)) / (2 * h) - Jj.col(k)).norm() <
+              1e-7 * (1 + Jj.norm()));
     }
   }
 }

@@ -7,7 +7,8 @@
 
 namespace loopwise {
 
-/// Mission time in seconds since the start of the mission. The library reads time through this interface only.
+/// Mission time in seconds since the start of the mission. The library reads time through this interface
+/// only.
 class Clock {
  public:
   virtual ~Clock() = default;

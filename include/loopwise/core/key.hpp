@@ -20,8 +20,12 @@ inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;
   return (static_cast<Key>(static_cast<unsigned char>(character)) << kKeyIndexBits) | (index & kKeyIndexMask);
 }
 
-[[nodiscard]] constexpr char key_character(Key key) { return static_cast<char>(key >> kKeyIndexBits); }
-[[nodiscard]] constexpr std::uint64_t key_index(Key key) { return key & kKeyIndexMask; }
+[[nodiscard]] constexpr char key_character(Key key) {
+  return static_cast<char>(key >> kKeyIndexBits);
+}
+[[nodiscard]] constexpr std::uint64_t key_index(Key key) {
+  return key & kKeyIndexMask;
+}
 
 /// For people: "a12" if the character is a letter, otherwise the plain number. Files hold the number.
 [[nodiscard]] std::string key_name(Key key);

@@ -14,7 +14,9 @@ using CandidateId = std::uint64_t;
 /// Who proposed a candidate.
 enum class CandidateSource { kProximity, kRadio, kUser };
 [[nodiscard]] inline EnumNames<CandidateSource> enum_names(CandidateSource) {
-  return {{CandidateSource::kProximity, "proximity"}, {CandidateSource::kRadio, "radio"}, {CandidateSource::kUser, "user"}};
+  return {{CandidateSource::kProximity, "proximity"},
+          {CandidateSource::kRadio, "radio"},
+          {CandidateSource::kUser, "user"}};
 }
 
 /// A hypothesis that two nodes saw the same place. It carries no transform: finding one is the costly part.

@@ -8,8 +8,8 @@
 ///       field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
 ///     }
 ///
-/// where Self is the struct or its const form. A field may be bool, an integer, double, std::string, an enum with
-/// an `enum_names` overload, or a std::vector<double>.
+/// where Self is the struct or its const form. A field may be bool, an integer, double, std::string, an enum
+/// with an `enum_names` overload, or a std::vector<double>.
 #pragma once
 
 #include <cmath>
@@ -36,10 +36,18 @@ struct Bounds {
   }
 };
 
-[[nodiscard]] constexpr Bounds any_value() { return {}; }
-[[nodiscard]] constexpr Bounds at_least(double min) { return {min, std::numeric_limits<double>::infinity(), false}; }
-[[nodiscard]] constexpr Bounds above(double min) { return {min, std::numeric_limits<double>::infinity(), true}; }
-[[nodiscard]] constexpr Bounds between(double min, double max) { return {min, max, false}; }
+[[nodiscard]] constexpr Bounds any_value() {
+  return {};
+}
+[[nodiscard]] constexpr Bounds at_least(double min) {
+  return {min, std::numeric_limits<double>::infinity(), false};
+}
+[[nodiscard]] constexpr Bounds above(double min) {
+  return {min, std::numeric_limits<double>::infinity(), true};
+}
+[[nodiscard]] constexpr Bounds between(double min, double max) {
+  return {min, max, false};
+}
 
 /// "> 0", "in [0, 1]", ">= 1"; empty if every value is allowed.
 [[nodiscard]] inline std::string to_string(const Bounds& bounds) {

@@ -39,15 +39,16 @@ struct Edge {
   Key from = 0;
   Key to = 0;
   Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
-  Matrix6d information = Matrix6d::Identity();  ///< Ω, order [translation, rotation], symmetric, not indefinite.
+  Matrix6d information =
+      Matrix6d::Identity();  ///< Ω, order [translation, rotation], symmetric, not indefinite.
   EdgeKind kind = EdgeKind::kLoopClosure;
   bool trusted = false;  ///< A known inlier: robust optimisation keeps its weight at 1. Odometry always is.
   double weight = 1.0;   ///< Of the last robust optimisation, in [0, 1].
 };
 
-/// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, every factor's
-/// nodes exist, poses and information are finite, information is symmetric and not indefinite.
-/// Nodes and edges are numbered in the order of arrival; the numbers are what solvers work with.
+/// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, every
+/// factor's nodes exist, poses and information are finite, information is symmetric and not indefinite. Nodes
+/// and edges are numbered in the order of arrival; the numbers are what solvers work with.
 class PoseGraph {
  public:
   /// \returns its number. \throws InputError on a repeated key or a pose that is not finite.

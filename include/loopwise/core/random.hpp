@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Random numbers that are the same everywhere: the standard library fixes its engines but not its distributions.
+/// Random numbers that are the same everywhere: the standard library fixes its engines but not its
+/// distributions.
 #pragma once
 
 #include <cstddef>

@@ -19,11 +19,13 @@ struct LoopClosure {
   Key to = 0;
   /// Pose of `to` in the frame of `from`: p_from = T_from_to · p_to.
   Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
-  /// Of T_from_to, right perturbation, order [translation, rotation], m² and rad². Symmetric positive definite.
+  /// Of T_from_to, right perturbation, order [translation, rotation], m² and rad². Symmetric positive
+  /// definite.
   Matrix6d covariance = Matrix6d::Identity();
 };
 
-/// Why a computed candidate is not a closure. The words of to_string() stand in closures.csv and summary.json.
+/// Why a computed candidate is not a closure. The words of to_string() stand in closures.csv and
+/// summary.json.
 enum class RejectionReason {
   kNone,                ///< Not rejected.
   kMissingScan,         ///< A node without a scan, or one whose file cannot be read.
@@ -38,7 +40,8 @@ enum class RejectionReason {
 };
 [[nodiscard]] EnumNames<RejectionReason> enum_names(RejectionReason);
 
-/// What came of one candidate. A candidate that cannot be computed is not an error but a result with a reason.
+/// What came of one candidate. A candidate that cannot be computed is not an error but a result with a
+/// reason.
 struct RegistrationResult {
   LoopCandidate candidate;
   RejectionReason reason = RejectionReason::kNone;
@@ -49,7 +52,8 @@ struct RegistrationResult {
   std::optional<Eigen::Isometry3d> T_from_to;
   /// Mean squared nearest-neighbour distance after the feature-based stage, m². NaN if it did not run.
   double sac_fitness_m2 = std::numeric_limits<double>::quiet_NaN();
-  /// Mean squared nearest-neighbour distance over all source points after refinement, m². NaN if it did not run.
+  /// Mean squared nearest-neighbour distance over all source points after refinement, m². NaN if it did not
+  /// run.
   double gicp_fitness_m2 = std::numeric_limits<double>::quiet_NaN();
   /// Share of source points with a target point nearby after refinement, [0, 1]. NaN if not measured.
   double overlap = std::numeric_limits<double>::quiet_NaN();

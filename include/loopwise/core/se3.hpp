@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// SE(3) with tangent vectors [translation, rotation] (m, rad) and perturbation on the right: T ⊕ ξ = T·Exp(ξ).
-/// Formulas: Barfoot, State Estimation for Robotics, 2017, §7.1 (order of the tangent as here, left and right
-/// Jacobians related by J_r(ξ) = J_l(−ξ)).
+/// SE(3) with tangent vectors [translation, rotation] (m, rad) and perturbation on the right: T ⊕ ξ =
+/// T·Exp(ξ). Formulas: Barfoot, State Estimation for Robotics, 2017, §7.1 (order of the tangent as here, left
+/// and right Jacobians related by J_r(ξ) = J_l(−ξ)).
 #pragma once
 
 #include <cmath>
@@ -47,9 +47,11 @@ struct ExpCoefficients {
   return {s / theta, 2.0 * half * half / theta2, c};
 }
 
-/// Coefficient of [φ]×² in the inverse Jacobian of SO(3): 1/θ² − (1 + cos θ) / (2 θ sin θ), finite up to θ = π.
+/// Coefficient of [φ]×² in the inverse Jacobian of SO(3): 1/θ² − (1 + cos θ) / (2 θ sin θ), finite up to θ =
+/// π.
 [[nodiscard]] inline double inverse_jacobian_coefficient(double theta2) {
-  if (theta2 < kSeriesBelow) return 1.0 / 12.0 + theta2 / 720.0 * (1.0 + theta2 / 42.0 * (1.0 + theta2 / 40.0));
+  if (theta2 < kSeriesBelow)
+    return 1.0 / 12.0 + theta2 / 720.0 * (1.0 + theta2 / 42.0 * (1.0 + theta2 / 40.0));
   const double half = 0.5 * std::sqrt(theta2);
   return (1.0 - half * std::cos(half) / std::sin(half)) / theta2;
 }
@@ -83,7 +85,8 @@ struct ExpCoefficients {
 
 [[nodiscard]] inline Eigen::Matrix3d so3_left_jacobian_inverse(const Eigen::Vector3d& phi) {
   const Eigen::Matrix3d w = skew(phi);
-  return Eigen::Matrix3d::Identity() - 0.5 * w + detail::inverse_jacobian_coefficient(phi.squaredNorm()) * (w * w);
+  return Eigen::Matrix3d::Identity() - 0.5 * w +
+         detail::inverse_jacobian_coefficient(phi.squaredNorm()) * (w * w);
 }
 
 [[nodiscard]] inline Eigen::Isometry3d exp(const Vector6d& xi) {
@@ -114,7 +117,8 @@ struct ExpCoefficients {
 namespace detail {
 
 /// Q(ρ, φ), the coupling of translation and rotation in SE(3)'s left Jacobian (Barfoot eq. 7.86b).
-[[nodiscard]] inline Eigen::Matrix3d jacobian_coupling(const Eigen::Vector3d& rho, const Eigen::Vector3d& phi) {
+[[nodiscard]] inline Eigen::Matrix3d jacobian_coupling(const Eigen::Vector3d& rho,
+                                                       const Eigen::Vector3d& phi) {
   const double t2 = phi.squaredNorm();
   double c1 = 0.0;  // (θ − sin θ) / θ³
   double c2 = 0.0;  // (θ²/2 + cos θ − 1) / θ⁴
@@ -164,10 +168,14 @@ namespace detail {
 }
 
 /// Right Jacobian: Exp(ξ + δ) ≈ Exp(ξ)·Exp(J_r(ξ) δ).
-[[nodiscard]] inline Matrix6d right_jacobian(const Vector6d& xi) { return left_jacobian(-xi); }
+[[nodiscard]] inline Matrix6d right_jacobian(const Vector6d& xi) {
+  return left_jacobian(-xi);
+}
 
 /// Inverse right Jacobian: Log(Exp(ξ)·Exp(δ)) ≈ ξ + J_r⁻¹(ξ) δ. Finite for rotations of less than 2π.
-[[nodiscard]] inline Matrix6d right_jacobian_inverse(const Vector6d& xi) { return left_jacobian_inverse(-xi); }
+[[nodiscard]] inline Matrix6d right_jacobian_inverse(const Vector6d& xi) {
+  return left_jacobian_inverse(-xi);
+}
 
 /// The same matrix with tangent order [rotation, translation], as GTSAM and LAMP hold it; its own inverse.
 [[nodiscard]] inline Matrix6d swap_tangent_order(const Matrix6d& m) {
@@ -187,7 +195,9 @@ namespace detail {
 }
 
 /// Angle of the rotation, rad, in [0, π].
-[[nodiscard]] inline double rotation_angle(const Eigen::Isometry3d& T) { return so3_log(T.linear()).norm(); }
+[[nodiscard]] inline double rotation_angle(const Eigen::Isometry3d& T) {
+  return so3_log(T.linear()).norm();
+}
 
 }  // namespace se3
 }  // namespace loopwise

@@ -7,8 +7,8 @@
 
 namespace loopwise {
 
-/// Threads for coarse tasks. Work is never split further inside a task, and what a task computes must not depend
-/// on the thread that runs it: then the number of threads changes the run time and nothing else.
+/// Threads for coarse tasks. Work is never split further inside a task, and what a task computes must not
+/// depend on the thread that runs it: then the number of threads changes the run time and nothing else.
 class ThreadPool {
  public:
   /// `num_threads` = 0 takes the number of processors. With 1 all work runs in the calling thread.
@@ -21,8 +21,8 @@ class ThreadPool {
   /// Takes effect from the next for_each; must not be called while one runs.
   void resize(int num_threads);
 
-  /// Calls body(i) once for every i in [0, count), in any order and on any thread, and returns when all are done.
-  /// If calls throw, the exception of the lowest index is rethrown after the others have finished.
+  /// Calls body(i) once for every i in [0, count), in any order and on any thread, and returns when all are
+  /// done. If calls throw, the exception of the lowest index is rethrown after the others have finished.
   void for_each(std::size_t count, const std::function<void(std::size_t)>& body);
 
  private:

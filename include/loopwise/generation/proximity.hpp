@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/generation/candidate_generator.hpp>
+
+namespace loopwise {
+
+/// Which older nodes are near enough to a new one (paper §III-A). The radius grows with the drift that may
+/// have built up: `rate_m · |i_n − i_c|` for two nodes of one robot, `rate_m · i_n` between robots, where i
+/// counts a robot's own nodes from 0 and n is the new node.
+struct ProximityOptions {
+  double rate_m = 0.2;
+  double radius_min_m = 30.0;
+  double radius_max_m = 30.0;
+  std::int64_t skip_recent = 10;
+  std::int64_t n_closest = 0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
+    field("radius_min_m", self.radius_min_m, at_least(0.0), "The radius is never less than this, m.");
+    field("radius_max_m", self.radius_max_m, at_least(0.0),
+          "The radius is never more than this, m; 0: no bound.");
+    field("skip_recent", self.skip_recent, at_least(0.0),
+          "Nodes of one robot are left out unless their indices differ by at least this much.");
+    field("n_closest", self.n_closest, at_least(0.0),
+          "Only so many of the nearest, for each new node; 0: all.");
+  }
+};
+
+/// \throws OptionError naming the field, also if radius_min_m exceeds a bounded radius_max_m.
+void validate_proximity(const ProximityOptions& options);
+
+/// Options by name: "paper" (0.2 m per index, not clamped: candidates explode on long missions),
+/// "lamp_2022_01" (the same up to 30 m, 10 closest, skip 10), "lamp_base" (flat 30 m, skip 10; the default),
+/// "lamp_robot" (5 to 80 m, skip 15, 3 closest). \throws OptionError naming the known presets.
+[[nodiscard]] ProximityOptions proximity_preset(std::string_view name);
+[[nodiscard]] std::vector<std::string> proximity_preset_names();
+
+/// Proposes older nodes within a radius of the current estimate, ordered by their arrival. Positions are kept
+/// in a hash grid: a new node costs the nodes near it, not all nodes; a new estimate re-sorts them in O(n).
+class ProximityGenerator final : public CandidateGenerator {
+ public:
+  /// \throws OptionError
+  ProximityGenerator(const ProximityOptions& options, Robots robots);
+
+  [[nodiscard]] std::string_view name() const override { return "proximity"; }
+  [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
+  void on_graph(const PoseGraph& graph) override;
+
+ private:
+  struct Entry {
+    Key key;
+    std::size_t robot;
+    std::uint64_t index;  ///< Among the robot's own nodes.
+    Eigen::Vector3d position;
+  };
+  using Cell = Eigen::Vector3i;
+  struct CellHash {
+    std::size_t operator()(const Cell& cell) const;
+  };
+
+  [[nodiscard]] Cell cell_of(const Eigen::Vector3d& position) const;
+  [[nodiscard]] double radius(const Entry& entry, const Entry& other) const;
+  void collect(const Entry& entry, const std::vector<std::size_t>& numbers,
+               std::vector<std::pair<double, std::size_t>>& found) const;
+
+  ProximityOptions options_;
+  Robots robots_;
+  std::vector<std::uint64_t> highest_index_;  ///< By robot, of the nodes that arrived.
+  double cell_m_;
+  std::vector<Entry> entries_;  ///< In order of arrival.
+  std::unordered_map<Cell, std::vector<std::size_t>, CellHash> grid_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/generation/proximity.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+
+namespace loopwise {
+namespace {
+
+constexpr double kUnbounded = std::numeric_limits<double>::infinity();
+
+double radius_bound(const ProximityOptions& options) {
+  return options.radius_max_m > 0.0 ? options.radius_max_m : kUnbounded;
+}
+
+struct Preset {
+  std::string_view name;
+  ProximityOptions options;
+};
+
+const std::vector<Preset>& presets() {
+  static const std::vector<Preset> all{
+      {"paper", {0.2, 0.0, 0.0, 0, 0}},
+      {"lamp_2022_01", {0.2, 0.0, 30.0, 10, 10}},
+      {"lamp_base", {0.2, 30.0, 30.0, 10, 0}},
+      {"lamp_robot", {0.2, 5.0, 80.0, 15, 3}},
+  };
+  return all;
+}
+
+}  // namespace
+
+void validate_proximity(const ProximityOptions& options) {
+  validate(options);
+  if (options.radius_min_m > radius_bound(options)) {
+    throw OptionError("radius_min_m = " + std::to_string(options.radius_min_m) +
+                      ", must be <= radius_max_m = " + std::to_string(options.radius_max_m));
+  }
+}
+
+ProximityOptions proximity_preset(std::string_view name) {
+  std::string known;
+  for (const Preset& preset : presets()) {
+    if (preset.name == name) return preset.options;
+    known += (known.empty() ? "" : ", ") + std::string(preset.name);
+  }
+  throw OptionError("preset = \"" + std::string(name) + "\", must be one of: " + known);
+}
+
+std::vector<std::string> proximity_preset_names() {
+  std::vector<std::string> names;
+  for (const Preset& preset : presets()) names.emplace_back(preset.name);
+  return names;
+}
+
+std::size_t ProximityGenerator::CellHash::operator()(const Cell& cell) const {
+  const auto word = [](int i) { return static_cast<std::uint64_t>(static_cast<std::uint32_t>(i)); };
+  return static_cast<std::size_t>(mix64(word(cell.x()) | word(cell.y()) << 32) ^ mix64(word(cell.z()) + 1));
+}
+
+ProximityGenerator::ProximityGenerator(const ProximityOptions& options, Robots robots)
+    : options_(options), robots_(std::move(robots)), highest_index_(robots_.size(), 0) {
+  validate_proximity(options_);
+  // About a quarter of the largest radius: few cells to visit, few nodes visited in vain.
+  constexpr double kFewestMetres = 2.0, kMostMetres = 20.0;
+  cell_m_ = std::clamp(0.25 * radius_bound(options_), kFewestMetres, kMostMetres);
+}
+
+ProximityGenerator::Cell ProximityGenerator::cell_of(const Eigen::Vector3d& position) const {
+  constexpr double kLimit = 1e9;  // far beyond any mission; keeps the cast defined
+  return (position / cell_m_).array().floor().cwiseMax(-kLimit).cwiseMin(kLimit).cast<int>();
+}
+
+double ProximityGenerator::radius(const Entry& entry, const Entry& other) const {
+  double indices = static_cast<double>(entry.index);
+  if (entry.robot == other.robot) indices = std::abs(indices - static_cast<double>(other.index));
+  return std::clamp(options_.rate_m * indices, options_.radius_min_m, radius_bound(options_));
+}
+
+void ProximityGenerator::collect(const Entry& entry, const std::vector<std::size_t>& numbers,
+                                 std::vector<std::pair<double, std::size_t>>& found) const {
+  for (const std::size_t number : numbers) {
+    const Entry& other = entries_[number];
+    if (entry.robot == other.robot) {
+      const std::uint64_t gap = std::max(entry.index, other.index) - std::min(entry.index, other.index);
+      if (gap < static_cast<std::uint64_t>(options_.skip_recent)) continue;
+    }
+    const double distance = (entry.position - other.position).norm();
+    if (distance <= radius(entry, other)) found.emplace_back(distance, number);
+  }
+}
+
+std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
+  const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
+
+  // The largest radius that any older node could get bounds the cells to visit. Within the robot the index
+  // gap may exceed the node's own index when nodes arrive out of order.
+  const std::uint64_t most = std::max(entry.index, highest_index_[entry.robot]);
+  const double reach =
+      std::clamp(options_.rate_m * static_cast<double>(most), options_.radius_min_m, radius_bound(options_));
+  const double cells = std::pow(2.0 * std::ceil(reach / cell_m_) + 1.0, 3);
+
+  std::vector<std::pair<double, std::size_t>> found;
+  if (cells > static_cast<double>(grid_.size())) {
+    std::vector<std::size_t> all(entries_.size());
+    std::iota(all.begin(), all.end(), std::size_t{0});
+    collect(entry, all, found);
+  } else {
+    const Eigen::Vector3d corner = Eigen::Vector3d::Constant(reach);
+    const Cell low = cell_of(entry.position - corner), high = cell_of(entry.position + corner);
+    for (int x = low.x(); x <= high.x(); ++x) {
+      for (int y = low.y(); y <= high.y(); ++y) {
+        for (int z = low.z(); z <= high.z(); ++z) {
+          const auto cell = grid_.find(Cell(x, y, z));
+          if (cell != grid_.end()) collect(entry, cell->second, found);
+        }
+      }
+    }
+  }
+
+  if (const auto most_wanted = static_cast<std::size_t>(options_.n_closest);
+      most_wanted > 0 && found.size() > most_wanted) {
+    std::sort(found.begin(), found.end());
+    found.resize(most_wanted);
+  }
+  std::sort(found.begin(), found.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
+
+  std::vector<LoopCandidate> candidates;
+  candidates.reserve(found.size());
+  for (const auto& [distance, number] : found) {
+    LoopCandidate candidate;
+    candidate.from = key;
+    candidate.to = entries_[number].key;
+    candidate.source = CandidateSource::kProximity;
+    candidate.time_s = time_s;
+    candidate.distance_m = distance;
+    candidates.push_back(candidate);
+  }
+  highest_index_[entry.robot] = most;
+  grid_[cell_of(entry.position)].push_back(entries_.size());
+  entries_.push_back(entry);
+  return candidates;
+}
+
+void ProximityGenerator::on_graph(const PoseGraph& graph) {
+  grid_.clear();
+  for (std::size_t number = 0; number < entries_.size(); ++number) {
+    Entry& entry = entries_[number];
+    if (const auto node = graph.find(entry.key)) entry.position = graph.nodes()[*node].pose.translation();
+    grid_[cell_of(entry.position)].push_back(number);
+  }
+}
+
+}  // namespace loopwise

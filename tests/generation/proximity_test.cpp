@@ -1,0 +1,139 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <cmath>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/generation/proximity.hpp>
+
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+Node node_at(Key key, const Eigen::Vector3d& position) {
+  Node node;
+  node.key = key;
+  node.pose.translation() = position;
+  return node;
+}
+
+/// Nodes of two robots that wander at random over a square; robot b's come in between robot a's.
+std::vector<Node> random_nodes(Rng& rng, int count, double size_m) {
+  std::vector<Node> nodes;
+  std::uint64_t next[2] = {0, 0};
+  for (int i = 0; i < count; ++i) {
+    const std::size_t robot = rng.below(2);
+    const Eigen::Vector3d position(rng.uniform(-size_m, size_m), rng.uniform(-size_m, size_m),
+                                   rng.uniform(-3.0, 3.0));
+    nodes.push_back(node_at(make_key(robot == 0 ? 'a' : 'b', next[robot]++), position));
+  }
+  return nodes;
+}
+
+using Pair = std::pair<Key, Key>;
+
+/// The definition, word by word: all older nodes, no index.
+std::vector<Pair> brute_force(const std::vector<Node>& nodes, const ProximityOptions& o) {
+  std::vector<Pair> pairs;
+  for (std::size_t n = 0; n < nodes.size(); ++n) {
+    std::vector<std::pair<double, std::size_t>> near;
+    for (std::size_t c = 0; c < n; ++c) {
+      const Key a = nodes[n].key, b = nodes[c].key;
+      const bool same = key_character(a) == key_character(b);
+      const double gap = std::abs(static_cast<double>(key_index(a)) - static_cast<double>(key_index(b)));
+      if (same && gap < static_cast<double>(o.skip_recent)) continue;
+      double radius = o.rate_m * (same ? gap : static_cast<double>(key_index(a)));
+      radius = std::max(radius, o.radius_min_m);
+      if (o.radius_max_m > 0.0) radius = std::min(radius, o.radius_max_m);
+      const double distance = (nodes[n].pose.translation() - nodes[c].pose.translation()).norm();
+      if (distance <= radius) near.emplace_back(distance, c);
+    }
+    std::sort(near.begin(), near.end());
+    if (o.n_closest > 0 && near.size() > static_cast<std::size_t>(o.n_closest)) {
+      near.resize(static_cast<std::size_t>(o.n_closest));
+    }
+    std::sort(near.begin(), near.end(), [](const auto& x, const auto& y) { return x.second < y.second; });
+    for (const auto& [distance, c] : near) pairs.emplace_back(nodes[n].key, nodes[c].key);
+  }
+  return pairs;
+}
+
+std::vector<Pair> generate(ProximityGenerator& generator, PoseGraph& graph, const std::vector<Node>& nodes) {
+  std::vector<Pair> pairs;
+  for (const Node& node : nodes) {
+    graph.add_node(node);
+    for (const LoopCandidate& c : generator.on_node(graph, node.key, 7.0)) {
+      pairs.emplace_back(c.from, c.to);
+      REQUIRE(c.time_s == 7.0);
+      REQUIRE(c.source == CandidateSource::kProximity);
+      REQUIRE(c.distance_m ==
+              Approx((graph.node(c.from).pose.translation() - graph.node(c.to).pose.translation()).norm()));
+    }
+  }
+  return pairs;
+}
+
+}  // namespace
+
+TEST_CASE("proximity: every preset equals the definition", "[generation][property]") {
+  for (const std::string& name : proximity_preset_names()) {
+    for (const std::uint64_t seed : {1, 2, 3}) {
+      CAPTURE(name, seed);
+      Rng rng(seed);
+      const std::vector<Node> nodes = random_nodes(rng, 500, 150.0);
+      const ProximityOptions options = proximity_preset(name);
+      ProximityGenerator generator(options, parse_robots("a,b"));
+      PoseGraph graph;
+      const auto pairs = generate(generator, graph, nodes);
+      REQUIRE_FALSE(pairs.empty());
+      REQUIRE(pairs == brute_force(nodes, options));
+    }
+  }
+}
+
+TEST_CASE("proximity: large worlds use the grid and still equal the definition", "[generation][property]") {
+  Rng rng(4);
+  const std::vector<Node> nodes = random_nodes(rng, 6000, 2000.0);
+  for (const char* name : {"lamp_base", "lamp_robot"}) {
+    ProximityGenerator generator(proximity_preset(name), parse_robots("a,b"));
+    PoseGraph graph;
+    REQUIRE(generate(generator, graph, nodes) == brute_force(nodes, proximity_preset(name)));
+  }
+}
+
+TEST_CASE("proximity: nodes that arrive late are proposed like any other", "[generation]") {
+  // Robot a's node 40 comes before its node 5, as after a communication gap of another radio.
+  ProximityGenerator generator(proximity_preset("lamp_robot"), parse_robots("a"));
+  PoseGraph graph;
+  graph.add_node(node_at(make_key('a', 40), Eigen::Vector3d::Zero()));
+  REQUIRE(generator.on_node(graph, make_key('a', 40), 0.0).empty());
+  graph.add_node(node_at(make_key('a', 5), Eigen::Vector3d(6.9, 0, 0)));  // radius 0.2 · 35 = 7 m
+  REQUIRE(generator.on_node(graph, make_key('a', 5), 0.0).size() == 1);
+}
+
+TEST_CASE("proximity: distances follow the current estimate", "[generation]") {
+  ProximityGenerator generator(proximity_preset("lamp_base"), parse_robots("a"));
+  PoseGraph graph;
+  graph.add_node(node_at(make_key('a', 0), Eigen::Vector3d(500, 0, 0)));
+  REQUIRE(generator.on_node(graph, make_key('a', 0), 0.0).empty());
+  graph.set_pose(make_key('a', 0), Eigen::Isometry3d::Identity());
+  generator.on_graph(graph);
+  graph.add_node(node_at(make_key('a', 50), Eigen::Vector3d(10, 0, 0)));
+  REQUIRE(generator.on_node(graph, make_key('a', 50), 0.0).size() == 1);
+}
+
+TEST_CASE("proximity: bad options and unknown nodes are errors", "[generation][error]") {
+  ProximityOptions options;
+  options.rate_m = -1.0;
+  REQUIRE_THROWS_WITH(ProximityGenerator(options, Robots()), "rate_m = -1, must be >= 0");
+  options = {};
+  options.radius_min_m = 50.0;
+  REQUIRE_THROWS_WITH(ProximityGenerator(options, Robots()), Contains("must be <= radius_max_m"));
+  REQUIRE_THROWS_WITH(proximity_preset("lamp"), Contains("lamp_base"));
+
+  PoseGraph graph;
+  graph.add_node(node_at(3, Eigen::Vector3d::Zero()));
+  ProximityGenerator generator(ProximityOptions{}, parse_robots("a"));
+  REQUIRE_THROWS_AS(generator.on_node(graph, 3, 0.0), UnknownKeyError);  // no robot owns it
+}
+
+}  // namespace loopwise
