@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <limits>
+#include <map>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/registration_result.hpp>
+#include <loopwise/evaluation/trajectory_errors.hpp>
+
+namespace loopwise {
+
+/// Distance of a measured relative pose from the true one: of Y⁻¹·T with Y = Y_from⁻¹ Y_to.
+struct ClosureError {
+  double translation_m = std::numeric_limits<double>::quiet_NaN();
+  double rotation_rad = std::numeric_limits<double>::quiet_NaN();
+};
+
+/// Nothing if the truth lacks one of the two nodes.
+[[nodiscard]] std::optional<ClosureError> closure_error(const LoopClosure& closure, const PosesByKey& truth);
+
+/// Bounds of the classes. The defaults are the paper's.
+struct ClosureClassOptions {
+  double true_inlier_m = 0.05;
+  double true_inlier_rad = 0.05;
+  double gnc_inlier_weight = 0.5;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("true_inlier_m", self.true_inlier_m, above(0.0), "A true inlier is within this of the truth, m.");
+    field("true_inlier_rad", self.true_inlier_rad, above(0.0),
+          "A true inlier is within this of the truth, rad.");
+    field("gnc_inlier_weight", self.gnc_inlier_weight, between(0.0, 1.0),
+          "The back end keeps closures of more than this weight.");
+  }
+};
+
+/// What came of a run's candidates, in the classes of the paper's Table I. Shares are of `queued`.
+struct ClosureStatistics {
+  std::size_t queued = 0;       ///< Generated and not pruned by the method, computed or not.
+  std::size_t computed = 0;     ///< verified + Σ rejected
+  std::size_t verified = 0;     ///< Passed all tests of the computation.
+  std::size_t gnc_inliers = 0;  ///< Verified, and kept by the back end.
+  std::size_t true_inliers =
+      0;  ///< Verified, and within the bounds of the truth, whatever the back end thought.
+  std::size_t right_inliers = 0;  ///< Both of these.
+  std::size_t without_truth = 0;  ///< Verified, but the truth lacks a node: never a true inlier.
+  /// Computed candidates that were refused, by reason; reasons that did not occur are absent.
+  std::map<RejectionReason, std::size_t> rejected;
+};
+
+/// Share of `count` in `total` in percent; 0 of 0 is 0.
+[[nodiscard]] double percent(std::size_t count, std::size_t total);
+
+/// `weights[i]` is the last weight that the back end gave to `results[i]`; not read if that is not verified,
+/// and NaN where the back end never saw it, which is no inlier. `queued` counts the computed ones too.
+/// \throws InputError unless there are as many weights as results and at most `queued` of them; OptionError.
+[[nodiscard]] ClosureStatistics closure_statistics(const std::vector<RegistrationResult>& results,
+                                                   const std::vector<double>& weights, std::size_t queued,
+                                                   const PosesByKey& truth,
+                                                   const ClosureClassOptions& options = {});
+
+}  // namespace loopwise

@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// How far an estimated trajectory of one or several robots lies from the truth.
+///
+/// Over the keys k that both hold, with X_k the estimated and Y_k the true pose of the body in the common
+/// frame, and S the rigid motion of the chosen alignment, the pose error is E_k = Y_k⁻¹ · S · X_k:
+///
+///     e_k = |trans(E_k)|   (m)        θ_k = angle(E_k)   (rad, in [0, π])
+///
+/// *ATE* is the statistics of e_k and θ_k over all poses of all robots. The paper's ATE is the mean of e_k
+/// with Alignment::kNone: its robots share a frame from the start.
+///
+/// *RPE* compares motions, so no alignment enters it: for two nodes i before j of one robot,
+///
+///     R_ij = (Y_i⁻¹ Y_j)⁻¹ · (X_i⁻¹ X_j),    |trans(R_ij)| in m,    angle(R_ij) in rad,
+///
+/// over all steps (i, j) between nodes that follow each other among the common keys of a robot, and for each
+/// asked distance d over all pairs where j is the first node whose path from i along the truth has at least
+/// length d.
+///
+/// *Per robot*, with s_k the length of the true path from the robot's first common node to node k, as in the
+/// paper's Table II:
+///
+///     translation in % = 100 · mean e_k / s_k,     rotation in °/m = (180/π) · mean θ_k / s_k,
+///
+/// over the nodes with s_k ≥ min_path_m, beside the largest e_k (m) and θ_k (°) over all its nodes. (The
+/// means that the paper prints for rotation are too large for °/m beside its largest errors; °/km would fit.)
+#pragma once
+
+#include <cstddef>
+#include <limits>
+#include <map>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/robots.hpp>
+
+namespace loopwise {
+
+/// Poses of the body in the common frame by node.
+using PosesByKey = std::map<Key, Eigen::Isometry3d>;
+
+[[nodiscard]] PosesByKey poses_by_key(const PoseGraph& graph);
+
+/// The rigid motion S of the whole team that is applied to the estimate before the comparison. Never a scale.
+enum class Alignment {
+  kNone,   ///< S = 1: both are given in the common frame.
+  kFirst,  ///< S = Y_k X_k⁻¹ for the smallest common key: the first pose of the first robot is right.
+  kSe3,    ///< S minimises Σ |trans(Y_k) − S·trans(X_k)|² (Umeyama 1991, without scale).
+};
+[[nodiscard]] EnumNames<Alignment> enum_names(Alignment);
+
+/// What determined the rotation of Alignment::kSe3. Positions on one line leave the rotation about it free,
+/// and positions in one point leave all of it free: what is free then minimises Σ ‖R_Y,k − R_S R_X,k‖² over
+/// the orientations.
+enum class AlignmentSupport { kPositions, kLine, kPoint };
+[[nodiscard]] EnumNames<AlignmentSupport> enum_names(AlignmentSupport);
+
+/// S of the header's text over the common keys. \throws InputError as evaluate_trajectory.
+struct AlignmentResult {
+  Eigen::Isometry3d T_truth_estimate = Eigen::Isometry3d::Identity();  ///< S.
+  AlignmentSupport support = AlignmentSupport::kPositions;             ///< kPositions unless kSe3.
+};
+[[nodiscard]] AlignmentResult align(const PosesByKey& estimate, const PosesByKey& truth, Alignment alignment);
+
+/// Of a set of errors. Without any, count is 0 and the rest NaN.
+struct Statistics {
+  std::size_t count = 0;
+  double rmse = std::numeric_limits<double>::quiet_NaN();
+  double mean = std::numeric_limits<double>::quiet_NaN();
+  double median = std::numeric_limits<double>::quiet_NaN();  ///< Mean of the middle two if count is even.
+  double max = std::numeric_limits<double>::quiet_NaN();
+};
+/// \pre all finite and ≥ 0
+[[nodiscard]] Statistics statistics(std::vector<double> errors);
+
+struct RelativeErrors {
+  double distance_m = 0.0;  ///< d; 0 for the steps between consecutive nodes.
+  Statistics translation_m;
+  Statistics rotation_rad;
+  /// 100 · mean of |trans(R_ij)| / s_ij and (180/π) · mean of angle(R_ij) / s_ij, s_ij the length of the true
+  /// path. Pairs with s_ij < min_path_m do not count; NaN if none is left.
+  double translation_percent = std::numeric_limits<double>::quiet_NaN();
+  double rotation_deg_per_m = std::numeric_limits<double>::quiet_NaN();
+};
+
+struct RobotErrors {
+  std::string name;
+  std::size_t poses = 0;
+  double path_length_m = 0.0;           ///< Of the true path over the common nodes.
+  double path_length_estimate_m = 0.0;  ///< Of the estimated one.
+  Statistics ate_m;
+  Statistics ate_rad;
+  RelativeErrors step;
+  /// The paper's Table II; NaN if no node has s_k ≥ min_path_m.
+  double translation_percent = std::numeric_limits<double>::quiet_NaN();
+  double rotation_deg_per_m = std::numeric_limits<double>::quiet_NaN();
+};
+
+struct TrajectoryErrors {
+  Alignment alignment = Alignment::kNone;
+  AlignmentResult applied;
+  std::size_t poses = 0;             ///< Common to both.
+  std::size_t only_in_estimate = 0;  ///< Left out.
+  std::size_t only_in_truth = 0;     ///< Left out.
+  Statistics ate_m;
+  Statistics ate_rad;
+  RelativeErrors step;                      ///< All robots' steps.
+  std::vector<RelativeErrors> by_distance;  ///< One per asked distance, in that order.
+  std::vector<RobotErrors> robots;          ///< Those with a common pose, in the order of Robots.
+};
+
+struct TrajectoryEvaluationOptions {
+  std::vector<double> distances_m = {10.0, 50.0, 100.0};
+  double min_path_m = 1.0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("distances_m", self.distances_m, above(0.0), "Lengths of path for relative errors, m.");
+    field("min_path_m", self.min_path_m, above(0.0), "Shorter paths do not enter errors per distance, m.");
+  }
+};
+
+/// Compares the two over their common keys; the order of a robot's nodes is that of its keys.
+/// If `robots` is empty, robots are told apart by the characters of the keys.
+/// \throws InputError if the two share no key, or a pose is not finite or its rotation none (names the key);
+///         UnknownKeyError if a common key belongs to none of the robots; OptionError on bad options.
+[[nodiscard]] TrajectoryErrors evaluate_trajectory(const PosesByKey& estimate, const PosesByKey& truth,
+                                                   Alignment alignment, const Robots& robots = {},
+                                                   const TrajectoryEvaluationOptions& options = {});
+
+}  // namespace loopwise
