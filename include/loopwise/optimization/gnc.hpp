@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+
+namespace loopwise {
+
+/// How a closure's weight follows from its residual.
+enum class RobustKernel {
+  kGncTls,  ///< Truncated least squares reached through graduated non-convexity (Yang et al., RA-L 2020).
+  kTls,     ///< Truncated least squares from the first estimate at once, without graduation.
+  kCauchy,  ///< w = 1 / (1 + r²/c²)
+  kGemanMcClure,  ///< w = 1 / (1 + r²/c²)²
+};
+[[nodiscard]] EnumNames<RobustKernel> enum_names(RobustKernel);
+
+struct GncOptions {
+  RobustKernel kernel = RobustKernel::kGncTls;
+  double inlier_probability = 0.99;
+  double mu_step = 1.4;
+  int max_outer_iterations = 100;
+  int steps_per_iteration = 1;
+  double weight_tolerance = 1e-4;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("kernel", self.kernel, any_value(), "Weights: gnc_tls, tls, cauchy or geman_mcclure.");
+    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true},
+          "Share p of true closures that the noise keeps below the threshold: c² = quantile p of chi-squared "
+          "with "
+          "6 degrees of freedom, on rᵀΩr.");
+    field("mu_step", self.mu_step, Bounds{1.0, 100.0, true}, "Factor of mu between outer iterations.");
+    field("max_outer_iterations", self.max_outer_iterations, at_least(1), "Bound on outer iterations.");
+    field("steps_per_iteration", self.steps_per_iteration, at_least(1),
+          "Gauss-Newton steps for each value of mu.");
+    field("weight_tolerance", self.weight_tolerance, between(0.0, 0.5),
+          "Weights count as settled within this of 0 or 1.");
+  }
+};
+
+struct GncResult {
+  OptimizationResult optimization;  ///< Poses, and costs with the final weights.
+  std::vector<double> weights;      ///< One per edge, in graph order. Odometry and trusted edges have 1.
+  int outer_iterations = 0;
+  std::size_t inliers = 0;   ///< Closures (edges that are not known inliers) of weight > 0.5.
+  std::size_t outliers = 0;  ///< The other closures.
+  /// ½ Σ rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures, at the poses.
+  double truncated_cost = 0.0;
+};
+
+/// Optimisation that finds out which loop closures are false. Odometry, priors and trusted edges are known
+/// inliers; every other edge gets a weight in [0, 1] from its residual. The weights that the graph's edges
+/// carry are not used. A closure whose weight has vanished leaves the sparsity structure, and returns when
+/// the estimate makes it fit again. If all closures turn out false the result is the odometry's, each loose
+/// component held at its first node. \throws OptionError, InputError as optimize() does.
+[[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const OptimizerOptions& options = {},
+                                     const GncOptions& gnc = {}, const StopToken& stop = {});
+
+/// True for edges that robust optimisation never doubts: odometry and trusted ones.
+[[nodiscard]] inline bool known_inlier(const Edge& edge) {
+  return edge.kind == EdgeKind::kOdometry || edge.trusted;
+}
+
+/// Quantile of the chi-squared distribution: P(χ² ≤ result) = probability. \throws OptionError outside (0,
+/// 1).
+[[nodiscard]] double chi_squared_quantile(double probability, int degrees_of_freedom);
+
+}  // namespace loopwise

@@ -1,0 +1,150 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/stop_token.hpp>
+
+namespace loopwise {
+
+/// Where the first estimate comes from.
+enum class Initialization {
+  kFile,      ///< The poses of the graph as they are.
+  kOdometry,  ///< Chained along odometry edges from the prior or the first node of each stretch, then across
+              ///< the other edges, breadth first.
+  kChordal,  ///< Rotations from the chordal relaxation, then translations: one linear solve each. For bad
+             ///< values.
+};
+[[nodiscard]] EnumNames<Initialization> enum_names(Initialization);
+
+/// Which sparse Cholesky factorisation. The supernodal one needs a build with LOOPWISE_WITH_GPL.
+enum class Factorization { kAutomatic, kSimplicial, kSupernodal };
+[[nodiscard]] EnumNames<Factorization> enum_names(Factorization);
+
+/// Why an optimisation ended.
+enum class Termination {
+  kConverged,      ///< The next step promises less than the tolerances ask for.
+  kNothingToDo,    ///< No factor acts on any free pose.
+  kMaxIterations,  ///< Ran out of iterations; the poses are the best seen.
+  kNoProgress,     ///< No step lowers the cost, however short; the poses are the best seen.
+  kStopped,        ///< Asked to stop; the poses are the best seen.
+};
+[[nodiscard]] EnumNames<Termination> enum_names(Termination);
+
+struct OptimizerOptions {
+  int max_iterations = 100;
+  double cost_tolerance = 1e-9;
+  double gradient_tolerance = 1e-7;
+  double step_tolerance = 1e-9;
+  double initial_damping = 0.0;
+  Initialization initialization = Initialization::kFile;
+  Factorization factorization = Factorization::kAutomatic;
+  int num_threads = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("max_iterations", self.max_iterations, at_least(0), "Bound on factorisations.");
+    field("cost_tolerance", self.cost_tolerance, at_least(0.0),
+          "Converged when a step promises to lower the cost by less than this share of it ...");
+    field("gradient_tolerance", self.gradient_tolerance, at_least(0.0),
+          "... and the largest element of the gradient is below this share of its start ...");
+    field("step_tolerance", self.step_tolerance, at_least(0.0),
+          "... or the largest element of the step (m, rad) is below this.");
+    field("initial_damping", self.initial_damping, at_least(0.0),
+          "Levenberg-Marquardt damping of the first step, relative to the Hessian's diagonal. 0 starts with "
+          "Gauss-Newton steps and brings damping in when one fails.");
+    field("initialization", self.initialization, any_value(), "First estimate: file, odometry or chordal.");
+    field("factorization", self.factorization, any_value(),
+          "Sparse Cholesky: automatic, simplicial or supernodal.");
+    field("num_threads", self.num_threads, at_least(1),
+          "Threads. Changes the run time, never a bit of the result.");
+  }
+};
+
+/// One step of an optimisation, taken or not.
+struct IterationRecord {
+  int iteration = 0;
+  double cost = 0.0;       ///< After the step, also if it was refused.
+  double decrease = 0.0;   ///< Cost before minus after.
+  double predicted = 0.0;  ///< What the linear model promised.
+  double gradient = 0.0;   ///< Largest element of the gradient before the step.
+  double step = 0.0;       ///< Largest element of the step, m or rad.
+  double damping = 0.0;
+  bool accepted = false;
+};
+
+struct OptimizationResult {
+  std::vector<Eigen::Isometry3d> poses;  ///< One per node, in graph order.
+  double cost_initial = 0.0;             ///< ½ Σ w rᵀΩr over edges and priors at the first estimate.
+  double cost = 0.0;                     ///< The same at `poses`.
+  double gradient_initial = 0.0;  ///< Largest element of the gradient (free poses) at the first estimate.
+  double gradient = 0.0;          ///< The same at `poses`.
+  int iterations = 0;             ///< Steps tried.
+  int factorizations = 0;         ///< Numeric factorisations, refused steps and initialisation included.
+  bool converged = false;
+  Termination termination = Termination::kNothingToDo;
+  std::string message;         ///< For people; never parse it.
+  std::size_t components = 0;  ///< Connected components of the graph, lone nodes included.
+  /// Nodes held in place because nothing anchors their component: no prior acts in it. Nodes without any
+  /// factor stay in place as well and are not listed.
+  std::vector<Key> held;
+  /// True if the factors leave some direction undetermined (semi-definite information): along it the poses
+  /// stay near the first estimate, and there are no marginal covariances.
+  bool underdetermined = false;
+  std::vector<IterationRecord> trace;
+  double seconds = 0.0;  ///< Wall time. For reports only.
+};
+
+/// Minimises ½ Σ w rᵀΩr over the poses: edges r = Log(Z⁻¹ T_i⁻¹ T_j), priors r = Log(Z⁻¹ T_i), full SE(3)
+/// logarithm, exact Jacobians, the weights of the edges as given (an edge of weight 0 does not take part).
+/// Gauss-Newton, damped by Levenberg-Marquardt when a step does not lower the cost; the cost never rises.
+/// The components of a disconnected graph are solved in one go and do not influence each other's minimum.
+/// \throws OptionError on options out of range; InputError if the cost of the first estimate is not finite.
+[[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const OptimizerOptions& options = {},
+                                          const StopToken& stop = {});
+
+/// ½ Σ w rᵀΩr over edges and priors at the graph's poses.
+[[nodiscard]] double graph_cost(const PoseGraph& graph);
+
+/// Residual r = Log(Z⁻¹ T_from⁻¹ T_to) of an edge, [translation, rotation].
+[[nodiscard]] Vector6d edge_residual(const Edge& edge, const Eigen::Isometry3d& T_w_from,
+                                     const Eigen::Isometry3d& T_w_to);
+
+/// First estimates as OptimizerOptions::initialization names them; kFile returns the graph's poses.
+[[nodiscard]] std::vector<Eigen::Isometry3d> initial_poses(const PoseGraph& graph,
+                                                           Initialization initialization);
+
+struct GncOptions;
+struct GncResult;
+
+/// The same with the symbolic analysis kept between calls: for a graph whose estimate or weights change, or
+/// that grows. The ordering is kept while it serves and made anew when it pays; results are those of the free
+/// functions up to rounding. Not for several threads at a time.
+class PoseGraphOptimizer {
+ public:
+  /// \throws OptionError
+  explicit PoseGraphOptimizer(OptimizerOptions options = {});
+  ~PoseGraphOptimizer();
+  PoseGraphOptimizer(PoseGraphOptimizer&&) noexcept;
+  PoseGraphOptimizer& operator=(PoseGraphOptimizer&&) noexcept;
+
+  [[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const StopToken& stop = {});
+  [[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const GncOptions& options,
+                                       const StopToken& stop = {});
+
+  /// Symbolic analyses made so far.
+  [[nodiscard]] std::size_t analyses() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loopwise
