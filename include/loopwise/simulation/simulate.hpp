@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/progress.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/simulation/world.hpp>
+
+namespace loopwise {
+
+enum class LidarKind {
+  kVlp16,   ///< Velodyne VLP-16: 16 beams over ±15°, 0.2° apart in azimuth.
+  kOs1_64,  ///< Ouster OS1-64: 64 beams over ±22.5° (the second generation), 1024 columns.
+};
+[[nodiscard]] inline EnumNames<LidarKind> enum_names(LidarKind) {
+  return {{LidarKind::kVlp16, "vlp16"}, {LidarKind::kOs1_64, "os1_64"}};
+}
+
+enum class ScanKind {
+  kLamp,  ///< Thinned as LAMP's front end does: voxels whose size adapts, then random thinning.
+  kRaw,   ///< All returns of the sweep.
+};
+[[nodiscard]] inline EnumNames<ScanKind> enum_names(ScanKind) {
+  return {{ScanKind::kLamp, "lamp"}, {ScanKind::kRaw, "raw"}};
+}
+
+/// What to simulate. Everything about the worlds and sensors that is not here is fixed in one file of
+/// parameters, see simulation_parameters_hash().
+struct SimulationOptions {
+  WorldKind world = WorldKind::kTunnel;
+  double length_m = 0.0;
+  int robots = 0;
+  LidarKind lidar = LidarKind::kVlp16;
+  ScanKind scans = ScanKind::kLamp;
+  int scan_points = 1500;
+  double node_spacing_m = 2.0;
+  bool radio = true;
+  bool communication_gaps = true;
+  double prior_position_sigma_m = 0.0016;
+  double prior_tilt_sigma_rad = 0.005;
+  double prior_yaw_sigma_rad = 0.00041;
+  int threads = 0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("world", self.world, any_value(), "Kind of world.");
+    field("length_m", self.length_m, between(0.0, 60000.0),
+          "Driven by all robots together, m; 0 takes the paper's length for the world.");
+    field("robots", self.robots, between(0, 26),
+          "Number of robots; 0 takes the paper's number for the world.");
+    field("lidar", self.lidar, any_value(), "Beam pattern.");
+    field("scans", self.scans, any_value(), "Thinned scans, or raw sweeps.");
+    field("scan_points", self.scan_points, between(20, 100000), "Points of a thinned scan, at most.");
+    field("node_spacing_m", self.node_spacing_m, between(0.5, 20.0), "Distance driven from node to node, m.");
+    field("radio", self.radio, any_value(), "Robots drop radio beacons and hear them.");
+    field("communication_gaps", self.communication_gaps, any_value(),
+          "Robots are out of range at times and deliver later.");
+    field("prior_position_sigma_m", self.prior_position_sigma_m, above(0.0),
+          "Error of the alignment at the gate, and its stated sigma: position, m.");
+    field("prior_tilt_sigma_rad", self.prior_tilt_sigma_rad, above(0.0), "The same: roll and pitch, rad.");
+    field("prior_yaw_sigma_rad", self.prior_yaw_sigma_rad, above(0.0), "The same: yaw, rad.");
+    field("threads", self.threads, between(0, 1024),
+          "Threads; 0 takes the number of processors. Changes the run time, never the mission.");
+  }
+};
+
+/// Bounds of the fields, and that each robot drives at least 20 m (and 10 nodes).
+/// \throws OptionError naming the field.
+void validate_simulation(const SimulationOptions& options);
+
+/// The options with 0 replaced by the world's own figures. \throws OptionError as validate_simulation.
+[[nodiscard]] SimulationOptions resolved(SimulationOptions options);
+
+/// A beacon that a robot carried and dropped.
+struct SimulatedBeacon {
+  std::string name;  ///< Unique in the mission.
+  std::size_t robot = 0;
+  Key drop_key = 0;           ///< Node at which the robot dropped it.
+  std::int64_t stamp_ns = 0;  ///< Of that node.
+  Eigen::Vector3d position;   ///< Truth, world frame, m.
+};
+
+/// What the receivers of a robot's radio heard of a beacon at a node.
+struct SimulatedReading {
+  Key key = 0;
+  std::size_t beacon = 0;  ///< Into SimulatedMission::beacons.
+  double transmit_dbm = 0.0;
+  std::vector<double> receive_dbm;  ///< One per receiver; NaN where the receiver missed it.
+  double distance_m = 0.0;          ///< Truth: straight line from beacon to robot.
+  int walls = 0;                    ///< Truth: walls on that line.
+};
+
+/// A robot cannot reach the base station from `start_ns` to `end_ns`; what it made meanwhile arrives at
+/// `end_ns`.
+struct SimulatedGap {
+  std::size_t robot = 0;
+  std::int64_t start_ns = 0;
+  std::int64_t end_ns = 0;
+};
+
+/// A whole mission in memory. Per-node vectors are in the order of graph.nodes().
+struct SimulatedMission {
+  SimulationOptions options;  ///< Resolved.
+  std::uint64_t seed = 0;
+  Robots robots;  ///< "a", "b", ...: keys are GTSAM symbols with these characters.
+  /// Nodes at the odometry's poses, composed from each robot's prior; odometry edges with the covariance that
+  /// the front end states; one prior per robot.
+  PoseGraph graph;
+  std::vector<Eigen::Isometry3d> truth;
+  std::vector<KeyedScan> scans;  ///< Empty if the scans went to a sink.
+  /// Smallest eigenvalue of the mean point-to-plane information of the full sweep's translation and rotation
+  /// (true normals, rotation over a lever of 10 m): what the odometry had to live on.
+  std::vector<double> observability;
+  std::vector<bool> in_corridor;  ///< Between two walls, away from junctions.
+  std::vector<SimulatedBeacon> beacons;
+  std::vector<SimulatedReading> readings;
+  std::vector<SimulatedGap> gaps;
+  std::uint64_t rays = 0;  ///< Cast for the scans.
+};
+
+/// Receives each scan once it is made, from any thread and in any order.
+using ScanSink = std::function<void(const KeyedScan&)>;
+
+/// Makes a mission: builds the world, plans the routes, drives, casts, drifts. A function of (options, seed)
+/// alone. \param sink if given takes the scans, so that memory stays small; then SimulatedMission::scans is
+/// empty. \throws OptionError on bad options; SimulationStopped if a stop is requested.
+[[nodiscard]] SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
+                                        const ProgressCallback& progress = {}, const StopToken& stop = {},
+                                        const ScanSink& sink = {});
+
+/// SHA-256 of the file that fixes the parameters of worlds, sensors and robots; in every mission's
+/// provenance.
+[[nodiscard]] std::string_view simulation_parameters_hash();
+
+/// Thrown when a stop was requested before a whole mission existed.
+struct SimulationStopped : Error {
+  using Error::Error;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/stop_token.hpp>
+
+namespace loopwise {
+
+/// The paper's four environments, in kind and size.
+enum class WorldKind {
+  kTunnel,  ///< Coal mine: long featureless entries, parallel and joined by cross-cuts.
+  kUrban,   ///< Power plant: two floors joined by stairs, corridors, rooms, open halls.
+  kFinals,  ///< Tunnel, cave and urban sections that start from one gate.
+  kMine,    ///< Room-and-pillar limestone mine: wide, high drifts around pillars.
+};
+[[nodiscard]] inline EnumNames<WorldKind> enum_names(WorldKind) {
+  return {{WorldKind::kTunnel, "tunnel"},
+          {WorldKind::kUrban, "urban"},
+          {WorldKind::kFinals, "finals"},
+          {WorldKind::kMine, "mine"}};
+}
+
+/// Triangles in the world frame, metres. Front and back are alike.
+struct TriangleMesh {
+  std::vector<Eigen::Vector3f> vertices;
+  std::vector<std::array<std::uint32_t, 3>> triangles;
+};
+
+/// Where robots can go: places joined by passages. The gate, where all robots start, is place 0.
+struct RouteGraph {
+  enum class PlaceKind { kJunction, kDeadEnd, kRoom };
+  struct Place {
+    Eigen::Vector3d position;  ///< On the floor, world frame, m.
+    PlaceKind kind = PlaceKind::kJunction;
+  };
+  struct Passage {
+    std::size_t from;
+    std::size_t to;
+    std::vector<Eigen::Vector3d> path;  ///< On the floor, both ends included.
+    double half_width_m;                ///< Free to drive to either side of the path.
+    double length_m;
+    bool corridor;  ///< A passage between two walls; false inside rooms and halls.
+  };
+  std::vector<Place> places;
+  std::vector<Passage> passages;
+};
+
+/// A world: its surfaces, and the ways through it. The gate lies at the origin, x leads in, z is up.
+struct World {
+  WorldKind kind = WorldKind::kTunnel;
+  TriangleMesh mesh;
+  RouteGraph routes;
+  /// Total length of the passages, m.
+  [[nodiscard]] double passage_length_m() const;
+};
+
+/// Builds a world in which robots can drive `length_m` in total as an exploring team does: passages for about
+/// half of it. The same arguments give the same bits for any number of threads.
+/// \param num_threads 0 takes the number of processors.
+/// \throws OptionError unless 60 <= length_m <= 60000.
+/// \returns an unfinished mesh if a stop is requested; whoever asks for it throws the result away.
+[[nodiscard]] World make_world(WorldKind kind, double length_m, std::uint64_t seed, int num_threads = 0,
+                               const StopToken& stop = {});
+
+}  // namespace loopwise
