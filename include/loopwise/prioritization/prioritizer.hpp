@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/stop_token.hpp>
+
+namespace loopwise {
+
+/// A candidate that a prioritiser does not want.
+struct Refusal {
+  CandidateId id = 0;
+  std::string reason;  ///< Short and stable, for example "low_observability".
+};
+
+/// Orders pending candidates: the one interface to implement for a method of your own. Called from one thread
+/// at a time. Nodes and scans of a candidate are announced before the candidate itself.
+class Prioritizer {
+ public:
+  virtual ~Prioritizer() = default;
+
+  [[nodiscard]] virtual std::string_view name() const = 0;
+
+  /// New candidates, in order of generation. \returns those it will never hand out.
+  virtual std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) = 0;
+
+  /// Handed out by another prioritiser, expired or withdrawn. Ids that it does not hold are ignored.
+  virtual void remove(const std::vector<CandidateId>& ids) = 0;
+
+  virtual void on_graph(const PoseGraph& /*graph*/) {}             ///< New estimate from the back end.
+  virtual void on_scan(const KeyedScan& /*scan*/) {}               ///< A new keyed scan arrived.
+  virtual void on_result(const RegistrationResult& /*result*/) {}  ///< A candidate was computed.
+
+  /// Anytime: prepares the best set of `count` until it is done or asked to stop. take() works without it.
+  virtual void improve(std::size_t /*count*/, const StopToken& /*stop*/) {}
+
+  /// Removes and returns up to `count` candidates, most valuable first; fewer only if it holds fewer.
+  [[nodiscard]] virtual std::vector<LoopCandidate> take(std::size_t count) = 0;
+
+  /// How many candidates it holds.
+  [[nodiscard]] virtual std::size_t size() const = 0;
+};
+
+}  // namespace loopwise

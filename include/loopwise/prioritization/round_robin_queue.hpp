@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <string>
+#include <unordered_map>
+#include <vector>
+
+#include <loopwise/prioritization/prioritizer.hpp>
+
+namespace loopwise {
+
+/// Joins the prioritisers of a method: batches take equal shares from each, best first, in turns (paper
+/// §III-E). A candidate taken from one leaves the others; one that is refused by some stays with the rest.
+class RoundRobinQueue {
+ public:
+  /// May be empty: then every candidate is refused ("no_prioritizer"). \throws InputError on a null pointer.
+  explicit RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers);
+
+  /// \returns the candidates that every prioritiser refused, with their reasons joined.
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
+  void remove(const std::vector<CandidateId>& ids);
+  void on_graph(const PoseGraph& graph);
+  void on_scan(const KeyedScan& scan);
+  void on_result(const RegistrationResult& result);
+
+  /// Up to `count` candidates. Turns pass from one prioritiser to the next; whoever is empty is passed over,
+  /// and the next batch begins after the one that had the last turn, so shares stay equal over time.
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
+
+  /// Candidates that at least one prioritiser holds.
+  [[nodiscard]] std::size_t size() const { return holders_.size(); }
+  [[nodiscard]] const std::vector<std::unique_ptr<Prioritizer>>& prioritizers() const {
+    return prioritizers_;
+  }
+  /// How many candidates each prioritiser has handed out, in their order.
+  [[nodiscard]] const std::vector<std::size_t>& handed_out() const { return handed_out_; }
+
+ private:
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers_;
+  std::vector<std::size_t> handed_out_;
+  std::unordered_map<CandidateId, std::size_t>
+      holders_;  // pending candidate -> how many prioritisers hold it
+  std::size_t turn_ = 0;
+};
+
+}  // namespace loopwise

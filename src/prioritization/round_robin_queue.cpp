@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/prioritization/round_robin_queue.hpp>
+
+#include <algorithm>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+
+RoundRobinQueue::RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers)
+    : prioritizers_(std::move(prioritizers)), handed_out_(prioritizers_.size(), 0) {
+  for (const auto& prioritizer : prioritizers_) {
+    if (!prioritizer) throw InputError("RoundRobinQueue: a prioritizer is null");
+  }
+}
+
+std::vector<Refusal> RoundRobinQueue::add(const std::vector<LoopCandidate>& candidates) {
+  std::unordered_map<CandidateId, std::string> reasons;
+  for (const LoopCandidate& candidate : candidates) holders_[candidate.id] = prioritizers_.size();
+  for (const auto& prioritizer : prioritizers_) {
+    for (const Refusal& refusal : prioritizer->add(candidates)) {
+      const auto holders = holders_.find(refusal.id);
+      if (holders == holders_.end() || holders->second == 0) continue;
+      --holders->second;
+      std::string& joined = reasons[refusal.id];
+      if (joined != refusal.reason) joined += (joined.empty() ? "" : ";") + refusal.reason;
+    }
+  }
+  std::vector<Refusal> refused;
+  for (const LoopCandidate& candidate : candidates) {
+    const auto holders = holders_.find(candidate.id);
+    if (holders == holders_.end() || holders->second > 0) continue;
+    holders_.erase(holders);
+    refused.push_back({candidate.id, prioritizers_.empty() ? "no_prioritizer" : reasons[candidate.id]});
+  }
+  return refused;
+}
+
+void RoundRobinQueue::remove(const std::vector<CandidateId>& ids) {
+  for (const auto& prioritizer : prioritizers_) prioritizer->remove(ids);
+  for (const CandidateId id : ids) holders_.erase(id);
+}
+
+void RoundRobinQueue::on_graph(const PoseGraph& graph) {
+  for (const auto& prioritizer : prioritizers_) prioritizer->on_graph(graph);
+}
+
+void RoundRobinQueue::on_scan(const KeyedScan& scan) {
+  for (const auto& prioritizer : prioritizers_) prioritizer->on_scan(scan);
+}
+
+void RoundRobinQueue::on_result(const RegistrationResult& result) {
+  for (const auto& prioritizer : prioritizers_) prioritizer->on_result(result);
+}
+
+std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
+  const std::size_t n = prioritizers_.size();
+  count = std::min(count, size());
+  std::vector<LoopCandidate> batch;
+  batch.reserve(count);
+  // Rounds of equal shares: who is empty gives less than its share, and what is missing goes round again.
+  std::size_t empty_rounds = 0;
+  while (batch.size() < count) {
+    const std::size_t left = count - batch.size();
+    std::vector<std::vector<LoopCandidate>> shares(n);
+    std::size_t found = 0;
+    const std::size_t first = turn_;
+    for (std::size_t k = 0; k < n; ++k) {
+      const std::size_t i = (first + k) % n;
+      const std::size_t share = left / n + (k < left % n ? 1 : 0);
+      if (share == 0) continue;
+      shares[k] = prioritizers_[i]->take(share);
+      found += shares[k].size();
+      handed_out_[i] += shares[k].size();
+      std::vector<CandidateId> ids;
+      for (const LoopCandidate& candidate : shares[k]) ids.push_back(candidate.id);
+      remove(ids);
+    }
+    turn_ = (first + left) % n;
+    empty_rounds = found > 0 ? 0 : empty_rounds + 1;
+    if (empty_rounds > n) throw Error("a prioritizer holds candidates that it does not hand out");
+    // Best first across the shares: one of each in turn.
+    for (std::size_t rank = 0; found > 0; ++rank) {
+      for (const auto& share : shares) {
+        if (rank >= share.size()) continue;
+        batch.push_back(share[rank]);
+        --found;
+      }
+    }
+  }
+  return batch;
+}
+
+}  // namespace loopwise
