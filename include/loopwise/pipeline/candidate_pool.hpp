@@ -1,0 +1,106 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <string>
+#include <unordered_map>
+#include <unordered_set>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/prioritization/round_robin_queue.hpp>
+
+namespace loopwise {
+
+/// Where every candidate of a run is. The invariant, at any moment:
+///
+///     generated = pruned + expired + waiting + pending + in_flight + computed
+struct CandidateAccounting {
+  std::size_t generated = 0;  ///< Distinct pairs proposed.
+  std::size_t pruned = 0;     ///< Refused by every prioritiser.
+  std::size_t expired = 0;    ///< Too old, beyond the pool's cap, or a scan never came.
+  std::size_t waiting = 0;    ///< A node's scan is not here yet.
+  std::size_t pending = 0;    ///< Held by at least one prioritiser.
+  std::size_t in_flight = 0;  ///< Handed out, result not here yet.
+  std::size_t computed = 0;   ///< Result here.
+
+  /// Generated and not pruned: the denominator of the paper's Table I.
+  [[nodiscard]] std::size_t queued() const { return generated - pruned; }
+  [[nodiscard]] bool balanced() const {
+    return generated == pruned + expired + waiting + pending + in_flight + computed;
+  }
+};
+
+struct CandidatePoolOptions {
+  double max_age_s = 0.0;
+  double max_wait_s = 600.0;
+  std::int64_t max_pending = 0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("max_age_s", self.max_age_s, at_least(0.0), "Pending candidates older than this expire, s; 0: never.");
+    field("max_wait_s", self.max_wait_s, at_least(0.0),
+          "Candidates whose scan has not come for this long expire, s; 0: never.");
+    field("max_pending", self.max_pending, at_least(0.0),
+          "Pending candidates beyond this number expire, oldest first; 0: no bound.");
+  }
+};
+
+/// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans are not
+/// here yet, feeds the queue and keeps the account. For one thread at a time.
+class CandidatePool {
+ public:
+  /// \throws OptionError
+  CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue);
+
+  /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before is ignored.
+  /// \returns how many were new.
+  std::size_t add(const std::vector<LoopCandidate>& candidates);
+
+  /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become pending.
+  void on_scan(const KeyedScan& scan);
+  void on_graph(const PoseGraph& graph) { queue_.on_graph(graph); }
+
+  /// Expires what is too old, waits too long, or exceeds the cap at mission time `now_s`.
+  void expire(double now_s);
+  /// No more scans will come: everything that waits expires.
+  void expire_waiting();
+
+  /// The next batch of up to `count` candidates.
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
+  /// \throws InputError if the result's candidate is not in flight.
+  void complete(const RegistrationResult& result);
+  /// Candidates in flight that will not be computed after all become pending again.
+  void give_back(const std::vector<LoopCandidate>& candidates);
+
+  [[nodiscard]] const CandidateAccounting& accounting() const { return accounting_; }
+  /// How many were pruned or expired, by reason.
+  [[nodiscard]] const std::map<std::string, std::size_t>& pruned_reasons() const { return pruned_reasons_; }
+  [[nodiscard]] const std::map<std::string, std::size_t>& expired_reasons() const { return expired_reasons_; }
+  [[nodiscard]] const RoundRobinQueue& queue() const { return queue_; }
+
+ private:
+  struct PairHash {
+    std::size_t operator()(const std::pair<Key, Key>& pair) const;
+  };
+
+  void enqueue(const std::vector<LoopCandidate>& candidates);
+  void drop_pending(const std::vector<CandidateId>& ids, const std::string& reason);
+
+  CandidatePoolOptions options_;
+  RoundRobinQueue queue_;
+  CandidateAccounting accounting_;
+  CandidateId next_id_ = 0;
+  std::unordered_set<std::pair<Key, Key>, PairHash> proposed_;
+  std::unordered_set<Key> scans_;
+  std::map<CandidateId, LoopCandidate> waiting_;
+  std::unordered_map<Key, std::vector<CandidateId>> waiting_for_;  // missing scan -> candidates, in order
+  std::map<CandidateId, LoopCandidate> pending_;
+  std::map<CandidateId, LoopCandidate> in_flight_;
+  std::map<std::string, std::size_t> pruned_reasons_;
+  std::map<std::string, std::size_t> expired_reasons_;
+};
+
+}  // namespace loopwise

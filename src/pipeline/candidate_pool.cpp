@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/pipeline/candidate_pool.hpp>
+
+#include <algorithm>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+
+namespace loopwise {
+
+std::size_t CandidatePool::PairHash::operator()(const std::pair<Key, Key>& pair) const {
+  return static_cast<std::size_t>(combine_seeds(pair.first, pair.second));
+}
+
+CandidatePool::CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue)
+    : options_(options), queue_(std::move(queue)) {
+  validate(options_);
+}
+
+std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
+  std::size_t added = 0;
+  std::vector<LoopCandidate> ready;
+  for (LoopCandidate candidate : candidates) {
+    if (!proposed_.insert(std::minmax(candidate.from, candidate.to)).second) continue;
+    candidate.id = next_id_++;
+    ++added;
+    std::size_t missing = 0;
+    for (const Key key : {candidate.from, candidate.to}) {
+      if (scans_.count(key) != 0) continue;
+      ++missing;
+      waiting_for_[key].push_back(candidate.id);
+    }
+    if (missing == 0) {
+      ready.push_back(candidate);
+    } else {
+      waiting_.emplace(candidate.id, candidate);
+    }
+  }
+  accounting_.generated += added;
+  accounting_.waiting = waiting_.size();
+  enqueue(ready);
+  return added;
+}
+
+void CandidatePool::on_scan(const KeyedScan& scan) {
+  if (!scans_.insert(scan.key).second) return;
+  queue_.on_scan(scan);
+  const auto list = waiting_for_.find(scan.key);
+  if (list == waiting_for_.end()) return;
+  std::vector<LoopCandidate> ready;
+  for (const CandidateId id : list->second) {
+    const auto waiting = waiting_.find(id);
+    if (waiting == waiting_.end()) continue;  // expired meanwhile
+    const LoopCandidate& candidate = waiting->second;
+    if (scans_.count(candidate.from) == 0 || scans_.count(candidate.to) == 0) continue;
+    ready.push_back(candidate);
+    waiting_.erase(waiting);
+  }
+  waiting_for_.erase(list);
+  accounting_.waiting = waiting_.size();
+  enqueue(ready);
+}
+
+void CandidatePool::enqueue(const std::vector<LoopCandidate>& candidates) {
+  if (candidates.empty()) return;
+  for (const LoopCandidate& candidate : candidates) pending_.emplace(candidate.id, candidate);
+  for (const Refusal& refusal : queue_.add(candidates)) {
+    pending_.erase(refusal.id);
+    ++accounting_.pruned;
+    ++pruned_reasons_[refusal.reason];
+  }
+  accounting_.pending = pending_.size();
+}
+
+void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, const std::string& reason) {
+  if (ids.empty()) return;
+  queue_.remove(ids);
+  for (const CandidateId id : ids) pending_.erase(id);
+  accounting_.expired += ids.size();
+  accounting_.pending = pending_.size();
+  expired_reasons_[reason] += ids.size();
+}
+
+void CandidatePool::expire(double now_s) {
+  if (options_.max_wait_s > 0.0) {
+    for (auto waiting = waiting_.begin(); waiting != waiting_.end();) {
+      if (now_s - waiting->second.time_s > options_.max_wait_s) {
+        waiting = waiting_.erase(waiting);
+        ++accounting_.expired;
+        ++expired_reasons_["missing_scan"];
+      } else {
+        ++waiting;
+      }
+    }
+    accounting_.waiting = waiting_.size();
+  }
+  if (options_.max_age_s > 0.0) {
+    std::vector<CandidateId> old;
+    for (const auto& [id, candidate] : pending_) {
+      if (now_s - candidate.time_s > options_.max_age_s) old.push_back(id);
+    }
+    drop_pending(old, "too_old");
+  }
+  const auto cap = static_cast<std::size_t>(options_.max_pending);
+  if (cap > 0 && pending_.size() > cap) {
+    std::vector<CandidateId> oldest;
+    for (const auto& [id, candidate] : pending_) {
+      if (oldest.size() == pending_.size() - cap) break;
+      oldest.push_back(id);
+    }
+    drop_pending(oldest, "pool_full");
+  }
+}
+
+void CandidatePool::expire_waiting() {
+  if (waiting_.empty()) return;
+  accounting_.expired += waiting_.size();
+  expired_reasons_["missing_scan"] += waiting_.size();
+  waiting_.clear();
+  waiting_for_.clear();
+  accounting_.waiting = 0;
+}
+
+std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
+  std::vector<LoopCandidate> batch = queue_.take(count);
+  for (const LoopCandidate& candidate : batch) {
+    pending_.erase(candidate.id);
+    in_flight_.emplace(candidate.id, candidate);
+  }
+  accounting_.pending = pending_.size();
+  accounting_.in_flight = in_flight_.size();
+  return batch;
+}
+
+void CandidatePool::complete(const RegistrationResult& result) {
+  if (in_flight_.erase(result.candidate.id) == 0) {
+    throw InputError("candidate " + std::to_string(result.candidate.id) + " has a result but is not in flight");
+  }
+  accounting_.in_flight = in_flight_.size();
+  ++accounting_.computed;
+  queue_.on_result(result);
+}
+
+void CandidatePool::give_back(const std::vector<LoopCandidate>& candidates) {
+  std::vector<LoopCandidate> returned;
+  for (const LoopCandidate& candidate : candidates) {
+    if (in_flight_.erase(candidate.id) != 0) returned.push_back(candidate);
+  }
+  accounting_.in_flight = in_flight_.size();
+  enqueue(returned);
+}
+
+}  // namespace loopwise

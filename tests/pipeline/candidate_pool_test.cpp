@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/core/error.hpp>
+#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/prioritization/baselines.hpp>
+
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+CandidatePool arrival_pool(const CandidatePoolOptions& options = {}) {
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+  return CandidatePool(options, RoundRobinQueue(std::move(prioritizers)));
+}
+
+KeyedScan scan_of(Key key) {
+  KeyedScan scan;
+  scan.key = key;
+  scan.cloud = std::make_shared<PointCloud>();
+  return scan;
+}
+
+LoopCandidate pair(Key from, Key to, double time_s = 0.0) {
+  LoopCandidate c;
+  c.from = from;
+  c.to = to;
+  c.time_s = time_s;
+  return c;
+}
+
+RegistrationResult result_of(const LoopCandidate& candidate) {
+  RegistrationResult result;
+  result.candidate = candidate;
+  result.reason = RejectionReason::kFewMatches;
+  return result;
+}
+
+}  // namespace
+
+TEST_CASE("pool: a pair counts once, whichever way round and whoever proposes it", "[pipeline][pool]") {
+  CandidatePool pool = arrival_pool();
+  for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
+  REQUIRE(pool.add({pair(3, 1), pair(1, 3), pair(3, 2), pair(3, 1)}) == 2);
+  REQUIRE(pool.add({pair(2, 3)}) == 0);
+  const auto batch = pool.take(10);
+  REQUIRE(batch.size() == 2);
+  for (const LoopCandidate& c : batch) pool.complete(result_of(c));
+  REQUIRE(pool.add({pair(1, 3)}) == 0);  // also after it was computed
+  REQUIRE(pool.accounting().generated == 2);
+  REQUIRE(pool.accounting().computed == 2);
+  REQUIRE(pool.accounting().balanced());
+  REQUIRE_THROWS_AS(pool.complete(result_of(batch[0])), InputError);
+}
+
+TEST_CASE("pool: candidates wait for both scans", "[pipeline][pool]") {
+  CandidatePool pool = arrival_pool();
+  pool.add({pair(3, 1), pair(3, 2), pair(2, 1)});
+  REQUIRE(pool.accounting().waiting == 3);
+  pool.on_scan(scan_of(1));
+  REQUIRE(pool.accounting().pending == 0);
+  pool.on_scan(scan_of(3));
+  pool.on_scan(scan_of(3));  // again: no effect
+  REQUIRE(pool.accounting().pending == 1);
+  REQUIRE(pool.accounting().waiting == 2);
+  REQUIRE(pool.take(5).size() == 1);
+  pool.expire_waiting();
+  REQUIRE(pool.accounting().expired == 2);
+  REQUIRE(pool.expired_reasons().at("missing_scan") == 2);
+  pool.on_scan(scan_of(2));  // too late, and harmless
+  REQUIRE(pool.accounting().pending == 0);
+  REQUIRE(pool.accounting().balanced());
+}
+
+TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason", "[pipeline][pool]") {
+  CandidatePoolOptions options;
+  options.max_age_s = 100.0;
+  options.max_wait_s = 50.0;
+  options.max_pending = 3;
+  CandidatePool pool = arrival_pool(options);
+  for (const Key key : {1, 2, 3, 4, 5, 6}) pool.on_scan(scan_of(key));
+  pool.add({pair(2, 1, 0.0), pair(3, 1, 10.0), pair(4, 1, 20.0), pair(5, 1, 30.0), pair(6, 1, 40.0), pair(9, 1, 40.0)});
+  pool.expire(60.0);
+  REQUIRE(pool.expired_reasons().at("pool_full") == 2);
+  REQUIRE(pool.accounting().waiting == 1);
+  pool.expire(95.0);
+  REQUIRE(pool.expired_reasons().at("missing_scan") == 1);
+  pool.expire(125.0);
+  REQUIRE(pool.expired_reasons().at("too_old") == 1);  // the one of 20 s; 30 and 40 stay
+  REQUIRE(pool.accounting().pending == 2);
+  REQUIRE(pool.take(9).size() == 2);
+  REQUIRE(pool.accounting().balanced());
+  options.max_age_s = -1.0;
+  REQUIRE_THROWS_WITH(arrival_pool(options), "max_age_s = -1, must be >= 0");
+}
+
+TEST_CASE("pool: what is given back is pending again", "[pipeline][pool]") {
+  CandidatePool pool = arrival_pool();
+  for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
+  pool.add({pair(2, 1), pair(3, 1), pair(3, 2)});
+  const auto batch = pool.take(2);
+  pool.complete(result_of(batch[0]));
+  pool.give_back(batch);  // the computed one is not in flight any more
+  REQUIRE(pool.accounting().pending == 2);
+  REQUIRE(pool.accounting().in_flight == 0);
+  REQUIRE(pool.accounting().balanced());
+  REQUIRE(pool.take(2)[0].id == batch[1].id);
+}
+
+TEST_CASE("pool: the account balances through random work", "[pipeline][pool][property]") {
+  for (const std::uint64_t seed : {1, 2, 3, 4, 5}) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    CandidatePoolOptions options;
+    options.max_age_s = 30.0;
+    options.max_wait_s = 20.0;
+    options.max_pending = 40;
+    CandidatePool pool = arrival_pool(options);
+    std::vector<LoopCandidate> flying;
+    for (int step = 0; step < 2000; ++step) {
+      const double now = 0.1 * step;
+      switch (rng.below(5)) {
+        case 0:
+          pool.on_scan(scan_of(rng.below(60)));
+          break;
+        case 1: {
+          std::vector<LoopCandidate> some;
+          for (int i = 0; i < 5; ++i) {
+            const Key a = rng.below(60), b = rng.below(60);
+            if (a != b) some.push_back(pair(a, b, now));
+          }
+          pool.add(some);
+          break;
+        }
+        case 2:
+          for (const LoopCandidate& c : pool.take(rng.below(4))) flying.push_back(c);
+          break;
+        case 3:
+          if (!flying.empty()) {
+            pool.complete(result_of(flying.back()));
+            flying.pop_back();
+          }
+          break;
+        default:
+          if (rng.below(10) == 0) {
+            pool.give_back(flying);
+            flying.clear();
+          }
+          pool.expire(now);
+      }
+      REQUIRE(pool.accounting().balanced());
+      REQUIRE(pool.accounting().in_flight == flying.size());
+      REQUIRE(pool.queue().size() == pool.accounting().pending);
+    }
+    REQUIRE(pool.accounting().computed > 50);
+    REQUIRE(pool.accounting().expired > 50);
+  }
+}
+
+}  // namespace loopwise
