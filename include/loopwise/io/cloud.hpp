@@ -1,0 +1,50 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <filesystem>
+
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/problems.hpp>
+
+namespace loopwise {
+
+struct CloudFile {
+  PointCloud cloud;
+  Problems problems;
+};
+
+/// Reads .pcd (ascii, binary, binary_compressed), .ply (ascii, binary of either byte order) or KITTI .bin, by
+/// extension. Fields may stand in any order and be any number type; x, y and z must be there, intensity and
+/// normals are taken where present, the rest is skipped. An empty cloud is no error.
+///
+/// Counted in `problems`: "point not finite" and "point out of range" (beyond 1e7 m; both dropped), "unusable
+/// normals" (one that is not of unit length spoils the field, which is then left out: many programs write
+/// zeros), "intensity not finite" (set to 0), "viewpoint ignored", "empty file" (.bin). Normals are turned
+/// towards the sensor.
+///
+/// The sizes that a header claims are held against the length of the file before any memory is taken.
+/// \throws IoError; InputError naming the file (for the lines of ascii data: ParseError) if it is cut short,
+/// its
+///   counts disagree, or its kind is not known.
+[[nodiscard]] CloudFile read_cloud(const std::filesystem::path& path);
+
+/// Whether read_cloud() knows the extension.
+[[nodiscard]] bool is_cloud_file(const std::filesystem::path& path);
+
+enum class PcdEncoding { kAscii, kBinary, kBinaryCompressed };
+[[nodiscard]] inline EnumNames<PcdEncoding> enum_names(PcdEncoding) {
+  return {{PcdEncoding::kAscii, "ascii"},
+          {PcdEncoding::kBinary, "binary"},
+          {PcdEncoding::kBinaryCompressed, "binary_compressed"}};
+}
+
+/// PCD 0.7 with the fields that the cloud has; read_cloud() and PCL give back the same floats in every
+/// encoding. Replaces an existing file as a whole or not at all. \throws IoError
+void write_pcd(const std::filesystem::path& path, const PointCloud& cloud,
+               PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
+
+/// Binary little-endian PLY with the fields that the cloud has. \throws IoError
+void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
+
+}  // namespace loopwise

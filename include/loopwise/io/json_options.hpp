@@ -1,0 +1,238 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Options structs (core/options.hpp) to and from JSON, text and printed tables, by the one description that
+/// they carry. A configuration file is an object of sections, {"generation": {"rate_m": 0.3}, ...}: its
+/// reader calls apply_json() once per section. Include <nlohmann/json.hpp> yourself to do more with the
+/// values than pass them on.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <filesystem>
+#include <limits>
+#include <string>
+#include <string_view>
+#include <type_traits>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include <nlohmann/json_fwd.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/options.hpp>
+
+namespace loopwise {
+
+/// Keeps the order of its keys.
+using Json = nlohmann::ordered_json;
+
+/// Parses a JSON text; // comments are allowed. `name` stands in errors for the file's.
+/// \throws ParseError naming the line, also for a key that is repeated within an object.
+[[nodiscard]] Json parse_json(std::string_view text, const std::string& name);
+/// \throws IoError; ParseError as parse_json()
+[[nodiscard]] Json read_json_file(const std::filesystem::path& path);
+
+/// One option, for people.
+struct OptionDescription {
+  std::string name;
+  std::string type;           ///< "bool", "integer", "number", "text", "word", "numbers"
+  std::string default_value;  ///< As JSON.
+  std::string bounds;         ///< "> 0", "one of: fast, pcl"; empty if any value will do.
+  std::string doc;
+};
+
+/// Throws an OptionError that lists what is allowed and puts the nearest first, if it is near:
+/// "unknown option generation.rate, did you mean generation.rate_m? Known: …".
+[[noreturn]] void throw_unknown_name(std::string_view what, std::string_view name,
+                                     const std::vector<std::string>& known);
+
+namespace detail {
+
+// One JSON value, with the name that errors give it. All throw OptionError on a value of the wrong type.
+[[nodiscard]] bool json_to_bool(const Json& value, const std::string& name);
+[[nodiscard]] std::int64_t json_to_int64(const Json& value, const std::string& name, std::int64_t min,
+                                         std::int64_t max);
+[[nodiscard]] std::uint64_t json_to_uint64(const Json& value, const std::string& name, std::uint64_t max);
+[[nodiscard]] double json_to_double(const Json& value, const std::string& name);  // also "inf", "-inf", "nan"
+[[nodiscard]] std::string json_to_text(const Json& value, const std::string& name);
+[[nodiscard]] std::vector<double> json_to_doubles(const Json& value, const std::string& name);
+
+void require_object(const Json& value, const std::string& name);
+[[nodiscard]] std::vector<std::string> json_keys(const Json& object);
+[[nodiscard]] const Json* find_json(const Json& object, std::string_view key);
+// The same from text. Throw OptionError if the text is something else.
+[[nodiscard]] bool text_to_bool(std::string_view text, const std::string& name);
+[[nodiscard]] std::int64_t text_to_int64(std::string_view text, const std::string& name, std::int64_t min,
+                                         std::int64_t max);
+[[nodiscard]] std::uint64_t text_to_uint64(std::string_view text, const std::string& name, std::uint64_t max);
+[[nodiscard]] double text_to_double(std::string_view text, const std::string& name);
+[[nodiscard]] std::vector<double> text_to_doubles(std::string_view text, const std::string& name);
+
+using OptionValue = std::variant<bool, std::int64_t, std::uint64_t, double, std::string, std::vector<double>>;
+struct OptionField {
+  std::string name;
+  OptionValue value;
+  OptionDescription description;
+};
+[[nodiscard]] Json fields_to_json(const std::vector<OptionField>& fields);
+[[nodiscard]] std::string value_text(const OptionValue& value);
+[[noreturn]] void throw_unknown_option(const std::string& section, std::string_view name,
+                                       const std::vector<OptionField>& known);
+
+template <class T>
+void from_json_value(const Json& value, const std::string& name, T& field) {
+  if constexpr (std::is_same_v<T, bool>) {
+    field = json_to_bool(value, name);
+  } else if constexpr (std::is_enum_v<T>) {
+    field = parse_enum<T>(name, json_to_text(value, name));
+  } else if constexpr (std::is_integral_v<T> && std::is_signed_v<T>) {
+    using Limits = std::numeric_limits<T>;
+    field = static_cast<T>(json_to_int64(value, name, Limits::min(), Limits::max()));
+  } else if constexpr (std::is_integral_v<T>) {
+    field = static_cast<T>(json_to_uint64(value, name, std::numeric_limits<T>::max()));
+  } else if constexpr (std::is_floating_point_v<T>) {
+    field = static_cast<T>(json_to_double(value, name));
+  } else if constexpr (std::is_same_v<T, std::string>) {
+    field = json_to_text(value, name);
+  } else {
+    static_assert(std::is_same_v<T, std::vector<double>>, "a field type that options do not have");
+    field = json_to_doubles(value, name);
+  }
+}
+
+template <class T>
+void from_text_value(std::string_view text, const std::string& name, T& field) {
+  if constexpr (std::is_same_v<T, bool>) {
+    field = text_to_bool(text, name);
+  } else if constexpr (std::is_enum_v<T>) {
+    field = parse_enum<T>(name, text);
+  } else if constexpr (std::is_integral_v<T> && std::is_signed_v<T>) {
+    using Limits = std::numeric_limits<T>;
+    field = static_cast<T>(text_to_int64(text, name, Limits::min(), Limits::max()));
+  } else if constexpr (std::is_integral_v<T>) {
+    field = static_cast<T>(text_to_uint64(text, name, std::numeric_limits<T>::max()));
+  } else if constexpr (std::is_floating_point_v<T>) {
+    field = static_cast<T>(text_to_double(text, name));
+  } else if constexpr (std::is_same_v<T, std::string>) {
+    field = std::string(text);
+  } else {
+    field = text_to_doubles(text, name);
+  }
+}
+
+template <class T>
+[[nodiscard]] OptionValue option_value(const T& field) {
+  if constexpr (std::is_enum_v<T>) {
+    return enum_name(field);
+  } else if constexpr (std::is_same_v<T, bool>) {
+    return field;
+  } else if constexpr (std::is_integral_v<T> && std::is_signed_v<T>) {
+    return static_cast<std::int64_t>(field);
+  } else if constexpr (std::is_integral_v<T>) {
+    return static_cast<std::uint64_t>(field);
+  } else if constexpr (std::is_floating_point_v<T>) {
+    return static_cast<double>(field);
+  } else {
+    return field;
+  }
+}
+
+template <class T>
+[[nodiscard]] std::string type_word() {
+  if constexpr (std::is_same_v<T, bool>) return "bool";
+  if constexpr (std::is_enum_v<T>) return "word";
+  if constexpr (std::is_integral_v<T>) return "integer";
+  if constexpr (std::is_floating_point_v<T>) return "number";
+  if constexpr (std::is_same_v<T, std::string>) return "text";
+  return "numbers";
+}
+
+template <class T>
+[[nodiscard]] std::string bounds_text(const Bounds& bounds) {
+  if constexpr (std::is_enum_v<T>) {
+    std::string words;
+    for (const auto& [enumerator, word] : enum_names(T{}))
+      words += (words.empty() ? "" : ", ") + std::string(word);
+    return "one of: " + words;
+  } else if constexpr (std::is_same_v<T, std::string> || std::is_same_v<T, bool>) {
+    return "";
+  } else {
+    return to_string(bounds);
+  }
+}
+
+template <class Options>
+[[nodiscard]] std::vector<OptionField> option_fields(const Options& options) {
+  std::vector<OptionField> fields;
+  Options::visit(options, [&](std::string_view name, const auto& field, const Bounds& bounds,
+                              std::string_view doc) {
+    using T = std::decay_t<decltype(field)>;
+    const OptionValue value = option_value(field);
+    fields.push_back(
+        {std::string(name),
+         value,
+         {std::string(name), type_word<T>(), value_text(value), bounds_text<T>(bounds), std::string(doc)}});
+  });
+  return fields;
+}
+
+}  // namespace detail
+
+/// Names, types, values (of a fresh struct: the defaults), bounds and meaning of all fields, in order of
+/// declaration.
+template <class Options>
+[[nodiscard]] std::vector<OptionDescription> describe(const Options& options) {
+  std::vector<OptionDescription> descriptions;
+  for (auto& field : detail::option_fields(options)) descriptions.push_back(std::move(field.description));
+  return descriptions;
+}
+
+/// All fields with their present values, as apply_json() takes them.
+template <class Options>
+[[nodiscard]] Json to_json(const Options& options) {
+  return detail::fields_to_json(detail::option_fields(options));
+}
+
+/// Sets the fields that the object names and checks all bounds; fields that it leaves out keep their values.
+/// On an error `options` stay as they were.
+/// \throws OptionError naming "section.key": an unknown key, a value of the wrong type or out of bounds.
+template <class Options>
+void apply_json(const Json& object, const std::string& section, Options& options) {
+  detail::require_object(object, section);
+  const std::vector<detail::OptionField> fields = detail::option_fields(options);
+  for (const std::string& key : detail::json_keys(object)) {
+    const auto has_name = [&key](const detail::OptionField& field) { return field.name == key; };
+    if (std::none_of(fields.begin(), fields.end(), has_name))
+      detail::throw_unknown_option(section, key, fields);
+  }
+  Options changed = options;
+  Options::visit(changed,
+                 [&](std::string_view name, auto& field, const Bounds& bounds, std::string_view doc) {
+                   const std::string full = section + "." + std::string(name);
+                   if (const Json* value = detail::find_json(object, name))
+                     detail::from_json_value(*value, full, field);
+                   detail::BoundsVisitor{}(full, field, bounds, doc);
+                 });
+  options = std::move(changed);
+}
+
+/// Sets one field from text, as on a command line: set_option("generation", "rate_m", "0.3", options). Words
+/// and texts need no quotes; the numbers of a list are separated by commas. \throws OptionError as
+/// apply_json()
+template <class Options>
+void set_option(const std::string& section, std::string_view name, std::string_view text, Options& options) {
+  Options changed = options;
+  bool found = false;
+  Options::visit(changed, [&](std::string_view own, auto& field, const Bounds& bounds, std::string_view doc) {
+    if (own != name) return;
+    found = true;
+    const std::string full = section + "." + std::string(own);
+    detail::from_text_value(text, full, field);
+    detail::BoundsVisitor{}(full, field, bounds, doc);
+  });
+  if (!found) detail::throw_unknown_option(section, name, detail::option_fields(options));
+  options = std::move(changed);
+}
+
+}  // namespace loopwise

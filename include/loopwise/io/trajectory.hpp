@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/problems.hpp>
+
+namespace loopwise {
+
+struct StampedPose {
+  std::int64_t stamp_ns = 0;
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+};
+
+/// How a trajectory is written, and by what its poses are told apart.
+enum class TrajectoryFormat {
+  kTum,    ///< "stamp x y z qx qy qz qw", stamp in seconds: by stamp.
+  kKitti,  ///< A row-major 3×4 matrix a line: by row, from 0.
+  kG2o,    ///< The vertices of a g2o file: by key.
+};
+[[nodiscard]] inline EnumNames<TrajectoryFormat> enum_names(TrajectoryFormat) {
+  return {
+      {TrajectoryFormat::kTum, "tum"}, {TrajectoryFormat::kKitti, "kitti"}, {TrajectoryFormat::kG2o, "g2o"}};
+}
+
+struct Trajectory {
+  TrajectoryFormat format = TrajectoryFormat::kTum;
+  std::vector<Eigen::Isometry3d> poses;  ///< In the order of the file.
+  std::vector<Key> keys;                 ///< One per pose: the key of a g2o vertex, else the row from 0.
+  std::vector<std::int64_t> stamps_ns;   ///< One per pose for TUM, else empty.
+  Problems problems;
+};
+
+/// Reads any of the three forms, told apart by what the file holds. A g2o file needs no edges.
+/// Comments start with '#'. Counted: "non-unit quaternion", "rotation not orthonormal" (both put right).
+/// \throws IoError; ParseError naming the line; InputError if there is no pose.
+[[nodiscard]] Trajectory read_trajectory(const std::filesystem::path& path);
+/// As read_trajectory(), of this form and no other.
+[[nodiscard]] Trajectory read_trajectory(const std::filesystem::path& path, TrajectoryFormat format);
+
+[[nodiscard]] std::vector<StampedPose> read_tum(const std::filesystem::path& path);
+[[nodiscard]] std::vector<Eigen::Isometry3d> read_kitti(const std::filesystem::path& path);
+
+/// Stamps in seconds with nine decimals, exactly. Replaces the file as a whole or not at all. \throws IoError
+void write_tum(const std::filesystem::path& path, const std::vector<StampedPose>& poses);
+void write_kitti(const std::filesystem::path& path, const std::vector<Eigen::Isometry3d>& poses);
+
+/// Poses of two trajectories that belong together.
+struct PosePairs {
+  std::vector<Key> keys;  ///< Of the estimate.
+  std::vector<Eigen::Isometry3d> estimate;
+  std::vector<Eigen::Isometry3d> truth;
+  Problems problems;  ///< "pose without truth", "truth without pose".
+};
+
+/// Pairs by key (two g2o files), by nearest stamp within `max_time_difference_s` (two TUM files; each truth
+/// is used once), otherwise by row, which needs as many poses in both: then nothing else tells them apart. A
+/// KITTI file also pairs with a g2o file of another length if the keys are row numbers, that is if the rows
+/// hold every key. \throws InputError if no pose has a partner, or rows would have to be guessed.
+[[nodiscard]] PosePairs associate(const Trajectory& estimate, const Trajectory& truth,
+                                  double max_time_difference_s = 0.02);
+
+/// A single rigid transform: 12 or 16 numbers (rows of a 3×4 or 4×4 matrix, on any lines) or 7 (x y z qx qy
+/// qz qw). A rotation off by rounding is put right. \throws IoError; ParseError
+[[nodiscard]] Eigen::Isometry3d read_transform(const std::filesystem::path& path);
+
+}  // namespace loopwise
