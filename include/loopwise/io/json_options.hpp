@@ -188,9 +188,10 @@ template <class Options>
   return descriptions;
 }
 
-/// All fields with their present values, as apply_json() takes them.
+/// All fields with their present values, a Json as apply_json() takes it. (`auto`, since the type is only
+/// declared here.)
 template <class Options>
-[[nodiscard]] Json to_json(const Options& options) {
+[[nodiscard]] auto to_json(const Options& options) {
   return detail::fields_to_json(detail::option_fields(options));
 }
 
