@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <memory>
+
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/features/bounded_cache.hpp>
+#include <loopwise/features/kd_tree.hpp>
+#include <loopwise/features/observability.hpp>
+
+namespace loopwise {
+
+struct FeatureOptions {
+  double voxel_m = 0.5;
+  int min_points = 1000;
+  int normal_neighbours = 10;
+  bool use_file_normals = true;
+  double max_cache_mb = 512.0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("voxel_m", self.voxel_m, above(0.0), "Edge of the voxel grid that scans are downsampled with, m.");
+    field("min_points", self.min_points, at_least(0.0),
+          "Scans of at most this many points are not downsampled; the grid is refined where it would leave "
+          "fewer.");
+    field("normal_neighbours", self.normal_neighbours, between(3.0, 100.0),
+          "Nearest points, the point included, that a normal is estimated from.");
+    field("use_file_normals", self.use_file_normals, any_value(),
+          "Keep the normals that a scan brings along instead of estimating them.");
+    field("max_cache_mb", self.max_cache_mb, at_least(0.0), "Bound of the features kept in memory, MB.");
+  }
+};
+
+/// What every stage needs of a scan, computed once: all of it is derived from the downsampled cloud.
+struct ScanFeatures {
+  PointCloud cloud;  ///< Downsampled, with normals (zero where unknown), body frame.
+  KdTree tree;       ///< Over cloud.points.
+  Observability observability;
+  std::size_t raw_points = 0;  ///< Of the scan before downsampling.
+
+  [[nodiscard]] std::size_t bytes() const { return sizeof(*this) + cloud.bytes() + tree.bytes(); }
+};
+
+/// Features of a cloud. Empty or degenerate clouds give empty or degenerate features, never NaN.
+[[nodiscard]] ScanFeatures compute_features(const PointCloud& cloud, const FeatureOptions& options);
+
+/// Features of the scans by key, computed on first use and kept within a bound. Thread-safe.
+class FeatureCache {
+ public:
+  /// \throws OptionError; InputError if `scans` is empty.
+  explicit FeatureCache(ScanLoader scans, const FeatureOptions& options = {});
+
+  /// Null if there is no scan for the key. \throws what the loader throws.
+  [[nodiscard]] std::shared_ptr<const ScanFeatures> get(Key key);
+
+  /// The scan itself, as the loader hands it out. \throws what the loader throws.
+  [[nodiscard]] std::shared_ptr<const PointCloud> scan(Key key) const { return scans_(key); }
+
+  [[nodiscard]] const FeatureOptions& options() const { return options_; }
+  /// How many times features were computed.
+  [[nodiscard]] std::size_t computed() const { return cache_.misses(); }
+
+ private:
+  ScanLoader scans_;
+  FeatureOptions options_;
+  BoundedCache<Key, ScanFeatures> cache_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Core>
+
+namespace loopwise {
+
+/// A point found by a KdTree.
+struct Neighbour {
+  std::uint32_t index = 0;   ///< Of the point in the vector that the tree was built from.
+  float sq_distance_m2 = 0;  ///< Squared distance to the query.
+};
+
+/// Exact nearest-neighbour search over points in 3D. Immutable: any number of threads may search at once.
+/// Points lie in leaves of a few, one array per coordinate, so that a leaf is scanned with SIMD.
+/// Equal distances are ordered by index: results depend on the points alone.
+class KdTree {
+ public:
+  KdTree() = default;
+  /// O(n log n). Points must be finite; equal points are fine. The points are copied.
+  /// \throws InputError if there are 2^31 points or more.
+  explicit KdTree(const std::vector<Eigen::Vector3f>& points);
+
+  [[nodiscard]] std::size_t size() const { return size_; }
+  [[nodiscard]] bool empty() const { return size_ == 0; }
+
+  /// The nearest point that lies closer than `max_distance_m`, if there is one.
+  [[nodiscard]] std::optional<Neighbour> nearest(
+      const Eigen::Vector3f& query, float max_distance_m = std::numeric_limits<float>::infinity()) const;
+
+  /// Replaces `found` by the `count` nearest points, or all if there are fewer, nearest first.
+  void nearest(const Eigen::Vector3f& query, std::size_t count, std::vector<Neighbour>& found) const;
+
+  /// Replaces `found` by all points within `radius_m`, nearest first.
+  void within(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const;
+
+  [[nodiscard]] std::size_t bytes() const;
+
+ private:
+  /// Inner nodes of a complete binary tree in heap order: children of i are 2i+1 and 2i+2.
+  struct Split {
+    float low = 0;   ///< Largest coordinate on the lower side.
+    float high = 0;  ///< Smallest coordinate on the upper side.
+    std::uint32_t axis = 0;
+  };
+  template <class Visitor>
+  void search(const Eigen::Vector3f& query, Visitor& visitor) const;
+
+  std::size_t size_ = 0;
+  int depth_ = 0;                          // of the leaves; there are 2^depth of them
+  std::vector<Split> splits_;              // 2^depth − 1
+  std::vector<std::uint32_t> leaf_begin_;  // 2^depth + 1, positions in the arrays below
+  std::vector<float> x_, y_, z_;           // in the order of the leaves
+  std::vector<std::uint32_t> original_;    // index of each in the input
+};
+
+}  // namespace loopwise

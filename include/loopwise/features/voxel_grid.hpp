@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+
+#include <loopwise/core/keyed_scan.hpp>
+
+namespace loopwise {
+
+/// One point per occupied cube of edge `voxel_m`: the mean of its points (and intensities; normals are
+/// averaged and normalised again). Cubes come in the order of their first point, so the result depends on the
+/// input alone, and a cloud with no two points in one cube comes back as it is. Points that are not finite
+/// are left out. O(n). \throws OptionError unless voxel_m > 0.
+[[nodiscard]] PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m);
+
+/// voxel_downsample that does no harm to sparse scans: a cloud of at most `min_points` points keeps all of
+/// them, and where the grid would leave fewer, its edge is halved, up to three times, until it leaves as
+/// many.
+[[nodiscard]] PointCloud adaptive_downsample(const PointCloud& cloud, double voxel_m, std::size_t min_points);
+
+}  // namespace loopwise

@@ -1,0 +1,21 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <optional>
+#include <vector>
+
+#include <loopwise/core/progress.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+/// Computes tasks on the pool, one task a thread. Results stand in the order of the tasks and do not depend
+/// on the number of threads. A registrar that throws gives RejectionReason::kFailed with the exception's
+/// message. After a stop request no further task is begun; tasks that were not begun have no result.
+[[nodiscard]] std::vector<std::optional<RegistrationResult>> compute_batch(
+    const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,
+    const StopToken& stop = {}, const ProgressCallback& progress = {});
+
+}  // namespace loopwise

@@ -1,0 +1,88 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What every registrar does with an alignment: measure it, judge it, and say how certain it is.
+#pragma once
+
+#include <cstddef>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/registration_result.hpp>
+#include <loopwise/core/se3.hpp>
+#include <loopwise/features/kd_tree.hpp>
+
+namespace loopwise {
+
+struct ClosureTestOptions {
+  double max_fitness_m2 = 0.9;
+  double overlap_distance_m = 0.5;
+  double min_overlap = 0.4;
+  double max_translation_m = 20.0;
+  double max_rotation_deg = 50.0;
+  double point_sigma_m = 0.05;
+  double points_per_sample = 20.0;
+  double min_sigma_m = 0.02;
+  double min_sigma_rad = 0.002;
+  double max_sigma_m = 10.0;
+  double max_sigma_rad = 1.0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("max_fitness_m2", self.max_fitness_m2, above(0.0),
+          "Mean squared distance of all source points to the target, m^2, above which a closure is refused.");
+    field("overlap_distance_m", self.overlap_distance_m, above(0.0),
+          "A source point with a target point within this distance overlaps, m.");
+    field("min_overlap", self.min_overlap, between(0.0, 1.0),
+          "Share of overlapping source points that a closure needs.");
+    field("max_translation_m", self.max_translation_m, above(0.0),
+          "Closures further than this from the graph's relative pose are refused, m.");
+    field("max_rotation_deg", self.max_rotation_deg, above(0.0), "The same for the rotation, degrees.");
+    field("point_sigma_m", self.point_sigma_m, above(0.0),
+          "Least standard deviation of a point's distance to the target's plane, m.");
+    field("points_per_sample", self.points_per_sample, at_least(1.0),
+          "Neighbouring points share their error: this many count as one independent measurement.");
+    field("min_sigma_m", self.min_sigma_m, above(0.0),
+          "Added to each direction of the covariance: what no scan tells, m.");
+    field("min_sigma_rad", self.min_sigma_rad, above(0.0), "The same for rotations, rad.");
+    field("max_sigma_m", self.max_sigma_m, above(0.0),
+          "Standard deviation of a direction that is not constrained, m.");
+    field("max_sigma_rad", self.max_sigma_rad, above(0.0), "The same for rotations, rad.");
+  }
+};
+
+/// Figures of an alignment.
+struct AlignmentFigures {
+  double fitness_m2 = 0.0;    ///< Mean squared distance of all source points to their nearest target point.
+  double overlap = 0.0;       ///< Share of source points with a target point within overlap_distance_m.
+  double plane_rmse_m = 0.0;  ///< Over overlapping points, along the target's normals.
+  std::size_t plane_points = 0;  ///< How many these are.
+  /// Gauss-Newton Hessian of ½ Σ (point-to-plane distance)² over T_from_to's right perturbation
+  /// [translation, rotation]: with y = T_to_from·p and the target's normal n, J = −[nᵀ, (y × n)ᵀ].
+  Matrix6d hessian = Matrix6d::Zero();
+};
+
+/// Measures source points against a target with normals under T_to_from (source to target). One
+/// nearest-neighbour search a point.
+[[nodiscard]] AlignmentFigures measure_alignment(const std::vector<Eigen::Vector3f>& source,
+                                                 const PointCloud& target, const KdTree& target_tree,
+                                                 const Eigen::Isometry3d& T_to_from,
+                                                 const ClosureTestOptions& options);
+
+/// Covariance of T_from_to from the point-to-plane Hessian: σ²·(points_per_sample)·H⁻¹ with σ the plane
+/// distance's root mean square but at least point_sigma_m, plus min_sigma²; each direction (eigenvector of
+/// the Hessian scaled by the bounds) is limited by max_sigma. Symmetric positive definite for every symmetric
+/// finite input.
+[[nodiscard]] Matrix6d closure_covariance(const AlignmentFigures& figures, const ClosureTestOptions& options);
+
+/// Fills `result` from an alignment: figures, reason and message, or the closure with its covariance.
+/// Tests in order: finite, converged, fitness, overlap, distance from the guess.
+void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
+                     const AlignmentFigures& figures, bool converged,
+                     const std::optional<Eigen::Isometry3d>& guess_from_to,
+                     const ClosureTestOptions& options);
+
+}  // namespace loopwise

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <memory>
+#include <string_view>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/features/feature_cache.hpp>
+#include <loopwise/registration/closure_tests.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+struct PclRegistrarOptions {
+  double fpfh_radius_m = 2.0;
+  int key_points = 1000;
+  int sac_hypotheses = 500;
+  int sac_randomness = 5;
+  double sac_truncation_m = 2.0;
+  double max_sac_fitness_m2 = 32.0;
+  std::vector<double> max_correspondence_m = {2.0, 0.5};
+  int gicp_iterations = 200;
+  double gicp_translation_epsilon_m = 5e-4;
+  double gicp_rotation_epsilon = 5e-4;
+  double max_descriptor_mb = 256.0;
+  ClosureTestOptions tests;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("fpfh_radius_m", self.fpfh_radius_m, above(0.0), "Radius of the FPFH descriptors, m.");
+    field("key_points", self.key_points, at_least(0.0),
+          "Key points per scan, drawn evenly from the downsampled cloud; 0 takes all its points.");
+    field("sac_hypotheses", self.sac_hypotheses, at_least(1.0), "Hypotheses of the feature-based stage.");
+    field("sac_randomness", self.sac_randomness, at_least(1.0),
+          "A match is drawn from this many nearest descriptors of the target.");
+    field("sac_truncation_m", self.sac_truncation_m, above(0.0),
+          "A key point's squared distance counts at most as this distance when hypotheses are compared, m.");
+    field(
+        "max_sac_fitness_m2", self.max_sac_fitness_m2, above(0.0),
+        "Mean squared key point distance of the best hypothesis above which the candidate is refused, m^2.");
+    field("max_correspondence_m", self.max_correspondence_m, above(0.0),
+          "Largest distance of matched points, m: one run of GICP for each value, in order.");
+    field("gicp_iterations", self.gicp_iterations, at_least(1.0), "Bound of each run.");
+    field("gicp_translation_epsilon_m", self.gicp_translation_epsilon_m, above(0.0),
+          "A run ends when no translation changes by more, m ...");
+    field("gicp_rotation_epsilon", self.gicp_rotation_epsilon, above(0.0),
+          "... and no element of the rotation matrix by more.");
+    field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0),
+          "Bound of the descriptors kept in memory, MB.");
+    ClosureTestOptions::visit(self.tests, field);
+  }
+};
+
+/// The reference: PCL's features and GICP under LAMP's procedure (design of the paper, §III-E). Feature-based
+/// stage: sample consensus initial alignment (Rusu et al., ICRA 2009) over FPFH with random numbers of its
+/// own, where PCL draws from the process's rand(); a hypothesis is given up as soon as its error exceeds the
+/// best. Refinement: pcl::GeneralizedIterativeClosestPoint with covariances from the normals. Thread-safe;
+/// descriptors are computed once a scan. PCL's console messages for invalid input are avoided by checking
+/// first; its verbosity is left alone.
+class PclRegistrar final : public Registrar {
+ public:
+  /// \throws OptionError; InputError if `features` is null.
+  explicit PclRegistrar(std::shared_ptr<FeatureCache> features, const PclRegistrarOptions& options = {});
+  ~PclRegistrar() override;
+
+  [[nodiscard]] std::string_view name() const override { return "pcl"; }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <functional>
+
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+struct TaskOptions {
+  int source_neighbours = 0;
+  int target_neighbours = 2;
+  bool use_guess = true;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("source_neighbours", self.source_neighbours, between(0.0, 100.0),
+          "Scans before and after the newer node, along its odometry, that are merged with its scan.");
+    field("target_neighbours", self.target_neighbours, between(0.0, 100.0),
+          "The same for the older node: the submap that the newer one is aligned to.");
+    field("use_guess", self.use_guess, any_value(), "Hand the graph's relative pose to the registration.");
+  }
+};
+
+/// The task of a candidate in the graph's present state. Neighbours are found, and placed, along the chain of
+/// odometry edges within the node's robot, not by the estimate: a later optimisation never changes a submap.
+/// Where the chain ends, or `has_scan` (may be empty: all have) denies a scan, the neighbour is left out; the
+/// chain goes on past a missing scan. The seed is pair_seed(seed, from, to). \throws UnknownKeyError if the
+/// graph lacks a node of the candidate.
+[[nodiscard]] RegistrationTask make_task(const PoseGraph& graph, const Robots& robots,
+                                         const LoopCandidate& candidate, const TaskOptions& options,
+                                         std::uint64_t seed, const std::function<bool(Key)>& has_scan = {});
+
+}  // namespace loopwise
