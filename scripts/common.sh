@@ -1,0 +1,22 @@
+# Sourced by the other scripts: sets `root`, enters it, and builds the way all of them do.
+# shellcheck shell=bash
+root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+cd "$root" || exit 1
+
+# Compilers of PCL's headers take up to 2 GB each.
+parallel_jobs() {
+  local processors memory_gb
+  processors=$(nproc)
+  memory_gb=$(awk '/^MemAvailable:/ {print int($2 / 2097152)}' /proc/meminfo 2>/dev/null || echo "$processors")
+  ((memory_gb < 1)) && memory_gb=1
+  echo $((processors < memory_gb ? processors : memory_gb))
+}
+
+# configure PRESET [cmake arguments...]: into build/PRESET, compiling through ccache where there is one.
+configure() {
+  local preset=$1
+  shift
+  local launcher=()
+  command -v ccache >/dev/null && launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
+  cmake --preset "$preset" "${launcher[@]}" "$@"
+}
