@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+namespace loopwise::detail {
+
+/// Keeps OpenBLAS and the OpenMP loops of CHOLMOD to the calling thread while any such object lives, and
+/// restores the former settings with the last one: the sums of a multi-threaded BLAS depend on its number of
+/// threads, and its spinning workers fight a pool for the processors. The settings are the process's own, so
+/// other users of OpenBLAS see them meanwhile. Nothing happens with another BLAS.
+class SingleThreadedBlas {
+ public:
+  SingleThreadedBlas();
+  ~SingleThreadedBlas();
+  SingleThreadedBlas(const SingleThreadedBlas&) = delete;
+  SingleThreadedBlas& operator=(const SingleThreadedBlas&) = delete;
+};
+
+}  // namespace loopwise::detail

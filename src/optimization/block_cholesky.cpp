@@ -1,0 +1,426 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "block_cholesky.hpp"
+
+#include <cholmod.h>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <new>
+#include <numeric>
+#include <string>
+
+#include <loopwise/core/error.hpp>
+
+#include "blas_threads.hpp"
+
+namespace loopwise::detail {
+namespace {
+
+/// Above this ratio of operations to non-zeros the dense panels of the supernodal factorisation pay.
+constexpr double kSupernodalFlopsPerNonzero = 40.0;
+
+}  // namespace
+
+struct BlockCholesky::Cholmod {
+  cholmod_common common{};
+  cholmod_factor* factor = nullptr;
+  // Workspace that cholmod_solve2 keeps between calls.
+  cholmod_dense *x = nullptr, *y = nullptr, *e = nullptr;
+
+  Cholmod() {
+    cholmod_start(&common);
+    common.print = 0;
+    common.error_handler = nullptr;
+    common.try_catch = 1;
+    common.quick_return_if_not_posdef = 1;
+  }
+  ~Cholmod() {
+    release_factor();
+    cholmod_free_dense(&x, &common);
+    cholmod_free_dense(&y, &common);
+    cholmod_free_dense(&e, &common);
+    cholmod_finish(&common);
+  }
+  Cholmod(const Cholmod&) = delete;
+  Cholmod& operator=(const Cholmod&) = delete;
+
+  void release_factor() {
+    if (factor != nullptr) cholmod_free_factor(&factor, &common);
+  }
+
+  /// CHOLMOD reports through a status; warnings (> 0) are read where they matter.
+  void check(const char* what) const {
+    if (common.status >= CHOLMOD_OK) return;
+    if (common.status == CHOLMOD_OUT_OF_MEMORY) throw std::bad_alloc();
+    if (common.status == CHOLMOD_TOO_LARGE) {
+      throw Error(std::string(what) +
+                  ": the factor is too large; too many long edges tie distant nodes together");
+    }
+    throw Error(std::string(what) + ": CHOLMOD status " + std::to_string(common.status));
+  }
+};
+
+namespace {
+
+/// A pattern or matrix of our own memory as CHOLMOD sees it.
+cholmod_sparse view(std::size_t n, std::vector<int>& start, std::vector<int>& rows, double* values,
+                    int stype) {
+  cholmod_sparse a{};
+  a.nrow = a.ncol = n;
+  a.nzmax = rows.size();
+  a.p = start.data();
+  a.i = rows.data();
+  a.x = values;
+  a.stype = stype;
+  a.itype = CHOLMOD_INT;
+  a.xtype = values != nullptr ? CHOLMOD_REAL : CHOLMOD_PATTERN;
+  a.dtype = CHOLMOD_DOUBLE;
+  a.sorted = 1;
+  a.packed = 1;
+  return a;
+}
+
+}  // namespace
+
+BlockCholesky::BlockCholesky(int block_size, Factorization factorization)
+    : block_(block_size), choice_(factorization), cholmod_(std::make_unique<Cholmod>()) {
+#ifndef LOOPWISE_WITH_GPL
+  if (choice_ == Factorization::kSupernodal) {
+    throw OptionError("factorization = \"supernodal\", but this build leaves out CHOLMOD's GPL parts");
+  }
+#endif
+}
+
+BlockCholesky::~BlockCholesky() = default;
+
+void BlockCholesky::order(const std::vector<Pair>& upper) {
+  const std::size_t n = variables_;
+  Cholmod& c = *cholmod_;
+  std::vector<int> start(n + 1, 0), rows(upper.size());
+  for (const Pair& p : upper) ++start[p.second + 1];
+  std::partial_sum(start.begin(), start.end(), start.begin());
+  std::vector<int> next(start.begin(), start.end() - 1);
+  for (const Pair& p : upper) rows[static_cast<std::size_t>(next[p.second]++)] = static_cast<int>(p.first);
+  cholmod_sparse graph = view(n, start, rows, nullptr, 1);
+
+  struct Ordering {
+    std::vector<int> permutation, parent, post, counts;
+    double flops = 0.0;
+  };
+  const auto evaluate = [&](int method) {
+    Ordering o;
+    o.permutation.resize(n);
+    o.parent.resize(n);
+    o.post.resize(n);
+    o.counts.resize(n);
+    std::vector<int> first(n), level(n);
+    if (method == CHOLMOD_METIS) {
+      cholmod_metis(&graph, nullptr, 0, 0, o.permutation.data(), &c.common);
+    } else {
+      cholmod_amd(&graph, nullptr, 0, o.permutation.data(), &c.common);
+    }
+    c.check("ordering");
+    cholmod_analyze_ordering(&graph, CHOLMOD_GIVEN, o.permutation.data(), nullptr, 0, o.parent.data(),
+                             o.post.data(), o.counts.data(), first.data(), level.data(), &c.common);
+    c.check("ordering");
+    for (const int count : o.counts) o.flops += static_cast<double>(count) * count;
+    return o;
+  };
+  Ordering best = evaluate(CHOLMOD_AMD);
+  // Nested dissection costs more to find than it saves unless the factorisation is long.
+  const double b = block_;
+  if (best.flops * b * b * b > 2e9) {
+    Ordering other = evaluate(CHOLMOD_METIS);
+    if (other.flops < best.flops) best = std::move(other);
+  }
+
+  position_.resize(n);
+  block_parent_.assign(n, -1);
+  block_count_.resize(n);
+  std::vector<int> rank(n);  // of a column of the ordering in the postorder
+  for (std::size_t k = 0; k < n; ++k) rank[static_cast<std::size_t>(best.post[k])] = static_cast<int>(k);
+  for (std::size_t k = 0; k < n; ++k) {
+    const auto column = static_cast<std::size_t>(best.post[k]);
+    position_[static_cast<std::size_t>(best.permutation[column])] = static_cast<std::uint32_t>(k);
+    block_count_[k] = best.counts[column];
+    if (best.parent[column] >= 0) block_parent_[k] = rank[static_cast<std::size_t>(best.parent[column])];
+  }
+  factor_flops_ = factor_nonzeros_ = 0.0;
+  for (const int count : block_count_) {
+    for (int k = 0; k < block_; ++k) {
+      const double column = b * count - k;
+      factor_nonzeros_ += column;
+      factor_flops_ += column * column;
+    }
+  }
+}
+
+void BlockCholesky::lay_out(const std::vector<Pair>& upper) {
+  // Supernodal CHOLMOD reads the lower triangle of a matrix in natural order as it is, simplicial the upper
+  // one.
+  const std::size_t n = variables_;
+  const bool lower = supernodal_;
+  std::vector<std::vector<std::uint32_t>> columns(n);
+  for (std::size_t v = 0; v < n; ++v) columns[v].push_back(static_cast<std::uint32_t>(v));
+  for (const Pair& p : upper) {
+    const std::uint32_t a = position_[p.first], b = position_[p.second];
+    if (a == b) continue;
+    columns[lower ? std::min(a, b) : std::max(a, b)].push_back(lower ? std::max(a, b) : std::min(a, b));
+  }
+  const auto block = static_cast<std::size_t>(block_);
+  std::size_t total = 0;
+  for (auto& column : columns) {
+    std::sort(column.begin(), column.end());
+    total += column.size();
+  }
+  if (total * block * block > static_cast<std::size_t>(std::numeric_limits<int>::max())) {
+    throw Error("the graph has too many edges for one factorisation");
+  }
+  values_.assign(total * block * block, 0.0);
+  row_index_.resize(total * block * block);
+  column_start_.assign(n * block + 1, 0);
+  std::vector<std::size_t> offset(n);
+  std::size_t at = 0;
+  for (std::size_t v = 0; v < n; ++v) {
+    offset[v] = at;
+    for (std::size_t c = 0; c < block; ++c) {
+      column_start_[v * block + c] = static_cast<int>(at);
+      for (const std::uint32_t row : columns[v]) {
+        for (std::size_t r = 0; r < block; ++r) row_index_[at++] = static_cast<int>(row * block + r);
+      }
+    }
+  }
+  column_start_[n * block] = static_cast<int>(at);
+
+  const auto slot = [&](std::uint32_t row, std::uint32_t column) {
+    const auto& list = columns[column];
+    const auto index =
+        static_cast<std::size_t>(std::lower_bound(list.begin(), list.end(), row) - list.begin());
+    Slot s;
+    s.offset = offset[column] + index * block;
+    s.stride = static_cast<std::uint32_t>(list.size() * block);
+    return s;
+  };
+  diagonal_slots_.resize(n);
+  for (std::size_t v = 0; v < n; ++v) diagonal_slots_[v] = slot(position_[v], position_[v]);
+  for (std::size_t k = 0; k < pair_slots_.size(); ++k) {
+    const std::uint32_t a = position_[pairs_[k].first], b = position_[pairs_[k].second];
+    const bool in_order = lower ? a > b : a < b;
+    pair_slots_[k] = in_order ? slot(a, b) : slot(b, a);
+    pair_slots_[k].transposed = !in_order;
+    pair_columns_[k] = in_order ? b : a;
+  }
+}
+
+void BlockCholesky::analyze(std::size_t variables, const std::vector<Pair>& pairs) {
+  const SingleThreadedBlas guard;
+  Cholmod& c = *cholmod_;
+  c.release_factor();
+  variables_ = variables;
+  pairs_ = pairs;
+  pair_slots_.assign(pairs.size(), {});
+  pair_columns_.assign(pairs.size(), 0);
+  std::vector<Pair> upper = pairs;
+  for (Pair& p : upper) {
+    if (p.first > p.second) std::swap(p.first, p.second);
+  }
+  std::sort(upper.begin(), upper.end());
+  upper.erase(std::unique(upper.begin(), upper.end()), upper.end());
+  for (std::uint32_t v = 0; v < variables; ++v) upper.emplace_back(v, v);
+
+  if (variables == 0) return;
+  if (variables * static_cast<std::size_t>(block_) >
+      static_cast<std::size_t>(std::numeric_limits<int>::max())) {
+    throw Error("the graph has too many nodes for one factorisation");
+  }
+  order(upper);
+#ifdef LOOPWISE_WITH_GPL
+  supernodal_ =
+      choice_ == Factorization::kSupernodal ||
+      (choice_ == Factorization::kAutomatic && factor_flops_ > kSupernodalFlopsPerNonzero * factor_nonzeros_);
+#endif
+  lay_out(upper);
+  c.common.nmethods = 1;
+  c.common.method[0].ordering = CHOLMOD_NATURAL;
+  c.common.postorder = 0;
+  c.common.supernodal = supernodal_ ? CHOLMOD_SUPERNODAL : CHOLMOD_SIMPLICIAL;
+  cholmod_sparse a = view(variables * static_cast<std::size_t>(block_), column_start_, row_index_,
+                          values_.data(), supernodal_ ? -1 : 1);
+  c.factor = cholmod_analyze(&a, &c.common);
+  c.check("symbolic analysis");
+}
+
+void BlockCholesky::set_zero() {
+  std::fill(values_.begin(), values_.end(), 0.0);
+}
+
+Eigen::VectorXd BlockCholesky::diagonal() const {
+  Eigen::VectorXd d(static_cast<Eigen::Index>(variables_) * block_);
+  for (std::size_t v = 0; v < variables_; ++v) {
+    const Slot& slot = diagonal_slots_[v];
+    for (int k = 0; k < block_; ++k) {
+      d[static_cast<Eigen::Index>(v) * block_ + k] =
+          values_[slot.offset + static_cast<std::size_t>(k) * (slot.stride + 1)];
+    }
+  }
+  return d;
+}
+
+void BlockCholesky::set_diagonal(const Eigen::VectorXd& diagonal) {
+  for (std::size_t v = 0; v < variables_; ++v) {
+    const Slot& slot = diagonal_slots_[v];
+    for (int k = 0; k < block_; ++k) {
+      values_[slot.offset + static_cast<std::size_t>(k) * (slot.stride + 1)] =
+          diagonal[static_cast<Eigen::Index>(v) * block_ + k];
+    }
+  }
+}
+
+bool BlockCholesky::factorize() {
+  if (variables_ == 0) return true;
+  const SingleThreadedBlas guard;
+  Cholmod& c = *cholmod_;
+  const std::size_t n = variables_ * static_cast<std::size_t>(block_);
+  cholmod_sparse a = view(n, column_start_, row_index_, values_.data(), supernodal_ ? -1 : 1);
+  cholmod_factorize(&a, c.factor, &c.common);
+  c.check("factorisation");
+  if (c.common.status == CHOLMOD_NOT_POSDEF || c.factor->minor < n) return false;
+  return smallest_pivot().first > 0.0;
+}
+
+std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
+  const Eigen::VectorXd d = diagonal();
+  const cholmod_factor& f = *cholmod_->factor;
+  const auto* x = static_cast<const double*>(f.x);
+  const auto block = static_cast<std::size_t>(block_);
+  std::vector<double> pivots(variables_ * block, 0.0);
+  if (f.is_super) {
+    const auto* super = static_cast<const int*>(f.super);
+    const auto* pi = static_cast<const int*>(f.pi);
+    const auto* px = static_cast<const int*>(f.px);
+    for (std::size_t s = 0; s < f.nsuper; ++s) {
+      const auto height = static_cast<std::size_t>(pi[s + 1] - pi[s]);
+      for (std::size_t j = 0; j < static_cast<std::size_t>(super[s + 1] - super[s]); ++j) {
+        const double l = x[static_cast<std::size_t>(px[s]) + j * (height + 1)];
+        pivots[static_cast<std::size_t>(super[s]) + j] = l > 0.0 ? l * l : 0.0;
+      }
+    }
+  } else {
+    const auto* p = static_cast<const int*>(f.p);
+    for (std::size_t j = 0; j < pivots.size(); ++j) {
+      const double l = x[static_cast<std::size_t>(p[j])];
+      pivots[j] = f.is_ll ? (l > 0.0 ? l * l : 0.0) : l;
+    }
+  }
+  std::pair<double, std::size_t> smallest{1.0, 0};
+  for (std::size_t v = 0; v < variables_; ++v) {
+    for (std::size_t k = 0; k < block; ++k) {
+      const double pivot = pivots[position_[v] * block + k];
+      const double ratio = pivot > 0.0 ? pivot / d[static_cast<Eigen::Index>(v * block + k)] : 0.0;
+      if (!(ratio >= smallest.first)) smallest = {std::isnan(ratio) ? 0.0 : ratio, v};
+    }
+  }
+  return smallest;
+}
+
+void BlockCholesky::solve(Eigen::VectorXd& x) const {
+  Eigen::MatrixXd m = x;
+  solve(m);
+  x = m;
+}
+
+void BlockCholesky::solve(Eigen::MatrixXd& x) const {
+  if (variables_ == 0 || x.cols() == 0) return;
+  const SingleThreadedBlas guard;
+  Cholmod& c = *cholmod_;
+  Eigen::MatrixXd permuted(x.rows(), x.cols());
+  for (std::size_t v = 0; v < variables_; ++v) {
+    permuted.middleRows(static_cast<Eigen::Index>(position_[v]) * block_, block_) =
+        x.middleRows(static_cast<Eigen::Index>(v) * block_, block_);
+  }
+  cholmod_dense b{};
+  b.nrow = b.d = static_cast<std::size_t>(x.rows());
+  b.ncol = static_cast<std::size_t>(x.cols());
+  b.nzmax = b.nrow * b.ncol;
+  b.x = permuted.data();
+  b.xtype = CHOLMOD_REAL;
+  b.dtype = CHOLMOD_DOUBLE;
+  cholmod_solve2(CHOLMOD_A, c.factor, &b, nullptr, &c.x, nullptr, &c.y, &c.e, &c.common);
+  c.check("solve");
+  const Eigen::Map<const Eigen::MatrixXd> solution(static_cast<const double*>(c.x->x), x.rows(), x.cols());
+  for (std::size_t v = 0; v < variables_; ++v) {
+    x.middleRows(static_cast<Eigen::Index>(v) * block_, block_) =
+        solution.middleRows(static_cast<Eigen::Index>(position_[v]) * block_, block_);
+  }
+}
+
+double BlockCholesky::log_determinant() const {
+  if (variables_ == 0) return 0.0;
+  const Panels p = panels();
+  double sum = 0.0;
+  for (std::size_t s = 0; s < p.size(); ++s) {
+    const auto height = static_cast<std::size_t>(p.height(s));
+    for (std::size_t j = 0; j < static_cast<std::size_t>(p.columns(s)); ++j) {
+      sum += 2.0 * std::log(p.values[p.value_start[s] + j * (height + 1)]);
+    }
+  }
+  return sum;
+}
+
+Panels BlockCholesky::panels() const {
+  Panels out;
+  if (variables_ == 0) return out;
+  const cholmod_factor& f = *cholmod_->factor;
+  const auto* x = static_cast<const double*>(f.x);
+  if (f.is_super) {
+    const auto* super = static_cast<const int*>(f.super);
+    const auto* pi = static_cast<const int*>(f.pi);
+    const auto* px = static_cast<const int*>(f.px);
+    out.first.assign(super, super + f.nsuper + 1);
+    out.row_start.assign(pi, pi + f.nsuper + 1);
+    out.value_start.assign(px, px + f.nsuper + 1);
+    out.rows.assign(static_cast<const int*>(f.s), static_cast<const int*>(f.s) + f.ssize);
+    out.values.assign(x, x + f.xsize);
+    return out;
+  }
+  // Simplicial L·D·Lᵀ (or L·Lᵀ): columns that continue their left neighbour's pattern share a panel.
+  const auto* p = static_cast<const int*>(f.p);
+  const auto* nz = static_cast<const int*>(f.nz);
+  const auto* rows = static_cast<const int*>(f.i);
+  const auto n = static_cast<int>(f.n);
+  std::vector<int> children(f.n, 0);
+  const auto count = [&](int j) { return nz[j]; };
+  const auto parent = [&](int j) { return count(j) > 1 ? rows[p[j] + 1] : -1; };
+  for (int j = 0; j < n; ++j) {
+    if (parent(j) >= 0) ++children[static_cast<std::size_t>(parent(j))];
+  }
+  out.first.push_back(0);
+  for (int j = 1; j < n; ++j) {
+    const bool continues =
+        parent(j - 1) == j && count(j - 1) == count(j) + 1 && children[static_cast<std::size_t>(j)] == 1;
+    if (!continues) out.first.push_back(j);
+  }
+  out.first.push_back(n);
+  out.row_start.push_back(0);
+  out.value_start.push_back(0);
+  for (std::size_t s = 0; s + 1 < out.first.size(); ++s) {
+    const int j0 = out.first[s], width = out.first[s + 1] - j0;
+    const auto height = static_cast<std::size_t>(count(j0));
+    out.rows.insert(out.rows.end(), rows + p[j0], rows + p[j0] + count(j0));
+    const std::size_t base = out.values.size();
+    out.values.resize(base + height * static_cast<std::size_t>(width), 0.0);
+    for (int j = 0; j < width; ++j) {
+      const double* column = x + p[j0 + j];
+      const double pivot = f.is_ll ? column[0] : std::sqrt(column[0]);
+      double* to = out.values.data() + base + static_cast<std::size_t>(j) * (height + 1);
+      to[0] = pivot;
+      for (int k = 1; k < count(j0 + j); ++k) to[k] = f.is_ll ? column[k] : column[k] * pivot;
+    }
+    out.row_start.push_back(out.rows.size());
+    out.value_start.push_back(out.values.size());
+  }
+  return out;
+}
+
+}  // namespace loopwise::detail

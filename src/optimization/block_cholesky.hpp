@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/optimization/optimizer.hpp>
+
+namespace loopwise::detail {
+
+/// L of a factorisation as dense panels: panel s holds columns first[s] … first[s+1]−1 of L in the rows
+/// rows[row_start[s]] …, column by column from values[value_start[s]], the square diagonal part on top.
+struct Panels {
+  std::vector<int> first;
+  std::vector<std::size_t> row_start;
+  std::vector<std::size_t> value_start;
+  std::vector<int> rows;
+  std::vector<double> values;  ///< Entries above the diagonal of the square part are not to be read.
+
+  [[nodiscard]] std::size_t size() const { return first.empty() ? 0 : first.size() - 1; }
+  [[nodiscard]] int columns(std::size_t s) const { return first[s + 1] - first[s]; }
+  [[nodiscard]] int height(std::size_t s) const { return static_cast<int>(row_start[s + 1] - row_start[s]); }
+};
+
+/// A symmetric positive definite matrix of square blocks and its Cholesky factor by CHOLMOD. The
+/// fill-reducing ordering is made on the graph of blocks; the matrix is stored in that order, so that CHOLMOD
+/// takes it as it is.
+class BlockCholesky {
+ public:
+  using Pair = std::pair<std::uint32_t, std::uint32_t>;
+
+  /// Place of a block among the values: element (r, c) at offset + c·stride + r, or transposed.
+  struct Slot {
+    std::size_t offset = 0;
+    std::uint32_t stride = 0;
+    bool transposed = false;
+  };
+
+  BlockCholesky(int block_size, Factorization factorization);
+  ~BlockCholesky();
+  BlockCholesky(const BlockCholesky&) = delete;
+  BlockCholesky& operator=(const BlockCholesky&) = delete;
+
+  /// Orders and analyses a matrix of `variables` blocks a side with off-diagonal blocks where `pairs` say;
+  /// pairs may repeat, in either direction. \throws Error if the factor would be too large.
+  void analyze(std::size_t variables, const std::vector<Pair>& pairs);
+
+  [[nodiscard]] std::size_t variables() const { return variables_; }
+  [[nodiscard]] int block_size() const { return block_; }
+  /// Slot of pair k of analyze(), seen as block (first, second).
+  [[nodiscard]] const Slot& pair_slot(std::size_t k) const { return pair_slots_[k]; }
+  [[nodiscard]] const Slot& diagonal_slot(std::size_t variable) const { return diagonal_slots_[variable]; }
+  /// Position of the variable in the elimination order.
+  [[nodiscard]] std::uint32_t position(std::size_t variable) const { return position_[variable]; }
+  /// Block column of the values that holds pair k.
+  [[nodiscard]] std::uint32_t pair_column(std::size_t k) const { return pair_columns_[k]; }
+
+  [[nodiscard]] std::vector<double>& values() { return values_; }
+  void set_zero();
+  [[nodiscard]] Eigen::VectorXd diagonal() const;
+  void set_diagonal(const Eigen::VectorXd& diagonal);
+
+  /// False if the matrix is not (numerically) positive definite; the factor cannot be used then.
+  [[nodiscard]] bool factorize();
+  /// After factorize(): smallest pivot in relation to the matrix's diagonal, in (0, 1], and its variable. 0
+  /// if it failed.
+  [[nodiscard]] std::pair<double, std::size_t> smallest_pivot() const;
+  /// Solves in place; one column a right-hand side, in the order of the variables.
+  void solve(Eigen::VectorXd& x) const;
+  void solve(Eigen::MatrixXd& x) const;
+
+  [[nodiscard]] bool supernodal() const { return supernodal_; }
+  [[nodiscard]] double factor_nonzeros() const { return factor_nonzeros_; }
+  [[nodiscard]] double factor_flops() const { return factor_flops_; }
+  [[nodiscard]] double log_determinant() const;
+  /// L as panels, rows and columns in elimination order.
+  [[nodiscard]] Panels panels() const;
+
+ private:
+  struct Cholmod;
+  void order(const std::vector<Pair>& upper);
+  void lay_out(const std::vector<Pair>& upper);
+
+  int block_;
+  Factorization choice_;
+  std::size_t variables_ = 0;
+  bool supernodal_ = false;
+  double factor_nonzeros_ = 0.0;
+  double factor_flops_ = 0.0;
+  std::vector<std::uint32_t> position_;
+  std::vector<Pair> pairs_;
+  std::vector<Slot> pair_slots_;
+  std::vector<std::uint32_t> pair_columns_;
+  std::vector<Slot> diagonal_slots_;
+  std::vector<double> values_;
+  std::vector<int> column_start_;  // scalar columns of the matrix, as CHOLMOD wants them
+  std::vector<int> row_index_;
+  std::vector<int> block_parent_, block_count_;  // elimination tree and column counts of L, by position
+  std::unique_ptr<Cholmod> cholmod_;
+};
+
+}  // namespace loopwise::detail

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <limits>
+#include <vector>
+
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+
+#include "pose_problem.hpp"
+
+namespace loopwise::detail {
+
+/// Below this ratio of a pivot to its diagonal element the factors do not determine the pose.
+inline constexpr double kSingularPivot = 1e-14;
+
+/// How far one call of minimize() goes, and the damping that the next call goes on with.
+struct StepControl {
+  int max_accepted = std::numeric_limits<int>::max();
+  double damping = 0.0;
+};
+
+/// Gauss-Newton with Levenberg-Marquardt damping from `poses`, which end at the best seen. Fills everything
+/// in the result but poses, components, held and seconds; costs and counters add to what is there.
+void minimize(const PoseProblem& problem, NormalEquations& equations, std::vector<Pose>& poses,
+              const OptimizerOptions& options, StepControl& control, ThreadPool& pool, const StopToken& stop,
+              OptimizationResult& result);
+
+}  // namespace loopwise::detail

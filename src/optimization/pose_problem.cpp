@@ -1,0 +1,330 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "pose_problem.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+
+#include <loopwise/core/se3.hpp>
+
+namespace loopwise::detail {
+namespace {
+
+using Eigen::Matrix3d;
+using Eigen::Vector3d;
+
+/// Factors of one task. Sums run over tasks in order, so their size is part of the result.
+constexpr std::size_t kFactorsPerTask = 256;
+/// Tasks whose linearisations are held at a time.
+constexpr std::size_t kTasksPerWave = 64;
+
+Pose inverse(const Eigen::Isometry3d& T) {
+  Pose out;
+  out.R = T.linear().transpose();
+  out.t = -(out.R * T.translation());
+  return out;
+}
+
+Pose inverse(const Pose& T) {
+  Pose out;
+  out.R = T.R.transpose();
+  out.t = -(out.R * T.t);
+  return out;
+}
+
+/// T_a⁻¹ T_b
+Pose between(const Pose& a, const Pose& b) {
+  Pose out;
+  out.R.noalias() = a.R.transpose() * b.R;
+  out.t.noalias() = a.R.transpose() * (b.t - a.t);
+  return out;
+}
+
+Vector6d log_of_product(const Pose& z, const Pose& e) {
+  Vector6d r;
+  const Matrix3d R = z.R * e.R;
+  const Vector3d phi = se3::so3_log(R);
+  const Vector3d t = z.R * e.t + z.t;
+  // J_l⁻¹(φ) t without forming the matrix.
+  const Vector3d wt = phi.cross(t);
+  r.head<3>() = t - 0.5 * wt + se3::detail::inverse_jacobian_coefficient(phi.squaredNorm()) * phi.cross(wt);
+  r.tail<3>() = phi;
+  return r;
+}
+
+/// What one factor adds to the system: blocks of H and of g.
+struct Contribution {
+  Matrix6d to_to, to_from, from_from;
+  Vector6d g_to, g_from;
+};
+
+/// With J_to = J_r⁻¹(r) =: [a b; 0 a] and J_from = −J_to Ad(E), E = T_to⁻¹ T_from, all blocks follow from
+/// A = J_toᵀ wΩ J_to and B = A Ad(E), taken apart into 3×3 products because half of every factor is zero or
+/// repeated.
+void linearize_factor(const Vector6d& r, const Pose& e, const Matrix6d& information, double weight, bool both,
+                      Contribution& out) {
+  const Vector3d rho = r.head<3>(), phi = r.tail<3>();
+  const Matrix3d a = se3::so3_left_jacobian_inverse(-phi);
+  const Matrix3d b = -(a * se3::detail::jacobian_coupling(-rho, -phi) * a);
+  const Matrix3d o11 = weight * information.topLeftCorner<3, 3>();
+  const Matrix3d o12 = weight * information.topRightCorner<3, 3>();
+  const Matrix3d o22 = weight * information.bottomRightCorner<3, 3>();
+
+  const Matrix3d oa11 = o11 * a;
+  const Matrix3d oa12 = o11 * b + o12 * a;
+  const Matrix3d oa22 = o12.transpose() * b + o22 * a;
+  const Matrix3d a11 = a.transpose() * oa11;
+  const Matrix3d a12 = a.transpose() * oa12;
+  const Matrix3d a22 = b.transpose() * oa12 + a.transpose() * oa22;
+  out.to_to.topLeftCorner<3, 3>() = a11;
+  out.to_to.topRightCorner<3, 3>() = a12;
+  out.to_to.bottomLeftCorner<3, 3>() = a12.transpose();
+  out.to_to.bottomRightCorner<3, 3>() = a22;
+
+  const Vector3d u = o11 * rho + o12 * phi, v = o12.transpose() * rho + o22 * phi;
+  const Vector3d g_t = a.transpose() * u, g_r = b.transpose() * u + a.transpose() * v;
+  out.g_to.head<3>() = g_t;
+  out.g_to.tail<3>() = g_r;
+  if (!both) return;
+
+  const Matrix3d& R = e.R;
+  const Matrix3d tR = se3::skew(e.t) * R;
+  const Matrix3d b11 = a11 * R, b12 = a11 * tR + a12 * R;
+  const Matrix3d b21 = a12.transpose() * R, b22 = a12.transpose() * tR + a22 * R;
+  out.to_from.topLeftCorner<3, 3>() = -b11;
+  out.to_from.topRightCorner<3, 3>() = -b12;
+  out.to_from.bottomLeftCorner<3, 3>() = -b21;
+  out.to_from.bottomRightCorner<3, 3>() = -b22;
+  const Matrix3d c11 = R.transpose() * b11, c12 = R.transpose() * b12;
+  const Matrix3d c22 = tR.transpose() * b12 + R.transpose() * b22;
+  out.from_from.topLeftCorner<3, 3>() = c11;
+  out.from_from.topRightCorner<3, 3>() = c12;
+  out.from_from.bottomLeftCorner<3, 3>() = c12.transpose();
+  out.from_from.bottomRightCorner<3, 3>() = c22;
+  out.g_from.head<3>() = -(R.transpose() * g_t);
+  out.g_from.tail<3>() = -(tR.transpose() * g_t + R.transpose() * g_r);
+}
+
+void add_block(double* values, const BlockCholesky::Slot& slot, const Matrix6d& m) {
+  double* to = values + slot.offset;
+  if (slot.transposed) {
+    for (int c = 0; c < 6; ++c, to += slot.stride) {
+      for (int r = 0; r < 6; ++r) to[r] += m(c, r);
+    }
+  } else {
+    for (int c = 0; c < 6; ++c, to += slot.stride) {
+      for (int r = 0; r < 6; ++r) to[r] += m(r, c);
+    }
+  }
+}
+
+}  // namespace
+
+PoseProblem::PoseProblem(const PoseGraph& graph)
+    : nodes_(graph.nodes().size()), edges_(graph.edges().size()) {
+  const std::size_t count = edges_ + graph.priors().size();
+  from_.reserve(count);
+  to_.reserve(count);
+  inverse_.reserve(count);
+  information_.reserve(count);
+  weight.reserve(count);
+  for (std::size_t k = 0; k < edges_; ++k) {
+    const Edge& edge = graph.edges()[k];
+    from_.push_back(static_cast<std::uint32_t>(graph.ends(k).from));
+    to_.push_back(static_cast<std::uint32_t>(graph.ends(k).to));
+    inverse_.push_back(inverse(edge.T_from_to));
+    information_.push_back(edge.information);
+    weight.push_back(edge.weight);
+  }
+  for (const PriorFactor& prior : graph.priors()) {
+    from_.push_back(static_cast<std::uint32_t>(nodes_));
+    to_.push_back(static_cast<std::uint32_t>(graph.index_of(prior.key)));
+    inverse_.push_back(inverse(prior.pose));
+    information_.push_back(prior.information);
+    weight.push_back(1.0);
+  }
+}
+
+std::vector<Pose> PoseProblem::poses_of(const std::vector<Eigen::Isometry3d>& poses) const {
+  std::vector<Pose> out(nodes_ + 1);
+  for (std::size_t i = 0; i < nodes_; ++i) {
+    // Poses may be off a rotation by the rounding of a file: what is kept below keeps the rest orthogonal.
+    out[i].R = Eigen::Quaterniond(poses[i].linear()).normalized().toRotationMatrix();
+    out[i].t = poses[i].translation();
+  }
+  return out;
+}
+
+std::vector<Eigen::Isometry3d> PoseProblem::isometries(const std::vector<Pose>& poses) const {
+  std::vector<Eigen::Isometry3d> out(nodes_, Eigen::Isometry3d::Identity());
+  for (std::size_t i = 0; i < nodes_; ++i) {
+    out[i].linear() = poses[i].R;
+    out[i].translation() = poses[i].t;
+  }
+  return out;
+}
+
+Vector6d PoseProblem::residual(std::size_t k, const std::vector<Pose>& poses) const {
+  return log_of_product(inverse_[k], between(poses[from_[k]], poses[to_[k]]));
+}
+
+double PoseProblem::squared_residual(std::size_t k, const std::vector<Pose>& poses) const {
+  const Vector6d r = residual(k, poses);
+  return r.dot(information_[k] * r);
+}
+
+double PoseProblem::cost(const std::vector<Pose>& poses, ThreadPool& pool) const {
+  const std::size_t tasks = (factors() + kFactorsPerTask - 1) / kFactorsPerTask;
+  std::vector<double> sums(tasks, 0.0);
+  pool.for_each(tasks, [&](std::size_t task) {
+    const std::size_t end = std::min(factors(), (task + 1) * kFactorsPerTask);
+    double sum = 0.0;
+    for (std::size_t k = task * kFactorsPerTask; k < end; ++k) {
+      if (weight[k] > 0.0) sum += weight[k] * squared_residual(k, poses);
+    }
+    sums[task] = sum;
+  });
+  return 0.5 * std::accumulate(sums.begin(), sums.end(), 0.0);
+}
+
+Freedom find_freedom(const PoseProblem& problem) {
+  const std::size_t n = problem.nodes();
+  // Union-find over active factors; the smallest node of a component is its root, the fixed node stays apart.
+  std::vector<std::uint32_t> parent(n);
+  std::iota(parent.begin(), parent.end(), 0U);
+  const auto root = [&parent](std::uint32_t i) {
+    while (parent[i] != i) i = parent[i] = parent[parent[i]];
+    return i;
+  };
+  std::vector<char> touched(n, 0), anchored(n, 0);
+  for (std::size_t k = 0; k < problem.factors(); ++k) {
+    if (problem.weight[k] <= 0.0) continue;
+    touched[problem.to(k)] = 1;
+    if (problem.from(k) == n) continue;
+    touched[problem.from(k)] = 1;
+    const std::uint32_t a = root(problem.from(k)), b = root(problem.to(k));
+    parent[std::max(a, b)] = std::min(a, b);
+  }
+  for (std::size_t k = problem.edges(); k < problem.factors(); ++k) anchored[root(problem.to(k))] = 1;
+
+  Freedom freedom;
+  freedom.variable.assign(n + 1, Freedom::kFixed);
+  for (std::uint32_t i = 0; i < n; ++i) {
+    if (touched[i] == 0) continue;
+    if (root(i) == i && anchored[i] == 0) {
+      freedom.held.push_back(i);
+      continue;
+    }
+    freedom.variable[i] = static_cast<std::uint32_t>(freedom.nodes.size());
+    freedom.nodes.push_back(i);
+  }
+  return freedom;
+}
+
+void NormalEquations::set_structure(const PoseProblem& problem) {
+  Freedom freedom = find_freedom(problem);
+  std::vector<BlockCholesky::Pair> pairs;
+  active_.clear();
+  pair_of_.clear();
+  for (std::size_t k = 0; k < problem.factors(); ++k) {
+    if (problem.weight[k] <= 0.0) continue;
+    const std::uint32_t a = freedom.variable[problem.from(k)], b = freedom.variable[problem.to(k)];
+    if (a == Freedom::kFixed && b == Freedom::kFixed) continue;
+    active_.push_back(static_cast<std::uint32_t>(k));
+    if (a == Freedom::kFixed || b == Freedom::kFixed) {
+      pair_of_.push_back(Freedom::kFixed);
+    } else {
+      pair_of_.push_back(static_cast<std::uint32_t>(pairs.size()));
+      pairs.emplace_back(b, a);
+    }
+  }
+  const bool same = analyses_ > 0 && pairs == pairs_ && freedom.nodes.size() == cholesky_.variables();
+  freedom_ = std::move(freedom);
+  if (same) return;
+  pairs_ = std::move(pairs);
+  cholesky_.analyze(freedom_.nodes.size(), pairs_);
+  gradient_.setZero(static_cast<Eigen::Index>(6 * freedom_.nodes.size()));
+  ++analyses_;
+}
+
+void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
+                                ThreadPool& pool) {
+  cholesky_.set_zero();
+  gradient_.setZero();
+  double* values = cholesky_.values().data();
+  const std::size_t wave = kFactorsPerTask * (pool.num_threads() > 1 ? kTasksPerWave : 1);
+  std::vector<Contribution> buffer(std::min(wave, active_.size()));
+  const auto variables = static_cast<std::uint32_t>(freedom_.nodes.size());
+  const auto owners = static_cast<std::uint32_t>(pool.num_threads());
+  const std::vector<std::uint32_t>& variable = freedom_.variable;
+
+  for (std::size_t begin = 0; begin < active_.size(); begin += wave) {
+    const std::size_t end = std::min(active_.size(), begin + wave);
+    const std::size_t tasks = (end - begin + kFactorsPerTask - 1) / kFactorsPerTask;
+    pool.for_each(tasks, [&](std::size_t task) {
+      const std::size_t stop = std::min(end, begin + (task + 1) * kFactorsPerTask);
+      for (std::size_t i = begin + task * kFactorsPerTask; i < stop; ++i) {
+        const std::size_t k = active_[i];
+        const Pose e = between(poses[problem.from(k)], poses[problem.to(k)]);
+        linearize_factor(log_of_product(problem.inverse_measurement(k), e), inverse(e),
+                         problem.information(k), problem.weight[k],
+                         variable[problem.from(k)] != Freedom::kFixed, buffer[i - begin]);
+      }
+    });
+    // Every owner adds to columns of its own, in the order of the factors: the sums are those of one thread.
+    pool.for_each(owners, [&](std::size_t owner) {
+      const auto first = static_cast<std::uint32_t>(std::uint64_t{variables} * owner / owners);
+      const auto last = static_cast<std::uint32_t>(std::uint64_t{variables} * (owner + 1) / owners);
+      const auto mine = [&](std::uint32_t column) { return column >= first && column < last; };
+      for (std::size_t i = begin; i < end; ++i) {
+        const std::size_t k = active_[i];
+        const Contribution& c = buffer[i - begin];
+        const std::uint32_t from = variable[problem.from(k)], to = variable[problem.to(k)];
+        if (to != Freedom::kFixed && mine(cholesky_.position(to))) {
+          add_block(values, cholesky_.diagonal_slot(to), c.to_to);
+          gradient_.segment<6>(6 * static_cast<Eigen::Index>(to)) += c.g_to;
+        }
+        if (from != Freedom::kFixed && mine(cholesky_.position(from))) {
+          add_block(values, cholesky_.diagonal_slot(from), c.from_from);
+          gradient_.segment<6>(6 * static_cast<Eigen::Index>(from)) += c.g_from;
+        }
+        if (pair_of_[i] != Freedom::kFixed && mine(cholesky_.pair_column(pair_of_[i]))) {
+          add_block(values, cholesky_.pair_slot(pair_of_[i]), c.to_from);
+        }
+      }
+    });
+  }
+}
+
+void NormalEquations::linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses) {
+  gradient_.setZero();
+  for (const std::size_t k : active_) {
+    const std::uint32_t from = freedom_.variable[problem.from(k)], to = freedom_.variable[problem.to(k)];
+    const Pose e = between(poses[problem.from(k)], poses[problem.to(k)]);
+    const Vector6d r = log_of_product(problem.inverse_measurement(k), e);
+    const Vector6d g =
+        problem.weight[k] * (se3::right_jacobian_inverse(r).transpose() * (problem.information(k) * r));
+    if (to != Freedom::kFixed) gradient_.segment<6>(6 * static_cast<Eigen::Index>(to)) += g;
+    if (from == Freedom::kFixed) continue;
+    const Pose f = inverse(e);
+    auto g_from = gradient_.segment<6>(6 * static_cast<Eigen::Index>(from));
+    g_from.head<3>() -= f.R.transpose() * g.head<3>();
+    g_from.tail<3>() -= f.R.transpose() * (g.tail<3>() - f.t.cross(g.head<3>()));
+  }
+}
+
+std::vector<Pose> NormalEquations::moved(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const {
+  std::vector<Pose> out = poses;
+  for (std::size_t v = 0; v < freedom_.nodes.size(); ++v) {
+    const auto xi = step.segment<6>(6 * static_cast<Eigen::Index>(v));
+    Pose& pose = out[freedom_.nodes[v]];
+    const Vector3d phi = xi.tail<3>();
+    pose.t += pose.R * (se3::so3_left_jacobian(phi) * xi.head<3>());
+    // One step of Newton's iteration for the polar factor keeps rounding from building up.
+    const Matrix3d R = pose.R * se3::so3_exp(phi);
+    pose.R = 1.5 * R - 0.5 * R * (R.transpose() * R);
+  }
+  return out;
+}
+
+}  // namespace loopwise::detail

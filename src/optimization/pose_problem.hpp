@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+
+#include "block_cholesky.hpp"
+
+namespace loopwise::detail {
+
+struct Pose {
+  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
+  Eigen::Vector3d t = Eigen::Vector3d::Zero();
+};
+
+/// A pose graph laid out for solving. Factor k is edge k of the graph, then come the priors: a prior is an
+/// edge from a last, fixed node at the origin. A factor of weight 0 does not take part.
+class PoseProblem {
+ public:
+  explicit PoseProblem(const PoseGraph& graph);
+
+  [[nodiscard]] std::size_t nodes() const { return nodes_; }
+  [[nodiscard]] std::size_t edges() const { return edges_; }
+  [[nodiscard]] std::size_t factors() const { return from_.size(); }
+  [[nodiscard]] std::uint32_t from(std::size_t k) const { return from_[k]; }
+  [[nodiscard]] std::uint32_t to(std::size_t k) const { return to_[k]; }
+  [[nodiscard]] const Matrix6d& information(std::size_t k) const { return information_[k]; }
+  [[nodiscard]] const Pose& inverse_measurement(std::size_t k) const { return inverse_[k]; }
+
+  /// Weights of all factors; priors have 1.
+  std::vector<double> weight;
+
+  /// Poses with the fixed node at the end.
+  [[nodiscard]] std::vector<Pose> poses_of(const std::vector<Eigen::Isometry3d>& poses) const;
+  [[nodiscard]] std::vector<Eigen::Isometry3d> isometries(const std::vector<Pose>& poses) const;
+
+  [[nodiscard]] Vector6d residual(std::size_t k, const std::vector<Pose>& poses) const;
+  /// rᵀΩr of a factor, whatever its weight.
+  [[nodiscard]] double squared_residual(std::size_t k, const std::vector<Pose>& poses) const;
+  /// ½ Σ w rᵀΩr, summed in an order that does not depend on the threads.
+  [[nodiscard]] double cost(const std::vector<Pose>& poses, ThreadPool& pool) const;
+
+ private:
+  std::size_t nodes_;
+  std::size_t edges_;
+  std::vector<std::uint32_t> from_, to_;
+  std::vector<Pose> inverse_;
+  std::vector<Matrix6d> information_;
+};
+
+/// Which nodes of a problem move, given its weights.
+struct Freedom {
+  static constexpr std::uint32_t kFixed = UINT32_MAX;
+  std::vector<std::uint32_t> variable;  ///< By node, the fixed one included; kFixed if it does not move.
+  std::vector<std::uint32_t> nodes;     ///< By variable.
+  std::vector<std::size_t> held;        ///< Nodes that hold a component without a prior, ascending.
+};
+[[nodiscard]] Freedom find_freedom(const PoseProblem& problem);
+
+/// The Gauss-Newton system of a problem for one set of active factors. Outlives the problem: the symbolic
+/// analysis serves every problem of the same structure.
+class NormalEquations {
+ public:
+  explicit NormalEquations(Factorization factorization) : cholesky_(6, factorization) {}
+
+  /// Takes the factors of non-zero weight as the structure; a new symbolic analysis if it is another than
+  /// before.
+  void set_structure(const PoseProblem& problem);
+  /// H = Σ w JᵀΩJ and g = Σ w JᵀΩr at these poses, over the free nodes. \pre set_structure(problem)
+  void linearize(const PoseProblem& problem, const std::vector<Pose>& poses, ThreadPool& pool);
+  /// g alone.
+  void linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses);
+
+  [[nodiscard]] BlockCholesky& hessian() { return cholesky_; }
+  [[nodiscard]] const BlockCholesky& hessian() const { return cholesky_; }
+  [[nodiscard]] const Eigen::VectorXd& gradient() const { return gradient_; }
+  [[nodiscard]] const Freedom& freedom() const { return freedom_; }
+  [[nodiscard]] std::size_t analyses() const { return analyses_; }
+
+  /// T ⊕ step for every free node.
+  [[nodiscard]] std::vector<Pose> moved(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const;
+
+ private:
+  BlockCholesky cholesky_;
+  Freedom freedom_;
+  std::vector<std::uint32_t> active_;   // factors with a free end, of non-zero weight
+  std::vector<std::uint32_t> pair_of_;  // by active factor: its pair in the analysis, or kFixed
+  std::vector<BlockCholesky::Pair> pairs_;
+  Eigen::VectorXd gradient_;
+  std::size_t analyses_ = 0;
+};
+
+}  // namespace loopwise::detail
