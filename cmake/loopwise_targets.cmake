@@ -12,6 +12,8 @@ endif()
 if(LOOPWISE_SANITIZE)
   target_compile_options(loopwise_build_flags INTERFACE -fsanitize=${LOOPWISE_SANITIZE} -fno-omit-frame-pointer -g)
   target_link_options(loopwise_build_flags INTERFACE -fsanitize=${LOOPWISE_SANITIZE})
+  # Instrumented code confuses this analysis of gcc's: it warns of the standard library itself.
+  target_compile_options(loopwise_build_flags INTERFACE -Wno-maybe-uninitialized)
   if(LOOPWISE_SANITIZE MATCHES "undefined")
     target_compile_options(loopwise_build_flags INTERFACE -fno-sanitize-recover=undefined)
   endif()
@@ -74,6 +76,6 @@ function(loopwise_install_package)
     ${PROJECT_BINARY_DIR}/loopwiseConfig.cmake INSTALL_DESTINATION ${LOOPWISE_CMAKE_DIR})
   write_basic_package_version_file(${PROJECT_BINARY_DIR}/loopwiseConfigVersion.cmake COMPATIBILITY SameMinorVersion)
   install(FILES ${PROJECT_BINARY_DIR}/loopwiseConfig.cmake ${PROJECT_BINARY_DIR}/loopwiseConfigVersion.cmake
-                ${PROJECT_SOURCE_DIR}/cmake/FindCHOLMOD.cmake
+                ${PROJECT_SOURCE_DIR}/cmake/FindCHOLMOD.cmake ${PROJECT_SOURCE_DIR}/cmake/FindPCLFeatures.cmake
           DESTINATION ${LOOPWISE_CMAKE_DIR})
 endfunction()
