@@ -34,6 +34,7 @@ enum class RejectionReason {
   kSacFitness,          ///< Feature-based stage: mean squared distance above the bound.
   kGicpFitness,         ///< Refinement: mean squared distance above the bound.
   kLowOverlap,          ///< Too small a share of the source lies on the target.
+  kDegenerate,          ///< The scans leave too many directions of the relative pose free.
   kTransformThreshold,  ///< Moved too far from the graph's relative pose.
   kNotConverged,        ///< Refinement did not converge, or left the finite numbers.
   kFailed,              ///< The registrar threw; the message says what.

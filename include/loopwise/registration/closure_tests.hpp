@@ -18,9 +18,11 @@
 namespace loopwise {
 
 struct ClosureTestOptions {
+  int min_points = 20;
   double max_fitness_m2 = 0.9;
   double overlap_distance_m = 0.5;
   double min_overlap = 0.4;
+  int max_free_directions = 2;
   double max_translation_m = 20.0;
   double max_rotation_deg = 50.0;
   double point_sigma_m = 0.05;
@@ -32,12 +34,16 @@ struct ClosureTestOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
+    field("min_points", self.min_points, at_least(4.0), "Points that a scan must have to be aligned.");
     field("max_fitness_m2", self.max_fitness_m2, above(0.0),
           "Mean squared distance of all source points to the target, m^2, above which a closure is refused.");
     field("overlap_distance_m", self.overlap_distance_m, above(0.0),
           "A source point with a target point within this distance overlaps, m.");
     field("min_overlap", self.min_overlap, between(0.0, 1.0),
           "Share of overlapping source points that a closure needs.");
+    field("max_free_directions", self.max_free_directions, between(0.0, 6.0),
+          "Closures with more directions whose deviation reaches max_sigma are refused; a round tunnel has "
+          "two.");
     field("max_translation_m", self.max_translation_m, above(0.0),
           "Closures further than this from the graph's relative pose are refused, m.");
     field("max_rotation_deg", self.max_rotation_deg, above(0.0), "The same for the rotation, degrees.");
@@ -72,6 +78,10 @@ struct AlignmentFigures {
                                                  const Eigen::Isometry3d& T_to_from,
                                                  const ClosureTestOptions& options);
 
+/// Directions, of six, that the points leave free within the bounds: their standard deviation would exceed
+/// max_sigma.
+[[nodiscard]] int free_directions(const AlignmentFigures& figures, const ClosureTestOptions& options);
+
 /// Covariance of T_from_to from the point-to-plane Hessian: σ²·(points_per_sample)·H⁻¹ with σ the plane
 /// distance's root mean square but at least point_sigma_m, plus min_sigma²; each direction (eigenvector of
 /// the Hessian scaled by the bounds) is limited by max_sigma. Symmetric positive definite for every symmetric
@@ -79,7 +89,7 @@ struct AlignmentFigures {
 [[nodiscard]] Matrix6d closure_covariance(const AlignmentFigures& figures, const ClosureTestOptions& options);
 
 /// Fills `result` from an alignment: figures, reason and message, or the closure with its covariance.
-/// Tests in order: finite, converged, fitness, overlap, distance from the guess.
+/// Tests in order: finite, converged, fitness, overlap, free directions, distance from the guess.
 void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
                      const AlignmentFigures& figures, bool converged,
                      const std::optional<Eigen::Isometry3d>& guess_from_to,

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/features/feature_cache.hpp>
+
+#include <cmath>
+#include <utility>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/features/normals.hpp>
+#include <loopwise/features/voxel_grid.hpp>
+
+namespace loopwise {
+namespace {
+
+/// Normals of a file as unit vectors; those that are not finite or have no length become zero.
+void normalize(std::vector<Eigen::Vector3f>& normals) {
+  for (Eigen::Vector3f& normal : normals) {
+    const float length = normal.norm();
+    normal =
+        std::isfinite(length) && length > 1e-6F ? Eigen::Vector3f(normal / length) : Eigen::Vector3f::Zero();
+  }
+}
+
+}  // namespace
+
+ScanFeatures compute_features(const PointCloud& cloud, const FeatureOptions& options) {
+  ScanFeatures out;
+  out.raw_points = cloud.size();
+  out.cloud = adaptive_downsample(cloud, options.voxel_m, static_cast<std::size_t>(options.min_points));
+  out.tree = KdTree(out.cloud.points);
+  if (options.use_file_normals && out.cloud.has_normals()) {
+    normalize(out.cloud.normals);
+  } else {
+    out.cloud.normals = estimate_normals(out.cloud.points, out.tree, options.normal_neighbours);
+  }
+  out.observability = observability(out.cloud);
+  return out;
+}
+
+FeatureCache::FeatureCache(ScanLoader scans, const FeatureOptions& options)
+    : scans_(std::move(scans)),
+      options_(options),
+      cache_(static_cast<std::size_t>(options.max_cache_mb * 1e6)) {
+  validate(options_);
+  if (!scans_) throw InputError("a feature cache needs a scan loader");
+}
+
+std::shared_ptr<const ScanFeatures> FeatureCache::get(Key key) {
+  return cache_.get(key, [this](Key wanted) -> std::shared_ptr<const ScanFeatures> {
+    const std::shared_ptr<const PointCloud> scan = scans_(wanted);
+    return scan ? std::make_shared<const ScanFeatures>(compute_features(*scan, options_)) : nullptr;
+  });
+}
+
+}  // namespace loopwise

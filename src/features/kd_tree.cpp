@@ -1,0 +1,212 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/features/kd_tree.hpp>
+
+#include <algorithm>
+#include <array>
+#include <numeric>
+#include <string>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+namespace {
+
+constexpr std::size_t kMaxLeaf = 12;
+
+/// Keeps the nearest point under a bound.
+class NearestVisitor {
+ public:
+  explicit NearestVisitor(float sq_bound) { best_.sq_distance_m2 = sq_bound; }
+  [[nodiscard]] float bound() const { return best_.sq_distance_m2; }
+  void offer(float sq_distance, std::uint32_t index) {
+    if (sq_distance > best_.sq_distance_m2) return;
+    if (sq_distance == best_.sq_distance_m2 && (!found_ || index > best_.index)) return;
+    best_ = {index, sq_distance};
+    found_ = true;
+  }
+  [[nodiscard]] std::optional<Neighbour> result() const {
+    return found_ ? std::optional<Neighbour>(best_) : std::nullopt;
+  }
+
+ private:
+  Neighbour best_;
+  bool found_ = false;
+};
+
+bool nearer(const Neighbour& a, const Neighbour& b) {
+  return a.sq_distance_m2 != b.sq_distance_m2 ? a.sq_distance_m2 < b.sq_distance_m2 : a.index < b.index;
+}
+
+/// Keeps the `count` nearest points in order.
+class CountVisitor {
+ public:
+  CountVisitor(std::size_t count, std::vector<Neighbour>& found) : count_(count), found_(found) {}
+  [[nodiscard]] float bound() const {
+    return found_.size() < count_ ? std::numeric_limits<float>::infinity() : found_.back().sq_distance_m2;
+  }
+  void offer(float sq_distance, std::uint32_t index) {
+    const Neighbour candidate{index, sq_distance};
+    if (found_.size() == count_) {
+      if (!nearer(candidate, found_.back())) return;
+      found_.pop_back();
+    }
+    std::size_t position = found_.size();
+    found_.push_back(candidate);
+    for (; position > 0 && nearer(candidate, found_[position - 1]); --position) {
+      found_[position] = found_[position - 1];
+    }
+    found_[position] = candidate;
+  }
+
+ private:
+  std::size_t count_;
+  std::vector<Neighbour>& found_;
+};
+
+class RadiusVisitor {
+ public:
+  RadiusVisitor(float sq_radius, std::vector<Neighbour>& found) : sq_radius_(sq_radius), found_(found) {}
+  [[nodiscard]] float bound() const { return sq_radius_; }
+  void offer(float sq_distance, std::uint32_t index) { found_.push_back({index, sq_distance}); }
+
+ private:
+  float sq_radius_;
+  std::vector<Neighbour>& found_;
+};
+
+}  // namespace
+
+KdTree::KdTree(const std::vector<Eigen::Vector3f>& points) : size_(points.size()) {
+  if (size_ == 0) return;
+  if (size_ >= (std::size_t{1} << 31)) {
+    throw InputError("a kd-tree holds less than 2^31 points, got " + std::to_string(size_));
+  }
+  while (((size_ - 1) >> depth_) + 1 > kMaxLeaf) ++depth_;
+  const std::size_t leaves = std::size_t{1} << depth_;
+  splits_.resize(leaves - 1);
+  leaf_begin_.resize(leaves + 1);
+  original_.resize(size_);
+  std::iota(original_.begin(), original_.end(), 0U);
+
+  struct Task {
+    std::size_t node, begin, end;
+  };
+  std::vector<Task> tasks{{0, 0, size_}};
+  while (!tasks.empty()) {
+    const Task task = tasks.back();
+    tasks.pop_back();
+    if (task.node >= leaves - 1) {
+      leaf_begin_[task.node - (leaves - 1)] = static_cast<std::uint32_t>(task.begin);
+      continue;
+    }
+    Eigen::Array3f low = Eigen::Array3f::Constant(std::numeric_limits<float>::infinity());
+    Eigen::Array3f high = -low;
+    for (std::size_t i = task.begin; i < task.end; ++i) {
+      low = low.min(points[original_[i]].array());
+      high = high.max(points[original_[i]].array());
+    }
+    Eigen::Index axis = 0;
+    (high - low).maxCoeff(&axis);
+    const auto begin = original_.begin() + static_cast<std::ptrdiff_t>(task.begin);
+    const auto end = original_.begin() + static_cast<std::ptrdiff_t>(task.end);
+    const auto middle = begin + (end - begin) / 2;
+    std::nth_element(begin, middle, end, [&](std::uint32_t a, std::uint32_t b) {
+      const float xa = points[a][axis], xb = points[b][axis];
+      return xa != xb ? xa < xb : a < b;
+    });
+    Split& split = splits_[task.node];
+    split.axis = static_cast<std::uint32_t>(axis);
+    split.high = points[*middle][axis];
+    split.low = -std::numeric_limits<float>::infinity();
+    for (auto i = begin; i != middle; ++i) split.low = std::max(split.low, points[*i][axis]);
+    const auto cut = static_cast<std::size_t>(middle - original_.begin());
+    tasks.push_back({2 * task.node + 1, task.begin, cut});
+    tasks.push_back({2 * task.node + 2, cut, task.end});
+  }
+  leaf_begin_[leaves] = static_cast<std::uint32_t>(size_);
+
+  x_.resize(size_);
+  y_.resize(size_);
+  z_.resize(size_);
+  for (std::size_t i = 0; i < size_; ++i) {
+    const Eigen::Vector3f& p = points[original_[i]];
+    x_[i] = p.x();
+    y_[i] = p.y();
+    z_[i] = p.z();
+  }
+}
+
+template <class Visitor>
+void KdTree::search(const Eigen::Vector3f& query, Visitor& visitor) const {
+  if (size_ == 0) return;
+  // Offsets from the query to a node's cell, by axis. Squared and added exactly as point distances are, so
+  // rounding never makes a cell look further away than a point in it.
+  struct Pending {
+    std::size_t node;
+    float sq_distance;
+    std::array<float, 3> offset;
+  };
+  std::array<Pending, 64> stack;
+  std::size_t height = 0;
+  stack[height++] = {0, 0.0F, {0.0F, 0.0F, 0.0F}};
+  const std::size_t inner = splits_.size();
+  const float qx = query.x(), qy = query.y(), qz = query.z();
+  std::array<float, kMaxLeaf> sq_distances;
+  while (height > 0) {
+    const Pending top = stack[--height];
+    if (top.sq_distance > visitor.bound()) continue;
+    std::size_t node = top.node;
+    while (node < inner) {
+      const Split& split = splits_[node];
+      const float q = query[static_cast<Eigen::Index>(split.axis)];
+      const float to_low = q - split.low, to_high = split.high - q;
+      const bool lower = to_low < to_high;
+      const float offset = std::max(0.0F, lower ? to_high : to_low);
+      Pending far{2 * node + (lower ? 2U : 1U), 0.0F, top.offset};
+      // A cell's offset along an axis only grows on the way down.
+      far.offset[split.axis] = std::max(far.offset[split.axis], offset);
+      far.sq_distance =
+          far.offset[0] * far.offset[0] + far.offset[1] * far.offset[1] + far.offset[2] * far.offset[2];
+      if (far.sq_distance <= visitor.bound()) stack[height++] = far;
+      node = 2 * node + (lower ? 1U : 2U);
+    }
+    const std::size_t begin = leaf_begin_[node - inner], count = leaf_begin_[node - inner + 1] - begin;
+    const float* x = x_.data() + begin;
+    const float* y = y_.data() + begin;
+    const float* z = z_.data() + begin;
+    for (std::size_t i = 0; i < count; ++i) {
+      const float dx = x[i] - qx, dy = y[i] - qy, dz = z[i] - qz;
+      sq_distances[i] = dx * dx + dy * dy + dz * dz;
+    }
+    for (std::size_t i = 0; i < count; ++i) {
+      if (sq_distances[i] <= visitor.bound()) visitor.offer(sq_distances[i], original_[begin + i]);
+    }
+  }
+}
+
+std::optional<Neighbour> KdTree::nearest(const Eigen::Vector3f& query, float max_distance_m) const {
+  NearestVisitor visitor(max_distance_m * max_distance_m);
+  search(query, visitor);
+  return visitor.result();
+}
+
+void KdTree::nearest(const Eigen::Vector3f& query, std::size_t count, std::vector<Neighbour>& found) const {
+  found.clear();
+  if (count == 0) return;
+  CountVisitor visitor(count, found);
+  search(query, visitor);
+}
+
+void KdTree::within(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const {
+  found.clear();
+  RadiusVisitor visitor(radius_m * radius_m, found);
+  search(query, visitor);
+  std::sort(found.begin(), found.end(), nearer);
+}
+
+std::size_t KdTree::bytes() const {
+  return sizeof(*this) + splits_.capacity() * sizeof(Split) + leaf_begin_.capacity() * sizeof(std::uint32_t) +
+         3 * x_.capacity() * sizeof(float) + original_.capacity() * sizeof(std::uint32_t);
+}
+
+}  // namespace loopwise

@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/registration/closure_tests.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <sstream>
+
+#include <Eigen/Eigenvalues>
+
+namespace loopwise {
+namespace {
+
+constexpr double kDegree = 3.14159265358979323846 / 180.0;
+
+/// max_sigma of each coordinate: with them as units a free direction has variance 1 or more.
+Vector6d units(const ClosureTestOptions& options) {
+  Vector6d out;
+  out << Eigen::Vector3d::Constant(options.max_sigma_m), Eigen::Vector3d::Constant(options.max_sigma_rad);
+  return out;
+}
+
+Eigen::SelfAdjointEigenSolver<Matrix6d> scaled_information(const AlignmentFigures& figures,
+                                                           const ClosureTestOptions& options) {
+  const double sigma = std::max(figures.plane_rmse_m, options.point_sigma_m);
+  const Vector6d unit = units(options);
+  const Matrix6d information = unit.asDiagonal() * figures.hessian * unit.asDiagonal();
+  return Eigen::SelfAdjointEigenSolver<Matrix6d>(0.5 * (information + information.transpose()) /
+                                                 (sigma * sigma * options.points_per_sample));
+}
+
+template <class Figure>
+std::string beyond(const char* what, Figure found, const char* relation, Figure bound, const char* unit) {
+  std::ostringstream out;
+  out.precision(4);
+  out << what << " " << found << unit << ", must be " << relation << " " << bound << unit;
+  return out.str();
+}
+
+}  // namespace
+
+AlignmentFigures measure_alignment(const std::vector<Eigen::Vector3f>& source, const PointCloud& target,
+                                   const KdTree& target_tree, const Eigen::Isometry3d& T_to_from,
+                                   const ClosureTestOptions& options) {
+  AlignmentFigures figures;
+  if (source.empty() || target.empty()) return figures;
+  const double sq_overlap = options.overlap_distance_m * options.overlap_distance_m;
+  double sum_sq = 0.0, sum_sq_plane = 0.0;
+  std::size_t overlapping = 0;
+  for (const Eigen::Vector3f& point : source) {
+    const Eigen::Vector3d y = T_to_from * point.cast<double>();
+    const std::optional<Neighbour> nearest = target_tree.nearest(y.cast<float>());
+    if (!nearest) continue;
+    const auto sq_distance = static_cast<double>(nearest->sq_distance_m2);
+    sum_sq += sq_distance;
+    if (sq_distance > sq_overlap) continue;
+    ++overlapping;
+    const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
+    if (n.isZero()) continue;
+    const double distance = n.dot(y - target.points[nearest->index].cast<double>());
+    Vector6d j;
+    j << n, y.cross(n);
+    figures.hessian.selfadjointView<Eigen::Lower>().rankUpdate(j);
+    sum_sq_plane += distance * distance;
+    ++figures.plane_points;
+  }
+  figures.hessian.triangularView<Eigen::StrictlyUpper>() = figures.hessian.transpose();
+  const auto n = static_cast<double>(source.size());
+  figures.fitness_m2 = sum_sq / n;
+  figures.overlap = static_cast<double>(overlapping) / n;
+  if (figures.plane_points > 0) {
+    figures.plane_rmse_m = std::sqrt(sum_sq_plane / static_cast<double>(figures.plane_points));
+  }
+  return figures;
+}
+
+int free_directions(const AlignmentFigures& figures, const ClosureTestOptions& options) {
+  return static_cast<int>((scaled_information(figures, options).eigenvalues().array() <= 1.0).count());
+}
+
+Matrix6d closure_covariance(const AlignmentFigures& figures, const ClosureTestOptions& options) {
+  const auto solver = scaled_information(figures, options);
+  const Vector6d unit = units(options);
+  const Vector6d variances = solver.eigenvalues().cwiseMax(1.0).cwiseInverse();
+  const Matrix6d basis = unit.asDiagonal() * solver.eigenvectors();
+  Matrix6d covariance = basis * variances.asDiagonal() * basis.transpose();
+  covariance.diagonal().head<3>().array() += options.min_sigma_m * options.min_sigma_m;
+  covariance.diagonal().tail<3>().array() += options.min_sigma_rad * options.min_sigma_rad;
+  return 0.5 * (covariance + covariance.transpose());
+}
+
+void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
+                     const AlignmentFigures& figures, bool converged,
+                     const std::optional<Eigen::Isometry3d>& guess_from_to,
+                     const ClosureTestOptions& options) {
+  const auto reject = [&](RejectionReason reason, std::string message) {
+    result.reason = reason;
+    result.message = std::move(message);
+  };
+  if (!T_from_to.matrix().allFinite() || !figures.hessian.allFinite()) {
+    return reject(RejectionReason::kNotConverged, "the refinement left the finite numbers");
+  }
+  result.T_from_to = se3::normalized(T_from_to);
+  result.gicp_fitness_m2 = figures.fitness_m2;
+  result.overlap = figures.overlap;
+  if (!converged) return reject(RejectionReason::kNotConverged, "the refinement did not converge");
+  if (!(figures.fitness_m2 <= options.max_fitness_m2)) {
+    return reject(RejectionReason::kGicpFitness,
+                  beyond("mean squared distance", figures.fitness_m2, "<=", options.max_fitness_m2, " m^2"));
+  }
+  if (!(figures.overlap >= options.min_overlap)) {
+    return reject(RejectionReason::kLowOverlap,
+                  beyond("overlap", figures.overlap, ">=", options.min_overlap, ""));
+  }
+  const int free = free_directions(figures, options);
+  if (free > options.max_free_directions) {
+    return reject(RejectionReason::kDegenerate,
+                  beyond("free directions:", free, "<=", options.max_free_directions, ""));
+  }
+  if (guess_from_to) {
+    const Vector6d moved = se3::log(guess_from_to->inverse() * *result.T_from_to);
+    const double rotation_deg = moved.tail<3>().norm() / kDegree;
+    if (!(moved.head<3>().norm() <= options.max_translation_m)) {
+      return reject(RejectionReason::kTransformThreshold,
+                    beyond("moved by", moved.head<3>().norm(), "<=", options.max_translation_m, " m"));
+    }
+    if (!(rotation_deg <= options.max_rotation_deg)) {
+      return reject(RejectionReason::kTransformThreshold,
+                    beyond("turned by", rotation_deg, "<=", options.max_rotation_deg, " deg"));
+    }
+  }
+  result.reason = RejectionReason::kNone;
+  result.message.clear();
+  LoopClosure closure;
+  closure.from = result.candidate.from;
+  closure.to = result.candidate.to;
+  closure.T_from_to = *result.T_from_to;
+  closure.covariance = closure_covariance(figures, options);
+  result.closure = closure;
+}
+
+}  // namespace loopwise

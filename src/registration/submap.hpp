@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <vector>
+
+#include <loopwise/features/feature_cache.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+/// A scan that takes part in a registration.
+struct Part {
+  Key key = 0;
+  Eigen::Isometry3d T_center_part = Eigen::Isometry3d::Identity();
+  std::shared_ptr<const ScanFeatures> features;
+};
+
+/// One side of a registration: its scans, and their union in the centre's frame.
+class Submap {
+ public:
+  /// The features of the members, or nothing if one is missing; then `result` says which and why.
+  [[nodiscard]] static std::optional<Submap> load(FeatureCache& cache,
+                                                  const std::vector<SubmapMember>& members,
+                                                  RegistrationResult& result);
+
+  [[nodiscard]] const std::vector<Part>& parts() const { return parts_; }
+  /// Points and normals of all parts, part by part, in the centre's frame.
+  [[nodiscard]] const PointCloud& cloud() const {
+    return union_ ? union_->cloud : parts_.front().features->cloud;
+  }
+  [[nodiscard]] const KdTree& tree() const { return union_ ? union_->tree : parts_.front().features->tree; }
+
+ private:
+  struct Union {
+    PointCloud cloud;
+    KdTree tree;
+  };
+  std::vector<Part> parts_;
+  std::shared_ptr<const Union>
+      union_;  // null for a single part at the centre: the cached scan serves as it is
+};
+
+}  // namespace loopwise

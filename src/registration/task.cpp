@@ -1,0 +1,74 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/registration/task.hpp>
+
+#include <set>
+
+#include <loopwise/core/random.hpp>
+
+namespace loopwise {
+namespace {
+
+/// A step along the odometry away from a node.
+struct Step {
+  std::size_t node;
+  Eigen::Isometry3d T_here_there;
+};
+
+/// The odometry neighbour of `node` with the next higher (or lower) key within its robot, if there is one.
+std::optional<Step> odometry_step(const PoseGraph& graph, const Robots& robots, std::size_t node,
+                                  bool forward) {
+  const Key here = graph.nodes()[node].key;
+  const std::optional<std::size_t> robot = robots.find(here);
+  std::optional<Step> best;
+  for (const std::size_t number : graph.edges_of(node)) {
+    const Edge& edge = graph.edges()[number];
+    if (edge.kind != EdgeKind::kOdometry) continue;
+    const PoseGraph::Ends ends = graph.ends(number);
+    const bool outgoing = ends.from == node;
+    const std::size_t other = outgoing ? ends.to : ends.from;
+    const Key there = graph.nodes()[other].key;
+    if ((there > here) != forward || robots.find(there) != robot) continue;
+    if (best) {
+      const Key known = graph.nodes()[best->node].key;
+      if (forward ? known <= there : known >= there) continue;
+    }
+    best = Step{other, outgoing ? edge.T_from_to : edge.T_from_to.inverse()};
+  }
+  return best;
+}
+
+std::vector<SubmapMember> submap(const PoseGraph& graph, const Robots& robots, Key centre, int neighbours,
+                                 const std::function<bool(Key)>& has_scan) {
+  std::vector<SubmapMember> members{{centre, Eigen::Isometry3d::Identity()}};
+  for (const bool forward : {false, true}) {
+    std::size_t node = graph.index_of(centre);
+    Eigen::Isometry3d T_center_node = Eigen::Isometry3d::Identity();
+    for (int i = 0; i < neighbours; ++i) {
+      const std::optional<Step> step = odometry_step(graph, robots, node, forward);
+      if (!step) break;
+      node = step->node;
+      T_center_node = T_center_node * step->T_here_there;
+      const Key key = graph.nodes()[node].key;
+      if (!has_scan || has_scan(key)) members.push_back({key, T_center_node});
+    }
+  }
+  return members;
+}
+
+}  // namespace
+
+RegistrationTask make_task(const PoseGraph& graph, const Robots& robots, const LoopCandidate& candidate,
+                           const TaskOptions& options, std::uint64_t seed,
+                           const std::function<bool(Key)>& has_scan) {
+  RegistrationTask task;
+  task.candidate = candidate;
+  task.source = submap(graph, robots, candidate.from, options.source_neighbours, has_scan);
+  task.target = submap(graph, robots, candidate.to, options.target_neighbours, has_scan);
+  if (options.use_guess) {
+    task.guess_from_to = graph.node(candidate.from).pose.inverse() * graph.node(candidate.to).pose;
+  }
+  task.seed = pair_seed(seed, candidate.from, candidate.to);
+  return task;
+}
+
+}  // namespace loopwise
