@@ -1,1 +1,278 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/optimization/marginals.hpp>
 
+#include <algorithm>
+#include <cmath>
+#include <map>
+
+#include <Eigen/Dense>
+
+#include <loopwise/core/error.hpp>
+
+#include "minimize.hpp"
+#include "pose_problem.hpp"
+#include "selected_inverse.hpp"
+
+namespace loopwise {
+namespace {
+
+constexpr std::uint32_t kHeld = detail::Freedom::kFixed;
+
+void add_traces(Marginals& m) {
+  m.trace_translation = m.trace_full = 0.0;
+  for (const Matrix6d& covariance : m.covariances) {
+    m.trace_translation += covariance.topLeftCorner<3, 3>().trace();
+    m.trace_full += covariance.trace();
+  }
+}
+
+/// A with AᵀA = the matrix, for one that may be semi-definite.
+Matrix6d square_root(const Matrix6d& m) {
+  const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(m);
+  return solver.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal() * solver.eigenvectors().transpose();
+}
+
+}  // namespace
+
+struct HessianFactor::Impl {
+  std::vector<Eigen::Isometry3d> poses;
+  std::vector<std::pair<Key, std::size_t>> keys;  // sorted, with node numbers
+  std::vector<std::uint32_t> variable;            // by node
+  std::vector<std::uint32_t> position;            // by variable, in elimination order
+  detail::Panels panels;
+  Eigen::Index free_dimension = 0;
+  bool supernodal = false;
+  double nonzeros = 0.0;
+  double log_determinant = 0.0;
+
+  [[nodiscard]] Eigen::Index row(std::size_t node) const {
+    return 6 * static_cast<Eigen::Index>(position[variable[node]]);
+  }
+  [[nodiscard]] bool held(std::size_t node) const { return variable[node] == kHeld; }
+
+  [[nodiscard]] std::size_t index_of(Key key) const {
+    const auto found = std::lower_bound(keys.begin(), keys.end(), std::pair<Key, std::size_t>(key, 0));
+    if (found == keys.end() || found->first != key) {
+      throw UnknownKeyError("node " + key_name(key) + " is not in the graph");
+    }
+    return found->second;
+  }
+
+  template <class Solve>
+  [[nodiscard]] Eigen::MatrixXd apply(const Eigen::MatrixXd& rhs, Solve&& solve) const {
+    if (rhs.rows() != 6 * static_cast<Eigen::Index>(variable.size())) {
+      throw InputError(std::to_string(rhs.rows()) + " rows, expected 6 for each of " +
+                       std::to_string(variable.size()) + " nodes");
+    }
+    Eigen::MatrixXd x(free_dimension, rhs.cols());
+    for (std::size_t node = 0; node < variable.size(); ++node) {
+      if (!held(node)) x.middleRows<6>(row(node)) = rhs.middleRows<6>(6 * static_cast<Eigen::Index>(node));
+    }
+    solve(panels, x);
+    Eigen::MatrixXd out = Eigen::MatrixXd::Zero(rhs.rows(), rhs.cols());
+    for (std::size_t node = 0; node < variable.size(); ++node) {
+      if (!held(node)) out.middleRows<6>(6 * static_cast<Eigen::Index>(node)) = x.middleRows<6>(row(node));
+    }
+    return out;
+  }
+
+  /// Columns of Σ of several nodes side by side, rows in elimination order; zero for nodes that are held.
+  [[nodiscard]] Eigen::MatrixXd columns(const std::vector<std::size_t>& nodes) const {
+    Eigen::MatrixXd x = Eigen::MatrixXd::Zero(free_dimension, 6 * static_cast<Eigen::Index>(nodes.size()));
+    for (std::size_t k = 0; k < nodes.size(); ++k) {
+      if (!held(nodes[k])) x.block<6, 6>(row(nodes[k]), 6 * static_cast<Eigen::Index>(k)).setIdentity();
+    }
+    detail::solve(panels, x);
+    return x;
+  }
+};
+
+HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& options)
+    : impl_(std::make_unique<Impl>()) {
+  validate(options);
+  const detail::PoseProblem problem(graph);
+  ThreadPool pool(options.num_threads);
+  detail::NormalEquations equations(options.factorization);
+  equations.set_structure(problem);
+  equations.linearize(problem, problem.poses_of(graph.poses()), pool);
+  detail::BlockCholesky& cholesky = equations.hessian();
+  const bool definite = cholesky.factorize();
+  const auto [pivot, variable] =
+      cholesky.variables() > 0 ? cholesky.smallest_pivot() : std::pair<double, std::size_t>(1.0, 0);
+  if (!definite || pivot < detail::kSingularPivot) {
+    const Key key = graph.nodes()[equations.freedom().nodes[variable]].key;
+    throw InputError("node " + key_name(key) +
+                     ": the factors do not determine its pose, so it has no covariance");
+  }
+  Impl& m = *impl_;
+  m.poses = graph.poses();
+  for (std::size_t i = 0; i < graph.nodes().size(); ++i) m.keys.emplace_back(graph.nodes()[i].key, i);
+  std::sort(m.keys.begin(), m.keys.end());
+  m.variable = equations.freedom().variable;
+  m.variable.pop_back();
+  m.position.resize(cholesky.variables());
+  for (std::size_t v = 0; v < m.position.size(); ++v) m.position[v] = cholesky.position(v);
+  m.panels = cholesky.panels();
+  m.free_dimension = 6 * static_cast<Eigen::Index>(cholesky.variables());
+  m.supernodal = cholesky.supernodal();
+  m.nonzeros = cholesky.factor_nonzeros();
+  for (std::size_t s = 0; s < m.panels.size(); ++s) {
+    const auto height = static_cast<std::size_t>(m.panels.height(s));
+    for (std::size_t j = 0; j < static_cast<std::size_t>(m.panels.columns(s)); ++j) {
+      m.log_determinant += 2.0 * std::log(m.panels.values[m.panels.value_start[s] + j * (height + 1)]);
+    }
+  }
+}
+
+HessianFactor::~HessianFactor() = default;
+HessianFactor::HessianFactor(HessianFactor&&) noexcept = default;
+HessianFactor& HessianFactor::operator=(HessianFactor&&) noexcept = default;
+
+Eigen::Index HessianFactor::dimension() const {
+  return 6 * static_cast<Eigen::Index>(impl_->variable.size());
+}
+bool HessianFactor::held(std::size_t node) const {
+  return impl_->held(node);
+}
+double HessianFactor::log_determinant() const {
+  return impl_->log_determinant;
+}
+double HessianFactor::factor_nonzeros() const {
+  return impl_->nonzeros;
+}
+bool HessianFactor::supernodal() const {
+  return impl_->supernodal;
+}
+
+Eigen::MatrixXd HessianFactor::solve(const Eigen::MatrixXd& rhs) const {
+  return impl_->apply(rhs, detail::solve);
+}
+
+Eigen::MatrixXd HessianFactor::solve_root(const Eigen::MatrixXd& rhs) const {
+  return impl_->apply(rhs, detail::solve_transposed);
+}
+
+Eigen::Matrix<double, Eigen::Dynamic, 6> HessianFactor::columns(std::size_t node) const {
+  Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(dimension(), 6);
+  rhs.middleRows<6>(6 * static_cast<Eigen::Index>(node)).setIdentity();
+  return solve(rhs);
+}
+
+Marginals HessianFactor::marginals() const {
+  const Eigen::MatrixXd blocks = detail::selected_inverse(impl_->panels, 6);
+  Marginals out;
+  out.covariances.assign(impl_->variable.size(), Matrix6d::Zero());
+  for (std::size_t node = 0; node < out.covariances.size(); ++node) {
+    if (impl_->held(node)) continue;
+    const Matrix6d block = blocks.middleCols<6>(impl_->row(node));
+    out.covariances[node] = 0.5 * (block + block.transpose());
+  }
+  add_traces(out);
+  return out;
+}
+
+std::vector<Matrix12d> HessianFactor::joint(
+    const std::vector<std::pair<std::size_t, std::size_t>>& pairs) const {
+  // Columns of distinct nodes, a bounded number of right-hand sides at a time.
+  constexpr std::size_t kNodesAtATime = 64;
+  std::vector<Matrix12d> out(pairs.size(), Matrix12d::Zero());
+  std::map<std::size_t, std::vector<std::size_t>> by_node;  // node: pairs that it is in
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    if (std::max(pairs[k].first, pairs[k].second) >= impl_->variable.size()) {
+      throw InputError("pair " + std::to_string(k) + ": no such node number");
+    }
+    by_node[pairs[k].first].push_back(k);
+    if (pairs[k].second != pairs[k].first) by_node[pairs[k].second].push_back(k);
+  }
+  std::vector<std::size_t> nodes;
+  for (const auto& [node, uses] : by_node) nodes.push_back(node);
+  for (std::size_t begin = 0; begin < nodes.size(); begin += kNodesAtATime) {
+    const std::size_t end = std::min(nodes.size(), begin + kNodesAtATime);
+    const std::vector<std::size_t> some(nodes.begin() + static_cast<std::ptrdiff_t>(begin),
+                                        nodes.begin() + static_cast<std::ptrdiff_t>(end));
+    const Eigen::MatrixXd x = impl_->columns(some);
+    for (std::size_t i = 0; i < some.size(); ++i) {
+      if (impl_->held(some[i])) continue;
+      for (const std::size_t k : by_node[some[i]]) {
+        const std::size_t ends[2] = {pairs[k].first, pairs[k].second};
+        for (int column = 0; column < 2; ++column) {
+          if (ends[column] != some[i]) continue;
+          for (int r = 0; r < 2; ++r) {
+            if (impl_->held(ends[r])) continue;
+            out[k].block<6, 6>(6 * r, 6 * column) =
+                x.block<6, 6>(impl_->row(ends[r]), 6 * static_cast<Eigen::Index>(i));
+          }
+        }
+      }
+    }
+  }
+  for (Matrix12d& m : out) m = 0.5 * (m + m.transpose()).eval();
+  return out;
+}
+
+Marginals HessianFactor::marginals_with(const std::vector<Edge>& edges, const Marginals& base) const {
+  const Impl& m = *impl_;
+  if (base.covariances.size() != m.variable.size()) {
+    throw InputError("the marginals are those of another graph: " + std::to_string(base.covariances.size()) +
+                     " nodes, expected " + std::to_string(m.variable.size()));
+  }
+  std::vector<std::size_t> nodes;
+  std::map<std::size_t, Eigen::Index> slot;
+  const auto slot_of = [&](std::size_t node) {
+    const auto [found, fresh] = slot.emplace(node, 6 * static_cast<Eigen::Index>(nodes.size()));
+    if (fresh) nodes.push_back(node);
+    return found->second;
+  };
+  // With J the stacked Jacobians scaled by Ω½: Σ' = Σ − ΣJᵀ(I + JΣJᵀ)⁻¹JΣ.
+  struct Row {
+    Eigen::Index from, to;
+    Matrix6d J_from, J_to;
+  };
+  std::vector<Row> rows;
+  for (const Edge& edge : edges) {
+    if (edge.weight <= 0.0) continue;
+    if (edge.from == edge.to)
+      throw InputError("edge of " + key_name(edge.from) + ": both ends are the same node");
+    const std::size_t from = m.index_of(edge.from), to = m.index_of(edge.to);
+    const Vector6d r = edge_residual(edge, m.poses[from], m.poses[to]);
+    const Matrix6d root = square_root(edge.weight * edge.information);
+    const Matrix6d J = se3::right_jacobian_inverse(r);
+    rows.push_back({slot_of(from), slot_of(to),
+                    -root * J * se3::adjoint(m.poses[to].inverse() * m.poses[from]), root * J});
+  }
+  if (rows.empty()) return base;
+  const Eigen::MatrixXd columns = m.columns(nodes);
+  const auto k = 6 * static_cast<Eigen::Index>(rows.size());
+  Eigen::MatrixXd SJt(m.free_dimension, k);  // Σ Jᵀ
+  for (std::size_t e = 0; e < rows.size(); ++e) {
+    SJt.middleCols<6>(6 * static_cast<Eigen::Index>(e)) =
+        columns.middleCols<6>(rows[e].from) * rows[e].J_from.transpose() +
+        columns.middleCols<6>(rows[e].to) * rows[e].J_to.transpose();
+  }
+  const auto rows_at = [&](std::size_t node) -> Eigen::MatrixXd {
+    if (m.held(node)) return Eigen::MatrixXd::Zero(6, k);
+    return SJt.middleRows<6>(m.row(node));
+  };
+  Eigen::MatrixXd S = Eigen::MatrixXd::Identity(k, k);
+  for (std::size_t e = 0; e < rows.size(); ++e) {
+    S.middleRows<6>(6 * static_cast<Eigen::Index>(e)) +=
+        rows[e].J_from * rows_at(nodes[static_cast<std::size_t>(rows[e].from / 6)]) +
+        rows[e].J_to * rows_at(nodes[static_cast<std::size_t>(rows[e].to / 6)]);
+  }
+  const Eigen::LLT<Eigen::MatrixXd> factor(0.5 * (S + S.transpose()));
+  const Eigen::MatrixXd G = factor.matrixL().solve(SJt.transpose());  // Gᵀ G is what the covariance loses
+  Marginals out = base;
+  for (std::size_t node = 0; node < out.covariances.size(); ++node) {
+    if (m.held(node)) continue;
+    const auto g = G.middleCols<6>(m.row(node));
+    out.covariances[node] -= g.transpose() * g;
+  }
+  add_traces(out);
+  return out;
+}
+
+Marginals marginals(const PoseGraph& graph, const OptimizerOptions& options) {
+  return HessianFactor(graph, options).marginals();
+}
+
+}  // namespace loopwise
