@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/atomic_file.hpp>
+
+#include <fcntl.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// A file descriptor that is closed whatever happens.
+class Descriptor {
+ public:
+  explicit Descriptor(int fd) : fd_(fd) {}
+  ~Descriptor() {
+    if (fd_ >= 0) ::close(fd_);
+  }
+  Descriptor(const Descriptor&) = delete;
+  Descriptor& operator=(const Descriptor&) = delete;
+  [[nodiscard]] int get() const { return fd_; }
+  /// Errors of a full disk may show only here.
+  [[nodiscard]] bool close() {
+    const int result = ::close(fd_);
+    fd_ = -1;
+    return result == 0;
+  }
+
+ private:
+  int fd_;
+};
+
+[[noreturn]] void fail(const fs::path& path, int error) {
+  throw IoError(path.string(), std::strerror(error));
+}
+
+/// \returns 0 or the system's error number.
+int write_all(int fd, std::string_view contents) {
+  while (!contents.empty()) {
+    const ssize_t written = ::write(fd, contents.data(), contents.size());
+    if (written < 0) {
+      if (errno == EINTR) continue;
+      return errno;
+    }
+    contents.remove_prefix(static_cast<std::size_t>(written));
+  }
+  return 0;
+}
+
+}  // namespace
+
+std::string read_file(const fs::path& path) {
+  Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (file.get() < 0) fail(path, errno);
+  struct stat status {};
+  if (::fstat(file.get(), &status) != 0) fail(path, errno);
+  if (S_ISDIR(status.st_mode)) throw IoError(path.string(), "is a folder, expected a file");
+  std::string contents(status.st_size > 0 ? static_cast<std::size_t>(status.st_size) : 0, '\0');
+  std::size_t filled = 0;
+  while (true) {
+    // Pipes have no size, and a file may grow while it is read.
+    if (filled == contents.size()) {
+      char more[1 << 16];
+      const ssize_t count = ::read(file.get(), more, sizeof(more));
+      if (count < 0 && errno == EINTR) continue;
+      if (count < 0) fail(path, errno);
+      if (count == 0) break;
+      contents.append(more, static_cast<std::size_t>(count));
+      filled = contents.size();
+      continue;
+    }
+    const ssize_t count = ::read(file.get(), contents.data() + filled, contents.size() - filled);
+    if (count < 0 && errno == EINTR) continue;
+    if (count < 0) fail(path, errno);
+    if (count == 0) break;
+    filled += static_cast<std::size_t>(count);
+  }
+  contents.resize(filled);
+  return contents;
+}
+
+void write_file(const fs::path& path, std::string_view contents) {
+  struct stat status {};
+  const bool exists = ::stat(path.c_str(), &status) == 0;
+  if (exists && S_ISDIR(status.st_mode))
+    throw IoError(path.string(), "is a folder, cannot be written as a file");
+  if (exists && !S_ISREG(status.st_mode)) {
+    Descriptor device(::open(path.c_str(), O_WRONLY | O_CLOEXEC));
+    if (device.get() < 0) fail(path, errno);
+    if (const int error = write_all(device.get(), contents)) fail(path, error);
+    return;
+  }
+  // Through a symbolic link, the file that it points to is replaced, not the link.
+  std::error_code unresolved;
+  fs::path target = exists ? fs::canonical(path, unresolved) : path;
+  if (unresolved) target = path;
+  fs::path temporary;
+  int fd = -1;
+  for (unsigned attempt = 0; fd < 0; ++attempt) {
+    temporary = target;
+    temporary.replace_filename("." + target.filename().string() + "." + std::to_string(::getpid()) + "-" +
+                               std::to_string(attempt) + ".tmp");
+    fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
+    if (fd < 0 && errno != EEXIST) fail(path, errno);
+    if (fd < 0 && attempt == 1000) fail(path, EEXIST);
+  }
+  Descriptor file(fd);
+  int error = write_all(file.get(), contents);
+  if (error == 0 && exists && ::fchmod(file.get(), status.st_mode & 07777) != 0) error = errno;
+  if (!file.close() && error == 0) error = errno;
+  if (error == 0 && ::rename(temporary.c_str(), target.c_str()) != 0) error = errno;
+  if (error != 0) {
+    ::unlink(temporary.c_str());
+    fail(path, error);
+  }
+}
+
+}  // namespace loopwise

@@ -1,0 +1,730 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/cloud.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <cstring>
+#include <limits>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
+
+#include "lzf.hpp"
+#include "text.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Beyond this a float no longer tells points one metre apart.
+constexpr float kMaxCoordinate = 1e7f;
+constexpr float kNormalTolerance = 0.01f;
+
+enum class Scalar { kInt8, kInt16, kInt32, kInt64, kUint8, kUint16, kUint32, kUint64, kFloat32, kFloat64 };
+
+std::size_t size_of(Scalar scalar) {
+  switch (scalar) {
+    case Scalar::kInt8:
+    case Scalar::kUint8:
+      return 1;
+    case Scalar::kInt16:
+    case Scalar::kUint16:
+      return 2;
+    case Scalar::kInt32:
+    case Scalar::kUint32:
+    case Scalar::kFloat32:
+      return 4;
+    default:
+      return 8;
+  }
+}
+
+template <class T>
+double load_as(const char* bytes, bool swap) {
+  char buffer[sizeof(T)];
+  std::memcpy(buffer, bytes, sizeof(T));
+  if (swap) std::reverse(buffer, buffer + sizeof(T));
+  T value;
+  std::memcpy(&value, buffer, sizeof(T));
+  return static_cast<double>(value);
+}
+
+double load(Scalar scalar, const char* bytes, bool swap) {
+  switch (scalar) {
+    case Scalar::kInt8:
+      return load_as<std::int8_t>(bytes, swap);
+    case Scalar::kInt16:
+      return load_as<std::int16_t>(bytes, swap);
+    case Scalar::kInt32:
+      return load_as<std::int32_t>(bytes, swap);
+    case Scalar::kInt64:
+      return load_as<std::int64_t>(bytes, swap);
+    case Scalar::kUint8:
+      return load_as<std::uint8_t>(bytes, swap);
+    case Scalar::kUint16:
+      return load_as<std::uint16_t>(bytes, swap);
+    case Scalar::kUint32:
+      return load_as<std::uint32_t>(bytes, swap);
+    case Scalar::kUint64:
+      return load_as<std::uint64_t>(bytes, swap);
+    case Scalar::kFloat32:
+      return load_as<float>(bytes, swap);
+    case Scalar::kFloat64:
+      return load_as<double>(bytes, swap);
+  }
+  return 0.0;
+}
+
+bool big_endian_host() {
+  const std::uint16_t one = 1;
+  char first;
+  std::memcpy(&first, &one, 1);
+  return first == 0;
+}
+
+/// What a cloud is made of, by the names that the formats use.
+enum Channel { kX, kY, kZ, kNormalX, kNormalY, kNormalZ, kIntensity, kChannels };
+
+std::optional<Channel> channel_of(std::string_view name) {
+  constexpr std::string_view kNames[][3] = {{"x", "", ""},
+                                            {"y", "", ""},
+                                            {"z", "", ""},
+                                            {"normal_x", "nx", ""},
+                                            {"normal_y", "ny", ""},
+                                            {"normal_z", "nz", ""},
+                                            {"intensity", "scalar_intensity", "scalar_Intensity"}};
+  for (int channel = 0; channel < kChannels; ++channel) {
+    for (const std::string_view known : kNames[channel]) {
+      if (!known.empty() && known == name) return static_cast<Channel>(channel);
+    }
+  }
+  return std::nullopt;
+}
+
+/// Takes points one by one, leaves out what cannot be used, and counts it.
+class CloudBuilder {
+ public:
+  CloudBuilder(const std::string& file, bool has_normals, bool has_intensity)
+      : file_(file), has_normals_(has_normals), has_intensity_(has_intensity) {}
+
+  void reserve(std::size_t count) {
+    cloud_.points.reserve(count);
+    if (has_normals_) cloud_.normals.reserve(count);
+    if (has_intensity_) cloud_.intensities.reserve(count);
+  }
+
+  void add(const float* channels) {
+    const Eigen::Vector3f point(channels[kX], channels[kY], channels[kZ]);
+    const std::size_t number = count_++;
+    if (!point.allFinite()) {
+      count_problem("point not finite", number);
+      return;
+    }
+    if (point.cwiseAbs().maxCoeff() > kMaxCoordinate) {
+      count_problem("point out of range", number);
+      return;
+    }
+    cloud_.points.push_back(point);
+    if (has_normals_) {
+      Eigen::Vector3f normal(channels[kNormalX], channels[kNormalY], channels[kNormalZ]);
+      const float length = normal.norm();
+      if (std::abs(length - 1.0f) <= kNormalTolerance) {
+        normal /= point.dot(normal) > 0.0f ? -length : length;
+      } else {
+        count_problem("unusable normals", number);
+      }
+      cloud_.normals.push_back(normal);
+    }
+    if (has_intensity_) {
+      const bool finite = std::isfinite(channels[kIntensity]);
+      if (!finite) count_problem("intensity not finite", number);
+      cloud_.intensities.push_back(finite ? channels[kIntensity] : 0.0f);
+    }
+  }
+
+  void add_problem(const std::string& kind, const std::string& example) { problems_.add(kind, example); }
+
+  CloudFile finish() {
+    for (const auto& [kind, met] : counted_) {
+      problems_.add(kind, file_ + ": point " + std::to_string(met.first), met.count);
+      if (std::string_view(kind) == "unusable normals") cloud_.normals.clear();
+    }
+    cloud_.normals.shrink_to_fit();
+    return {std::move(cloud_), std::move(problems_)};
+  }
+
+ private:
+  struct Met {
+    std::size_t first;
+    std::size_t count;
+  };
+  void count_problem(const char* kind, std::size_t number) {
+    for (auto& [known, met] : counted_) {
+      if (std::string_view(known) == kind) {
+        ++met.count;
+        return;
+      }
+    }
+    counted_.push_back({kind, {number, 1}});
+  }
+
+  std::string file_;
+  bool has_normals_;
+  bool has_intensity_;
+  std::size_t count_ = 0;
+  PointCloud cloud_;
+  Problems problems_;
+  std::vector<std::pair<const char*, Met>> counted_;
+};
+
+/// A number that a point holds, and where.
+struct Field {
+  std::string name;
+  Scalar scalar = Scalar::kFloat32;
+  std::size_t count = 1;   // values side by side
+  std::size_t offset = 0;  // in a point's bytes
+};
+
+/// Which fields fill which channels.
+struct Layout {
+  std::vector<Field> fields;
+  std::size_t point_size = 0;   // bytes
+  std::size_t point_words = 0;  // values
+  int field_of[kChannels] = {-1, -1, -1, -1, -1, -1, -1};
+
+  [[nodiscard]] bool has_normals() const {
+    return field_of[kNormalX] >= 0 && field_of[kNormalY] >= 0 && field_of[kNormalZ] >= 0;
+  }
+  [[nodiscard]] bool has_intensity() const { return field_of[kIntensity] >= 0; }
+
+  void finish(const std::string& file) {
+    for (std::size_t i = 0; i < fields.size(); ++i) {
+      fields[i].offset = point_size;
+      point_size += size_of(fields[i].scalar) * fields[i].count;
+      point_words += fields[i].count;
+      if (const auto channel = channel_of(fields[i].name); channel && fields[i].count == 1) {
+        if (field_of[*channel] >= 0)
+          throw InputError(file + ": field " + fields[i].name + " is listed twice");
+        field_of[*channel] = static_cast<int>(i);
+      }
+    }
+    for (const Channel channel : {kX, kY, kZ}) {
+      if (field_of[channel] < 0) throw InputError(file + ": the points have no x, y and z");
+    }
+  }
+
+  /// Field numbers by channel, with the normals left out unless all three are there.
+  [[nodiscard]] std::vector<std::pair<Channel, const Field*>> used() const {
+    std::vector<std::pair<Channel, const Field*>> out;
+    for (int c = 0; c < kChannels; ++c) {
+      const bool normal = c >= kNormalX && c <= kNormalZ;
+      if (field_of[c] >= 0 && (!normal || has_normals())) {
+        out.emplace_back(static_cast<Channel>(c), &fields[static_cast<std::size_t>(field_of[c])]);
+      }
+    }
+    return out;
+  }
+};
+
+/// Points of `stride` bytes one after the other, or (stride 0) all values of a field before those of the
+/// next.
+void read_binary(const Layout& layout, std::string_view data, std::size_t count, bool interleaved, bool swap,
+                 CloudBuilder& builder) {
+  const auto used = layout.used();
+  builder.reserve(count);
+  float channels[kChannels] = {};
+  for (std::size_t i = 0; i < count; ++i) {
+    for (const auto& [channel, field] : used) {
+      const std::size_t at = interleaved ? i * layout.point_size + field->offset
+                                         : count * field->offset + i * size_of(field->scalar) * field->count;
+      channels[channel] = static_cast<float>(load(field->scalar, data.data() + at, swap));
+    }
+    builder.add(channels);
+  }
+}
+
+std::uint64_t count_value(std::string_view word, const text::Place& place) {
+  std::uint64_t value = 0;
+  if (const char* why = text::parse_id(word, value))
+    place.fail(text::quoted(word) + " " + why + ", expected a count");
+  return value;
+}
+
+/// One line of ascii values; "nan" and "inf" are values here, and their points are dropped later.
+void read_ascii_point(const std::vector<Channel>& channel_of_word, std::string_view line,
+                      const text::Place& place, float* channels) {
+  std::size_t words = 0;
+  for (std::string_view word = text::next_word(line); !word.empty(); word = text::next_word(line), ++words) {
+    double value = 0.0;
+    const text::Number parsed = text::parse_double(word, value);
+    if (parsed == text::Number::kNotANumber) place.fail(text::quoted(word) + " is no number");
+    if (parsed == text::Number::kNotFinite) value = std::numeric_limits<double>::quiet_NaN();
+    if (words < channel_of_word.size() && channel_of_word[words] != kChannels) {
+      channels[channel_of_word[words]] = static_cast<float>(value);
+    }
+  }
+  if (words != channel_of_word.size()) {
+    place.fail("a point needs " + std::to_string(channel_of_word.size()) + " values, found " +
+               std::to_string(words));
+  }
+}
+
+std::vector<Channel> channels_by_word(const Layout& layout) {
+  std::vector<Channel> out(layout.point_words, kChannels);
+  const auto used = layout.used();
+  std::size_t word = 0;
+  for (const Field& field : layout.fields) {
+    for (const auto& [channel, own] : used) {
+      if (own == &field) out[word] = channel;
+    }
+    word += field.count;
+  }
+  return out;
+}
+
+std::string truncated(const std::string& file, std::uint64_t points, std::size_t needed, std::size_t found) {
+  return file + ": " + std::to_string(points) + " points need " + std::to_string(needed) + " bytes, found " +
+         std::to_string(found) + ": the file is cut short or its header is wrong";
+}
+
+// ---- PCD ----
+
+struct PcdHeader {
+  Layout layout;
+  std::uint64_t points = 0;
+  PcdEncoding encoding = PcdEncoding::kAscii;
+  std::size_t data_begin = 0;  // byte
+  std::size_t data_line = 0;   // number of the DATA line
+  bool moved_viewpoint = false;
+};
+
+Scalar pcd_scalar(std::string_view type, std::uint64_t size, const text::Place& place) {
+  const char t = type.size() == 1 ? type[0] : '?';
+  if (t == 'F' && size == 4) return Scalar::kFloat32;
+  if (t == 'F' && size == 8) return Scalar::kFloat64;
+  constexpr Scalar kSigned[] = {Scalar::kInt8, Scalar::kInt16, Scalar::kInt32, Scalar::kInt64};
+  constexpr Scalar kUnsigned[] = {Scalar::kUint8, Scalar::kUint16, Scalar::kUint32, Scalar::kUint64};
+  for (std::size_t i = 0; i < 4; ++i) {
+    if (size == std::uint64_t{1} << i && t == 'I') return kSigned[i];
+    if (size == std::uint64_t{1} << i && t == 'U') return kUnsigned[i];
+  }
+  place.fail("a field of TYPE " + text::quoted(type) + " and SIZE " + std::to_string(size) +
+             " does not exist");
+}
+
+PcdHeader read_pcd_header(const std::string& file, std::string_view contents) {
+  PcdHeader header;
+  std::vector<std::string_view> names, types;
+  std::vector<std::uint64_t> sizes, counts;
+  std::optional<std::uint64_t> width, height, points;
+  text::Lines lines(contents);
+  std::size_t types_line = 0;
+  for (std::string_view line; lines.next(line);) {
+    const text::Place place{file, lines.number()};
+    const std::string_view keyword = text::next_word(line);
+    if (keyword.empty()) continue;
+    std::vector<std::string_view> words;
+    for (std::string_view w = text::next_word(line); !w.empty(); w = text::next_word(line))
+      words.push_back(w);
+    const auto one_count = [&] {
+      if (words.size() != 1) place.fail(std::string(keyword) + " needs one value");
+      return count_value(words[0], place);
+    };
+    if (keyword == "VERSION") {
+      continue;
+    } else if (keyword == "FIELDS" || keyword == "COLUMNS") {
+      names = words;
+    } else if (keyword == "SIZE") {
+      for (const auto w : words) sizes.push_back(count_value(w, place));
+    } else if (keyword == "TYPE") {
+      types = words;
+      types_line = lines.number();
+    } else if (keyword == "COUNT") {
+      for (const auto w : words) counts.push_back(count_value(w, place));
+    } else if (keyword == "WIDTH") {
+      width = one_count();
+    } else if (keyword == "HEIGHT") {
+      height = one_count();
+    } else if (keyword == "VIEWPOINT") {
+      constexpr double kIdentity[] = {0, 0, 0, 1, 0, 0, 0};
+      for (std::size_t i = 0; i < words.size(); ++i) {
+        double value = 0.0;
+        if (i >= 7 || text::parse_double(words[i], value) != text::Number::kOk || value != kIdentity[i]) {
+          header.moved_viewpoint = true;
+        }
+      }
+    } else if (keyword == "POINTS") {
+      points = one_count();
+    } else if (keyword == "DATA") {
+      if (words.size() != 1) place.fail("DATA needs one value");
+      try {
+        header.encoding = parse_enum<PcdEncoding>("DATA", words[0]);
+      } catch (const OptionError& error) {
+        place.fail(error.what());
+      }
+      if (!lines.ended()) place.fail("the file ends after the header");
+      header.data_line = lines.number();
+      header.data_begin = static_cast<std::size_t>(lines.rest().data() - contents.data());
+      break;
+    } else {
+      place.fail(text::quoted(keyword) + " is no PCD header");
+    }
+  }
+  if (header.data_line == 0)
+    throw InputError(file + ": no DATA line: the file is empty, cut short or no PCD file");
+  const text::Place at_types{file, std::max<std::size_t>(types_line, 1)};
+  if (names.empty() || sizes.size() != names.size() || types.size() != names.size() ||
+      (!counts.empty() && counts.size() != names.size())) {
+    at_types.fail("FIELDS, SIZE, TYPE and COUNT must have as many values, found " +
+                  std::to_string(names.size()) + ", " + std::to_string(sizes.size()) + ", " +
+                  std::to_string(types.size()) + ", " + std::to_string(counts.size()));
+  }
+  for (std::size_t i = 0; i < names.size(); ++i) {
+    const std::uint64_t count = counts.empty() ? 1 : counts[i];
+    if (count > 65536) at_types.fail("COUNT " + std::to_string(count) + " is too large");
+    header.layout.fields.push_back({std::string(names[i]), pcd_scalar(types[i], sizes[i], at_types),
+                                    static_cast<std::size_t>(count), 0});
+  }
+  header.layout.finish(file);
+
+  if (!width && !points) throw InputError(file + ": the header has neither WIDTH nor POINTS");
+  const std::uint64_t rows = height.value_or(1);
+  const std::uint64_t columns = width.value_or(points.value_or(0));
+  const bool overflow = rows != 0 && columns > std::numeric_limits<std::uint64_t>::max() / rows;
+  if (overflow || (points && rows * columns != *points)) {
+    throw InputError(file + ": WIDTH " + std::to_string(columns) + " and HEIGHT " + std::to_string(rows) +
+                     " do not make POINTS " + std::to_string(points.value_or(0)));
+  }
+  header.points = rows * columns;
+  return header;
+}
+
+CloudFile read_pcd(const std::string& file, const std::string& contents) {
+  const PcdHeader header = read_pcd_header(file, contents);
+  const Layout& layout = header.layout;
+  const std::string_view data = std::string_view(contents).substr(header.data_begin);
+  CloudBuilder builder(file, layout.has_normals(), layout.has_intensity());
+  if (header.moved_viewpoint) builder.add_problem("viewpoint ignored", file);
+
+  const std::size_t least =
+      header.encoding == PcdEncoding::kAscii ? 2 * layout.point_words - 1 : layout.point_size;
+  if (header.encoding != PcdEncoding::kBinaryCompressed && header.points > (data.size() + 1) / least) {
+    const bool countable = header.points <= std::numeric_limits<std::size_t>::max() / least;
+    throw InputError(countable ? truncated(file, header.points, least * header.points, data.size())
+                               : file + ": POINTS " + std::to_string(header.points) +
+                                     " is more than a file can hold");
+  }
+  const auto count = static_cast<std::size_t>(header.points);
+
+  if (header.encoding == PcdEncoding::kAscii) {
+    const std::vector<Channel> channel_of_word = channels_by_word(layout);
+    float channels[kChannels] = {};
+    std::size_t found = 0;
+    builder.reserve(count);
+    text::Lines lines(data);
+    for (std::string_view line; lines.next(line);) {
+      std::string_view look = line;
+      if (text::next_word(look).empty()) continue;
+      const text::Place place{file, header.data_line + lines.number()};
+      if (found++ == count) place.fail("more points than the header's " + std::to_string(count));
+      read_ascii_point(channel_of_word, line, place, channels);
+      builder.add(channels);
+    }
+    if (found != count) {
+      throw InputError(file + ": " + std::to_string(found) + " points, the header says " +
+                       std::to_string(count));
+    }
+  } else if (header.encoding == PcdEncoding::kBinary) {
+    if (data.size() < count * layout.point_size) {
+      throw InputError(truncated(file, count, count * layout.point_size, data.size()));
+    }
+    read_binary(layout, data, count, true, big_endian_host(), builder);
+  } else if (count > 0 || data.size() >= 8) {
+    if (data.size() < 8) throw InputError(truncated(file, count, 8, data.size()));
+    const auto compressed = static_cast<std::size_t>(load(Scalar::kUint32, data.data(), big_endian_host()));
+    const auto expanded = static_cast<std::size_t>(load(Scalar::kUint32, data.data() + 4, big_endian_host()));
+    if (count > expanded / layout.point_size || expanded != count * layout.point_size) {
+      throw InputError(file + ": " + std::to_string(expanded) + " bytes of data for " +
+                       std::to_string(count) + " points of " + std::to_string(layout.point_size));
+    }
+    if (compressed > data.size() - 8 || expanded > lzf_largest_output(compressed)) {
+      throw InputError(truncated(file, count, compressed, data.size() - 8));
+    }
+    std::string fields(expanded, '\0');
+    if (!lzf_decompress(data.substr(8, compressed), fields))
+      throw InputError(file + ": compressed data are damaged");
+    read_binary(layout, fields, count, false, big_endian_host(), builder);
+  }
+  return builder.finish();
+}
+
+// ---- PLY ----
+
+Scalar ply_scalar(std::string_view type, const text::Place& place) {
+  struct Name {
+    std::string_view old_name, new_name;
+    Scalar scalar;
+  };
+  constexpr Name kNames[] = {{"char", "int8", Scalar::kInt8},        {"uchar", "uint8", Scalar::kUint8},
+                             {"short", "int16", Scalar::kInt16},     {"ushort", "uint16", Scalar::kUint16},
+                             {"int", "int32", Scalar::kInt32},       {"uint", "uint32", Scalar::kUint32},
+                             {"float", "float32", Scalar::kFloat32}, {"double", "float64", Scalar::kFloat64}};
+  for (const Name& name : kNames) {
+    if (type == name.old_name || type == name.new_name) return name.scalar;
+  }
+  place.fail(text::quoted(type) + " is no PLY type");
+}
+
+struct PlyElement {
+  std::string name;
+  std::uint64_t count = 0;
+  Layout layout;
+  bool has_list = false;
+};
+
+struct PlyHeader {
+  enum class Format { kAscii, kLittleEndian, kBigEndian } format = Format::kAscii;
+  std::vector<PlyElement> elements;
+  std::size_t data_begin = 0;
+  std::size_t data_line = 0;
+};
+
+PlyHeader read_ply_header(const std::string& file, std::string_view contents) {
+  PlyHeader header;
+  text::Lines lines(contents);
+  std::string_view line;
+  if (!lines.next(line) || text::trim(line) != "ply") throw ParseError(file, 1, "is no PLY file");
+  bool has_format = false;
+  while (lines.next(line)) {
+    const text::Place place{file, lines.number()};
+    const std::string_view keyword = text::next_word(line);
+    if (keyword.empty() || keyword == "comment" || keyword == "obj_info") continue;
+    if (keyword == "format") {
+      const std::string_view word = text::next_word(line);
+      has_format = true;
+      if (word == "ascii") {
+        header.format = PlyHeader::Format::kAscii;
+      } else if (word == "binary_little_endian") {
+        header.format = PlyHeader::Format::kLittleEndian;
+      } else if (word == "binary_big_endian") {
+        header.format = PlyHeader::Format::kBigEndian;
+      } else {
+        place.fail(text::quoted(word) + " is no PLY format");
+      }
+    } else if (keyword == "element") {
+      PlyElement element;
+      element.name = std::string(text::next_word(line));
+      element.count = count_value(text::next_word(line), place);
+      header.elements.push_back(std::move(element));
+    } else if (keyword == "property") {
+      if (header.elements.empty()) place.fail("a property without an element");
+      PlyElement& element = header.elements.back();
+      const std::string_view type = text::next_word(line);
+      if (type == "list") {
+        element.has_list = true;
+      } else {
+        const Scalar scalar = ply_scalar(type, place);
+        element.layout.fields.push_back({std::string(text::next_word(line)), scalar, 1, 0});
+      }
+    } else if (keyword == "end_header") {
+      if (!has_format) place.fail("the header has no format line");
+      header.data_line = lines.number();
+      header.data_begin = static_cast<std::size_t>(lines.rest().data() - contents.data());
+      return header;
+    } else {
+      place.fail(text::quoted(keyword) + " is no PLY header");
+    }
+  }
+  throw InputError(file + ": no end_header: the file is cut short");
+}
+
+CloudFile read_ply(const std::string& file, const std::string& contents) {
+  PlyHeader header = read_ply_header(file, contents);
+  const auto vertex = std::find_if(header.elements.begin(), header.elements.end(),
+                                   [](const PlyElement& element) { return element.name == "vertex"; });
+  if (vertex == header.elements.end()) throw InputError(file + ": no element vertex");
+  if (vertex->has_list) throw InputError(file + ": vertices with lists are not supported");
+  if (vertex != header.elements.begin()) throw InputError(file + ": vertices must be the first element");
+  Layout& layout = vertex->layout;
+  layout.finish(file);
+  const std::string_view data = std::string_view(contents).substr(header.data_begin);
+  const bool ascii = header.format == PlyHeader::Format::kAscii;
+  const std::size_t least = ascii ? 2 * layout.point_words - 1 : layout.point_size;
+  if (vertex->count > (data.size() + 1) / least) {
+    throw InputError(file + ": " + std::to_string(vertex->count) + " points of at least " +
+                     std::to_string(least) + " bytes in " + std::to_string(data.size()) +
+                     ": the file is cut short or its header is wrong");
+  }
+  const auto count = static_cast<std::size_t>(vertex->count);
+  CloudBuilder builder(file, layout.has_normals(), layout.has_intensity());
+  if (ascii) {
+    const std::vector<Channel> channel_of_word = channels_by_word(layout);
+    float channels[kChannels] = {};
+    std::size_t found = 0;
+    builder.reserve(count);
+    text::Lines lines(data);
+    for (std::string_view line; found < count && lines.next(line);) {
+      if (text::trim(line).empty()) continue;
+      read_ascii_point(channel_of_word, line, {file, header.data_line + lines.number()}, channels);
+      builder.add(channels);
+      ++found;
+    }
+    if (found != count) {
+      throw InputError(file + ": " + std::to_string(found) + " points, the header says " +
+                       std::to_string(count));
+    }
+    for (std::string_view line; header.elements.size() == 1 && lines.next(line);) {
+      if (!text::trim(line).empty()) {
+        throw ParseError(file, header.data_line + lines.number(),
+                         "more points than the header's " + std::to_string(count));
+      }
+    }
+  } else {
+    if (data.size() < count * layout.point_size) {
+      throw InputError(truncated(file, count, count * layout.point_size, data.size()));
+    }
+    const bool big = header.format == PlyHeader::Format::kBigEndian;
+    read_binary(layout, data, count, true, big != big_endian_host(), builder);
+  }
+  return builder.finish();
+}
+
+// ---- KITTI ----
+
+CloudFile read_kitti_bin(const std::string& file, const std::string& contents) {
+  Layout layout;
+  for (const char* name : {"x", "y", "z", "intensity"})
+    layout.fields.push_back({name, Scalar::kFloat32, 1, 0});
+  layout.finish(file);
+  CloudBuilder builder(file, false, true);
+  if (contents.empty()) builder.add_problem("empty file", file);
+  if (contents.size() % layout.point_size != 0) {
+    throw InputError(
+        file + ": " + std::to_string(contents.size()) +
+        " bytes are no whole number of points of 16 bytes (x y z intensity): the file is cut short");
+  }
+  read_binary(layout, contents, contents.size() / layout.point_size, true, big_endian_host(), builder);
+  return builder.finish();
+}
+
+// ---- Writers ----
+
+/// The floats of the cloud, one column a field.
+struct Column {
+  const char* pcd_name;
+  const char* ply_name;
+  const float* first;
+  std::size_t stride;  // floats
+};
+
+std::vector<Column> columns_of(const PointCloud& cloud) {
+  std::vector<Column> columns;
+  const bool has_points = !cloud.empty();
+  const auto add = [&](const char* pcd, const char* ply, const float* data, std::size_t offset,
+                       std::size_t stride) {
+    columns.push_back({pcd, ply, has_points ? data + offset : nullptr, stride});
+  };
+  const float* xyz = has_points ? cloud.points[0].data() : nullptr;
+  add("x", "x", xyz, 0, 3);
+  add("y", "y", xyz, 1, 3);
+  add("z", "z", xyz, 2, 3);
+  if (has_points && cloud.intensities.size() == cloud.size()) {
+    add("intensity", "intensity", cloud.intensities.data(), 0, 1);
+  }
+  if (cloud.has_normals()) {
+    add("normal_x", "nx", cloud.normals[0].data(), 0, 3);
+    add("normal_y", "ny", cloud.normals[0].data(), 1, 3);
+    add("normal_z", "nz", cloud.normals[0].data(), 2, 3);
+  }
+  return columns;
+}
+
+void append_float(std::string& out, float value) {
+  char bytes[sizeof(value)];
+  std::memcpy(bytes, &value, sizeof(value));
+  if (big_endian_host()) std::reverse(bytes, bytes + sizeof(bytes));
+  out.append(bytes, sizeof(bytes));
+}
+
+void append_uint32(std::string& out, std::size_t value) {
+  for (int shift = 0; shift < 32; shift += 8) out += static_cast<char>(value >> shift & 255);
+}
+
+void append_points(std::string& out, const std::vector<Column>& columns, std::size_t count) {
+  for (std::size_t i = 0; i < count; ++i) {
+    for (const Column& column : columns) append_float(out, column.first[i * column.stride]);
+  }
+}
+
+std::string repeated(const char* word, std::size_t count) {
+  std::string out;
+  for (std::size_t i = 0; i < count; ++i) out += std::string(" ") + word;
+  return out;
+}
+
+}  // namespace
+
+bool is_cloud_file(const fs::path& path) {
+  const fs::path extension = path.extension();
+  return extension == ".pcd" || extension == ".ply" || extension == ".bin";
+}
+
+CloudFile read_cloud(const fs::path& path) {
+  if (!is_cloud_file(path)) {
+    throw InputError(path.string() + ": not a kind of cloud that can be read, expected .pcd, .ply or .bin");
+  }
+  const std::string contents = read_file(path);
+  if (path.extension() == ".pcd") return read_pcd(path.string(), contents);
+  if (path.extension() == ".ply") return read_ply(path.string(), contents);
+  return read_kitti_bin(path.string(), contents);
+}
+
+void write_pcd(const fs::path& path, const PointCloud& cloud, PcdEncoding encoding) {
+  const std::vector<Column> columns = columns_of(cloud);
+  const std::size_t count = cloud.size();
+  const std::string points = std::to_string(count);
+  // Sizes of compressed data are 32-bit numbers.
+  if (count * columns.size() > std::numeric_limits<std::uint32_t>::max() / 8) encoding = PcdEncoding::kBinary;
+  std::string out = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS";
+  for (const Column& column : columns) out += std::string(" ") + column.pcd_name;
+  out += "\nSIZE" + repeated("4", columns.size()) + "\nTYPE" + repeated("F", columns.size()) + "\nCOUNT" +
+         repeated("1", columns.size()) + "\nWIDTH " + points +
+         "\nHEIGHT 1\nVIEWPOINT 0 0 0 1 0 0 0\nPOINTS " + points + "\nDATA " + enum_name(encoding) + "\n";
+  if (encoding == PcdEncoding::kAscii) {
+    for (std::size_t i = 0; i < count; ++i) {
+      for (const Column& column : columns) {
+        text::append(out, column.first[i * column.stride]);
+        out += &column == &columns.back() ? '\n' : ' ';
+      }
+    }
+  } else if (encoding == PcdEncoding::kBinary) {
+    append_points(out, columns, count);
+  } else if (count > 0) {
+    std::string fields;
+    fields.reserve(4 * columns.size() * count);
+    for (const Column& column : columns) append_points(fields, {column}, count);
+    const std::string compressed = lzf_compress(fields);
+    append_uint32(out, compressed.size());
+    append_uint32(out, fields.size());
+    out += compressed;
+  }
+  write_file(path, out);
+}
+
+void write_ply(const fs::path& path, const PointCloud& cloud) {
+  const std::vector<Column> columns = columns_of(cloud);
+  std::string out =
+      "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(cloud.size()) + "\n";
+  for (const Column& column : columns) out += std::string("property float ") + column.ply_name + "\n";
+  out += "end_header\n";
+  append_points(out, columns, cloud.size());
+  write_file(path, out);
+}
+
+}  // namespace loopwise

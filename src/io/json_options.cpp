@@ -1,0 +1,268 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/json_options.hpp>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <numeric>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/io/atomic_file.hpp>
+
+#include "text.hpp"
+
+namespace loopwise {
+namespace {
+
+std::size_t line_of(std::string_view text, std::size_t byte) {
+  const auto end = text.begin() + static_cast<std::ptrdiff_t>(std::min(byte, text.size()));
+  return 1 + static_cast<std::size_t>(std::count(text.begin(), end, '\n'));
+}
+
+/// Without the library's own prefix "[json.exception.parse_error.101] parse error at line 3, column 7: ".
+std::string reason(const std::string& what) {
+  const std::size_t column = what.find("column ");
+  const std::size_t colon = what.find(": ", column == std::string::npos ? 0 : column);
+  return colon == std::string::npos ? what : what.substr(colon + 2);
+}
+
+/// Levenshtein's distance.
+std::size_t edit_distance(std::string_view a, std::string_view b) {
+  std::vector<std::size_t> row(b.size() + 1);
+  std::iota(row.begin(), row.end(), std::size_t{0});
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    std::size_t diagonal = row[0];
+    row[0] = i + 1;
+    for (std::size_t j = 0; j < b.size(); ++j) {
+      const std::size_t replaced = diagonal + (a[i] == b[j] ? 0 : 1);
+      diagonal = row[j + 1];
+      row[j + 1] = std::min({replaced, row[j] + 1, diagonal + 1});
+    }
+  }
+  return row.back();
+}
+
+[[noreturn]] void wrong_type(const std::string& name, const Json& value, const std::string& expected) {
+  throw OptionError(name + " = " + value.dump(-1, ' ', false, Json::error_handler_t::replace) + ", must be " +
+                    expected);
+}
+
+[[noreturn]] void wrong_text(const std::string& name, std::string_view text, const std::string& expected) {
+  throw OptionError(name + " = " + text::quoted(text) + ", must be " + expected);
+}
+
+template <class T>
+std::string whole_number_in(T min, T max) {
+  return "a whole number in [" + std::to_string(min) + ", " + std::to_string(max) + "]";
+}
+
+Json json_number(double value) {
+  if (std::isfinite(value)) return value;
+  return std::isnan(value) ? "nan" : value > 0.0 ? "inf" : "-inf";  // JSON has no such numbers
+}
+
+bool special_number(std::string_view word, double& value) {
+  if (word == "inf") {
+    value = std::numeric_limits<double>::infinity();
+  } else if (word == "-inf") {
+    value = -std::numeric_limits<double>::infinity();
+  } else if (word == "nan") {
+    value = std::numeric_limits<double>::quiet_NaN();
+  } else {
+    return false;
+  }
+  return true;
+}
+
+}  // namespace
+
+Json parse_json(std::string_view text, const std::string& name) {
+  // The parser keeps the last of two equal keys; a configuration that says two things is a mistake.
+  std::vector<std::set<std::string>> open;
+  std::string repeated;
+  const auto watch = [&](int, Json::parse_event_t event, Json& value) {
+    if (event == Json::parse_event_t::object_start) open.emplace_back();
+    if (event == Json::parse_event_t::object_end) open.pop_back();
+    if (event == Json::parse_event_t::key && repeated.empty()) {
+      const std::string& key = value.get_ref<const std::string&>();
+      if (!open.back().insert(key).second) repeated = key;
+    }
+    return true;
+  };
+  Json json;
+  try {
+    json = Json::parse(text.begin(), text.end(), watch, true, true);
+  } catch (const Json::parse_error& error) {
+    throw ParseError(name, line_of(text, error.byte == 0 ? 0 : error.byte - 1), reason(error.what()));
+  }
+  if (!repeated.empty()) {
+    const std::string quoted = Json(repeated).dump();
+    const std::size_t first = text.find(quoted);
+    const std::size_t second =
+        first == std::string_view::npos ? first : text.find(quoted, first + quoted.size());
+    throw ParseError(name, second == std::string_view::npos ? 1 : line_of(text, second),
+                     "key " + quoted + " is repeated within an object");
+  }
+  return json;
+}
+
+Json read_json_file(const std::filesystem::path& path) {
+  return parse_json(read_file(path), path.string());
+}
+
+void throw_unknown_name(std::string_view what, std::string_view name, const std::vector<std::string>& known) {
+  const std::string* nearest = nullptr;
+  std::size_t least = std::max<std::size_t>(2, name.size() / 3) + 1;
+  for (const std::string& candidate : known) {
+    const std::size_t distance = edit_distance(name, candidate);
+    if (distance < least) {
+      least = distance;
+      nearest = &candidate;
+    }
+  }
+  std::string message = "unknown " + std::string(what) + " " + std::string(name);
+  if (nearest != nullptr) message += ", did you mean " + *nearest + "?";
+  message += nearest != nullptr ? " Known: " : "; known: ";
+  for (std::size_t i = 0; i < known.size(); ++i) message += (i > 0 ? ", " : "") + known[i];
+  throw OptionError(message);
+}
+
+namespace detail {
+
+bool json_to_bool(const Json& value, const std::string& name) {
+  if (!value.is_boolean()) wrong_type(name, value, "true or false");
+  return value.get<bool>();
+}
+
+std::int64_t json_to_int64(const Json& value, const std::string& name, std::int64_t min, std::int64_t max) {
+  const bool fits =
+      value.is_number_unsigned()
+          ? value.get<std::uint64_t>() <= static_cast<std::uint64_t>(max)
+          : value.is_number_integer() && value.get<std::int64_t>() >= min && value.get<std::int64_t>() <= max;
+  if (!fits) wrong_type(name, value, whole_number_in(min, max));
+  return value.get<std::int64_t>();
+}
+
+std::uint64_t json_to_uint64(const Json& value, const std::string& name, std::uint64_t max) {
+  // A number that was parsed is unsigned unless negative; one that was set by a program may be signed.
+  const bool fits =
+      value.is_number_unsigned() || (value.is_number_integer() && value.get<std::int64_t>() >= 0);
+  if (!fits || value.get<std::uint64_t>() > max)
+    wrong_type(name, value, whole_number_in(std::uint64_t{0}, max));
+  return value.get<std::uint64_t>();
+}
+
+double json_to_double(const Json& value, const std::string& name) {
+  double special = 0.0;
+  if (value.is_string() && special_number(value.get_ref<const std::string&>(), special)) return special;
+  if (!value.is_number()) wrong_type(name, value, "a number");
+  return value.get<double>();
+}
+
+std::string json_to_text(const Json& value, const std::string& name) {
+  if (!value.is_string()) wrong_type(name, value, "text in quotes");
+  return value.get<std::string>();
+}
+
+std::vector<double> json_to_doubles(const Json& value, const std::string& name) {
+  if (!value.is_array()) wrong_type(name, value, "a list of numbers");
+  std::vector<double> out;
+  for (const Json& element : value) out.push_back(json_to_double(element, name));
+  return out;
+}
+
+void require_object(const Json& value, const std::string& name) {
+  if (!value.is_object()) wrong_type(name, value, "an object {\"name\": value, ...}");
+}
+
+std::vector<std::string> json_keys(const Json& object) {
+  std::vector<std::string> keys;
+  for (const auto& item : object.items()) keys.push_back(item.key());
+  return keys;
+}
+
+const Json* find_json(const Json& object, std::string_view key) {
+  const auto found = object.find(std::string(key));
+  return found == object.end() ? nullptr : &*found;
+}
+
+bool text_to_bool(std::string_view text, const std::string& name) {
+  if (text == "true" || text == "1") return true;
+  if (text == "false" || text == "0") return false;
+  wrong_text(name, text, "true or false");
+}
+
+std::int64_t text_to_int64(std::string_view text, const std::string& name, std::int64_t min,
+                           std::int64_t max) {
+  std::int64_t value = 0;
+  if (!text::parse_int64(text, value) || value < min || value > max) {
+    wrong_text(name, text, whole_number_in(min, max));
+  }
+  return value;
+}
+
+std::uint64_t text_to_uint64(std::string_view text, const std::string& name, std::uint64_t max) {
+  std::uint64_t value = 0;
+  if (text::parse_id(text, value) != nullptr || value > max) {
+    wrong_text(name, text, whole_number_in(std::uint64_t{0}, max));
+  }
+  return value;
+}
+
+double text_to_double(std::string_view text, const std::string& name) {
+  double value = 0.0;
+  if (!special_number(text, value) && text::parse_double(text, value) != text::Number::kOk) {
+    wrong_text(name, text, "a number");
+  }
+  return value;
+}
+
+std::vector<double> text_to_doubles(std::string_view text, const std::string& name) {
+  std::vector<double> values;
+  if (text.size() >= 2 && text.front() == '[' && text.back() == ']') text = text.substr(1, text.size() - 2);
+  while (!text::trim(text).empty()) {
+    const std::size_t comma = text.find(',');
+    values.push_back(text_to_double(text::trim(text.substr(0, comma)), name));
+    text = comma == std::string_view::npos ? std::string_view{} : text.substr(comma + 1);
+  }
+  return values;
+}
+
+static Json value_to_json(const OptionValue& value) {
+  return std::visit(
+      [](const auto& v) -> Json {
+        using T = std::decay_t<decltype(v)>;
+        if constexpr (std::is_same_v<T, double>) {
+          return json_number(v);
+        } else if constexpr (std::is_same_v<T, std::vector<double>>) {
+          Json list = Json::array();
+          for (const double element : v) list.push_back(json_number(element));
+          return list;
+        } else {
+          return v;
+        }
+      },
+      value);
+}
+
+Json fields_to_json(const std::vector<OptionField>& fields) {
+  Json object = Json::object();
+  for (const OptionField& field : fields) object[field.name] = value_to_json(field.value);
+  return object;
+}
+
+std::string value_text(const OptionValue& value) {
+  return value_to_json(value).dump(-1, ' ', false, Json::error_handler_t::replace);
+}
+
+void throw_unknown_option(const std::string& section, std::string_view name,
+                          const std::vector<OptionField>& known) {
+  std::vector<std::string> names;
+  for (const OptionField& field : known) names.push_back(section + "." + field.name);
+  throw_unknown_name("option", section + "." + std::string(name), names);
+}
+
+}  // namespace detail
+}  // namespace loopwise

@@ -1,0 +1,212 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/mission.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/g2o.hpp>
+
+#include "mission_parts.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+
+bool has_file(const fs::path& folder, const char* name) {
+  return fs::is_regular_file(folder / name);
+}
+
+Mission read_g2o_mission(const fs::path& path, const MissionOptions& options) {
+  G2oFile file = read_g2o(path);
+  Mission mission;
+  mission.kind = MissionKind::kG2o;
+  mission.name = path.stem().string();
+  mission.path = path;
+  mission.problems = std::move(file.problems);
+  mission.robots = parts::robots_of(file.graph, options, Robots::from_keys(file.graph.keys()));
+  std::vector<PriorFactor> priors = file.graph.priors();
+  if (priors.empty()) {
+    const Key first = parts::first_nodes(file.graph, mission.robots).front();
+    priors.push_back(parts::default_prior(file.graph, first, options));
+    mission.problems.add("no prior given", path.string() + ": node " + std::to_string(first) + " gets one");
+  }
+  mission.problems.add("no stamps given", path.string());
+  mission.graph = parts::assemble(file.graph, parts::regular_stamps(file.graph, mission.robots, options),
+                                  priors, mission.robots);
+  parts::check_stamps(mission);
+  return mission;
+}
+
+}  // namespace
+
+namespace parts {
+
+bool stamp_in_range(std::int64_t stamp_ns) {
+  constexpr std::int64_t kLargest = 4'600'000'000'000'000'000;
+  return stamp_ns >= -kLargest && stamp_ns <= kLargest;
+}
+
+Robots robots_of(const PoseGraph& graph, const MissionOptions& options, const Robots& otherwise) {
+  Robots robots = options.robots.empty() ? otherwise : parse_robots(options.robots);
+  for (const Node& node : graph.nodes()) static_cast<void>(robots.of(node.key));
+  return robots;
+}
+
+PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps, const std::vector<PriorFactor>& priors,
+                   const Robots& robots) {
+  PoseGraph out;
+  for (Node node : graph.nodes()) {
+    const auto stamp = stamps.find(node.key);
+    node.stamp_ns = stamp == stamps.end() ? 0 : stamp->second;
+    out.add_node(node);
+  }
+  for (const PriorFactor& prior : priors) out.add_prior(prior);
+  for (const Edge& edge : graph.edges()) out.add_edge(edge);
+  classify_edges(out, robots);
+  return out;
+}
+
+Stamps regular_stamps(const PoseGraph& graph, const Robots& robots, const MissionOptions& options) {
+  std::vector<Key> keys = graph.keys();
+  std::sort(keys.begin(), keys.end());
+  std::vector<std::size_t> count(robots.size(), 0);
+  Stamps stamps;
+  for (const Key key : keys) {
+    const double time_s = options.node_interval_s * static_cast<double>(count[robots.of(key)]++);
+    stamps[key] = static_cast<std::int64_t>(std::llround(std::min(time_s, 1e9) * 1e9));
+  }
+  return stamps;
+}
+
+std::vector<Key> first_nodes(const PoseGraph& graph, const Robots& robots) {
+  std::map<std::size_t, Key> first;
+  for (const Node& node : graph.nodes()) {
+    const auto [entry, is_new] = first.emplace(robots.of(node.key), node.key);
+    if (!is_new) entry->second = std::min(entry->second, node.key);
+  }
+  std::vector<Key> keys;
+  for (const auto& [robot, key] : first) keys.push_back(key);
+  return keys;
+}
+
+Matrix6d information_of_sigmas(const double* sigmas) {
+  Matrix6d information = Matrix6d::Zero();
+  for (int i = 0; i < 6; ++i) information(i, i) = 1.0 / (sigmas[i] * sigmas[i]);
+  return information;
+}
+
+PriorFactor default_prior(const PoseGraph& graph, Key key, const MissionOptions& options) {
+  return {key, graph.node(key).pose, information_of_sigmas(options.prior_sigmas.data())};
+}
+
+std::map<Key, fs::path> find_scans(const fs::path& folder,
+                                   const std::function<std::optional<Key>(const std::string&)>& key_of,
+                                   Problems& problems) {
+  std::map<Key, fs::path> scans;
+  if (!fs::exists(folder)) return scans;
+  std::set<fs::path> files;  // sorted: the order of a folder is not defined
+  std::error_code error;
+  for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
+    if (entry->path().filename().string().front() != '.') files.insert(entry->path());
+  }
+  if (error) throw IoError(folder.string(), error.message());
+  for (const fs::path& file : files) {
+    const auto key = is_cloud_file(file) ? key_of(file.stem().string()) : std::nullopt;
+    if (!key) {
+      problems.add("foreign file in scans", file.string());
+    } else if (!scans.emplace(*key, file).second) {
+      problems.add("repeated scan", file.string() + ", taken: " + scans.at(*key).filename().string());
+    }
+  }
+  return scans;
+}
+
+void set_scans(Mission& mission, std::map<Key, fs::path> files, const MissionOptions& options) {
+  if (files.empty()) {
+    mission.problems.add("node without scan", "no scans at all", mission.graph.nodes().size());
+  } else {
+    for (const Node& node : mission.graph.nodes()) {
+      if (files.count(node.key) == 0) mission.problems.add("node without scan", "node " + key_name(node.key));
+    }
+  }
+  for (const auto& [key, file] : files) {
+    if (!mission.graph.contains(key)) mission.problems.add("scan without node", file.string());
+  }
+  const double bytes = std::min(options.scan_cache_mb, 1e9) * 1e6;
+  mission.scans = std::make_shared<ScanStore>(std::move(files), static_cast<std::size_t>(bytes));
+}
+
+void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth) {
+  for (auto entry = truth.begin(); entry != truth.end();) {
+    if (mission.graph.contains(entry->first)) {
+      ++entry;
+    } else {
+      mission.problems.add("ground truth without node", "key " + key_name(entry->first));
+      entry = truth.erase(entry);
+    }
+  }
+  for (const Node& node : mission.graph.nodes()) {
+    if (truth.count(node.key) == 0)
+      mission.problems.add("node without ground truth", "node " + key_name(node.key));
+  }
+  mission.ground_truth = std::move(truth);
+}
+
+void check_stamps(Mission& mission) {
+  std::map<Key, std::int64_t> stamps;
+  for (const Node& node : mission.graph.nodes()) stamps.emplace(node.key, node.stamp_ns);
+  if (stamps.empty()) return;
+  mission.start_ns = stamps.begin()->second;
+  for (const auto& [key, stamp] : stamps) mission.start_ns = std::min(mission.start_ns, stamp);
+  for (auto b = std::next(stamps.begin()), a = stamps.begin(); b != stamps.end(); ++a, ++b) {
+    if (b->second <= a->second && mission.robots.find(a->first) == mission.robots.find(b->first)) {
+      mission.problems.add("stamps not ascending",
+                           "nodes " + key_name(a->first) + " and " + key_name(b->first));
+    }
+  }
+}
+
+}  // namespace parts
+
+Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& options) {
+  const double length = T.translation().norm();
+  const double m = std::max(options.odometry_min_sigma_m, options.odometry_sigma_m_per_m * length);
+  const double rad = std::max(options.odometry_min_sigma_rad, options.odometry_sigma_rad_per_m * length);
+  const double sigmas[] = {m, m, m, rad, rad, rad};
+  return parts::information_of_sigmas(sigmas);
+}
+
+MissionKind mission_kind(const fs::path& path) {
+  std::error_code error;
+  const fs::file_status status = fs::status(path, error);
+  if (!fs::exists(status))
+    throw IoError(path.string(), error ? error.message() : "No such file or directory");
+  if (!fs::is_directory(status)) {
+    return path.filename() == "mission.json" ? MissionKind::kMission : MissionKind::kG2o;
+  }
+  if (has_file(path, "mission.json")) return MissionKind::kMission;
+  if (has_file(path, "optimized_poses.txt") || has_file(path, "odom_poses.txt")) return MissionKind::kSession;
+  throw InputError(
+      path.string() +
+      ": no mission: expected mission.json (it is written last: without it a mission is not complete), "
+      "or optimized_poses.txt or odom_poses.txt of a session, or the path of a g2o file");
+}
+
+Mission read_mission(const fs::path& path, const MissionOptions& options) {
+  validate(options);
+  if (options.prior_sigmas.size() != 6) {
+    throw OptionError("prior_sigmas has " + std::to_string(options.prior_sigmas.size()) +
+                      " numbers, must have 6: x, y, z, roll, pitch, yaw");
+  }
+  const MissionKind kind = mission_kind(path);
+  if (kind == MissionKind::kG2o) return read_g2o_mission(path, options);
+  fs::path folder = path.filename() == "mission.json" ? path.parent_path() : path;
+  if (folder.empty()) folder = ".";
+  return kind == MissionKind::kMission ? parts::read_mission_folder(folder, options)
+                                       : parts::read_session(folder, options);
+}
+
+}  // namespace loopwise

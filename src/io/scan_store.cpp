@@ -1,0 +1,152 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/scan_store.hpp>
+
+#include <algorithm>
+#include <condition_variable>
+#include <list>
+#include <mutex>
+#include <optional>
+#include <utility>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/cloud.hpp>
+
+namespace loopwise {
+
+struct ScanStore::State {
+  enum class Stage { kNotRead, kBeingRead, kKept, kFailed };
+  struct Entry {
+    std::filesystem::path file;  // empty if scans come from `source`
+    Stage stage = Stage::kNotRead;
+    std::shared_ptr<const PointCloud> cloud;
+    std::size_t bytes = 0;
+    std::list<Key>::iterator recency;  // valid while kept
+    std::string failure;
+    bool counted = false;  // its problems have been noted: it may be read again after it was let go
+    Problems problems;
+  };
+
+  std::size_t max_bytes = 0;
+  ScanLoader source;
+  mutable std::mutex mutex;
+  std::condition_variable read;  // some scan left kBeingRead
+  std::map<Key, Entry> entries;  // the set of keys never changes
+  std::list<Key> recency;        // most recently used first
+  std::size_t bytes = 0;
+
+  std::shared_ptr<const PointCloud> load(Key key) {
+    std::unique_lock<std::mutex> lock(mutex);
+    const auto found = entries.find(key);
+    if (found == entries.end()) return nullptr;
+    Entry& entry = found->second;
+    read.wait(lock, [&entry] { return entry.stage != Stage::kBeingRead; });
+    if (entry.stage == Stage::kFailed) throw InputError(entry.failure);
+    if (entry.stage == Stage::kKept) {
+      recency.splice(recency.begin(), recency, entry.recency);
+      return entry.cloud;
+    }
+
+    entry.stage = Stage::kBeingRead;
+    lock.unlock();
+    CloudFile loaded;
+    std::shared_ptr<const PointCloud> cloud;
+    std::optional<std::string> failure;
+    try {
+      if (source) {
+        cloud = source(key);
+        if (!cloud) failure = "scan " + key_name(key) + " is missing";
+      } else {
+        loaded = read_cloud(entry.file);
+        cloud = std::make_shared<const PointCloud>(std::move(loaded.cloud));
+      }
+    } catch (const std::exception& error) {
+      failure = error.what();
+    } catch (...) {
+      failure = "scan " + key_name(key) + " cannot be read";
+    }
+    lock.lock();
+
+    if (failure) {
+      entry.stage = Stage::kFailed;
+      entry.failure = *failure;
+      entry.problems.add("scan cannot be read", *failure);
+      read.notify_all();
+      throw InputError(*failure);
+    }
+    if (!entry.counted) entry.problems = std::move(loaded.problems);
+    entry.counted = true;
+    keep(key, entry, cloud);
+    read.notify_all();
+    return cloud;
+  }
+
+  void keep(Key key, Entry& entry, const std::shared_ptr<const PointCloud>& cloud) {
+    entry.stage = Stage::kNotRead;
+    const std::size_t size = cloud->bytes();
+    if (size > max_bytes) return;
+    while (bytes + size > max_bytes) {
+      Entry& oldest = entries.at(recency.back());
+      bytes -= oldest.bytes;
+      oldest.cloud.reset();
+      oldest.stage = Stage::kNotRead;
+      recency.pop_back();
+    }
+    recency.push_front(key);
+    entry.stage = Stage::kKept;
+    entry.cloud = cloud;
+    entry.bytes = size;
+    entry.recency = recency.begin();
+    bytes += size;
+  }
+};
+
+ScanStore::ScanStore(std::map<Key, std::filesystem::path> files, std::size_t max_bytes)
+    : state_(std::make_shared<State>()) {
+  state_->max_bytes = max_bytes;
+  for (auto& [key, file] : files) state_->entries[key].file = std::move(file);
+}
+
+ScanStore::ScanStore(const std::vector<Key>& keys, ScanLoader source, std::size_t max_bytes)
+    : state_(std::make_shared<State>()) {
+  if (!source) throw OptionError("scan store: the source is an empty function");
+  state_->max_bytes = max_bytes;
+  state_->source = std::move(source);
+  for (const Key key : keys) state_->entries[key];
+}
+
+bool ScanStore::has(Key key) const {
+  return state_->entries.count(key) != 0;
+}
+
+std::vector<Key> ScanStore::keys() const {
+  std::vector<Key> keys;
+  keys.reserve(state_->entries.size());
+  for (const auto& [key, entry] : state_->entries) keys.push_back(key);
+  return keys;
+}
+
+std::size_t ScanStore::size() const {
+  return state_->entries.size();
+}
+
+std::shared_ptr<const PointCloud> ScanStore::load(Key key) const {
+  return state_->load(key);
+}
+
+Problems ScanStore::problems() const {
+  const std::lock_guard<std::mutex> lock(state_->mutex);
+  Problems all;
+  for (const auto& [key, entry] : state_->entries) all.add(entry.problems);
+  return all;
+}
+
+std::size_t ScanStore::bytes() const {
+  const std::lock_guard<std::mutex> lock(state_->mutex);
+  return state_->bytes;
+}
+
+ScanLoader ScanStore::loader() const {
+  return [state = state_](Key key) { return state->load(key); };
+}
+
+}  // namespace loopwise

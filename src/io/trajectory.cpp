@@ -1,0 +1,274 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/trajectory.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdlib>
+#include <map>
+#include <numeric>
+#include <string_view>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/g2o.hpp>
+
+#include "text.hpp"
+
+namespace loopwise {
+namespace {
+
+constexpr std::size_t kTumNumbers = 8;
+constexpr std::size_t kKittiNumbers = 12;
+
+/// The form of the first line that is neither blank nor a comment.
+TrajectoryFormat recognise(const std::string& file, std::string_view contents) {
+  text::Lines lines(contents);
+  for (std::string_view line; lines.next(line);) {
+    std::string_view first = text::next_word(line);
+    if (first.empty()) continue;
+    const char c = first[0];
+    if ((c >= 'A' && c <= 'Z') || c == '_') return TrajectoryFormat::kG2o;
+    std::size_t words = 1;
+    while (!text::next_word(line).empty()) ++words;
+    if (words == kTumNumbers) return TrajectoryFormat::kTum;
+    if (words == kKittiNumbers) return TrajectoryFormat::kKitti;
+    throw ParseError(file, lines.number(),
+                     std::to_string(words) +
+                         " values, expected 8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI: rows "
+                         "of a 3x4 matrix) or a g2o tag");
+  }
+  throw InputError(file + ": holds no pose");
+}
+
+void read_tum_line(std::string_view line, const text::Place& place, Trajectory& out) {
+  std::string_view rest = line;
+  const std::string_view stamp = text::next_word(rest);
+  double values[kTumNumbers - 1];
+  const std::size_t found = text::read_numbers(rest, values, kTumNumbers - 1, place) + 1;
+  if (found != kTumNumbers) place.fail("a TUM pose needs 8 values, found " + std::to_string(found));
+  const auto ns = text::parse_seconds_ns(stamp);
+  if (!ns) place.fail(text::quoted(stamp) + " is no stamp in seconds");
+  const text::Pose pose = text::pose_of(values, place);
+  if (!pose.was_unit) out.problems.add("non-unit quaternion", place.str());
+  out.stamps_ns.push_back(*ns);
+  out.poses.push_back(pose.pose);
+}
+
+void read_kitti_line(std::string_view line, const text::Place& place, Trajectory& out) {
+  double values[kKittiNumbers];
+  const std::size_t found = text::read_numbers(line, values, kKittiNumbers, place);
+  if (found != kKittiNumbers) place.fail("a KITTI pose needs 12 values, found " + std::to_string(found));
+  const text::Rigid rigid = text::rigid_of(values, place);
+  if (!rigid.was_rotation) out.problems.add("rotation not orthonormal", place.str());
+  out.poses.push_back(rigid.pose);
+}
+
+Trajectory read_lines(const std::string& file, std::string_view contents, TrajectoryFormat format) {
+  Trajectory out;
+  out.format = format;
+  text::Lines lines(contents);
+  for (std::string_view line; lines.next(line);) {
+    std::string_view look = line;
+    if (text::next_word(look).empty()) continue;
+    const text::Place place{file, lines.number()};
+    if (format == TrajectoryFormat::kTum) {
+      read_tum_line(line, place, out);
+    } else {
+      read_kitti_line(line, place, out);
+    }
+  }
+  if (out.poses.empty()) throw InputError(file + ": holds no pose");
+  if (!lines.ended()) out.problems.add("no line end after the last line", file);
+  out.keys.resize(out.poses.size());
+  std::iota(out.keys.begin(), out.keys.end(), Key{0});
+  return out;
+}
+
+Trajectory read_vertices(const std::filesystem::path& path) {
+  G2oFile file = read_g2o(path);
+  Trajectory out;
+  out.format = TrajectoryFormat::kG2o;
+  out.poses = file.graph.poses();
+  out.keys = file.graph.keys();
+  out.problems = std::move(file.problems);
+  return out;
+}
+
+using IndexPairs = std::vector<std::pair<std::size_t, std::size_t>>;
+
+IndexPairs pair_by_key(const Trajectory& estimate, const Trajectory& truth) {
+  std::map<Key, std::size_t> rows;
+  for (std::size_t i = 0; i < truth.keys.size(); ++i) rows.emplace(truth.keys[i], i);
+  IndexPairs pairs;
+  for (std::size_t i = 0; i < estimate.keys.size(); ++i) {
+    if (const auto found = rows.find(estimate.keys[i]); found != rows.end())
+      pairs.emplace_back(i, found->second);
+  }
+  return pairs;
+}
+
+std::vector<std::size_t> by_stamp(const std::vector<std::int64_t>& stamps) {
+  std::vector<std::size_t> order(stamps.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t a, std::size_t b) { return stamps[a] < stamps[b]; });
+  return order;
+}
+
+/// All pairs within the tolerance, closest first; each pose is used once.
+IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, double tolerance_s) {
+  struct Choice {
+    std::uint64_t gap_ns;
+    std::size_t estimate;
+    std::size_t truth;
+  };
+  const auto tolerance_ns = static_cast<std::int64_t>(std::llround(std::clamp(tolerance_s, 0.0, 1e9) * 1e9));
+  const std::vector<std::size_t> order = by_stamp(truth.stamps_ns);
+  std::vector<Choice> choices;
+  for (std::size_t i = 0; i < estimate.stamps_ns.size(); ++i) {
+    const std::int64_t stamp = estimate.stamps_ns[i];
+    auto t = std::lower_bound(order.begin(), order.end(), stamp - tolerance_ns,
+                              [&](std::size_t row, std::int64_t s) { return truth.stamps_ns[row] < s; });
+    for (; t != order.end() && truth.stamps_ns[*t] <= stamp + tolerance_ns; ++t) {
+      choices.push_back({static_cast<std::uint64_t>(std::abs(truth.stamps_ns[*t] - stamp)), i, *t});
+    }
+  }
+  std::sort(choices.begin(), choices.end(), [](const Choice& a, const Choice& b) {
+    return std::tie(a.gap_ns, a.estimate, a.truth) < std::tie(b.gap_ns, b.estimate, b.truth);
+  });
+  std::vector<char> estimate_used(estimate.poses.size()), truth_used(truth.poses.size());
+  IndexPairs pairs;
+  for (const Choice& choice : choices) {
+    if (estimate_used[choice.estimate] || truth_used[choice.truth]) continue;
+    estimate_used[choice.estimate] = truth_used[choice.truth] = 1;
+    pairs.emplace_back(choice.estimate, choice.truth);
+  }
+  std::sort(pairs.begin(), pairs.end());
+  return pairs;
+}
+
+/// Whether every key of the g2o file is a row of the other file.
+bool keys_are_rows(const Trajectory& g2o, const Trajectory& rows) {
+  return std::all_of(g2o.keys.begin(), g2o.keys.end(), [&](Key key) { return key < rows.poses.size(); });
+}
+
+}  // namespace
+
+Trajectory read_trajectory(const std::filesystem::path& path) {
+  const std::string contents = read_file(path);
+  const TrajectoryFormat format = recognise(path.string(), contents);
+  return format == TrajectoryFormat::kG2o ? read_vertices(path) : read_lines(path.string(), contents, format);
+}
+
+Trajectory read_trajectory(const std::filesystem::path& path, TrajectoryFormat format) {
+  return format == TrajectoryFormat::kG2o ? read_vertices(path)
+                                          : read_lines(path.string(), read_file(path), format);
+}
+
+std::vector<StampedPose> read_tum(const std::filesystem::path& path) {
+  const Trajectory trajectory = read_trajectory(path, TrajectoryFormat::kTum);
+  std::vector<StampedPose> poses;
+  for (std::size_t i = 0; i < trajectory.poses.size(); ++i) {
+    poses.push_back({trajectory.stamps_ns[i], trajectory.poses[i]});
+  }
+  return poses;
+}
+
+std::vector<Eigen::Isometry3d> read_kitti(const std::filesystem::path& path) {
+  return read_trajectory(path, TrajectoryFormat::kKitti).poses;
+}
+
+void write_tum(const std::filesystem::path& path, const std::vector<StampedPose>& poses) {
+  constexpr std::uint64_t kSecond = 1'000'000'000;
+  std::string out;
+  for (const StampedPose& stamped : poses) {
+    const bool negative = stamped.stamp_ns < 0;
+    const auto bits = static_cast<std::uint64_t>(stamped.stamp_ns);
+    const std::uint64_t ns = negative ? std::uint64_t{0} - bits : bits;
+    const std::string fraction = std::to_string(ns % kSecond);
+    if (negative) out += '-';
+    text::append(out, ns / kSecond);
+    out += '.' + std::string(9 - fraction.size(), '0') + fraction + ' ';
+    text::append_pose(out, stamped.pose);
+    out += '\n';
+  }
+  write_file(path, out);
+}
+
+void write_kitti(const std::filesystem::path& path, const std::vector<Eigen::Isometry3d>& poses) {
+  std::string out;
+  for (const Eigen::Isometry3d& pose : poses) {
+    for (int i = 0; i < 12; ++i) {
+      text::append(out, pose(i / 4, i % 4));
+      out += i < 11 ? ' ' : '\n';
+    }
+  }
+  write_file(path, out);
+}
+
+PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double max_time_difference_s) {
+  const bool estimate_keys = estimate.format == TrajectoryFormat::kG2o;
+  const bool truth_keys = truth.format == TrajectoryFormat::kG2o;
+  IndexPairs pairs;
+  if (estimate_keys && truth_keys) {
+    pairs = pair_by_key(estimate, truth);
+  } else if (!estimate.stamps_ns.empty() && !truth.stamps_ns.empty()) {
+    pairs = pair_by_stamp(estimate, truth, max_time_difference_s);
+  } else if ((estimate_keys && keys_are_rows(estimate, truth)) ||
+             (truth_keys && keys_are_rows(truth, estimate))) {
+    pairs = pair_by_key(estimate, truth);
+  } else if (estimate.poses.size() == truth.poses.size()) {
+    for (std::size_t i = 0; i < estimate.poses.size(); ++i) pairs.emplace_back(i, i);
+  } else {
+    throw InputError("cannot pair " + std::to_string(estimate.poses.size()) + " poses (" +
+                     enum_name(estimate.format) + ") with " + std::to_string(truth.poses.size()) + " (" +
+                     enum_name(truth.format) + "): without common keys or stamps they must be as many");
+  }
+  if (pairs.empty()) {
+    throw InputError("no pose of the estimate has a partner in the truth: " +
+                     std::string(estimate_keys ? "no common key" : "no stamps close enough"));
+  }
+
+  PosePairs out;
+  std::vector<char> has_truth(estimate.poses.size()), has_estimate(truth.poses.size());
+  for (const auto& [e, t] : pairs) {
+    out.keys.push_back(estimate.keys[e]);
+    out.estimate.push_back(estimate.poses[e]);
+    out.truth.push_back(truth.poses[t]);
+    has_truth[e] = has_estimate[t] = 1;
+  }
+  for (std::size_t i = 0; i < has_truth.size(); ++i) {
+    if (!has_truth[i]) out.problems.add("pose without truth", key_name(estimate.keys[i]));
+  }
+  for (std::size_t i = 0; i < has_estimate.size(); ++i) {
+    if (!has_estimate[i]) out.problems.add("truth without pose", key_name(truth.keys[i]));
+  }
+  return out;
+}
+
+Eigen::Isometry3d read_transform(const std::filesystem::path& path) {
+  const std::string file = path.string(), contents = read_file(path);
+  double values[16];
+  std::size_t count = 0;
+  text::Lines lines(contents);
+  for (std::string_view line; lines.next(line);) {
+    double row[16];
+    const std::size_t found = text::read_numbers(line, row, 16, {file, lines.number()});
+    if (count + found > 16)
+      throw ParseError(file, lines.number(), "more than 16 numbers, expected one transform");
+    std::copy(row, row + found, values + count);
+    count += found;
+  }
+  const text::Place last{file, std::max<std::size_t>(1, lines.number())};
+  if (count == 7) return text::pose_of(values, last).pose;
+  if (count != 12 && count != 16) {
+    last.fail(std::to_string(count) + " numbers, expected 12 or 16 of a matrix or 7 (x y z qx qy qz qw)");
+  }
+  if (count == 16 && (std::abs(values[12]) > 1e-9 || std::abs(values[13]) > 1e-9 ||
+                      std::abs(values[14]) > 1e-9 || std::abs(values[15] - 1.0) > 1e-9)) {
+    last.fail("the last row of a 4x4 transform must be 0 0 0 1");
+  }
+  return text::rigid_of(values, last).pose;
+}
+
+}  // namespace loopwise
