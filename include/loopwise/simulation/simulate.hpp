@@ -3,20 +3,19 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <filesystem>
 #include <functional>
-#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
 
-#include <Eigen/Geometry>
+#include <Eigen/Core>
 
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
-#include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/progress.hpp>
-#include <loopwise/core/robots.hpp>
 #include <loopwise/core/stop_token.hpp>
+#include <loopwise/io/mission.hpp>
 #include <loopwise/simulation/world.hpp>
 
 namespace loopwise {
@@ -84,62 +83,51 @@ void validate_simulation(const SimulationOptions& options);
 /// The options with 0 replaced by the world's own figures. \throws OptionError as validate_simulation.
 [[nodiscard]] SimulationOptions resolved(SimulationOptions options);
 
-/// A beacon that a robot carried and dropped.
-struct SimulatedBeacon {
-  std::string name;  ///< Unique in the mission.
-  std::size_t robot = 0;
-  Key drop_key = 0;           ///< Node at which the robot dropped it.
-  std::int64_t stamp_ns = 0;  ///< Of that node.
-  Eigen::Vector3d position;   ///< Truth, world frame, m.
+/// Truth of one beacon, in the order of Mission::beacons.
+struct BeaconTruth {
+  std::string beacon;
+  Eigen::Vector3d position;  ///< World frame, m.
 };
 
-/// What the receivers of a robot's radio heard of a beacon at a node.
-struct SimulatedReading {
-  Key key = 0;
-  std::size_t beacon = 0;  ///< Into SimulatedMission::beacons.
-  double transmit_dbm = 0.0;
-  std::vector<double> receive_dbm;  ///< One per receiver; NaN where the receiver missed it.
-  double distance_m = 0.0;          ///< Truth: straight line from beacon to robot.
-  int walls = 0;                    ///< Truth: walls on that line.
+/// Truth of one reading, in the order of Mission::radio.
+struct ReadingTruth {
+  double distance_m = 0.0;  ///< Straight line from beacon to robot.
+  int walls = 0;            ///< Walls on that line, counted up to 4.
 };
 
-/// A robot cannot reach the base station from `start_ns` to `end_ns`; what it made meanwhile arrives at
-/// `end_ns`.
-struct SimulatedGap {
-  std::size_t robot = 0;
-  std::int64_t start_ns = 0;
-  std::int64_t end_ns = 0;
-};
-
-/// A whole mission in memory. Per-node vectors are in the order of graph.nodes().
+/// A whole mission in memory, and what only a simulator knows of it.
 struct SimulatedMission {
   SimulationOptions options;  ///< Resolved.
   std::uint64_t seed = 0;
-  Robots robots;  ///< "a", "b", ...: keys are GTSAM symbols with these characters.
-  /// Nodes at the odometry's poses, composed from each robot's prior; odometry edges with the covariance that
-  /// the front end states; one prior per robot.
-  PoseGraph graph;
-  std::vector<Eigen::Isometry3d> truth;
-  std::vector<KeyedScan> scans;  ///< Empty if the scans went to a sink.
-  /// Smallest eigenvalue of the mean point-to-plane information of the full sweep's translation and rotation
-  /// (true normals, rotation over a lever of 10 m): what the odometry had to live on.
+  /// As read_mission() would give it back: keys are GTSAM symbols of the robots a, b, c, ...; nodes stand
+  /// where the odometry puts them, composed from each robot's prior; odometry edges carry the covariance that
+  /// the front end states. The scans are in memory unless they went to a sink.
+  Mission mission;
+  std::vector<BeaconTruth> beacons;
+  std::vector<ReadingTruth> readings;
+  /// By node number: smallest eigenvalue of the mean of n·nᵀ over the full sweep with true normals, at most
+  /// 1/3: what the odometry had to hold on to.
   std::vector<double> observability;
-  std::vector<bool> in_corridor;  ///< Between two walls, away from junctions.
-  std::vector<SimulatedBeacon> beacons;
-  std::vector<SimulatedReading> readings;
-  std::vector<SimulatedGap> gaps;
-  std::uint64_t rays = 0;  ///< Cast for the scans.
+  std::vector<bool> in_corridor;  ///< By node number: between two walls, away from junctions and ends.
+  std::uint64_t rays = 0;         ///< Cast for the scans.
 };
 
 /// Receives each scan once it is made, from any thread and in any order.
-using ScanSink = std::function<void(const KeyedScan&)>;
+using ScanSink = std::function<void(Key, const PointCloud&)>;
 
 /// Makes a mission: builds the world, plans the routes, drives, casts, drifts. A function of (options, seed)
-/// alone. \param sink if given takes the scans, so that memory stays small; then SimulatedMission::scans is
-/// empty. \throws OptionError on bad options; SimulationStopped if a stop is requested.
+/// alone. \param sink if given takes the scans, so that memory stays small; then `mission.scans` is empty.
+/// \throws OptionError on bad options; SimulationStopped if a stop is requested; what the sink throws.
 [[nodiscard]] SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
                                         const ProgressCallback& progress = {}, const StopToken& stop = {},
                                         const ScanSink& sink = {});
+
+/// The same into a mission folder, scan by scan. After an exception what was written is gone again.
+/// \returns the mission; its scans are those in the folder.
+/// \throws also IoError if the folder exists and is not empty, or cannot be written.
+SimulatedMission simulate_to_folder(const std::filesystem::path& folder, const SimulationOptions& options,
+                                    std::uint64_t seed, const ProgressCallback& progress = {},
+                                    const StopToken& stop = {});
 
 /// SHA-256 of the file that fixes the parameters of worlds, sensors and robots; in every mission's
 /// provenance.

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/se3.hpp>
+
+#include "parameters.hpp"
+
+namespace loopwise::simulation_detail {
+
+/// What lidar-inertial odometry measures between consecutive true poses: white noise, wandering biases of yaw
+/// and scale, roll and pitch held by gravity, errors that grow along the direction that the scan constrains
+/// least, and bursts where it constrains it badly. \param scatter mean of n·nᵀ of each pose's scan, body
+/// frame. \returns T_k_k+1, one fewer than poses.
+[[nodiscard]] std::vector<Eigen::Isometry3d> measure_odometry(const std::vector<Eigen::Isometry3d>& truth,
+                                                              const std::vector<Eigen::Matrix3d>& scatter,
+                                                              const simulation_parameters::Platform& platform,
+                                                              std::uint64_t seed);
+
+/// Information that the front end states for a step of `length_m`: [translation, rotation].
+[[nodiscard]] Matrix6d stated_information(double length_m);
+
+}  // namespace loopwise::simulation_detail

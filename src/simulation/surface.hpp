@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Rock with holes: the void is a union of shapes, its rough boundary becomes triangles.
+#pragma once
+
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/simulation/world.hpp>
+
+#include "parameters.hpp"
+
+namespace loopwise::simulation_detail {
+
+/// Smooth noise of mean 0 and root mean square 1, from gradients on the integer lattice (Perlin 1985, 2002).
+[[nodiscard]] double gradient_noise(const Eigen::Vector3d& p, std::uint64_t seed);
+
+/// One hole in the rock, standing on a floor.
+struct Shape {
+  enum class Kind {
+    kPassage,  ///< Rounded ends in plan, straight walls, arched roof, from a to b.
+    kBox,      ///< Flat walls: half_width by half_length about a, turned by yaw.
+    kTube,     ///< Elliptic section above a flat floor, from a to b; a chamber if they coincide.
+  };
+  Kind kind = Kind::kPassage;
+  Eigen::Vector3d a = Eigen::Vector3d::Zero();  ///< On the floor.
+  Eigen::Vector3d b = Eigen::Vector3d::Zero();
+  double half_width = 1.0;
+  double half_length = 1.0;
+  double height = 2.0;
+  double roof_sag = 0.0;
+  double yaw = 0.0;
+  const simulation_parameters::Roughness* roughness = nullptr;
+};
+
+/// Distance to the boundary, negative in the void; exact in sign, its slope at most about 1.5.
+/// \param relief added to walls and roof, its `floor_share` to the floor.
+[[nodiscard]] double void_distance(const Shape& shape, const Eigen::Vector3d& p, double relief);
+
+/// The boundary of the union by dual contouring (Ju et al. 2002) with cells of `cell` metres, tile by tile.
+[[nodiscard]] TriangleMesh extract_surface(const std::vector<Shape>& shapes, double cell, std::uint64_t seed,
+                                           int num_threads, const StopToken& stop);
+
+}  // namespace loopwise::simulation_detail
