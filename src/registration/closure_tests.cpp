@@ -44,15 +44,16 @@ AlignmentFigures measure_alignment(const std::vector<Eigen::Vector3f>& source, c
   AlignmentFigures figures;
   if (source.empty() || target.empty()) return figures;
   const double sq_overlap = options.overlap_distance_m * options.overlap_distance_m;
+  const double sq_range = options.fitness_range_m * options.fitness_range_m;
+  const auto reach = static_cast<float>(std::max(options.fitness_range_m, options.overlap_distance_m));
   double sum_sq = 0.0, sum_sq_plane = 0.0;
   std::size_t overlapping = 0;
   for (const Eigen::Vector3f& point : source) {
     const Eigen::Vector3d y = T_to_from * point.cast<double>();
-    const std::optional<Neighbour> nearest = target_tree.nearest(y.cast<float>());
-    if (!nearest) continue;
-    const auto sq_distance = static_cast<double>(nearest->sq_distance_m2);
-    sum_sq += sq_distance;
-    if (sq_distance > sq_overlap) continue;
+    const std::optional<Neighbour> nearest = target_tree.nearest(y.cast<float>(), reach);
+    const double sq_distance = nearest ? static_cast<double>(nearest->sq_distance_m2) : sq_range;
+    sum_sq += std::min(sq_distance, sq_range);
+    if (!nearest || sq_distance > sq_overlap) continue;
     ++overlapping;
     const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
     if (n.isZero()) continue;

@@ -20,6 +20,7 @@ namespace loopwise {
 struct ClosureTestOptions {
   int min_points = 20;
   double max_fitness_m2 = 0.9;
+  double fitness_range_m = 1.5;
   double overlap_distance_m = 0.5;
   double min_overlap = 0.4;
   int max_free_directions = 2;
@@ -37,6 +38,8 @@ struct ClosureTestOptions {
     field("min_points", self.min_points, at_least(4.0), "Points that a scan must have to be aligned.");
     field("max_fitness_m2", self.max_fitness_m2, above(0.0),
           "Mean squared distance of all source points to the target, m^2, above which a closure is refused.");
+    field("fitness_range_m", self.fitness_range_m, above(0.0),
+          "A point counts at most as this far away: scans of long range overlap in part, m. LAMP: no limit.");
     field("overlap_distance_m", self.overlap_distance_m, above(0.0),
           "A source point with a target point within this distance overlaps, m.");
     field("min_overlap", self.min_overlap, between(0.0, 1.0),
@@ -62,7 +65,7 @@ struct ClosureTestOptions {
 
 /// Figures of an alignment.
 struct AlignmentFigures {
-  double fitness_m2 = 0.0;    ///< Mean squared distance of all source points to their nearest target point.
+  double fitness_m2 = 0.0;    ///< Mean squared distance to the target of all source points, see fitness_range_m.
   double overlap = 0.0;       ///< Share of source points with a target point within overlap_distance_m.
   double plane_rmse_m = 0.0;  ///< Over overlapping points, along the target's normals.
   std::size_t plane_points = 0;  ///< How many these are.
