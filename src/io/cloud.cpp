@@ -440,6 +440,7 @@ CloudFile read_pcd(const std::string& file, const std::string& contents) {
       throw InputError(file + ": " + std::to_string(found) + " points, the header says " +
                        std::to_string(count));
     }
+    if (!lines.ended()) builder.add_problem("no line end after the last line", file);
   } else if (header.encoding == PcdEncoding::kBinary) {
     if (data.size() < count * layout.point_size) {
       throw InputError(truncated(file, count, count * layout.point_size, data.size()));
@@ -579,6 +580,7 @@ CloudFile read_ply(const std::string& file, const std::string& contents) {
       throw InputError(file + ": " + std::to_string(found) + " points, the header says " +
                        std::to_string(count));
     }
+    if (!lines.ended()) builder.add_problem("no line end after the last line", file);
     for (std::string_view line; header.elements.size() == 1 && lines.next(line);) {
       if (!text::trim(line).empty()) {
         throw ParseError(file, header.data_line + lines.number(),

@@ -159,8 +159,10 @@ class Description {
     if (!object.is_object()) fail(at.empty() ? "the whole" : at, "must be an object");
     for (const auto& item : object.items()) {
       if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
+      std::vector<std::string> full;
+      for (const std::string& key : known) full.push_back(join(at, key));
       try {
-        throw_unknown_name("key", join(at, item.key()), known);
+        throw_unknown_name("key", join(at, item.key()), full);
       } catch (const OptionError& error) {
         throw InputError(file_ + ": " + error.what());
       }

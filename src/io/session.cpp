@@ -124,7 +124,7 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   if (fs::is_regular_file(odometry_file)) odometry = read_poses(odometry_file, mission.problems);
   if (optimized && odometry && optimized->size() != odometry->size()) {
     throw InputError(optimized_file.string() + " has " + std::to_string(optimized->size()) + " poses, " +
-                     odometry_file.string() + " has " + std::to_string(odometry->size()));
+                     odometry_file.string() + " has " + std::to_string(odometry->size()) + " poses");
   }
 
   // Nodes stand where odometry takes them from the first pose, which the truth knows better if there is one.

@@ -20,13 +20,12 @@ struct CloudFile {
 ///
 /// Counted in `problems`: "point not finite" and "point out of range" (beyond 1e7 m; both dropped), "unusable
 /// normals" (one that is not of unit length spoils the field, which is then left out: many programs write
-/// zeros), "intensity not finite" (set to 0), "viewpoint ignored", "empty file" (.bin). Normals are turned
-/// towards the sensor.
+/// zeros), "intensity not finite" (set to 0), "viewpoint ignored", "empty file" (.bin), "no line end after
+/// the last line" (ascii). Normals are turned towards the sensor.
 ///
 /// The sizes that a header claims are held against the length of the file before any memory is taken.
 /// \throws IoError; InputError naming the file (for the lines of ascii data: ParseError) if it is cut short,
-/// its
-///   counts disagree, or its kind is not known.
+/// its counts disagree, or its kind is not known.
 [[nodiscard]] CloudFile read_cloud(const std::filesystem::path& path);
 
 /// Whether read_cloud() knows the extension.

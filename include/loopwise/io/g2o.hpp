@@ -16,26 +16,26 @@ struct G2oFile {
 /// Reads a 3D pose graph. Ids are full 64-bit keys; nodes, priors and edges keep the order of the file; an
 /// edge may stand before its vertices. What is understood:
 ///
-///     VERTEX_SE3:QUAT key x y z qx qy qz qw
-///     EDGE_SE3:QUAT from to x y z qx qy qz qw, and 21 numbers: Ω's upper triangle by rows, translation first
-///     EDGE_SE3_PRIOR key parameter x y z qx qy qz qw, and 21 numbers; a sensor offset is folded into the
-///     prior PARAMS_SE3OFFSET parameter x y z qx qy qz qw FIX key...    becomes a prior at the vertex's pose
-///     with sigma 1e-4 m and rad
+/// - `VERTEX_SE3:QUAT key x y z qx qy qz qw`
+/// - `EDGE_SE3:QUAT from to x y z qx qy qz qw` and 21 numbers: Ω's upper triangle by rows
+///   (translation first)
+/// - `EDGE_SE3_PRIOR key parameter x y z qx qy qz qw` and 21 numbers; a sensor's offset is folded in
+/// - `PARAMS_SE3OFFSET parameter x y z qx qy qz qw`
+/// - `FIX key...`, which becomes a prior at the vertex's pose with sigma 1e-4 m and rad
 ///
 /// Text from '#' to the end of its line is a comment; CRLF line ends, tabs and trailing blanks do no harm.
 /// Edges between consecutive keys of one character are odometry, all others loop closures: a caller that
 /// knows its robots better calls classify_edges() again.
 ///
 /// Counted in `problems`: "non-unit quaternion" (off by more than 1e-3; normalised), "repeated vertex" and
-/// "repeated edge" (word for word the same; the edge is kept, and so counts twice), "rounded information"
-/// (indefinite by no more than the six digits that many programs print; its negative eigenvalues are raised
-/// to 0), "unknown tag", "no line end after the last line" (the file may have been cut short).
+/// "repeated edge" (the same in every number; the edge is kept, and so counts twice), "rounded information"
+/// (indefinite by no more than six printed digits explain; its negative eigenvalues are raised to 0),
+/// "unknown tag TAG", "no line end after the last line" (the file may have been cut short).
 ///
-/// \throws IoError if the file cannot be read; ParseError naming the line for everything else: a wrong number
-/// of values,
-///   a number that is not finite, a zero quaternion, an id that is negative or exceeds 64 bits, information
-///   that is indefinite, a vertex defined twice with different poses, an edge from a vertex to itself or to
-///   one that is not in the file, a 2D graph; InputError if there is no vertex at all.
+/// \throws IoError if the file cannot be read; ParseError naming the line for a wrong number of values, a
+/// number that is not finite, a zero quaternion, an id that is negative or exceeds 64 bits, indefinite
+/// information, a vertex with two different poses, an edge from a vertex to itself or to one that is not in
+/// the file, a 2D graph; InputError if there is no vertex at all.
 [[nodiscard]] G2oFile read_g2o(const std::filesystem::path& path);
 
 /// Writes nodes, priors and edges so that read_g2o() gives them back: keys and information exactly, poses to

@@ -1,0 +1,162 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/trajectory.hpp>
+
+#include <cmath>
+#include <limits>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/g2o.hpp>
+
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+using testing::TemporaryFolder;
+
+std::vector<StampedPose> random_poses(std::size_t count) {
+  Rng rng(count);
+  std::vector<StampedPose> poses;
+  for (std::size_t i = 0; i < count; ++i) {
+    poses.push_back(
+        {1567410201745204735 + static_cast<std::int64_t>(i) * 123456789, testing::random_pose(rng, 100.0)});
+  }
+  return poses;
+}
+
+Trajectory read(const std::string& text) {
+  const TemporaryFolder folder;
+  testing::write_text(folder / "t.txt", text);
+  return read_trajectory(folder / "t.txt");
+}
+
+Eigen::Isometry3d transform(const std::string& text) {
+  const TemporaryFolder folder;
+  testing::write_text(folder / "T.txt", text);
+  return read_transform(folder / "T.txt");
+}
+
+TEST_CASE("trajectory: TUM keeps nanoseconds and poses", "[io][trajectory]") {
+  auto poses = random_poses(20);
+  poses.front().stamp_ns = -1500000001;
+  const TemporaryFolder folder;
+  write_tum(folder / "t.tum", poses);
+  const auto back = read_tum(folder / "t.tum");
+  REQUIRE(back.size() == poses.size());
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    CHECK(back[i].stamp_ns == poses[i].stamp_ns);
+    CHECK(testing::difference(back[i].pose, poses[i].pose) < 1e-13);  // measured: 9e-16
+  }
+  CHECK_THAT(testing::read_text(folder / "t.tum"),
+             Contains("-1.500000001 ") && Contains("1567410201.868661524 "));
+}
+
+TEST_CASE("trajectory: KITTI keeps poses", "[io][trajectory]") {
+  std::vector<Eigen::Isometry3d> poses;
+  for (const auto& stamped : random_poses(20)) poses.push_back(stamped.pose);
+  const TemporaryFolder folder;
+  write_kitti(folder / "t.txt", poses);
+  const auto back = read_kitti(folder / "t.txt");
+  REQUIRE(back.size() == poses.size());
+  for (std::size_t i = 0; i < poses.size(); ++i)
+    CHECK(testing::difference(back[i], poses[i]) < 1e-13);  // 1e-15
+}
+
+TEST_CASE("trajectory: the form is recognised by the contents", "[io][trajectory]") {
+  CHECK(read("# stamp ...\n1.5 1 2 3 0 0 0 1\n").format == TrajectoryFormat::kTum);
+  CHECK(read("\n1 0 0 1 0 1 0 2 0 0 1 3\n").format == TrajectoryFormat::kKitti);
+  const Trajectory g2o = read("VERTEX_SE3:QUAT 6989586621679009793 1 2 3 0 0 0 1\n");
+  CHECK(g2o.format == TrajectoryFormat::kG2o);
+  CHECK(g2o.keys == std::vector<Key>{make_key('a', 1)});
+  CHECK_THROWS_WITH(read("1 2 3\n"), Contains("t.txt:1: 3 values, expected 8"));
+  CHECK_THROWS_WITH(read("# only this\n"), Contains("holds no pose"));
+  CHECK_THROWS_WITH(read(""), Contains("holds no pose"));
+}
+
+TEST_CASE("trajectory: stamps are read to the nanosecond, however they are written", "[io][trajectory]") {
+  const std::string pose = " 0 0 0 0 0 0 1\n";
+  CHECK(read("1567410201.7452047" + pose).stamps_ns[0] == 1567410201745204700);
+  CHECK(read("1.5674102017452047e9" + pose).stamps_ns[0] == 1567410201745204700);
+  CHECK(read("1.567410201745204700e+09" + pose).stamps_ns[0] == 1567410201745204700);
+  CHECK(read("+0.0000000015" + pose).stamps_ns[0] == 2);
+  CHECK(read("-15e-10" + pose).stamps_ns[0] == -2);
+  CHECK(read("7" + pose).stamps_ns[0] == 7000000000);
+  CHECK(read("1e-30" + pose).stamps_ns[0] == 0);
+  CHECK_THROWS_WITH(read("1567410201745204700" + pose), Contains("is no stamp in seconds"));
+  CHECK_THROWS_WITH(read("x" + pose), Contains("is no stamp in seconds"));
+  CHECK_THROWS_WITH(read("nan" + pose), Contains("is no stamp in seconds"));
+}
+
+TEST_CASE("trajectory: bad poses are refused with their line, small flaws counted",
+          "[io][trajectory][error]") {
+  CHECK_THROWS_WITH(read("1 0 0 0 0 0 0 1\n2 0 nan 0 0 0 0 1\n"), Contains("t.txt:2: \"nan\" is not finite"));
+  CHECK_THROWS_WITH(read("1 0 0 0 0 0 0 0\n"), Contains("t.txt:1: zero quaternion"));
+  CHECK_THROWS_WITH(read("1 0 0 0 0 0 0 1\n2 0 0 0\n"),
+                    Contains("t.txt:2: a TUM pose needs 8 values, found 4"));
+  CHECK_THROWS_WITH(read("1 0 0 0 0 1 0 0 0 0 1 0\n1 0\n"),
+                    Contains("t.txt:2: a KITTI pose needs 12 values, found 2"));
+  CHECK_THROWS_WITH(read("2 0 0 0 0 1 0 0 0 0 1 0\n"), Contains("no rotation matrix"));
+  CHECK_THROWS_WITH(read("1 0 0 0 0 1 0 0 0 0 -1 0\n"), Contains("no rotation matrix"));
+  CHECK_THROWS_WITH(read("0 0 0 0 0 0 0 0 0 0 0 0\n"), Contains("no rotation matrix"));
+  CHECK(read("1 0 0 0 0 0 0 1.1\n").problems.count("non-unit quaternion") == 1);
+  const Trajectory off = read("1.01 0 0 0 0 1 0 0 0 0 1 0\n");
+  CHECK(off.problems.count("rotation not orthonormal") == 1);
+  CHECK(off.poses[0].linear().isIdentity(1e-14));
+}
+
+TEST_CASE("associate: by key, by stamp, by row", "[io][trajectory]") {
+  const std::string pose = " 0 0 0 0 0 1\n";
+  SECTION("keys") {
+    const PosePairs pairs = associate(read("VERTEX_SE3:QUAT 5 1" + pose + "VERTEX_SE3:QUAT 3 2" + pose),
+                                      read("VERTEX_SE3:QUAT 3 20" + pose + "VERTEX_SE3:QUAT 4 0" + pose));
+    CHECK(pairs.keys == std::vector<Key>{3});
+    CHECK(pairs.estimate[0].translation().x() == 2.0);
+    CHECK(pairs.truth[0].translation().x() == 20.0);
+    CHECK(pairs.problems.count("pose without truth") == 1);
+    CHECK(pairs.problems.count("truth without pose") == 1);
+  }
+  SECTION("stamps, each once, the nearest first") {
+    const Trajectory estimate = read("1.00 1" + pose + "1.01 2" + pose + "5 3" + pose);
+    const PosePairs pairs = associate(estimate, read("1.012 20" + pose + "1.03 0" + pose + "0.99 10" + pose));
+    REQUIRE(pairs.keys == std::vector<Key>{0, 1});
+    CHECK(pairs.truth[0].translation().x() == 10.0);
+    CHECK(pairs.truth[1].translation().x() == 20.0);
+    CHECK_THROWS_WITH(associate(estimate, read("100 1" + pose)), Contains("no stamps close enough"));
+  }
+  SECTION("rows") {
+    const Trajectory kitti = read("1 0 0 1 0 1 0 2 0 0 1 3\n1 0 0 2 0 1 0 2 0 0 1 3\n");
+    const Trajectory g2o = read("VERTEX_SE3:QUAT 1 7" + pose);
+    CHECK(associate(kitti, g2o).keys == std::vector<Key>{1});
+    CHECK(associate(g2o, kitti).truth[0].translation().x() == 2.0);
+    CHECK(associate(kitti, read("1 1" + pose + "2 2" + pose)).keys.size() == 2);
+    CHECK_THROWS_WITH(associate(kitti, read("1 1" + pose)),
+                      Contains("cannot pair 2 poses (kitti) with 1 (tum)"));
+    CHECK_THROWS_AS(associate(kitti, read("VERTEX_SE3:QUAT a1 7" + pose)), InputError);
+    CHECK_THROWS_AS(associate(kitti, read("VERTEX_SE3:QUAT 9 7" + pose)), InputError);
+  }
+}
+
+TEST_CASE("transform: a matrix or a pose", "[io][trajectory]") {
+  Eigen::Isometry3d expected = Eigen::Isometry3d::Identity();
+  expected.translation() << 1, 2, 3;
+  expected.linear() = se3::so3_exp({0, 0, M_PI / 2});
+  for (const char* text : {"0 -1 0 1\n1 0 0 2\n0 0 1 3\n0 0 0 1\n", "# T\n0 -1 0 1 1 0 0 2 0 0 1 3",
+                           "1 2 3 0 0 0.70710678118654757 0.70710678118654757\n"}) {
+    CHECK(testing::difference(transform(text), expected) < 1e-15);
+  }
+  CHECK_THROWS_WITH(transform("1 2 3\n"), Contains("T.txt:1: 3 numbers, expected 12 or 16"));
+  CHECK_THROWS_WITH(transform("0 -1 0 1\n1 0 0 2\n0 0 1 3\n0 0 1 1\n"), Contains("must be 0 0 0 1"));
+  CHECK_THROWS_WITH(transform("1 0 0 1 0 1 0 1 0 0 1 1 0 0 0 1 5\n"), Contains("more than 16"));
+  CHECK_THROWS_WITH(transform("1 0 0 1 0 1 0 nan 0 0 1 1\n"), Contains("is not finite"));
+  CHECK_THROWS_WITH(transform(""), Contains("T.txt:1: 0 numbers"));
+}
+
+TEST_CASE("transform: the real one reads", "[io][trajectory][data]") {
+  const auto folder = testing::test_data("kitti_pair");
+  if (!folder) return;
+  const Eigen::Isometry3d T = read_transform(*folder / "T_target_source.txt");
+  CHECK(T.translation().norm() < 5.0);
+}
+
+}  // namespace
+}  // namespace loopwise
