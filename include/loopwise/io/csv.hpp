@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Small strict CSV: one header line, commas, text in double quotes where it holds a comma, quote or line
-/// end.
+/// Small strict CSV: one header line, commas, text in double quotes where it holds any of them.
 #pragma once
 
 #include <cstddef>

@@ -80,12 +80,10 @@ struct Mission {
 };
 
 struct MissionOptions {
-  /// As parse_robots() takes it; replaces what the files say. Empty: mission.json, or one robot per key
-  /// character.
+  /// As parse_robots() takes it. Empty: as mission.json says, or one robot per character of the keys.
   std::string robots;
   double scan_cache_mb = 512.0;
-  // Sigmas of odometry made from a session's consecutive poses: per metre of the step, but never below the
-  // minimum.
+  /// Sigmas of odometry made from a session's poses: per metre of the step, but never below the minimum.
   double odometry_sigma_m_per_m = 0.02;
   double odometry_sigma_rad_per_m = 0.002;
   double odometry_min_sigma_m = 0.01;
@@ -97,9 +95,8 @@ struct MissionOptions {
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
     field("robots", self.robots, any_value(),
-          "Robots and their keys, as \"0-624,625-1249\" or \"husky=0-624,spot=625-1249\" or \"a,b\"; empty: "
-          "as the "
-          "files say.");
+          "Robots and their keys, as \"0-624,625-1249\" or \"husky=0-624,spot=625-1249\" or \"a,b\"; "
+          "empty: as the files say.");
     field("scan_cache_mb", self.scan_cache_mb, at_least(0.0), "Memory for scans kept after use, MB.");
     field("odometry_sigma_m_per_m", self.odometry_sigma_m_per_m, at_least(0.0),
           "Sessions: translation sigma of an odometry edge per metre of its length.");
@@ -125,9 +122,24 @@ struct MissionOptions {
 
 /// Reads a mission folder (or its mission.json), a session folder or a g2o file. Scans are found, not read.
 ///
-/// **Mission folder**: mission.json, graph.g2o and, each optional, stamps.csv, priors.csv, scans/KEY.EXT,
-/// radio.csv, beacons.csv, ground_truth.g2o; the forms are in docs/formats.md. A mission without priors gets
-/// one at the first node of each robot, where it stands: the robots started from a common frame.
+/// **Mission folder**: the files below; all but the first two may be missing. Keys are decimal numbers of 64
+/// bits (or a letter and an index), in JSON as text.
+///
+/// - mission.json: `{"format": "loopwise-mission", "version": 1, "name", "frame", "clock": {"start_ns"},
+///   "robots": [{"name", "first", "last"}], "communication_gaps": [{"robot", "begin_s", "end_s"}],
+///   "provenance": {...}, "files": {"graph", "stamps", "priors", "scans", "radio", "beacons",
+///   "ground_truth"}}`; only format and version must be there, other keys are errors, and `files` may not
+///   lead out of the folder
+/// - graph.g2o
+/// - stamps.csv: `key,stamp_ns`, a row for every node
+/// - priors.csv: `key,x,y,z,qx,qy,qz,qw,sx,sy,sz,srx,sry,srz`, sigmas in m, rad
+/// - scans/KEY.pcd, or another form of read_cloud()
+/// - radio.csv: `key,beacon,transmit_dbm,receiver,receive_dbm`, an empty power was not received
+/// - beacons.csv: `beacon,robot,drop_key,stamp_ns`
+/// - ground_truth.g2o: vertices alone
+///
+/// A mission without priors gets one at the first node of each robot, where it stands: the robots started
+/// from a common frame.
 ///
 /// **Session folder**: rows of the poses file are the nodes 0 … n−1. Odometry comes from odom_poses.txt, else
 /// from the edges (i, i+1) of singlesession_posegraph.g2o, else from optimized_poses.txt: consecutive poses,
@@ -139,8 +151,8 @@ struct MissionOptions {
 ///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "radio reading without
-/// node", "foreign file in scans", and what the readers of the parts count. \throws IoError; ParseError or
-/// InputError naming file and line or key; OptionError
+/// node", "stamp without node", "foreign file in scans", and what the readers of the parts count.
+/// \throws IoError; ParseError or InputError naming file and line or key; OptionError
 [[nodiscard]] Mission read_mission(const std::filesystem::path& path, const MissionOptions& options = {});
 
 /// Writes a mission folder scan by scan. mission.json comes last: a folder without it is no mission, so that
