@@ -295,7 +295,8 @@ std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
   const auto* x = static_cast<const double*>(f.x);
   const auto block = static_cast<std::size_t>(block_);
   if (f.minor < f.n) {
-    const auto broken = std::find(position_.begin(), position_.end(), static_cast<std::uint32_t>(f.minor / block));
+    const auto broken =
+        std::find(position_.begin(), position_.end(), static_cast<std::uint32_t>(f.minor / block));
     return {0.0, static_cast<std::size_t>(broken - position_.begin())};
   }
   std::vector<double> pivots(variables_ * block, 0.0);

@@ -7,6 +7,7 @@
 #include <loopwise/core/error.hpp>
 
 #include "gnc_solver.hpp"
+#include "innovation.hpp"
 #include "minimize.hpp"
 
 namespace loopwise {
@@ -63,82 +64,240 @@ double chi_squared_quantile(double probability, int degrees_of_freedom) {
 }
 
 namespace detail {
+namespace {
+
+/// Closures that the known inliers alone rule out, to be put aside before anything is factorised. The test is
+/// on the innovation d² (innovation.hpp), whose threshold assumes that information is honest. Where it is
+/// pessimistic by far (parking-garage: by 10⁶), true closures are far below the threshold and false ones may
+/// be, too; so the noise is first measured on the lower quartile of d², which half of the closures being
+/// false does not spoil, and the threshold follows it down, with a margin for heavy tails. It never follows
+/// it up.
+std::vector<char> find_gross(const PoseGraph& graph) {
+  constexpr double kProbability = 1.0 - 1e-9;
+  constexpr double kMargin = 25.0;
+  constexpr std::size_t kFewest = 8;
+  const std::vector<double> d2 = innovations(graph);
+  std::vector<double> known;
+  for (const double d : d2) {
+    if (!std::isnan(d)) known.push_back(d);
+  }
+  std::vector<char> gross(d2.size(), 0);
+  if (known.empty()) return gross;
+  double scale = 1.0;
+  if (known.size() >= kFewest) {
+    const auto quartile = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 4);
+    std::nth_element(known.begin(), quartile, known.end());
+    scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
+  }
+  const double threshold = scale * chi_squared_quantile(kProbability, 6);
+  for (std::size_t k = 0; k < d2.size(); ++k) gross[k] = d2[k] > threshold;
+  return gross;
+}
+
+/// Beyond this multiple of c² a residual is as good as infinite: graduation starts no farther out.
+constexpr double kFarthestStart = 1e6;
+/// Rounds of plain truncated least squares at the end; each lowers the truncated cost, so two or three do.
+constexpr int kTruncatedRounds = 20;
+
+class RobustSolver {
+ public:
+  RobustSolver(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
+               std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
+               ThreadPool& pool, const StopToken& stop)
+      : problem_(problem),
+        equations_(equations),
+        poses_(poses),
+        start_(poses),
+        options_(options),
+        gnc_(gnc),
+        pool_(pool),
+        stop_(stop),
+        c2_(chi_squared_quantile(gnc.inlier_probability, 6)) {
+    for (std::size_t k = 0; k < problem.edges(); ++k) {
+      problem.weight[k] = 1.0;
+      if (!known_inlier(graph.edges()[k])) closures_.push_back(k);
+    }
+    r2_.resize(closures_.size());
+    gross_ = find_gross(graph);
+    total_.cost_initial = problem.cost(poses, pool);
+    if (!std::isfinite(total_.cost_initial)) throw InputError("the cost of the first estimate is not finite");
+    evaluate();
+  }
+
+  void solve(GncResult& result) {
+    switch (gnc_.kernel) {
+      case RobustKernel::kGncTls:
+        graduate();
+        truncate();
+        break;
+      case RobustKernel::kTls:
+        truncate();
+        break;
+      case RobustKernel::kCauchy:
+      case RobustKernel::kGemanMcClure:
+        reweight();
+        break;
+    }
+    report(result);
+  }
+
+ private:
+  void evaluate() {
+    for (std::size_t i = 0; i < closures_.size(); ++i)
+      r2_[i] = problem_.squared_residual(closures_[i], poses_);
+  }
+
+  /// Out of the question for now; it comes back when the estimate makes it fit.
+  [[nodiscard]] bool set_aside(std::size_t i) const { return gross_[closures_[i]] != 0 && r2_[i] > c2_; }
+
+  /// Sets the closures' weights; one within the tolerance of 0 leaves the structure. \returns the largest
+  /// change.
+  template <class Weight>
+  double set_weights(Weight&& weight) {
+    double change = 0.0;
+    for (std::size_t i = 0; i < closures_.size(); ++i) {
+      double w = set_aside(i) ? 0.0 : weight(r2_[i]);
+      if (w <= gnc_.weight_tolerance) w = 0.0;
+      change = std::max(change, std::abs(w - problem_.weight[closures_[i]]));
+      problem_.weight[closures_[i]] = w;
+    }
+    return change;
+  }
+
+  void descend(StepControl& control) {
+    OptimizationResult part;
+    minimize(problem_, equations_, poses_, options_, control, pool_, stop_, part);
+    part.cost_initial = total_.cost_initial;
+    part.factorizations += total_.factorizations;
+    for (IterationRecord& record : part.trace) record.iteration += total_.iterations;
+    part.iterations += total_.iterations;
+    total_.trace.insert(total_.trace.end(), part.trace.begin(), part.trace.end());
+    part.trace = std::move(total_.trace);
+    total_ = std::move(part);
+    evaluate();
+  }
+
+  [[nodiscard]] bool stopped() const { return total_.termination == Termination::kStopped; }
+
+  /// Yang et al. 2020, §IV, from the residuals of the first estimate rather than of a solution with all
+  /// closures in: that solution is what false closures spoil, and it costs an almost dense factorisation.
+  void graduate() {
+    double largest = 0.0;
+    for (std::size_t i = 0; i < r2_.size(); ++i) {
+      if (!set_aside(i)) largest = std::max(largest, r2_[i]);
+    }
+    double mu = c2_ / (2.0 * std::min(largest, kFarthestStart * c2_) - c2_);
+    StepControl control;
+    control.max_accepted = gnc_.steps_per_iteration;
+    control.damping = options_.initial_damping;
+    while (mu > 0.0 && outer_ < gnc_.max_outer_iterations && !stopped()) {
+      ++outer_;
+      const double full = mu / (mu + 1.0) * c2_, none = (mu + 1.0) / mu * c2_;
+      bool settled = true;
+      set_weights([&](double r2) {
+        if (r2 <= full) return 1.0;
+        if (r2 >= none) return 0.0;
+        const double w = std::clamp(std::sqrt(c2_ / r2 * mu * (mu + 1.0)) - mu, 0.0, 1.0);
+        if (w > gnc_.weight_tolerance && w < 1.0 - gnc_.weight_tolerance) settled = false;
+        return w;
+      });
+      descend(control);
+      if (settled) break;
+      mu *= gnc_.mu_step;
+    }
+  }
+
+  /// Full weight within the threshold, none beyond, the minimum for these weights, until they reproduce
+  /// themselves.
+  void truncate() {
+    for (int round = 0; round < kTruncatedRounds && !stopped(); ++round) {
+      const double change = set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
+      if (change == 0.0 && round > 0) break;
+      if (gnc_.kernel == RobustKernel::kTls) ++outer_;
+      StepControl control;
+      control.damping = options_.initial_damping;
+      descend(control);
+      bring_back();
+    }
+  }
+
+  void reweight() {
+    StepControl control;
+    control.max_accepted = gnc_.steps_per_iteration;
+    control.damping = options_.initial_damping;
+    bool settled = false;
+    for (; !settled && outer_ < gnc_.max_outer_iterations && !stopped(); ++outer_) {
+      settled = set_weights([&](double r2) {
+                  const double w = 1.0 / (1.0 + r2 / c2_);
+                  return gnc_.kernel == RobustKernel::kCauchy ? w : w * w;
+                }) < gnc_.weight_tolerance;
+      descend(control);
+    }
+    StepControl last;
+    if (!stopped()) descend(last);
+    bring_back();
+  }
+
+  /// A component that lost its last tie to a prior may have been moved before it did: its held node goes back
+  /// to the first estimate and takes the component along, at no cost.
+  void bring_back() {
+    const Freedom& freedom = equations_.freedom();
+    for (const std::size_t held : freedom.held) {
+      const Pose& now = poses_[held];
+      const Pose& then = start_[held];
+      const Eigen::Matrix3d R = then.R * now.R.transpose();
+      const Eigen::Vector3d t = then.t - R * now.t;
+      if (R == Eigen::Matrix3d::Identity() && t.isZero()) continue;
+      for (std::size_t i = 0; i < problem_.nodes(); ++i) {
+        if (freedom.component[i] != held) continue;
+        poses_[i].R = R * poses_[i].R;
+        poses_[i].t = R * poses_[i].t + t;
+      }
+    }
+    // So does a node that lost its last factor altogether.
+    for (std::size_t i = 0; i < problem_.nodes(); ++i) {
+      if (freedom.component[i] == Freedom::kFixed) poses_[i] = start_[i];
+    }
+    evaluate();
+  }
+
+  void report(GncResult& result) {
+    total_.factorizations += result.optimization.factorizations;  // of the first estimate
+    result.optimization = std::move(total_);
+    result.outer_iterations = outer_;
+    result.weights.assign(problem_.weight.begin(),
+                          problem_.weight.begin() + static_cast<std::ptrdiff_t>(problem_.edges()));
+    double cost = 0.0;
+    for (std::size_t k = 0; k < problem_.factors(); ++k) cost += 0.5 * problem_.squared_residual(k, poses_);
+    for (std::size_t i = 0; i < closures_.size(); ++i) {
+      cost += 0.5 * (std::min(r2_[i], c2_) - r2_[i]);
+      ++(problem_.weight[closures_[i]] > 0.5 ? result.inliers : result.outliers);
+    }
+    result.truncated_cost = cost;
+  }
+
+  PoseProblem& problem_;
+  NormalEquations& equations_;
+  std::vector<Pose>& poses_;
+  const std::vector<Pose> start_;
+  const OptimizerOptions& options_;
+  const GncOptions& gnc_;
+  ThreadPool& pool_;
+  const StopToken& stop_;
+  const double c2_;
+  std::vector<std::size_t> closures_;  // factors in doubt
+  std::vector<double> r2_;             // by closure
+  std::vector<char> gross_;            // by edge
+  OptimizationResult total_;
+  int outer_ = 0;
+};
+
+}  // namespace
 
 void solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
                std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
                ThreadPool& pool, const StopToken& stop, GncResult& result) {
-  const double c2 = chi_squared_quantile(gnc.inlier_probability, 6);
-  std::vector<std::size_t> closures;
-  for (std::size_t k = 0; k < problem.edges(); ++k) {
-    problem.weight[k] = 1.0;
-    if (!known_inlier(graph.edges()[k])) closures.push_back(k);
-  }
-  std::vector<double> r2(closures.size());
-  const auto evaluate = [&] {
-    for (std::size_t i = 0; i < closures.size(); ++i) r2[i] = problem.squared_residual(closures[i], poses);
-  };
-  evaluate();
-  double largest = 0.0;
-  for (const double r : r2) largest = std::max(largest, r);
-  double mu = c2 / (2.0 * largest - c2);
-  StepControl control;
-  control.max_accepted = gnc.steps_per_iteration;
-  control.damping = options.initial_damping;
-  OptimizationResult total;
-  total.cost_initial = problem.cost(poses, pool);
-  for (int outer = 0; mu > 0.0 && outer < gnc.max_outer_iterations; ++outer) {
-    ++result.outer_iterations;
-    bool settled = true;
-    const double low = mu / (mu + 1.0) * c2, high = (mu + 1.0) / mu * c2;
-    std::size_t active = 0;
-    for (std::size_t i = 0; i < closures.size(); ++i) {
-      double w = r2[i] <= low ? 1.0 : r2[i] >= high ? 0.0 : std::sqrt(c2 / r2[i] * mu * (mu + 1.0)) - mu;
-      w = std::clamp(w, 0.0, 1.0);
-      if (w > gnc.weight_tolerance && w < 1.0 - gnc.weight_tolerance) settled = false;
-      if (w <= gnc.weight_tolerance) w = 0.0;
-      problem.weight[closures[i]] = w;
-      active += w > 0;
-    }
-    OptimizationResult step;
-    minimize(problem, equations, poses, options, control, pool, stop, step);
-    total.iterations += step.iterations;
-    total.factorizations += step.factorizations;
-    evaluate();
-    if (settled || step.termination == Termination::kStopped) break;
-    mu *= gnc.mu_step;
-  }
-  // Truncated least squares proper: full weight within the threshold, none beyond, until it reproduces
-  // itself.
-  for (int round = 0; round < 10; ++round) {
-    bool changed = round == 0;
-    for (std::size_t i = 0; i < closures.size(); ++i) {
-      const double w = r2[i] <= c2 ? 1.0 : 0.0;
-      if (problem.weight[closures[i]] != w) changed = true;
-      problem.weight[closures[i]] = w;
-    }
-    if (!changed) break;
-    OptimizationResult step;
-    StepControl full;
-    minimize(problem, equations, poses, options, full, pool, stop, step);
-    step.iterations += total.iterations;
-    step.factorizations += total.factorizations;
-    step.cost_initial = total.cost_initial;
-    total = step;
-    evaluate();
-  }
-  const int factorizations = result.optimization.factorizations;
-  result.optimization = total;
-  result.optimization.factorizations += factorizations;
-  result.weights.assign(problem.weight.begin(),
-                        problem.weight.begin() + static_cast<std::ptrdiff_t>(problem.edges()));
-  result.truncated_cost = 0.0;
-  for (std::size_t k = 0; k < problem.factors(); ++k) {
-    result.truncated_cost += 0.5 * problem.squared_residual(k, poses);
-  }
-  for (std::size_t i = 0; i < closures.size(); ++i) {
-    result.truncated_cost += 0.5 * (std::min(r2[i], c2) - r2[i]);
-    ++(problem.weight[closures[i]] > 0.5 ? result.inliers : result.outliers);
-  }
+  RobustSolver(graph, problem, equations, poses, options, gnc, pool, stop).solve(result);
 }
 
 }  // namespace detail

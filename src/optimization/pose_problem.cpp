@@ -148,8 +148,10 @@ PoseProblem::PoseProblem(const PoseGraph& graph)
 std::vector<Pose> PoseProblem::poses_of(const std::vector<Eigen::Isometry3d>& poses) const {
   std::vector<Pose> out(nodes_ + 1);
   for (std::size_t i = 0; i < nodes_; ++i) {
-    // Poses may be off a rotation by the rounding of a file: what is kept below keeps the rest orthogonal.
-    out[i].R = Eigen::Quaterniond(poses[i].linear()).normalized().toRotationMatrix();
+    // Files round: what is kept below keeps R orthogonal. What is orthogonal already passes unchanged.
+    const Matrix3d R = poses[i].linear();
+    const bool orthogonal = (R.transpose() * R - Matrix3d::Identity()).cwiseAbs().maxCoeff() < 1e-14;
+    out[i].R = orthogonal ? R : Eigen::Quaterniond(R).normalized().toRotationMatrix();
     out[i].t = poses[i].translation();
   }
   return out;
@@ -209,8 +211,10 @@ Freedom find_freedom(const PoseProblem& problem) {
 
   Freedom freedom;
   freedom.variable.assign(n + 1, Freedom::kFixed);
+  freedom.component.assign(n, Freedom::kFixed);
   for (std::uint32_t i = 0; i < n; ++i) {
     if (touched[i] == 0) continue;
+    freedom.component[i] = root(i);
     if (root(i) == i && anchored[i] == 0) {
       freedom.held.push_back(i);
       continue;

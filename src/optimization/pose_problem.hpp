@@ -60,7 +60,9 @@ struct Freedom {
   static constexpr std::uint32_t kFixed = UINT32_MAX;
   std::vector<std::uint32_t> variable;  ///< By node, the fixed one included; kFixed if it does not move.
   std::vector<std::uint32_t> nodes;     ///< By variable.
-  std::vector<std::size_t> held;        ///< Nodes that hold a component without a prior, ascending.
+  /// By node: the smallest node of its component by active factors; kFixed for a node without any.
+  std::vector<std::uint32_t> component;
+  std::vector<std::size_t> held;  ///< Nodes that hold a component without a prior, ascending.
 };
 [[nodiscard]] Freedom find_freedom(const PoseProblem& problem);
 

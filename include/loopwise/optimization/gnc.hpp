@@ -44,8 +44,10 @@ struct GncOptions {
 };
 
 struct GncResult {
-  OptimizationResult optimization;  ///< Poses, and costs with the final weights.
-  std::vector<double> weights;      ///< One per edge, in graph order. Odometry and trusted edges have 1.
+  /// Poses, cost with the final weights; cost_initial is the plain cost, all weights 1, at the first
+  /// estimate.
+  OptimizationResult optimization;
+  std::vector<double> weights;  ///< One per edge, in graph order. Odometry and trusted edges have 1.
   int outer_iterations = 0;
   std::size_t inliers = 0;   ///< Closures (edges that are not known inliers) of weight > 0.5.
   std::size_t outliers = 0;  ///< The other closures.

@@ -19,8 +19,8 @@ enum class Initialization {
   kFile,      ///< The poses of the graph as they are.
   kOdometry,  ///< Chained along odometry edges from the prior or the first node of each stretch, then across
               ///< the other edges, breadth first.
-  kChordal,  ///< Rotations from the chordal relaxation, then translations: one linear solve each. For bad
-             ///< values.
+  kChordal,   ///< Rotations from the chordal relaxation, then translations: one linear solve each. For bad
+              ///< values.
 };
 [[nodiscard]] EnumNames<Initialization> enum_names(Initialization);
 

@@ -11,17 +11,16 @@ namespace loopwise {
 
 struct PcmOptions {
   double inlier_probability = 0.99;
-  bool per_robot_pair = true;
   std::size_t max_group = 5000;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
     field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true},
-          "Two closures agree if their loop's error lies below this quantile of chi-squared with 6 degrees "
-          "of freedom.");
-    field("per_robot_pair", self.per_robot_pair, any_value(),
-          "Search one set for each pair of odometry chains; otherwise one set in all.");
-    field("max_group", self.max_group, at_least(2), "Bound on the closures that are compared pair by pair.");
+          "Two closures agree if the error of their loop lies below this quantile of chi-squared with 6 "
+          "degrees of "
+          "freedom.");
+    field("max_group", self.max_group, at_least(2.0),
+          "Bound on the closures that are compared pair by pair.");
   }
 };
 
@@ -31,10 +30,12 @@ struct PcmResult {
   std::size_t outliers = 0;
 };
 
-/// Pairwise consistency maximisation (Mangelson et al., ICRA 2018): keeps, for each pair of odometry chains,
-/// the largest set of closures that the greedy clique search finds in which every two agree with the odometry
-/// between their ends. Odometry's covariance is carried along the chain. \throws OptionError; InputError if a
-/// group is larger than max_group or odometry's information is singular.
+/// Pairwise consistency maximisation (Mangelson et al., ICRA 2018): keeps, for each pair of odometry chains
+/// (usually: robots), a large set of closures in which every two agree with each other and the odometry
+/// between their ends, as a greedy clique search finds it. Odometry's covariance is carried along the chain
+/// to first order. A filter to put before optimize_gnc(), for false closures that come in groups of a few
+/// that agree. Quadratic in the closures. \throws OptionError; InputError if a group is larger than max_group
+/// or a closure's information is singular.
 [[nodiscard]] PcmResult pairwise_consistent(const PoseGraph& graph, const PcmOptions& options = {});
 
 }  // namespace loopwise

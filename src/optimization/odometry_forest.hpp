@@ -1,0 +1,46 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <vector>
+
+#include <loopwise/core/pose_graph.hpp>
+
+namespace loopwise::detail {
+
+/// Ω⁻¹, or nothing if Ω is singular.
+[[nodiscard]] std::optional<Matrix6d> covariance_of(const Matrix6d& information);
+
+/// Trees of known inliers (odometry, trusted edges) with the poses chained along them and their covariance.
+/// Roots are the nodes with priors, then the first node of what is left. The error of a pose is written on
+/// its left, T = Exp(η) T̄: so the errors of steps add up along a path, and those of the path between two
+/// nodes are what the two do not share from the root on. First order in the noise.
+class OdometryForest {
+ public:
+  explicit OdometryForest(const PoseGraph& graph);
+
+  [[nodiscard]] const Eigen::Isometry3d& pose(std::size_t node) const { return poses_[node]; }
+  [[nodiscard]] std::uint32_t root(std::size_t node) const { return root_[node]; }
+  /// Covariance of η_b − η_a; nothing if neither a tree nor priors on both join the nodes.
+  [[nodiscard]] std::optional<Matrix6d> between(std::size_t a, std::size_t b) const;
+
+ private:
+  void grow(const PoseGraph& graph, std::uint32_t from);
+  void index_ancestors();
+  [[nodiscard]] std::uint32_t common_ancestor(std::size_t a, std::size_t b) const;
+  [[nodiscard]] std::uint32_t higher(std::uint32_t a, std::uint32_t b) const {
+    return depth_[a] <= depth_[b] ? a : b;
+  }
+
+  std::vector<std::uint32_t> parent_, root_, depth_;
+  std::vector<Eigen::Isometry3d> poses_;
+  std::vector<Matrix6d> covariance_;  // of η since the root, the root's prior included
+  std::vector<char> anchored_;        // by root
+  // A tour of the trees and, over it, the highest node of every stretch whose length is a power of two.
+  std::vector<std::uint32_t> first_visit_;
+  std::vector<std::vector<std::uint32_t>> highest_;
+};
+
+}  // namespace loopwise::detail

@@ -1,0 +1,329 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/optimization/gnc.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/optimization/pcm.hpp>
+
+#include "support.hpp"
+
+namespace loopwise {
+namespace {
+
+std::vector<bool> read_labels(const testing::fs::path& path) {
+  std::ifstream in(path);
+  std::vector<bool> labels;
+  for (int label = 0; in >> label;) labels.push_back(label != 0);
+  return labels;
+}
+
+double mean_distance(const std::vector<Eigen::Isometry3d>& a, const std::vector<Eigen::Isometry3d>& b) {
+  double sum = 0.0;
+  for (std::size_t i = 0; i < a.size(); ++i) sum += (a[i].translation() - b[i].translation()).norm();
+  return sum / static_cast<double>(a.size());
+}
+
+double extent(const std::vector<Eigen::Isometry3d>& poses) {
+  Eigen::Vector3d low = poses[0].translation(), high = low;
+  for (const auto& pose : poses) {
+    low = low.cwiseMin(pose.translation());
+    high = high.cwiseMax(pose.translation());
+  }
+  return (high - low).norm();
+}
+
+/// What the labels' own partition costs: the minimum without the false closures, plus what the truncation
+/// counts.
+double truncated_cost_of_labels(const PoseGraph& graph, const std::vector<Eigen::Isometry3d>& clean_poses,
+                                double c2) {
+  double cost = 0.0;
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    const Edge& edge = graph.edges()[e];
+    const Vector6d r = edge_residual(edge, clean_poses[graph.ends(e).from], clean_poses[graph.ends(e).to]);
+    const double r2 = r.dot(edge.information * r);
+    cost += 0.5 * (known_inlier(edge) ? r2 : std::min(r2, c2));
+  }
+  return cost;
+}
+
+/// The solution that someone who knows the labels finds.
+std::vector<Eigen::Isometry3d> clean_solution(const testing::RandomGraph& random) {
+  PoseGraph clean = random.graph;
+  for (std::size_t e = 0; e < random.is_false.size(); ++e)
+    clean.set_weight(e, random.is_false[e] ? 0.0 : 1.0);
+  return optimize(clean).poses;
+}
+
+struct Verdict {
+  double recall = 1.0;     ///< Share of the false closures that were found.
+  double precision = 1.0;  ///< Share of the closures found false that are.
+};
+
+Verdict judge(const PoseGraph& graph, const std::vector<double>& weights, const std::vector<bool>& is_false) {
+  double found = 0, right = 0, all = 0;
+  for (std::size_t e = 0; e < weights.size(); ++e) {
+    if (known_inlier(graph.edges()[e])) {
+      REQUIRE(weights[e] == 1.0);
+      continue;
+    }
+    all += is_false[e] ? 1.0 : 0.0;
+    if (weights[e] > 0.5) continue;
+    found += 1.0;
+    right += is_false[e] ? 1.0 : 0.0;
+  }
+  return {all > 0 ? right / all : 1.0, found > 0 ? right / found : 1.0};
+}
+
+}  // namespace
+
+TEST_CASE("chi-squared quantiles are those of the tables", "[optimization]") {
+  REQUIRE(chi_squared_quantile(0.99, 6) == Approx(16.811893829770927).epsilon(1e-12));
+  REQUIRE(chi_squared_quantile(0.9999, 6) == Approx(27.856341).epsilon(1e-7));
+  REQUIRE(chi_squared_quantile(0.5, 6) == Approx(5.348120627447116).epsilon(1e-12));
+  REQUIRE(chi_squared_quantile(0.95, 1) == Approx(3.841458820694124).epsilon(1e-12));
+  REQUIRE_THROWS_AS(chi_squared_quantile(1.0, 6), OptionError);
+}
+
+TEST_CASE("gnc: random false closures are found, true ones kept", "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    testing::RandomGraphOptions shape;
+    shape.nodes = 80;
+    shape.closures = 60;
+    shape.false_closures = 40;
+    const testing::RandomGraph random = testing::random_graph(rng, shape);
+    const GncResult result = optimize_gnc(random.graph);
+    const Verdict verdict = judge(random.graph, result.weights, random.is_false);
+    REQUIRE(verdict.recall == 1.0);
+    // One in a hundred true closures lies beyond the threshold by construction.
+    REQUIRE(verdict.precision >= 0.9);
+    REQUIRE(result.inliers + result.outliers == 100);
+    REQUIRE(result.optimization.converged);
+    REQUIRE(mean_distance(result.optimization.poses, clean_solution(random)) < 0.1);
+  }
+}
+
+TEST_CASE("gnc: without closures in doubt it is the plain solution", "[optimization][gnc]") {
+  Rng rng(5);
+  testing::RandomGraph random = testing::random_graph(rng);
+  PoseGraph trusted;
+  for (const Node& node : random.graph.nodes()) trusted.add_node(node);
+  for (const PriorFactor& prior : random.graph.priors()) trusted.add_prior(prior);
+  for (Edge edge : random.graph.edges()) {
+    edge.trusted = true;
+    trusted.add_edge(edge);
+  }
+  const GncResult robust = optimize_gnc(trusted);
+  const OptimizationResult plain = optimize(trusted);
+  REQUIRE(robust.optimization.cost == Approx(plain.cost).epsilon(1e-12));
+  REQUIRE(robust.truncated_cost == Approx(plain.cost).epsilon(1e-12));
+  REQUIRE(robust.inliers + robust.outliers == 0);
+  for (const double weight : robust.weights) REQUIRE(weight == 1.0);
+}
+
+TEST_CASE("gnc: the result does not depend on the weights that the graph carries", "[optimization][gnc]") {
+  Rng rng(6);
+  testing::RandomGraphOptions shape;
+  shape.false_closures = 10;
+  testing::RandomGraph random = testing::random_graph(rng, shape);
+  const GncResult first = optimize_gnc(random.graph);
+  for (std::size_t e = 0; e < random.graph.edges().size(); ++e) random.graph.set_weight(e, rng.uniform());
+  const GncResult second = optimize_gnc(random.graph);
+  REQUIRE(first.weights == second.weights);
+  REQUIRE(first.optimization.cost == second.optimization.cost);
+}
+
+TEST_CASE("gnc: all closures false leaves the odometry", "[optimization][gnc]") {
+  Rng rng(7);
+  testing::RandomGraphOptions shape;
+  shape.closures = 0;
+  shape.false_closures = 12;
+  const testing::RandomGraph random = testing::random_graph(rng, shape);
+  for (const RobustKernel kernel : {RobustKernel::kGncTls, RobustKernel::kTls}) {
+    GncOptions gnc;
+    gnc.kernel = kernel;
+    const GncResult result = optimize_gnc(random.graph, {}, gnc);
+    REQUIRE(result.inliers == 0);
+    REQUIRE(result.outliers == 12);
+    REQUIRE(result.optimization.converged);
+    for (std::size_t i = 0; i < random.truth.size(); ++i) {
+      // Odometry alone fits exactly: the poses are those of the chain. Measured 2e-12.
+      REQUIRE(testing::difference(result.optimization.poses[i], random.graph.nodes()[i].pose) < 1e-9);
+    }
+  }
+}
+
+TEST_CASE("gnc: a robot that only false closures tie stays where it was", "[optimization][gnc]") {
+  Rng rng(8);
+  PoseGraph graph;
+  for (Key k = 0; k < 40; ++k) {
+    Node node;
+    node.key = k;
+    node.pose.translation().x() = static_cast<double>(k % 20);
+    node.pose.translation().y() = k < 20 ? 0.0 : 50.0;
+    graph.add_node(node);
+    if (k % 20 == 0) continue;
+    Edge edge;
+    edge.from = k - 1;
+    edge.to = k;
+    edge.T_from_to.translation().x() = 1.0;
+    edge.information = 1e4 * Matrix6d::Identity();
+    edge.kind = EdgeKind::kOdometry;
+    graph.add_edge(edge);
+  }
+  graph.add_prior(testing::prior_at(0, Eigen::Isometry3d::Identity()));
+  for (Key k = 0; k < 8; ++k) {  // each asks for another place
+    Edge edge;
+    edge.from = k;
+    edge.to = 39 - k;
+    edge.T_from_to = testing::random_pose(rng, 30.0);
+    edge.information = 1e4 * Matrix6d::Identity();
+    graph.add_edge(edge);
+  }
+  const GncResult result = optimize_gnc(graph);
+  REQUIRE(result.optimization.components == 2 - 1);  // by all edges, false ones included
+  if (result.inliers == 0) {
+    REQUIRE(result.optimization.held == std::vector<Key>{20});
+    for (std::size_t i = 0; i < 40; ++i) {
+      REQUIRE(testing::difference(result.optimization.poses[i], graph.nodes()[i].pose) < 1e-9);
+    }
+  } else {
+    // One closure can always be met exactly, two cannot.
+    REQUIRE(result.inliers == 1);
+  }
+}
+
+TEST_CASE("gnc: other kernels find false closures too", "[optimization][gnc]") {
+  Rng rng(9);
+  testing::RandomGraphOptions shape;
+  shape.nodes = 60;
+  shape.closures = 60;
+  shape.false_closures = 15;
+  const testing::RandomGraph random = testing::random_graph(rng, shape);
+  for (const RobustKernel kernel : {RobustKernel::kTls, RobustKernel::kCauchy, RobustKernel::kGemanMcClure}) {
+    CAPTURE(enum_name(kernel));
+    GncOptions gnc;
+    gnc.kernel = kernel;
+    const GncResult result = optimize_gnc(random.graph, {}, gnc);
+    REQUIRE(judge(random.graph, result.weights, random.is_false).recall == 1.0);
+    // Without graduation true closures across much drift stay out: the price of starting at the threshold.
+    const double bound = kernel == RobustKernel::kTls ? 1.0 : 0.1;
+    REQUIRE(mean_distance(result.optimization.poses, clean_solution(random)) < bound);
+  }
+}
+
+TEST_CASE("gnc: bad options name the field", "[optimization][error]") {
+  GncOptions gnc;
+  gnc.inlier_probability = 1.0;
+  REQUIRE_THROWS_WITH(optimize_gnc({}, {}, gnc), Contains("inlier_probability = 1"));
+  gnc = {};
+  gnc.mu_step = 1.0;
+  REQUIRE_THROWS_WITH(optimize_gnc({}, {}, gnc), Contains("mu_step = 1"));
+}
+
+TEST_CASE("gnc: shared graphs with random false closures", "[optimization][gnc][data]") {
+  const auto folder = testing::test_data("gnc");
+  if (!folder) return;
+  for (const auto& entry : testing::fs::directory_iterator(*folder)) {
+    if (entry.path().extension() != ".g2o") continue;
+    const std::string name = entry.path().stem().string();
+    CAPTURE(name);
+    auto labels_path = entry.path();
+    const std::vector<bool> is_false = read_labels(labels_path.replace_extension(".labels"));
+    std::vector<Key> priors{0};
+    if (name.rfind("tunnel1250", 0) == 0) priors.push_back(625);
+    const PoseGraph graph = testing::read_graph(entry.path(), priors);
+    REQUIRE(is_false.size() == graph.edges().size());
+
+    const GncResult result = optimize_gnc(graph);
+    const Verdict verdict = judge(graph, result.weights, is_false);
+    REQUIRE(verdict.recall >= 0.99);
+
+    PoseGraph clean = graph;
+    for (std::size_t e = 0; e < is_false.size(); ++e) clean.set_weight(e, is_false[e] ? 0.0 : 1.0);
+    const OptimizationResult optimum = optimize(clean);
+    REQUIRE(mean_distance(result.optimization.poses, optimum.poses) <= 0.005 * extent(optimum.poses));
+    const double c2 = chi_squared_quantile(0.99, 6);
+    if (name.rfind("smallGrid3D", 0) == 0 || name.rfind("tunnel1250", 0) == 0) {
+      REQUIRE(result.truncated_cost <= truncated_cost_of_labels(clean, optimum.poses, c2) * (1.0 + 1e-9));
+    } else {
+      REQUIRE(verdict.precision >= 0.99);
+    }
+  }
+}
+
+TEST_CASE("gnc: false closures thrown into a two-robot tunnel", "[optimization][gnc][data]") {
+  const auto folder = testing::test_data("g2o");
+  if (!folder || !testing::fs::exists(*folder / "tunnel1250.g2o")) return;
+  for (const bool second_prior : {true, false}) {
+    CAPTURE(second_prior);
+    PoseGraph graph = testing::read_graph(*folder / "tunnel1250.g2o",
+                                          second_prior ? std::vector<Key>{0, 625} : std::vector<Key>{0});
+    const OptimizationResult optimum = optimize(graph);
+    Rng rng(11);
+    std::vector<bool> is_false(graph.edges().size(), false);
+    const Matrix6d information = graph.edges().back().information;
+    for (int i = 0; i < 200; ++i) {
+      Edge edge;
+      edge.from = rng.below(1250);
+      edge.to = (edge.from + 2 + rng.below(1246)) % 1250;
+      edge.T_from_to = testing::random_pose(rng, 5.0);
+      edge.information = information;
+      graph.add_edge(edge);
+      is_false.push_back(true);
+    }
+    const GncResult result = optimize_gnc(graph);
+    const Verdict verdict = judge(graph, result.weights, is_false);
+    REQUIRE(verdict.recall >= 0.99);
+    REQUIRE(verdict.precision >= 0.97);
+    REQUIRE(mean_distance(result.optimization.poses, optimum.poses) <= 0.005 * extent(optimum.poses));
+  }
+}
+
+TEST_CASE("pcm: keeps what agrees and drops what does not", "[optimization][pcm]") {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    testing::RandomGraphOptions shape;
+    shape.nodes = 60;
+    shape.closures = 30;
+    shape.false_closures = 30;
+    const testing::RandomGraph random = testing::random_graph(rng, shape);
+    const PcmResult result = pairwise_consistent(random.graph);
+    std::size_t kept_true = 0, kept_false = 0;
+    for (std::size_t e = 0; e < result.kept.size(); ++e) {
+      if (known_inlier(random.graph.edges()[e])) {
+        REQUIRE(result.kept[e]);
+      } else if (result.kept[e]) {
+        ++(random.is_false[e] ? kept_false : kept_true);
+      }
+    }
+    REQUIRE(kept_false <= 1);
+    REQUIRE(kept_true >= 20);  // pairs disagree with probability 1 %, so a clique loses some
+    REQUIRE(result.inliers == kept_true + kept_false);
+  }
+}
+
+TEST_CASE("pcm: swapping a closure's ends changes nothing", "[optimization][pcm][property]") {
+  Rng rng(4);
+  testing::RandomGraphOptions shape;
+  shape.false_closures = 10;
+  const testing::RandomGraph random = testing::random_graph(rng, shape);
+  PoseGraph swapped;
+  for (const Node& node : random.graph.nodes()) swapped.add_node(node);
+  for (const PriorFactor& prior : random.graph.priors()) swapped.add_prior(prior);
+  for (Edge edge : random.graph.edges()) {
+    if (edge.kind == EdgeKind::kLoopClosure && rng.uniform() < 0.5) {
+      std::swap(edge.from, edge.to);
+      // Covariance of the inverse, on its right: Ad(Z) Σ Ad(Z)ᵀ.
+      const Matrix6d ad = se3::adjoint(edge.T_from_to);
+      edge.information = (ad * edge.information.inverse() * ad.transpose()).inverse();
+      edge.information = (0.5 * (edge.information + edge.information.transpose())).eval();
+      edge.T_from_to = edge.T_from_to.inverse();
+    }
+    swapped.add_edge(edge);
+  }
+  REQUIRE(pairwise_consistent(random.graph).kept == pairwise_consistent(swapped).kept);
+}
+
+}  // namespace loopwise
