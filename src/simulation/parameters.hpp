@@ -63,6 +63,7 @@ struct Tunnel {
   Range cross_cut_spacing_m{25.0, 55.0};
   double panel_length_m = 115.0;
   double bleeder_share = 0.4;  ///< Of neighbouring panels whose far ends are joined.
+  Range face_m{4.0, 11.0};     ///< Beyond the last cross-cut.
   double meander_m = 0.35;
   double undulation_m = 1.5;  ///< Amplitude of the seam's height over some 120 m.
   double prop_spacing_m = 22.0;
@@ -159,8 +160,8 @@ struct Platform {
 };
 inline constexpr Platform kGround{0.95,   0.85,   0.01,    0.012,  0.45, 0.006,
                                   0.0016, 0.0008, 0.00022, 0.0015, 60.0};
-inline constexpr Platform kLegged{0.75,   0.65,   0.03,    0.035,  0.35, 0.014,
-                                  0.0055, 0.0016, 0.00100, 0.0040, 40.0};
+inline constexpr Platform kLegged{0.75,   0.65,   0.03,    0.035,  0.35, 0.012,
+                                  0.0042, 0.0016, 0.00060, 0.0030, 40.0};
 inline constexpr double kGravityLength = 12.0;  ///< Over which roll and pitch errors are pulled back, m.
 
 /// Low observability [Degen]: along the weakest direction the error grows with (reference /

@@ -21,6 +21,9 @@ using simulation_parameters::Roughness;
 /// Measured over 2·10^5 points: the sum of the eight corners has a root mean square of 0.2704.
 constexpr double kNoiseRms = 0.2704;
 
+/// How much the ground may rise or fall over a shape and its surroundings, m.
+constexpr double kGroundVaries = 2.0;
+
 double corner(std::int64_t x, std::int64_t y, std::int64_t z, std::uint64_t seed, const Eigen::Vector3d& d) {
   const std::uint64_t h = mix64(seed ^ (static_cast<std::uint64_t>(x) * 0x9e3779b97f4a7c15ULL) ^
                                 (static_cast<std::uint64_t>(y) * 0xc2b2ae3d27d4eb4fULL) ^
@@ -83,22 +86,26 @@ struct Cell3 {
 /// Nearest void over the shapes; the relief is only worked out where the boundary is near.
 class Field {
  public:
-  Field(const std::vector<Shape>& shapes, const std::vector<std::size_t>& chosen, std::uint64_t seed)
-      : shapes_(shapes), chosen_(chosen), seed_(seed) {}
+  Field(const std::vector<Shape>& shapes, const std::vector<std::size_t>& chosen, const Ground& ground,
+        std::uint64_t seed)
+      : shapes_(shapes), chosen_(chosen), ground_(ground), seed_(seed) {}
+
+  double ground(const Eigen::Vector3d& p) const { return ground_(p.x(), p.y()); }
 
   double smooth(const Eigen::Vector3d& p) const {
+    const double level = ground(p);
     double best = std::numeric_limits<double>::infinity();
-    for (const std::size_t i : chosen_) best = std::min(best, void_distance(shapes_[i], p, 0.0));
+    for (const std::size_t i : chosen_) best = std::min(best, void_distance(shapes_[i], p, 0.0, level));
     return best;
   }
 
-  double rough(const Eigen::Vector3d& p, double cell) const {
+  double rough(const Eigen::Vector3d& p, double level, double cell) const {
     double best = std::numeric_limits<double>::infinity();
     const Roughness* known = nullptr;
     double relief = 0.0;
     for (const std::size_t i : chosen_) {
       const Shape& shape = shapes_[i];
-      double d = void_distance(shape, p, 0.0);
+      double d = void_distance(shape, p, 0.0, level);
       const double margin = largest_relief(*shape.roughness);
       if (d - margin > best) continue;
       if (std::abs(d) < margin + 2.0 * cell) {
@@ -106,7 +113,7 @@ class Field {
           known = shape.roughness;
           relief = relief_at(*known, p, seed_);
         }
-        d = void_distance(shape, p, relief);
+        d = void_distance(shape, p, relief, level);
       }
       best = std::min(best, d);
     }
@@ -116,6 +123,7 @@ class Field {
  private:
   const std::vector<Shape>& shapes_;
   const std::vector<std::size_t>& chosen_;
+  const Ground& ground_;
   std::uint64_t seed_;
 };
 
@@ -146,10 +154,17 @@ TriangleMesh tile_surface(const Cell3& tile, const Field& field, double cell) {
 
   std::vector<double> value(kSide * kSide * kSide);
   bool any_void = false, any_rock = false;
+  std::vector<double> level(kSide * kSide);
+  for (int y = -1; y <= kTile; ++y) {
+    for (int x = -1; x <= kTile; ++x) {
+      level[static_cast<std::size_t>((y + 1) * kSide + x + 1)] = field.ground(position(x, y, 0));
+    }
+  }
   for (int z = -1; z <= kTile; ++z) {
     for (int y = -1; y <= kTile; ++y) {
       for (int x = -1; x <= kTile; ++x) {
-        const double d = field.rough(position(x, y, z), cell);
+        const double d =
+            field.rough(position(x, y, z), level[static_cast<std::size_t>((y + 1) * kSide + x + 1)], cell);
         value[sample_index(x, y, z)] = d;
         (d < 0.0 ? any_void : any_rock) = true;
       }
@@ -269,7 +284,7 @@ double gradient_noise(const Eigen::Vector3d& p, std::uint64_t seed) {
   return mix(low, high, w) / kNoiseRms;
 }
 
-double void_distance(const Shape& s, const Eigen::Vector3d& p, double relief) {
+double void_distance(const Shape& s, const Eigen::Vector3d& p, double relief, double ground) {
   const double floor_relief = s.roughness->floor_share * relief;
   if (s.kind == Shape::Kind::kBox) {
     const double c = std::cos(s.yaw), n = std::sin(s.yaw);
@@ -282,7 +297,7 @@ double void_distance(const Shape& s, const Eigen::Vector3d& p, double relief) {
   const double length2 = along.squaredNorm();
   const double t = length2 > 0.0 ? std::clamp(to.dot(along) / length2, 0.0, 1.0) : 0.0;
   const double u = (to - t * along).norm();
-  const double v = p.z() - (s.a.z() + t * (s.b.z() - s.a.z()));
+  const double v = p.z() - (s.grounded ? ground : s.a.z() + t * (s.b.z() - s.a.z()));
   if (s.kind == Shape::Kind::kTube) {
     const double half_height = 0.6 * s.height;  // the centre lies above the floor, which cuts the ellipse
     const double y = (v - 0.4 * s.height) / half_height * s.half_width;
@@ -294,19 +309,21 @@ double void_distance(const Shape& s, const Eigen::Vector3d& p, double relief) {
       {u - s.half_width + relief, v - s.height + s.roof_sag * share * share + relief, -v + floor_relief});
 }
 
-TriangleMesh extract_surface(const std::vector<Shape>& shapes, double cell, std::uint64_t seed,
-                             int num_threads, const StopToken& stop) {
+TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& ground, double cell,
+                             std::uint64_t seed, int num_threads, const StopToken& stop) {
   // Each tile knows the shapes that can reach it. The margin is wide enough that neighbours who share samples
   // agree.
   std::map<Cell3, std::vector<std::size_t>> near;
   const double side = kTile * cell;
   for (std::size_t i = 0; i < shapes.size(); ++i) {
     const Box3 box = bounds(shapes[i]);
+    // Ground that is not flat may leave the box of the ends by some metres.
     const double margin = largest_relief(*shapes[i].roughness) + 4.0 * cell;
+    const double lift = shapes[i].grounded ? kGroundVaries : 0.0;
     const auto tile_of = [&](double x) { return static_cast<std::int64_t>(std::floor(x / side)); };
     for (auto x = tile_of(box.low.x() - margin); x <= tile_of(box.high.x() + margin); ++x) {
       for (auto y = tile_of(box.low.y() - margin); y <= tile_of(box.high.y() + margin); ++y) {
-        for (auto z = tile_of(box.low.z() - margin); z <= tile_of(box.high.z() + margin); ++z) {
+        for (auto z = tile_of(box.low.z() - margin - lift); z <= tile_of(box.high.z() + margin + lift); ++z) {
           near[{x, y, z}].push_back(i);
         }
       }
@@ -319,7 +336,7 @@ TriangleMesh extract_surface(const std::vector<Shape>& shapes, double cell, std:
   ThreadPool pool(num_threads);
   pool.for_each(tiles.size(), [&](std::size_t i) {
     if (stop.stop_requested()) return;
-    parts[i] = tile_surface(tiles[i].first, Field(shapes, *tiles[i].second, seed), cell);
+    parts[i] = tile_surface(tiles[i].first, Field(shapes, *tiles[i].second, ground, seed), cell);
   });
 
   TriangleMesh mesh;

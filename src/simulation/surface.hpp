@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
 #include <vector>
 
 #include <Eigen/Core>
@@ -33,15 +34,22 @@ struct Shape {
   double height = 2.0;
   double roof_sag = 0.0;
   double yaw = 0.0;
+  bool grounded = false;  ///< The floor follows the ground of the world instead of a and b.
   const simulation_parameters::Roughness* roughness = nullptr;
 };
 
+/// Height of the ground at (x, y), m: slopes are gentle.
+using Ground = std::function<double(double, double)>;
+
 /// Distance to the boundary, negative in the void; exact in sign, its slope at most about 1.5.
 /// \param relief added to walls and roof, its `floor_share` to the floor.
-[[nodiscard]] double void_distance(const Shape& shape, const Eigen::Vector3d& p, double relief);
+/// \param ground at the point, for shapes that follow it.
+[[nodiscard]] double void_distance(const Shape& shape, const Eigen::Vector3d& p, double relief,
+                                   double ground);
 
 /// The boundary of the union by dual contouring (Ju et al. 2002) with cells of `cell` metres, tile by tile.
-[[nodiscard]] TriangleMesh extract_surface(const std::vector<Shape>& shapes, double cell, std::uint64_t seed,
-                                           int num_threads, const StopToken& stop);
+[[nodiscard]] TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& ground,
+                                           double cell, std::uint64_t seed, int num_threads,
+                                           const StopToken& stop);
 
 }  // namespace loopwise::simulation_detail

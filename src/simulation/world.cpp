@@ -41,6 +41,7 @@ struct Style {
   double size_change = 0.0;  ///< Relative, from piece to piece.
   const parameters::Roughness* roughness = nullptr;
   bool corridor = true;
+  bool grounded = false;  ///< The floor follows the ground.
 };
 
 void add_quad(TriangleMesh& mesh, std::uint32_t a, std::uint32_t b, std::uint32_t c, std::uint32_t d) {
@@ -54,7 +55,11 @@ class Builder {
   explicit Builder(std::uint64_t seed) : rng_(combine_seeds(seed, 1)), seed_(seed) {}
 
   Rng& rng() { return rng_; }
-  void set_undulation(double amplitude_m) { undulation_m_ = amplitude_m; }
+  /// \param level_south_of the ground is level where y is smaller, for buildings.
+  void set_undulation(double amplitude_m, double level_south_of = -1e9) {
+    undulation_m_ = amplitude_m;
+    level_south_of_ = level_south_of;
+  }
 
   /// Height of the seam.
   [[nodiscard]] double ground(double x, double y) const {
@@ -63,7 +68,8 @@ class Builder {
       return gradient_noise(Eigen::Vector3d(u / 120.0, v / 120.0, 0.37), combine_seeds(seed_, 2));
     };
     // No robot starts on a slope of the whole seam: the undulation fades in over the first 30 m.
-    const double fade = std::min(1.0, std::hypot(x, y) / 30.0);
+    const double fade =
+        std::min(1.0, std::hypot(x, y) / 30.0) * std::clamp((y - level_south_of_) / 15.0, 0.0, 1.0);
     return undulation_m_ * fade * (noise(x, y) - noise(0.0, 0.0));
   }
 
@@ -107,7 +113,9 @@ class Builder {
       s.b = path[i];
       const double change = 1.0 + style.size_change * rng_.uniform(-1.0, 1.0);
       s.half_width = style.half_width * change;
-      s.height = style.height * (1.0 + style.size_change * rng_.uniform(-0.5, 1.0));
+      const double lift = 1.0 + style.size_change * rng_.uniform(-0.5, 1.0);
+      s.height = style.height * (style.kind == Shape::Kind::kTube ? lift : 1.0);
+      s.grounded = undulation_m_ > 0.0 && style.grounded;
       s.roof_sag = style.roof_sag;
       s.roughness = style.roughness;
       shapes_.push_back(s);
@@ -158,8 +166,9 @@ class Builder {
     World world;
     world.kind = kind;
     mark_dead_ends();
-    world.mesh =
-        simulation_detail::extract_surface(shapes_, cell, combine_seeds(seed_, 3), num_threads, stop);
+    world.mesh = simulation_detail::extract_surface(
+        shapes_, [this](double x, double y) { return ground(x, y); }, cell, combine_seeds(seed_, 3),
+        num_threads, stop);
     for (std::size_t i = 0; i < things_.size(); ++i) {
       if (foot_[i].radius < 0.0 || out_of_the_way(foot_[i])) things_[i](world.mesh);
     }
@@ -243,6 +252,7 @@ class Builder {
   Rng rng_;
   std::uint64_t seed_;
   double undulation_m_ = 0.0;
+  double level_south_of_ = 0.0;
   std::vector<Shape> shapes_;
   RouteGraph routes_;
   std::vector<std::function<void(TriangleMesh&)>> things_;
@@ -259,6 +269,7 @@ Style entry_style(Builder& builder) {
   style.meander = parameters::kTunnel.meander_m;
   style.size_change = 0.03;
   style.roughness = &parameters::kCoal;
+  style.grounded = true;
   return style;
 }
 
@@ -298,6 +309,15 @@ std::vector<double> cross_cuts(Rng& rng, double length) {
   }
   cuts.push_back(length);
   return cuts;
+}
+
+/// The entries go on for some metres beyond the last cross-cut: faces where the seam is worked.
+void add_faces(Builder& builder, const std::vector<std::size_t>& ends, const Eigen::Vector2d& along) {
+  for (const std::size_t end : ends) {
+    const Eigen::Vector2d p =
+        builder.at(end).head<2>() + draw(builder.rng(), parameters::kTunnel.face_m) * along;
+    builder.passage(end, builder.place(p.x(), p.y()), entry_style(builder));
+  }
 }
 
 void furnish_entries(Builder& builder) {
@@ -363,6 +383,7 @@ void plan_tunnel(Builder& builder, double target) {
   std::vector<std::vector<std::size_t>> mains;
   parallel_entries(builder, start, along, across, {}, cuts, 3, &mains);
   builder.passage(gate, mains[0][0], entry_style(builder));
+  add_faces(builder, mains.back(), along);
 
   const double left = std::max(0.0, target - builder.passage_length());
   const double mean_length =
@@ -380,6 +401,7 @@ void plan_tunnel(Builder& builder, double target) {
       const std::vector<std::size_t> ends = parallel_entries(
           builder, corner, way, Eigen::Vector2d(spacing, 0.0), first, cross_cuts(rng, length), 2);
       if (joined) builder.passage(neighbour[1], ends[0], entry_style(builder));
+      add_faces(builder, ends, way);
       neighbour = ends;
       neighbour_length = length;
     }
@@ -464,6 +486,7 @@ void plan_mine(Builder& builder, double target) {
     s.size_change = 0.06;
     s.meander = 0.5;
     s.roughness = &parameters::kLimestone;
+    s.grounded = true;
     return s;
   };
   const std::size_t gate = builder.place(0.0, 0.0);
@@ -510,6 +533,7 @@ std::map<std::pair<int, int>, std::size_t> plan_cave(Builder& builder, const Eig
     s.size_change = 0.22;
     s.meander = c.meander_m;
     s.roughness = &parameters::kCave;
+    s.grounded = true;
     return s;
   };
   const Lattice lattice{origin, draw(rng, c.pitch_m), draw(rng, c.pitch_m), c.jitter_m, c.closed_share, j_low,
@@ -523,6 +547,7 @@ std::map<std::pair<int, int>, std::size_t> plan_cave(Builder& builder, const Eig
     chamber.half_width = draw(rng, c.chamber_radius_m);
     chamber.height = chamber.half_width * rng.uniform(0.7, 1.1);
     chamber.roughness = &parameters::kCave;
+    chamber.grounded = true;
     builder.add(chamber);
     for (int k = 0; k < 4; ++k) {
       const double angle = rng.uniform(0.0, 2.0 * kPi), size = rng.uniform(0.4, 1.3);
@@ -761,6 +786,7 @@ void plan_urban(Builder& builder, double target) {
 
 void plan_finals(Builder& builder, double target) {
   Rng& rng = builder.rng();
+  builder.set_undulation(parameters::kCaveShape.undulation_m, -8.0);
   const std::size_t gate = builder.place(0.0, 0.0);
   const std::size_t hub = builder.place(10.0, 0.0);
   builder.passage(gate, hub, entry_style(builder));

@@ -52,7 +52,7 @@ TEST_CASE("surface: a smooth box comes out flat, square and closed", "[simulatio
   room.half_length = 2.07;
   room.height = 2.51;
   room.roughness = &smooth;
-  const RayCaster caster(extract_surface({room}, 0.25, 1, 1, {}));
+  const RayCaster caster(extract_surface({room}, [](double, double) { return 0.0; }, 0.25, 1, 1, {}));
   Rng rng(2);
   for (int i = 0; i < 2000; ++i) {
     const Eigen::Vector3d origin(0.3 + rng.uniform(-2.5, 2.5), 0.1 + rng.uniform(-1.5, 1.5),
