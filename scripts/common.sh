@@ -1,6 +1,8 @@
-# Sourced by the other scripts: sets `root`, enters it, and builds the way all of them do.
+# Sourced by the other scripts: sets `root`, enters it (`called_from` is where it was), and builds the way all do.
 # shellcheck shell=bash
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
+# shellcheck disable=SC2034
+called_from=$PWD
 cd "$root" || exit 1
 
 # Compilers of PCL's headers take up to 2 GB each.
