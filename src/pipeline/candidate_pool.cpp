@@ -134,7 +134,8 @@ std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
 
 void CandidatePool::complete(const RegistrationResult& result) {
   if (in_flight_.erase(result.candidate.id) == 0) {
-    throw InputError("candidate " + std::to_string(result.candidate.id) + " has a result but is not in flight");
+    throw InputError("candidate " + std::to_string(result.candidate.id) +
+                     " has a result but is not in flight");
   }
   accounting_.in_flight = in_flight_.size();
   ++accounting_.computed;

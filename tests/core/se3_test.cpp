@@ -144,6 +144,21 @@ TEST_CASE("se3: the edge residual's Jacobians equal central differences", "[core
   }
 }
 
+TEST_CASE("se3: the covariance of the inverse follows samples", "[core][se3]") {
+  Rng rng(4);
+  const Eigen::Isometry3d T = random_pose(rng, 4.0);
+  Matrix6d L = Matrix6d::Zero();
+  for (int r = 0; r < 6; ++r) {
+    for (int c = 0; c <= r; ++c) L(r, c) = 1e-4 * rng.normal();
+  }
+  // To first order each sample ξ of T moves T⁻¹ by η = Log(T · (T·Exp(ξ))⁻¹), so the columns of L may stand for samples.
+  Matrix6d moved;
+  for (int k = 0; k < 6; ++k) moved.col(k) = se3::log(T * (T * se3::exp(L.col(k))).inverse());
+  const Matrix6d expected = moved * moved.transpose();
+  const Matrix6d found = se3::covariance_of_inverse(T, L * L.transpose());
+  REQUIRE((found - expected).cwiseAbs().maxCoeff() < 1e-3 * expected.cwiseAbs().maxCoeff());
+}
+
 TEST_CASE("se3: swapping the tangent order twice changes nothing", "[core][se3]") {
   Matrix6d m;
   for (int i = 0; i < 36; ++i) m(i / 6, i % 6) = i;

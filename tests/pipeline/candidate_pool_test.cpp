@@ -79,7 +79,8 @@ TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason",
   options.max_pending = 3;
   CandidatePool pool = arrival_pool(options);
   for (const Key key : {1, 2, 3, 4, 5, 6}) pool.on_scan(scan_of(key));
-  pool.add({pair(2, 1, 0.0), pair(3, 1, 10.0), pair(4, 1, 20.0), pair(5, 1, 30.0), pair(6, 1, 40.0), pair(9, 1, 40.0)});
+  pool.add({pair(2, 1, 0.0), pair(3, 1, 10.0), pair(4, 1, 20.0), pair(5, 1, 30.0), pair(6, 1, 40.0),
+            pair(9, 1, 40.0)});
   pool.expire(60.0);
   REQUIRE(pool.expired_reasons().at("pool_full") == 2);
   REQUIRE(pool.accounting().waiting == 1);

@@ -187,6 +187,13 @@ namespace detail {
   return out;
 }
 
+/// Covariance of T⁻¹ when `covariance` is that of T (both right perturbations): Ad(T)·Σ·Ad(T)ᵀ.
+[[nodiscard]] inline Matrix6d covariance_of_inverse(const Eigen::Isometry3d& T, const Matrix6d& covariance) {
+  const Matrix6d ad = adjoint(T);
+  const Matrix6d moved = ad * covariance * ad.transpose();
+  return 0.5 * (moved + moved.transpose());
+}
+
 /// Nearest rotation to a matrix that left SO(3) by rounding.
 [[nodiscard]] inline Eigen::Isometry3d normalized(const Eigen::Isometry3d& T) {
   Eigen::Isometry3d out = T;

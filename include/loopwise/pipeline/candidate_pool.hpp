@@ -40,7 +40,8 @@ struct CandidatePoolOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("max_age_s", self.max_age_s, at_least(0.0), "Pending candidates older than this expire, s; 0: never.");
+    field("max_age_s", self.max_age_s, at_least(0.0),
+          "Pending candidates older than this expire, s; 0: never.");
     field("max_wait_s", self.max_wait_s, at_least(0.0),
           "Candidates whose scan has not come for this long expire, s; 0: never.");
     field("max_pending", self.max_pending, at_least(0.0),
@@ -48,18 +49,19 @@ struct CandidatePoolOptions {
   }
 };
 
-/// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans are not
-/// here yet, feeds the queue and keeps the account. For one thread at a time.
+/// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans
+/// are not here yet, feeds the queue and keeps the account. For one thread at a time.
 class CandidatePool {
  public:
   /// \throws OptionError
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue);
 
-  /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before is ignored.
-  /// \returns how many were new.
+  /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before is
+  /// ignored. \returns how many were new.
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
-  /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become pending.
+  /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
+  /// pending.
   void on_scan(const KeyedScan& scan);
   void on_graph(const PoseGraph& graph) { queue_.on_graph(graph); }
 

@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "command.hpp"
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <iostream>
+#include <thread>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
+
+namespace loopwise::cli {
+
+void add_common_options(CLI::App& command, CommonOptions& options) {
+  command.add_option("--json", options.json, "Write the results as JSON to FILE (- for standard output)")
+      ->type_name("FILE");
+  command.add_option("--config", options.config, "Read options from a JSON file (see 'loopwise config')")
+      ->type_name("FILE");
+  command
+      .add_option("--set", options.set,
+                  "Set one option, for example --set generation.radius_max_m=20; may be repeated")
+      ->type_name("SECTION.FIELD=VALUE")
+      ->expected(1)
+      ->take_all();
+  command
+      .add_option("--threads", options.threads, "Threads; 0 takes all processors. Never changes the results")
+      ->type_name("N")
+      ->check(CLI::Range(0, 4096));
+  command.add_flag("--quiet", options.quiet, "No progress and no notes; warnings and errors remain");
+}
+
+Config load_config(const CommonOptions& options) {
+  Config config;
+  if (!options.config.empty()) read_config(options.config, config);
+  for (const std::string& assignment : options.set) set_config_option(assignment, config);
+  validate_config(config);
+  return config;
+}
+
+int thread_count(const CommonOptions& options) {
+  if (options.threads > 0) return options.threads;
+  return static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+}
+
+void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint) {
+  namespace fs = std::filesystem;
+  if (folder.empty()) throw OptionError("the output folder has no name");
+  if (fs::exists(folder) && !fs::is_directory(folder)) {
+    throw OptionError(folder.string() + ": exists and is not a folder");
+  }
+  if (fs::exists(folder) && !fs::is_empty(folder) && !may_exist) {
+    throw OptionError(folder.string() + ": exists and is not empty" + hint);
+  }
+  std::error_code failure;
+  fs::create_directories(folder, failure);
+  if (failure) throw std::runtime_error(folder.string() + ": " + failure.message());
+  if (access(folder.c_str(), W_OK | X_OK) != 0) throw std::runtime_error(folder.string() + ": not writable");
+}
+
+void print_results(const CommonOptions& options, const Json& json, const std::string& text) {
+  if (options.json == "-") {
+    std::cout << json.dump(2) << "\n" << std::flush;
+    return;
+  }
+  if (!options.json.empty()) write_file(options.json, json.dump(2) + "\n");
+  std::cout << text << std::flush;
+}
+
+int run_action(const Action& action) {
+  const auto complain = [](const std::exception& error) {
+    std::cerr << "loopwise: " << error.what() << "\n";
+  };
+  try {
+    return action();
+  } catch (const OptionError& error) {
+    complain(error);
+    return kBadUsage;
+  } catch (const InputError& error) {
+    complain(error);
+    return kBadInput;
+  } catch (const IoError& error) {
+    complain(error);
+    return kBadInput;
+  } catch (const std::exception& error) {
+    complain(error);
+    return kFailed;
+  }
+}
+
+std::string fixed(double value, int decimals) {
+  if (std::isnan(value)) return "-";
+  char text[64];
+  std::snprintf(text, sizeof text, "%.*f", decimals, value);
+  return text;
+}
+
+std::string table(const std::vector<std::vector<std::string>>& rows) {
+  std::vector<std::size_t> widths;
+  for (const auto& row : rows) {
+    widths.resize(std::max(widths.size(), row.size()), 0);
+    for (std::size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], row[c].size());
+  }
+  std::string out;
+  for (std::size_t r = 0; r < rows.size(); ++r) {
+    std::string line;
+    for (std::size_t c = 0; c < rows[r].size(); ++c) {
+      const std::string gap(widths[c] - rows[r][c].size(), ' ');
+      line += c == 0 ? rows[r][c] + gap : "  " + gap + rows[r][c];
+    }
+    out += line + "\n";
+    if (r == 0) out += std::string(line.size(), '-') + "\n";
+  }
+  return out;
+}
+
+}  // namespace loopwise::cli

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What the subcommands share. Each has one file with one function that adds it to the command line; what it
+/// does when chosen is returned as an exit status: 0 done, 1 failed, 2 bad usage, 3 bad input, 130
+/// interrupted.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <CLI/CLI.hpp>
+#include <nlohmann/json_fwd.hpp>
+
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/pipeline/config.hpp>
+
+#include "console.hpp"
+
+namespace loopwise::cli {
+
+enum ExitStatus : int { kDone = 0, kFailed = 1, kBadUsage = 2, kBadInput = 3, kInterrupted = 130 };
+
+/// Options that every subcommand takes.
+struct CommonOptions {
+  std::string json;  ///< Where the results go as JSON; "-" is standard output.
+  std::string config;
+  std::vector<std::string> set;
+  int threads = 0;
+  bool quiet = false;
+};
+
+/// A chosen subcommand.
+using Action = std::function<int()>;
+
+/// Adds the options of CommonOptions to a subcommand.
+void add_common_options(CLI::App& command, CommonOptions& options);
+
+/// Defaults, then the file of --config, then --set. \throws OptionError, IoError, ParseError
+[[nodiscard]] Config load_config(const CommonOptions& options);
+
+/// Number of threads asked for; all processors if 0.
+[[nodiscard]] int thread_count(const CommonOptions& options);
+
+/// Makes an output folder, or takes an existing one that is empty or that `may_exist` allows.
+/// \throws OptionError if it exists otherwise; std::runtime_error if it cannot be made or written to.
+void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint);
+
+/// Writes the results as JSON where --json says, and `text` for people to standard output unless the JSON
+/// goes there.
+void print_results(const CommonOptions& options, const Json& json, const std::string& text);
+
+/// Runs an action and turns what it throws into a line on standard error and an exit status.
+[[nodiscard]] int run_action(const Action& action);
+
+/// "12.3" with the given number of decimals; "-" for NaN.
+[[nodiscard]] std::string fixed(double value, int decimals);
+
+/// Rows of equal length as text in columns, the first row underlined.
+[[nodiscard]] std::string table(const std::vector<std::vector<std::string>>& rows);
+
+void add_config(CLI::App& app, Action& chosen);
+void add_evaluate(CLI::App& app, Action& chosen);
+void add_info(CLI::App& app, Action& chosen);
+void add_optimize(CLI::App& app, Action& chosen);
+void add_register(CLI::App& app, Action& chosen);
+void add_replay(CLI::App& app, Action& chosen);
+#ifdef LOOPWISE_HAS_SIMULATION
+void add_simulate(CLI::App& app, Action& chosen);
+#endif
+
+}  // namespace loopwise::cli

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/trajectory_errors.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+namespace {
+
+struct Options {
+  CommonOptions common;
+  std::string estimate;
+  std::string truth;
+  std::string alignment = "none";
+  std::string robots;
+  double max_time_difference_s = 0.02;
+};
+
+Json statistics_json(const Statistics& s) {
+  return {{"rmse", s.rmse}, {"mean", s.mean}, {"median", s.median}, {"max", s.max}};
+}
+
+Json relative_json(const RelativeErrors& e) {
+  return {{"count", e.translation_m.count},
+          {"translation_m", statistics_json(e.translation_m)},
+          {"rotation_rad", statistics_json(e.rotation_rad)},
+          {"translation_percent", e.translation_percent},
+          {"rotation_deg_per_m", e.rotation_deg_per_m}};
+}
+
+int run(const Options& options) {
+  constexpr double kDegrees = 57.29577951308232;
+  Console console(options.common.quiet);
+  static_cast<void>(load_config(options.common));
+  const auto alignment = parse_enum<Alignment>("--alignment", options.alignment);
+  const Trajectory estimate = read_trajectory(options.estimate), truth = read_trajectory(options.truth);
+  for (const Trajectory* trajectory : {&estimate, &truth}) console.warn(trajectory->problems);
+  const PosePairs pairs = associate(estimate, truth, options.max_time_difference_s);
+  console.warn(pairs.problems);
+
+  PosesByKey estimated, true_poses;
+  for (std::size_t i = 0; i < pairs.keys.size(); ++i) {
+    estimated[pairs.keys[i]] = pairs.estimate[i];
+    true_poses[pairs.keys[i]] = pairs.truth[i];
+  }
+  const Robots robots = options.robots.empty() ? Robots() : parse_robots(options.robots);
+  const TrajectoryErrors errors = evaluate_trajectory(estimated, true_poses, alignment, robots);
+
+  Json json = {{"poses", errors.poses},
+               {"alignment", options.alignment},
+               {"ate_m", statistics_json(errors.ate_m)},
+               {"ate_rad", statistics_json(errors.ate_rad)},
+               {"rpe", relative_json(errors.step)}};
+  Json distances = Json::array();
+  for (const RelativeErrors& e : errors.by_distance) {
+    Json entry = relative_json(e);
+    entry["distance_m"] = e.distance_m;
+    distances.push_back(entry);
+  }
+  json["rpe_by_distance"] = distances;
+  Json by_robot = Json::object();
+  std::vector<std::vector<std::string>> rows{{"robot", "poses", "length m", "ATE mean m", "max m", "mean deg",
+                                              "max deg", "transl. %", "rot. deg/m"}};
+  const auto add_row = [&rows](const std::string& name, std::size_t poses, double length, const Statistics& m,
+                               const Statistics& rad, double percent, double deg_per_m) {
+    rows.push_back({name, std::to_string(poses), fixed(length, 1), fixed(m.mean, 3), fixed(m.max, 3),
+                    fixed(rad.mean * kDegrees, 3), fixed(rad.max * kDegrees, 3), fixed(percent, 2),
+                    fixed(deg_per_m, 3)});
+  };
+  double length = 0.0;
+  for (const RobotErrors& robot : errors.robots) {
+    by_robot[robot.name] = {{"poses", robot.poses},
+                            {"path_length_m", robot.path_length_m},
+                            {"ate_m", statistics_json(robot.ate_m)},
+                            {"ate_rad", statistics_json(robot.ate_rad)},
+                            {"rpe", relative_json(robot.step)},
+                            {"translation_percent", robot.translation_percent},
+                            {"rotation_deg_per_m", robot.rotation_deg_per_m}};
+    add_row(robot.name, robot.poses, robot.path_length_m, robot.ate_m, robot.ate_rad,
+            robot.translation_percent, robot.rotation_deg_per_m);
+    length += robot.path_length_m;
+  }
+  json["robots"] = by_robot;
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  add_row("all", errors.poses, length, errors.ate_m, errors.ate_rad, nan, nan);
+  std::string text = table(rows);
+  text += "\nATE rmse " + fixed(errors.ate_m.rmse, 4) + " m, median " + fixed(errors.ate_m.median, 4) +
+          " m (alignment: " + options.alignment + ")\nRPE per step: mean " +
+          fixed(errors.step.translation_m.mean, 4) + " m, " +
+          fixed(errors.step.rotation_rad.mean * kDegrees, 4) + " deg\n";
+  if (errors.applied.support != AlignmentSupport::kPositions) {
+    console.warn("positions lie on one line or in one point: their orientations took part in the alignment");
+  }
+  print_results(options.common, json, text);
+  return kDone;
+}
+
+}  // namespace
+
+void add_evaluate(CLI::App& app, Action& chosen) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("evaluate", "Errors of a trajectory against the truth");
+  command->footer(
+      "Both may be TUM (paired by stamp), KITTI (by row) or g2o (by key).\n"
+      "  loopwise evaluate out/graph.g2o mission/ground_truth.g2o");
+  command->add_option("estimate", options->estimate, "Estimated trajectory or graph")
+      ->required()
+      ->type_name("ESTIMATE");
+  command->add_option("truth", options->truth, "True trajectory or graph")->required()->type_name("TRUTH");
+  command
+      ->add_option("--alignment", options->alignment,
+                   "none: common frame; first: first poses agree; se3: best rigid motion (default none)")
+      ->type_name("WORD");
+  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
+      ->type_name("LIST");
+  command
+      ->add_option("--max-time-difference", options->max_time_difference_s,
+                   "TUM: largest gap of paired stamps, s")
+      ->type_name("S")
+      ->check(CLI::NonNegativeNumber);
+  add_common_options(*command, options->common);
+  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+}
+
+}  // namespace loopwise::cli

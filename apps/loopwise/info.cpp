@@ -1,0 +1,189 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
+#include <limits>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/cloud.hpp>
+#include <loopwise/io/mission.hpp>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+namespace {
+
+struct Options {
+  CommonOptions common;
+  std::string path;
+  std::string robots;
+  bool read_scans = true;
+};
+
+/// Length of each robot's path along its nodes, in order of their keys.
+std::vector<double> path_lengths(const Mission& mission) {
+  std::vector<double> lengths(mission.robots.size(), 0.0);
+  std::vector<std::pair<Key, Eigen::Vector3d>> nodes;
+  for (const Node& node : mission.graph.nodes()) nodes.emplace_back(node.key, node.pose.translation());
+  std::sort(nodes.begin(), nodes.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+  for (std::size_t i = 1; i < nodes.size(); ++i) {
+    const auto robot = mission.robots.find(nodes[i].first);
+    if (robot && robot == mission.robots.find(nodes[i - 1].first)) {
+      lengths[*robot] += (nodes[i].second - nodes[i - 1].second).norm();
+    }
+  }
+  return lengths;
+}
+
+struct PointCounts {
+  std::size_t scans = 0, total = 0, fewest = 0, most = 0;
+};
+
+PointCounts count_points(const ScanStore& scans, Console& console, const StopToken& stop) {
+  PointCounts counts;
+  const std::vector<Key> keys = scans.keys();
+  for (std::size_t i = 0; i < keys.size() && !stop.stop_requested(); ++i) {
+    try {
+      const auto cloud = scans.load(keys[i]);
+      if (!cloud) continue;
+      counts.fewest = counts.scans == 0 ? cloud->size() : std::min(counts.fewest, cloud->size());
+      counts.most = std::max(counts.most, cloud->size());
+      counts.total += cloud->size();
+      ++counts.scans;
+    } catch (const Error&) {
+      // The store keeps it among its problems.
+    }
+    console.progress({"reading scans", i + 1, keys.size(), ""});
+  }
+  return counts;
+}
+
+int cloud_info(const Options& options, Console& console) {
+  const CloudFile file = read_cloud(options.path);
+  console.warn(file.problems);
+  Json problems = Json::array();
+  for (const Problem& problem : file.problems.all()) problems.push_back(to_string(problem));
+  const Json json = {{"kind", "cloud"},
+                     {"robots", Json::array()},
+                     {"nodes", 0},
+                     {"edges", 0},
+                     {"scans", 1},
+                     {"points",
+                      {{"total", file.cloud.size()},
+                       {"min", file.cloud.size()},
+                       {"mean", file.cloud.size()},
+                       {"max", file.cloud.size()}}},
+                     {"length_m", 0.0},
+                     {"duration_s", 0.0},
+                     {"problems", problems}};
+  print_results(options.common, json,
+                "cloud        " + std::to_string(file.cloud.size()) + " points" +
+                    (file.cloud.has_normals() ? ", normals" : "") +
+                    (file.cloud.intensities.empty() ? "" : ", intensity") + "\n");
+  return kDone;
+}
+
+int run(const Options& options) {
+  Console console(options.common.quiet);
+  const InterruptGuard interrupt;
+  Config config = load_config(options.common);
+  if (!options.robots.empty()) config.mission.robots = options.robots;
+  if (std::filesystem::is_regular_file(options.path) && is_cloud_file(options.path)) {
+    return cloud_info(options, console);
+  }
+  const Mission mission = read_mission(options.path, config.mission);
+  const PointCounts points =
+      options.read_scans ? count_points(*mission.scans, console, interrupt.token()) : PointCounts{};
+
+  Problems problems = mission.problems;
+  problems.add(mission.scans->problems());
+  std::int64_t first = std::numeric_limits<std::int64_t>::max(),
+               last = std::numeric_limits<std::int64_t>::min();
+  for (const Node& node : mission.graph.nodes()) {
+    first = std::min(first, node.stamp_ns);
+    last = std::max(last, node.stamp_ns);
+  }
+  const double duration_s = mission.graph.empty() ? 0.0 : static_cast<double>(last - first) * 1e-9;
+  const std::vector<double> lengths = path_lengths(mission);
+  double length = 0.0;
+  Json robots = Json::array();
+  std::vector<std::vector<std::string>> rows{{"robot", "nodes", "length m", "first key", "last key"}};
+  for (std::size_t r = 0; r < mission.robots.size(); ++r) {
+    std::vector<Key> own;
+    for (const Node& node : mission.graph.nodes()) {
+      if (mission.robots.find(node.key) == r) own.push_back(node.key);
+    }
+    length += lengths[r];
+    const auto [low, high] = std::minmax_element(own.begin(), own.end());
+    const std::string from = own.empty() ? "-" : std::to_string(*low),
+                      to = own.empty() ? "-" : std::to_string(*high);
+    robots.push_back({{"name", mission.robots[r].name},
+                      {"nodes", own.size()},
+                      {"length_m", lengths[r]},
+                      {"first_key", from},
+                      {"last_key", to}});
+    rows.push_back({mission.robots[r].name, std::to_string(own.size()), fixed(lengths[r], 1), from, to});
+  }
+  std::size_t odometry = 0;
+  for (const Edge& edge : mission.graph.edges()) odometry += edge.kind == EdgeKind::kOdometry ? 1 : 0;
+  const auto components = connected_components(mission.graph);
+  const std::size_t component_count =
+      components.empty() ? 0 : 1 + *std::max_element(components.begin(), components.end());
+  Json problem_list = Json::array();
+  for (const Problem& problem : problems.all()) problem_list.push_back(to_string(problem));
+  const double mean =
+      points.scans == 0 ? 0.0 : static_cast<double>(points.total) / static_cast<double>(points.scans);
+  const Json json = {
+      {"kind", enum_name(mission.kind)},
+      {"name", mission.name},
+      {"robots", robots},
+      {"nodes", mission.graph.nodes().size()},
+      {"edges", mission.graph.edges().size()},
+      {"odometry_edges", odometry},
+      {"priors", mission.graph.priors().size()},
+      {"components", component_count},
+      {"scans", mission.scans->size()},
+      {"points", {{"total", points.total}, {"min", points.fewest}, {"mean", mean}, {"max", points.most}}},
+      {"ground_truth", mission.ground_truth.size()},
+      {"radio_readings", mission.radio.size()},
+      {"beacons", mission.beacons.size()},
+      {"communication_gaps", mission.gaps.size()},
+      {"length_m", length},
+      {"duration_s", duration_s},
+      {"problems", problem_list}};
+  std::string text = enum_name(mission.kind) + " \"" + mission.name + "\"\n" + table(rows);
+  text += "\ngraph        " + std::to_string(mission.graph.nodes().size()) + " nodes, " +
+          std::to_string(mission.graph.edges().size()) + " edges (" + std::to_string(odometry) +
+          " odometry), " + std::to_string(mission.graph.priors().size()) + " priors, " +
+          std::to_string(component_count) + " components\nscans        " +
+          std::to_string(mission.scans->size());
+  if (points.scans > 0) {
+    text += ", " + std::to_string(points.fewest) + " to " + std::to_string(points.most) + " points, mean " +
+            fixed(mean, 0);
+  }
+  text += "\nlength       " + fixed(length, 1) + " m in " + fixed(duration_s, 1) + " s\ntruth        " +
+          std::to_string(mission.ground_truth.size()) + " poses\nradio        " +
+          std::to_string(mission.radio.size()) + " readings, " + std::to_string(mission.beacons.size()) +
+          " beacons, " + std::to_string(mission.gaps.size()) + " communication gaps\n";
+  for (const Problem& problem : problems.all()) text += "problem      " + to_string(problem) + "\n";
+  print_results(options.common, json, text);
+  return interrupt.interrupted() ? kInterrupted : kDone;
+}
+
+}  // namespace
+
+void add_info(CLI::App& app, Action& chosen) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("info", "Say what a mission, session, graph or cloud holds");
+  command->footer("  loopwise info my_mission");
+  command->add_option("path", options->path, "Mission folder, session folder, g2o file or cloud")
+      ->required()
+      ->type_name("PATH");
+  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
+      ->type_name("LIST");
+  command->add_flag("!--no-scans", options->read_scans, "Do not open the scans");
+  add_common_options(*command, options->common);
+  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+}
+
+}  // namespace loopwise::cli

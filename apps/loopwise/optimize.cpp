@@ -1,0 +1,307 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
+#include <cctype>
+#include <charconv>
+#include <fstream>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/optimization/gnc.hpp>
+#include <loopwise/optimization/marginals.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+namespace {
+
+struct Options {
+  CommonOptions common;
+  std::string input;
+  std::string output;
+  bool gnc = false;
+  bool verbose = false;
+  double inlier_probability = 0.0;  // 0: as configured
+  std::string initialization;
+  std::string odometry = "consecutive";
+  std::string robots;
+  std::vector<std::string> priors;
+  std::string weights;
+  std::string marginals;
+};
+
+double positive_number(const std::string& text, const std::string& what) {
+  double value = 0.0;
+  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+  if (error != std::errc() || end != text.data() + text.size() || !(value > 0.0) || !std::isfinite(value)) {
+    throw OptionError(what + ": \"" + text + "\" is not a positive number");
+  }
+  return value;
+}
+
+/// KEY[:sigma_m[:sigma_rad]] as a prior at the node's pose.
+PriorFactor parse_prior(const std::string& text, const PoseGraph& graph) {
+  std::vector<std::string> parts;
+  std::size_t begin = 0;
+  for (std::size_t colon = text.find(':'); colon != std::string::npos; colon = text.find(':', begin)) {
+    parts.push_back(text.substr(begin, colon - begin));
+    begin = colon + 1;
+  }
+  parts.push_back(text.substr(begin));
+  if (parts.size() > 3) throw OptionError("--prior " + text + ": expected KEY[:sigma_m[:sigma_rad]]");
+  PriorFactor prior;
+  try {
+    prior.key = parse_key(parts[0]);
+  } catch (const InputError& error) {
+    throw OptionError("--prior " + text + ": " + error.what());
+  }
+  if (!graph.contains(prior.key)) throw OptionError("--prior " + text + ": the graph has no such node");
+  const double sigma_m = parts.size() > 1 ? positive_number(parts[1], "--prior") : 1e-4;
+  const double sigma_rad = parts.size() > 2 ? positive_number(parts[2], "--prior") : 1e-4;
+  prior.pose = graph.node(prior.key).pose;
+  prior.information.setZero();
+  prior.information.diagonal() << Eigen::Vector3d::Constant(1.0 / (sigma_m * sigma_m)),
+      Eigen::Vector3d::Constant(1.0 / (sigma_rad * sigma_rad));
+  return prior;
+}
+
+/// Pairs of keys, one a line, separated by blanks or a comma; '#' starts a comment.
+std::set<std::pair<Key, Key>> read_pairs(const std::string& path) {
+  const std::string contents = read_file(path);
+  std::istringstream lines(contents);
+  std::set<std::pair<Key, Key>> pairs;
+  std::string line;
+  for (std::size_t number = 1; std::getline(lines, line); ++number) {
+    line = line.substr(0, line.find('#'));
+    std::replace(line.begin(), line.end(), ',', ' ');
+    std::istringstream words(line);
+    std::string from, to, more;
+    if (!(words >> from)) continue;
+    if (!(words >> to) || (words >> more)) throw ParseError(path, number, "expected two keys");
+    try {
+      pairs.emplace(parse_key(from), parse_key(to));
+    } catch (const InputError& error) {
+      throw ParseError(path, number, error.what());
+    }
+  }
+  return pairs;
+}
+
+void mark_odometry(PoseGraph& graph, const Options& options) {
+  if (options.odometry == "consecutive") {
+    classify_edges(graph,
+                   options.robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(options.robots));
+    return;
+  }
+  const auto pairs = read_pairs(options.odometry);
+  std::set<std::pair<Key, Key>> unused = pairs;
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    const std::pair<Key, Key> ends{graph.edges()[e].from, graph.edges()[e].to};
+    graph.set_kind(e, pairs.count(ends) != 0 ? EdgeKind::kOdometry : EdgeKind::kLoopClosure);
+    unused.erase(ends);
+  }
+  if (!unused.empty()) {
+    throw InputError(options.odometry + ": the graph has no edge from " +
+                     std::to_string(unused.begin()->first) + " to " + std::to_string(unused.begin()->second));
+  }
+}
+
+/// Priors asked for; otherwise those of the file; otherwise one at the first node of each component.
+void add_priors(PoseGraph& graph, const Options& options, Console& console) {
+  for (const std::string& text : options.priors) graph.add_prior(parse_prior(text, graph));
+  if (!graph.priors().empty()) return;
+  const std::vector<std::size_t> component = connected_components(graph);
+  std::size_t next = 0;
+  for (std::size_t i = 0; i < component.size(); ++i) {
+    if (component[i] != next) continue;
+    ++next;
+    graph.add_prior(parse_prior(std::to_string(graph.nodes()[i].key), graph));
+  }
+  console.note("no prior given: sigma 1e-4 on the first node" +
+               (next == 1 ? std::string() : " of each of " + std::to_string(next) + " components"));
+}
+
+std::string trace_table(const OptimizationResult& result) {
+  std::vector<std::vector<std::string>> rows{
+      {"step", "cost", "decrease", "predicted", "gradient", "size", "damping", ""}};
+  const auto scientific = [](double value) {
+    char text[32];
+    std::snprintf(text, sizeof text, "%.6e", value);
+    return std::string(text);
+  };
+  for (const IterationRecord& r : result.trace) {
+    rows.push_back({std::to_string(r.iteration), scientific(r.cost), scientific(r.decrease),
+                    scientific(r.predicted), scientific(r.gradient), scientific(r.step),
+                    scientific(r.damping), r.accepted ? "" : "refused"});
+  }
+  return table(rows);
+}
+
+void write_weights(const std::string& path, const PoseGraph& graph, const std::vector<double>& weights) {
+  CsvText csv({"edge", "from", "to", "weight"});
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    csv.row(e, graph.edges()[e].from, graph.edges()[e].to, weights[e]);
+  }
+  write_file(path, csv.text());
+}
+
+void write_marginals(const std::string& path, const PoseGraph& graph, const Marginals& marginals) {
+  const std::string axes[] = {"x", "y", "z", "rx", "ry", "rz"};
+  std::string text = "key";
+  for (int r = 0; r < 6; ++r) {
+    for (int c = r; c < 6; ++c) text += "," + axes[r] + "_" + axes[c];
+  }
+  text += "\n";
+  char number[32];
+  for (std::size_t i = 0; i < graph.nodes().size(); ++i) {
+    text += std::to_string(graph.nodes()[i].key);
+    for (int r = 0; r < 6; ++r) {
+      for (int c = r; c < 6; ++c) {
+        text += ',';
+        text.append(number,
+                    std::to_chars(number, number + sizeof number, marginals.covariances[i](r, c)).ptr);
+      }
+    }
+    text += "\n";
+  }
+  write_file(path, text);
+}
+
+int run(const Options& options) {
+  const Stopwatch watch;
+  Console console(options.common.quiet);
+  const InterruptGuard interrupt;
+  Config config = load_config(options.common);
+  config.optimization.num_threads = thread_count(options.common);
+  if (!options.initialization.empty()) {
+    config.optimization.initialization =
+        parse_enum<Initialization>("--initialization", options.initialization);
+  }
+  if (options.inlier_probability > 0.0) config.gnc.inlier_probability = options.inlier_probability;
+  validate_config(config);
+
+  G2oFile file = read_g2o(options.input);
+  PoseGraph& graph = file.graph;
+  console.warn(file.problems);
+  mark_odometry(graph, options);
+  add_priors(graph, options, console);
+  const double reading_s = watch.seconds();
+
+  Json json = Json::object();
+  OptimizationResult result;
+  std::vector<double> weights(graph.edges().size(), 1.0);
+  std::string text;
+  if (options.gnc) {
+    GncResult gnc = optimize_gnc(graph, config.optimization, config.gnc, interrupt.token());
+    result = std::move(gnc.optimization);
+    weights = gnc.weights;
+    json["gnc"] = {{"outer_iterations", gnc.outer_iterations},
+                   {"inliers", gnc.inliers},
+                   {"outliers", gnc.outliers},
+                   {"truncated_cost", gnc.truncated_cost}};
+    text += "closures     " + std::to_string(gnc.inliers) + " inliers, " + std::to_string(gnc.outliers) +
+            " outliers, " + std::to_string(gnc.outer_iterations) + " outer iterations\n";
+  } else {
+    result = optimize(graph, config.optimization, interrupt.token());
+  }
+  graph.set_poses(result.poses);
+  for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
+  const double optimized_s = watch.seconds();
+
+  if (!options.marginals.empty()) {
+    const Marginals covariances = marginals(graph, config.optimization);
+    write_marginals(options.marginals, graph, covariances);
+    json["marginals"] = {{"trace_translation", covariances.trace_translation},
+                         {"trace_full", covariances.trace_full}};
+    char line[96];
+    std::snprintf(line, sizeof line, "marginals    trace %.9g m^2 (translation), %.9g (full)\n",
+                  covariances.trace_translation, covariances.trace_full);
+    text += line;
+  }
+  const double marginals_s = watch.seconds();
+  if (!options.output.empty()) write_g2o(options.output, graph);
+  if (!options.weights.empty()) write_weights(options.weights, graph, weights);
+
+  Json head = {{"poses", graph.nodes().size()},
+               {"edges", graph.edges().size()},
+               {"components", result.components},
+               {"cost_initial", result.cost_initial},
+               {"cost", result.cost},
+               {"iterations", result.iterations},
+               {"factorizations", result.factorizations},
+               {"converged", result.converged},
+               {"termination", enum_name(result.termination)},
+               {"message", result.message},
+               {"seconds",
+                {{"total", watch.seconds()},
+                 {"reading", reading_s},
+                 {"optimization", optimized_s - reading_s},
+                 {"marginals", marginals_s - optimized_s}}}};
+  head.update(json);
+  char line[256];
+  std::snprintf(line, sizeof line,
+                "graph        %zu poses, %zu edges, %zu component%s\ncost         %.12g -> %.12g\n"
+                "optimisation %d steps, %d factorisations, %s, %.3f s\n",
+                graph.nodes().size(), graph.edges().size(), result.components,
+                result.components == 1 ? "" : "s", result.cost_initial, result.cost, result.iterations,
+                result.factorizations, enum_name(result.termination).c_str(), optimized_s - reading_s);
+  print_results(options.common, head, (options.verbose ? trace_table(result) + "\n" : "") + line + text);
+  if (interrupt.interrupted()) return kInterrupted;
+  if (!result.converged) console.warn("not converged: " + result.message);
+  return kDone;
+}
+
+}  // namespace
+
+void add_optimize(CLI::App& app, Action& chosen) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("optimize", "Optimise a pose graph, robustly if asked");
+  command->footer(
+      "Edges between consecutive ids of one robot are odometry: robust optimisation never doubts them.\n"
+      "  loopwise optimize graph.g2o -o out.g2o\n"
+      "  loopwise optimize graph.g2o -o out.g2o --gnc --weights weights.csv --robots 0-624,625-1249 \\\n"
+      "      --prior 0 --prior 625:1e-4:1e-4");
+  command->add_option("input", options->input, "Pose graph, g2o (3D)")->required()->type_name("IN.g2o");
+  command->add_option("-o,--output", options->output, "Optimised graph, g2o")->type_name("OUT.g2o");
+  command->add_flag("--gnc", options->gnc,
+                    "Find and leave out false loop closures (see section gnc of --config)");
+  command
+      ->add_option("--inlier-probability", options->inlier_probability,
+                   "Share of true closures that --gnc keeps, by the chi-squared test (default 0.99)")
+      ->type_name("P")
+      ->check(CLI::Range(1e-6, 1.0 - 1e-12));
+  command
+      ->add_option("--initialization", options->initialization, "First estimate: file, odometry or chordal")
+      ->type_name("WORD");
+  command
+      ->add_option("--odometry", options->odometry,
+                   "Which edges are odometry: 'consecutive', or a file with two keys a line")
+      ->type_name("WORD|FILE");
+  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
+      ->type_name("0-624,625-1249");
+  command
+      ->add_option(
+          "--prior", options->priors,
+          "Anchor a node at its pose (sigmas 1e-4 m and rad); may be repeated; default: the file's, or the "
+          "first node of each component")
+      ->type_name("KEY[:M[:RAD]]")
+      ->expected(1)
+      ->take_all();
+  command->add_option("--weights", options->weights, "Weight of every edge, CSV in file order")
+      ->type_name("W.csv");
+  command
+      ->add_option("--marginals", options->marginals,
+                   "Marginal covariances of all poses, CSV: upper triangle, translation before rotation")
+      ->type_name("M.csv");
+  command->add_flag("--verbose", options->verbose, "Cost of every step");
+  add_common_options(*command, options->common);
+  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+}
+
+}  // namespace loopwise::cli

@@ -1,0 +1,243 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <unistd.h>
+
+#include <fstream>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/run_folder.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/registration/pcl_registrar.hpp>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Options {
+  CommonOptions common;
+  std::string mission;
+  std::string output;
+  std::string method, clock = "virtual", preset, robots, guess;
+  std::optional<std::int64_t> batch, workers, max_registrations, skip_recent;
+  std::optional<double> registration_time;
+  std::vector<double> odometry_noise;
+  std::optional<std::uint64_t> seed;
+  bool after_mission = false;
+  bool resume = false;
+  bool overwrite = false;
+  double map_voxel_m = 0.2;
+};
+
+Config configured(const Options& o) {
+  Config config = load_config(o.common);
+  if (!o.preset.empty()) config.generation = proximity_preset(o.preset);
+  if (o.skip_recent) config.generation.skip_recent = *o.skip_recent;
+  if (!o.robots.empty()) config.mission.robots = o.robots;
+  ReplayOptions& replay = config.replay;
+  if (!o.method.empty()) replay.method = o.method;
+  if (!o.guess.empty()) replay.guess = parse_enum<GuessSource>("--guess", o.guess);
+  if (o.batch) replay.batch = *o.batch;
+  if (o.workers) replay.workers = *o.workers;
+  if (o.max_registrations) replay.max_registrations = *o.max_registrations;
+  if (o.registration_time) replay.registration_time_s = *o.registration_time;
+  if (!o.odometry_noise.empty()) {
+    replay.odometry_noise_m_per_m = o.odometry_noise[0];
+    replay.odometry_noise_rad_per_m = o.odometry_noise[1];
+  }
+  if (o.seed) replay.seed = *o.seed;
+  if (o.after_mission) replay.after_mission = true;
+  if (o.clock != "virtual") throw_unknown_name("clock", o.clock, {"virtual"});
+  validate_config(config);
+  return config;
+}
+
+/// What the outcomes of a run depend on; a run is resumed only under the same.
+std::string fingerprint(const Mission& mission, const Config& config) {
+  Json json = Json::object();
+  json["mission"] = mission.name;
+  json["key_frames"] = mission.graph.nodes().size();
+  json["scans"] = mission.scans->size();
+  json["options"] = parse_json(config_json(config), "options");
+  return json.dump();
+}
+
+/// The file of outcomes, a line each as soon as it is computed: what a killed run leaves to the one that
+/// resumes it.
+class OutcomeFile {
+ public:
+  OutcomeFile(fs::path path, const std::string& fingerprint, bool resume) : path_(std::move(path)) {
+    std::string kept = fingerprint + "\n";
+    if (resume && fs::exists(path_)) {
+      std::istringstream lines(read_file(path_));
+      std::string line;
+      if (std::getline(lines, line) && line != fingerprint && !lines.eof()) {
+        throw OptionError(path_.string() + ": the run to resume had other options or another mission");
+      }
+      while (std::getline(lines, line)) {
+        if (lines.eof()) break;  // cut short by a kill
+        const RegistrationResult result = parse_outcome_line(line);
+        known_[{result.candidate.from, result.candidate.to}] = result;
+        kept += line + "\n";
+      }
+    }
+    write_file(path_, kept);
+    out_.open(path_, std::ios::app | std::ios::binary);
+  }
+
+  [[nodiscard]] const KnownOutcomes& known() const { return known_; }
+
+  void add(const RegistrationResult& result) {
+    out_ << outcome_line(result) + "\n" << std::flush;
+    if (!out_) throw IoError(path_.string(), "cannot be written");
+  }
+
+ private:
+  fs::path path_;
+  KnownOutcomes known_;
+  std::ofstream out_;
+};
+
+std::string results_text(const Config& config, const ReplayResult& result, const RunEvaluation& e) {
+  const CandidateAccounting& a = result.accounting;
+  const auto share = [&](std::size_t count) {
+    return std::to_string(count) + " (" + fixed(percent(count, a.queued()), 2) + " % of queued)";
+  };
+  std::string text = "candidates   " + std::to_string(a.generated) + " generated, " +
+                     std::to_string(a.pruned) + " pruned, " + std::to_string(a.expired) + " expired, " +
+                     std::to_string(a.computed) + " computed, " + std::to_string(a.pending) + " pending\n";
+  text +=
+      "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
+  if (e.has_truth) text += "true inliers " + share(e.closures.true_inliers) + "\n";
+  std::string reasons;
+  for (const auto& [reason, count] : e.closures.rejected) {
+    reasons += (reasons.empty() ? "" : ", ") + std::to_string(count) + " " + enum_name(reason);
+  }
+  if (!reasons.empty()) text += "rejected     " + reasons + "\n";
+  if (e.has_truth) {
+    text += "ATE mean     " + fixed(e.odometry.ate_m.mean, 3) + " m by odometry, " +
+            fixed(e.optimized.ate_m.mean, 3) +
+            " m optimised (aligned: " + fixed(e.odometry_aligned.ate_m.mean, 3) + ", " +
+            fixed(e.optimized_aligned.ate_m.mean, 3) + ")\n";
+  }
+  text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
+          fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
+          fixed(result.optimization_s, 1) + " s optimisation, method " + config.replay.method + "\n";
+  return text;
+}
+
+int run(const Options& options) {
+  Console console(options.common.quiet);
+  const InterruptGuard interrupt;
+  const Config config = configured(options);
+  const Mission mission = read_mission(options.mission, config.mission);
+  console.warn(mission.problems);
+  if (mission.scans->empty() && config.replay.method != "odom") {
+    console.warn("the mission has no scans: no candidate can be computed");
+  }
+
+  const fs::path folder(options.output);
+  prepare_output_folder(folder, options.overwrite || options.resume,
+                        "; --resume continues it, --overwrite replaces it");
+  std::error_code ignored;
+  for (const char* name : {"summary.json", "map.pcd"}) fs::remove(folder / name, ignored);
+  OutcomeFile outcomes(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
+  std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
+  if (!outcomes.known().empty()) {
+    console.note("resuming with " + std::to_string(outcomes.known().size()) +
+                 " registrations already computed");
+  }
+
+  ThreadPool threads(thread_count(options.common));
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  const auto registrar = std::make_shared<PclRegistrar>(features, config.registration);
+  ReplayHooks hooks;
+  hooks.journal = [&](const std::string& line) {
+    journal << line + "\n" << std::flush;
+    if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
+  };
+  hooks.outcome = [&](const RegistrationResult& result) { outcomes.add(result); };
+  hooks.progress = console.progress_callback();
+  hooks.stop = interrupt.token();
+  const ReplayResult result =
+      MissionReplay(mission, config, features, registrar).run(threads, hooks, outcomes.known());
+  console.warn(result.problems);
+
+  const RunEvaluation evaluation = evaluate_run(mission, result);
+  const PointCloud map =
+      stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
+  write_run_folder(folder, mission, config, result, evaluation, interrupt.interrupted() ? PointCloud{} : map);
+  print_results(options.common, parse_json(run_summary_json(mission, config, result, evaluation), "summary"),
+                results_text(config, result, evaluation) + "results      " + folder.string() + "\n");
+  if (interrupt.interrupted()) {
+    console.note("interrupted: the results are those so far; --resume goes on");
+    return kInterrupted;
+  }
+  return kDone;
+}
+
+}  // namespace
+
+void add_replay(CLI::App& app, Action& chosen) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("replay", "Replay a recorded mission and find its loop closures");
+  command->footer(
+      "Key frames arrive at their recorded times; each registration takes --registration-time of mission "
+      "time on one\n"
+      "of --workers, however long it takes on this machine. So a result never depends on the machine's "
+      "speed.\n"
+      "  loopwise replay my_mission -o out --method obs\n"
+      "  loopwise replay my_session -o out --set generation.skip_recent=2 --odometry-noise 0.05 0.01 --seed "
+      "3\n"
+      "OUT gets summary.json, closures.csv, graph.g2o, trajectories/, map.pcd and journal.jsonl.");
+  command->add_option("mission", options->mission, "Mission folder, session folder or g2o file")
+      ->required()
+      ->type_name("MISSION");
+  command->add_option("-o,--output", options->output, "Folder for the results")->required()->type_name("DIR");
+  command
+      ->add_option("--method", options->method,
+                   "Order of the candidates: odom (none), baseline, random or obs")
+      ->type_name("M");
+  command
+      ->add_option("--preset", options->preset,
+                   "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
+      ->type_name("NAME");
+  command->add_option("--skip-recent", options->skip_recent, "Least index gap between two nodes of one robot")
+      ->type_name("N");
+  command->add_option("--batch", options->batch, "Candidates handed out at a time")->type_name("B");
+  command->add_option("--clock", options->clock, "virtual: mission time is modelled")->type_name("WORD");
+  command
+      ->add_option("--registration-time", options->registration_time,
+                   "Mission time of one registration on one worker, s (default 1.3)")
+      ->type_name("S");
+  command
+      ->add_option("--workers", options->workers,
+                   "Registrations at a time on the mission's clock (default 10)")
+      ->type_name("N");
+  command->add_option("--max-registrations", options->max_registrations, "End after this many")
+      ->type_name("N");
+  command->add_flag("--after-mission", options->after_mission, "Go on until no candidate is pending");
+  command
+      ->add_option("--odometry-noise", options->odometry_noise,
+                   "Make the odometry worse: sigma after 1 m, in m and rad")
+      ->type_name("M_PER_M RAD_PER_M")
+      ->expected(2);
+  command->add_option("--guess", options->guess, "Relative pose given to registrations: estimate or odometry")
+      ->type_name("WORD");
+  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
+      ->type_name("LIST");
+  command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
+  command->add_option("--map-voxel", options->map_voxel_m, "Voxel of map.pcd, m (default 0.2)")
+      ->type_name("M")
+      ->check(CLI::PositiveNumber);
+  command->add_flag("--resume", options->resume, "Continue a run that was interrupted or killed in DIR");
+  command->add_flag("--overwrite", options->overwrite, "Replace the results in DIR");
+  add_common_options(*command, options->common);
+  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+}
+
+}  // namespace loopwise::cli

@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/features/feature_cache.hpp>
+#include <loopwise/generation/proximity.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/optimization/gnc.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/prioritization/observability.hpp>
+#include <loopwise/registration/pcl_registrar.hpp>
+#include <loopwise/registration/task.hpp>
+
+namespace loopwise {
+
+/// Which relative pose a registration is compared with, and may start from.
+enum class GuessSource {
+  kEstimate,  ///< The back end's estimate when the candidate is handed out.
+  kOdometry,  ///< Odometry alone: the outcome of a pair then never depends on other closures.
+};
+[[nodiscard]] inline EnumNames<GuessSource> enum_names(GuessSource) {
+  return {{GuessSource::kEstimate, "estimate"}, {GuessSource::kOdometry, "odometry"}};
+}
+
+struct ReplayOptions {
+  std::string method = "obs";
+  std::int64_t batch = 100;
+  double registration_time_s = 1.3;
+  std::int64_t workers = 10;
+  std::int64_t max_registrations = 0;
+  bool after_mission = false;
+  GuessSource guess = GuessSource::kEstimate;
+  double odometry_noise_m_per_m = 0.0;
+  double odometry_noise_rad_per_m = 0.0;
+  std::uint64_t seed = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("method", self.method, any_value(),
+          "What decides the order: odom (no closures), baseline, random or obs.");
+    field("batch", self.batch, at_least(1), "Candidates handed out each time the computation runs dry.");
+    field("registration_time_s", self.registration_time_s, above(0.0),
+          "Mission time that one registration takes on one worker, s.");
+    field("workers", self.workers, at_least(1), "Registrations that run at a time on the mission's clock.");
+    field("max_registrations", self.max_registrations, at_least(0),
+          "The run ends after this many; 0: no bound.");
+    field("after_mission", self.after_mission, any_value(),
+          "Go on after the last key frame until nothing is pending.");
+    field("guess", self.guess, any_value(),
+          "Relative pose that registrations are given: estimate or odometry.");
+    field("odometry_noise_m_per_m", self.odometry_noise_m_per_m, at_least(0.0),
+          "Added to the odometry: sigma of each axis after 1 m, m; grows with the root of the distance.");
+    field(
+        "odometry_noise_rad_per_m", self.odometry_noise_rad_per_m, at_least(0.0),
+        "Added to the odometry: sigma about each axis after 1 m, rad; grows with the root of the distance.");
+    field("seed", self.seed, at_least(0), "Of everything random.");
+  }
+};
+
+/// All options of a run: the sections of a configuration file.
+struct Config {
+  MissionOptions mission;
+  ProximityOptions generation;
+  FeatureOptions features;
+  CandidatePoolOptions pool;
+  ObservabilityPriorityOptions observability;
+  TaskOptions task;
+  PclRegistrarOptions registration;
+  OptimizerOptions optimization;
+  GncOptions gnc;
+  ReplayOptions replay;
+
+  /// Calls visitor(name, section) for each, as core/options.hpp does for fields.
+  template <class Self, class Visitor>
+  static void visit_sections(Self& self, Visitor&& visitor) {
+    visitor("mission", self.mission);
+    visitor("generation", self.generation);
+    visitor("features", self.features);
+    visitor("pool", self.pool);
+    visitor("observability", self.observability);
+    visitor("task", self.task);
+    visitor("registration", self.registration);
+    visitor("optimization", self.optimization);
+    visitor("gnc", self.gnc);
+    visitor("replay", self.replay);
+  }
+};
+
+/// \throws OptionError naming "section.field".
+void validate_config(const Config& config);
+
+/// Reads {"generation": {"rate_m": 0.3}, ...} over `config`; what it leaves out stays. In the section
+/// "generation" the key "preset" names a proximity preset that the other keys then change. \throws IoError;
+/// ParseError naming the line; OptionError naming "section.field".
+void read_config(const std::filesystem::path& path, Config& config);
+
+/// Sets one field, as `--set generation.rate_m=0.3` does. \throws OptionError
+void set_config_option(const std::string& assignment, Config& config);
+
+/// The whole configuration as indented JSON that read_config() takes.
+[[nodiscard]] std::string config_json(const Config& config);
+
+/// One option for people: "generation.rate_m", its value, bounds and meaning.
+struct ConfigEntry {
+  std::string name, type, value, bounds, doc;
+};
+[[nodiscard]] std::vector<ConfigEntry> describe_config(const Config& config);
+
+/// The methods that ReplayOptions::method names.
+[[nodiscard]] std::vector<std::string> method_names();
+
+/// The prioritisers of a method, joined in a queue. `eigenvalue` serves the observability score.
+/// \throws OptionError naming the methods there are.
+[[nodiscard]] RoundRobinQueue make_queue(const Config& config, const Robots& robots,
+                                         const ObservabilityPrioritizer::Eigenvalue& eigenvalue);
+
+}  // namespace loopwise

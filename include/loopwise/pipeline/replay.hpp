@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/problems.hpp>
+#include <loopwise/core/progress.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/pipeline/config.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+/// Outcomes by (from, to) that a replay takes instead of computing them again.
+using KnownOutcomes = std::map<std::pair<Key, Key>, RegistrationResult>;
+
+/// A candidate that was computed, when, and what the back end made of it.
+struct ComputedCandidate {
+  RegistrationResult result;
+  double mission_time_s = 0.0;  ///< When the result came.
+  double weight = 0.0;          ///< Last weight of the robust optimisation; 0 if rejected.
+};
+
+/// What a run tells while it goes on. Any may be empty.
+struct ReplayHooks {
+  /// Takes one line of JSON, without its line end, per event: in the order of mission time, the same in every
+  /// run.
+  std::function<void(const std::string& line)> journal;
+  using OutcomeSink = std::function<void(const RegistrationResult& result)>;
+  /// Takes every registration as soon as it is computed, in any order, one at a time from any thread.
+  OutcomeSink outcome;
+  ProgressCallback progress;
+  StopToken stop;
+};
+
+struct ReplayResult {
+  PoseGraph graph;  ///< Last estimate: priors, odometry, verified closures with weights.
+  std::vector<Eigen::Isometry3d> odometry;    ///< Poses by odometry alone, in the order of graph.nodes().
+  std::vector<ComputedCandidate> computed;    ///< In the order of their results.
+  CandidateAccounting accounting;             ///< At the end nothing waits or is in flight.
+  std::map<std::string, std::size_t> pruned;  ///< By reason.
+  std::map<std::string, std::size_t> expired;
+  std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
+  double mission_time_s = 0.0;                                  ///< When the run ended.
+  std::size_t batches = 0;
+  std::size_t optimizations = 0;
+  bool interrupted = false;  ///< A stop was requested: the result is what there was until then.
+  Problems problems;
+  double registration_s = 0.0;  ///< Wall time by stage. For reports only.
+  double optimization_s = 0.0;
+  double total_s = 0.0;
+};
+
+/// Replays a recorded mission on a virtual clock (paper §IV): key frames arrive at their stamps or, after a
+/// communication gap, at its end; candidates are generated and prioritised as they come; whenever the
+/// computation runs dry it takes the next batch, and each registration occupies one of `workers` for
+/// `registration_time_s` of mission time; after each batch with a new closure the graph is optimised
+/// robustly. Events are ordered by (time, kind, key): neither the wall clock nor the number of threads
+/// changes the outcome.
+class MissionReplay {
+ public:
+  /// `mission` must outlive the replay; `features` serve the observability score.
+  /// \throws OptionError naming the option; InputError on a null pointer.
+  MissionReplay(const Mission& mission, const Config& config, std::shared_ptr<FeatureCache> features,
+                std::shared_ptr<const Registrar> registrar);
+
+  /// Runs until the last key frame has come (or, by option, until nothing is pending) or a stop is requested.
+  /// `threads` compute the registrations, but for those in `known`.
+  [[nodiscard]] ReplayResult run(ThreadPool& threads, const ReplayHooks& hooks = {},
+                                 const KnownOutcomes& known = {}) const;
+
+ private:
+  const Mission& mission_;
+  Config config_;
+  std::shared_ptr<FeatureCache> features_;
+  std::shared_ptr<const Registrar> registrar_;
+};
+
+/// The odometry edges that a replay uses: those of the mission, made worse by `options.odometry_noise_*` (a
+/// random walk whose steps depend on (seed, from, to) alone), their information lowered accordingly.
+[[nodiscard]] std::vector<Edge> replay_odometry(const Mission& mission, const ReplayOptions& options);
+
+/// Mission time at which each node of the graph arrives at the base station, in graph order: its stamp, or
+/// the end of the communication gap that it lies in, and never before an earlier node of its robot.
+[[nodiscard]] std::vector<double> arrival_times(const Mission& mission);
+
+/// A registration as one line of JSON, timings included, and back. \throws InputError
+[[nodiscard]] std::string outcome_line(const RegistrationResult& result);
+[[nodiscard]] RegistrationResult parse_outcome_line(const std::string& line);
+
+}  // namespace loopwise

@@ -1,0 +1,234 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/evaluation/run_folder.hpp>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <limits>
+#include <optional>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/features/voxel_grid.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+namespace loopwise {
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+PosesByKey odometry_poses(const ReplayResult& result) {
+  PosesByKey poses;
+  for (std::size_t i = 0; i < result.graph.nodes().size(); ++i) {
+    poses[result.graph.nodes()[i].key] = result.odometry[i];
+  }
+  return poses;
+}
+
+std::vector<double> weights_of(const ReplayResult& result) {
+  std::vector<double> weights;
+  for (const ComputedCandidate& computed : result.computed) weights.push_back(computed.weight);
+  return weights;
+}
+
+Json statistics_json(const Statistics& s) {
+  return {{"rmse", s.rmse}, {"mean", s.mean}, {"median", s.median}, {"max", s.max}};
+}
+
+Json relative_json(const RelativeErrors& e) {
+  return {{"translation_m", statistics_json(e.translation_m)},
+          {"rotation_rad", statistics_json(e.rotation_rad)}};
+}
+
+Json robots_json(const TrajectoryErrors& odometry, const TrajectoryErrors& optimized) {
+  Json robots = Json::object();
+  const auto put = [&robots](const char* which, const TrajectoryErrors& errors) {
+    for (const RobotErrors& robot : errors.robots) {
+      Json& entry = robots[robot.name];
+      entry["poses"] = robot.poses;
+      entry["path_length_m"] = robot.path_length_m;
+      entry[which] = {{"ate_m", statistics_json(robot.ate_m)},
+                      {"ate_rad", statistics_json(robot.ate_rad)},
+                      {"translation_percent", robot.translation_percent},
+                      {"rotation_deg_per_m", robot.rotation_deg_per_m}};
+    }
+  };
+  put("odometry", odometry);
+  put("optimized", optimized);
+  return robots;
+}
+
+/// Shortest text that reads back to the same bits; "nan" where there is no figure.
+std::string figure(double value) {
+  if (std::isnan(value)) return "nan";
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof text, value).ptr};
+}
+
+/// A robot's name as part of a file name.
+std::string file_name(std::string name) {
+  for (char& c : name) {
+    const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
+    if (!plain) c = '_';
+  }
+  return name;
+}
+
+Json counts_json(const std::map<std::string, std::size_t>& counts) {
+  Json json = Json::object();
+  for (const auto& [name, count] : counts) json[name] = count;
+  return json;
+}
+
+}  // namespace
+
+RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result) {
+  RunEvaluation evaluation;
+  std::vector<RegistrationResult> results;
+  for (const ComputedCandidate& computed : result.computed) results.push_back(computed.result);
+  const PosesByKey& truth = mission.ground_truth;
+  evaluation.closures = closure_statistics(results, weights_of(result), result.accounting.queued(), truth);
+
+  const PosesByKey optimized = poses_by_key(result.graph), odometry = odometry_poses(result);
+  evaluation.has_truth = std::any_of(optimized.begin(), optimized.end(),
+                                     [&](const auto& pose) { return truth.count(pose.first) != 0; });
+  if (!evaluation.has_truth) return evaluation;
+  evaluation.odometry = evaluate_trajectory(odometry, truth, Alignment::kNone, mission.robots);
+  evaluation.optimized = evaluate_trajectory(optimized, truth, Alignment::kNone, mission.robots);
+  evaluation.odometry_aligned = evaluate_trajectory(odometry, truth, Alignment::kSe3, mission.robots);
+  evaluation.optimized_aligned = evaluate_trajectory(optimized, truth, Alignment::kSe3, mission.robots);
+  return evaluation;
+}
+
+std::string run_summary_json(const Mission& mission, const Config& config, const ReplayResult& result,
+                             const RunEvaluation& e) {
+  const CandidateAccounting& a = result.accounting;
+  Json json = Json::object();
+  json["mission"] = mission.name;
+  json["method"] = config.replay.method;
+  json["seed"] = config.replay.seed;
+  json["interrupted"] = result.interrupted;
+  json["mission_time_s"] = result.mission_time_s;
+  json["key_frames"] = result.graph.nodes().size();
+  json["batches"] = result.batches;
+  json["optimizations"] = result.optimizations;
+  json["candidates"] = {{"generated", a.generated}, {"pruned", a.pruned},   {"expired", a.expired},
+                        {"waiting", a.waiting},     {"pending", a.pending}, {"in_flight", a.in_flight},
+                        {"computed", a.computed},   {"queued", a.queued()}};
+  json["closures"] = {{"verified", e.closures.verified},
+                      {"gnc_inliers", e.closures.gnc_inliers},
+                      {"true_inliers", e.has_truth ? Json(e.closures.true_inliers) : Json(nullptr)}};
+  Json reasons = Json::object();
+  for (const auto& [reason, count] : e.closures.rejected) reasons[enum_name(reason)] = count;
+  json["reasons"] = reasons;
+  json["pruned_reasons"] = counts_json(result.pruned);
+  json["expired_reasons"] = counts_json(result.expired);
+  Json handed_out = Json::object();
+  for (const auto& [name, count] : result.handed_out) handed_out[name] = count;
+  json["handed_out"] = handed_out;
+  if (e.has_truth) {
+    json["ate_m"] = {{"odometry", e.odometry.ate_m.mean}, {"optimized", e.optimized.ate_m.mean}};
+    json["ate_rad"] = {{"odometry", e.odometry.ate_rad.mean}, {"optimized", e.optimized.ate_rad.mean}};
+    json["ate_se3_m"] = {{"odometry", e.odometry_aligned.ate_m.mean},
+                         {"optimized", e.optimized_aligned.ate_m.mean}};
+    json["ate_rmse_m"] = {{"odometry", e.odometry.ate_m.rmse}, {"optimized", e.optimized.ate_m.rmse}};
+    json["rpe"] = {{"odometry", relative_json(e.odometry.step)},
+                   {"optimized", relative_json(e.optimized.step)}};
+    json["robots"] = robots_json(e.odometry, e.optimized);
+  } else {
+    for (const char* name : {"ate_m", "ate_rad", "ate_se3_m", "ate_rmse_m", "rpe"}) json[name] = nullptr;
+    Json robots = Json::object();
+    for (const Robot& robot : mission.robots.all()) robots[robot.name] = Json::object();
+    json["robots"] = robots;
+  }
+  json["seconds"] = {{"total", result.total_s},
+                     {"registration", result.registration_s},
+                     {"optimization", result.optimization_s}};
+  json["options"] = parse_json(config_json(config), "options");
+  Json problems = Json::array();
+  for (const Problems* list : {&mission.problems, &result.problems}) {
+    for (const Problem& problem : list->all()) problems.push_back(to_string(problem));
+  }
+  json["problems"] = problems;
+  return json.dump(2) + "\n";
+}
+
+std::string closures_csv(const ReplayResult& result) {
+  CsvText csv({"from", "to", "source", "outcome", "reason", "x", "y", "z", "qx", "qy", "qz", "qw", "fitness",
+               "overlap", "weight", "mission_time_s", "seconds"});
+  for (const ComputedCandidate& computed : result.computed) {
+    const RegistrationResult& r = computed.result;
+    Eigen::Matrix<double, 7, 1> pose = Eigen::Matrix<double, 7, 1>::Constant(kNan);
+    const auto T = r.closure ? std::optional<Eigen::Isometry3d>(r.closure->T_from_to) : r.T_from_to;
+    if (T) pose << T->translation(), Eigen::Quaterniond(T->linear()).coeffs();
+    csv.row(r.candidate.from, r.candidate.to, enum_name(r.candidate.source),
+            r.verified() ? "verified" : "rejected", enum_name(r.reason), figure(pose[0]), figure(pose[1]),
+            figure(pose[2]), figure(pose[3]), figure(pose[4]), figure(pose[5]), figure(pose[6]),
+            figure(r.gicp_fitness_m2), figure(r.overlap), figure(computed.weight),
+            figure(computed.mission_time_s), figure(r.seconds()));
+  }
+  return csv.text();
+}
+
+PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double voxel_m, const StopToken& stop,
+                      const ProgressCallback& progress) {
+  // Thinned again whenever it has doubled: the memory stays near that of the final map.
+  constexpr std::size_t kSmall = 1000000;
+  PointCloud map;
+  std::size_t limit = kSmall;
+  for (std::size_t i = 0; i < graph.nodes().size() && !stop.stop_requested(); ++i) {
+    const Node& node = graph.nodes()[i];
+    std::shared_ptr<const PointCloud> scan;
+    try {
+      scan = scans.load(node.key);
+    } catch (const Error&) {
+      continue;  // the store counts it among its problems
+    }
+    if (!scan) continue;
+    const Eigen::Matrix3d R = node.pose.linear();
+    for (const Eigen::Vector3f& p : scan->points) {
+      map.points.emplace_back((R * p.cast<double>() + node.pose.translation()).cast<float>());
+    }
+    if (map.size() > limit) {
+      map = voxel_downsample(map, voxel_m);
+      limit = std::max(kSmall, 2 * map.size());
+    }
+    if (progress) progress({"stitching the map", i + 1, graph.nodes().size(), ""});
+  }
+  return map.empty() ? map : voxel_downsample(map, voxel_m);
+}
+
+void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
+                      const ReplayResult& result, const RunEvaluation& evaluation, const PointCloud& map) {
+  write_g2o(folder / "graph.g2o", result.graph);
+  std::error_code failure;
+  std::filesystem::create_directories(folder / "trajectories", failure);
+  if (failure) throw IoError((folder / "trajectories").string(), failure.message());
+  for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    std::vector<std::pair<Key, std::size_t>> own;
+    for (std::size_t i = 0; i < result.graph.nodes().size(); ++i) {
+      if (mission.robots.of(result.graph.nodes()[i].key) == robot)
+        own.emplace_back(result.graph.nodes()[i].key, i);
+    }
+    std::sort(own.begin(), own.end());
+    std::vector<StampedPose> optimized, odometry;
+    for (const auto& [key, i] : own) {
+      const Node& node = result.graph.nodes()[i];
+      optimized.push_back({node.stamp_ns, node.pose});
+      odometry.push_back({node.stamp_ns, result.odometry[i]});
+    }
+    const std::string name = file_name(mission.robots[robot].name);
+    write_tum(folder / "trajectories" / (name + ".tum"), optimized);
+    write_tum(folder / "trajectories" / (name + "_odometry.tum"), odometry);
+  }
+  write_file(folder / "closures.csv", closures_csv(result));
+  if (!map.empty()) write_pcd(folder / "map.pcd", map);
+  write_file(folder / "summary.json", run_summary_json(mission, config, result, evaluation));
+}
+
+}  // namespace loopwise

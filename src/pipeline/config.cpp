@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/pipeline/config.hpp>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/prioritization/baselines.hpp>
+
+namespace loopwise {
+namespace {
+
+std::vector<std::string> section_names(const Config& config) {
+  std::vector<std::string> names;
+  Config::visit_sections(config, [&names](const char* name, const auto&) { names.emplace_back(name); });
+  return names;
+}
+
+/// Calls visit(section) for the section of this name. \throws OptionError if there is none.
+template <class Visitor>
+void with_section(Config& config, const std::string& name, Visitor&& visit) {
+  bool found = false;
+  Config::visit_sections(config, [&](const char* own, auto& section) {
+    if (name != own) return;
+    found = true;
+    visit(section);
+  });
+  if (!found) throw_unknown_name("section", name, section_names(config));
+}
+
+/// A relation between fields of the section that bounds alone cannot state.
+template <class Section>
+void check_relations(const Section&, const std::string&) {}
+
+template <>
+void check_relations(const ProximityOptions& options, const std::string& section) {
+  try {
+    validate_proximity(options);
+  } catch (const OptionError& error) {
+    throw OptionError(section + "." + error.what());
+  }
+}
+
+}  // namespace
+
+void validate_config(const Config& config) {
+  Config::visit_sections(config, [](const char* name, const auto& section) {
+    try {
+      validate(section);
+    } catch (const OptionError& error) {
+      throw OptionError(std::string(name) + "." + error.what());
+    }
+  });
+  check_relations(config.generation, "generation");
+  const std::vector<std::string> methods = method_names();
+  if (std::find(methods.begin(), methods.end(), config.replay.method) == methods.end()) {
+    throw_unknown_name("method", config.replay.method, methods);
+  }
+}
+
+void read_config(const std::filesystem::path& path, Config& config) {
+  const Json file = read_json_file(path);
+  Config changed = config;
+  try {
+    if (!file.is_object()) throw OptionError("expected an object of sections");
+    for (const auto& [name, value] : file.items()) {
+      Json section_json = value;
+      if (name == "generation" && section_json.is_object() && section_json.contains("preset")) {
+        if (!section_json["preset"].is_string()) throw OptionError("generation.preset must be a word");
+        changed.generation = proximity_preset(section_json["preset"].get<std::string>());
+        section_json.erase("preset");
+      }
+      with_section(changed, name, [&](auto& section) { apply_json(section_json, name, section); });
+    }
+    validate_config(changed);
+  } catch (const OptionError& error) {
+    throw OptionError(path.string() + ": " + error.what());
+  }
+  config = changed;
+}
+
+void set_config_option(const std::string& assignment, Config& config) {
+  const std::size_t equals = assignment.find('='), dot = assignment.find('.');
+  if (equals == std::string::npos || dot == std::string::npos || dot > equals) {
+    throw OptionError("\"" + assignment +
+                      "\": expected SECTION.FIELD=VALUE, for example generation.rate_m=0.3");
+  }
+  const std::string section_name = assignment.substr(0, dot);
+  const std::string field = assignment.substr(dot + 1, equals - dot - 1);
+  const std::string value = assignment.substr(equals + 1);
+  if (section_name == "generation" && field == "preset") {
+    config.generation = proximity_preset(value);
+    return;
+  }
+  with_section(config, section_name, [&](auto& section) { set_option(section_name, field, value, section); });
+}
+
+std::string config_json(const Config& config) {
+  Json all = Json::object();
+  Config::visit_sections(config,
+                         [&all](const char* name, const auto& section) { all[name] = to_json(section); });
+  return all.dump(2) + "\n";
+}
+
+std::vector<ConfigEntry> describe_config(const Config& config) {
+  std::vector<ConfigEntry> entries;
+  Config::visit_sections(config, [&entries](const char* name, const auto& section) {
+    for (const OptionDescription& option : describe(section)) {
+      entries.push_back({std::string(name) + "." + option.name, option.type, option.default_value,
+                         option.bounds, option.doc});
+    }
+  });
+  return entries;
+}
+
+std::vector<std::string> method_names() {
+  return {"odom", "baseline", "random", "obs"};
+}
+
+RoundRobinQueue make_queue(const Config& config, const Robots& robots,
+                           const ObservabilityPrioritizer::Eigenvalue& eigenvalue) {
+  const std::string& method = config.replay.method;
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  if (method == "baseline") {
+    prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+  } else if (method == "random") {
+    prioritizers.push_back(std::make_unique<RandomPrioritizer>(config.replay.seed));
+  } else if (method == "obs") {
+    prioritizers.push_back(
+        std::make_unique<ObservabilityPrioritizer>(config.observability, robots, eigenvalue));
+  } else if (method != "odom") {
+    throw_unknown_name("method", method, method_names());
+  }
+  return RoundRobinQueue(std::move(prioritizers));
+}
+
+}  // namespace loopwise

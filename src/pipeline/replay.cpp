@@ -1,0 +1,443 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/pipeline/replay.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <tuple>
+#include <unordered_map>
+
+#include <Eigen/LU>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+#include <loopwise/optimization/gnc.hpp>
+#include <loopwise/registration/batch.hpp>
+
+#include "journal.hpp"
+
+namespace loopwise {
+namespace {
+
+/// Order of events of the same time.
+enum class EventKind { kKeyFrame, kResult };
+
+struct Event {
+  double time_s;
+  EventKind kind;
+  std::uint64_t number;  ///< Key of the key frame; place of the result within the run.
+  std::size_t index;     ///< Node of the mission's graph; result of the batch.
+
+  bool operator<(const Event& other) const {
+    return std::tie(time_s, kind, number) < std::tie(other.time_s, other.kind, other.number);
+  }
+};
+
+/// Tells of every outcome as soon as it is there, so that a process that is killed loses what it was
+/// computing and no more.
+class RecordingRegistrar final : public Registrar {
+ public:
+  RecordingRegistrar(const Registrar& registrar, const ReplayHooks::OutcomeSink& sink)
+      : registrar_(registrar), sink_(sink) {}
+  [[nodiscard]] std::string_view name() const override { return registrar_.name(); }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+    RegistrationResult result = registrar_.compute(task);
+    if (sink_) {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      sink_(result);
+    }
+    return result;
+  }
+
+ private:
+  const Registrar& registrar_;
+  const ReplayHooks::OutcomeSink& sink_;
+  mutable std::mutex mutex_;
+};
+
+OptimizerOptions with_threads(OptimizerOptions options, int num_threads) {
+  options.num_threads = num_threads;
+  return options;
+}
+
+/// One run: everything that changes while events are handled.
+class Run {
+ public:
+  Run(const Mission& mission, const Config& config, FeatureCache& features, const Registrar& registrar,
+      ThreadPool& threads, const ReplayHooks& hooks, const KnownOutcomes& known)
+      : mission_(mission),
+        config_(config),
+        features_(features),
+        registrar_(registrar, hooks.outcome),
+        threads_(threads),
+        hooks_(hooks),
+        known_(known),
+        odometry_edges_(replay_odometry(mission, config.replay)),
+        generator_(config.generation, mission.robots),
+        pool_(config.pool, make_queue(config, mission.robots,
+                                      [this](const KeyedScan& scan) { return eigenvalue(scan.key); })),
+        optimizer_(with_threads(config.optimization, threads.num_threads())) {
+    for (std::size_t e = 0; e < odometry_edges_.size(); ++e) {
+      edges_at_[odometry_edges_[e].from].push_back(e);
+      edges_at_[odometry_edges_[e].to].push_back(e);
+    }
+    for (std::size_t p = 0; p < mission.graph.priors().size(); ++p) {
+      priors_at_[mission.graph.priors()[p].key].push_back(p);
+    }
+  }
+
+  ReplayResult execute() {
+    const Stopwatch watch;
+    const std::vector<double> times = arrival_times(mission_);
+    double mission_end = 0.0;
+    for (std::size_t i = 0; i < times.size(); ++i) {
+      events_.insert({times[i], EventKind::kKeyFrame, mission_.graph.nodes()[i].key, i});
+      mission_end = std::max(mission_end, times[i]);
+    }
+    end_s_ = config_.replay.after_mission ? std::numeric_limits<double>::infinity() : mission_end;
+    write(journal::start_line(mission_, config_));
+
+    while (!events_.empty() && events_.begin()->time_s <= end_s_ && !hooks_.stop.stop_requested()) {
+      now_s_ = events_.begin()->time_s;
+      while (!events_.empty() && events_.begin()->time_s == now_s_) {
+        const Event event = *events_.begin();
+        events_.erase(events_.begin());
+        event.kind == EventKind::kKeyFrame ? on_key_frame(event.index) : on_result(event.index);
+      }
+      pool_.expire(now_s_);
+      if (batch_.empty()) start_batch();
+    }
+
+    result_.interrupted = hooks_.stop.stop_requested();
+    finish();
+    result_.total_s = watch.seconds();
+    return std::move(result_);
+  }
+
+ private:
+  // ---- key frames
+  // -------------------------------------------------------------------------------------------------
+
+  void on_key_frame(std::size_t index) {
+    const Node& recorded = mission_.graph.nodes()[index];
+    Node node = recorded;
+    node.covariance.reset();
+    Eigen::Isometry3d odometry = recorded.pose;
+    if (const auto priors = priors_at_.find(node.key); priors != priors_at_.end()) {
+      node.pose = odometry = mission_.graph.priors()[priors->second.front()].pose;
+    } else if (const auto previous = edge_to_known(node.key)) {
+      const Eigen::Isometry3d& T = odometry_edges_[previous->edge].T_from_to;
+      const Eigen::Isometry3d step = previous->forward ? T : T.inverse();
+      node.pose = se3::normalized(graph_.nodes()[previous->node].pose * step);
+      odometry = se3::normalized(result_.odometry[previous->node] * step);
+    }
+    graph_.add_node(node);
+    result_.odometry.push_back(odometry);
+    if (const auto priors = priors_at_.find(node.key); priors != priors_at_.end()) {
+      for (const std::size_t p : priors->second) graph_.add_prior(mission_.graph.priors()[p]);
+    }
+    if (const auto edges = edges_at_.find(node.key); edges != edges_at_.end()) {
+      for (const std::size_t e : edges->second) {
+        const Edge& edge = odometry_edges_[e];
+        if (graph_.contains(edge.from) && graph_.contains(edge.to)) graph_.add_edge(edge);
+      }
+    }
+
+    // Generation sees each new node before its scan is announced, so that what waits for the scan is found at
+    // once.
+    const std::vector<LoopCandidate> candidates = generator_.on_node(graph_, node.key, now_s_);
+    const std::size_t added = pool_.queue().prioritizers().empty() ? 0 : pool_.add(candidates);
+    announce_scan(node);
+    write(journal::key_frame_line(now_s_, node.key, added, pool_.accounting()));
+    ++key_frames_;
+    report();
+  }
+
+  struct KnownNeighbour {
+    std::size_t edge;
+    std::size_t node;
+    bool forward;  ///< The edge leads from the known node to the new one.
+  };
+
+  std::optional<KnownNeighbour> edge_to_known(Key key) const {
+    const auto edges = edges_at_.find(key);
+    if (edges == edges_at_.end()) return std::nullopt;
+    for (const std::size_t e : edges->second) {
+      const Edge& edge = odometry_edges_[e];
+      const bool forward = edge.to == key;
+      if (const auto node = graph_.find(forward ? edge.from : edge.to))
+        return KnownNeighbour{e, *node, forward};
+    }
+    return std::nullopt;
+  }
+
+  void announce_scan(const Node& node) {
+    if (pool_.queue().prioritizers().empty() || !mission_.scans->has(node.key)) return;
+    KeyedScan scan;
+    scan.key = node.key;
+    scan.stamp_ns = node.stamp_ns;
+    try {
+      scan.cloud = mission_.scans->load(node.key);
+    } catch (const Error& error) {
+      result_.problems.add("unreadable scan",
+                           error.what());  // its candidates wait, then expire with the reason
+      return;
+    }
+    if (scan.cloud) pool_.on_scan(scan);
+  }
+
+  // ---- registration
+  // -----------------------------------------------------------------------------------------------
+
+  void start_batch() {
+    std::size_t count = static_cast<std::size_t>(config_.replay.batch);
+    if (const auto bound = static_cast<std::size_t>(config_.replay.max_registrations); bound > 0) {
+      const std::size_t used = pool_.accounting().computed;
+      if (used >= bound) return;
+      count = std::min(count, bound - used);
+    }
+    batch_ = pool_.take(count);
+    if (batch_.empty()) return;
+    ++result_.batches;
+    write(journal::batch_line(now_s_, batch_, pool_.accounting()));
+
+    // Worker k of W computes the batch's candidates k, k + W, …; those that would end after the mission are
+    // not paid for, so they are not computed.
+    const auto workers = static_cast<std::size_t>(config_.replay.workers);
+    std::vector<std::size_t> paid;
+    for (std::size_t i = 0; i < batch_.size(); ++i) {
+      const double finish_s =
+          now_s_ + static_cast<double>(i / workers + 1) * config_.replay.registration_time_s;
+      if (finish_s > end_s_) break;
+      events_.insert({finish_s, EventKind::kResult, next_result_ + i, i});
+      paid.push_back(i);
+    }
+    next_result_ += batch_.size();
+    outstanding_ = paid.size();
+    compute(paid);
+  }
+
+  void compute(const std::vector<std::size_t>& paid) {
+    const Stopwatch watch;
+    results_.assign(batch_.size(), std::nullopt);
+    std::vector<RegistrationTask> tasks;
+    std::vector<std::size_t> places;
+    for (const std::size_t i : paid) {
+      const LoopCandidate& candidate = batch_[i];
+      if (const auto known = known_.find({candidate.from, candidate.to}); known != known_.end()) {
+        results_[i] = known->second;
+        results_[i]->candidate = candidate;
+        continue;
+      }
+      tasks.push_back(task_of(candidate));
+      places.push_back(i);
+    }
+    const std::size_t before = pool_.accounting().computed;
+    const auto computed = compute_batch(registrar_, tasks, threads_, hooks_.stop,
+                                        [&](const Progress& p) { report(before + p.done); });
+    for (std::size_t k = 0; k < places.size(); ++k) results_[places[k]] = computed[k];
+    result_.registration_s += watch.seconds();
+  }
+
+  RegistrationTask task_of(const LoopCandidate& candidate) const {
+    RegistrationTask task = make_task(graph_, mission_.robots, candidate, config_.task, config_.replay.seed,
+                                      [this](Key key) { return mission_.scans->has(key); });
+    const std::size_t from = graph_.index_of(candidate.from), to = graph_.index_of(candidate.to);
+    if (config_.task.use_guess && config_.replay.guess == GuessSource::kOdometry) {
+      task.guess_from_to = result_.odometry[from].inverse() * result_.odometry[to];
+    }
+    return task;
+  }
+
+  void on_result(std::size_t index) {
+    --outstanding_;
+    const std::optional<RegistrationResult>& result = results_[index];
+    if (result) {  // otherwise a stop request came first; the candidate is given back at the end
+      pool_.complete(*result);
+      result_.computed.push_back({*result, now_s_, 0.0});
+      write(journal::result_line(now_s_, *result, pool_.accounting()));
+      if (result->verified()) {
+        closure_edges_.push_back({graph_.add_closure(*result->closure), result_.computed.size() - 1});
+        new_closures_ = true;
+      }
+    }
+    if (outstanding_ > 0) return;
+    // What is left of the batch would end after the mission: it stays in flight until the run ends.
+    if (std::none_of(batch_.begin(), batch_.end(), [&](const LoopCandidate& c) { return is_unpaid(c); }))
+      batch_.clear();
+    optimize();
+  }
+
+  bool is_unpaid(const LoopCandidate& candidate) const {
+    const auto place = static_cast<std::size_t>(&candidate - batch_.data());
+    return !results_[place].has_value();
+  }
+
+  // ---- back end
+  // ---------------------------------------------------------------------------------------------------
+
+  void optimize() {
+    if (!new_closures_) return;
+    const Stopwatch watch;
+    new_closures_ = false;
+    const GncResult gnc = optimizer_.optimize_gnc(graph_, config_.gnc);
+    graph_.set_poses(gnc.optimization.poses);
+    for (std::size_t e = 0; e < gnc.weights.size(); ++e) graph_.set_weight(e, gnc.weights[e]);
+    for (const auto& [edge, computed] : closure_edges_) result_.computed[computed].weight = gnc.weights[edge];
+    generator_.on_graph(graph_);
+    pool_.on_graph(graph_);
+    ++result_.optimizations;
+    result_.optimization_s += watch.seconds();
+    write(journal::estimate_line(now_s_, gnc, pool_.accounting()));
+  }
+
+  void finish() {
+    // After a stop request: what the batch had computed by then counts.
+    for (const Event& event : events_) {
+      if (!result_.interrupted || event.kind != EventKind::kResult || !results_[event.index]) continue;
+      now_s_ = event.time_s;
+      on_result(event.index);
+    }
+    pool_.give_back(batch_);
+    pool_.expire_waiting();
+    optimize();
+    result_.accounting = pool_.accounting();
+    result_.pruned = pool_.pruned_reasons();
+    result_.expired = pool_.expired_reasons();
+    for (std::size_t i = 0; i < pool_.queue().prioritizers().size(); ++i) {
+      result_.handed_out.emplace_back(pool_.queue().prioritizers()[i]->name(), pool_.queue().handed_out()[i]);
+    }
+    result_.mission_time_s = now_s_;
+    result_.problems.add(mission_.scans->problems());
+    write(journal::end_line(now_s_, result_.interrupted, pool_.accounting()));
+    result_.graph = std::move(graph_);
+  }
+
+  // ---- helpers
+  // ----------------------------------------------------------------------------------------------------
+
+  void write(const std::string& line) const {
+    if (hooks_.journal) hooks_.journal(line);
+  }
+
+  void report() const { report(pool_.accounting().computed); }
+
+  void report(std::size_t computed) const {
+    if (!hooks_.progress) return;
+    const CandidateAccounting& a = pool_.accounting();
+    std::size_t total = a.computed + a.in_flight + a.pending;
+    if (config_.replay.max_registrations > 0) {
+      total = std::min(total, static_cast<std::size_t>(config_.replay.max_registrations));
+    }
+    std::size_t verified = closure_edges_.size();
+    hooks_.progress({"registering", computed, std::max(total, computed),
+                     std::to_string(verified) + " accepted, " + std::to_string(a.computed - verified) +
+                         " rejected, " + std::to_string(key_frames_) + "/" +
+                         std::to_string(mission_.graph.nodes().size()) + " key frames"});
+  }
+
+  double eigenvalue(Key key) const {
+    const auto features = features_.get(key);
+    if (!features) return 0.0;
+    return config_.observability.variant == ObservabilityVariant::kLamp
+               ? features->observability.min_eigenvalue_lamp
+               : features->observability.min_eigenvalue;
+  }
+
+  const Mission& mission_;
+  const Config& config_;
+  FeatureCache& features_;
+  RecordingRegistrar registrar_;
+  ThreadPool& threads_;
+  const ReplayHooks& hooks_;
+  const KnownOutcomes& known_;
+
+  std::vector<Edge> odometry_edges_;
+  std::unordered_map<Key, std::vector<std::size_t>> edges_at_;
+  std::unordered_map<Key, std::vector<std::size_t>> priors_at_;
+  ProximityGenerator generator_;
+  CandidatePool pool_;
+  PoseGraphOptimizer optimizer_;
+
+  PoseGraph graph_;
+  std::set<Event> events_;
+  double now_s_ = 0.0;
+  double end_s_ = 0.0;
+  std::vector<LoopCandidate> batch_;  ///< Being computed; empty when the computation is dry.
+  std::vector<std::optional<RegistrationResult>> results_;  ///< Of the batch, by place.
+  std::size_t outstanding_ = 0;                             ///< Results of the batch still to come.
+  std::uint64_t next_result_ = 0;
+  std::vector<std::pair<std::size_t, std::size_t>>
+      closure_edges_;  ///< Edge of the graph, place in `computed`.
+  bool new_closures_ = false;
+  std::size_t key_frames_ = 0;
+  ReplayResult result_;
+};
+
+}  // namespace
+
+std::vector<Edge> replay_odometry(const Mission& mission, const ReplayOptions& options) {
+  constexpr std::uint64_t kStream =
+      0x6f646f6d65747279;  // keeps this noise apart from the registrations' seeds
+  std::vector<Edge> edges;
+  for (Edge edge : mission.graph.edges()) {
+    if (edge.kind != EdgeKind::kOdometry) continue;
+    const double root = std::sqrt(edge.T_from_to.translation().norm());
+    const double sigma_m = options.odometry_noise_m_per_m * root,
+                 sigma_rad = options.odometry_noise_rad_per_m * root;
+    if (sigma_m > 0.0 || sigma_rad > 0.0) {
+      Rng rng(pair_seed(combine_seeds(options.seed, kStream), edge.from, edge.to));
+      Vector6d noise, variance;
+      for (int k = 0; k < 6; ++k) noise[k] = rng.normal(0.0, k < 3 ? sigma_m : sigma_rad);
+      variance << Eigen::Vector3d::Constant(sigma_m * sigma_m),
+          Eigen::Vector3d::Constant(sigma_rad * sigma_rad);
+      edge.T_from_to = se3::normalized(edge.T_from_to * se3::exp(noise));
+      // (Ω⁻¹ + N)⁻¹ without inverting either: both may be singular.
+      const Matrix6d& omega = edge.information;
+      const Matrix6d lowered =
+          (Matrix6d::Identity() + omega * variance.asDiagonal()).partialPivLu().solve(omega);
+      edge.information = 0.5 * (lowered + lowered.transpose());
+    }
+    edges.push_back(edge);
+  }
+  return edges;
+}
+
+std::vector<double> arrival_times(const Mission& mission) {
+  const std::vector<Node>& nodes = mission.graph.nodes();
+  std::vector<std::size_t> order(nodes.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::sort(order.begin(), order.end(),
+            [&](std::size_t a, std::size_t b) { return nodes[a].key < nodes[b].key; });
+  std::vector<double> times(nodes.size(), 0.0), latest(mission.robots.size(), 0.0);
+  for (const std::size_t i : order) {
+    const std::size_t robot = mission.robots.of(nodes[i].key);
+    double time = mission.time_s(nodes[i].stamp_ns);
+    for (const CommunicationGap& gap :
+         mission.gaps) {  // in order of their begins: one may lead into the next
+      if (gap.robot == robot && time >= gap.begin_s && time < gap.end_s) time = gap.end_s;
+    }
+    times[i] = latest[robot] = std::max(time, latest[robot]);
+  }
+  return times;
+}
+
+MissionReplay::MissionReplay(const Mission& mission, const Config& config,
+                             std::shared_ptr<FeatureCache> features,
+                             std::shared_ptr<const Registrar> registrar)
+    : mission_(mission), config_(config), features_(std::move(features)), registrar_(std::move(registrar)) {
+  validate_config(config_);
+  if (!features_) throw InputError("MissionReplay needs a feature cache");
+  if (!registrar_) throw InputError("MissionReplay needs a registrar");
+}
+
+ReplayResult MissionReplay::run(ThreadPool& threads, const ReplayHooks& hooks,
+                                const KnownOutcomes& known) const {
+  return Run(mission_, config_, *features_, *registrar_, threads, hooks, known).execute();
+}
+
+}  // namespace loopwise

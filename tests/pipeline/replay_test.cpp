@@ -1,0 +1,381 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
+#include <atomic>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/pipeline/replay.hpp>
+
+#include "testing_mission.hpp"
+
+namespace loopwise {
+namespace {
+
+using testing::OracleRegistrar;
+using testing::two_circles;
+
+Config fast_config(const std::string& method = "random") {
+  Config config;
+  config.replay.method = method;
+  config.replay.batch = 20;
+  config.observability.min_sum = 0.0;
+  return config;
+}
+
+struct Recorded {
+  ReplayResult result;
+  std::vector<Json> journal;
+  std::vector<std::string> lines;
+  std::vector<RegistrationResult> outcomes;
+};
+
+Recorded replay(const Mission& mission, const Config& config, int threads = 1,
+                const KnownOutcomes& known = {}, std::shared_ptr<const Registrar> registrar = nullptr,
+                const StopToken& stop = {}, const ProgressCallback& progress = {}) {
+  if (!registrar) registrar = std::make_shared<OracleRegistrar>(mission.ground_truth);
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  Recorded recorded;
+  ReplayHooks hooks;
+  hooks.journal = [&](const std::string& line) {
+    recorded.lines.push_back(line);
+    recorded.journal.push_back(parse_json(line, "journal"));
+  };
+  hooks.outcome = [&](const RegistrationResult& result) { recorded.outcomes.push_back(result); };
+  hooks.stop = stop;
+  hooks.progress = progress;
+  ThreadPool pool(threads);
+  recorded.result = MissionReplay(mission, config, features, registrar).run(pool, hooks, known);
+  return recorded;
+}
+
+std::size_t number(const Json& account, const char* name) {
+  return account.at(name).get<std::size_t>();
+}
+
+/// Mean distance of the poses from the truth, no alignment.
+double mean_error(const Mission& mission, const PoseGraph& graph) {
+  double sum = 0.0;
+  for (const Node& node : graph.nodes()) {
+    sum += (node.pose.translation() - mission.ground_truth.at(node.key).translation()).norm();
+  }
+  return sum / static_cast<double>(graph.nodes().size());
+}
+
+double mean_error(const Mission& mission, const std::vector<Eigen::Isometry3d>& poses,
+                  const PoseGraph& graph) {
+  PoseGraph copy = graph;
+  copy.set_poses(poses);
+  return mean_error(mission, copy);
+}
+
+}  // namespace
+
+TEST_CASE("replay: the account balances at every event of the journal, for every method",
+          "[pipeline][replay]") {
+  const Mission mission = two_circles();
+  for (const std::string& method : method_names()) {
+    CAPTURE(method);
+    const Recorded run = replay(mission, fast_config(method));
+    REQUIRE(run.journal.front().at("event") == "start");
+    REQUIRE(run.journal.back().at("event") == "end");
+    double time = 0.0;
+    std::size_t results = 0, key_frames = 0;
+    for (const Json& line : run.journal) {
+      const Json& a = line.at("account");
+      REQUIRE(number(a, "generated") == number(a, "pruned") + number(a, "expired") + number(a, "waiting") +
+                                            number(a, "pending") + number(a, "in_flight") +
+                                            number(a, "computed"));
+      REQUIRE(line.at("time_s").get<double>() >= time);
+      time = line.at("time_s").get<double>();
+      results += line.at("event") == "result" ? 1 : 0;
+      key_frames += line.at("event") == "key_frame" ? 1 : 0;
+      REQUIRE(number(a, "computed") == results);
+    }
+    REQUIRE(key_frames == mission.graph.nodes().size());
+    REQUIRE(results == run.result.computed.size());
+    REQUIRE(run.result.accounting.balanced());
+    REQUIRE(run.result.accounting.in_flight == 0);
+    REQUIRE(run.result.accounting.waiting == 0);
+    REQUIRE((results == 0) == (method == "odom"));
+  }
+}
+
+TEST_CASE("replay: the same bits for any number of threads", "[pipeline][replay][threads]") {
+  const Mission mission = two_circles();
+  for (const char* method : {"obs", "random"}) {
+    const Recorded one = replay(mission, fast_config(method), 1);
+    for (const int threads : {2, 4}) {
+      const Recorded many = replay(mission, fast_config(method), threads);
+      REQUIRE(many.lines == one.lines);
+      for (std::size_t i = 0; i < one.result.graph.nodes().size(); ++i) {
+        REQUIRE((many.result.graph.nodes()[i].pose.matrix().array() ==
+                 one.result.graph.nodes()[i].pose.matrix().array())
+                    .all());
+      }
+    }
+  }
+}
+
+TEST_CASE("replay: closures bring the estimate to the truth, false ones get no weight",
+          "[pipeline][replay]") {
+  const Mission mission = two_circles();
+  Config config = fast_config();
+  config.replay.after_mission = true;
+  const Recorded run = replay(mission, config);
+  const double odometry = mean_error(mission, run.result.odometry, run.result.graph);
+  const double optimized = mean_error(mission, run.result.graph);
+  CAPTURE(odometry, optimized);
+  REQUIRE(odometry > 0.4);
+  REQUIRE(optimized < 0.1);  // measured 0.02; half the odometry's error if the back end did nothing useful
+  std::size_t wrong = 0, kept = 0, right = 0;
+  for (const ComputedCandidate& c : run.result.computed) {
+    if (!c.result.verified()) {
+      REQUIRE(c.weight == 0.0);
+      continue;
+    }
+    const LoopClosure& closure = *c.result.closure;
+    const Eigen::Isometry3d truth =
+        mission.ground_truth.at(closure.from).inverse() * mission.ground_truth.at(closure.to);
+    const bool is_false = (truth.inverse() * closure.T_from_to).translation().norm() > 1.0;
+    wrong += is_false ? 1 : 0;
+    kept += !is_false && c.weight > 0.5 ? 1 : 0;
+    right += is_false ? 0 : 1;
+    if (is_false) REQUIRE(c.weight < 0.5);
+  }
+  // The threshold keeps 99 % of the true ones; measured: all but 4 of 430.
+  REQUIRE(static_cast<double>(kept) > 0.97 * static_cast<double>(right));
+  REQUIRE(wrong > 10);
+}
+
+TEST_CASE("replay: the cost model decides how much is computed", "[pipeline][replay]") {
+  const Mission mission = two_circles();
+  Config config = fast_config();
+  config.replay.workers = 1;
+  config.replay.registration_time_s = 2.0;
+  const Recorded slow = replay(mission, config);
+  // The mission lasts 78.5 s; at one registration every 2 s no more than 39 fit.
+  REQUIRE(slow.result.mission_time_s == Approx(78.5));
+  REQUIRE(slow.result.computed.size() <= 39);
+  REQUIRE(slow.result.computed.size() >= 20);
+  for (std::size_t i = 1; i < slow.result.computed.size(); ++i) {
+    REQUIRE(slow.result.computed[i].mission_time_s - slow.result.computed[i - 1].mission_time_s >=
+            2.0 - 1e-9);
+  }
+  // What the model does not pay for is not computed either.
+  REQUIRE(slow.outcomes.size() == slow.result.computed.size());
+
+  config.replay.workers = 4;
+  REQUIRE(replay(mission, config).result.computed.size() > 2 * slow.result.computed.size());
+
+  config.replay.max_registrations = 7;
+  const Recorded bounded = replay(mission, config);
+  REQUIRE(bounded.result.computed.size() == 7);
+  REQUIRE(bounded.result.graph.nodes().size() == mission.graph.nodes().size());
+
+  config.replay.max_registrations = 0;
+  config.replay.after_mission = true;
+  const Recorded all = replay(mission, config);
+  REQUIRE(all.result.accounting.pending == 0);
+  REQUIRE(all.result.computed.size() == all.result.accounting.queued());
+  REQUIRE(all.result.mission_time_s > 78.5);
+}
+
+TEST_CASE("replay: key frames of a communication gap arrive at its end, in order", "[pipeline][replay]") {
+  Mission mission = two_circles();
+  mission.gaps = {{1, 10.0, 50.0}};
+  const Recorded run = replay(mission, fast_config());
+  std::vector<std::pair<double, Key>> arrivals;
+  for (const Json& line : run.journal) {
+    if (line.at("event") != "key_frame") continue;
+    arrivals.emplace_back(line.at("time_s").get<double>(), parse_key(line.at("key").get<std::string>()));
+  }
+  std::size_t late = 0;
+  Key previous_b = 0;
+  for (const auto& [time, key] : arrivals) {
+    if (key_character(key) != 'b') continue;
+    REQUIRE_FALSE((time >= 10.0 && time < 50.0));
+    late += time == 50.0 ? 1 : 0;
+    REQUIRE(key > previous_b);
+    previous_b = key;
+  }
+  REQUIRE(late == 20);
+  // Nodes that come late hang on the estimate of those before them, so odometry alone is unchanged.
+  REQUIRE(mean_error(mission, run.result.odometry, run.result.graph) ==
+          Approx(mean_error(mission, mission.graph)).margin(1e-9));
+}
+
+TEST_CASE("replay: a run that goes on from outcomes equals one that was never interrupted",
+          "[pipeline][replay][resume]") {
+  const Mission mission = two_circles();
+  const Config config = fast_config("obs");
+  const Recorded whole = replay(mission, config);
+
+  StopSource stop;
+  std::size_t seen = 0;
+  const Recorded part = replay(mission, config, 2, {}, nullptr, stop.token(), [&](const Progress& p) {
+    seen = std::max(seen, p.done);
+    if (seen >= 30) stop.request_stop();
+  });
+  REQUIRE(part.result.interrupted);
+  REQUIRE(part.result.accounting.balanced());
+  REQUIRE(part.result.computed.size() == part.outcomes.size());  // nothing computed is lost
+  REQUIRE(part.outcomes.size() >= 30);
+  REQUIRE(part.outcomes.size() < whole.outcomes.size());
+
+  KnownOutcomes known;
+  for (const RegistrationResult& outcome : part.outcomes) {
+    const RegistrationResult copy = parse_outcome_line(outcome_line(outcome));
+    known[{copy.candidate.from, copy.candidate.to}] = copy;
+  }
+  const Recorded rest = replay(mission, config, 1, known);
+  REQUIRE(rest.outcomes.size() + part.outcomes.size() == whole.outcomes.size());
+  REQUIRE(rest.lines == whole.lines);
+}
+
+TEST_CASE("replay: outcomes survive as text to the bit", "[pipeline][replay][resume]") {
+  RegistrationResult rejected;
+  rejected.candidate.from = make_key('b', 3);
+  rejected.candidate.to = make_key('a', 9);
+  rejected.reason = RejectionReason::kLowOverlap;
+  rejected.message = "overlap 0.1, must be >= 0.3 \"quoted\"";
+  rejected.T_from_to = Eigen::Isometry3d::Identity();
+  rejected.T_from_to->translation() << 0.1, 1.0 / 3.0, -1e-17;
+  const RegistrationResult copy = parse_outcome_line(outcome_line(rejected));
+  REQUIRE(copy.candidate.from == rejected.candidate.from);
+  REQUIRE(copy.reason == rejected.reason);
+  REQUIRE(copy.message == rejected.message);
+  REQUIRE(copy.T_from_to->translation() == rejected.T_from_to->translation());
+  REQUIRE(std::isnan(copy.overlap));
+  for (const char* bad : {"", "{", "{}", "[1]", "{\"from\":\"x\"}"}) {
+    REQUIRE_THROWS_AS(parse_outcome_line(bad), InputError);
+  }
+}
+
+TEST_CASE("replay: added odometry noise is seeded, and lowers the stated information", "[pipeline][replay]") {
+  const Mission mission = two_circles();
+  ReplayOptions options;
+  REQUIRE(replay_odometry(mission, options)[5].T_from_to.matrix() ==
+          mission.graph.edges()[5].T_from_to.matrix());
+  options.odometry_noise_m_per_m = 0.05;
+  options.odometry_noise_rad_per_m = 0.01;
+  const std::vector<Edge> a = replay_odometry(mission, options), same = replay_odometry(mission, options);
+  options.seed = 2;
+  const std::vector<Edge> other = replay_odometry(mission, options);
+  double squares_m = 0.0, squares_rad = 0.0;
+  for (std::size_t e = 0; e < a.size(); ++e) {
+    REQUIRE(a[e].T_from_to.matrix() == same[e].T_from_to.matrix());
+    REQUIRE(a[e].T_from_to.matrix() != other[e].T_from_to.matrix());
+    const Vector6d noise = se3::log(mission.graph.edges()[e].T_from_to.inverse() * a[e].T_from_to);
+    squares_m += noise.head<3>().squaredNorm() / 3.0;
+    squares_rad += noise.tail<3>().squaredNorm() / 3.0;
+    // 1/(1/400 + 0.05²·2) and 1/(1e-4 + 0.01²·2) for steps of 2 m, as near as the noisy steps' lengths allow.
+    REQUIRE(a[e].information(0, 0) == Approx(1.0 / (1.0 / 400.0 + 0.0025 * 2.0)).epsilon(0.1));
+    REQUIRE(a[e].information(4, 4) == Approx(1.0 / (1e-4 + 1e-4 * 2.0)).epsilon(0.1));
+  }
+  const double n = static_cast<double>(a.size());
+  REQUIRE(std::sqrt(squares_m / n) == Approx(0.05 * std::sqrt(2.0)).epsilon(0.25));
+  REQUIRE(std::sqrt(squares_rad / n) == Approx(0.01 * std::sqrt(2.0)).epsilon(0.25));
+}
+
+TEST_CASE("replay: missing and unreadable scans expire their candidates with a reason",
+          "[pipeline][replay][error]") {
+  Mission mission = two_circles();
+  std::vector<Key> keys;
+  for (const Key key : mission.graph.keys()) {
+    if (key_index(key) % 4 != 0) keys.push_back(key);
+  }
+  const ScanLoader whole = mission.scans->loader();
+  mission.scans = std::make_shared<ScanStore>(keys, [whole](Key key) {
+    if (key_index(key) == 7) throw InputError("scan " + std::to_string(key) + ": cut short");
+    return whole(key);
+  });
+  Config config = fast_config();
+  config.replay.after_mission = true;
+  const Recorded run = replay(mission, config);
+  REQUIRE(run.result.accounting.balanced());
+  REQUIRE(run.result.expired.at("missing_scan") == run.result.accounting.expired);
+  REQUIRE(run.result.accounting.expired > 100);
+  REQUIRE(run.result.problems.count("unreadable scan") == 2);
+  for (const ComputedCandidate& c : run.result.computed) {
+    REQUIRE(key_index(c.result.candidate.from) % 4 != 0);
+    REQUIRE(key_index(c.result.candidate.to) != 7);
+  }
+}
+
+TEST_CASE("replay: a registrar that throws rejects its candidates", "[pipeline][replay][error]") {
+  class Broken final : public Registrar {
+   public:
+    std::string_view name() const override { return "broken"; }
+    RegistrationResult compute(const RegistrationTask&) const override {
+      throw std::runtime_error("out of order");
+    }
+  };
+  const Mission mission = two_circles();
+  const Recorded run = replay(mission, fast_config(), 2, {}, std::make_shared<Broken>());
+  REQUIRE_FALSE(run.result.computed.empty());
+  for (const ComputedCandidate& c : run.result.computed) {
+    REQUIRE(c.result.reason == RejectionReason::kFailed);
+    REQUIRE(c.result.message == "out of order");
+  }
+}
+
+TEST_CASE("replay: robots that share nothing, a robot without prior, a lone node", "[pipeline][replay]") {
+  Mission mission = two_circles();
+  PoseGraph graph;
+  for (const Node& node : mission.graph.nodes()) graph.add_node(node);
+  for (const Edge& edge : mission.graph.edges()) {
+    if (edge.from != make_key('b', 19)) graph.add_edge(edge);  // robot b's path is broken once
+  }
+  graph.add_prior(mission.graph.priors()[0]);  // robot b has none
+  mission.graph = graph;
+  Config config = fast_config();
+  config.replay.after_mission = true;
+  const Recorded run = replay(mission, config);
+  REQUIRE(run.result.graph.nodes().size() == 80);
+  REQUIRE(mean_error(mission, run.result.graph) < 0.2);
+}
+
+TEST_CASE("config: sections, presets and assignments; errors name section and field",
+          "[pipeline][config][error]") {
+  const testing::TemporaryFolder folder;
+  Config config;
+  testing::write_text(
+      folder / "c.json",
+      R"({"generation": {"preset": "lamp_robot", "skip_recent": 3}, "replay": {"batch": 7}})");
+  read_config(folder / "c.json", config);
+  REQUIRE(config.generation.radius_max_m == 80.0);
+  REQUIRE(config.generation.skip_recent == 3);
+  REQUIRE(config.replay.batch == 7);
+  set_config_option("replay.method=random", config);
+  REQUIRE(config.replay.method == "random");
+  testing::write_text(folder / "all.json", config_json(config));
+  Config copy;
+  read_config(folder / "all.json", copy);
+  REQUIRE(config_json(copy) == config_json(config));
+
+  const std::vector<std::pair<std::string, std::string>> bad{
+      {R"({"generatoin": {}})", "generation"},
+      {R"({"generation": {"rate": 1}})", "generation.rate"},
+      {R"({"generation": {"rate_m": -1}})", "generation.rate_m = -1, must be >= 0"},
+      {R"({"generation": {"rate_m": "x"}})", "generation.rate_m"},
+      {R"({"generation": {"preset": "none"}})", "preset = \"none\""},
+      {R"({"generation": {"radius_min_m": 90}})", "generation.radius_min_m"},
+      {R"({"replay": {"method": "best"}})", "best"},
+      {R"([])", "object"}};
+  for (const auto& [text, part] : bad) {
+    CAPTURE(text);
+    testing::write_text(folder / "bad.json", text);
+    const std::string before = config_json(config);
+    REQUIRE_THROWS_WITH(read_config(folder / "bad.json", config), Contains(part) && Contains("bad.json"));
+    REQUIRE(config_json(config) == before);
+  }
+  for (const char* assignment :
+       {"rate_m=1", "generation.rate_m", "generation.rate_m=x", "x.y=1", "generation.x=1"}) {
+    CAPTURE(assignment);
+    REQUIRE_THROWS_AS(set_config_option(assignment, config), OptionError);
+  }
+}
+
+}  // namespace loopwise
