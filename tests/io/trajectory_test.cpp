@@ -121,6 +121,7 @@ TEST_CASE("associate: by key, by stamp, by row", "[io][trajectory]") {
     REQUIRE(pairs.keys == std::vector<Key>{0, 1});
     CHECK(pairs.truth[0].translation().x() == 10.0);
     CHECK(pairs.truth[1].translation().x() == 20.0);
+    CHECK(associate(estimate, read("1.012 20" + pose)).keys == std::vector<Key>{1});
     CHECK_THROWS_WITH(associate(estimate, read("100 1" + pose)), Contains("no stamps close enough"));
   }
   SECTION("rows") {
