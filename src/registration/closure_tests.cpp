@@ -2,10 +2,13 @@
 #include <loopwise/registration/closure_tests.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <sstream>
 
 #include <Eigen/Eigenvalues>
+
+#include "normal_bins.hpp"
 
 namespace loopwise {
 namespace {
@@ -19,11 +22,13 @@ Vector6d units(const ClosureTestOptions& options) {
   return out;
 }
 
-Eigen::SelfAdjointEigenSolver<Matrix6d> scaled_information(const AlignmentFigures& figures,
+Eigen::SelfAdjointEigenSolver<Matrix6d> scaled_information(const Matrix6d& hessian,
+                                                           const AlignmentFigures& figures,
                                                            const ClosureTestOptions& options) {
   const double sigma = std::max(figures.plane_rmse_m, options.point_sigma_m);
   const Vector6d unit = units(options);
-  const Matrix6d information = unit.asDiagonal() * figures.hessian * unit.asDiagonal();
+  const Matrix6d told = hessian - options.normal_sigma_rad * options.normal_sigma_rad * figures.normal_noise;
+  const Matrix6d information = unit.asDiagonal() * told * unit.asDiagonal();
   return Eigen::SelfAdjointEigenSolver<Matrix6d>(0.5 * (information + information.transpose()) /
                                                  (sigma * sigma * options.points_per_sample));
 }
@@ -38,48 +43,83 @@ std::string beyond(const char* what, Figure found, const char* relation, Figure 
 
 }  // namespace
 
-AlignmentFigures measure_alignment(const std::vector<Eigen::Vector3f>& source, const PointCloud& target,
+AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& target,
                                    const KdTree& target_tree, const Eigen::Isometry3d& T_to_from,
                                    const ClosureTestOptions& options) {
   AlignmentFigures figures;
   if (source.empty() || target.empty()) return figures;
+  constexpr double kAgreeing = 0.7;        // cosine
+  constexpr double kFullDirection = 0.05;  // share of the points
   const double sq_overlap = options.overlap_distance_m * options.overlap_distance_m;
   const double sq_range = options.fitness_range_m * options.fitness_range_m;
   const auto reach = static_cast<float>(std::max(options.fitness_range_m, options.overlap_distance_m));
+  const bool with_normals = source.has_normals();
+  std::array<std::size_t, kNormalBins> of_direction{}, agreeing{};
   double sum_sq = 0.0, sum_sq_plane = 0.0;
   std::size_t overlapping = 0;
-  for (const Eigen::Vector3f& point : source) {
-    const Eigen::Vector3d y = T_to_from * point.cast<double>();
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
+  for (std::size_t i = 0; i < source.size(); ++i) {
+    const Eigen::Vector3d y = T_to_from * source.points[i].cast<double>();
+    const std::size_t bin = with_normals ? normal_bin(source.normals[i]) : kUnknownNormal;
+    ++of_direction[bin];
     const std::optional<Neighbour> nearest = target_tree.nearest(y.cast<float>(), reach);
     const double sq_distance = nearest ? static_cast<double>(nearest->sq_distance_m2) : sq_range;
     sum_sq += std::min(sq_distance, sq_range);
     if (!nearest || sq_distance > sq_overlap) continue;
     ++overlapping;
     const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
+    const Eigen::Vector3d m =
+        bin == kUnknownNormal ? n : Eigen::Vector3d(T_to_from.linear() * source.normals[i].cast<double>());
+    if (!n.isZero() && std::abs(n.dot(m)) < kAgreeing) continue;
+    ++agreeing[bin];
     if (n.isZero()) continue;
     const double distance = n.dot(y - target.points[nearest->index].cast<double>());
     Vector6d j;
     j << n, y.cross(n);
     figures.hessian.selfadjointView<Eigen::Lower>().rankUpdate(j);
+    j << m, y.cross(m);
+    figures.source_hessian.selfadjointView<Eigen::Lower>().rankUpdate(j);
+    sum += y;
+    moment.selfadjointView<Eigen::Lower>().rankUpdate(y);
     sum_sq_plane += distance * distance;
     ++figures.plane_points;
   }
   figures.hessian.triangularView<Eigen::StrictlyUpper>() = figures.hessian.transpose();
+  figures.source_hessian.triangularView<Eigen::StrictlyUpper>() = figures.source_hessian.transpose();
+  moment.triangularView<Eigen::StrictlyUpper>() = moment.transpose();
+  const auto planes = static_cast<double>(figures.plane_points);
+  figures.normal_noise.topLeftCorner<3, 3>().diagonal().setConstant(planes);
+  figures.normal_noise.topRightCorner<3, 3>() = -se3::skew(sum);
+  figures.normal_noise.bottomLeftCorner<3, 3>() = se3::skew(sum);
+  figures.normal_noise.bottomRightCorner<3, 3>() = moment.trace() * Eigen::Matrix3d::Identity() - moment;
+
   const auto n = static_cast<double>(source.size());
   figures.fitness_m2 = sum_sq / n;
   figures.overlap = static_cast<double>(overlapping) / n;
-  if (figures.plane_points > 0) {
-    figures.plane_rmse_m = std::sqrt(sum_sq_plane / static_cast<double>(figures.plane_points));
+  if (figures.plane_points > 0) figures.plane_rmse_m = std::sqrt(sum_sq_plane / planes);
+  double weights = 0.0;
+  for (std::size_t bin = 0; bin < kNormalBins; ++bin) {
+    if (of_direction[bin] == 0) continue;
+    const auto count = static_cast<double>(of_direction[bin]);
+    const double weight = std::min(1.0, count / (kFullDirection * n));
+    figures.balanced_overlap += weight * static_cast<double>(agreeing[bin]) / count;
+    weights += weight;
   }
+  figures.balanced_overlap /= weights;
   return figures;
 }
 
 int free_directions(const AlignmentFigures& figures, const ClosureTestOptions& options) {
-  return static_cast<int>((scaled_information(figures, options).eigenvalues().array() <= 1.0).count());
+  const auto free = [&](const Matrix6d& hessian) {
+    return static_cast<int>(
+        (scaled_information(hessian, figures, options).eigenvalues().array() <= 1.0).count());
+  };
+  return std::max(free(figures.hessian), free(figures.source_hessian));
 }
 
 Matrix6d closure_covariance(const AlignmentFigures& figures, const ClosureTestOptions& options) {
-  const auto solver = scaled_information(figures, options);
+  const auto solver = scaled_information(figures.hessian, figures, options);
   const Vector6d unit = units(options);
   const Vector6d variances = solver.eigenvalues().cwiseMax(1.0).cwiseInverse();
   const Matrix6d basis = unit.asDiagonal() * solver.eigenvectors();
@@ -111,6 +151,11 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
   if (!(figures.overlap >= options.min_overlap)) {
     return reject(RejectionReason::kLowOverlap,
                   beyond("overlap", figures.overlap, ">=", options.min_overlap, ""));
+  }
+  if (!(figures.balanced_overlap >= options.min_balanced_overlap)) {
+    return reject(RejectionReason::kLowOverlap,
+                  beyond("overlap balanced over directions", figures.balanced_overlap,
+                         ">=", options.min_balanced_overlap, ""));
   }
   const int free = free_directions(figures, options);
   if (free > options.max_free_directions) {

@@ -15,6 +15,7 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include "normal_bins.hpp"
 #include "submap.hpp"
 
 namespace loopwise {
@@ -37,19 +38,29 @@ pcl::PointXYZ to_pcl(const Eigen::Vector3f& p) {
   return {p.x(), p.y(), p.z()};
 }
 
-/// Points with a normal: all of them, or `count` drawn evenly.
+/// Points with a normal: all of them, or `count` drawn in turn from the directions that surfaces have.
 std::vector<std::uint32_t> draw_key_points(const PointCloud& cloud, int count) {
-  std::vector<std::uint32_t> indices;
-  for (std::uint32_t i = 0; i < cloud.size(); ++i) {
-    if (!cloud.normals[i].isZero()) indices.push_back(i);
-  }
-  if (count > 0 && indices.size() > static_cast<std::size_t>(count)) {
-    Rng rng(indices.size());
+  std::array<std::vector<std::uint32_t>, kNormalBins> by_direction;
+  for (std::uint32_t i = 0; i < cloud.size(); ++i) by_direction[normal_bin(cloud.normals[i])].push_back(i);
+  by_direction[kUnknownNormal].clear();
+  Rng rng(cloud.size());
+  std::size_t available = 0;
+  for (auto& indices : by_direction) {
     rng.shuffle(indices);
-    indices.resize(static_cast<std::size_t>(count));
-    std::sort(indices.begin(), indices.end());
+    available += indices.size();
   }
-  return indices;
+  const std::size_t wanted = count > 0 ? std::min(available, static_cast<std::size_t>(count)) : available;
+  std::vector<std::uint32_t> drawn;
+  drawn.reserve(wanted);
+  while (drawn.size() < wanted) {
+    for (auto& indices : by_direction) {
+      if (indices.empty() || drawn.size() == wanted) continue;
+      drawn.push_back(indices.back());
+      indices.pop_back();
+    }
+  }
+  std::sort(drawn.begin(), drawn.end());
+  return drawn;
 }
 
 ScanDescriptors compute_descriptors(const PointCloud& cloud, const PclRegistrarOptions& options) {
@@ -313,8 +324,8 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
   const Refinement refined = refine(source->cloud(), target->cloud(), coarse, options);
   AlignmentFigures figures;
   if (refined.T_to_from.matrix().allFinite()) {
-    figures = measure_alignment(source->cloud().points, target->cloud(), target->tree(), refined.T_to_from,
-                                options.tests);
+    figures =
+        measure_alignment(source->cloud(), target->cloud(), target->tree(), refined.T_to_from, options.tests);
   }
   judge_alignment(result, refined.T_to_from.inverse(), figures, refined.converged, task.guess_from_to,
                   options.tests);

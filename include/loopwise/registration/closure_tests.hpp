@@ -23,10 +23,12 @@ struct ClosureTestOptions {
   double fitness_range_m = 1.5;
   double overlap_distance_m = 0.5;
   double min_overlap = 0.4;
+  double min_balanced_overlap = 0.3;
   int max_free_directions = 2;
   double max_translation_m = 20.0;
   double max_rotation_deg = 50.0;
   double point_sigma_m = 0.05;
+  double normal_sigma_rad = 0.05;
   double points_per_sample = 20.0;
   double min_sigma_m = 0.02;
   double min_sigma_rad = 0.002;
@@ -44,6 +46,9 @@ struct ClosureTestOptions {
           "A source point with a target point within this distance overlaps, m.");
     field("min_overlap", self.min_overlap, between(0.0, 1.0),
           "Share of overlapping source points that a closure needs.");
+    field(
+        "min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0),
+        "The same where every direction of surfaces counts alike: ground on ground alone is not one place.");
     field("max_free_directions", self.max_free_directions, between(0.0, 6.0),
           "Closures with more directions whose deviation reaches max_sigma are refused; a round tunnel has "
           "two.");
@@ -52,6 +57,9 @@ struct ClosureTestOptions {
     field("max_rotation_deg", self.max_rotation_deg, above(0.0), "The same for the rotation, degrees.");
     field("point_sigma_m", self.point_sigma_m, above(0.0),
           "Least standard deviation of a point's distance to the target's plane, m.");
+    field(
+        "normal_sigma_rad", self.normal_sigma_rad, between(0.0, 1.0),
+        "Standard deviation of a normal, rad: what its noise alone explains is not counted as information.");
     field("points_per_sample", self.points_per_sample, at_least(1.0),
           "Neighbouring points share their error: this many count as one independent measurement.");
     field("min_sigma_m", self.min_sigma_m, above(0.0),
@@ -65,19 +73,25 @@ struct ClosureTestOptions {
 
 /// Figures of an alignment.
 struct AlignmentFigures {
-  double fitness_m2 = 0.0;    ///< Mean squared distance to the target of all source points, see fitness_range_m.
-  double overlap = 0.0;       ///< Share of source points with a target point within overlap_distance_m.
-  double plane_rmse_m = 0.0;  ///< Over overlapping points, along the target's normals.
+  double fitness_m2 =
+      0.0;               ///< Mean squared distance to the target of all source points, see fitness_range_m.
+  double overlap = 0.0;  ///< Share of source points with a target point within overlap_distance_m.
+  /// The same with agreeing normals (within 45°), as a mean over directions of the source's surfaces;
+  /// directions with less than 5 % of the points count in proportion.
+  double balanced_overlap = 0.0;
+  double plane_rmse_m = 0.0;     ///< Over overlapping points whose normals agree, along the target's.
   std::size_t plane_points = 0;  ///< How many these are.
   /// Gauss-Newton Hessian of ½ Σ (point-to-plane distance)² over T_from_to's right perturbation
-  /// [translation, rotation]: with y = T_to_from·p and the target's normal n, J = −[nᵀ, (y × n)ᵀ].
+  /// [translation, rotation]: with y = T_to_from·p and the target's normal n, J = −nᵀG, G = [I, −[y]×].
   Matrix6d hessian = Matrix6d::Zero();
+  Matrix6d source_hessian = Matrix6d::Zero();  ///< The same with the source's normals where they are known.
+  Matrix6d normal_noise = Matrix6d::Zero();  ///< Σ GᵀG: what random normals of variance 1 add to the Hessian.
 };
 
 /// Measures source points against a target with normals under T_to_from (source to target). One
 /// nearest-neighbour search a point.
-[[nodiscard]] AlignmentFigures measure_alignment(const std::vector<Eigen::Vector3f>& source,
-                                                 const PointCloud& target, const KdTree& target_tree,
+[[nodiscard]] AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& target,
+                                                 const KdTree& target_tree,
                                                  const Eigen::Isometry3d& T_to_from,
                                                  const ClosureTestOptions& options);
 

@@ -30,7 +30,8 @@ struct PclRegistrarOptions {
   static void visit(Self& self, Visitor&& field) {
     field("fpfh_radius_m", self.fpfh_radius_m, above(0.0), "Radius of the FPFH descriptors, m.");
     field("key_points", self.key_points, at_least(0.0),
-          "Key points per scan, drawn evenly from the downsampled cloud; 0 takes all its points.");
+          "Key points per scan, drawn alike from all directions of surfaces; 0 takes all points with a "
+          "normal.");
     field("sac_hypotheses", self.sac_hypotheses, at_least(1.0), "Hypotheses of the feature-based stage.");
     field("sac_randomness", self.sac_randomness, at_least(1.0),
           "A match is drawn from this many nearest descriptors of the target.");

@@ -1,0 +1,29 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+
+#include <Eigen/Core>
+
+namespace loopwise {
+
+/// Surface directions fall into 13 bins (faces, edges and corners of a cube, opposite ones joined, for a
+/// surface may be seen from either side) and one for unknown normals. Scenes are mostly ground or mostly
+/// walls: what is drawn or counted by bin gives the few surfaces that fix the other directions their say.
+inline constexpr std::size_t kNormalBins = 14;
+inline constexpr std::size_t kUnknownNormal = 13;
+
+[[nodiscard]] inline std::size_t normal_bin(const Eigen::Vector3f& normal) {
+  if (normal.isZero(0.0F)) return kUnknownNormal;
+  // Ternary digits of the direction: 0.38 = sin 22.5 deg parts a face's bin from the edges' around it.
+  int code = 0;
+  for (Eigen::Index axis = 0; axis < 3; ++axis) {
+    const float c = normal[axis];
+    code = 3 * code + (c > 0.38F ? 2 : c < -0.38F ? 0 : 1);
+  }
+  // 13 is the code of no direction, which no unit vector has; opposite directions have codes c and 26 − c.
+  return static_cast<std::size_t>(code < 13 ? code : 26 - code);
+}
+
+}  // namespace loopwise

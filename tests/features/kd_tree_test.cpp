@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/features/kd_tree.hpp>
+
+#include <algorithm>
+
+#include <loopwise/core/random.hpp>
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+using Points = std::vector<Eigen::Vector3f>;
+
+/// Clouds that a tree may trip over: uniform, on a lattice (many equal distances), flat, on a line, in one
+/// point.
+Points cloud(int kind, std::size_t count, Rng& rng) {
+  Points points;
+  for (std::size_t i = 0; i < count; ++i) {
+    const auto u = [&] { return static_cast<float>(rng.uniform(-10.0, 10.0)); };
+    Eigen::Vector3f p(u(), u(), u());
+    if (kind == 1) p = p.array().round();
+    if (kind == 2) p.z() = 1.0F;
+    if (kind == 3) p = Eigen::Vector3f(p.x(), 2.0F * p.x(), 3.0F);
+    if (kind == 4) p = Eigen::Vector3f(1.0F, 2.0F, 3.0F);
+    if (kind == 5) p += Eigen::Vector3f(1e5F, -1e5F, 1e5F);
+    points.push_back(p);
+  }
+  return points;
+}
+
+std::vector<Neighbour> by_brute_force(const Points& points, const Eigen::Vector3f& query) {
+  std::vector<Neighbour> all;
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
+    const float dx = points[i].x() - query.x(), dy = points[i].y() - query.y(),
+                dz = points[i].z() - query.z();
+    all.push_back({i, dx * dx + dy * dy + dz * dz});
+  }
+  std::sort(all.begin(), all.end(), [](const Neighbour& a, const Neighbour& b) {
+    return a.sq_distance_m2 != b.sq_distance_m2 ? a.sq_distance_m2 < b.sq_distance_m2 : a.index < b.index;
+  });
+  return all;
+}
+
+void require_same(const std::vector<Neighbour>& found, const std::vector<Neighbour>& expected,
+                  std::size_t count) {
+  REQUIRE(found.size() == count);
+  for (std::size_t i = 0; i < count; ++i) {
+    REQUIRE(found[i].sq_distance_m2 == expected[i].sq_distance_m2);
+    REQUIRE(found[i].index == expected[i].index);
+  }
+}
+
+TEST_CASE("KdTree finds exactly what brute force finds, ties by index", "[kd_tree][differential]") {
+  const int kind = GENERATE(range(0, 6));
+  const std::size_t count = GENERATE(1u, 2u, 11u, 12u, 13u, 100u, 1500u);
+  CAPTURE(kind, count);
+  Rng rng(combine_seeds(static_cast<std::uint64_t>(kind), count));
+  const Points points = cloud(kind, count, rng);
+  const KdTree tree(points);
+  REQUIRE(tree.size() == count);
+  std::vector<Neighbour> found;
+  for (int q = 0; q < 30; ++q) {
+    const Eigen::Vector3f query = q % 2 == 0 ? points[rng.below(count)] : cloud(kind, 1, rng)[0];
+    const std::vector<Neighbour> expected = by_brute_force(points, query);
+
+    const auto nearest = tree.nearest(query);
+    REQUIRE(nearest.has_value());
+    REQUIRE(nearest->index == expected[0].index);
+    REQUIRE(nearest->sq_distance_m2 == expected[0].sq_distance_m2);
+
+    const std::size_t k = 1 + rng.below(20);
+    tree.nearest(query, k, found);
+    require_same(found, expected, std::min(k, count));
+
+    const float radius = static_cast<float>(rng.uniform(0.0, 5.0));
+    tree.within(query, radius, found);
+    const auto inside =
+        static_cast<std::size_t>(std::count_if(expected.begin(), expected.end(), [&](const Neighbour& n) {
+          return n.sq_distance_m2 <= radius * radius;
+        }));
+    require_same(found, expected, inside);
+
+    const auto limited = tree.nearest(query, radius);
+    REQUIRE(limited.has_value() == (expected[0].sq_distance_m2 < radius * radius));
+    if (limited) REQUIRE(limited->index == expected[0].index);
+  }
+}
+
+TEST_CASE("KdTree without points finds nothing", "[kd_tree]") {
+  for (const KdTree& tree : {KdTree(), KdTree(Points{})}) {
+    std::vector<Neighbour> found{{7, 1.0F}};
+    REQUIRE(tree.empty());
+    REQUIRE_FALSE(tree.nearest(Eigen::Vector3f::Zero()).has_value());
+    tree.nearest(Eigen::Vector3f::Zero(), 3, found);
+    REQUIRE(found.empty());
+    tree.within(Eigen::Vector3f::Zero(), 3.0F, found);
+    REQUIRE(found.empty());
+  }
+}
+
+}  // namespace
+}  // namespace loopwise

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/registration/batch.hpp>
+
+#include <atomic>
+
+#include <loopwise/core/error.hpp>
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+/// Accepts even `from`, rejects odd, throws for 7; may stop the batch at a number of calls.
+class FakeRegistrar final : public Registrar {
+ public:
+  explicit FakeRegistrar(StopSource* stop = nullptr, int stop_at = 0) : stop_(stop), stop_at_(stop_at) {}
+  [[nodiscard]] std::string_view name() const override { return "fake"; }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+    if (++calls_ == stop_at_) stop_->request_stop();
+    if (task.candidate.from == 7) throw InputError("seven");
+    RegistrationResult result;
+    result.candidate = task.candidate;
+    if (task.candidate.from % 2 == 0) {
+      result.closure.emplace();
+    } else {
+      result.reason = RejectionReason::kFewMatches;
+    }
+    return result;
+  }
+  [[nodiscard]] int calls() const { return calls_; }
+
+ private:
+  StopSource* stop_;
+  int stop_at_;
+  mutable std::atomic<int> calls_{0};
+};
+
+std::vector<RegistrationTask> tasks(Key count) {
+  std::vector<RegistrationTask> out;
+  for (Key i = 0; i < count; ++i) out.push_back(pair_task(i, 100, i));
+  return out;
+}
+
+TEST_CASE("compute_batch: results in the order of the tasks; what is thrown becomes a reason", "[batch]") {
+  const int threads = GENERATE(1, 2, 4);
+  ThreadPool pool(threads);
+  std::vector<std::size_t> done;
+  std::string last;
+  const auto results = compute_batch(FakeRegistrar(), tasks(20), pool, {}, [&](const Progress& progress) {
+    REQUIRE(progress.total == 20);
+    done.push_back(progress.done);
+    last = progress.detail;
+  });
+  REQUIRE(results.size() == 20);
+  for (Key i = 0; i < 20; ++i) {
+    REQUIRE(results[i].has_value());
+    REQUIRE(results[i]->candidate.from == i);
+    REQUIRE(results[i]->verified() == (i % 2 == 0));
+  }
+  REQUIRE(results[7]->reason == RejectionReason::kFailed);
+  REQUIRE(results[7]->message == "seven");
+  REQUIRE(done.size() == 20);
+  REQUIRE(std::is_sorted(done.begin(), done.end()));
+  REQUIRE(last == "10 accepted, 10 rejected");
+}
+
+TEST_CASE("compute_batch: after a stop no task is begun", "[batch]") {
+  StopSource stop;
+  const FakeRegistrar registrar(&stop, 5);
+  ThreadPool pool(1);
+  const auto results = compute_batch(registrar, tasks(20), pool, stop.token());
+  REQUIRE(registrar.calls() == 5);
+  for (std::size_t i = 0; i < 20; ++i) REQUIRE(results[i].has_value() == (i < 5));
+}
+
+TEST_CASE("compute_batch: nothing to do", "[batch]") {
+  ThreadPool pool(2);
+  REQUIRE(compute_batch(FakeRegistrar(), {}, pool).empty());
+}
+
+}  // namespace
+}  // namespace loopwise
