@@ -45,6 +45,7 @@ TEST_CASE("simulate: a function of options and seed, for any number of threads",
   for (const auto& [world, name] : enum_names(WorldKind{})) {
     CAPTURE(name);
     SimulationOptions options = small(world);
+    options.length_m = 60.0;
     options.threads = 1;
     const SimulatedMission one = simulate(options, 5);
     options.threads = 3;
@@ -59,16 +60,16 @@ TEST_CASE("simulate: a mission is whole and keeps its promises", "[simulation][p
   for (const auto& [world, name] : enum_names(WorldKind{})) {
     CAPTURE(name);
     SimulationOptions options = small(world);
-    options.length_m = 300.0;
+    options.length_m = 180.0;
     options.robots = 3;
     const SimulatedMission made = simulate(options, 11);
     const Mission& mission = made.mission;
     REQUIRE(mission.robots.size() == 3);
-    REQUIRE(mission.graph.nodes().size() == 3 * 51);
-    REQUIRE(mission.graph.edges().size() == 3 * 50);
+    REQUIRE(mission.graph.nodes().size() == 3 * 31);
+    REQUIRE(mission.graph.edges().size() == 3 * 30);
     REQUIRE(mission.graph.priors().size() == 3);
-    REQUIRE(made.observability.size() == 153);
-    REQUIRE(made.in_corridor.size() == 153);
+    REQUIRE(made.observability.size() == 93);
+    REQUIRE(made.in_corridor.size() == 93);
     REQUIRE(made.readings.size() == mission.radio.size());
     REQUIRE(made.beacons.size() == mission.beacons.size());
 
