@@ -190,6 +190,7 @@ int run(const Options& options) {
   PoseGraph& graph = file.graph;
   console.warn(file.problems);
   mark_odometry(graph, options);
+  PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
   add_priors(graph, options, console);
   const double reading_s = watch.seconds();
 
@@ -225,7 +226,10 @@ int run(const Options& options) {
     text += line;
   }
   const double marginals_s = watch.seconds();
-  if (!options.output.empty()) write_g2o(options.output, graph);
+  if (!options.output.empty()) {
+    written.set_poses(result.poses);
+    write_g2o(options.output, written);
+  }
   if (!options.weights.empty()) write_weights(options.weights, graph, weights);
 
   Json head = {{"poses", graph.nodes().size()},

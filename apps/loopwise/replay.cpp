@@ -144,7 +144,7 @@ int run(const Options& options) {
   prepare_output_folder(folder, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
   std::error_code ignored;
-  for (const char* name : {"summary.json", "map.pcd"}) fs::remove(folder / name, ignored);
+  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) fs::remove(folder / name, ignored);
   OutcomeFile outcomes(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
   if (!outcomes.known().empty()) {
@@ -193,7 +193,7 @@ void add_replay(CLI::App& app, Action& chosen) {
       "  loopwise replay my_mission -o out --method obs\n"
       "  loopwise replay my_session -o out --set generation.skip_recent=2 --odometry-noise 0.05 0.01 --seed "
       "3\n"
-      "OUT gets summary.json, closures.csv, graph.g2o, trajectories/, map.pcd and journal.jsonl.");
+      "DIR gets summary.json, closures.csv, graph.g2o, trajectories/, map.pcd, picture.svg and journal.jsonl.");
   command->add_option("mission", options->mission, "Mission folder, session folder or g2o file")
       ->required()
       ->type_name("MISSION");

@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/run_picture.hpp>
 #include <loopwise/features/voxel_grid.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
@@ -227,7 +228,10 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
     write_tum(folder / "trajectories" / (name + "_odometry.tum"), odometry);
   }
   write_file(folder / "closures.csv", closures_csv(result));
-  if (!map.empty()) write_pcd(folder / "map.pcd", map);
+  if (!map.empty()) {
+    write_pcd(folder / "map.pcd", map);
+    write_file(folder / "picture.svg", run_picture_svg(mission, result, map));
+  }
   write_file(folder / "summary.json", run_summary_json(mission, config, result, evaluation));
 }
 

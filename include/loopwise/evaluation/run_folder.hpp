@@ -38,8 +38,8 @@ struct RunEvaluation {
                                     const StopToken& stop = {}, const ProgressCallback& progress = {});
 
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
-/// trajectories/ROBOT_odometry.tum, closures.csv, map.pcd (if `map` is not empty) and, last, summary.json:
-/// where that is missing the folder is not whole. \throws IoError
+/// trajectories/ROBOT_odometry.tum, closures.csv, map.pcd (if `map` is not empty), picture.svg and, last,
+/// summary.json: where that is missing the folder is not whole. \throws IoError
 void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
                       const ReplayResult& result, const RunEvaluation& evaluation, const PointCloud& map);
 

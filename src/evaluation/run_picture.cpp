@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/evaluation/run_picture.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdio>
+#include <map>
+#include <set>
+
+namespace loopwise {
+namespace {
+
+constexpr double kWidth = 1000.0;  // of the drawing, pixels
+constexpr double kMargin = 40.0;
+constexpr double kLegend = 90.0;
+constexpr std::array<const char*, 6> kRobotColours{"#1f5fa8", "#c2571a", "#2d8a4e",
+                                                   "#7b4fa3", "#a8862a", "#3c8f96"};
+
+/// Where the world's x and y lie on the page.
+class Page {
+ public:
+  explicit Page(const std::vector<Eigen::Vector2d>& points) {
+    Eigen::AlignedBox2d box;
+    for (const Eigen::Vector2d& p : points) box.extend(p);
+    if (box.isEmpty()) box.extend(Eigen::Vector2d::Zero());
+    low_ = box.min();
+    const Eigen::Vector2d size = box.sizes().cwiseMax(1.0);
+    scale_ = (kWidth - 2.0 * kMargin) / std::max(size.x(), size.y());
+    height_ = size.y() * scale_ + 2.0 * kMargin;
+    top_ = low_.y() + size.y();
+  }
+  [[nodiscard]] double x(double world) const { return kMargin + (world - low_.x()) * scale_; }
+  [[nodiscard]] double y(double world) const { return kMargin + (top_ - world) * scale_; }
+  [[nodiscard]] double height() const { return height_; }
+  [[nodiscard]] double scale() const { return scale_; }
+
+ private:
+  Eigen::Vector2d low_;
+  double top_ = 0.0, scale_ = 1.0, height_ = 0.0;
+};
+
+template <class... Values>
+void put(std::string& out, const char* format, Values... values) {
+  std::array<char, 512> text{};
+  std::snprintf(text.data(), text.size(), format, values...);
+  out += text.data();
+}
+
+void put_path(std::string& out, const Page& page, const std::map<Key, Eigen::Vector2d>& path,
+              const char* style) {
+  if (path.empty()) return;
+  out += "<polyline fill=\"none\" ";
+  out += style;
+  out += " points=\"";
+  for (const auto& [key, p] : path) put(out, "%.1f,%.1f ", page.x(p.x()), page.y(p.y()));
+  out += "\"/>\n";
+}
+
+/// One point per cell of a few pixels, lowest index first.
+std::vector<Eigen::Vector2d> thinned(const PointCloud& map, const Page& page) {
+  constexpr double kCell = 2.0;
+  std::set<std::pair<int, int>> seen;
+  std::vector<Eigen::Vector2d> points;
+  for (const Eigen::Vector3f& p : map.points) {
+    const Eigen::Vector2d at = p.head<2>().cast<double>();
+    const std::pair<int, int> cell{static_cast<int>(page.x(at.x()) / kCell),
+                                   static_cast<int>(page.y(at.y()) / kCell)};
+    if (seen.insert(cell).second) points.push_back(at);
+  }
+  constexpr std::size_t kMost = 12000;
+  if (points.size() <= kMost) return points;
+  std::vector<Eigen::Vector2d> some;
+  for (std::size_t i = 0; i < kMost; ++i) some.push_back(points[i * points.size() / kMost]);
+  return some;
+}
+
+/// A round length of about a fifth of the width.
+double bar_length(double scale) {
+  const double wanted = kWidth / 5.0 / scale;
+  const double power = std::pow(10.0, std::floor(std::log10(wanted)));
+  for (const double factor : {5.0, 2.0}) {
+    if (factor * power <= wanted) return factor * power;
+  }
+  return power;
+}
+
+std::string escaped(const std::string& text) {
+  std::string out;
+  for (const char c : text) {
+    if (c == '<') {
+      out += "&lt;";
+    } else if (c == '&') {
+      out += "&amp;";
+    } else {
+      out += c;
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+std::string run_picture_svg(const Mission& mission, const ReplayResult& result, const PointCloud& map) {
+  const std::vector<Node>& nodes = result.graph.nodes();
+  std::vector<std::map<Key, Eigen::Vector2d>> optimized(mission.robots.size()),
+      odometry(mission.robots.size()), truth(mission.robots.size());
+  std::vector<Eigen::Vector2d> extent;
+  for (std::size_t i = 0; i < nodes.size(); ++i) {
+    const std::size_t robot = mission.robots.of(nodes[i].key);
+    optimized[robot][nodes[i].key] = nodes[i].pose.translation().head<2>();
+    odometry[robot][nodes[i].key] = result.odometry[i].translation().head<2>();
+    extent.push_back(optimized[robot][nodes[i].key]);
+    extent.push_back(odometry[robot][nodes[i].key]);
+    if (const auto known = mission.ground_truth.find(nodes[i].key); known != mission.ground_truth.end()) {
+      truth[robot][nodes[i].key] = known->second.translation().head<2>();
+    }
+  }
+  // The map's middle 99 %: a few far points must not shrink all else.
+  for (const int axis : {0, 1}) {
+    std::vector<float> values;
+    for (const Eigen::Vector3f& p : map.points) values.push_back(p[axis]);
+    if (values.empty()) break;
+    std::sort(values.begin(), values.end());
+    for (const double share : {0.005, 0.995}) {
+      const auto place = static_cast<std::size_t>(share * static_cast<double>(values.size() - 1));
+      Eigen::Vector2d corner = extent.empty() ? Eigen::Vector2d::Zero() : extent.front();
+      corner[axis] = static_cast<double>(values[place]);
+      extent.push_back(corner);
+    }
+  }
+  const Page page(extent);
+
+  std::string out;
+  put(out,
+      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %.0f %.0f\" font-family=\"sans-serif\" "
+      "font-size=\"16\">\n",
+      kWidth, page.height() + kLegend);
+  out +=
+      "<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n<path stroke=\"#9aa3ab\" stroke-width=\"1.6\" "
+      "stroke-linecap=\"round\" d=\"";
+  for (const Eigen::Vector2d& p : thinned(map, page)) {
+    const double x = page.x(p.x()), y = page.y(p.y());
+    if (x >= 0.0 && x <= kWidth && y >= 0.0 && y <= page.height()) put(out, "M%.1f %.1fh0", x, y);
+  }
+  out += "\"/>\n";
+  for (const ComputedCandidate& computed : result.computed) {
+    if (!computed.result.verified()) continue;
+    const Eigen::Vector3d a = result.graph.node(computed.result.candidate.from).pose.translation();
+    const Eigen::Vector3d b = result.graph.node(computed.result.candidate.to).pose.translation();
+    put(out,
+        "<line x1=\"%.1f\" y1=\"%.1f\" x2=\"%.1f\" y2=\"%.1f\" stroke=\"%s\" stroke-width=\"1\" "
+        "opacity=\"0.5\"/>\n",
+        page.x(a.x()), page.y(a.y()), page.x(b.x()), page.y(b.y()),
+        computed.weight > 0.5 ? "#35a35f" : "#d1342f");
+  }
+  for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    const char* colour = kRobotColours[robot % kRobotColours.size()];
+    std::string style;
+    put(style, "stroke=\"%s\" stroke-width=\"1.2\" stroke-dasharray=\"5 4\" opacity=\"0.8\"", colour);
+    put_path(out, page, odometry[robot], style.c_str());
+    put_path(out, page, truth[robot], "stroke=\"black\" stroke-width=\"4\" opacity=\"0.25\"");
+    style.clear();
+    put(style, "stroke=\"%s\" stroke-width=\"2\"", colour);
+    put_path(out, page, optimized[robot], style.c_str());
+  }
+
+  const double y = page.height() + 10.0;
+  double x = kMargin;
+  const auto entry = [&](const char* line_style, const std::string& label) {
+    put(out, "<line x1=\"%.0f\" y1=\"%.0f\" x2=\"%.0f\" y2=\"%.0f\" ", x, y, x + 36.0, y);
+    out += line_style;
+    put(out, "/>\n<text x=\"%.0f\" y=\"%.0f\">", x + 44.0, y + 5.0);
+    out += escaped(label) + "</text>\n";
+    x += 64.0 + 9.0 * static_cast<double>(label.size());
+  };
+  for (std::size_t robot = 0; robot < std::min<std::size_t>(mission.robots.size(), kRobotColours.size());
+       ++robot) {
+    std::string style;
+    put(style, "stroke=\"%s\" stroke-width=\"3\"", kRobotColours[robot]);
+    entry(style.c_str(), mission.robots[robot].name);
+  }
+  entry("stroke=\"#555\" stroke-width=\"1.5\" stroke-dasharray=\"5 4\"", "odometry");
+  if (!mission.ground_truth.empty()) entry("stroke=\"black\" stroke-width=\"5\" opacity=\"0.25\"", "truth");
+  entry("stroke=\"#35a35f\" stroke-width=\"2\"", "closure");
+  entry("stroke=\"#d1342f\" stroke-width=\"2\"", "left out");
+  const double bar = bar_length(page.scale());
+  put(out,
+      "<path d=\"M%.1f %.1fh%.1f\" stroke=\"black\" stroke-width=\"3\"/><text x=\"%.1f\" y=\"%.1f\">%g "
+      "m</text>\n",
+      kMargin, y + 40.0, bar * page.scale(), kMargin + bar * page.scale() + 10.0, y + 45.0, bar);
+  out += "</svg>\n";
+  return out;
+}
+
+}  // namespace loopwise
