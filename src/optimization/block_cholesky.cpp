@@ -241,14 +241,51 @@ void BlockCholesky::analyze(std::size_t variables, const std::vector<Pair>& pair
       (choice_ == Factorization::kAutomatic && factor_flops_ > kSupernodalFlopsPerNonzero * factor_nonzeros_);
 #endif
   lay_out(upper);
-  c.common.nmethods = 1;
-  c.common.method[0].ordering = CHOLMOD_NATURAL;
-  c.common.postorder = 0;
-  c.common.supernodal = supernodal_ ? CHOLMOD_SUPERNODAL : CHOLMOD_SIMPLICIAL;
-  cholmod_sparse a = view(variables * static_cast<std::size_t>(block_), column_start_, row_index_,
-                          values_.data(), supernodal_ ? -1 : 1);
-  c.factor = cholmod_analyze(&a, &c.common);
+  make_symbolic_factor();
+}
+
+void BlockCholesky::make_symbolic_factor() {
+  // What cholmod_analyze would find out for the scalar matrix follows from the graph of blocks, six times
+  // smaller.
+  Cholmod& c = *cholmod_;
+  const std::size_t n = variables_ * static_cast<std::size_t>(block_);
+  c.factor = cholmod_allocate_factor(n, &c.common);
   c.check("symbolic analysis");
+  c.factor->ordering = CHOLMOD_NATURAL;
+  auto* counts = static_cast<int*>(c.factor->ColCount);
+  for (std::size_t v = 0; v < variables_; ++v) {
+    for (int k = 0; k < block_; ++k) *counts++ = block_ * block_count_[v] - k;
+  }
+#ifdef LOOPWISE_WITH_GPL
+  if (!supernodal_) return;
+  std::vector<int> parent(n);
+  for (std::size_t i = 0; i < n; ++i) {
+    const std::size_t v = i / static_cast<std::size_t>(block_);
+    const bool last = (i + 1) % static_cast<std::size_t>(block_) == 0;
+    parent[i] = !last ? static_cast<int>(i + 1) : block_parent_[v] < 0 ? -1 : block_ * block_parent_[v];
+  }
+  // The supernodal analysis wants the pattern's upper triangle; of a block it needs no more than one column's
+  // rows to know them all, but it asks for every column.
+  std::vector<int> start(n + 1, 0), rows(row_index_.size());
+  const std::size_t block = static_cast<std::size_t>(block_);
+  for (std::size_t v = 0; v < variables_; ++v) {
+    for (int p = column_start_[v * block]; p < column_start_[v * block + 1]; ++p) {
+      start[static_cast<std::size_t>(row_index_[static_cast<std::size_t>(p)]) + 1] += block_;
+    }
+  }
+  std::partial_sum(start.begin(), start.end(), start.begin());
+  std::vector<int> next(start.begin(), start.end() - 1);
+  for (std::size_t v = 0; v < variables_; ++v) {
+    for (int p = column_start_[v * block]; p < column_start_[v * block + 1]; ++p) {
+      int& at = next[static_cast<std::size_t>(row_index_[static_cast<std::size_t>(p)])];
+      for (std::size_t k = 0; k < block; ++k)
+        rows[static_cast<std::size_t>(at++)] = static_cast<int>(v * block + k);
+    }
+  }
+  cholmod_sparse upper = view(n, start, rows, nullptr, 1);
+  cholmod_super_symbolic(&upper, nullptr, parent.data(), c.factor, &c.common);
+  c.check("symbolic analysis");
+#endif
 }
 
 void BlockCholesky::set_zero() {
@@ -286,7 +323,7 @@ bool BlockCholesky::factorize() {
   cholmod_factorize(&a, c.factor, &c.common);
   c.check("factorisation");
   if (c.common.status == CHOLMOD_NOT_POSDEF || c.factor->minor < n) return false;
-  return smallest_pivot().first > 0.0;
+  return true;
 }
 
 std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
@@ -330,9 +367,50 @@ std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
 }
 
 void BlockCholesky::solve(Eigen::VectorXd& x) const {
-  Eigen::MatrixXd m = x;
-  solve(m);
-  x = m;
+  if (variables_ == 0) return;
+  if (!supernodal_) {
+    Eigen::MatrixXd m = x;
+    solve(m);
+    x = m;
+    return;
+  }
+  // One right-hand side is a handful of operations a panel, less than a call of BLAS costs.
+  Eigen::VectorXd y(x.size());
+  for (std::size_t v = 0; v < variables_; ++v) {
+    y.segment(static_cast<Eigen::Index>(position_[v]) * block_, block_) =
+        x.segment(static_cast<Eigen::Index>(v) * block_, block_);
+  }
+  const cholmod_factor& f = *cholmod_->factor;
+  const auto* super = static_cast<const int*>(f.super);
+  const auto* pi = static_cast<const int*>(f.pi);
+  const auto* px = static_cast<const int*>(f.px);
+  const auto* rows = static_cast<const int*>(f.s);
+  const auto* values = static_cast<const double*>(f.x);
+  using Panel = Eigen::Map<const Eigen::MatrixXd>;
+  Eigen::VectorXd below;
+  for (std::size_t s = 0; s < f.nsuper; ++s) {
+    const int width = super[s + 1] - super[s], height = pi[s + 1] - pi[s];
+    const Panel l(values + px[s], height, width);
+    auto top = y.segment(super[s], width);
+    l.topRows(width).triangularView<Eigen::Lower>().solveInPlace(top);
+    below.noalias() = l.bottomRows(height - width) * top;
+    const int* row = rows + pi[s] + width;
+    for (int i = 0; i < height - width; ++i) y[row[i]] -= below[i];
+  }
+  for (std::size_t s = f.nsuper; s-- > 0;) {
+    const int width = super[s + 1] - super[s], height = pi[s + 1] - pi[s];
+    const Panel l(values + px[s], height, width);
+    auto top = y.segment(super[s], width);
+    const int* row = rows + pi[s] + width;
+    below.resize(height - width);
+    for (int i = 0; i < height - width; ++i) below[i] = y[row[i]];
+    top.noalias() -= l.bottomRows(height - width).transpose() * below;
+    l.topRows(width).transpose().triangularView<Eigen::Upper>().solveInPlace(top);
+  }
+  for (std::size_t v = 0; v < variables_; ++v) {
+    x.segment(static_cast<Eigen::Index>(v) * block_, block_) =
+        y.segment(static_cast<Eigen::Index>(position_[v]) * block_, block_);
+  }
 }
 
 void BlockCholesky::solve(Eigen::MatrixXd& x) const {

@@ -65,7 +65,8 @@ class BlockCholesky {
   [[nodiscard]] Eigen::VectorXd diagonal() const;
   void set_diagonal(const Eigen::VectorXd& diagonal);
 
-  /// False if the matrix is not (numerically) positive definite; the factor cannot be used then.
+  /// False if the matrix turned out not to be positive definite. A simplicial factor of an indefinite one may
+  /// exist: ask for the smallest pivot before trusting it.
   [[nodiscard]] bool factorize();
   /// After factorize(): smallest pivot in relation to the matrix's diagonal, in (0, 1], and its variable. 0
   /// if it failed.
@@ -85,6 +86,7 @@ class BlockCholesky {
   struct Cholmod;
   void order(const std::vector<Pair>& upper);
   void lay_out(const std::vector<Pair>& upper);
+  void make_symbolic_factor();
 
   int block_;
   Factorization choice_;

@@ -119,7 +119,8 @@ class RobustSolver {
     }
     r2_.resize(closures_.size());
     gross_ = find_gross(graph);
-    total_.cost_initial = problem.cost(poses, pool);
+    std::vector<Vector6d> residuals;
+    total_.cost_initial = problem.cost(poses, pool, residuals);
     if (!std::isfinite(total_.cost_initial)) throw InputError("the cost of the first estimate is not finite");
     evaluate();
   }

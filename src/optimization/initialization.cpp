@@ -5,6 +5,8 @@
 
 #include <Eigen/SVD>
 
+#include "minimize.hpp"
+
 namespace loopwise {
 namespace detail {
 namespace {
@@ -134,7 +136,7 @@ class Chordal {
       }
     });
     ++factorizations;
-    if (!cholesky_.factorize()) return false;
+    if (!cholesky_.factorize() || cholesky_.smallest_pivot().first < kSingularPivot) return false;
     cholesky_.solve(rhs);
     for (Eigen::Index v = 0; v < n; ++v) {
       const Eigen::Matrix3d m = rhs.middleRows<3>(3 * v).transpose();
@@ -168,7 +170,7 @@ class Chordal {
       if (slot != nullptr) add(*slot, -w);
     });
     ++factorizations;
-    if (!cholesky_.factorize()) return false;
+    if (!cholesky_.factorize() || cholesky_.smallest_pivot().first < kSingularPivot) return false;
     cholesky_.solve(rhs);
     if (!rhs.allFinite()) return false;
     for (Eigen::Index v = 0; v < n; ++v) {

@@ -9,6 +9,7 @@
 
 #include <loopwise/core/error.hpp>
 
+#include "blas_threads.hpp"
 #include "minimize.hpp"
 #include "pose_problem.hpp"
 #include "selected_inverse.hpp"
@@ -90,11 +91,16 @@ struct HessianFactor::Impl {
 HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& options)
     : impl_(std::make_unique<Impl>()) {
   validate(options);
+  const detail::SingleThreadedBlas guard;
   const detail::PoseProblem problem(graph);
   ThreadPool pool(options.num_threads);
   detail::NormalEquations equations(options.factorization);
   equations.set_structure(problem);
-  equations.linearize(problem, problem.poses_of(graph.poses()), pool);
+  const auto poses = problem.poses_of(graph.poses());
+  std::vector<Vector6d> residuals;
+  if (!std::isfinite(problem.cost(poses, pool, residuals)))
+    throw InputError("the cost at the poses is not finite");
+  equations.linearize(problem, poses, residuals, pool);
   detail::BlockCholesky& cholesky = equations.hessian();
   const bool definite = cholesky.factorize();
   const auto [pivot, variable] =
@@ -272,6 +278,7 @@ Marginals HessianFactor::marginals_with(const std::vector<Edge>& edges, const Ma
 }
 
 Marginals marginals(const PoseGraph& graph, const OptimizerOptions& options) {
+  const detail::SingleThreadedBlas guard;
   return HessianFactor(graph, options).marginals();
 }
 

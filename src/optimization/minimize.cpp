@@ -16,6 +16,16 @@ constexpr double kLargestDamping = 1e12;
 /// Damping this small leaves the step a Gauss-Newton one.
 constexpr double kSmallestDamping = 1e-9;
 
+/// Steps that promise less than this share of the cost may use the factor of the step before, as long as each
+/// promises less than this share of its predecessor.
+constexpr double kReuseBelow = 1e-2;
+constexpr double kReuseContraction = 0.25;
+
+/// A step that lowers the cost by less than this share of its promise is tried again, shorter; not below a
+/// fraction.
+constexpr double kPoorDecrease = 0.4;
+constexpr double kShortestFraction = 0.05;
+
 double largest(const Eigen::VectorXd& v) {
   return v.size() == 0 ? 0.0 : v.cwiseAbs().maxCoeff();
 }
@@ -44,102 +54,217 @@ std::string describe(Termination termination, const OptimizationResult& r) {
   return out.str();
 }
 
+class Minimizer {
+ public:
+  Minimizer(const PoseProblem& problem, NormalEquations& equations, std::vector<Pose>& poses,
+            const OptimizerOptions& options, StepControl& control, ThreadPool& pool, const StopToken& stop,
+            OptimizationResult& result)
+      : problem_(problem),
+        equations_(equations),
+        hessian_(equations.hessian()),
+        poses_(poses),
+        options_(options),
+        control_(control),
+        pool_(pool),
+        stop_(stop),
+        result_(result) {}
+
+  void run() {
+    cost_ = problem_.cost(poses_, pool_, residuals_);
+    if (!std::isfinite(cost_)) throw InputError("the cost of the first estimate is not finite");
+    result_.cost_initial = cost_;
+    equations_.set_structure(problem_);
+    finish(hessian_.variables() == 0 ? Termination::kNothingToDo : iterate());
+  }
+
+ private:
+  /// Whether a step that promises this much is one to end with.
+  [[nodiscard]] bool small(const IterationRecord& record) const {
+    if (record.damping == 0.0 && record.step <= options_.step_tolerance) return true;
+    return record.predicted <= options_.cost_tolerance * cost_ &&
+           (record.gradient <= options_.gradient_tolerance * result_.gradient_initial ||
+            record.predicted <= 1e-15 * cost_);
+  }
+
+  Termination iterate() {
+    bool linearized = false;
+    int accepted = 0;
+    for (int iteration = 0;; ++iteration) {
+      if (stop_.stop_requested()) return Termination::kStopped;
+      if (!linearized) {
+        equations_.linearize(problem_, poses_, residuals_, pool_);
+        diagonal_ = hessian_.diagonal();
+        linearized = true;
+        result_.gradient = largest(equations_.gradient());
+        if (iteration == 0) result_.gradient_initial = result_.gradient;
+        if (result_.gradient == 0.0) return Termination::kConverged;
+      }
+      if (iteration >= options_.max_iterations || accepted >= control_.max_accepted)
+        return Termination::kMaxIterations;
+      if (control_.damping > kLargestDamping) return Termination::kNoProgress;
+
+      IterationRecord record = begin_record();
+      if (!factorize()) {
+        refuse(record);
+        continue;
+      }
+      Eigen::VectorXd step = solve();
+      record.step = largest(step);
+      record.predicted = 0.5 * (step.dot(added_.cwiseProduct(step)) - equations_.gradient().dot(step));
+      const bool last = small(record);
+      try_step(step, record);
+      if (!last && record.decrease < kPoorDecrease * record.predicted) try_shorter(step, record);
+      if (record.accepted) {
+        linearized = false;
+        growth_ = 2.0;
+        ++accepted;
+        const double ratio = record.decrease / record.predicted;
+        control_.damping *= std::max(1.0 / 3.0, 1.0 - std::pow(2.0 * ratio - 1.0, 3));
+        if (control_.damping < kSmallestDamping) control_.damping = 0.0;
+        result_.trace.push_back(record);
+      }
+      if (last) {
+        if (!record.accepted) result_.trace.push_back(record);
+        return Termination::kConverged;
+      }
+      if (!record.accepted) {
+        refuse(record);
+      } else if (record.damping == 0.0 && accepted < control_.max_accepted &&
+                 record.predicted <= kReuseBelow * cost_ && reuse_factor(iteration)) {
+        return Termination::kConverged;
+      }
+    }
+  }
+
+  /// Near the minimum the last factor is as good as a new one and far cheaper: steps with it as long as each
+  /// is a fraction of the one before. \returns true if that led to convergence.
+  bool reuse_factor(int& iteration) {
+    double last_predicted = std::numeric_limits<double>::infinity();
+    while (iteration + 1 < options_.max_iterations && !stop_.stop_requested()) {
+      equations_.linearize_gradient(problem_, poses_, residuals_);
+      result_.gradient = largest(equations_.gradient());
+      Eigen::VectorXd step = solve();
+      IterationRecord record;
+      record.gradient = result_.gradient;
+      record.cost = cost_;
+      record.step = largest(step);
+      record.predicted = -0.5 * equations_.gradient().dot(step);
+      if (!(record.predicted <= kReuseBelow * cost_) || record.predicted > kReuseContraction * last_predicted)
+        return false;
+      const bool last = small(record);
+      record.iteration = ++result_.iterations;
+      ++iteration;
+      try_step(step, record);
+      result_.trace.push_back(record);
+      if (last) return true;
+      if (!record.accepted) return false;
+      last_predicted = record.predicted;
+    }
+    return false;
+  }
+
+  IterationRecord begin_record() {
+    IterationRecord record;
+    record.iteration = ++result_.iterations;
+    record.gradient = result_.gradient;
+    record.damping = control_.damping;
+    record.cost = cost_;
+    return record;
+  }
+
+  bool factorize() {
+    const double damping = control_.damping;
+    added_ = damping * diagonal_;
+    // A direction that no factor touches has a zero diagonal: any positive value holds it in place.
+    if (damping > 0.0) added_ = added_.cwiseMax(damping * std::max(1e-12 * diagonal_.maxCoeff(), 1e-300));
+    hessian_.set_diagonal(diagonal_ + added_);
+    ++result_.factorizations;
+    // A damped matrix may be as good as singular; an undamped one would give a step along an open direction.
+    const double least = damping > 0.0 ? std::numeric_limits<double>::min() : kSingularPivot;
+    const bool sound = hessian_.factorize() && hessian_.smallest_pivot().first >= least;
+    if (!sound && damping < kFirstDamping) result_.underdetermined = true;
+    return sound;
+  }
+
+  [[nodiscard]] Eigen::VectorXd solve() const {
+    Eigen::VectorXd step = -equations_.gradient();
+    hessian_.solve(step);
+    return step;
+  }
+
+  /// Moves there if that lowers the cost.
+  void try_step(const Eigen::VectorXd& step, IterationRecord& record) {
+    std::vector<Pose> trial = equations_.moved(poses_, step);
+    const double cost = problem_.cost(trial, pool_, trial_residuals_);
+    record.cost = cost;
+    record.decrease = cost_ - cost;
+    record.accepted = std::isfinite(cost) && cost < cost_;
+    if (!record.accepted) return;
+    start_.swap(poses_);
+    poses_.swap(trial);
+    residuals_.swap(trial_residuals_);
+    cost_ = cost;
+  }
+
+  /// The step went past the lowest point on its way: a parabola through the cost, its slope and the cost at
+  /// the step's end says where that is. One more evaluation instead of another factorisation.
+  void try_shorter(const Eigen::VectorXd& step, IterationRecord& record) {
+    if (!std::isfinite(record.cost)) return;
+    const double slope = equations_.gradient().dot(step);  // negative
+    const double before = record.accepted ? record.cost + record.decrease : cost_;
+    const double curvature = record.cost - before - slope;
+    const double fraction = -0.5 * slope / curvature;
+    if (!(curvature > 0.0) || fraction < kShortestFraction) return;
+    std::vector<Pose> trial = equations_.moved(record.accepted ? start_ : poses_, fraction * step);
+    const double cost = problem_.cost(trial, pool_, trial_residuals_);
+    if (!(std::isfinite(cost) && cost < cost_)) return;
+    record.cost = cost;
+    record.decrease = before - cost;
+    record.step *= fraction;
+    record.accepted = true;
+    poses_.swap(trial);
+    residuals_.swap(trial_residuals_);
+    cost_ = cost;
+  }
+
+  void refuse(const IterationRecord& record) {
+    control_.damping = std::max(kFirstDamping, control_.damping * growth_);
+    growth_ *= 2.0;
+    result_.trace.push_back(record);
+  }
+
+  void finish(Termination termination) {
+    equations_.linearize_gradient(problem_, poses_, residuals_);
+    result_.termination = termination;
+    result_.converged = termination == Termination::kConverged || termination == Termination::kNothingToDo;
+    result_.cost = cost_;
+    result_.gradient = largest(equations_.gradient());
+    result_.message = describe(termination, result_);
+  }
+
+  const PoseProblem& problem_;
+  NormalEquations& equations_;
+  BlockCholesky& hessian_;
+  std::vector<Pose>& poses_;
+  const OptimizerOptions& options_;
+  StepControl& control_;
+  ThreadPool& pool_;
+  const StopToken& stop_;
+  OptimizationResult& result_;
+
+  double cost_ = 0.0;
+  double growth_ = 2.0;
+  std::vector<Pose> start_;  // of the step accepted last
+  std::vector<Vector6d> residuals_, trial_residuals_;
+  Eigen::VectorXd diagonal_, added_;
+};
+
 }  // namespace
 
 void minimize(const PoseProblem& problem, NormalEquations& equations, std::vector<Pose>& poses,
               const OptimizerOptions& options, StepControl& control, ThreadPool& pool, const StopToken& stop,
               OptimizationResult& result) {
-  double cost = problem.cost(poses, pool);
-  if (!std::isfinite(cost)) throw InputError("the cost of the first estimate is not finite");
-  result.cost_initial = result.cost = cost;
-  equations.set_structure(problem);
-  BlockCholesky& hessian = equations.hessian();
-
-  const auto finish = [&](Termination termination) {
-    result.termination = termination;
-    result.converged = termination == Termination::kConverged || termination == Termination::kNothingToDo;
-    result.cost = cost;
-    equations.linearize_gradient(problem, poses);
-    result.gradient = largest(equations.gradient());
-    result.message = describe(termination, result);
-  };
-  if (hessian.variables() == 0) return finish(Termination::kNothingToDo);
-
-  double& damping = control.damping;
-  int accepted = 0;
-  double growth = 2.0;
-  bool linearized = false;
-  Eigen::VectorXd diagonal;
-  for (int iteration = 0;; ++iteration) {
-    if (stop.stop_requested()) return finish(Termination::kStopped);
-    if (!linearized) {
-      equations.linearize(problem, poses, pool);
-      diagonal = hessian.diagonal();
-      linearized = true;
-      result.gradient = largest(equations.gradient());
-      if (iteration == 0) result.gradient_initial = result.gradient;
-      if (result.gradient == 0.0) return finish(Termination::kConverged);
-    }
-    if (iteration >= options.max_iterations || accepted >= control.max_accepted)
-      return finish(Termination::kMaxIterations);
-    if (damping > kLargestDamping) return finish(Termination::kNoProgress);
-
-    IterationRecord record;
-    record.iteration = ++result.iterations;
-    record.gradient = result.gradient;
-    record.damping = damping;
-    record.cost = cost;
-    Eigen::VectorXd added = damping * diagonal;
-    if (damping > 0.0) {
-      // A direction that no factor touches has a zero diagonal: any positive value holds it in place.
-      const double floor = damping * std::max(1e-12 * diagonal.maxCoeff(), 1e-300);
-      added = added.cwiseMax(floor);
-    }
-    hessian.set_diagonal(diagonal + added);
-    const bool factorized = hessian.factorize();
-    ++result.factorizations;
-    const auto refuse = [&] {
-      damping = std::max(kFirstDamping, damping * growth);
-      growth *= 2.0;
-      result.trace.push_back(record);
-    };
-    if (!factorized || (damping == 0.0 && hessian.smallest_pivot().first < kSingularPivot)) {
-      if (damping < 1e-6) result.underdetermined = true;
-      refuse();
-      continue;
-    }
-    Eigen::VectorXd step = -equations.gradient();
-    hessian.solve(step);
-    record.step = largest(step);
-    const double slope = -equations.gradient().dot(step);
-    record.predicted = 0.5 * (slope + step.dot(added.cwiseProduct(step)));
-    std::vector<Pose> trial = equations.moved(poses, step);
-    const double trial_cost = problem.cost(trial, pool);
-    record.cost = trial_cost;
-    record.decrease = cost - trial_cost;
-
-    const bool small = record.predicted <= options.cost_tolerance * cost &&
-                       (result.gradient <= options.gradient_tolerance * result.gradient_initial ||
-                        record.step <= options.step_tolerance || record.predicted <= 1e-15 * cost);
-    record.accepted = std::isfinite(trial_cost) && trial_cost < cost;
-    if (record.accepted) {
-      const double ratio = record.decrease / record.predicted;
-      poses = std::move(trial);
-      cost = trial_cost;
-      result.cost = cost;
-      ++accepted;
-      linearized = false;
-      growth = 2.0;
-      damping *= std::max(1.0 / 3.0, 1.0 - std::pow(2.0 * ratio - 1.0, 3));
-      if (damping < kSmallestDamping) damping = 0.0;
-      result.trace.push_back(record);
-    }
-    if (small) {
-      if (!record.accepted) result.trace.push_back(record);
-      return finish(Termination::kConverged);
-    }
-    if (!record.accepted) refuse();
-  }
+  Minimizer(problem, equations, poses, options, control, pool, stop, result).run();
 }
 
 }  // namespace loopwise::detail

@@ -7,6 +7,7 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/optimization/gnc.hpp>
 
+#include "blas_threads.hpp"
 #include "gnc_solver.hpp"
 #include "initialization.hpp"
 #include "minimize.hpp"
@@ -67,6 +68,7 @@ void describe_graph(const PoseGraph& graph, const detail::Freedom& freedom, Opti
 
 OptimizationResult PoseGraphOptimizer::optimize(const PoseGraph& graph, const StopToken& stop) {
   const Stopwatch watch;
+  const detail::SingleThreadedBlas guard;
   OptimizationResult result;
   const detail::PoseProblem problem(graph);
   auto poses =
@@ -84,6 +86,7 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
                                            const StopToken& stop) {
   validate(options);
   const Stopwatch watch;
+  const detail::SingleThreadedBlas guard;
   GncResult result;
   detail::PoseProblem problem(graph);
   auto poses = problem.poses_of(
@@ -108,7 +111,8 @@ GncResult optimize_gnc(const PoseGraph& graph, const OptimizerOptions& options, 
 double graph_cost(const PoseGraph& graph) {
   const detail::PoseProblem problem(graph);
   ThreadPool pool(1);
-  return problem.cost(problem.poses_of(graph.poses()), pool);
+  std::vector<Vector6d> residuals;
+  return problem.cost(problem.poses_of(graph.poses()), pool, residuals);
 }
 
 Vector6d edge_residual(const Edge& edge, const Eigen::Isometry3d& T_w_from, const Eigen::Isometry3d& T_w_to) {

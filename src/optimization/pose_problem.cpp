@@ -25,13 +25,6 @@ Pose inverse(const Eigen::Isometry3d& T) {
   return out;
 }
 
-Pose inverse(const Pose& T) {
-  Pose out;
-  out.R = T.R.transpose();
-  out.t = -(out.R * T.t);
-  return out;
-}
-
 /// T_a⁻¹ T_b
 Pose between(const Pose& a, const Pose& b) {
   Pose out;
@@ -58,14 +51,67 @@ struct Contribution {
   Vector6d g_to, g_from;
 };
 
+/// J_r⁻¹(r) = [a b; 0 a].
+struct InverseJacobian {
+  Matrix3d a, b;
+};
+
+/// Coefficients of Q(ρ, φ) (se3::detail::jacobian_coupling) as functions of θ².
+struct CouplingCoefficients {
+  double c1, c2, c3;
+};
+
+CouplingCoefficients coupling_coefficients(double t2) {
+  if (t2 < 1.0) {
+    // Σ (−θ²)ᵏ/(2k+3)!, Σ (−θ²)ᵏ/(2k+4)!, Σ (k+1)(−θ²)ᵏ/(2k+5)!: the first left out is below 1e-17.
+    static constexpr double k1[] = {
+        1.0 / 6,        1.0 / 120,        1.0 / 5040,          1.0 / 362880,
+        1.0 / 39916800, 1.0 / 6227020800, 1.0 / 1307674368000, 1.0 / 355687428096000};
+    static constexpr double k2[] = {
+        1.0 / 24,        1.0 / 720,         1.0 / 40320,          1.0 / 3628800,
+        1.0 / 479001600, 1.0 / 87178291200, 1.0 / 20922789888000, 1.0 / 6402373705728000};
+    static constexpr double k3[] = {
+        1.0 / 120,        2.0 / 5040,          3.0 / 362880,          4.0 / 39916800,
+        5.0 / 6227020800, 6.0 / 1307674368000, 7.0 / 355687428096000, 8.0 / 121645100408832000.0};
+    CouplingCoefficients c{k1[7], k2[7], k3[7]};
+    for (int k = 6; k >= 0; --k) {
+      c.c1 = k1[k] - t2 * c.c1;
+      c.c2 = k2[k] - t2 * c.c2;
+      c.c3 = k3[k] - t2 * c.c3;
+    }
+    return c;
+  }
+  const double t = std::sqrt(t2), sine = std::sin(t), cosine = std::cos(t);
+  return {(t - sine) / (t2 * t), (0.5 * t2 + cosine - 1.0) / (t2 * t2),
+          (2.0 * t + t * cosine - 3.0 * sine) / (2.0 * t2 * t2 * t)};
+}
+
+/// se3::right_jacobian_inverse without its matrix products: with d = φ·ρ, [φ][ρ][φ] = −d[φ] and
+/// [φ]²[ρ] + [ρ][φ]² = −θ²[ρ] − d[φ], so Q is a skew matrix plus outer products.
+InverseJacobian inverse_right_jacobian(const Vector3d& rho, const Vector3d& phi) {
+  const double t2 = phi.squaredNorm(), d = phi.dot(rho);
+  const Matrix3d outer = phi * phi.transpose();
+  const Matrix3d square = outer - t2 * Matrix3d::Identity();  // [φ]²
+  InverseJacobian j;
+  j.a = Matrix3d::Identity() + 0.5 * se3::skew(phi) + se3::detail::inverse_jacobian_coefficient(t2) * square;
+  const CouplingCoefficients c = coupling_coefficients(t2);
+  const Matrix3d mixed = rho * phi.transpose();
+  // Q(−ρ, −φ): the skew part changes its sign, d and the outer products do not.
+  Matrix3d Q = c.c1 * (mixed + mixed.transpose()) - 2.0 * c.c3 * d * square;
+  Q.diagonal().array() -= 2.0 * c.c1 * d;
+  Q -= se3::skew((0.5 - c.c2 * t2) * rho + (2.0 * c.c2 - c.c1) * d * phi);
+  j.b = -(j.a * Q * j.a);
+  return j;
+}
+
 /// With J_to = J_r⁻¹(r) =: [a b; 0 a] and J_from = −J_to Ad(E), E = T_to⁻¹ T_from, all blocks follow from
 /// A = J_toᵀ wΩ J_to and B = A Ad(E), taken apart into 3×3 products because half of every factor is zero or
 /// repeated.
 void linearize_factor(const Vector6d& r, const Pose& e, const Matrix6d& information, double weight, bool both,
                       Contribution& out) {
   const Vector3d rho = r.head<3>(), phi = r.tail<3>();
-  const Matrix3d a = se3::so3_left_jacobian_inverse(-phi);
-  const Matrix3d b = -(a * se3::detail::jacobian_coupling(-rho, -phi) * a);
+  const InverseJacobian j = inverse_right_jacobian(rho, phi);
+  const Matrix3d &a = j.a, &b = j.b;
   const Matrix3d o11 = weight * information.topLeftCorner<3, 3>();
   const Matrix3d o12 = weight * information.topRightCorner<3, 3>();
   const Matrix3d o22 = weight * information.bottomRightCorner<3, 3>();
@@ -175,14 +221,18 @@ double PoseProblem::squared_residual(std::size_t k, const std::vector<Pose>& pos
   return r.dot(information_[k] * r);
 }
 
-double PoseProblem::cost(const std::vector<Pose>& poses, ThreadPool& pool) const {
+double PoseProblem::cost(const std::vector<Pose>& poses, ThreadPool& pool,
+                         std::vector<Vector6d>& residuals) const {
+  residuals.resize(factors());
   const std::size_t tasks = (factors() + kFactorsPerTask - 1) / kFactorsPerTask;
   std::vector<double> sums(tasks, 0.0);
   pool.for_each(tasks, [&](std::size_t task) {
     const std::size_t end = std::min(factors(), (task + 1) * kFactorsPerTask);
     double sum = 0.0;
     for (std::size_t k = task * kFactorsPerTask; k < end; ++k) {
-      if (weight[k] > 0.0) sum += weight[k] * squared_residual(k, poses);
+      if (weight[k] <= 0.0) continue;
+      residuals[k] = residual(k, poses);
+      sum += weight[k] * residuals[k].dot(information_[k] * residuals[k]);
     }
     sums[task] = sum;
   });
@@ -252,7 +302,7 @@ void NormalEquations::set_structure(const PoseProblem& problem) {
 }
 
 void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
-                                ThreadPool& pool) {
+                                const std::vector<Vector6d>& residuals, ThreadPool& pool) {
   cholesky_.set_zero();
   gradient_.setZero();
   double* values = cholesky_.values().data();
@@ -269,9 +319,8 @@ void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Po
       const std::size_t stop = std::min(end, begin + (task + 1) * kFactorsPerTask);
       for (std::size_t i = begin + task * kFactorsPerTask; i < stop; ++i) {
         const std::size_t k = active_[i];
-        const Pose e = between(poses[problem.from(k)], poses[problem.to(k)]);
-        linearize_factor(log_of_product(problem.inverse_measurement(k), e), inverse(e),
-                         problem.information(k), problem.weight[k],
+        const Pose e = between(poses[problem.to(k)], poses[problem.from(k)]);
+        linearize_factor(residuals[k], e, problem.information(k), problem.weight[k],
                          variable[problem.from(k)] != Freedom::kFixed, buffer[i - begin]);
       }
     });
@@ -300,20 +349,24 @@ void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Po
   }
 }
 
-void NormalEquations::linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses) {
+void NormalEquations::linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses,
+                                         const std::vector<Vector6d>& residuals) {
   gradient_.setZero();
   for (const std::size_t k : active_) {
     const std::uint32_t from = freedom_.variable[problem.from(k)], to = freedom_.variable[problem.to(k)];
-    const Pose e = between(poses[problem.from(k)], poses[problem.to(k)]);
-    const Vector6d r = log_of_product(problem.inverse_measurement(k), e);
-    const Vector6d g =
-        problem.weight[k] * (se3::right_jacobian_inverse(r).transpose() * (problem.information(k) * r));
-    if (to != Freedom::kFixed) gradient_.segment<6>(6 * static_cast<Eigen::Index>(to)) += g;
+    const Vector6d& r = residuals[k];
+    const InverseJacobian j = inverse_right_jacobian(r.head<3>(), r.tail<3>());
+    const Vector6d weighted = problem.weight[k] * (problem.information(k) * r);
+    const Vector3d g_t = j.a.transpose() * weighted.head<3>();
+    const Vector3d g_r = j.b.transpose() * weighted.head<3>() + j.a.transpose() * weighted.tail<3>();
+    if (to != Freedom::kFixed) {
+      gradient_.segment<3>(6 * static_cast<Eigen::Index>(to)) += g_t;
+      gradient_.segment<3>(6 * static_cast<Eigen::Index>(to) + 3) += g_r;
+    }
     if (from == Freedom::kFixed) continue;
-    const Pose f = inverse(e);
-    auto g_from = gradient_.segment<6>(6 * static_cast<Eigen::Index>(from));
-    g_from.head<3>() -= f.R.transpose() * g.head<3>();
-    g_from.tail<3>() -= f.R.transpose() * (g.tail<3>() - f.t.cross(g.head<3>()));
+    const Pose e = between(poses[problem.to(k)], poses[problem.from(k)]);
+    gradient_.segment<3>(6 * static_cast<Eigen::Index>(from)) -= e.R.transpose() * g_t;
+    gradient_.segment<3>(6 * static_cast<Eigen::Index>(from) + 3) -= e.R.transpose() * (g_r - e.t.cross(g_t));
   }
 }
 

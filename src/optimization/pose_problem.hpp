@@ -44,8 +44,9 @@ class PoseProblem {
   [[nodiscard]] Vector6d residual(std::size_t k, const std::vector<Pose>& poses) const;
   /// rᵀΩr of a factor, whatever its weight.
   [[nodiscard]] double squared_residual(std::size_t k, const std::vector<Pose>& poses) const;
-  /// ½ Σ w rᵀΩr, summed in an order that does not depend on the threads.
-  [[nodiscard]] double cost(const std::vector<Pose>& poses, ThreadPool& pool) const;
+  /// ½ Σ w rᵀΩr, summed in an order that does not depend on the threads; keeps the residuals of the active
+  /// factors.
+  double cost(const std::vector<Pose>& poses, ThreadPool& pool, std::vector<Vector6d>& residuals) const;
 
  private:
   std::size_t nodes_;
@@ -75,10 +76,13 @@ class NormalEquations {
   /// Takes the factors of non-zero weight as the structure; a new symbolic analysis if it is another than
   /// before.
   void set_structure(const PoseProblem& problem);
-  /// H = Σ w JᵀΩJ and g = Σ w JᵀΩr at these poses, over the free nodes. \pre set_structure(problem)
-  void linearize(const PoseProblem& problem, const std::vector<Pose>& poses, ThreadPool& pool);
+  /// H = Σ w JᵀΩJ and g = Σ w JᵀΩr over the free nodes, at poses with these residuals (PoseProblem::cost).
+  /// \pre set_structure(problem)
+  void linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
+                 const std::vector<Vector6d>& residuals, ThreadPool& pool);
   /// g alone.
-  void linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses);
+  void linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses,
+                          const std::vector<Vector6d>& residuals);
 
   [[nodiscard]] BlockCholesky& hessian() { return cholesky_; }
   [[nodiscard]] const BlockCholesky& hessian() const { return cholesky_; }

@@ -40,8 +40,8 @@ enum class Termination {
 
 struct OptimizerOptions {
   int max_iterations = 100;
-  double cost_tolerance = 1e-9;
-  double gradient_tolerance = 1e-7;
+  double cost_tolerance = 1e-11;
+  double gradient_tolerance = 5e-7;
   double step_tolerance = 1e-9;
   double initial_damping = 0.0;
   Initialization initialization = Initialization::kFile;
@@ -54,9 +54,9 @@ struct OptimizerOptions {
     field("cost_tolerance", self.cost_tolerance, at_least(0.0),
           "Converged when a step promises to lower the cost by less than this share of it ...");
     field("gradient_tolerance", self.gradient_tolerance, at_least(0.0),
-          "... and the largest element of the gradient is below this share of its start ...");
+          "... and the largest element of the gradient is below this share of its start,");
     field("step_tolerance", self.step_tolerance, at_least(0.0),
-          "... or the largest element of the step (m, rad) is below this.");
+          "or when the largest element of an undamped step (m, rad) is below this.");
     field("initial_damping", self.initial_damping, at_least(0.0),
           "Levenberg-Marquardt damping of the first step, relative to the Hessian's diagonal. 0 starts with "
           "Gauss-Newton steps and brings damping in when one fails.");
