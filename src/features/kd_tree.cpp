@@ -198,10 +198,14 @@ void KdTree::nearest(const Eigen::Vector3f& query, std::size_t count, std::vecto
 }
 
 void KdTree::within(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const {
+  within_unordered(query, radius_m, found);
+  std::sort(found.begin(), found.end(), nearer);
+}
+
+void KdTree::within_unordered(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const {
   found.clear();
   RadiusVisitor visitor(radius_m * radius_m, found);
   search(query, visitor);
-  std::sort(found.begin(), found.end(), nearer);
 }
 
 std::size_t KdTree::bytes() const {

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <cmath>
 #include <cstddef>
+#include <cstdint>
+#include <vector>
 
 #include <Eigen/Core>
+
+#include <loopwise/core/keyed_scan.hpp>
 
 namespace loopwise {
 
@@ -25,5 +28,9 @@ inline constexpr std::size_t kUnknownNormal = 13;
   // 13 is the code of no direction, which no unit vector has; opposite directions have codes c and 26 − c.
   return static_cast<std::size_t>(code < 13 ? code : 26 - code);
 }
+
+/// `count` points with a normal, drawn in turn from the bins; all of them if they are fewer. Those drawn
+/// first are spread like the rest, so a prefix is a draw of its own. Depends on the cloud alone.
+[[nodiscard]] std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud, std::size_t count);
 
 }  // namespace loopwise

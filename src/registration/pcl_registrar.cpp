@@ -38,34 +38,11 @@ pcl::PointXYZ to_pcl(const Eigen::Vector3f& p) {
   return {p.x(), p.y(), p.z()};
 }
 
-/// Points with a normal: all of them, or `count` drawn in turn from the directions that surfaces have.
-std::vector<std::uint32_t> draw_key_points(const PointCloud& cloud, int count) {
-  std::array<std::vector<std::uint32_t>, kNormalBins> by_direction;
-  for (std::uint32_t i = 0; i < cloud.size(); ++i) by_direction[normal_bin(cloud.normals[i])].push_back(i);
-  by_direction[kUnknownNormal].clear();
-  Rng rng(cloud.size());
-  std::size_t available = 0;
-  for (auto& indices : by_direction) {
-    rng.shuffle(indices);
-    available += indices.size();
-  }
-  const std::size_t wanted = count > 0 ? std::min(available, static_cast<std::size_t>(count)) : available;
-  std::vector<std::uint32_t> drawn;
-  drawn.reserve(wanted);
-  while (drawn.size() < wanted) {
-    for (auto& indices : by_direction) {
-      if (indices.empty() || drawn.size() == wanted) continue;
-      drawn.push_back(indices.back());
-      indices.pop_back();
-    }
-  }
-  std::sort(drawn.begin(), drawn.end());
-  return drawn;
-}
-
 ScanDescriptors compute_descriptors(const PointCloud& cloud, const PclRegistrarOptions& options) {
   ScanDescriptors out;
-  const std::vector<std::uint32_t> key_points = draw_key_points(cloud, options.key_points);
+  std::vector<std::uint32_t> key_points = draw_balanced(
+      cloud, options.key_points > 0 ? static_cast<std::size_t>(options.key_points) : cloud.size());
+  std::sort(key_points.begin(), key_points.end());
   if (key_points.empty()) return out;
   const auto points = pcl::make_shared<PclCloud>();
   const auto normals = pcl::make_shared<pcl::PointCloud<pcl::Normal>>();

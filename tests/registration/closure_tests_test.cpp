@@ -201,7 +201,7 @@ TEST_CASE("judge_alignment: each test has its reason, and one that passes is a c
   bad.overlap = 0.39;
   REQUIRE(judge(bad, true, std::nullopt, T).reason == RejectionReason::kLowOverlap);
   bad = good;
-  bad.balanced_overlap = 0.29;
+  bad.balanced_overlap = 0.21;
   REQUIRE(judge(bad, true, std::nullopt, T).reason == RejectionReason::kLowOverlap);
   bad = good;
   bad.source_hessian.topLeftCorner<3, 3>().setZero();

@@ -23,7 +23,7 @@ struct ClosureTestOptions {
   double fitness_range_m = 1.5;
   double overlap_distance_m = 0.5;
   double min_overlap = 0.4;
-  double min_balanced_overlap = 0.3;
+  double min_balanced_overlap = 0.22;
   int max_free_directions = 2;
   double max_translation_m = 20.0;
   double max_rotation_deg = 50.0;

@@ -1,0 +1,79 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <memory>
+#include <string_view>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/features/feature_cache.hpp>
+#include <loopwise/registration/closure_tests.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+struct FastRegistrarOptions {
+  double fpfh_radius_m = 2.5;
+  int fpfh_neighbours = 40;
+  int key_points = 1000;
+  int max_matches = 1000;
+  double match_tolerance_m = 0.6;
+  int hypotheses = 40;
+  int score_points = 300;
+  double min_score = 0.15;
+  double sure_overlap = 0.6;
+  double coarse_reach_m = 2.0;
+  double fine_reach_m = 0.5;
+  int coarse_points = 600;
+  int fine_points = 3000;
+  double max_descriptor_mb = 256.0;
+  ClosureTestOptions tests;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("fpfh_radius_m", self.fpfh_radius_m, above(0.0), "Radius of the FPFH descriptors, m.");
+    field("fpfh_neighbours", self.fpfh_neighbours, between(3.0, 1000.0),
+          "Neighbours within the radius, evenly taken, that a histogram is made of.");
+    field("key_points", self.key_points, between(3.0, 10000.0),
+          "Key points per scan, drawn alike from all directions of surfaces.");
+    field("max_matches", self.max_matches, between(3.0, 10000.0),
+          "Matches of key points that consensus is sought among.");
+    field("match_tolerance_m", self.match_tolerance_m, above(0.0),
+          "Two matches agree if their distances in the two scans differ by less, m.");
+    field("hypotheses", self.hypotheses, between(1.0, 1000.0),
+          "Consensus poses that are compared on the scans.");
+    field("score_points", self.score_points, between(3.0, 100000.0),
+          "Source points that the comparison looks at.");
+    field("min_score", self.min_score, between(0.0, 1.0),
+          "Share of these on the target, nearer counting more, below which the pair is given up.");
+    field("sure_overlap", self.sure_overlap, between(0.0, 1.0),
+          "Balanced overlap at which an alignment from the graph's guess is taken without a global search.");
+    field("coarse_reach_m", self.coarse_reach_m, above(0.0),
+          "Largest distance of matched points in the first pass, m.");
+    field("fine_reach_m", self.fine_reach_m, above(0.0), "The same in the last pass, m.");
+    field("coarse_points", self.coarse_points, at_least(10.0), "Source points in the first passes.");
+    field("fine_points", self.fine_points, at_least(10.0), "Source points in the last pass.");
+    field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0),
+          "Bound of the descriptors kept in memory, MB.");
+    ClosureTestOptions::visit(self.tests, field);
+  }
+};
+
+/// Registration at an order of magnitude less cost than the reference, without random draws: the graph's
+/// guess first, where there is one; else mutual FPFH matches, consensus by second-order compatibility,
+/// hypotheses compared on the scans; then generalized ICP by Gauss-Newton from coarse to fine. Hopeless pairs
+/// end before the refinement. Thread-safe; what belongs to a scan is computed once.
+class FastRegistrar final : public Registrar {
+ public:
+  /// \throws OptionError; InputError if `features` is null.
+  explicit FastRegistrar(std::shared_ptr<FeatureCache> features, const FastRegistrarOptions& options = {});
+  ~FastRegistrar() override;
+
+  [[nodiscard]] std::string_view name() const override { return "fast"; }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,172 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "consensus.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <numeric>
+
+#include <Eigen/SVD>
+
+namespace loopwise {
+namespace {
+
+/// Square matrix of bits, rows of whole words.
+class BitMatrix {
+ public:
+  explicit BitMatrix(std::size_t size) : words_((size + 63) / 64), bits_(size * words_, 0) {}
+  void set(std::size_t i, std::size_t j) { bits_[i * words_ + j / 64] |= std::uint64_t{1} << (j % 64); }
+  [[nodiscard]] bool get(std::size_t i, std::size_t j) const {
+    return (bits_[i * words_ + j / 64] >> (j % 64)) & 1U;
+  }
+  [[nodiscard]] std::uint32_t common(std::size_t i, std::size_t j) const {
+    std::uint32_t count = 0;
+    for (std::size_t w = 0; w < words_; ++w) {
+      count += ones(bits_[i * words_ + w] & bits_[j * words_ + w]);
+    }
+    return count;
+  }
+
+ private:
+  /// Ones of a word by adding neighbours in parallel; the processor's instruction is not in the baseline
+  /// x86-64.
+  [[nodiscard]] static std::uint32_t ones(std::uint64_t x) {
+    x -= (x >> 1) & 0x5555555555555555ULL;
+    x = (x & 0x3333333333333333ULL) + ((x >> 2) & 0x3333333333333333ULL);
+    x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fULL;
+    return static_cast<std::uint32_t>((x * 0x0101010101010101ULL) >> 56);
+  }
+  std::size_t words_;
+  std::vector<std::uint64_t> bits_;
+};
+
+/// Cosines of the angle between two normals may differ by this much for a compatible pair: 25 degrees
+/// about 90.
+constexpr float kNormalTolerance = 0.45F;
+
+std::vector<std::size_t> inliers_of(const std::vector<Match>& matches, const Eigen::Isometry3d& T,
+                                    double tolerance_m) {
+  const Eigen::Matrix3f R = T.linear().cast<float>();
+  const auto sq_tolerance = static_cast<float>(tolerance_m * tolerance_m);
+  std::vector<std::size_t> inliers;
+  for (std::size_t i = 0; i < matches.size(); ++i) {
+    const Match& match = matches[i];
+    const Eigen::Vector3f moved = (T * match.source.cast<double>()).cast<float>();
+    if ((moved - match.target).squaredNorm() > sq_tolerance) continue;
+    if ((R * match.source_normal).dot(match.target_normal) < 0.7F) continue;
+    inliers.push_back(i);
+  }
+  return inliers;
+}
+
+bool similar(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, double tolerance_m) {
+  const double cosine = 0.5 * ((a.linear().transpose() * b.linear()).trace() - 1.0);
+  return (a.translation() - b.translation()).norm() < tolerance_m && cosine > 0.9986;  // 3 degrees
+}
+
+}  // namespace
+
+Eigen::Isometry3d fit_rigid(const std::vector<Match>& matches, const std::vector<std::size_t>& chosen) {
+  Eigen::Vector3d source = Eigen::Vector3d::Zero(), target = Eigen::Vector3d::Zero();
+  for (const std::size_t i : chosen) {
+    source += matches[i].source.cast<double>();
+    target += matches[i].target.cast<double>();
+  }
+  const auto n = static_cast<double>(std::max<std::size_t>(1, chosen.size()));
+  source /= n;
+  target /= n;
+  Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
+  for (const std::size_t i : chosen) {
+    moment +=
+        (matches[i].target.cast<double>() - target) * (matches[i].source.cast<double>() - source).transpose();
+  }
+  const Eigen::JacobiSVD<Eigen::Matrix3d> svd(moment, Eigen::ComputeFullU | Eigen::ComputeFullV);
+  Eigen::Vector3d signs = Eigen::Vector3d::Ones();
+  if ((svd.matrixU() * svd.matrixV().transpose()).determinant() < 0.0) signs.z() = -1.0;
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  T.linear() = svd.matrixU() * signs.asDiagonal() * svd.matrixV().transpose();
+  T.translation() = target - T.linear() * source;
+  return T;
+}
+
+std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double tolerance_m,
+                                       std::size_t count) {
+  const std::size_t n = matches.size();
+  std::vector<Hypothesis> hypotheses;
+  if (n < 3 || count == 0) return hypotheses;
+  BitMatrix compatible(n);
+  const auto tolerance = static_cast<float>(tolerance_m);
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t j = i + 1; j < n; ++j) {
+      const float a = (matches[i].source - matches[j].source).norm();
+      const float b = (matches[i].target - matches[j].target).norm();
+      if (std::abs(a - b) > tolerance || std::max(a, b) < 2.0F * tolerance) continue;
+      const float ca = matches[i].source_normal.dot(matches[j].source_normal);
+      const float cb = matches[i].target_normal.dot(matches[j].target_normal);
+      if (std::abs(ca - cb) > kNormalTolerance) continue;
+      compatible.set(i, j);
+      compatible.set(j, i);
+    }
+  }
+  // Σ over compatible j of how many matches are compatible with both i and j: triangles at i, twice.
+  std::vector<std::uint64_t> triangles(n, 0);
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t j = i + 1; j < n; ++j) {
+      if (!compatible.get(i, j)) continue;
+      const std::uint32_t shared = compatible.common(i, j);
+      triangles[i] += shared;
+      triangles[j] += shared;
+    }
+  }
+  std::vector<std::size_t> order(n);
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    return triangles[a] != triangles[b] ? triangles[a] > triangles[b] : a < b;
+  });
+
+  std::vector<char> covered(n, 0);
+  std::vector<std::pair<std::uint32_t, std::size_t>> partners;
+  const std::size_t max_seeds = 5 * count;
+  std::size_t seeds = 0;
+  for (const std::size_t seed : order) {
+    if (seeds == max_seeds || triangles[seed] == 0) break;
+    if (covered[seed]) continue;
+    ++seeds;
+    partners.clear();
+    for (std::size_t j = 0; j < n; ++j) {
+      if (compatible.get(seed, j)) partners.emplace_back(compatible.common(seed, j), j);
+    }
+    std::sort(partners.begin(), partners.end(), [](const auto& a, const auto& b) {
+      return a.first != b.first ? a.first > b.first : a.second < b.second;
+    });
+    // The seed's best partners that are compatible with all taken before: a clique, greedily.
+    std::vector<std::size_t> clique{seed};
+    for (const auto& [shared, j] : partners) {
+      if (shared == 0 || clique.size() == 20) break;
+      if (std::all_of(clique.begin(), clique.end(),
+                      [&, k = j](std::size_t i) { return compatible.get(i, k); })) {
+        clique.push_back(j);
+      }
+    }
+    if (clique.size() < 3) continue;
+    Eigen::Isometry3d T = fit_rigid(matches, clique);
+    std::vector<std::size_t> inliers = inliers_of(matches, T, 1.5 * tolerance_m);
+    for (int pass = 0; pass < 2 && inliers.size() >= 3; ++pass) {
+      T = fit_rigid(matches, inliers);
+      inliers = inliers_of(matches, T, tolerance_m);
+    }
+    for (const std::size_t i : inliers) covered[i] = 1;
+    if (inliers.size() < 3 || !T.matrix().allFinite()) continue;
+    if (std::any_of(hypotheses.begin(), hypotheses.end(),
+                    [&](const Hypothesis& h) { return similar(h.T_target_source, T, tolerance_m); })) {
+      continue;
+    }
+    hypotheses.push_back({T, inliers.size()});
+  }
+  std::stable_sort(hypotheses.begin(), hypotheses.end(),
+                   [](const Hypothesis& a, const Hypothesis& b) { return a.inliers > b.inliers; });
+  if (hypotheses.size() > count) hypotheses.resize(count);
+  return hypotheses;
+}
+
+}  // namespace loopwise

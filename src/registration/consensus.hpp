@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+namespace loopwise {
+
+/// A source point that may be a target point.
+struct Match {
+  Eigen::Vector3f source = Eigen::Vector3f::Zero();
+  Eigen::Vector3f target = Eigen::Vector3f::Zero();
+  Eigen::Vector3f source_normal = Eigen::Vector3f::Zero();
+  Eigen::Vector3f target_normal = Eigen::Vector3f::Zero();
+};
+
+/// A pose that many matches agree on.
+struct Hypothesis {
+  Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
+  std::size_t inliers = 0;
+};
+
+/// Poses that sets of pairwise compatible matches agree on, most inliers first; at most `count`, all
+/// different. Two matches are compatible if their source points lie as far apart as their target points,
+/// within `tolerance_m`, and their normals differ by the same angle. A match is judged by how many compatible
+/// matches it shares with its compatible matches (second-order compatibility: Chen et al., SC2-PCR, CVPR
+/// 2022), which separates the few true matches from chance; the best judged ones each span a hypothesis. No
+/// random numbers. O(n²·n/64).
+[[nodiscard]] std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double tolerance_m,
+                                                     std::size_t count);
+
+/// Rigid transform T with the least Σ |T·source − target|² over the chosen matches (Umeyama 1991).
+[[nodiscard]] Eigen::Isometry3d fit_rigid(const std::vector<Match>& matches,
+                                          const std::vector<std::size_t>& chosen);
+
+}  // namespace loopwise

@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "gicp.hpp"
+
+#include <algorithm>
+#include <optional>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
+#include <loopwise/core/se3.hpp>
+
+namespace loopwise {
+namespace {
+
+/// Variance of a surface element across its plane, in units of that along it.
+constexpr double kFlatness = 0.001;
+
+/// (C_target + R·C_source·Rᵀ)⁻¹·2·kFlatness: 1 across a plane that both share, near 0 along it. Normals may
+/// be zero: then that side is a ball.
+Eigen::Matrix3d weight(const Eigen::Vector3d& n, const Eigen::Vector3d& m) {
+  Eigen::Matrix3d C = 2.0 * Eigen::Matrix3d::Identity();
+  C.noalias() -= (1.0 - kFlatness) * (n * n.transpose());
+  C.noalias() -= (1.0 - kFlatness) * (m * m.transpose());
+  return 2.0 * kFlatness * C.inverse();
+}
+
+}  // namespace
+
+GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t>& order,
+                       const PointCloud& target, const KdTree& target_tree, const Eigen::Isometry3d& start,
+                       const std::vector<GicpPass>& passes) {
+  GicpResult result;
+  result.T_target_source = start;
+  Eigen::Vector3d source_centre = Eigen::Vector3d::Zero();
+  for (const std::uint32_t i : order) source_centre += source.points[i].cast<double>();
+  source_centre /= static_cast<double>(std::max<std::size_t>(1, order.size()));
+
+  for (const GicpPass& pass : passes) {
+    const std::size_t count = pass.points == 0 ? order.size() : std::min(pass.points, order.size());
+    const auto reach = static_cast<float>(pass.reach_m);
+    const double sq_scale = pass.reach_m * pass.reach_m / 9.0;
+    result.converged = false;
+    for (int iteration = 0; iteration < pass.iterations; ++iteration) {
+      ++result.iterations;
+      const Eigen::Isometry3d& T = result.T_target_source;
+      const Eigen::Vector3d centre =
+          T * source_centre;  // turning about it keeps the digits of far-away clouds
+      // H = Σ JᵀMJ and b = Σ JᵀMd with J = [I, −[y]×], by blocks.
+      Eigen::Matrix3d H_tt = Eigen::Matrix3d::Zero(), H_tr = Eigen::Matrix3d::Zero(),
+                      H_rr = Eigen::Matrix3d::Zero();
+      Eigen::Vector3d b_t = Eigen::Vector3d::Zero(), b_r = Eigen::Vector3d::Zero();
+      std::size_t matched = 0;
+      for (std::size_t k = 0; k < count; ++k) {
+        const std::uint32_t i = order[k];
+        const Eigen::Vector3d moved = T * source.points[i].cast<double>();
+        const std::optional<Neighbour> nearest = target_tree.nearest(moved.cast<float>(), reach);
+        if (!nearest) continue;
+        const Eigen::Vector3d m = T.linear() * source.normals[i].cast<double>();
+        const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
+        const Eigen::Vector3d d = moved - target.points[nearest->index].cast<double>();
+        Eigen::Matrix3d M = weight(n, m);
+        const double sq_residual = d.dot(M * d);
+        const double robust = sq_scale / (sq_scale + sq_residual);
+        M *= robust * robust;
+        const Eigen::Matrix3d Y = se3::skew(moved - centre);
+        const Eigen::Matrix3d MY = M * Y;
+        const Eigen::Vector3d Md = M * d;
+        H_tt += M;
+        H_tr -= MY;
+        H_rr += Y.transpose() * MY;
+        b_t += Md;
+        b_r += Y * Md;  // −[y]×ᵀ = [y]×
+        ++matched;
+      }
+      if (matched < 6) return result;
+      Matrix6d H;
+      H << H_tt, H_tr, H_tr.transpose(), H_rr;
+      // Directions that nothing constrains stay where they are.
+      H.diagonal().head<3>().array() += 1e-6 * H_tt.trace();
+      H.diagonal().tail<3>().array() += 1e-6 * H_rr.trace();
+      Vector6d b;
+      b << b_t, b_r;
+      const Vector6d step = -H.ldlt().solve(b);
+      if (!step.allFinite()) return result;
+      const Eigen::Matrix3d turn = se3::so3_exp(step.tail<3>());
+      Eigen::Isometry3d next = Eigen::Isometry3d::Identity();
+      next.linear() = turn * T.linear();
+      next.translation() = centre + step.head<3>() - next.linear() * source_centre;
+      result.T_target_source = se3::normalized(next);
+      const double relative = std::max(step.head<3>().norm() / pass.translation_step_m,
+                                       step.tail<3>().norm() / pass.rotation_step_rad);
+      // Matches that flip to and fro at the reach's edge keep the steps from vanishing.
+      result.converged = relative < 5.0;
+      if (relative < 1.0) break;
+    }
+  }
+  return result;
+}
+
+}  // namespace loopwise

@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// The parts of FastRegistrar, which are private to the library.
+#include <algorithm>
+#include <numeric>
+
+#include "consensus.hpp"
+#include "fpfh.hpp"
+#include "gicp.hpp"
+#include "normal_bins.hpp"
+#include "scene.hpp"
+#include "testing.hpp"
+
+#include <loopwise/features/feature_cache.hpp>
+
+namespace loopwise {
+namespace {
+
+Eigen::Vector3f random_direction(Rng& rng) {
+  return Eigen::Vector3d(rng.normal(), rng.normal(), rng.normal()).normalized().cast<float>();
+}
+
+TEST_CASE("normal_bin: opposite directions share a bin, the axes have their own", "[parts][property]") {
+  Rng rng(1);
+  std::vector<std::size_t> used(kNormalBins, 0);
+  for (int i = 0; i < 2000; ++i) {
+    const Eigen::Vector3f n = random_direction(rng);
+    REQUIRE(normal_bin(n) < kUnknownNormal);
+    REQUIRE(normal_bin(n) == normal_bin(-n));
+    ++used[normal_bin(n)];
+  }
+  for (std::size_t bin = 0; bin < kUnknownNormal; ++bin) REQUIRE(used[bin] > 30);
+  REQUIRE(normal_bin(Eigen::Vector3f::Zero()) == kUnknownNormal);
+  REQUIRE(normal_bin(Eigen::Vector3f::UnitX()) != normal_bin(Eigen::Vector3f::UnitZ()));
+}
+
+TEST_CASE("draw_balanced: rare directions get their share, unknown normals none", "[parts]") {
+  PointCloud cloud;
+  for (int i = 0; i < 1000; ++i) {
+    cloud.points.emplace_back(static_cast<float>(i), 0.0F, 0.0F);
+    cloud.normals.emplace_back(i < 50 ? 1.0F : 0.0F, 0.0F, i < 100 ? 0.0F : 1.0F);
+  }
+  const auto drawn = draw_balanced(cloud, 80);
+  REQUIRE(drawn.size() == 80);
+  REQUIRE(std::count_if(drawn.begin(), drawn.end(), [](std::uint32_t i) { return i < 50; }) == 40);
+  REQUIRE(draw_balanced(cloud, 5000).size() == 950);
+  auto sorted = draw_balanced(cloud, 5000);
+  std::sort(sorted.begin(), sorted.end());
+  REQUIRE(std::adjacent_find(sorted.begin(), sorted.end()) == sorted.end());
+}
+
+TEST_CASE("compute_fpfh: does not change with the sensor's pose and tells surfaces apart",
+          "[parts][property]") {
+  Rng rng(3);
+  FeatureOptions options;
+  options.min_points = 100000;
+  const ScanFeatures scan =
+      compute_features(*testing::Scene(3).scan(testing::ground_pose(0, 0, 0), 4000, rng), options);
+  PointCloud turned = scan.cloud;
+  const Eigen::Isometry3f T = testing::random_pose(rng, 5.0, 3.0).cast<float>();
+  for (auto& p : turned.points) p = T * p;
+  for (auto& n : turned.normals) n = T.linear() * n;
+  std::vector<std::uint32_t> keys(200);
+  std::iota(keys.begin(), keys.end(), 0);
+  // More neighbours than there are: a turned tree has another order, and would take another part of them.
+  const Descriptors a = compute_fpfh(scan.cloud, scan.tree, keys, 2.5, 1000);
+  const Descriptors b = compute_fpfh(turned, KdTree(turned.points), keys, 2.5, 1000);
+  int same = 0;
+  for (Eigen::Index i = 0; i < a.cols(); ++i) {
+    if (a.col(i).isZero()) continue;
+    REQUIRE(a.col(i).norm() == Approx(1.0).margin(1e-4));
+    REQUIRE(a.col(i).minCoeff() >= 0.0F);
+    if ((a.col(i) - b.col(i)).norm() < 0.05F) ++same;
+  }
+  REQUIRE(same > 190);  // angles at the edge of a bin may fall to either side by rounding
+  REQUIRE((a.col(0) - a.col(1)).norm() > 0.01F);
+}
+
+TEST_CASE("compute_fpfh: a point alone has the zero descriptor", "[parts][error]") {
+  PointCloud cloud;
+  cloud.points = {{0, 0, 0}, {100, 0, 0}};
+  cloud.normals = {{0, 0, 1}, {0, 0, 1}};
+  REQUIRE(compute_fpfh(cloud, KdTree(cloud.points), {0, 1}, 2.0, 40).isZero());
+  REQUIRE(compute_fpfh(cloud, KdTree(cloud.points), {}, 2.0, 40).cols() == 0);
+}
+
+TEST_CASE("fit_rigid: exact on exact matches", "[parts]") {
+  Rng rng(5);
+  const Eigen::Isometry3d truth = testing::random_pose(rng, 10.0, 3.0);
+  std::vector<Match> matches;
+  for (int i = 0; i < 5; ++i) {
+    const Eigen::Vector3f p = 10.0F * random_direction(rng);
+    Match match;
+    match.source = p;
+    match.target = (truth * p.cast<double>()).cast<float>();
+    matches.push_back(match);
+  }
+  REQUIRE(testing::difference(fit_rigid(matches, {0, 1, 2, 3, 4}), truth) <
+          1e-5);  // measured 1e-6: points in float
+  REQUIRE(testing::difference(fit_rigid(matches, {0, 2, 4}), truth) < 1e-5);
+}
+
+TEST_CASE("find_consensus: finds 5 % of true matches among false ones, not what chance offers", "[parts]") {
+  const std::uint64_t seed = GENERATE(range(1u, 6u));
+  CAPTURE(seed);
+  Rng rng(seed);
+  const Eigen::Isometry3d truth = testing::random_pose(rng, 10.0, 3.0);
+  std::vector<Match> matches;
+  const auto anywhere = [&] {
+    return Eigen::Vector3d(rng.uniform(-30, 30), rng.uniform(-30, 30), rng.uniform(-3, 3))
+        .cast<float>()
+        .eval();
+  };
+  for (int i = 0; i < 600; ++i) {
+    Match match{anywhere(), anywhere(), random_direction(rng), random_direction(rng)};
+    if (i % 20 == 0) {
+      const Eigen::Vector3d noise(rng.normal(), rng.normal(), rng.normal());
+      match.target = (truth * match.source.cast<double>() + 0.1 * noise).cast<float>();
+      match.target_normal = (truth.linear() * match.source_normal.cast<double>()).cast<float>();
+    }
+    matches.push_back(match);
+  }
+  const auto found = find_consensus(matches, 0.6, 10);
+  REQUIRE_FALSE(found.empty());
+  REQUIRE(found[0].inliers >= 28);
+  const Eigen::Isometry3d d = truth.inverse() * found[0].T_target_source;
+  REQUIRE(d.translation().norm() < 0.15);  // measured at most 0.06 m
+  REQUIRE(se3::rotation_angle(d) < 0.01);  // measured at most 0.0017 rad
+  for (std::size_t i = 1; i < found.size(); ++i) REQUIRE(found[i].inliers < 8);
+}
+
+TEST_CASE("find_consensus: too few matches or none that agree", "[parts][error]") {
+  REQUIRE(find_consensus({}, 0.6, 10).empty());
+  Match match;
+  match.source = match.target = Eigen::Vector3f::Zero();
+  match.source_normal = match.target_normal = Eigen::Vector3f::UnitZ();
+  REQUIRE(find_consensus(std::vector<Match>(50, match), 0.6, 10).empty());
+}
+
+TEST_CASE("refine_gicp: from 1 m and 10 degrees to the truth", "[parts]") {
+  const std::uint64_t seed = GENERATE(range(1u, 6u));
+  CAPTURE(seed);
+  const testing::Scene scene(seed);
+  Rng rng(seed);
+  const Eigen::Isometry3d source_pose = testing::ground_pose(2, 1, 0.4),
+                          target_pose = testing::ground_pose(0, 0, 0);
+  const ScanFeatures source = compute_features(*scene.scan(source_pose, 15000, rng, 0.02, 20.0), {});
+  const ScanFeatures target = compute_features(*scene.scan(target_pose, 15000, rng, 0.02, 20.0), {});
+  const Eigen::Isometry3d truth = target_pose.inverse() * source_pose;
+  Vector6d offset;
+  offset << 0.6 * random_direction(rng).cast<double>(), 0.12 * random_direction(rng).cast<double>();
+  const std::vector<GicpPass> passes{{2.0, 600, 15, 0.02, 2e-3}, {1.0, 600, 15, 0.01, 1e-3}, {0.5, 3000, 30}};
+  const GicpResult result = refine_gicp(source.cloud, draw_balanced(source.cloud, 3000), target.cloud,
+                                        target.tree, truth * se3::exp(offset), passes);
+  const Eigen::Isometry3d d = truth.inverse() * result.T_target_source;
+  REQUIRE(result.converged);
+  REQUIRE(d.translation().norm() < 0.015);  // measured at most 0.0035 m
+  REQUIRE(se3::rotation_angle(d) < 0.001);  // measured at most 0.0003 rad
+}
+
+TEST_CASE("refine_gicp: without matches it stays and says so", "[parts][error]") {
+  PointCloud cloud, far;
+  for (int i = 0; i < 50; ++i) {
+    cloud.points.emplace_back(static_cast<float>(i), 0.0F, 0.0F);
+    cloud.normals.emplace_back(0.0F, 0.0F, 1.0F);
+  }
+  far = cloud;
+  for (auto& p : far.points) p.y() += 100.0F;
+  const GicpResult result = refine_gicp(cloud, draw_balanced(cloud, 50), far, KdTree(far.points),
+                                        Eigen::Isometry3d::Identity(), {{}});
+  REQUIRE_FALSE(result.converged);
+  REQUIRE(testing::difference(result.T_target_source, Eigen::Isometry3d::Identity()) == 0.0);
+}
+
+}  // namespace
+}  // namespace loopwise
