@@ -52,6 +52,8 @@ class BlockCholesky {
 
   [[nodiscard]] std::size_t variables() const { return variables_; }
   [[nodiscard]] int block_size() const { return block_; }
+  /// As given to analyze().
+  [[nodiscard]] const std::vector<Pair>& pairs() const { return pairs_; }
   /// Slot of pair k of analyze(), seen as block (first, second).
   [[nodiscard]] const Slot& pair_slot(std::size_t k) const { return pair_slots_[k]; }
   [[nodiscard]] const Slot& diagonal_slot(std::size_t variable) const { return diagonal_slots_[variable]; }

@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "optimization_graphs.hpp"
+
+#include <array>
+#include <cmath>
+#include <fstream>
+#include <map>
+#include <sstream>
+
+#include <loopwise/core/random.hpp>
+#include <loopwise/core/se3.hpp>
+
+namespace loopwise::bench {
+namespace {
+
+constexpr double kSigmaM = 0.02;
+constexpr double kSigmaRad = 0.005;
+
+PriorFactor firm_prior(Key key, const Eigen::Isometry3d& pose) {
+  PriorFactor prior;
+  prior.key = key;
+  prior.pose = pose;
+  prior.information = 1e8 * Matrix6d::Identity();
+  return prior;
+}
+
+Matrix6d information() {
+  Vector6d d;
+  d << Eigen::Vector3d::Constant(1.0 / (kSigmaM * kSigmaM)),
+      Eigen::Vector3d::Constant(1.0 / (kSigmaRad * kSigmaRad));
+  return d.asDiagonal();
+}
+
+Edge measured(Rng& rng, Key from, Key to, const Eigen::Isometry3d& T, EdgeKind kind) {
+  Vector6d noise;
+  for (int i = 0; i < 6; ++i) noise[i] = (i < 3 ? kSigmaM : kSigmaRad) * rng.normal();
+  Edge edge;
+  edge.from = from;
+  edge.to = to;
+  edge.T_from_to = se3::normalized(T * se3::exp(noise));
+  edge.information = information();
+  edge.kind = kind;
+  return edge;
+}
+
+Eigen::Isometry3d pose_at(const Eigen::Vector3d& place, double yaw) {
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  T.translation() = place;
+  T.linear() = se3::so3_exp(Eigen::Vector3d(0.0, 0.0, yaw));
+  return T;
+}
+
+/// Nodes chained along noisy odometry; every robot starts at its true pose and has a prior there.
+BenchGraph walk(Rng& rng, const std::vector<std::vector<Eigen::Isometry3d>>& paths) {
+  BenchGraph out;
+  std::vector<Edge> edges;
+  Key key = 0;
+  for (const auto& path : paths) {
+    Eigen::Isometry3d estimate = path.front();
+    for (std::size_t i = 0; i < path.size(); ++i, ++key) {
+      if (i > 0) {
+        edges.push_back(measured(rng, key - 1, key, path[i - 1].inverse() * path[i], EdgeKind::kOdometry));
+        estimate = se3::normalized(estimate * edges.back().T_from_to);
+      }
+      Node node;
+      node.key = key;
+      node.pose = estimate;
+      out.graph.add_node(node);
+      if (i == 0) out.graph.add_prior(firm_prior(key, estimate));
+    }
+  }
+  for (const Edge& edge : edges) out.graph.add_edge(edge);
+  out.is_false.assign(edges.size(), false);
+  return out;
+}
+
+}  // namespace
+
+BenchGraph read_bench_graph(const std::filesystem::path& path) {
+  BenchGraph out;
+  out.name = path.stem().string();
+  std::ifstream in(path);
+  std::vector<Edge> edges;
+  const auto read_pose = [](std::istream& s) {
+    double x, y, z, qx, qy, qz, qw;
+    s >> x >> y >> z >> qx >> qy >> qz >> qw;
+    Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+    T.linear() = Eigen::Quaterniond(qw, qx, qy, qz).normalized().toRotationMatrix();
+    T.translation() << x, y, z;
+    return T;
+  };
+  for (std::string line; std::getline(in, line);) {
+    std::istringstream s(line);
+    std::string tag;
+    s >> tag;
+    if (tag == "VERTEX_SE3:QUAT") {
+      Node node;
+      s >> node.key;
+      node.pose = read_pose(s);
+      out.graph.add_node(node);
+    } else if (tag == "EDGE_SE3:QUAT") {
+      Edge edge;
+      s >> edge.from >> edge.to;
+      edge.T_from_to = read_pose(s);
+      for (int r = 0; r < 6; ++r) {
+        for (int c = r; c < 6; ++c) {
+          s >> edge.information(r, c);
+          edge.information(c, r) = edge.information(r, c);
+        }
+      }
+      edge.kind = edge.to == edge.from + 1 ? EdgeKind::kOdometry : EdgeKind::kLoopClosure;
+      edges.push_back(edge);
+    }
+  }
+  for (const Edge& edge : edges) out.graph.add_edge(edge);
+  std::vector<Key> anchors{out.graph.nodes().front().key};
+  if (out.name.rfind("tunnel1250", 0) == 0) anchors.push_back(625);
+  for (const Key key : anchors) out.graph.add_prior(firm_prior(key, out.graph.node(key).pose));
+  out.is_false.assign(edges.size(), false);
+  std::filesystem::path labels = path;
+  std::ifstream label_file(labels.replace_extension(".labels"));
+  int label = 0;
+  for (std::size_t e = 0; e < out.is_false.size() && label_file >> label; ++e) out.is_false[e] = label != 0;
+  return out;
+}
+
+BenchGraph streets(std::size_t poses, std::size_t closures, std::size_t robots, std::uint64_t seed) {
+  Rng rng(seed);
+  constexpr double kStep = 2.0;
+  constexpr int kBlock = 10;  // steps between crossings
+  const int crossings = std::max(3, static_cast<int>(std::sqrt(static_cast<double>(poses) / (4.0 * kBlock))));
+  std::vector<std::vector<Eigen::Isometry3d>> paths;
+  std::map<std::pair<int, int>, std::vector<Key>> at;
+  std::vector<Eigen::Isometry3d> truth;
+  for (std::size_t robot = 0; robot < robots; ++robot) {
+    const std::size_t count = poses / robots;
+    int x = kBlock * static_cast<int>(rng.below(static_cast<std::uint64_t>(crossings)));
+    int y = kBlock * static_cast<int>(rng.below(static_cast<std::uint64_t>(crossings)));
+    int heading = static_cast<int>(rng.below(4));
+    std::vector<Eigen::Isometry3d> path;
+    const int dx[] = {1, 0, -1, 0}, dy[] = {0, 1, 0, -1};
+    while (path.size() < count) {
+      if (x % kBlock == 0 && y % kBlock == 0) {
+        const int last = kBlock * (crossings - 1);
+        do {
+          const auto turn = static_cast<int>(rng.below(4));
+          heading = (heading + (turn == 3 ? 3 : turn == 2 ? 1 : 0)) % 4;
+        } while (x + dx[heading] < 0 || x + dx[heading] > last || y + dy[heading] < 0 ||
+                 y + dy[heading] > last);
+      }
+      x += dx[heading];
+      y += dy[heading];
+      at[{x, y}].push_back(truth.size());
+      path.push_back(pose_at({kStep * x, kStep * y, 0.0}, 0.5 * 3.14159265358979323846 * heading));
+      truth.push_back(path.back());
+    }
+    paths.push_back(std::move(path));
+  }
+  BenchGraph out = walk(rng, paths);
+  out.name =
+      "streets " + std::to_string(poses) + "/" + std::to_string(closures) + "/" + std::to_string(robots);
+  for (std::size_t added = 0, tries = 0; added < closures && tries < 50 * closures; ++tries) {
+    const Key a = rng.below(truth.size());
+    const auto x = static_cast<int>(std::lround(truth[a].translation().x() / kStep));
+    const auto y = static_cast<int>(std::lround(truth[a].translation().y() / kStep));
+    const auto found =
+        at.find({x + static_cast<int>(rng.below(3)) - 1, y + static_cast<int>(rng.below(3)) - 1});
+    if (found == at.end()) continue;
+    const Key b = found->second[rng.below(found->second.size())];
+    if (a == b || a + 1 == b || b + 1 == a) continue;
+    out.graph.add_edge(measured(rng, a, b, truth[a].inverse() * truth[b], EdgeKind::kLoopClosure));
+    out.is_false.push_back(false);
+    ++added;
+  }
+  return out;
+}
+
+BenchGraph lattice(std::size_t poses, std::uint64_t seed) {
+  Rng rng(seed);
+  const auto side = static_cast<int>(std::lround(std::cbrt(static_cast<double>(poses))));
+  std::vector<Eigen::Isometry3d> path;
+  std::map<std::array<int, 3>, Key> at;
+  for (int z = 0; z < side; ++z) {
+    for (int row = 0; row < side; ++row) {
+      for (int column = 0; column < side; ++column) {
+        const int y = z % 2 == 0 ? row : side - 1 - row;
+        const int x = (row + z * side) % 2 == 0 ? column : side - 1 - column;
+        at[{x, y, z}] = path.size();
+        path.push_back(pose_at(Eigen::Vector3d(x, y, z), 0.5 * static_cast<double>(rng.below(12))));
+      }
+    }
+  }
+  BenchGraph out = walk(rng, {path});
+  out.name = "lattice " + std::to_string(path.size());
+  for (const auto& [cell, a] : at) {
+    for (int axis = 0; axis < 3; ++axis) {
+      auto next = cell;
+      ++next[static_cast<std::size_t>(axis)];
+      const auto found = at.find(next);
+      if (found == at.end() || found->second == a + 1 || a == found->second + 1) continue;
+      const Key b = found->second;
+      out.graph.add_edge(measured(rng, a, b, path[a].inverse() * path[b], EdgeKind::kLoopClosure));
+      out.is_false.push_back(false);
+    }
+  }
+  return out;
+}
+
+void add_false_groups(BenchGraph& graph, std::size_t groups, std::size_t size, std::uint64_t seed) {
+  Rng rng(seed);
+  // Relative poses within a stretch are those of the odometry, which is what a parallel tunnel would show.
+  const std::vector<Eigen::Isometry3d> poses = graph.graph.poses();
+  for (std::size_t g = 0; g < groups; ++g) {
+    const std::size_t a = rng.below(poses.size() - size), b = rng.below(poses.size() - size);
+    if (a < b + 2 * size && b < a + 2 * size) {
+      --g;
+      continue;
+    }
+    const Eigen::Isometry3d start =
+        pose_at({rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0), 0.0}, rng.uniform(-0.3, 0.3));
+    for (std::size_t i = 0; i < size; ++i) {
+      const Eigen::Isometry3d T =
+          poses[a + i].inverse() * poses[a] * start * poses[b].inverse() * poses[b + i];
+      graph.graph.add_edge(measured(rng, a + i, b + i, T, EdgeKind::kLoopClosure));
+      graph.is_false.push_back(true);
+    }
+  }
+}
+
+}  // namespace loopwise::bench

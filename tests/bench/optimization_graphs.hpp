@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Pose graphs for benchmarks: read from g2o, or generated from a seed.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <loopwise/core/pose_graph.hpp>
+
+namespace loopwise::bench {
+
+struct BenchGraph {
+  std::string name;
+  PoseGraph graph;             ///< Poses from the file, or chained along the noisy odometry.
+  std::vector<bool> is_false;  ///< By edge.
+};
+
+/// 3D g2o with consecutive ids as odometry, priors of sigma 1e-4 on node 0 (and 625 in a tunnel1250), labels
+/// from the file of the same name ending in .labels where there is one.
+[[nodiscard]] BenchGraph read_bench_graph(const std::filesystem::path& path);
+
+/// Robots that walk the streets of a square grid (2 m a step, noise 0.02 m and 0.005 rad) with closures
+/// between poses at most a street's width apart. `robots` = 1 and few closures give a chain.
+[[nodiscard]] BenchGraph streets(std::size_t poses, std::size_t closures, std::size_t robots,
+                                 std::uint64_t seed);
+
+/// A lattice of poses in three dimensions walked row by row, with closures between neighbours.
+[[nodiscard]] BenchGraph lattice(std::size_t poses, std::uint64_t seed);
+
+/// Adds `groups` sets of `size` false closures that agree with each other: a stretch of the path taken for
+/// another.
+void add_false_groups(BenchGraph& graph, std::size_t groups, std::size_t size, std::uint64_t seed);
+
+}  // namespace loopwise::bench
