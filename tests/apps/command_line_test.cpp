@@ -1,0 +1,464 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What scripts may rely on: exit statuses, what goes to which stream, the fields of the JSON, the files.
+#include <chrono>
+#include <set>
+#include <thread>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/io/csv.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+#include "program.hpp"
+#include "registration/scene.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+using testing::ProgramRun;
+using testing::run_program;
+using testing::TemporaryFolder;
+
+enum : int { kDone = 0, kBadUsage = 2, kBadInput = 3, kInterrupted = 130 };
+
+/// Runs a command with --json - and demands that standard output is JSON and nothing else.
+Json json_of(std::vector<std::string> arguments) {
+  arguments.insert(arguments.end(), {"--json", "-"});
+  const ProgramRun run = run_program(arguments);
+  INFO(run.err);
+  REQUIRE(run.status == kDone);
+  return parse_json(run.out, "standard output");
+}
+
+void require_fields(const Json& json, const std::vector<std::string>& fields) {
+  for (const std::string& field : fields) {
+    CAPTURE(field);
+    REQUIRE(json.contains(field));
+  }
+}
+
+/// Fails with this status, says why on standard error, and prints no results.
+void require_failure(const std::vector<std::string>& arguments, int status, const std::string& why) {
+  const ProgramRun run = run_program(arguments);
+  CAPTURE(arguments);
+  REQUIRE(run.status == status);
+  REQUIRE(run.out.empty());
+  REQUIRE_THAT(run.err, Contains(why));
+}
+
+/// Two robots pass through one yard; a node every 2 m, noisy odometry, the second one's path beside the
+/// first's.
+Mission small_mission(std::uint64_t nodes = 8) {
+  const testing::Scene scene(4);
+  Rng rng(9);
+  Mission mission;
+  mission.name = "yard";
+  mission.robots = parse_robots("a,b");
+  auto clouds = std::make_shared<testing::Scans>();
+  std::vector<Key> keys;
+  for (const char robot : {'a', 'b'}) {
+    Eigen::Isometry3d drifted = Eigen::Isometry3d::Identity();
+    for (std::uint64_t i = 0; i < nodes; ++i) {
+      const Key key = make_key(robot, i);
+      const Eigen::Isometry3d truth = testing::ground_pose(
+          -8.0 + 2.0 * static_cast<double>(i), robot == 'a' ? -1.0 : 1.5, robot == 'a' ? 0.02 : -0.05);
+      Node node;
+      node.key = key;
+      node.stamp_ns = static_cast<std::int64_t>(i) * 4000000000 + (robot == 'a' ? 0 : 1000000000);
+      if (i == 0) {
+        drifted = truth;
+      } else {
+        Vector6d noise;
+        for (int k = 0; k < 6; ++k) noise[k] = rng.normal(0.0, k < 3 ? 0.05 : 0.01);
+        Edge edge;
+        edge.from = key - 1;
+        edge.to = key;
+        edge.T_from_to = mission.ground_truth.at(key - 1).inverse() * truth * se3::exp(noise);
+        edge.kind = EdgeKind::kOdometry;
+        edge.information.diagonal() << Eigen::Vector3d::Constant(400.0), Eigen::Vector3d::Constant(1e4);
+        drifted = se3::normalized(drifted * edge.T_from_to);
+        node.pose = drifted;
+        mission.graph.add_node(node);
+        mission.graph.add_edge(edge);
+      }
+      if (i == 0) {
+        node.pose = drifted;
+        mission.graph.add_node(node);
+        PriorFactor prior;
+        prior.key = key;
+        prior.pose = drifted;
+        prior.information = 1e6 * Matrix6d::Identity();
+        mission.graph.add_prior(prior);
+      }
+      mission.ground_truth[key] = truth;
+      (*clouds)[key] = scene.scan(truth, 1200, rng);
+      keys.push_back(key);
+    }
+  }
+  mission.scans = std::make_shared<ScanStore>(keys, [clouds](Key key) { return clouds->at(key); });
+  return mission;
+}
+
+/// closures.csv without its last column, the wall time.
+std::string without_seconds(const std::string& csv) {
+  std::istringstream lines(csv);
+  std::string out, line;
+  while (std::getline(lines, line)) out += line.substr(0, line.rfind(',')) + "\n";
+  return out;
+}
+
+const std::vector<std::string> kClosureColumns{
+    "from", "to",      "source",  "outcome", "reason",         "x",      "y", "z", "qx", "qy", "qz",
+    "qw",   "fitness", "overlap", "weight",  "mission_time_s", "seconds"};
+
+/// A chain of five nodes with one true and one false closure, disturbed.
+PoseGraph small_graph() {
+  PoseGraph graph;
+  Vector6d step;
+  step << 1.0, 0.0, 0.0, 0.0, 0.0, 0.1;
+  Node node;
+  for (std::uint64_t i = 0; i < 5; ++i) {
+    node.key = make_key('a', i);
+    graph.add_node(node);
+    if (i > 0) {
+      graph.add_edge({make_key('a', i - 1), node.key, se3::exp(step), 100.0 * Matrix6d::Identity(),
+                      EdgeKind::kOdometry});
+    }
+    node.pose = node.pose * se3::exp(1.1 * step);
+  }
+  graph.add_edge({make_key('a', 4), make_key('a', 0), se3::exp(-4.0 * step), 100.0 * Matrix6d::Identity()});
+  graph.add_edge(
+      {make_key('a', 4), make_key('a', 1), Eigen::Isometry3d::Identity(), 100.0 * Matrix6d::Identity()});
+  return graph;
+}
+
+}  // namespace
+
+TEST_CASE("command line: bad usage is 2, help is 0", "[apps]") {
+  require_failure({}, kBadUsage, "subcommand");
+  require_failure({"reply"}, kBadUsage, "subcommand");
+  require_failure({"info"}, kBadUsage, "path");
+  require_failure({"optimize", "x.g2o", "--no-such-flag"}, kBadUsage, "--no-such-flag");
+  require_failure({"optimize", "x.g2o", "--threads", "many"}, kBadUsage, "--threads");
+  require_failure({"config", "--set", "generation.no_such_field=1"}, kBadUsage, "no_such_field");
+  require_failure({"config", "--set", "replay.batch=0"}, kBadUsage, "replay.batch = 0, must be >= 1");
+  const TemporaryFolder folder;
+  testing::write_text(folder / "odd.json", "{\"replay\": {\"bach\": 3}}");
+  require_failure({"config", "--config", (folder / "odd.json").string()}, kBadUsage, "bach");
+  testing::write_text(folder / "cut.json", "{\"replay\": {");
+  require_failure({"config", "--config", (folder / "cut.json").string()}, kBadInput, "cut.json");
+
+  for (const char* command : {"replay", "optimize", "register", "evaluate", "info", "config"}) {
+    const ProgramRun run = run_program({command, "--help"});
+    CAPTURE(command);
+    REQUIRE(run.status == kDone);
+    REQUIRE(run.err.empty());
+    for (const char* option : {"--json", "--threads", "--quiet", "--config"})
+      REQUIRE_THAT(run.out, Contains(option));
+  }
+  REQUIRE(run_program({"--help"}).status == kDone);
+  REQUIRE_THAT(run_program({"--version"}).out, Contains("loopwise "));
+}
+
+TEST_CASE("command line: input that is absent or broken is 3, and named", "[apps]") {
+  const TemporaryFolder folder;
+  const std::string absent = (folder / "absent").string(), broken = (folder / "broken.g2o").string();
+  testing::write_text(broken, "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 0 0 0\n");
+  testing::write_text(folder / "empty.pcd", "");
+  for (const char* command : {"optimize", "info"}) {
+    require_failure({command, absent}, kBadInput, absent);
+    require_failure({command, broken}, kBadInput, broken + ":2:");
+  }
+  require_failure({"replay", absent, "-o", (folder / "out").string()}, kBadInput, absent);
+  require_failure({"evaluate", absent, absent}, kBadInput, absent);
+  require_failure({"register", absent + ".pcd", absent + ".pcd"}, kBadInput, absent);
+  require_failure({"register", (folder / "empty.pcd").string(), (folder / "empty.pcd").string()}, kBadInput,
+                  "empty.pcd");
+  REQUIRE_FALSE(testing::fs::exists(folder / "out"));
+}
+
+TEST_CASE("optimize: fields and files", "[apps]") {
+  const TemporaryFolder folder;
+  const std::string in = (folder / "in.g2o").string(), out = (folder / "out.g2o").string();
+  write_g2o(in, small_graph());
+  Json json = json_of({"optimize", in, "-o", out});
+  require_fields(json, {"poses", "edges", "components", "cost_initial", "cost", "iterations",
+                        "factorizations", "converged", "seconds"});
+  REQUIRE(json.at("poses") == 5);
+  REQUIRE(json.at("edges") == 6);
+  REQUIRE(json.at("components") == 1);
+  REQUIRE(json.at("converged") == true);
+  REQUIRE(json.at("cost").get<double>() < json.at("cost_initial").get<double>());
+  require_fields(json.at("seconds"), {"total"});
+  REQUIRE(read_g2o(out).graph.nodes().size() == 5);
+
+  const std::string weights = (folder / "w.csv").string(), marginals = (folder / "m.csv").string();
+  json = json_of({"optimize",
+                  in,
+                  "-o",
+                  out,
+                  "--gnc",
+                  "--weights",
+                  weights,
+                  "--marginals",
+                  marginals,
+                  "--prior",
+                  std::to_string(make_key('a', 0)) + ":0.01:0.01",
+                  "--inlier-probability",
+                  "0.999",
+                  "--initialization",
+                  "odometry",
+                  "--odometry",
+                  "consecutive",
+                  "--robots",
+                  "a",
+                  "--threads",
+                  "2"});
+  require_fields(json.at("gnc"), {"outer_iterations", "inliers", "outliers", "truncated_cost"});
+  require_fields(json.at("marginals"), {"trace_translation", "trace_full"});
+  REQUIRE(json.at("gnc").at("inliers") == 1);
+  REQUIRE(json.at("gnc").at("outliers") == 1);
+  const CsvTable table(weights, {"edge", "from", "to", "weight"});
+  REQUIRE(table.size() == 6);
+  for (std::size_t edge = 0; edge < 6; ++edge) {
+    REQUIRE(table.integer(edge, 0) == static_cast<std::int64_t>(edge));
+    REQUIRE(table.number(edge, 3) == (edge == 5 ? 0.0 : 1.0));
+  }
+  REQUIRE(table.key(5, 1) == make_key('a', 4));
+
+  // Results on standard output, as text, and nothing on standard error.
+  const ProgramRun plain = run_program({"optimize", in, "-o", out, "--quiet"});
+  REQUIRE(plain.status == kDone);
+  REQUIRE(plain.err.empty());
+  REQUIRE_FALSE(plain.out.empty());
+  require_failure({"optimize", in, "--prior", "99"}, kBadUsage, "99");
+  require_failure({"optimize", in, "--initialization", "luck"}, kBadUsage, "luck");
+  REQUIRE(run_program({"optimize", in, "--json", (folder / "r.json").string(), "--quiet"}).status == kDone);
+  REQUIRE(parse_json(testing::read_text(folder / "r.json"), "r.json").at("poses") == 5);
+}
+
+TEST_CASE("evaluate: fields, alignments, and trajectories that do not meet", "[apps]") {
+  const TemporaryFolder folder;
+  const Mission mission = small_mission(4);
+  const std::string estimate = (folder / "estimate.g2o").string(), truth = (folder / "truth.g2o").string();
+  write_g2o(estimate, mission.graph);
+  PoseGraph true_graph = mission.graph;
+  for (const auto& [key, pose] : mission.ground_truth) true_graph.set_pose(key, pose);
+  write_g2o(truth, true_graph);
+  for (const char* alignment : {"none", "first", "se3"}) {
+    const Json json = json_of({"evaluate", estimate, truth, "--alignment", alignment});
+    require_fields(json, {"poses", "ate_m", "ate_rad", "rpe", "robots"});
+    for (const char* name : {"ate_m", "ate_rad"})
+      require_fields(json.at(name), {"rmse", "mean", "median", "max"});
+    REQUIRE(json.at("poses") == 8);
+    REQUIRE(json.at("robots").size() == 2);
+    REQUIRE(json.at("ate_m").at("max").get<double>() > 0.0);
+  }
+  const Json zero = json_of({"evaluate", truth, truth});
+  REQUIRE(zero.at("ate_m").at("max").get<double>() == 0.0);
+
+  PoseGraph other;
+  Node node;
+  node.key = 12345;
+  other.add_node(node);
+  write_g2o(folder / "other.g2o", other);
+  require_failure({"evaluate", (folder / "other.g2o").string(), truth}, kBadInput, "");
+  require_failure({"evaluate", estimate, truth, "--alignment", "sim3"}, kBadUsage, "sim3");
+}
+
+TEST_CASE("register: a pair that aligns and one that cannot", "[apps]") {
+  const TemporaryFolder folder;
+  const testing::Scene scene(4);
+  Rng rng(1);
+  const Eigen::Isometry3d T_w_source = testing::ground_pose(1.0, 0.5, 0.3),
+                          T_w_target = testing::ground_pose(0, 0, 0);
+  const std::string source = (folder / "source.pcd").string(), target = (folder / "target.ply").string();
+  write_pcd(source, *scene.scan(T_w_source, 4000, rng));
+  write_ply(target, *scene.scan(T_w_target, 4000, rng));
+
+  const std::string moved = (folder / "moved.ply").string();
+  const Json json =
+      json_of({"register", source, target, "--seed", "3", "--out", moved, "--registrar", "pcl"});
+  require_fields(json, {"status", "T_target_source", "covariance", "fitness", "overlap", "seconds"});
+  REQUIRE(json.at("status") == "verified");
+  REQUIRE(json.at("T_target_source").size() == 16);
+  Eigen::Isometry3d T;
+  for (Eigen::Index i = 0; i < 16; ++i)
+    T.matrix()(i / 4, i % 4) = json.at("T_target_source").at(std::size_t(i));
+  const Eigen::Isometry3d error = (T_w_target.inverse() * T_w_source).inverse() * T;
+  REQUIRE(error.translation().norm() < 0.1);
+  REQUIRE(se3::rotation_angle(error) < 0.02);
+  REQUIRE(json.at("covariance").size() == 36);
+  REQUIRE(read_cloud(moved).cloud.size() == 4000);
+
+  // Seeded: the same again, from the truth as a guess too.
+  REQUIRE(json_of({"register", source, target, "--seed", "3"}).at("T_target_source") ==
+          json.at("T_target_source"));
+  std::ostringstream guess;
+  guess.precision(12);
+  guess << (T_w_target.inverse() * T_w_source).matrix() << "\n";
+  testing::write_text(folder / "guess.txt", guess.str());
+  REQUIRE(json_of({"register", source, target, "--guess", (folder / "guess.txt").string()}).at("status") ==
+          "verified");
+
+  PointCloud few;
+  few.points.emplace_back(1.0F, 2.0F, 3.0F);
+  write_pcd(folder / "few.pcd", few);
+  const Json refused = json_of({"register", (folder / "few.pcd").string(), target});
+  REQUIRE(refused.at("status") == "rejected");
+  REQUIRE(refused.at("reason") == "too_few_points");
+}
+
+TEST_CASE("info: missions, graphs and clouds", "[apps]") {
+  const TemporaryFolder folder;
+  const Mission mission = small_mission(4);
+  write_mission(folder / "mission", mission);
+  const std::vector<std::string> fields{"kind",   "robots",   "nodes",      "edges",   "scans",
+                                        "points", "length_m", "duration_s", "problems"};
+  Json json = json_of({"info", (folder / "mission").string()});
+  require_fields(json, fields);
+  REQUIRE(json.at("kind") == "mission");
+  REQUIRE(json.at("nodes") == 8);
+  REQUIRE(json.at("scans") == 8);
+  REQUIRE(json.at("duration_s") == 13.0);
+  REQUIRE(json.at("problems").empty());
+  REQUIRE(json.at("robots").at(1).at("first_key") ==
+          std::to_string(make_key('b', 0)));  // text: it exceeds 2^53
+
+  testing::fs::remove(folder / "mission" / "scans" / (std::to_string(make_key('a', 2)) + ".pcd"));
+  json = json_of({"info", (folder / "mission").string()});
+  REQUIRE(json.at("scans") == 7);
+  REQUIRE(json.at("problems").size() == 1);
+
+  json = json_of({"info", (folder / "mission" / "graph.g2o").string()});
+  require_fields(json, fields);
+  REQUIRE(json.at("kind") == "g2o");
+  json = json_of(
+      {"info", (folder / "mission" / "scans" / (std::to_string(make_key('a', 0)) + ".pcd")).string()});
+  require_fields(json, fields);
+  REQUIRE(json.at("points").at("total") == 1200);
+}
+
+TEST_CASE("config: what it prints is what --config takes", "[apps]") {
+  const TemporaryFolder folder;
+  const ProgramRun defaults = run_program({"config"});
+  REQUIRE(defaults.status == kDone);
+  testing::write_text(folder / "c.json", defaults.out);
+  const std::string path = (folder / "c.json").string();
+  REQUIRE(run_program({"config", "--config", path}).out == defaults.out);
+  const Json changed = json_of({"config", "--config", path, "--set", "replay.batch=7"});
+  REQUIRE(changed.at("replay").at("batch") == 7);
+  REQUIRE_THAT(run_program({"config", "--describe"}).out, Contains("replay.batch = 100   (>= 1)"));
+}
+
+TEST_CASE("replay: files, fields, the same bytes for any number of threads, and again after a kill",
+          "[apps]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "mission", small_mission());
+  const auto replay = [&](const std::string& out, const std::vector<std::string>& more) {
+    std::vector<std::string> arguments{"replay",
+                                       (folder / "mission").string(),
+                                       "-o",
+                                       (folder / out).string(),
+                                       "--method",
+                                       "random",
+                                       "--batch",
+                                       "5",
+                                       "--max-registrations",
+                                       "12",
+                                       "--registration-time",
+                                       "0.5",
+                                       "--workers",
+                                       "2",
+                                       "--skip-recent",
+                                       "2"};
+    arguments.insert(arguments.end(), more.begin(), more.end());
+    return arguments;
+  };
+  const Json json = json_of(replay("one", {"--threads", "1"}));
+  require_fields(json, {"candidates", "closures", "reasons", "ate_m", "ate_se3_m", "ate_rmse_m", "rpe",
+                        "robots", "seconds", "seed", "options"});
+  const Json& candidates = json.at("candidates");
+  require_fields(candidates, {"generated", "pruned", "expired", "pending", "computed", "queued"});
+  const auto count = [&](const char* name) { return candidates.at(name).get<std::size_t>(); };
+  REQUIRE(count("computed") == 12);
+  REQUIRE(count("generated") == count("pruned") + count("expired") + count("pending") + count("computed"));
+  REQUIRE(count("queued") == count("generated") - count("pruned"));
+  require_fields(json.at("closures"), {"verified", "gnc_inliers", "true_inliers"});
+  for (const char* name : {"ate_m", "ate_se3_m", "ate_rmse_m"})
+    require_fields(json.at(name), {"odometry", "optimized"});
+  REQUIRE(parse_json(testing::read_text(folder / "one" / "summary.json"), "summary.json") == json);
+
+  const CsvTable rows(folder / "one" / "closures.csv", kClosureColumns);
+  REQUIRE(rows.size() == 12);
+  std::size_t verified = 0;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    REQUIRE(rows.key(i, 0) != rows.key(i, 1));
+    verified += rows.text(i, 3) == "verified" ? 1 : 0;
+  }
+  REQUIRE(json.at("closures").at("verified") == verified);
+  REQUIRE(verified > 0);
+  for (const char* file :
+       {"graph.g2o", "journal.jsonl", "map.pcd", "picture.svg", "trajectories/a.tum", "trajectories/b.tum"}) {
+    CAPTURE(file);
+    REQUIRE(testing::fs::exists(folder / "one" / file));
+  }
+
+  const auto same_results = [&](const std::string& other) {
+    REQUIRE(without_seconds(testing::read_text(folder / "one" / "closures.csv")) ==
+            without_seconds(testing::read_text(folder / other / "closures.csv")));
+    for (const char* file : {"graph.g2o", "journal.jsonl", "map.pcd"}) {
+      CAPTURE(file);
+      REQUIRE(testing::read_text(folder / "one" / file) == testing::read_text(folder / other / file));
+    }
+  };
+  REQUIRE(run_program(replay("two", {"--threads", "2", "--quiet"})).status == kDone);
+  same_results("two");
+
+  // As a kill leaves it: half of the outcomes, the last one cut short, no results.
+  const std::string outcomes = testing::read_text(folder / "two" / "outcomes.jsonl");
+  testing::write_text(folder / "two" / "outcomes.jsonl", outcomes.substr(0, outcomes.size() / 2));
+  for (const char* file : {"summary.json", "closures.csv", "graph.g2o"})
+    testing::fs::remove(folder / "two" / file);
+  const ProgramRun resumed = run_program(replay("two", {"--resume"}));
+  REQUIRE(resumed.status == kDone);
+  REQUIRE_THAT(resumed.err, Contains("already computed"));
+  same_results("two");
+
+  require_failure(replay("one", {}), kBadUsage, "not empty");
+  require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options");
+  require_failure(
+      {"replay", (folder / "mission").string(), "-o", (folder / "three").string(), "--method", "best"},
+      kBadUsage, "best");
+  testing::write_text(folder / "file", "");
+  require_failure(replay("file", {}), kBadUsage, "not a folder");
+}
+
+TEST_CASE("replay: an interrupt ends it with the results so far", "[apps]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "mission", small_mission(30));
+  testing::Program program({"replay", (folder / "mission").string(), "-o", (folder / "out").string(),
+                            "--method", "baseline", "--after-mission", "--threads", "1"});
+  // Once the first outcomes are on disk; hundreds are to come.
+  const testing::fs::path outcomes = folder / "out" / "outcomes.jsonl";
+  const auto lines = [&] {
+    const std::string text = testing::fs::exists(outcomes) ? testing::read_text(outcomes) : "";
+    return std::count(text.begin(), text.end(), '\n');
+  };
+  while (lines() < 3 && program.running()) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+  program.interrupt();
+  const ProgramRun run = program.finish();
+  INFO(run.err);
+  REQUIRE(run.status == kInterrupted);
+  const Json summary = parse_json(testing::read_text(folder / "out" / "summary.json"), "summary.json");
+  REQUIRE(summary.at("interrupted") == true);
+  REQUIRE(summary.at("candidates").at("pending").get<std::size_t>() > 0);
+  REQUIRE(CsvTable(folder / "out" / "closures.csv", kClosureColumns).size() ==
+          summary.at("candidates").at("computed").get<std::size_t>());
+}
+
+}  // namespace loopwise

@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <cmath>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/evaluation/run_folder.hpp>
+#include <loopwise/evaluation/run_picture.hpp>
+#include <loopwise/io/csv.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+#include "pipeline/testing_mission.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+ReplayResult replayed(const Mission& mission, const Config& config) {
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  std::map<Key, Eigen::Isometry3d> truth = mission.ground_truth;
+  if (truth.empty()) truth = testing::two_circles().ground_truth;
+  const auto registrar = std::make_shared<testing::OracleRegistrar>(truth);
+  ThreadPool pool(1);
+  return MissionReplay(mission, config, features, registrar).run(pool, {});
+}
+
+Config short_config() {
+  Config config;
+  config.replay.method = "random";
+  config.replay.max_registrations = 60;
+  return config;
+}
+
+std::size_t occurrences(const std::string& text, const std::string& part) {
+  std::size_t count = 0;
+  for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + 1)) ++count;
+  return count;
+}
+
+}  // namespace
+
+TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evaluation][run]") {
+  const Mission mission = testing::two_circles();
+  const Config config = short_config();
+  const ReplayResult result = replayed(mission, config);
+  const RunEvaluation evaluation = evaluate_run(mission, result);
+  const testing::TemporaryFolder folder;
+  write_run_folder(folder.path(), mission, config, result, evaluation,
+                   stitch_map(result.graph, *mission.scans, 0.2));
+
+  const Json summary = parse_json(testing::read_text(folder / "summary.json"), "summary.json");
+  const Json& candidates = summary.at("candidates");
+  const auto count = [](const Json& json, const char* name) { return json.at(name).get<std::size_t>(); };
+  REQUIRE(count(candidates, "computed") == 60);
+  REQUIRE(count(candidates, "queued") == count(candidates, "generated") - count(candidates, "pruned"));
+  std::size_t rejected = 0;
+  for (const auto& [reason, number] : summary.at("reasons").items()) rejected += number.get<std::size_t>();
+  REQUIRE(count(summary.at("closures"), "verified") + rejected == 60);
+  REQUIRE(summary.at("ate_m").at("optimized").get<double>() == evaluation.optimized.ate_m.mean);
+  REQUIRE(summary.at("ate_m").at("odometry").get<double>() == evaluation.odometry.ate_m.mean);
+  for (const char* field : {"ate_se3_m", "ate_rmse_m", "rpe", "robots", "seconds", "seed", "options"}) {
+    REQUIRE(summary.contains(field));
+  }
+
+  // The rows say what the summary counts.
+  const CsvTable rows(folder / "closures.csv",
+                      {"from", "to", "source", "outcome", "reason", "x", "y", "z", "qx", "qy", "qz", "qw",
+                       "fitness", "overlap", "weight", "mission_time_s", "seconds"});
+  REQUIRE(rows.size() == 60);
+  std::size_t verified = 0, inliers = 0;
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const bool passed = rows.text(i, 3) == "verified";
+    REQUIRE(rows.text(i, 4).empty() == passed);
+    verified += passed ? 1 : 0;
+    inliers += passed && rows.number(i, 14) > 0.5 ? 1 : 0;
+    if (!passed) continue;
+    REQUIRE(rows.key(i, 0) == result.computed[i].result.candidate.from);
+    REQUIRE(rows.number(i, 5) == result.computed[i].result.closure->T_from_to.translation().x());
+  }
+  REQUIRE(verified == count(summary.at("closures"), "verified"));
+  REQUIRE(inliers == count(summary.at("closures"), "gnc_inliers"));
+  REQUIRE(inliers > 0);
+
+  REQUIRE(read_g2o(folder / "graph.g2o").graph.nodes().size() == 80);
+  for (const char* name : {"a.tum", "a_odometry.tum", "b.tum", "b_odometry.tum"}) {
+    REQUIRE(read_tum(folder / "trajectories" / name).size() == 40);
+  }
+  REQUIRE(read_tum(folder / "trajectories" / "b.tum")[0].stamp_ns == 500000000);
+  REQUIRE(read_cloud(folder / "map.pcd").cloud.size() > 1000);
+  REQUIRE(testing::fs::exists(folder / "picture.svg"));
+}
+
+TEST_CASE("run folder: without ground truth errors are null, not zero", "[evaluation][run]") {
+  Mission mission = testing::two_circles();
+  mission.ground_truth.clear();
+  const Config config = short_config();
+  const ReplayResult result = replayed(mission, config);
+  const RunEvaluation evaluation = evaluate_run(mission, result);
+  REQUIRE_FALSE(evaluation.has_truth);
+  const Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");
+  REQUIRE(summary.at("ate_m").is_null());
+  REQUIRE(summary.at("closures").at("true_inliers").is_null());
+  REQUIRE(summary.at("closures").at("verified").get<std::size_t>() > 0);
+}
+
+TEST_CASE("run picture: paths, truth and closures", "[evaluation][picture]") {
+  Mission mission = testing::two_circles();
+  mission.robots = Robots({robot_of_character('a', "a & <b>"), robot_of_character('b', "b")});
+  const ReplayResult result = replayed(mission, short_config());
+  const PointCloud map = stitch_map(result.graph, *mission.scans, 0.2);
+  const std::string svg = run_picture_svg(mission, result, map);
+  const ClosureStatistics closures = evaluate_run(mission, result).closures;
+
+  REQUIRE(occurrences(svg, "<polyline") == 6);  // two robots: optimised, odometry, truth
+  REQUIRE(occurrences(svg, "stroke=\"#35a35f\" stroke-width=\"1\"") == closures.gnc_inliers);
+  REQUIRE(occurrences(svg, "stroke=\"#d1342f\" stroke-width=\"1\"") ==
+          closures.verified - closures.gnc_inliers);
+  REQUIRE(occurrences(svg, "h0") > 500);  // points of the map
+  REQUIRE(Contains(">a &amp; &lt;b></text>").match(svg));
+  REQUIRE(occurrences(svg, "nan") + occurrences(svg, "inf") == 0);
+  REQUIRE(run_picture_svg(mission, result, map) == svg);
+
+  mission.ground_truth.clear();
+  REQUIRE(occurrences(run_picture_svg(mission, result, {}), "<polyline") == 4);
+  REQUIRE(Contains("</svg>").match(run_picture_svg(Mission(), ReplayResult(), {})));
+}
+
+}  // namespace loopwise
