@@ -8,7 +8,7 @@
 namespace loopwise {
 
 std::optional<Submap> Submap::load(FeatureCache& cache, const std::vector<SubmapMember>& members,
-                                   RegistrationResult& result) {
+                                   std::size_t enough_points, RegistrationResult& result) {
   Submap submap;
   const auto missing = [&](Key key, const std::string& why) {
     result.reason = RejectionReason::kMissingScan;
@@ -18,6 +18,7 @@ std::optional<Submap> Submap::load(FeatureCache& cache, const std::vector<Submap
   if (members.empty()) return missing(result.candidate.from, "the task names no scan");
   std::size_t points = 0;
   for (const SubmapMember& member : members) {
+    if (enough_points > 0 && points >= enough_points) break;
     Part part{member.key, member.T_center_member, nullptr};
     try {
       part.features = cache.get(member.key);

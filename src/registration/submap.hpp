@@ -20,10 +20,11 @@ struct Part {
 /// One side of a registration: its scans, and their union in the centre's frame.
 class Submap {
  public:
-  /// The features of the members, or nothing if one is missing; then `result` says which and why.
+  /// The features of the members, in order, until there are enough points (0: of all); or nothing if one is
+  /// missing: then `result` says which and why.
   [[nodiscard]] static std::optional<Submap> load(FeatureCache& cache,
                                                   const std::vector<SubmapMember>& members,
-                                                  RegistrationResult& result);
+                                                  std::size_t enough_points, RegistrationResult& result);
 
   [[nodiscard]] const std::vector<Part>& parts() const { return parts_; }
   /// Points and normals of all parts, part by part, in the centre's frame.

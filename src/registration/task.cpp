@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/registration/task.hpp>
 
-#include <set>
+#include <array>
+#include <optional>
 
 #include <loopwise/core/random.hpp>
 
@@ -37,19 +38,25 @@ std::optional<Step> odometry_step(const PoseGraph& graph, const Robots& robots, 
   return best;
 }
 
-std::vector<SubmapMember> submap(const PoseGraph& graph, const Robots& robots, Key centre, int neighbours,
-                                 const std::function<bool(Key)>& has_scan) {
+/// Nearest to the centre first: 0, −1, +1, −2, +2, …
+std::vector<SubmapMember> submap(const PoseGraph& graph, const Robots& robots, Key centre, Key other_end,
+                                 int neighbours, const std::function<bool(Key)>& has_scan) {
   std::vector<SubmapMember> members{{centre, Eigen::Isometry3d::Identity()}};
-  for (const bool forward : {false, true}) {
-    std::size_t node = graph.index_of(centre);
-    Eigen::Isometry3d T_center_node = Eigen::Isometry3d::Identity();
-    for (int i = 0; i < neighbours; ++i) {
-      const std::optional<Step> step = odometry_step(graph, robots, node, forward);
-      if (!step) break;
-      node = step->node;
-      T_center_node = T_center_node * step->T_here_there;
-      const Key key = graph.nodes()[node].key;
-      if (!has_scan || has_scan(key)) members.push_back({key, T_center_node});
+  struct Walk {
+    bool forward;
+    std::optional<Step> at;  // pose in the centre's frame
+  };
+  const Step start{graph.index_of(centre), Eigen::Isometry3d::Identity()};
+  std::array<Walk, 2> walks{Walk{false, start}, Walk{true, start}};
+  for (int i = 0; i < neighbours; ++i) {
+    for (Walk& walk : walks) {
+      if (!walk.at) continue;
+      const Eigen::Isometry3d T_center_here = walk.at->T_here_there;
+      walk.at = odometry_step(graph, robots, walk.at->node, walk.forward);
+      if (!walk.at) continue;
+      walk.at->T_here_there = T_center_here * walk.at->T_here_there;
+      const Key key = graph.nodes()[walk.at->node].key;
+      if (key != other_end && (!has_scan || has_scan(key))) members.push_back({key, walk.at->T_here_there});
     }
   }
   return members;
@@ -62,11 +69,12 @@ RegistrationTask make_task(const PoseGraph& graph, const Robots& robots, const L
                            const std::function<bool(Key)>& has_scan) {
   RegistrationTask task;
   task.candidate = candidate;
-  task.source = submap(graph, robots, candidate.from, options.source_neighbours, has_scan);
-  task.target = submap(graph, robots, candidate.to, options.target_neighbours, has_scan);
+  task.source = submap(graph, robots, candidate.from, candidate.to, options.source_neighbours, has_scan);
+  task.target = submap(graph, robots, candidate.to, candidate.from, options.target_neighbours, has_scan);
   if (options.use_guess) {
     task.guess_from_to = graph.node(candidate.from).pose.inverse() * graph.node(candidate.to).pose;
   }
+  task.enough_points = static_cast<std::size_t>(options.enough_points);
   task.seed = pair_seed(seed, candidate.from, candidate.to);
   return task;
 }

@@ -60,9 +60,9 @@ TEST_CASE("make_task: neighbours along the odometry, placed by it", "[task]") {
   const Mission m;
   const RegistrationTask task = make_task(m.graph, m.robots, candidate(8, 3), {}, 42);
   REQUIRE(keys(task.source) == std::vector<Key>{8});
-  REQUIRE(keys(task.target) == std::vector<Key>{3, 2, 1, 4, 5});
+  REQUIRE(keys(task.target) == std::vector<Key>{3, 2, 4, 1, 5});
   REQUIRE(testing::difference(task.target[0].T_center_member, Eigen::Isometry3d::Identity()) == 0.0);
-  REQUIRE(testing::difference(task.target[2].T_center_member,
+  REQUIRE(testing::difference(task.target[3].T_center_member,
                               m.odometry(2, 3).inverse() * m.odometry(1, 2).inverse()) < 1e-12);
   REQUIRE(testing::difference(task.target[4].T_center_member, m.odometry(3, 4) * m.odometry(4, 5)) < 1e-12);
   REQUIRE(task.seed == pair_seed(42, 8, 3));
@@ -77,9 +77,18 @@ TEST_CASE("make_task: chains end with the robot; missing scans are stepped over"
   options.use_guess = false;
   const auto has_scan = [](Key key) { return key != 101; };
   const RegistrationTask task = make_task(m.graph, m.robots, candidate(102, 9), options, 1, has_scan);
-  REQUIRE(keys(task.source) == std::vector<Key>{102, 100, 103, 104});
+  REQUIRE(keys(task.source) == std::vector<Key>{102, 103, 100, 104});
   REQUIRE(keys(task.target) == std::vector<Key>{9, 8, 7});
   REQUIRE_FALSE(task.guess_from_to.has_value());
+}
+
+TEST_CASE("make_task: the other end is no neighbour, where it would be placed by odometry", "[task]") {
+  const Mission m;
+  TaskOptions options;
+  options.source_neighbours = 2;
+  const RegistrationTask task = make_task(m.graph, m.robots, candidate(5, 3), options, 1);
+  REQUIRE(keys(task.target) == std::vector<Key>{3, 2, 4, 1});
+  REQUIRE(keys(task.source) == std::vector<Key>{5, 4, 6, 7});
 }
 
 TEST_CASE("make_task: keys that differ in their high bits alone belong to different robots", "[task]") {

@@ -16,6 +16,7 @@ namespace loopwise {
 struct TaskOptions {
   int source_neighbours = 0;
   int target_neighbours = 2;
+  std::int64_t enough_points = 2000;
   bool use_guess = true;
 
   template <class Self, class Visitor>
@@ -24,12 +25,15 @@ struct TaskOptions {
           "Scans before and after the newer node, along its odometry, that are merged with its scan.");
     field("target_neighbours", self.target_neighbours, between(0.0, 100.0),
           "The same for the older node: the submap that the newer one is aligned to.");
+    field("enough_points", self.enough_points, at_least(0.0),
+          "Neighbours are merged, nearest first, only while a submap has fewer points; 0: always.");
     field("use_guess", self.use_guess, any_value(), "Hand the graph's relative pose to the registration.");
   }
 };
 
 /// The task of a candidate in the graph's present state. Neighbours are found, and placed, along the chain of
 /// odometry edges within the node's robot, not by the estimate: a later optimisation never changes a submap.
+/// The candidate's other end is never a neighbour: its place there would be the odometry's, not a measurement.
 /// Where the chain ends, or `has_scan` (may be empty: all have) denies a scan, the neighbour is left out; the
 /// chain goes on past a missing scan. The seed is pair_seed(seed, from, to). \throws UnknownKeyError if the
 /// graph lacks a node of the candidate.
