@@ -66,6 +66,7 @@ struct Tunnel {
   Range face_m{4.0, 11.0};     ///< Beyond the last cross-cut.
   double meander_m = 0.35;
   double undulation_m = 1.5;  ///< Amplitude of the seam's height over some 120 m.
+  double clearance_m = 1.15;  ///< From a robot's centre to the ribs, at least.
   double prop_spacing_m = 22.0;
   double pipe_radius_m = 0.09;
 };
@@ -80,6 +81,7 @@ struct Mine {
   double pillar_jitter_m = 2.5;
   double unmined_share = 0.14;  ///< Of the drifts between pillars that were never cut.
   double undulation_m = 2.0;
+  double clearance_m = 3.4;  ///< From a robot's centre to the ribs, at least: loose rock falls there.
   double rubble_spacing_m = 14.0;
 };
 inline constexpr Mine kMine{};

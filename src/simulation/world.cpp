@@ -41,7 +41,8 @@ struct Style {
   double size_change = 0.0;  ///< Relative, from piece to piece.
   const parameters::Roughness* roughness = nullptr;
   bool corridor = true;
-  bool grounded = false;  ///< The floor follows the ground.
+  bool grounded = false;   ///< The floor follows the ground.
+  double clearance = 0.9;  ///< From a robot's centre to the walls, at least, m.
 };
 
 void add_quad(TriangleMesh& mesh, std::uint32_t a, std::uint32_t b, std::uint32_t c, std::uint32_t d) {
@@ -101,7 +102,7 @@ class Builder {
     }
     path.push_back(b);
     cut(path, style);
-    way(from, to, std::move(path), std::max(0.15, style.half_width - kWallClearance), style.corridor);
+    way(from, to, std::move(path), std::max(0.15, style.half_width - style.clearance), style.corridor);
   }
 
   /// The hole alone.
@@ -139,12 +140,17 @@ class Builder {
 
   /// A box on the floor, a post or drum, or a pipe; left out where robots drive.
   void box(const Eigen::Vector3d& floor, double length, double width, double height, double yaw) {
+    box(floor, length, width, height, yaw, 0.5 * std::hypot(length, width));
+  }
+  /// \param reach how far it reaches towards the way.
+  void box(const Eigen::Vector3d& floor, double length, double width, double height, double yaw,
+           double reach) {
     things_.push_back([=](TriangleMesh& mesh) {
       const Eigen::Vector3d u = 0.5 * length * Eigen::Vector3d(std::cos(yaw), std::sin(yaw), 0.0);
       const Eigen::Vector3d v = 0.5 * width * Eigen::Vector3d(-std::sin(yaw), std::cos(yaw), 0.0);
       add_box(mesh, floor, u, v, height);
     });
-    foot_.push_back({floor, 0.5 * std::hypot(length, width)});
+    foot_.push_back({floor, reach});
   }
   void post(const Eigen::Vector3d& floor, double radius, double height) {
     things_.push_back([=](TriangleMesh& mesh) {
@@ -221,7 +227,7 @@ class Builder {
 
   [[nodiscard]] bool out_of_the_way(const Foot& foot) const {
     for (const auto& p : routes_.passages) {
-      const double keep = p.half_width_m + 0.6 + foot.radius;
+      const double keep = p.half_width_m + 0.55 + foot.radius;
       for (std::size_t i = 1; i < p.path.size(); ++i) {
         const Eigen::Vector3d& a = p.path[i - 1];
         const Eigen::Vector3d& b = p.path[i];
@@ -270,6 +276,7 @@ Style entry_style(Builder& builder) {
   style.size_change = 0.03;
   style.roughness = &parameters::kCoal;
   style.grounded = true;
+  style.clearance = parameters::kTunnel.clearance_m;
   return style;
 }
 
@@ -326,7 +333,7 @@ void furnish_entries(Builder& builder) {
   const auto passages = builder.routes().passages;
   for (const auto& p : passages) {
     const double side = rng.uniform() < 0.5 ? -1.0 : 1.0;
-    const double wall = p.half_width_m + kWallClearance;
+    const double wall = p.half_width_m + t.clearance_m;
     const bool has_pipe = p.length_m > 20.0 && rng.uniform() < 0.5;
     for (std::size_t i = 1; i < p.path.size(); ++i) {
       const Eigen::Vector3d a = p.path[i - 1], b = p.path[i], d = b - a;
@@ -338,7 +345,7 @@ void furnish_entries(Builder& builder) {
       }
       if (rng.uniform() < d.norm() / t.prop_spacing_m) {
         const double hand = rng.uniform() < 0.5 ? -1.0 : 1.0;
-        builder.post(a + rng.uniform() * d + hand * (wall - 0.25) * left, rng.uniform(0.07, 0.12), 2.6);
+        builder.post(a + rng.uniform() * d + hand * (wall - 0.2) * left, rng.uniform(0.07, 0.12), 2.6);
       }
       if (rng.uniform() < 0.25 * d.norm() / t.prop_spacing_m) {
         const double hand = rng.uniform() < 0.5 ? -1.0 : 1.0;
@@ -487,6 +494,7 @@ void plan_mine(Builder& builder, double target) {
     s.meander = 0.5;
     s.roughness = &parameters::kLimestone;
     s.grounded = true;
+    s.clearance = m.clearance_m;
     return s;
   };
   const std::size_t gate = builder.place(0.0, 0.0);
@@ -501,7 +509,7 @@ void plan_mine(Builder& builder, double target) {
   builder.passage(gate, places.at({0, 0}), style());
   const auto passages = builder.routes().passages;
   for (const auto& p : passages) {
-    const double wall = p.half_width_m + kWallClearance;
+    const double wall = p.half_width_m + m.clearance_m;
     for (std::size_t i = 1; i < p.path.size(); ++i) {
       const Eigen::Vector3d a = p.path[i - 1], d = p.path[i] - a;
       const Eigen::Vector3d left = Eigen::Vector3d(-d.y(), d.x(), 0.0).normalized();
@@ -514,8 +522,9 @@ void plan_mine(Builder& builder, double target) {
       }
       if (rng.uniform() < 0.12 * d.norm() / m.rubble_spacing_m) {
         const double hand = rng.uniform() < 0.5 ? -1.0 : 1.0;
-        builder.box(a + hand * (wall - 1.3) * left, rng.uniform(3.0, 6.0), rng.uniform(1.8, 2.4),
-                    rng.uniform(1.5, 2.6), std::atan2(d.y(), d.x()) + rng.uniform(-0.2, 0.2));
+        const double width = rng.uniform(1.8, 2.4);
+        builder.box(a + hand * (wall - 0.5 * width - 0.3) * left, rng.uniform(3.0, 6.0), width,
+                    rng.uniform(1.5, 2.6), std::atan2(d.y(), d.x()) + rng.uniform(-0.1, 0.1), 0.5 * width);
       }
     }
   }
