@@ -5,7 +5,6 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/trajectory.hpp>
-#include <loopwise/registration/pcl_registrar.hpp>
 
 #include "command.hpp"
 
@@ -17,7 +16,7 @@ struct Options {
   std::string source;
   std::string target;
   std::string guess;
-  std::string registrar = "pcl";
+  std::string registrar;
   std::string out;
   std::uint64_t seed = 1;
 };
@@ -42,7 +41,8 @@ int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
   const Config config = load_config(options.common);
-  if (options.registrar != "pcl") throw_unknown_name("registrar", options.registrar, {"pcl"});
+  const auto kind = options.registrar.empty() ? config.replay.registrar
+                                              : parse_enum<RegistrarKind>("--registrar", options.registrar);
 
   // The pair as two nodes: the source is the newer one.
   constexpr Key kTarget = 0, kSource = 1;
@@ -57,7 +57,7 @@ int run(const Options& options) {
   const auto target_cloud = std::make_shared<const PointCloud>(target.cloud);
   const auto features = std::make_shared<FeatureCache>(
       [&](Key key) { return key == kSource ? source_cloud : target_cloud; }, config.features);
-  const RegistrationResult result = PclRegistrar(features, config.registration).compute(task);
+  const RegistrationResult result = make_registrar(kind, config, features)->compute(task);
 
   Json json = Json::object();
   json["status"] = result.verified() ? "verified" : "rejected";
@@ -127,7 +127,8 @@ void add_register(CLI::App& app, Action& chosen) {
           "--guess", options->guess,
           "File with T_target_source to start from: 4x4 or 3x4 numbers; results far from it are refused")
       ->type_name("T.txt");
-  command->add_option("--registrar", options->registrar, "Which implementation: pcl")->type_name("WORD");
+  command->add_option("--registrar", options->registrar, "Which implementation: fast (default) or pcl")
+      ->type_name("WORD");
   command->add_option("--seed", options->seed, "Of all random draws (default 1)")->type_name("S");
   command->add_option("--out", options->out, "Write the aligned source, .pcd or .ply")->type_name("CLOUD");
   add_common_options(*command, options->common);

@@ -9,7 +9,6 @@
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/pipeline/replay.hpp>
-#include <loopwise/registration/pcl_registrar.hpp>
 
 #include "command.hpp"
 
@@ -22,7 +21,7 @@ struct Options {
   CommonOptions common;
   std::string mission;
   std::string output;
-  std::string method, clock = "virtual", preset, robots, guess;
+  std::string method, clock = "virtual", preset, robots, guess, registrar;
   std::optional<std::int64_t> batch, workers, max_registrations, skip_recent;
   std::optional<double> registration_time;
   std::vector<double> odometry_noise;
@@ -41,6 +40,7 @@ Config configured(const Options& o) {
   ReplayOptions& replay = config.replay;
   if (!o.method.empty()) replay.method = o.method;
   if (!o.guess.empty()) replay.guess = parse_enum<GuessSource>("--guess", o.guess);
+  if (!o.registrar.empty()) replay.registrar = parse_enum<RegistrarKind>("--registrar", o.registrar);
   if (o.batch) replay.batch = *o.batch;
   if (o.workers) replay.workers = *o.workers;
   if (o.max_registrations) replay.max_registrations = *o.max_registrations;
@@ -154,7 +154,7 @@ int run(const Options& options) {
 
   ThreadPool threads(thread_count(options.common));
   const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
-  const auto registrar = std::make_shared<PclRegistrar>(features, config.registration);
+  const auto registrar = make_registrar(config.replay.registrar, config, features);
   ReplayHooks hooks;
   hooks.journal = [&](const std::string& line) {
     journal << line + "\n" << std::flush;
@@ -193,7 +193,8 @@ void add_replay(CLI::App& app, Action& chosen) {
       "  loopwise replay my_mission -o out --method obs\n"
       "  loopwise replay my_session -o out --set generation.skip_recent=2 --odometry-noise 0.05 0.01 --seed "
       "3\n"
-      "DIR gets summary.json, closures.csv, graph.g2o, trajectories/, map.pcd, picture.svg and journal.jsonl.");
+      "DIR gets summary.json, closures.csv, graph.g2o, trajectories/, map.pcd, picture.svg and "
+      "journal.jsonl.");
   command->add_option("mission", options->mission, "Mission folder, session folder or g2o file")
       ->required()
       ->type_name("MISSION");
@@ -226,6 +227,9 @@ void add_replay(CLI::App& app, Action& chosen) {
                    "Make the odometry worse: sigma after 1 m, in m and rad")
       ->type_name("M_PER_M RAD_PER_M")
       ->expected(2);
+  command
+      ->add_option("--registrar", options->registrar, "What computes the candidates: fast (default) or pcl")
+      ->type_name("WORD");
   command->add_option("--guess", options->guess, "Relative pose given to registrations: estimate or odometry")
       ->type_name("WORD");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")

@@ -117,6 +117,18 @@ std::vector<std::string> method_names() {
   return {"odom", "baseline", "random", "obs"};
 }
 
+std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config& config,
+                                                std::shared_ptr<FeatureCache> features) {
+  if (kind == RegistrarKind::kFast) {
+    return std::make_shared<FastRegistrar>(std::move(features), config.fast_registrar);
+  }
+#ifdef LOOPWISE_WITH_PCL
+  return std::make_shared<PclRegistrar>(std::move(features), config.pcl_registrar);
+#else
+  throw OptionError("registrar = \"pcl\": this build was made without PCL");
+#endif
+}
+
 RoundRobinQueue make_queue(const Config& config, const Robots& robots,
                            const ObservabilityPrioritizer::Eigenvalue& eigenvalue) {
   const std::string& method = config.replay.method;

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -16,6 +17,7 @@
 #include <loopwise/optimization/optimizer.hpp>
 #include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/prioritization/observability.hpp>
+#include <loopwise/registration/fast_registrar.hpp>
 #include <loopwise/registration/pcl_registrar.hpp>
 #include <loopwise/registration/task.hpp>
 
@@ -30,6 +32,14 @@ enum class GuessSource {
   return {{GuessSource::kEstimate, "estimate"}, {GuessSource::kOdometry, "odometry"}};
 }
 
+enum class RegistrarKind {
+  kFast,  ///< FastRegistrar
+  kPcl,   ///< PclRegistrar, the reference
+};
+[[nodiscard]] inline EnumNames<RegistrarKind> enum_names(RegistrarKind) {
+  return {{RegistrarKind::kFast, "fast"}, {RegistrarKind::kPcl, "pcl"}};
+}
+
 struct ReplayOptions {
   std::string method = "obs";
   std::int64_t batch = 100;
@@ -37,6 +47,7 @@ struct ReplayOptions {
   std::int64_t workers = 10;
   std::int64_t max_registrations = 0;
   bool after_mission = false;
+  RegistrarKind registrar = RegistrarKind::kFast;
   GuessSource guess = GuessSource::kEstimate;
   double odometry_noise_m_per_m = 0.0;
   double odometry_noise_rad_per_m = 0.0;
@@ -54,6 +65,7 @@ struct ReplayOptions {
           "The run ends after this many; 0: no bound.");
     field("after_mission", self.after_mission, any_value(),
           "Go on after the last key frame until nothing is pending.");
+    field("registrar", self.registrar, any_value(), "What computes the candidates: fast or pcl.");
     field("guess", self.guess, any_value(),
           "Relative pose that registrations are given: estimate or odometry.");
     field("odometry_noise_m_per_m", self.odometry_noise_m_per_m, at_least(0.0),
@@ -73,7 +85,8 @@ struct Config {
   CandidatePoolOptions pool;
   ObservabilityPriorityOptions observability;
   TaskOptions task;
-  PclRegistrarOptions registration;
+  FastRegistrarOptions fast_registrar;
+  PclRegistrarOptions pcl_registrar;
   OptimizerOptions optimization;
   GncOptions gnc;
   ReplayOptions replay;
@@ -87,7 +100,8 @@ struct Config {
     visitor("pool", self.pool);
     visitor("observability", self.observability);
     visitor("task", self.task);
-    visitor("registration", self.registration);
+    visitor("fast_registrar", self.fast_registrar);
+    visitor("pcl_registrar", self.pcl_registrar);
     visitor("optimization", self.optimization);
     visitor("gnc", self.gnc);
     visitor("replay", self.replay);
@@ -116,6 +130,10 @@ struct ConfigEntry {
 
 /// The methods that ReplayOptions::method names.
 [[nodiscard]] std::vector<std::string> method_names();
+
+/// The registrar of a kind over these features. \throws OptionError if this build has it not.
+[[nodiscard]] std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config& config,
+                                                              std::shared_ptr<FeatureCache> features);
 
 /// The prioritisers of a method, joined in a queue. `eigenvalue` serves the observability score.
 /// \throws OptionError naming the methods there are.
