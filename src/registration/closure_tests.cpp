@@ -59,7 +59,12 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
   std::size_t overlapping = 0;
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
-  for (std::size_t i = 0; i < source.size(); ++i) {
+  const std::size_t measured =
+      options.measured_points == 0
+          ? source.size()
+          : std::min(source.size(), static_cast<std::size_t>(options.measured_points));
+  for (std::size_t k = 0; k < measured; ++k) {
+    const std::size_t i = k * source.size() / measured;
     const Eigen::Vector3d y = T_to_from * source.points[i].cast<double>();
     const std::size_t bin = with_normals ? normal_bin(source.normals[i]) : kUnknownNormal;
     ++of_direction[bin];
@@ -94,7 +99,11 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
   figures.normal_noise.bottomLeftCorner<3, 3>() = se3::skew(sum);
   figures.normal_noise.bottomRightCorner<3, 3>() = moment.trace() * Eigen::Matrix3d::Identity() - moment;
 
-  const auto n = static_cast<double>(source.size());
+  const auto n = static_cast<double>(measured);
+  const double scale = static_cast<double>(source.size()) / n;
+  figures.hessian *= scale;
+  figures.source_hessian *= scale;
+  figures.normal_noise *= scale;
   figures.fitness_m2 = sum_sq / n;
   figures.overlap = static_cast<double>(overlapping) / n;
   if (figures.plane_points > 0) figures.plane_rmse_m = std::sqrt(sum_sq_plane / planes);

@@ -47,12 +47,12 @@ constexpr float kNormalTolerance = 0.45F;
 std::vector<std::size_t> inliers_of(const std::vector<Match>& matches, const Eigen::Isometry3d& T,
                                     double tolerance_m) {
   const Eigen::Matrix3f R = T.linear().cast<float>();
+  const Eigen::Vector3f t = T.translation().cast<float>();
   const auto sq_tolerance = static_cast<float>(tolerance_m * tolerance_m);
   std::vector<std::size_t> inliers;
   for (std::size_t i = 0; i < matches.size(); ++i) {
     const Match& match = matches[i];
-    const Eigen::Vector3f moved = (T * match.source.cast<double>()).cast<float>();
-    if ((moved - match.target).squaredNorm() > sq_tolerance) continue;
+    if ((R * match.source + t - match.target).squaredNorm() > sq_tolerance) continue;
     if ((R * match.source_normal).dot(match.target_normal) < 0.7F) continue;
     inliers.push_back(i);
   }
@@ -96,16 +96,30 @@ std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double
   if (n < 3 || count == 0) return hypotheses;
   BitMatrix compatible(n);
   const auto tolerance = static_cast<float>(tolerance_m);
+  // By coordinate, so that a row is compared with SIMD: [coordinate](match).
+  Eigen::Array<float, Eigen::Dynamic, 12> m(static_cast<Eigen::Index>(n), 12);
   for (std::size_t i = 0; i < n; ++i) {
-    for (std::size_t j = i + 1; j < n; ++j) {
-      const float a = (matches[i].source - matches[j].source).norm();
-      const float b = (matches[i].target - matches[j].target).norm();
+    m.row(static_cast<Eigen::Index>(i)) << matches[i].source.transpose(), matches[i].target.transpose(),
+        matches[i].source_normal.transpose(), matches[i].target_normal.transpose();
+  }
+  Eigen::Array<float, Eigen::Dynamic, 1> source_m(m.rows()), target_m(m.rows()), turn(m.rows());
+  for (Eigen::Index i = 0; i + 1 < m.rows(); ++i) {
+    const Eigen::Index rest = m.rows() - i - 1;
+    const auto others = [&](Eigen::Index column) { return m.col(column).tail(rest); };
+    source_m.tail(rest) =
+        (others(0) - m(i, 0)).square() + (others(1) - m(i, 1)).square() + (others(2) - m(i, 2)).square();
+    target_m.tail(rest) =
+        (others(3) - m(i, 3)).square() + (others(4) - m(i, 4)).square() + (others(5) - m(i, 5)).square();
+    turn.tail(rest) = others(6) * m(i, 6) + others(7) * m(i, 7) + others(8) * m(i, 8) - others(9) * m(i, 9) -
+                      others(10) * m(i, 10) - others(11) * m(i, 11);
+    source_m.tail(rest) = source_m.tail(rest).sqrt();
+    target_m.tail(rest) = target_m.tail(rest).sqrt();
+    for (Eigen::Index j = i + 1; j < m.rows(); ++j) {
+      const float a = source_m[j], b = target_m[j];
       if (std::abs(a - b) > tolerance || std::max(a, b) < 2.0F * tolerance) continue;
-      const float ca = matches[i].source_normal.dot(matches[j].source_normal);
-      const float cb = matches[i].target_normal.dot(matches[j].target_normal);
-      if (std::abs(ca - cb) > kNormalTolerance) continue;
-      compatible.set(i, j);
-      compatible.set(j, i);
+      if (std::abs(turn[j]) > kNormalTolerance) continue;
+      compatible.set(static_cast<std::size_t>(i), static_cast<std::size_t>(j));
+      compatible.set(static_cast<std::size_t>(j), static_cast<std::size_t>(i));
     }
   }
   // Σ over compatible j of how many matches are compatible with both i and j: triangles at i, twice.

@@ -155,6 +155,7 @@ struct FastRegistrar::Impl {
     const double middle = std::sqrt(options.coarse_reach_m * options.fine_reach_m);
     return {{options.coarse_reach_m, static_cast<std::size_t>(options.coarse_points), 10, 0.02, 2e-3},
             {middle, static_cast<std::size_t>(options.coarse_points), 10, 0.01, 1e-3},
+            {options.fine_reach_m, static_cast<std::size_t>(options.coarse_points), 10, 5e-3, 5e-4},
             {options.fine_reach_m, static_cast<std::size_t>(options.fine_points), 30, 1e-3, 1e-4}};
   }
 };
@@ -179,9 +180,10 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     return result;
   };
   Stopwatch features_watch;
-  const std::optional<Submap> source = Submap::load(*impl_->features, task.source, result);
+  const std::optional<Submap> source =
+      Submap::load(*impl_->features, task.source, task.enough_points, result);
   const std::optional<Submap> target =
-      source ? Submap::load(*impl_->features, task.target, result) : std::nullopt;
+      source ? Submap::load(*impl_->features, task.target, task.enough_points, result) : std::nullopt;
   if (!target) return result;
   const std::size_t fewest = std::min(source->cloud().size(), target->cloud().size());
   if (fewest < static_cast<std::size_t>(options.tests.min_points)) {
@@ -246,14 +248,22 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     return reject(RejectionReason::kFewMatches,
                   "no three of " + std::to_string(matches.size()) + " matches agree on a pose");
   }
+  // A quarter of the points tells which hypotheses are worth all of them.
+  std::vector<double> first_look;
+  for (const Hypothesis& hypothesis : hypotheses) {
+    first_look.push_back(
+        score(source->cloud(), order, scored_points / 4, *target, hypothesis.T_target_source, reach));
+  }
+  const double worth_more = 0.6 * *std::max_element(first_look.begin(), first_look.end());
   double best_score = -1.0;
   Eigen::Isometry3d best = Eigen::Isometry3d::Identity();
-  for (const Hypothesis& hypothesis : hypotheses) {
+  for (std::size_t i = 0; i < hypotheses.size(); ++i) {
+    if (first_look[i] < worth_more) continue;
     const double value =
-        score(source->cloud(), order, scored_points, *target, hypothesis.T_target_source, reach);
+        score(source->cloud(), order, scored_points, *target, hypotheses[i].T_target_source, reach);
     if (value <= best_score) continue;
     best_score = value;
-    best = hypothesis.T_target_source;
+    best = hypotheses[i].T_target_source;
   }
   result.global_s = global_watch.seconds() - keys_s;
   result.T_from_to = best.inverse();

@@ -26,6 +26,12 @@ float turn(float y, float x) {
   return y < 0.0F ? 0.5F - a : 0.5F + a;
 }
 
+/// Eigen's cross() is not inlined here, and then bound to whatever copy another library of the program
+/// exports.
+inline Eigen::Vector3f cross(const Eigen::Vector3f& a, const Eigen::Vector3f& b) {
+  return {a.y() * b.z() - a.z() * b.y(), a.z() * b.x() - a.x() * b.z(), a.x() * b.y() - a.y() * b.x()};
+}
+
 /// Adds the pair's three angles to the histogram of its first point. The point whose normal is closer to the
 /// connecting line spans the frame, so the angles do not depend on the order of the two.
 void add_pair(const Eigen::Vector3f& p, const Eigen::Vector3f& np, const Eigen::Vector3f& q,
@@ -37,11 +43,11 @@ void add_pair(const Eigen::Vector3f& p, const Eigen::Vector3f& np, const Eigen::
   const Eigen::Vector3f& u = swap ? nq : np;
   const Eigen::Vector3f& n = swap ? np : nq;
   const float phi = swap ? -along_q : along_p;
-  Eigen::Vector3f v = d.cross(u);
+  Eigen::Vector3f v = cross(d, u);
   const float length = v.norm();
   if (length < 1e-6F) return;
   v /= length;
-  const Eigen::Vector3f w = u.cross(v);
+  const Eigen::Vector3f w = cross(u, v);
   histogram[bin(turn(w.dot(n), u.dot(n)))] += weight;
   histogram[kBins + bin(0.5F * (v.dot(n) + 1.0F))] += weight;
   histogram[2 * kBins + bin(0.5F * (phi + 1.0F))] += weight;

@@ -262,9 +262,10 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
     return result;
   };
   Stopwatch features_watch;
-  const std::optional<Submap> source = Submap::load(*impl_->features, task.source, result);
+  const std::optional<Submap> source =
+      Submap::load(*impl_->features, task.source, task.enough_points, result);
   const std::optional<Submap> target =
-      source ? Submap::load(*impl_->features, task.target, result) : std::nullopt;
+      source ? Submap::load(*impl_->features, task.target, task.enough_points, result) : std::nullopt;
   if (!target) return result;
   const std::size_t fewest = std::min(source->cloud().size(), target->cloud().size());
   if (fewest < static_cast<std::size_t>(options.tests.min_points)) {

@@ -105,6 +105,18 @@ TEST_CASE("registrar: finds the pose of a pair without a guess", "[registrar]") 
   }
 }
 
+TEST_CASE("registrar: neighbours join a submap only while it lacks points", "[registrar]") {
+  const Drive drive(11, 4);
+  RegistrationTask task = pair_task(3, 0, 1);
+  for (const Key key : {1, 2}) task.target.push_back({key, drive.truth(0, key)});
+  for (const auto& [enough, scans] : {std::pair<std::size_t, std::size_t>{10, 2}, {0, 4}}) {
+    const auto features = std::make_shared<FeatureCache>(testing::loader(drive.scans));
+    task.enough_points = enough;
+    require_sound(FastRegistrar(features).compute(task));
+    REQUIRE(features->computed() == scans);
+  }
+}
+
 TEST_CASE("registrar: a submap reaches further, a guess is used, and strays are refused", "[registrar]") {
   const std::string name = GENERATE(from_range(registrar_names()));
   CAPTURE(name);

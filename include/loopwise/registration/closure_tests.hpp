@@ -19,6 +19,7 @@ namespace loopwise {
 
 struct ClosureTestOptions {
   int min_points = 20;
+  int measured_points = 4000;
   double max_fitness_m2 = 0.9;
   double fitness_range_m = 1.5;
   double overlap_distance_m = 0.5;
@@ -38,6 +39,8 @@ struct ClosureTestOptions {
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
     field("min_points", self.min_points, at_least(4.0), "Points that a scan must have to be aligned.");
+    field("measured_points", self.measured_points, at_least(0.0),
+          "Source points, evenly taken, that an alignment is measured with; 0 takes all.");
     field("max_fitness_m2", self.max_fitness_m2, above(0.0),
           "Mean squared distance of all source points to the target, m^2, above which a closure is refused.");
     field("fitness_range_m", self.fitness_range_m, above(0.0),
