@@ -11,7 +11,7 @@
 #include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/prioritization/observability.hpp>
 #include <loopwise/registration/batch.hpp>
-#include <loopwise/registration/pcl_registrar.hpp>
+#include <loopwise/registration/fast_registrar.hpp>
 #include <loopwise/registration/task.hpp>
 
 using namespace loopwise;
@@ -77,7 +77,7 @@ class BaseStation {
 
   Robots robots_;
   std::shared_ptr<FeatureCache> features_;
-  PclRegistrar registrar_;
+  FastRegistrar registrar_;
   ProximityGenerator generator_;
   CandidatePool pool_;
   PoseGraphOptimizer optimizer_;
