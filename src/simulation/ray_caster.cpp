@@ -6,6 +6,7 @@
 #include <string>
 
 #include <embree3/rtcore.h>
+#include <tbb/task_arena.h>
 
 #include <loopwise/core/error.hpp>
 
@@ -26,7 +27,7 @@ struct RayCaster::Impl {
 
 RayCaster::RayCaster(const TriangleMesh& mesh) {
   auto impl = std::make_unique<Impl>();
-  // One instruction set, which every x86-64 has, and one thread to build: the same tree and the same
+  // One instruction set, which every x86-64 has, and below one thread to build: the same tree and the same
   // arithmetic everywhere.
   impl->device = rtcNewDevice("isa=sse2");
   if (!impl->device) {
@@ -51,7 +52,8 @@ RayCaster::RayCaster(const TriangleMesh& mesh) {
     rtcAttachGeometry(impl->scene, geometry);
     rtcReleaseGeometry(geometry);
   }
-  rtcCommitScene(impl->scene);
+  // Embree builds with oneTBB's threads unless it is kept in an arena of the calling thread alone.
+  tbb::task_arena(1, 1).execute([&] { rtcCommitScene(impl->scene); });
   if (const RTCError error = rtcGetDeviceError(impl->device); error != RTC_ERROR_NONE) {
     throw Error("Embree: cannot build the scene, error " + std::to_string(static_cast<int>(error)));
   }
