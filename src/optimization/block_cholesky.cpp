@@ -63,6 +63,16 @@ struct BlockCholesky::Cholmod {
 
 namespace {
 
+bool is_permutation(const std::vector<int>& p) {
+  std::vector<char> seen(p.size(), 0);
+  for (const int i : p) {
+    if (i < 0 || static_cast<std::size_t>(i) >= p.size() || seen[static_cast<std::size_t>(i)] != 0)
+      return false;
+    seen[static_cast<std::size_t>(i)] = 1;
+  }
+  return true;
+}
+
 /// A pattern or matrix of our own memory as CHOLMOD sees it.
 cholmod_sparse view(std::size_t n, std::vector<int>& start, std::vector<int>& rows, double* values,
                     int stype) {
@@ -117,10 +127,15 @@ void BlockCholesky::order(const std::vector<Pair>& upper) {
     std::vector<int> first(n), level(n);
     if (method == CHOLMOD_METIS) {
       cholmod_metis(&graph, nullptr, 0, 0, o.permutation.data(), &c.common);
+      // METIS gives up without a word when a signal to terminate reaches the process meanwhile.
+      if (c.common.status != CHOLMOD_OK || !is_permutation(o.permutation)) {
+        o.flops = std::numeric_limits<double>::infinity();
+        return o;
+      }
     } else {
       cholmod_amd(&graph, nullptr, 0, o.permutation.data(), &c.common);
+      c.check("ordering");
     }
-    c.check("ordering");
     cholmod_analyze_ordering(&graph, CHOLMOD_GIVEN, o.permutation.data(), nullptr, 0, o.parent.data(),
                              o.post.data(), o.counts.data(), first.data(), level.data(), &c.common);
     c.check("ordering");

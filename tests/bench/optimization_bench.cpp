@@ -3,7 +3,7 @@
 /// The back end beside Ceres and beside the bare factorisation, in one run.
 ///   loopwise_optimization_bench files DATA/g2o      optimisation and marginals of each file
 ///   loopwise_optimization_bench gnc DATA/gnc        robust optimisation of each file
-///   loopwise_optimization_bench sizes [LARGEST]     generated graphs of growing size
+///   loopwise_optimization_bench sizes [LARGEST [SMALLEST]]  generated graphs of growing size
 ///   loopwise_optimization_bench groups              false closures that agree in groups
 /// Times are processor time of the one thread that works, median of `kRounds`, so that a busy machine shows
 /// less.
@@ -208,7 +208,7 @@ void compare_gnc(const std::string& folder) {
   }
 }
 
-void compare_sizes(std::size_t largest) {
+void compare_sizes(std::size_t largest, std::size_t smallest) {
   std::printf("%-28s %8s %8s %10s %5s %12s %12s %10s %8s\n", "graph", "poses", "edges", "ms", "fact", "cost",
               "marginals ms", "Ceres ms", "peak GiB");
   const auto show = [](const BenchGraph& graph, bool with_ceres) {
@@ -231,7 +231,7 @@ void compare_sizes(std::size_t largest) {
     std::fflush(stdout);
   };
   for (const std::size_t poses : {1000U, 3000U, 10000U, 30000U, 100000U}) {
-    if (poses > largest) break;
+    if (poses < smallest || poses > largest) continue;
     show(streets(poses, poses / 10, 1, 1), poses <= 10000);
     show(streets(poses, 2 * poses, std::max<std::size_t>(2, poses / 5000), 2), poses <= 10000);
     if (poses <= 10000) show(lattice(poses, 3), poses <= 3000);
@@ -300,11 +300,15 @@ int main(int argc, char** argv) {
   } else if (what == "gnc" && argc == 3) {
     bench::compare_gnc(argv[2]);
   } else if (what == "sizes") {
-    bench::compare_sizes(argc > 2 ? static_cast<std::size_t>(std::atoll(argv[2])) : 10000);
+    const auto bound = [&](int i, std::size_t otherwise) {
+      return argc > i ? static_cast<std::size_t>(std::atoll(argv[i])) : otherwise;
+    };
+    bench::compare_sizes(bound(2, 10000), bound(3, 0));
   } else if (what == "groups") {
     bench::compare_groups();
   } else {
-    std::fprintf(stderr, "usage: %s files FOLDER | gnc FOLDER | sizes [LARGEST] | groups\n", argv[0]);
+    std::fprintf(stderr, "usage: %s files FOLDER | gnc FOLDER | sizes [LARGEST [SMALLEST]] | groups\n",
+                 argv[0]);
     return 2;
   }
   return 0;

@@ -39,7 +39,7 @@ enum class Termination {
 [[nodiscard]] EnumNames<Termination> enum_names(Termination);
 
 struct OptimizerOptions {
-  int max_iterations = 100;
+  int max_iterations = 1000;
   double cost_tolerance = 1e-11;
   double gradient_tolerance = 5e-7;
   double step_tolerance = 1e-9;
@@ -50,7 +50,7 @@ struct OptimizerOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("max_iterations", self.max_iterations, at_least(0), "Bound on factorisations.");
+    field("max_iterations", self.max_iterations, at_least(0), "Bound on steps.");
     field("cost_tolerance", self.cost_tolerance, at_least(0.0),
           "Converged when a step promises to lower the cost by less than this share of it ...");
     field("gradient_tolerance", self.gradient_tolerance, at_least(0.0),
