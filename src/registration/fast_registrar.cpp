@@ -124,13 +124,16 @@ struct FastRegistrar::Impl {
   FastRegistrarOptions options;
   mutable BoundedCache<Key, ScanKeyPoints> cache;
 
+  [[nodiscard]] std::shared_ptr<const ScanKeyPoints> scan_key_points(Key key, const ScanFeatures& scan) const {
+    return cache.get(
+        key, [&](Key) { return std::make_shared<const ScanKeyPoints>(compute_key_points(scan, options)); });
+  }
+
   [[nodiscard]] KeyPoints key_points(const Submap& submap) const {
     std::vector<std::shared_ptr<const ScanKeyPoints>> scans;
     std::size_t count = 0;
     for (const Part& part : submap.parts()) {
-      scans.push_back(cache.get(part.key, [&](Key) {
-        return std::make_shared<const ScanKeyPoints>(compute_key_points(*part.features, options));
-      }));
+      scans.push_back(scan_key_points(part.key, *part.features));
       count += scans.back()->indices.size();
     }
     KeyPoints out;
@@ -150,14 +153,6 @@ struct FastRegistrar::Impl {
     }
     return out;
   }
-
-  [[nodiscard]] std::vector<GicpPass> passes() const {
-    const double middle = std::sqrt(options.coarse_reach_m * options.fine_reach_m);
-    return {{options.coarse_reach_m, static_cast<std::size_t>(options.coarse_points), 10, 0.02, 2e-3},
-            {middle, static_cast<std::size_t>(options.coarse_points), 10, 0.01, 1e-3},
-            {options.fine_reach_m, static_cast<std::size_t>(options.coarse_points), 10, 5e-3, 5e-4},
-            {options.fine_reach_m, static_cast<std::size_t>(options.fine_points), 30, 1e-3, 1e-4}};
-  }
 };
 
 FastRegistrar::FastRegistrar(std::shared_ptr<FeatureCache> features, const FastRegistrarOptions& options)
@@ -169,6 +164,10 @@ FastRegistrar::FastRegistrar(std::shared_ptr<FeatureCache> features, const FastR
 }
 
 FastRegistrar::~FastRegistrar() = default;
+
+void FastRegistrar::prepare(Key key) const {
+  if (const auto scan = impl_->features->get(key)) static_cast<void>(impl_->scan_key_points(key, *scan));
+}
 
 RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   const FastRegistrarOptions& options = impl_->options;
@@ -199,12 +198,15 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   }
   result.features_s = features_watch.seconds();
 
+  const std::vector<GicpPass> passes =
+      gicp_passes(options.coarse_reach_m, options.fine_reach_m, static_cast<std::size_t>(options.coarse_points),
+                  static_cast<std::size_t>(options.fine_points));
   // Refines a start and measures it; the figures are judged where the pair is decided.
   AlignmentFigures figures;
   GicpResult refined;
   const auto refine = [&](const Eigen::Isometry3d& start) {
     const Stopwatch watch;
-    refined = refine_gicp(source->cloud(), order, target->cloud(), target->tree(), start, impl_->passes());
+    refined = refine_gicp(source->cloud(), order, target->cloud(), target->tree(), start, passes);
     figures = measure_alignment(source->cloud(), target->cloud(), target->tree(), refined.T_target_source,
                                 options.tests);
     result.refine_s += watch.seconds();

@@ -2,6 +2,7 @@
 #include "gicp.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <optional>
 
 #include <Eigen/Cholesky>
@@ -25,6 +26,15 @@ Eigen::Matrix3d weight(const Eigen::Vector3d& n, const Eigen::Vector3d& m) {
 }
 
 }  // namespace
+
+std::vector<GicpPass> gicp_passes(double coarse_reach_m, double fine_reach_m, std::size_t coarse_points,
+                                  std::size_t fine_points) {
+  const double middle = std::sqrt(coarse_reach_m * fine_reach_m);
+  return {{coarse_reach_m, coarse_points, 10, 0.02, 2e-3},
+          {middle, coarse_points, 10, 0.01, 1e-3},
+          {fine_reach_m, coarse_points, 10, 5e-3, 5e-4},
+          {fine_reach_m, fine_points, 30, 1e-3, 1e-4}};
+}
 
 GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t>& order,
                        const PointCloud& target, const KdTree& target_tree, const Eigen::Isometry3d& start,

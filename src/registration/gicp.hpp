@@ -20,6 +20,10 @@ struct GicpPass {
   double rotation_step_rad = 1e-4;
 };
 
+/// From coarse to fine: the reach shrinks while few points take part, then all of them settle the pose.
+[[nodiscard]] std::vector<GicpPass> gicp_passes(double coarse_reach_m, double fine_reach_m,
+                                                std::size_t coarse_points, std::size_t fine_points);
+
 struct GicpResult {
   Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
   bool converged = false;  ///< The last step was within five times the bounds at which the pass ends.

@@ -70,6 +70,9 @@ class FastRegistrar final : public Registrar {
 
   [[nodiscard]] std::string_view name() const override { return "fast"; }
   [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override;
+  /// Computes what belongs to a scan now, which compute() otherwise does on first use. \throws what the loader
+  /// throws.
+  void prepare(Key key) const;
 
  private:
   struct Impl;
