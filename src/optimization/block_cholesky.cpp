@@ -17,7 +17,8 @@
 namespace loopwise::detail {
 namespace {
 
-/// Above this ratio of operations to non-zeros the dense panels of the supernodal factorisation pay.
+/// For other than 6×6 blocks: above this ratio of operations to non-zeros the dense panels of the supernodal
+/// factorisation pay.
 constexpr double kSupernodalFlopsPerNonzero = 40.0;
 
 }  // namespace
@@ -171,50 +172,65 @@ void BlockCholesky::order(const std::vector<Pair>& upper) {
   }
 }
 
-void BlockCholesky::lay_out(const std::vector<Pair>& upper) {
-  // Supernodal CHOLMOD reads the lower triangle of a matrix in natural order as it is, simplicial the upper
-  // one.
+void BlockCholesky::choose() {
+  chosen_ = choice_;
+  if (block_ == 6 && chosen_ == Factorization::kAutomatic) chosen_ = Factorization::kMultifrontal;
+  if (block_ == 6 || (chosen_ != Factorization::kAutomatic && chosen_ != Factorization::kMultifrontal))
+    return;
+  chosen_ = Factorization::kSimplicial;
+#ifdef LOOPWISE_WITH_GPL
+  if (factor_flops_ > kSupernodalFlopsPerNonzero * factor_nonzeros_) chosen_ = Factorization::kSupernodal;
+#endif
+}
+
+BlockPattern BlockCholesky::pattern(const std::vector<Pair>& upper, bool lower) const {
+  // Going through the rows in order leaves every column sorted.
   const std::size_t n = variables_;
-  const bool lower = supernodal_;
-  std::vector<std::vector<std::uint32_t>> columns(n);
-  for (std::size_t v = 0; v < n; ++v) columns[v].push_back(static_cast<std::uint32_t>(v));
+  const auto transpose = [n](const BlockPattern& rows) {
+    BlockPattern columns;
+    columns.start.assign(n + 1, 0);
+    columns.rows.resize(rows.rows.size());
+    for (const std::uint32_t c : rows.rows) ++columns.start[c + 1];
+    std::partial_sum(columns.start.begin(), columns.start.end(), columns.start.begin());
+    std::vector<std::size_t> next(columns.start.begin(), columns.start.end() - 1);
+    for (std::uint32_t r = 0; r < n; ++r) {
+      for (std::size_t p = rows.start[r]; p < rows.start[r + 1]; ++p) columns.rows[next[rows.rows[p]]++] = r;
+    }
+    return columns;
+  };
+  BlockPattern unsorted;  // by row of the triangle wanted
+  unsorted.start.assign(n + 1, 0);
+  unsorted.rows.resize(upper.size());
+  const auto row_and_column = [&](const Pair& p) {
+    const auto [small, large] = std::minmax(position_[p.first], position_[p.second]);
+    return lower ? Pair(large, small) : Pair(small, large);
+  };
+  for (const Pair& p : upper) ++unsorted.start[row_and_column(p).first + 1];
+  std::partial_sum(unsorted.start.begin(), unsorted.start.end(), unsorted.start.begin());
+  std::vector<std::size_t> next(unsorted.start.begin(), unsorted.start.end() - 1);
   for (const Pair& p : upper) {
-    const std::uint32_t a = position_[p.first], b = position_[p.second];
-    if (a == b) continue;
-    columns[lower ? std::min(a, b) : std::max(a, b)].push_back(lower ? std::max(a, b) : std::min(a, b));
+    const Pair place = row_and_column(p);
+    unsorted.rows[next[place.first]++] = place.second;
   }
+  return transpose(unsorted);
+}
+
+void BlockCholesky::lay_out(const BlockPattern& columns, bool lower) {
+  const std::size_t n = variables_;
   const auto block = static_cast<std::size_t>(block_);
-  std::size_t total = 0;
-  for (auto& column : columns) {
-    std::sort(column.begin(), column.end());
-    total += column.size();
-  }
-  if (total * block * block > static_cast<std::size_t>(std::numeric_limits<int>::max())) {
+  if (columns.rows.size() * block * block > static_cast<std::size_t>(std::numeric_limits<int>::max())) {
     throw Error("the graph has too many edges for one factorisation");
   }
-  values_.assign(total * block * block, 0.0);
-  row_index_.resize(total * block * block);
-  column_start_.assign(n * block + 1, 0);
-  std::vector<std::size_t> offset(n);
-  std::size_t at = 0;
-  for (std::size_t v = 0; v < n; ++v) {
-    offset[v] = at;
-    for (std::size_t c = 0; c < block; ++c) {
-      column_start_[v * block + c] = static_cast<int>(at);
-      for (const std::uint32_t row : columns[v]) {
-        for (std::size_t r = 0; r < block; ++r) row_index_[at++] = static_cast<int>(row * block + r);
-      }
-    }
-  }
-  column_start_[n * block] = static_cast<int>(at);
-
+  values_.assign(columns.rows.size() * block * block, 0.0);
+  // CHOLMOD wants scalar columns, the fronts one block after the other.
+  const bool blocks = chosen_ == Factorization::kMultifrontal;
   const auto slot = [&](std::uint32_t row, std::uint32_t column) {
-    const auto& list = columns[column];
-    const auto index =
-        static_cast<std::size_t>(std::lower_bound(list.begin(), list.end(), row) - list.begin());
+    const auto begin = columns.rows.begin() + static_cast<std::ptrdiff_t>(columns.start[column]);
+    const auto end = columns.rows.begin() + static_cast<std::ptrdiff_t>(columns.start[column + 1]);
+    const auto index = static_cast<std::size_t>(std::lower_bound(begin, end, row) - begin);
     Slot s;
-    s.offset = offset[column] + index * block;
-    s.stride = static_cast<std::uint32_t>(list.size() * block);
+    s.offset = block * block * columns.start[column] + index * (blocks ? block * block : block);
+    s.stride = static_cast<std::uint32_t>(blocks ? block : static_cast<std::size_t>(end - begin) * block);
     return s;
   };
   diagonal_slots_.resize(n);
@@ -228,10 +244,28 @@ void BlockCholesky::lay_out(const std::vector<Pair>& upper) {
   }
 }
 
+void BlockCholesky::lay_out_scalars(const BlockPattern& columns) {
+  const auto block = static_cast<std::size_t>(block_);
+  row_index_.resize(values_.size());
+  column_start_.assign(variables_ * block + 1, 0);
+  std::size_t at = 0;
+  for (std::size_t v = 0; v < variables_; ++v) {
+    for (std::size_t c = 0; c < block; ++c) {
+      column_start_[v * block + c] = static_cast<int>(at);
+      for (std::size_t p = columns.start[v]; p < columns.start[v + 1]; ++p) {
+        for (std::size_t r = 0; r < block; ++r)
+          row_index_[at++] = static_cast<int>(columns.rows[p] * block + r);
+      }
+    }
+  }
+  column_start_.back() = static_cast<int>(at);
+}
+
 void BlockCholesky::analyze(std::size_t variables, const std::vector<Pair>& pairs) {
   const SingleThreadedBlas guard;
   Cholmod& c = *cholmod_;
   c.release_factor();
+  fronts_.reset();
   variables_ = variables;
   pairs_ = pairs;
   pair_slots_.assign(pairs.size(), {});
@@ -250,12 +284,16 @@ void BlockCholesky::analyze(std::size_t variables, const std::vector<Pair>& pair
     throw Error("the graph has too many nodes for one factorisation");
   }
   order(upper);
-#ifdef LOOPWISE_WITH_GPL
-  supernodal_ =
-      choice_ == Factorization::kSupernodal ||
-      (choice_ == Factorization::kAutomatic && factor_flops_ > kSupernodalFlopsPerNonzero * factor_nonzeros_);
-#endif
-  lay_out(upper);
+  choose();
+  // Supernodal CHOLMOD and the fronts read the lower triangle, simplicial CHOLMOD the upper one.
+  const bool lower = chosen_ != Factorization::kSimplicial;
+  const BlockPattern columns = pattern(upper, lower);
+  lay_out(columns, lower);
+  if (chosen_ == Factorization::kMultifrontal) {
+    fronts_ = std::make_unique<MultifrontalCholesky>(columns, block_parent_, block_count_);
+    return;
+  }
+  lay_out_scalars(columns);
   make_symbolic_factor();
 }
 
@@ -272,7 +310,7 @@ void BlockCholesky::make_symbolic_factor() {
     for (int k = 0; k < block_; ++k) *counts++ = block_ * block_count_[v] - k;
   }
 #ifdef LOOPWISE_WITH_GPL
-  if (!supernodal_) return;
+  if (chosen_ != Factorization::kSupernodal) return;
   std::vector<int> parent(n);
   for (std::size_t i = 0; i < n; ++i) {
     const std::size_t v = i / static_cast<std::size_t>(block_);
@@ -332,26 +370,21 @@ void BlockCholesky::set_diagonal(const Eigen::VectorXd& diagonal) {
 bool BlockCholesky::factorize() {
   if (variables_ == 0) return true;
   const SingleThreadedBlas guard;
+  if (fronts_) return fronts_->factorize(values_.data());
   Cholmod& c = *cholmod_;
   const std::size_t n = variables_ * static_cast<std::size_t>(block_);
-  cholmod_sparse a = view(n, column_start_, row_index_, values_.data(), supernodal_ ? -1 : 1);
+  cholmod_sparse a =
+      view(n, column_start_, row_index_, values_.data(), chosen_ == Factorization::kSupernodal ? -1 : 1);
   cholmod_factorize(&a, c.factor, &c.common);
   c.check("factorisation");
   if (c.common.status == CHOLMOD_NOT_POSDEF || c.factor->minor < n) return false;
   return true;
 }
 
-std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
-  const Eigen::VectorXd d = diagonal();
+std::vector<double> BlockCholesky::cholmod_pivots() const {
   const cholmod_factor& f = *cholmod_->factor;
   const auto* x = static_cast<const double*>(f.x);
-  const auto block = static_cast<std::size_t>(block_);
-  if (f.minor < f.n) {
-    const auto broken =
-        std::find(position_.begin(), position_.end(), static_cast<std::uint32_t>(f.minor / block));
-    return {0.0, static_cast<std::size_t>(broken - position_.begin())};
-  }
-  std::vector<double> pivots(variables_ * block, 0.0);
+  std::vector<double> pivots(f.n, 0.0);
   if (f.is_super) {
     const auto* super = static_cast<const int*>(f.super);
     const auto* pi = static_cast<const int*>(f.pi);
@@ -370,6 +403,18 @@ std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
       pivots[j] = f.is_ll ? (l > 0.0 ? l * l : 0.0) : l;
     }
   }
+  return pivots;
+}
+
+std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
+  const auto block = static_cast<std::size_t>(block_);
+  const std::size_t broken = fronts_ ? fronts_->broken_at() : cholmod_->factor->minor / block;
+  if (broken < variables_) {
+    const auto found = std::find(position_.begin(), position_.end(), static_cast<std::uint32_t>(broken));
+    return {0.0, static_cast<std::size_t>(found - position_.begin())};
+  }
+  const Eigen::VectorXd d = diagonal();
+  const std::vector<double> pivots = fronts_ ? fronts_->pivots() : cholmod_pivots();
   std::pair<double, std::size_t> smallest{1.0, 0};
   for (std::size_t v = 0; v < variables_; ++v) {
     for (std::size_t k = 0; k < block; ++k) {
@@ -383,53 +428,34 @@ std::pair<double, std::size_t> BlockCholesky::smallest_pivot() const {
 
 void BlockCholesky::solve(Eigen::VectorXd& x) const {
   if (variables_ == 0) return;
-  if (!supernodal_) {
+  if (!fronts_) {
     Eigen::MatrixXd m = x;
     solve(m);
     x = m;
     return;
   }
-  // One right-hand side is a handful of operations a panel, less than a call of BLAS costs.
   Eigen::VectorXd y(x.size());
   for (std::size_t v = 0; v < variables_; ++v) {
-    y.segment(static_cast<Eigen::Index>(position_[v]) * block_, block_) =
-        x.segment(static_cast<Eigen::Index>(v) * block_, block_);
+    y.segment<6>(6 * static_cast<Eigen::Index>(position_[v])) =
+        x.segment<6>(6 * static_cast<Eigen::Index>(v));
   }
-  const cholmod_factor& f = *cholmod_->factor;
-  const auto* super = static_cast<const int*>(f.super);
-  const auto* pi = static_cast<const int*>(f.pi);
-  const auto* px = static_cast<const int*>(f.px);
-  const auto* rows = static_cast<const int*>(f.s);
-  const auto* values = static_cast<const double*>(f.x);
-  using Panel = Eigen::Map<const Eigen::MatrixXd>;
-  Eigen::VectorXd below;
-  for (std::size_t s = 0; s < f.nsuper; ++s) {
-    const int width = super[s + 1] - super[s], height = pi[s + 1] - pi[s];
-    const Panel l(values + px[s], height, width);
-    auto top = y.segment(super[s], width);
-    l.topRows(width).triangularView<Eigen::Lower>().solveInPlace(top);
-    below.noalias() = l.bottomRows(height - width) * top;
-    const int* row = rows + pi[s] + width;
-    for (int i = 0; i < height - width; ++i) y[row[i]] -= below[i];
-  }
-  for (std::size_t s = f.nsuper; s-- > 0;) {
-    const int width = super[s + 1] - super[s], height = pi[s + 1] - pi[s];
-    const Panel l(values + px[s], height, width);
-    auto top = y.segment(super[s], width);
-    const int* row = rows + pi[s] + width;
-    below.resize(height - width);
-    for (int i = 0; i < height - width; ++i) below[i] = y[row[i]];
-    top.noalias() -= l.bottomRows(height - width).transpose() * below;
-    l.topRows(width).transpose().triangularView<Eigen::Upper>().solveInPlace(top);
-  }
+  fronts_->solve(y.data());
   for (std::size_t v = 0; v < variables_; ++v) {
-    x.segment(static_cast<Eigen::Index>(v) * block_, block_) =
-        y.segment(static_cast<Eigen::Index>(position_[v]) * block_, block_);
+    x.segment<6>(6 * static_cast<Eigen::Index>(v)) =
+        y.segment<6>(6 * static_cast<Eigen::Index>(position_[v]));
   }
 }
 
 void BlockCholesky::solve(Eigen::MatrixXd& x) const {
   if (variables_ == 0 || x.cols() == 0) return;
+  if (fronts_) {
+    for (Eigen::Index c = 0; c < x.cols(); ++c) {
+      Eigen::VectorXd column = x.col(c);
+      solve(column);
+      x.col(c) = column;
+    }
+    return;
+  }
   const SingleThreadedBlas guard;
   Cholmod& c = *cholmod_;
   Eigen::MatrixXd permuted(x.rows(), x.cols());
@@ -469,6 +495,7 @@ double BlockCholesky::log_determinant() const {
 Panels BlockCholesky::panels() const {
   Panels out;
   if (variables_ == 0) return out;
+  if (fronts_) return fronts_->panels();
   const cholmod_factor& f = *cholmod_->factor;
   const auto* x = static_cast<const double*>(f.x);
   if (f.is_super) {
@@ -519,6 +546,10 @@ Panels BlockCholesky::panels() const {
     out.value_start.push_back(out.values.size());
   }
   return out;
+}
+
+Panels BlockCholesky::take_panels() {
+  return fronts_ ? fronts_->take_panels() : panels();
 }
 
 }  // namespace loopwise::detail

@@ -11,25 +11,14 @@
 
 #include <loopwise/optimization/optimizer.hpp>
 
+#include "multifrontal.hpp"
+#include "panels.hpp"
+
 namespace loopwise::detail {
 
-/// L of a factorisation as dense panels: panel s holds columns first[s] … first[s+1]−1 of L in the rows
-/// rows[row_start[s]] …, column by column from values[value_start[s]], the square diagonal part on top.
-struct Panels {
-  std::vector<int> first;
-  std::vector<std::size_t> row_start;
-  std::vector<std::size_t> value_start;
-  std::vector<int> rows;
-  std::vector<double> values;  ///< Entries above the diagonal of the square part are not to be read.
-
-  [[nodiscard]] std::size_t size() const { return first.empty() ? 0 : first.size() - 1; }
-  [[nodiscard]] int columns(std::size_t s) const { return first[s + 1] - first[s]; }
-  [[nodiscard]] int height(std::size_t s) const { return static_cast<int>(row_start[s + 1] - row_start[s]); }
-};
-
-/// A symmetric positive definite matrix of square blocks and its Cholesky factor by CHOLMOD. The
-/// fill-reducing ordering is made on the graph of blocks; the matrix is stored in that order, so that CHOLMOD
-/// takes it as it is.
+/// A symmetric positive definite matrix of square blocks and its Cholesky factor, by our own fronts or by
+/// CHOLMOD. The fill-reducing ordering is CHOLMOD's, made on the graph of blocks; the matrix is stored in
+/// that order, so that either takes it as it is.
 class BlockCholesky {
  public:
   using Pair = std::pair<std::uint32_t, std::uint32_t>;
@@ -77,23 +66,31 @@ class BlockCholesky {
   void solve(Eigen::VectorXd& x) const;
   void solve(Eigen::MatrixXd& x) const;
 
-  [[nodiscard]] bool supernodal() const { return supernodal_; }
+  /// What was chosen; never kAutomatic.
+  [[nodiscard]] Factorization factorization() const { return chosen_; }
   [[nodiscard]] double factor_nonzeros() const { return factor_nonzeros_; }
   [[nodiscard]] double factor_flops() const { return factor_flops_; }
   [[nodiscard]] double log_determinant() const;
   /// L as panels, rows and columns in elimination order.
   [[nodiscard]] Panels panels() const;
+  /// The same without a copy where that is possible; factorize() again before any further use of the factor.
+  [[nodiscard]] Panels take_panels();
 
  private:
   struct Cholmod;
   void order(const std::vector<Pair>& upper);
-  void lay_out(const std::vector<Pair>& upper);
+  void choose();
+  /// Of the pairs: the lower or the upper triangle's block columns in elimination order.
+  [[nodiscard]] BlockPattern pattern(const std::vector<Pair>& upper, bool lower) const;
+  void lay_out(const BlockPattern& columns, bool lower);
+  void lay_out_scalars(const BlockPattern& columns);
   void make_symbolic_factor();
+  [[nodiscard]] std::vector<double> cholmod_pivots() const;
 
   int block_;
   Factorization choice_;
   std::size_t variables_ = 0;
-  bool supernodal_ = false;
+  Factorization chosen_ = Factorization::kMultifrontal;
   double factor_nonzeros_ = 0.0;
   double factor_flops_ = 0.0;
   std::vector<std::uint32_t> position_;
@@ -106,6 +103,7 @@ class BlockCholesky {
   std::vector<int> row_index_;
   std::vector<int> block_parent_, block_count_;  // elimination tree and column counts of L, by position
   std::unique_ptr<Cholmod> cholmod_;
+  std::unique_ptr<MultifrontalCholesky> fronts_;
 };
 
 }  // namespace loopwise::detail

@@ -42,7 +42,7 @@ struct HessianFactor::Impl {
   std::vector<std::uint32_t> position;            // by variable, in elimination order
   detail::Panels panels;
   Eigen::Index free_dimension = 0;
-  bool supernodal = false;
+  Factorization factorization = Factorization::kMultifrontal;
   double nonzeros = 0.0;
   double log_determinant = 0.0;
 
@@ -118,9 +118,9 @@ HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& opt
   m.variable.pop_back();
   m.position.resize(cholesky.variables());
   for (std::size_t v = 0; v < m.position.size(); ++v) m.position[v] = cholesky.position(v);
-  m.panels = cholesky.panels();
+  m.panels = cholesky.take_panels();
   m.free_dimension = 6 * static_cast<Eigen::Index>(cholesky.variables());
-  m.supernodal = cholesky.supernodal();
+  m.factorization = cholesky.factorization();
   m.nonzeros = cholesky.factor_nonzeros();
   for (std::size_t s = 0; s < m.panels.size(); ++s) {
     const auto height = static_cast<std::size_t>(m.panels.height(s));
@@ -146,8 +146,8 @@ double HessianFactor::log_determinant() const {
 double HessianFactor::factor_nonzeros() const {
   return impl_->nonzeros;
 }
-bool HessianFactor::supernodal() const {
-  return impl_->supernodal;
+Factorization HessianFactor::factorization() const {
+  return impl_->factorization;
 }
 
 Eigen::MatrixXd HessianFactor::solve(const Eigen::MatrixXd& rhs) const {

@@ -23,6 +23,7 @@ EnumNames<Initialization> enum_names(Initialization) {
 
 EnumNames<Factorization> enum_names(Factorization) {
   return {{Factorization::kAutomatic, "automatic"},
+          {Factorization::kMultifrontal, "multifrontal"},
           {Factorization::kSimplicial, "simplicial"},
           {Factorization::kSupernodal, "supernodal"}};
 }

@@ -67,8 +67,8 @@ class HessianFactor {
   [[nodiscard]] double log_determinant() const;
   /// Non-zeros of the factor.
   [[nodiscard]] double factor_nonzeros() const;
-  /// True if the factor is CHOLMOD's supernodal one.
-  [[nodiscard]] bool supernodal() const;
+  /// Which factorisation made it; never kAutomatic.
+  [[nodiscard]] Factorization factorization() const;
 
  private:
   struct Impl;

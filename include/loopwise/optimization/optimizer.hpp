@@ -24,8 +24,13 @@ enum class Initialization {
 };
 [[nodiscard]] EnumNames<Initialization> enum_names(Initialization);
 
-/// Which sparse Cholesky factorisation. The supernodal one needs a build with LOOPWISE_WITH_GPL.
-enum class Factorization { kAutomatic, kSimplicial, kSupernodal };
+/// Which sparse Cholesky factorisation.
+enum class Factorization {
+  kAutomatic,     ///< The fastest for the size.
+  kMultifrontal,  ///< Our own, made for the small dense blocks of pose graphs.
+  kSimplicial,    ///< CHOLMOD's, column by column.
+  kSupernodal,    ///< CHOLMOD's, by panels of columns; needs a build with LOOPWISE_WITH_GPL.
+};
 [[nodiscard]] EnumNames<Factorization> enum_names(Factorization);
 
 /// Why an optimisation ended.
@@ -62,7 +67,7 @@ struct OptimizerOptions {
           "Gauss-Newton steps and brings damping in when one fails.");
     field("initialization", self.initialization, any_value(), "First estimate: file, odometry or chordal.");
     field("factorization", self.factorization, any_value(),
-          "Sparse Cholesky: automatic, simplicial or supernodal.");
+          "Sparse Cholesky: automatic, multifrontal, simplicial or supernodal.");
     field("num_threads", self.num_threads, at_least(1),
           "Threads. Changes the run time, never a bit of the result.");
   }

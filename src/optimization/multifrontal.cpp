@@ -1,0 +1,321 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "multifrontal.hpp"
+
+#include <algorithm>
+#include <cstring>
+
+#include "blas.hpp"
+#include "front_kernels.hpp"
+
+namespace loopwise::detail {
+namespace {
+
+/// Merging a panel with its last child adds zeros to L but saves a front. Allowed share of zeros by width.
+bool worth_merging(std::size_t block_columns, double zeros, double entries) {
+  const double share = zeros / entries;
+  return block_columns <= 2 ? share < 0.4 : block_columns <= 8 ? share < 0.2 : share < 0.05;
+}
+
+/// From this many operations on, BLAS updates a front faster than the kernels.
+constexpr double kBlasFlops = 2e6;
+/// Columns that the kernels eliminate before BLAS updates the rest of a wide panel.
+constexpr int kStripe = 48;
+
+}  // namespace
+
+MultifrontalCholesky::MultifrontalCholesky(const BlockPattern& pattern, const std::vector<int>& parent,
+                                           const std::vector<int>& count)
+    : broken_at_(count.size()) {
+  make_panels(parent, count);
+  make_rows(pattern);
+}
+
+void MultifrontalCholesky::make_panels(const std::vector<int>& parent, const std::vector<int>& count) {
+  struct Panel {
+    std::uint32_t first;
+    std::size_t width, height;
+    double zeros;
+    int parent;  // column
+  };
+  std::vector<Panel> panels;
+  const std::size_t n = count.size();
+  for (std::size_t v = 0; v < n;) {
+    std::size_t end = v + 1;
+    while (end < n && parent[end - 1] == static_cast<int>(end) && count[end - 1] == count[end] + 1) ++end;
+    panels.push_back(
+        {static_cast<std::uint32_t>(v), end - v, static_cast<std::size_t>(count[v]), 0.0, parent[end - 1]});
+    // In postorder the panel before this one is its last child, unless this one is a leaf.
+    while (panels.size() > 1) {
+      const Panel& child = panels[panels.size() - 2];
+      const Panel& last = panels.back();
+      if (child.parent < static_cast<int>(last.first) || child.parent >= static_cast<int>(end)) break;
+      Panel merged = child;
+      merged.width += last.width;
+      merged.height = child.width + last.height;
+      merged.parent = last.parent;
+      merged.zeros += last.zeros + static_cast<double>(child.width * (merged.height - child.height));
+      const double entries = static_cast<double>(merged.width) *
+                             (static_cast<double>(merged.height) - 0.5 * static_cast<double>(merged.width));
+      if (!worth_merging(merged.width, merged.zeros, entries)) break;
+      panels.pop_back();
+      panels.back() = merged;
+    }
+    v = end;
+  }
+  std::vector<int> owner(n);
+  for (std::size_t s = 0; s < panels.size(); ++s) {
+    first_.push_back(panels[s].first);
+    std::fill_n(owner.begin() + panels[s].first, panels[s].width, static_cast<int>(s));
+  }
+  first_.push_back(static_cast<std::uint32_t>(n));
+  for (const Panel& panel : panels) {
+    parent_.push_back(panel.parent < 0 ? -1 : owner[static_cast<std::size_t>(panel.parent)]);
+  }
+}
+
+void MultifrontalCholesky::make_rows(const BlockPattern& pattern) {
+  const std::size_t n = first_.back();
+  std::vector<std::uint32_t> seen(n, UINT32_MAX), index(n, 0);
+  std::vector<std::size_t> waiting;  // panels whose parent is to come
+  std::size_t top = 0;
+  places_.resize(pattern.rows.size());
+  row_start_.push_back(0);
+  value_start_.push_back(0);
+  for (std::size_t s = 0; s < size(); ++s) {
+    const std::uint32_t end = first_[s + 1];
+    const auto mark = static_cast<std::uint32_t>(s);
+    const auto add = [&](std::uint32_t row) {
+      if (row < end || seen[row] == mark) return;
+      seen[row] = mark;
+      rows_.push_back(row);
+    };
+    for (std::size_t p = pattern.start[first_[s]]; p < pattern.start[end]; ++p) add(pattern.rows[p]);
+    std::size_t children = waiting.size();
+    while (children > 0 && parent_[waiting[children - 1]] == static_cast<int>(s)) --children;
+    for (std::size_t c = children; c < waiting.size(); ++c) {
+      for (std::size_t p = row_start_[waiting[c]]; p < row_start_[waiting[c] + 1]; ++p) add(rows_[p]);
+    }
+    std::sort(rows_.begin() + static_cast<std::ptrdiff_t>(row_start_[s]), rows_.end());
+    row_start_.push_back(rows_.size());
+    relative_.resize(rows_.size());
+
+    const std::uint32_t columns = end - first_[s];
+    for (std::uint32_t v = first_[s]; v < end; ++v) index[v] = v - first_[s];
+    for (std::size_t p = row_start_[s]; p < row_start_[s + 1]; ++p) {
+      index[rows_[p]] = columns + static_cast<std::uint32_t>(p - row_start_[s]);
+    }
+    const auto update_size = [&](std::size_t panel) {
+      const auto m = static_cast<std::size_t>(below(panel));
+      return m * m;
+    };
+    std::size_t base = top;
+    for (std::size_t c = children; c < waiting.size(); ++c) {
+      for (std::size_t p = row_start_[waiting[c]]; p < row_start_[waiting[c] + 1]; ++p)
+        relative_[p] = index[rows_[p]];
+      base -= update_size(waiting[c]);
+    }
+    waiting.resize(children);
+    stack_size_ = std::max(stack_size_, top + update_size(s));
+    top = base + update_size(s);
+    if (row_start_[s + 1] > row_start_[s]) waiting.push_back(s);
+
+    block_start_.push_back(pattern.start[first_[s]]);
+    for (std::uint32_t v = first_[s]; v < end; ++v) {
+      for (std::size_t p = pattern.start[v]; p < pattern.start[v + 1]; ++p) {
+        places_[p] = {6 * index[pattern.rows[p]], 6 * (v - first_[s])};
+      }
+    }
+    const auto height = static_cast<std::size_t>(width(s) + below(s));
+    value_start_.push_back(value_start_.back() + height * static_cast<std::size_t>(width(s)));
+  }
+  block_start_.push_back(pattern.rows.size());
+}
+
+void MultifrontalCholesky::add_child(std::size_t child, const double* update, std::size_t s, double* l,
+                                     double* u) {
+  const auto columns = first_[s + 1] - first_[s];
+  const auto h = static_cast<std::size_t>(width(s) + below(s)), m = static_cast<std::size_t>(below(s));
+  const std::uint32_t* relative = relative_.data() + row_start_[child];
+  const std::size_t count = row_start_[child + 1] - row_start_[child], ld = 6 * count;
+  for (std::size_t j = 0; j < count; ++j) {
+    // The front is split: columns of the panel are in l, all others in u, which leaves out the panel's rows.
+    const bool in_panel = relative[j] < columns;
+    const std::uint32_t skipped = in_panel ? 0 : columns;
+    const std::size_t stride = in_panel ? h : m;
+    double* column = (in_panel ? l : u) + 6 * std::size_t{relative[j] - skipped} * stride;
+    // Rows that stay neighbours are added in one go.
+    for (std::size_t i = j; i < count;) {
+      std::size_t end = i + 1;
+      while (end < count && relative[end] == relative[end - 1] + 1) ++end;
+      const double* from = update + 6 * j * ld + 6 * i;
+      double* to = column + 6 * std::size_t{relative[i] - skipped};
+      const std::size_t length = 6 * (end - i);
+      for (int c = 0; c < 6; ++c, from += ld, to += stride) {
+        for (std::size_t r = 0; r < length; ++r) to[r] += from[r];
+      }
+      i = end;
+    }
+  }
+}
+
+bool MultifrontalCholesky::factorize(const double* values) {
+  const FrontKernels& kernel = front_kernels();
+  values_.resize(value_start_.back());
+  if (!stack_) stack_.reset(new double[stack_size_]);
+  std::vector<std::size_t> waiting;
+  std::size_t top = 0;
+  broken_at_ = first_.back();
+  for (std::size_t s = 0; s < size(); ++s) {
+    const int w = width(s), m = below(s), h = w + m;
+    const auto square = static_cast<std::size_t>(m) * static_cast<std::size_t>(m);
+    double* l = values_.data() + value_start_[s];
+    double* u = stack_.get() + top;
+    std::fill_n(l, static_cast<std::size_t>(h) * static_cast<std::size_t>(w), 0.0);
+    for (std::size_t p = block_start_[s]; p < block_start_[s + 1]; ++p) {
+      double* to =
+          l + static_cast<std::size_t>(places_[p].column) * static_cast<std::size_t>(h) + places_[p].row;
+      const double* from = values + 36 * p;
+      for (int c = 0; c < 6; ++c, to += h, from += 6) std::memcpy(to, from, 6 * sizeof(double));
+    }
+    std::size_t base = top;
+    const bool leaf = waiting.empty() || parent_[waiting.back()] != static_cast<int>(s);
+    if (!leaf) {
+      for (int j = 0; j < m; j += 6) {
+        for (int c = j; c < j + 6; ++c) std::fill_n(u + static_cast<std::ptrdiff_t>(c) * m + j, m - j, 0.0);
+      }
+      while (!waiting.empty() && parent_[waiting.back()] == static_cast<int>(s)) {
+        const auto n = static_cast<std::size_t>(below(waiting.back()));
+        base -= n * n;
+        add_child(waiting.back(), stack_.get() + base, s, l, u);
+        waiting.pop_back();
+      }
+    }
+    for (int stripe = 0; stripe < w; stripe += kStripe) {
+      const int end = std::min(w, stripe + kStripe);
+      double* block = l + static_cast<std::ptrdiff_t>(stripe) * h + stripe;
+      if (stripe > 0) {
+        blas::gemm('N', 'T', h - stripe, end - stripe, stripe, -1.0, l + stripe, h, l + stripe, h, 1.0, block,
+                   h);
+      }
+      for (int j = stripe; j < end; j += 6, block += 6 * (static_cast<std::ptrdiff_t>(h) + 1)) {
+        const double* left = l + static_cast<std::ptrdiff_t>(stripe) * h + j;
+        if (j > stripe) kernel.multiply(h - j, j - stripe, left, h, left, h, block, h, false);
+        if (!kernel.eliminate(h - j, block, h)) {
+          broken_at_ = first_[s] + static_cast<std::size_t>(j / 6);
+          return false;
+        }
+      }
+    }
+    const double* below_panel = l + w;
+    if (static_cast<double>(m) * m * w > kBlasFlops) {
+      for (int j = 0; j < m; j += kStripe) {
+        blas::gemm('N', 'T', m - j, std::min(kStripe, m - j), w, -1.0, below_panel + j, h, below_panel + j, h,
+                   leaf ? 0.0 : 1.0, u + static_cast<std::ptrdiff_t>(j) * (m + 1), m);
+      }
+    } else {
+      for (int j = 0; j < m; j += 6) {
+        kernel.multiply(m - j, w, below_panel + j, h, below_panel + j, h,
+                        u + static_cast<std::ptrdiff_t>(j) * (m + 1), m, leaf);
+      }
+    }
+    if (m == 0) {
+      top = base;
+      continue;
+    }
+    if (base != top) std::memmove(stack_.get() + base, u, square * sizeof(double));
+    top = base + square;
+    waiting.push_back(s);
+  }
+  return true;
+}
+
+void MultifrontalCholesky::solve(double* x) const {
+  const FrontKernels& kernel = front_kernels();
+  std::vector<double> gathered;
+  for (std::size_t s = 0; s < size(); ++s) {
+    const int w = width(s), m = below(s), h = w + m;
+    const double* l = values_.data() + value_start_[s];
+    double* top = x + 6 * static_cast<std::size_t>(first_[s]);
+    gathered.assign(static_cast<std::size_t>(m), 0.0);
+    for (int j = 0; j < w; j += 6) {
+      const double* block = l + static_cast<std::ptrdiff_t>(j) * h + j;
+      double* y = top + j;
+      for (int c = 0; c < 6; ++c) {
+        y[c] /= block[c * (h + 1)];
+        for (int r = c + 1; r < 6; ++r) y[r] -= block[c * h + r] * y[c];
+      }
+      kernel.apply(w - j - 6, block + 6, h, y, y + 6);
+      kernel.apply(m, l + static_cast<std::ptrdiff_t>(j) * h + w, h, y, gathered.data());
+    }
+    const std::uint32_t* row = rows_.data() + row_start_[s];
+    for (int i = 0; i < m; i += 6, ++row) {
+      for (int r = 0; r < 6; ++r)
+        x[6 * static_cast<std::size_t>(*row) + static_cast<std::size_t>(r)] +=
+            gathered[static_cast<std::size_t>(i + r)];
+    }
+  }
+  for (std::size_t s = size(); s-- > 0;) {
+    const int w = width(s), m = below(s), h = w + m;
+    const double* l = values_.data() + value_start_[s];
+    double* top = x + 6 * static_cast<std::size_t>(first_[s]);
+    gathered.resize(static_cast<std::size_t>(m));
+    const std::uint32_t* row = rows_.data() + row_start_[s];
+    for (int i = 0; i < m; i += 6, ++row) {
+      std::copy_n(x + 6 * static_cast<std::size_t>(*row), 6, gathered.begin() + i);
+    }
+    for (int j = w - 6; j >= 0; j -= 6) {
+      const double* block = l + static_cast<std::ptrdiff_t>(j) * h + j;
+      double* y = top + j;
+      kernel.apply_transposed(m, l + static_cast<std::ptrdiff_t>(j) * h + w, h, gathered.data(), y);
+      kernel.apply_transposed(w - j - 6, block + 6, h, y + 6, y);
+      for (int c = 5; c >= 0; --c) {
+        for (int r = c + 1; r < 6; ++r) y[c] -= block[c * h + r] * y[r];
+        y[c] /= block[c * (h + 1)];
+      }
+    }
+  }
+}
+
+std::vector<double> MultifrontalCholesky::pivots() const {
+  std::vector<double> out;
+  out.reserve(6 * static_cast<std::size_t>(first_.back()));
+  for (std::size_t s = 0; s < size(); ++s) {
+    const auto h = static_cast<std::size_t>(width(s) + below(s));
+    const double* l = values_.data() + value_start_[s];
+    for (std::size_t j = 0; j < static_cast<std::size_t>(width(s)); ++j)
+      out.push_back(l[j * (h + 1)] * l[j * (h + 1)]);
+  }
+  return out;
+}
+
+Panels MultifrontalCholesky::shape() const {
+  Panels out;
+  out.first.reserve(first_.size());
+  for (const std::uint32_t v : first_) out.first.push_back(6 * static_cast<int>(v));
+  out.value_start = value_start_;
+  out.row_start.push_back(0);
+  const auto add = [&](std::uint32_t v) {
+    for (int r = 0; r < 6; ++r) out.rows.push_back(6 * static_cast<int>(v) + r);
+  };
+  out.rows.reserve(6 * (rows_.size() + first_.back()));
+  for (std::size_t s = 0; s < size(); ++s) {
+    for (std::uint32_t v = first_[s]; v < first_[s + 1]; ++v) add(v);
+    for (std::size_t p = row_start_[s]; p < row_start_[s + 1]; ++p) add(rows_[p]);
+    out.row_start.push_back(out.rows.size());
+  }
+  return out;
+}
+
+Panels MultifrontalCholesky::panels() const {
+  Panels out = shape();
+  out.values = values_;
+  return out;
+}
+
+Panels MultifrontalCholesky::take_panels() {
+  Panels out = shape();
+  out.values.swap(values_);
+  return out;
+}
+
+}  // namespace loopwise::detail

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <vector>
+
+#include "panels.hpp"
+
+namespace loopwise::detail {
+
+/// Lower triangle of a matrix of blocks: rows[start[v]] … of block column v, ascending, v itself first.
+struct BlockPattern {
+  std::vector<std::size_t> start;
+  std::vector<std::uint32_t> rows;
+};
+
+/// Cholesky factorisation of a symmetric matrix of 6×6 blocks by fronts (Duff and Reid, 1983): the columns of
+/// L that share their rows are one dense panel, and what they take from later columns is handed to the parent
+/// in the elimination tree as a dense matrix. Columns are in postorder. Pose graphs have hundreds of small
+/// fronts, for which the kernels here are made; BLAS does the large ones.
+class MultifrontalCholesky {
+ public:
+  /// \param parent of each block column in the elimination tree, -1 for a root
+  /// \param count  blocks in each block column of L, the diagonal one included
+  MultifrontalCholesky(const BlockPattern& pattern, const std::vector<int>& parent,
+                       const std::vector<int>& count);
+
+  /// \param values the blocks of the pattern one after the other, 36 values each, column-major; of a diagonal
+  ///        block the lower triangle counts.
+  /// \returns false if the matrix is not positive definite.
+  [[nodiscard]] bool factorize(const double* values);
+  /// Block column at which the last factorisation broke off; the number of columns if it did not.
+  [[nodiscard]] std::size_t broken_at() const { return broken_at_; }
+
+  /// Solves L·Lᵀ·x = y in place.
+  void solve(double* x) const;
+  /// Squares of the diagonal of L. \pre factorize() was successful
+  [[nodiscard]] std::vector<double> pivots() const;
+  [[nodiscard]] Panels panels() const;
+  /// The same without a copy; the next factorisation starts afresh.
+  [[nodiscard]] Panels take_panels();
+
+ private:
+  [[nodiscard]] std::size_t size() const { return first_.size() - 1; }
+  [[nodiscard]] int width(std::size_t s) const { return 6 * static_cast<int>(first_[s + 1] - first_[s]); }
+  [[nodiscard]] int below(std::size_t s) const {
+    return 6 * static_cast<int>(row_start_[s + 1] - row_start_[s]);
+  }
+  void make_panels(const std::vector<int>& parent, const std::vector<int>& count);
+  void make_rows(const BlockPattern& pattern);
+  void add_child(std::size_t child, const double* update, std::size_t s, double* l, double* u);
+  [[nodiscard]] Panels shape() const;
+
+  std::vector<std::uint32_t> first_;      // block column, by panel
+  std::vector<int> parent_;               // of a panel
+  std::vector<std::size_t> row_start_;    // into rows_ and relative_
+  std::vector<std::uint32_t> rows_;       // block rows below a panel's columns
+  std::vector<std::uint32_t> relative_;   // the same as block rows of the parent's front
+  std::vector<std::size_t> value_start_;  // of a panel in values_
+  std::vector<std::size_t> block_start_;  // of a panel's blocks in the matrix
+  struct Place {
+    std::uint32_t row, column;  // scalar, in the panel
+  };
+  std::vector<Place> places_;  // of the matrix's blocks
+  std::size_t stack_size_ = 0;
+  std::size_t broken_at_ = 0;
+  std::unique_ptr<double[]> stack_;  // updates that wait for their parents
+  std::vector<double> values_;
+};
+
+}  // namespace loopwise::detail

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <Eigen/Dense>
+
+#include "front_kernels.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+MatrixXd random_matrix(Rng& rng, int rows, int columns) {
+  MatrixXd m(rows, columns);
+  for (Eigen::Index i = 0; i < m.size(); ++i) m.data()[i] = rng.normal();
+  return m;
+}
+
+double largest(const MatrixXd& m) {
+  return m.size() == 0 ? 0.0 : m.cwiseAbs().maxCoeff();
+}
+
+}  // namespace
+
+TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "[optimization][property]") {
+  Rng rng(21);
+  for (const detail::FrontKernels* kernel : {&detail::front_kernels(), &detail::front_kernels_baseline()}) {
+    for (int m = 0; m <= 60; m += 6) {
+      CAPTURE(m);
+      const int k = 6 * static_cast<int>(1 + rng.below(4)), spare = 2;  // rows that must stay as they are
+      const MatrixXd a = random_matrix(rng, m + spare, k), b = random_matrix(rng, 6, k);
+      const MatrixXd before = random_matrix(rng, m + spare, 6);
+      for (const bool overwrite : {false, true}) {
+        MatrixXd c = before, expected = before;
+        if (overwrite) expected.topRows(m).setZero();
+        expected.topRows(m) -= a.topRows(m) * b.transpose();
+        kernel->multiply(m, k, a.data(), m + spare, b.data(), 6, c.data(), m + spare, overwrite);
+        REQUIRE(largest(c - expected) < 1e-12);  // measured 1e-14
+      }
+      const VectorXd x = random_matrix(rng, 6, 1), y = random_matrix(rng, m + spare, 1);
+      VectorXd result = y;
+      kernel->apply(m, a.data(), m + spare, x.data(), result.data());
+      VectorXd expected = y;
+      expected.head(m) -= a.topLeftCorner(m, 6) * x;
+      REQUIRE(largest(result - expected) < 1e-12);
+      result = x;
+      kernel->apply_transposed(m, a.data(), m + spare, y.data(), result.data());
+      REQUIRE(largest(result - (x - a.topLeftCorner(m, 6).transpose() * y.head(m))) < 1e-12);
+    }
+  }
+}
+
+TEST_CASE("front kernels: elimination is a Cholesky factor and refuses what has none", "[optimization]") {
+  Rng rng(22);
+  for (const detail::FrontKernels* kernel : {&detail::front_kernels(), &detail::front_kernels_baseline()}) {
+    for (int m = 6; m <= 42; m += 6) {
+      CAPTURE(m);
+      const MatrixXd root = random_matrix(rng, 6, 8);
+      MatrixXd a = random_matrix(rng, m, 6);
+      a.topRows(6) = root * root.transpose();
+      MatrixXd l = a;
+      REQUIRE(kernel->eliminate(m, l.data(), m));
+      l.topRows(6).triangularView<Eigen::StrictlyUpper>().setZero();
+      REQUIRE(largest(l * l.topRows(6).transpose() - a) < 1e-11);  // measured 2e-14
+      a(3, 3) = -1.0;
+      REQUIRE_FALSE(kernel->eliminate(m, a.data(), m));
+      a(3, 3) = std::numeric_limits<double>::quiet_NaN();
+      REQUIRE_FALSE(kernel->eliminate(m, a.data(), m));
+    }
+  }
+}
+
+}  // namespace loopwise
