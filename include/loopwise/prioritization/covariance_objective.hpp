@@ -1,0 +1,162 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string_view>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/se3.hpp>
+#include <loopwise/prioritization/graph_objective.hpp>
+
+namespace loopwise {
+
+/// Which coordinates of the poses the trace counts.
+enum class TraceKind {
+  kTranslation,  ///< Positions, m².
+  kFull,         ///< Positions and rotations, m² + rad².
+};
+[[nodiscard]] inline EnumNames<TraceKind> enum_names(TraceKind) {
+  return {{TraceKind::kTranslation, "translation"}, {TraceKind::kFull, "full"}};
+}
+
+/// How CovarianceObjective holds what its evaluations need.
+enum class Holding {
+  kAutomatic,  ///< Dense for few candidates, columns otherwise; the bound is measured.
+  kColumns,    ///< Columns of Σ by sparse solves with the factor of the current set: a move costs one
+               ///< factorisation, whatever the number of candidates, and nothing drifts.
+  kDense,      ///< S and M of all pairs of candidates: an evaluation costs a 12×12 problem, a move a rank-12
+               ///< and a rank-24 update; made anew from a factorisation after some moves.
+};
+[[nodiscard]] inline EnumNames<Holding> enum_names(Holding) {
+  return {{Holding::kAutomatic, "automatic"}, {Holding::kColumns, "columns"}, {Holding::kDense, "dense"}};
+}
+
+struct ClosureModelOptions {
+  double sigma_m = 0.1;
+  double sigma_rad = 0.02;
+  TraceKind trace = TraceKind::kTranslation;
+  Holding holding = Holding::kAutomatic;
+  std::int64_t dense_refresh = 16;
+  int num_threads = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("sigma_m", self.sigma_m, above(0.0),
+          "Sigma of a hypothetical closure's translation, each axis, m.");
+    field("sigma_rad", self.sigma_rad, above(0.0), "The same of its rotation, rad.");
+    field("trace", self.trace, any_value(), "What the trace counts: translation or full.");
+    field("holding", self.holding, any_value(), "How blocks are held: automatic, columns or dense.");
+    field("dense_refresh", self.dense_refresh, at_least(1),
+          "Holding dense: moves between two fresh factorisations.");
+    field("num_threads", self.num_threads, at_least(1), "Threads. Changes the run time, never a result.");
+  }
+};
+
+/// Hypothetical closures of a list of candidates at a graph's estimate: Z = T_from⁻¹·T_to, information from
+/// the sigmas or a covariance.
+struct ClosureModel {
+  Matrix6d covariance;           ///< Of every candidate, [translation, rotation], m² and rad².
+  std::vector<double> p_accept;  ///< Probability that the candidate, once computed, is accepted; empty: 1.
+};
+
+/// Σ⁻¹ = diag(sigma_m², sigma_rad²). \throws OptionError
+[[nodiscard]] ClosureModel closure_model(const ClosureModelOptions& options);
+
+/// e(PG ∪ l), exact: the trace of the poses' marginal covariances with the set's closures added, Σ = H⁻¹ of
+/// the Gauss-Newton Hessian at the graph's poses and weights. The paper trains a network to guess this
+/// figure.
+///
+/// With J, W the stacked Jacobians and information of a change (W negative for closures that leave), the
+/// trace changes by −tr((W⁻¹ + JΣJᵀ)⁻¹ · JΣPᵀPΣJᵀ), Σ being that of the current set and P choosing what
+/// counts: for one closure a 6×6 problem, for a swap one of 12×12. `p_accept` scales a candidate's
+/// information, and with it, to first order, its gain.
+///
+/// Poses of a component without a prior count relative to its first node; connecting candidates change
+/// nothing.
+class CovarianceObjective final : public GraphObjective {
+ public:
+  /// \throws OptionError; UnknownKeyError if a candidate's node is not in the graph; InputError on a model
+  /// that is not finite, and naming a node if the graph's factors do not determine its pose.
+  CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                      const ClosureModelOptions& options = {});
+  CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                      const ClosureModelOptions& options, const ClosureModel& model);
+  ~CovarianceObjective() override;
+
+  [[nodiscard]] std::string_view name() const override { return "covariance"; }
+  [[nodiscard]] std::size_t size() const override;
+  [[nodiscard]] const std::vector<std::size_t>& selected() const override;
+  [[nodiscard]] bool contains(std::size_t candidate) const override;
+  [[nodiscard]] double value() override;
+  [[nodiscard]] double add_change(std::size_t candidate) override;
+  [[nodiscard]] double remove_change(std::size_t candidate) override;
+  [[nodiscard]] double swap_change(std::size_t out, std::size_t in) override;
+  [[nodiscard]] std::vector<double> add_changes() override;
+  void assign(const std::vector<std::size_t>& set) override;
+  void add(std::size_t candidate) override;
+  void remove(std::size_t candidate) override;
+  void swap(std::size_t out, std::size_t in) override;
+  [[nodiscard]] bool connecting(std::size_t candidate) const override;
+
+  /// The way that is in use: kColumns or kDense.
+  [[nodiscard]] Holding holding() const;
+  /// Numeric factorisations made so far.
+  [[nodiscard]] std::size_t factorizations() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// log det Σ of the graph with the set's closures: D-optimality, for pose graphs the count of spanning trees
+/// (Khosoussi et al., IJRR 2019). Submodular, so lazy greedy choice is exact. Other things as above.
+class LogDetObjective final : public GraphObjective {
+ public:
+  LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                  const ClosureModelOptions& options = {});
+  LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                  const ClosureModelOptions& options, const ClosureModel& model);
+  ~LogDetObjective() override;
+
+  [[nodiscard]] std::string_view name() const override { return "log_det"; }
+  [[nodiscard]] std::size_t size() const override;
+  [[nodiscard]] const std::vector<std::size_t>& selected() const override;
+  [[nodiscard]] bool contains(std::size_t candidate) const override;
+  [[nodiscard]] double value() override;
+  [[nodiscard]] double add_change(std::size_t candidate) override;
+  [[nodiscard]] double remove_change(std::size_t candidate) override;
+  [[nodiscard]] double swap_change(std::size_t out, std::size_t in) override;
+  [[nodiscard]] std::vector<double> add_changes() override;
+  void assign(const std::vector<std::size_t>& set) override;
+  void add(std::size_t candidate) override;
+  void remove(std::size_t candidate) override;
+  void swap(std::size_t out, std::size_t in) override;
+  [[nodiscard]] bool connecting(std::size_t candidate) const override;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Gains of single closures on the bare graph, −add_change(), guessed from random probes: with U = L⁻ᵀz and
+/// V = ΣPᵀz for `probes` random sign vectors z, S ≈ JUUᵀJᵀ and M ≈ JVVᵀJᵀ. The error of an entry is about
+/// √(2/probes) of it; what it costs does not depend on the graph's size but for the solves. 0 for connecting
+/// candidates. \throws as CovarianceObjective.
+[[nodiscard]] std::vector<double> sketched_gains(const PoseGraph& graph,
+                                                 const std::vector<LoopCandidate>& candidates,
+                                                 const ClosureModelOptions& options,
+                                                 const ClosureModel& model, std::size_t probes = 64,
+                                                 std::uint64_t seed = 1);
+
+/// Up to `count` candidates that promise most and lie spread over the graph: within each pair of cells of
+/// `cell_m` that candidates join the best by gain, then the second best of each, and so on, each round by
+/// falling gain. \returns places in the list, ascending.
+[[nodiscard]] std::vector<std::size_t> spread_shortlist(const PoseGraph& graph,
+                                                        const std::vector<LoopCandidate>& candidates,
+                                                        const std::vector<double>& gains, std::size_t count,
+                                                        double cell_m = 10.0);
+
+}  // namespace loopwise

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <string_view>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/pose_graph.hpp>
+
+namespace loopwise {
+
+/// How bad the graph is with a set of hypothetical closures added: e(PG ∪ l) of the paper's eq. 1, which
+/// selectors minimise over sets of a fixed list of candidates. Candidates are named by their place in that
+/// list. An objective holds one current set; what it costs to change it is asked without changing it.
+///
+/// Not for several threads at a time: evaluating uses scratch space.
+class GraphObjective {
+ public:
+  virtual ~GraphObjective() = default;
+
+  [[nodiscard]] virtual std::string_view name() const = 0;
+
+  /// Number of candidates.
+  [[nodiscard]] virtual std::size_t size() const = 0;
+
+  /// The current set, empty at first, in the order of addition; a swap puts the new one in the place of the
+  /// old.
+  [[nodiscard]] virtual const std::vector<std::size_t>& selected() const = 0;
+  [[nodiscard]] virtual bool contains(std::size_t candidate) const = 0;
+
+  /// The objective of the current set; lower is better.
+  [[nodiscard]] virtual double value() = 0;
+
+  /// value() after the change minus value() now. \pre `candidate` and `in` are not in the set, `out` and a
+  /// removed one are.
+  [[nodiscard]] virtual double add_change(std::size_t candidate) = 0;
+  [[nodiscard]] virtual double remove_change(std::size_t candidate) = 0;
+  [[nodiscard]] virtual double swap_change(std::size_t out, std::size_t in) = 0;
+
+  /// add_change() of every candidate, 0 for those in the set. What a greedy choice asks for: implementations
+  /// are faster than one by one, and may be accurate to about 1e-6 of the change only.
+  [[nodiscard]] virtual std::vector<double> add_changes() = 0;
+
+  virtual void assign(const std::vector<std::size_t>& set) = 0;
+  virtual void add(std::size_t candidate) = 0;
+  virtual void remove(std::size_t candidate) = 0;
+  virtual void swap(std::size_t out, std::size_t in) = 0;
+
+  /// The candidate ties together two parts of the graph of which one has no prior. Such a closure is worth
+  /// more than any figure, and the objective, taken for each part on its own, does not count it.
+  [[nodiscard]] virtual bool connecting(std::size_t candidate) const = 0;
+};
+
+/// Members of a set of candidates, in order, with their places: what implementations keep.
+class CandidateSet {
+ public:
+  explicit CandidateSet(std::size_t size) : place_(size, kAbsent) {}
+  [[nodiscard]] const std::vector<std::size_t>& members() const { return members_; }
+  [[nodiscard]] bool contains(std::size_t candidate) const { return place_[candidate] != kAbsent; }
+  void add(std::size_t candidate) {
+    place_[candidate] = members_.size();
+    members_.push_back(candidate);
+  }
+  /// Those behind it move up.
+  void remove(std::size_t candidate) {
+    const std::size_t place = place_[candidate];
+    members_.erase(members_.begin() + static_cast<std::ptrdiff_t>(place));
+    place_[candidate] = kAbsent;
+    for (std::size_t i = place; i < members_.size(); ++i) place_[members_[i]] = i;
+  }
+  void swap(std::size_t out, std::size_t in) {
+    members_[place_[out]] = in;
+    place_[in] = place_[out];
+    place_[out] = kAbsent;
+  }
+  /// \throws InputError on a repeated member or one that is not there.
+  void assign(const std::vector<std::size_t>& members);
+  void clear();
+
+ private:
+  static constexpr std::size_t kAbsent = static_cast<std::size_t>(-1);
+  std::vector<std::size_t> members_;
+  std::vector<std::size_t> place_;
+};
+
+/// Midpoints of the candidates' nodes at the graph's poses, one each: where a closure stands for the spread
+/// of a set. \throws UnknownKeyError
+[[nodiscard]] std::vector<Eigen::Vector3d> candidate_midpoints(const PoseGraph& graph,
+                                                               const std::vector<LoopCandidate>& candidates);
+
+}  // namespace loopwise

@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "closure_set.hpp"
+
+#include <cmath>
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+
+void CandidateSet::clear() {
+  for (const std::size_t member : members_) place_[member] = kAbsent;
+  members_.clear();
+}
+
+void CandidateSet::assign(const std::vector<std::size_t>& members) {
+  clear();
+  for (const std::size_t member : members) {
+    if (member >= place_.size() || contains(member)) {
+      throw InputError("candidate " + std::to_string(member) + " of " + std::to_string(place_.size()) +
+                       (member < place_.size() ? " stands in the set twice" : " does not exist"));
+    }
+    add(member);
+  }
+}
+
+std::vector<Eigen::Vector3d> candidate_midpoints(const PoseGraph& graph,
+                                                 const std::vector<LoopCandidate>& candidates) {
+  std::vector<Eigen::Vector3d> out;
+  out.reserve(candidates.size());
+  for (const LoopCandidate& c : candidates) {
+    out.push_back(0.5 * (graph.node(c.from).pose.translation() + graph.node(c.to).pose.translation()));
+  }
+  return out;
+}
+
+ClosureModel closure_model(const ClosureModelOptions& options) {
+  validate(options);
+  Vector6d variance;
+  variance << Eigen::Vector3d::Constant(options.sigma_m * options.sigma_m),
+      Eigen::Vector3d::Constant(options.sigma_rad * options.sigma_rad);
+  return {variance.asDiagonal(), {}};
+}
+
+namespace detail {
+
+ClosureTerms::ClosureTerms(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                           const ClosureModel& model) {
+  if (!model.p_accept.empty() && model.p_accept.size() != candidates.size()) {
+    throw InputError("p_accept has " + std::to_string(model.p_accept.size()) + " values, expected " +
+                     std::to_string(candidates.size()) + " or none");
+  }
+  const GraphComponents parts(graph);
+  terms_.reserve(candidates.size());
+  for (std::size_t i = 0; i < candidates.size(); ++i) {
+    const LoopCandidate& candidate = candidates[i];
+    const std::size_t from = graph.index_of(candidate.from), to = graph.index_of(candidate.to);
+    if (from == to) throw InputError("candidate of " + key_name(candidate.from) + " with itself");
+    ClosureTerm term;
+    term.from = static_cast<std::uint32_t>(from);
+    term.to = static_cast<std::uint32_t>(to);
+    term.scale = model.p_accept.empty() ? 1.0 : model.p_accept[i];
+    if (!(term.scale >= 0.0 && term.scale <= 1.0)) {
+      throw InputError("p_accept of candidate " + std::to_string(i) + " is not in [0, 1]");
+    }
+    term.adjoint = se3::adjoint(graph.nodes()[to].pose.inverse() * graph.nodes()[from].pose);
+    terms_.push_back(term);
+    connecting_.push_back(parts.connecting(from, to));
+  }
+}
+
+Whitening::Whitening(const Matrix6d& covariance) {
+  if (!covariance.allFinite()) throw InputError("the covariance of a closure is not finite");
+  const Eigen::LLT<Matrix6d> cholesky(covariance);
+  if (cholesky.info() != Eigen::Success || check_information(covariance) != nullptr) {
+    throw InputError("the covariance of a closure is not symmetric and positive definite");
+  }
+  root = cholesky.matrixL().solve(Matrix6d::Identity());
+  information = root.transpose() * root;
+  if (!information.allFinite()) throw InputError("the covariance of a closure is singular");
+}
+
+double GainBlocks::gain() const {
+  const Eigen::LLT<Matrix6d> cholesky(Matrix6d::Identity() + S);
+  return cholesky.solve(M).trace();
+}
+
+ClosureSet::ClosureSet(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                       const ClosureModelOptions& options, const ClosureModel& model)
+    : terms(graph, candidates, model), whitening(model.covariance), set(candidates.size()), factor_(graph) {
+  validate(options);
+}
+
+const ClosureFactor& ClosureSet::factor_with(const std::vector<std::size_t>& members) {
+  std::vector<const ClosureTerm*> closures;
+  closures.reserve(members.size());
+  for (const std::size_t member : members) {
+    if (!terms.inert(member)) closures.push_back(&terms[member]);
+  }
+  fresh_ = false;
+  factor_.factorize(closures, whitening.information);
+  ++factorizations_;
+  return factor_;
+}
+
+const ClosureFactor& ClosureSet::factor() {
+  if (!fresh_) {
+    (void)factor_with(set.members());
+    fresh_ = true;
+  }
+  return factor_;
+}
+
+template <int Width>
+Eigen::Matrix<double, Width, Width, Eigen::RowMajor> counted_gram(const std::vector<double>& x,
+                                                                  TraceKind kind) {
+  double sum[Width * Width] = {};
+  const int triples = kind == TraceKind::kFull ? 2 : 1;
+  constexpr std::size_t kBlock = 6 * Width;
+  for (std::size_t at = 0; at < x.size(); at += kBlock) {
+    for (int t = 0; t < triples; ++t) {
+      const double* a = x.data() + at + static_cast<std::size_t>(3 * Width * t);
+      const double *b = a + Width, *c = b + Width;
+      for (int i = 0; i < Width; ++i) {
+        const double fa = a[i], fb = b[i], fc = c[i];
+        double* row = sum + Width * i;
+        for (int j = 0; j < Width; ++j) row[j] += fa * a[j] + fb * b[j] + fc * c[j];
+      }
+    }
+  }
+  return Eigen::Map<const Eigen::Matrix<double, Width, Width, Eigen::RowMajor>>(sum);
+}
+
+template Eigen::Matrix<double, 6, 6, Eigen::RowMajor> counted_gram<6>(const std::vector<double>&, TraceKind);
+template Eigen::Matrix<double, 12, 12, Eigen::RowMajor> counted_gram<12>(const std::vector<double>&,
+                                                                         TraceKind);
+
+}  // namespace detail
+}  // namespace loopwise

@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
+#include <cmath>
+#include <tuple>
+#include <unordered_map>
+
+#include <Eigen/Cholesky>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/prioritization/covariance_objective.hpp>
+
+#include "closure_factor.hpp"
+#include "closure_set.hpp"
+
+namespace loopwise {
+namespace {
+
+constexpr int kWidth = 16;  // probes solved for at a time
+constexpr std::size_t kChunk = 4096;
+
+using Probes = Eigen::Matrix<double, 6, kWidth, Eigen::RowMajor>;
+
+}  // namespace
+
+std::vector<double> sketched_gains(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                                   const ClosureModelOptions& options, const ClosureModel& model,
+                                   std::size_t probes, std::uint64_t seed) {
+  validate(options);
+  if (probes == 0) throw OptionError("probes = 0, must be >= 1");
+  if (!model.p_accept.empty() && model.p_accept.size() != candidates.size()) {
+    throw InputError("p_accept has " + std::to_string(model.p_accept.size()) + " values, expected " +
+                     std::to_string(candidates.size()) + " or none");
+  }
+  const detail::Whitening whitening(model.covariance);
+  const detail::GraphComponents parts(graph);
+  detail::ClosureFactor factor(graph);
+  factor.factorize({}, whitening.information);
+
+  // Probes in groups of kWidth; the signs of a group depend on (seed, group) alone.
+  const std::size_t groups = (probes + kWidth - 1) / kWidth;
+  const double scale = 1.0 / std::sqrt(static_cast<double>(groups * kWidth));
+  std::vector<std::vector<double>> U(groups), V(groups);
+  ThreadPool pool(options.num_threads);
+  pool.for_each(2 * groups, [&](std::size_t task) {
+    const std::size_t group = task / 2;
+    const bool counted = task % 2 != 0;
+    Rng rng(combine_seeds(combine_seeds(seed, group), counted ? 1 : 0));
+    std::vector<double>& x = counted ? V[group] : U[group];
+    x.assign(factor.free_nodes() * 6 * kWidth, 0.0);
+    const std::size_t rows = counted && options.trace == TraceKind::kTranslation ? 3 : 6;
+    for (std::size_t node = 0; node < factor.free_nodes(); ++node) {
+      double* block = x.data() + node * 6 * kWidth;
+      std::uint64_t bits = 0;
+      for (std::size_t i = 0; i < rows * kWidth; ++i) {
+        if (i % 64 == 0) bits = rng();
+        block[i] = (bits & 1U) != 0 ? scale : -scale;
+        bits >>= 1U;
+      }
+    }
+    counted ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
+  });
+
+  std::vector<double> gains(candidates.size(), 0.0);
+  pool.for_each((candidates.size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
+    const std::size_t end = std::min(candidates.size(), (chunk + 1) * kChunk);
+    for (std::size_t i = chunk * kChunk; i < end; ++i) {
+      const std::size_t from = graph.index_of(candidates[i].from), to = graph.index_of(candidates[i].to);
+      const double p = model.p_accept.empty() ? 1.0 : model.p_accept[i];
+      if (parts.connecting(from, to) || !(p > 0.0)) continue;
+      detail::ClosureTerm term;
+      term.from = static_cast<std::uint32_t>(from);
+      term.to = static_cast<std::uint32_t>(to);
+      term.adjoint = se3::adjoint(graph.nodes()[to].pose.inverse() * graph.nodes()[from].pose);
+      detail::GainBlocks blocks;
+      for (std::size_t g = 0; g < groups; ++g) {
+        Probes u, v;
+        factor.apply<kWidth>(term, U[g], u.data());
+        factor.apply<kWidth>(term, V[g], v.data());
+        blocks.S.noalias() += u.lazyProduct(u.transpose());
+        blocks.M.noalias() += v.lazyProduct(v.transpose());
+      }
+      const Matrix6d W = std::sqrt(p) * whitening.root;
+      blocks.S = (W * blocks.S * W.transpose()).eval();
+      blocks.M = (W * blocks.M * W.transpose()).eval();
+      gains[i] = blocks.gain();
+    }
+  });
+  return gains;
+}
+
+std::vector<std::size_t> spread_shortlist(const PoseGraph& graph,
+                                          const std::vector<LoopCandidate>& candidates,
+                                          const std::vector<double>& gains, std::size_t count,
+                                          double cell_m) {
+  if (gains.size() != candidates.size()) throw InputError("one gain for each candidate is needed");
+  if (!(cell_m > 0.0)) throw OptionError("cell_m must be > 0");
+  std::vector<std::size_t> order(candidates.size());
+  for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
+  if (count >= candidates.size()) return order;
+
+  const auto cell = [&](Key key) {
+    const Eigen::Vector3d p = graph.node(key).pose.translation() / cell_m;
+    std::uint64_t hash = 0;
+    for (int k = 0; k < 3; ++k) {
+      hash = combine_seeds(hash, static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(p[k]))));
+    }
+    return hash;
+  };
+  std::unordered_map<Key, std::uint64_t> cells;
+  const auto cell_of = [&](Key key) {
+    const auto [found, fresh] = cells.emplace(key, 0);
+    if (fresh) found->second = cell(key);
+    return found->second;
+  };
+  const auto better = [&](std::size_t a, std::size_t b) {
+    return gains[a] != gains[b] ? gains[a] > gains[b] : a < b;
+  };
+  std::sort(order.begin(), order.end(), better);
+  std::unordered_map<std::uint64_t, std::size_t> met;  // pair of cells -> candidates seen in it
+  std::vector<std::size_t> round(candidates.size());
+  for (const std::size_t i : order) {
+    const std::uint64_t a = cell_of(candidates[i].from), b = cell_of(candidates[i].to);
+    round[i] = met[combine_seeds(std::min(a, b), std::max(a, b))]++;
+  }
+  const auto earlier = [&](std::size_t a, std::size_t b) {
+    return round[a] != round[b] ? round[a] < round[b] : better(a, b);
+  };
+  std::nth_element(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(count), order.end(), earlier);
+  order.resize(count);
+  std::sort(order.begin(), order.end());
+  return order;
+}
+
+}  // namespace loopwise
