@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
+#include <cmath>
 #include <limits>
 
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/mission_picture.hpp>
+#include <loopwise/evaluation/mission_statistics.hpp>
+#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/mission.hpp>
 
@@ -17,8 +21,12 @@ struct Options {
   CommonOptions common;
   std::string path;
   std::string robots;
+  std::string picture;
+  CandidateStatisticsOptions candidates;
   bool read_scans = true;
 };
+
+constexpr double kDegrees = 57.29577951308232;
 
 /// Length of each robot's path along its nodes, in order of their keys.
 std::vector<double> path_lengths(const Mission& mission) {
@@ -83,6 +91,50 @@ int cloud_info(const Options& options, Console& console) {
   return kDone;
 }
 
+Json number(double value) {
+  return std::isnan(value) ? Json() : Json(value);
+}
+
+/// How far odometry goes astray, where the truth is known.
+void add_drift(const Mission& mission, Json& json, std::string& text) {
+  const std::vector<RobotDrift> drifts = odometry_drift(mission);
+  Json all = Json::array();
+  std::vector<std::vector<std::string>> rows{
+      {"drift of", "largest m", "% of length", "largest deg", "end m"}};
+  for (const RobotDrift& drift : drifts) {
+    all.push_back({{"robot", drift.robot},
+                   {"length_m", drift.length_m},
+                   {"largest_error_m", drift.largest_m},
+                   {"largest_error_rad", drift.largest_rad},
+                   {"end_error_m", drift.end_m}});
+    rows.push_back({drift.robot, fixed(drift.largest_m, 2),
+                    fixed(100.0 * drift.largest_m / drift.length_m, 2),
+                    fixed(drift.largest_rad * kDegrees, 2), fixed(drift.end_m, 2)});
+  }
+  json["drift"] = all;
+  if (!drifts.empty()) text += "\n" + table(rows);
+}
+
+/// How many candidates proximity would find, and how many of them saw the same place.
+void add_candidates(const Mission& mission, const Options& options, Json& json, std::string& text) {
+  CandidateStatisticsOptions wanted = options.candidates;
+  wanted.threads = thread_count(options.common);
+  if (!options.read_scans) wanted.pairs = 0;
+  const CandidateStatistics found = candidate_statistics(mission, wanted);
+  json["candidates"] = {{"radius_m", wanted.radius_m},
+                        {"generated", found.candidates},
+                        {"looked_at", found.looked_at},
+                        {"mean_overlap", number(found.mean_overlap)},
+                        {"overlapping", number(found.overlapping)},
+                        {"within_radius", number(found.within_radius)}};
+  text += "candidates   " + std::to_string(found.candidates) + " within " + fixed(wanted.radius_m, 0) + " m";
+  if (found.looked_at > 0) {
+    text += "; of " + std::to_string(found.looked_at) + " looked at " + fixed(100.0 * found.overlapping, 1) +
+            " % overlap truly";
+  }
+  text += "\n";
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -133,7 +185,7 @@ int run(const Options& options) {
   for (const Problem& problem : problems.all()) problem_list.push_back(to_string(problem));
   const double mean =
       points.scans == 0 ? 0.0 : static_cast<double>(points.total) / static_cast<double>(points.scans);
-  const Json json = {
+  Json json = {
       {"kind", enum_name(mission.kind)},
       {"name", mission.name},
       {"robots", robots},
@@ -165,6 +217,9 @@ int run(const Options& options) {
           std::to_string(mission.ground_truth.size()) + " poses\nradio        " +
           std::to_string(mission.radio.size()) + " readings, " + std::to_string(mission.beacons.size()) +
           " beacons, " + std::to_string(mission.gaps.size()) + " communication gaps\n";
+  add_candidates(mission, options, json, text);
+  add_drift(mission, json, text);
+  if (!options.picture.empty()) write_file(options.picture, mission_picture_svg(mission));
   for (const Problem& problem : problems.all()) text += "problem      " + to_string(problem) + "\n";
   print_results(options.common, json, text);
   return interrupt.interrupted() ? kInterrupted : kDone;
@@ -175,12 +230,21 @@ int run(const Options& options) {
 void add_info(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("info", "Say what a mission, session, graph or cloud holds");
-  command->footer("  loopwise info my_mission");
+  command->footer("  loopwise info my_mission --picture my_mission.svg");
   command->add_option("path", options->path, "Mission folder, session folder, g2o file or cloud")
       ->required()
       ->type_name("PATH");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
+  command
+      ->add_option("--radius", options->candidates.radius_m, "Count candidates within M metres (default 30)")
+      ->type_name("M");
+  command
+      ->add_option("--pairs", options->candidates.pairs,
+                   "Candidates whose scans are compared at the true poses (default 1000)")
+      ->type_name("N");
+  command->add_option("--picture", options->picture, "Draw the mission from above, as SVG")
+      ->type_name("FILE");
   command->add_flag("!--no-scans", options->read_scans, "Do not open the scans");
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });

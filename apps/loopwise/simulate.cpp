@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/mission_statistics.hpp>
 #include <loopwise/simulation/simulate.hpp>
 #include <loopwise/simulation/statistics.hpp>
 

@@ -3,49 +3,17 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
-#include <cstdio>
 #include <map>
 #include <set>
+
+#include "drawing.hpp"
 
 namespace loopwise {
 namespace {
 
-constexpr double kWidth = 1000.0;  // of the drawing, pixels
-constexpr double kMargin = 40.0;
+using namespace drawing;
+
 constexpr double kLegend = 90.0;
-constexpr std::array<const char*, 6> kRobotColours{"#1f5fa8", "#c2571a", "#2d8a4e",
-                                                   "#7b4fa3", "#a8862a", "#3c8f96"};
-
-/// Where the world's x and y lie on the page.
-class Page {
- public:
-  explicit Page(const std::vector<Eigen::Vector2d>& points) {
-    Eigen::AlignedBox2d box;
-    for (const Eigen::Vector2d& p : points) box.extend(p);
-    if (box.isEmpty()) box.extend(Eigen::Vector2d::Zero());
-    low_ = box.min();
-    const Eigen::Vector2d size = box.sizes().cwiseMax(1.0);
-    scale_ = (kWidth - 2.0 * kMargin) / std::max(size.x(), size.y());
-    height_ = size.y() * scale_ + 2.0 * kMargin;
-    top_ = low_.y() + size.y();
-  }
-  [[nodiscard]] double x(double world) const { return kMargin + (world - low_.x()) * scale_; }
-  [[nodiscard]] double y(double world) const { return kMargin + (top_ - world) * scale_; }
-  [[nodiscard]] double height() const { return height_; }
-  [[nodiscard]] double scale() const { return scale_; }
-
- private:
-  Eigen::Vector2d low_;
-  double top_ = 0.0, scale_ = 1.0, height_ = 0.0;
-};
-
-template <class... Values>
-void put(std::string& out, const char* format, Values... values) {
-  std::array<char, 512> text{};
-  std::snprintf(text.data(), text.size(), format, values...);
-  out += text.data();
-}
 
 void put_path(std::string& out, const Page& page, const std::map<Key, Eigen::Vector2d>& path,
               const char* style) {
@@ -73,30 +41,6 @@ std::vector<Eigen::Vector2d> thinned(const PointCloud& map, const Page& page) {
   std::vector<Eigen::Vector2d> some;
   for (std::size_t i = 0; i < kMost; ++i) some.push_back(points[i * points.size() / kMost]);
   return some;
-}
-
-/// A round length of about a fifth of the width.
-double bar_length(double scale) {
-  const double wanted = kWidth / 5.0 / scale;
-  const double power = std::pow(10.0, std::floor(std::log10(wanted)));
-  for (const double factor : {5.0, 2.0}) {
-    if (factor * power <= wanted) return factor * power;
-  }
-  return power;
-}
-
-std::string escaped(const std::string& text) {
-  std::string out;
-  for (const char c : text) {
-    if (c == '<') {
-      out += "&lt;";
-    } else if (c == '&') {
-      out += "&amp;";
-    } else {
-      out += c;
-    }
-  }
-  return out;
 }
 
 }  // namespace
@@ -155,7 +99,7 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
         computed.weight > 0.5 ? "#35a35f" : "#d1342f");
   }
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
-    const char* colour = kRobotColours[robot % kRobotColours.size()];
+    const char* colour = robot_colour(robot);
     std::string style;
     put(style, "stroke=\"%s\" stroke-width=\"1.2\" stroke-dasharray=\"5 4\" opacity=\"0.8\"", colour);
     put_path(out, page, odometry[robot], style.c_str());
@@ -184,11 +128,7 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
   if (!mission.ground_truth.empty()) entry("stroke=\"black\" stroke-width=\"5\" opacity=\"0.25\"", "truth");
   entry("stroke=\"#35a35f\" stroke-width=\"2\"", "closure");
   entry("stroke=\"#d1342f\" stroke-width=\"2\"", "left out");
-  const double bar = bar_length(page.scale());
-  put(out,
-      "<path d=\"M%.1f %.1fh%.1f\" stroke=\"black\" stroke-width=\"3\"/><text x=\"%.1f\" y=\"%.1f\">%g "
-      "m</text>\n",
-      kMargin, y + 40.0, bar * page.scale(), kMargin + bar * page.scale() + 10.0, y + 45.0, bar);
+  put_scale_bar(out, page, y + 40.0);
   out += "</svg>\n";
   return out;
 }

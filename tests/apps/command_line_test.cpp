@@ -336,6 +336,12 @@ TEST_CASE("info: missions, graphs and clouds", "[apps]") {
   REQUIRE(json.at("robots").at(1).at("first_key") ==
           std::to_string(make_key('b', 0)));  // text: it exceeds 2^53
 
+  json = json_of(
+      {"info", (folder / "mission").string(), "--radius", "5", "--picture", (folder / "m.svg").string()});
+  REQUIRE(json.at("candidates").at("radius_m") == 5.0);
+  REQUIRE(json.at("drift").size() == json.at("robots").size());  // the truth is known
+  REQUIRE_THAT(testing::read_text(folder / "m.svg"), Contains("</svg>"));
+
   testing::fs::remove(folder / "mission" / "scans" / (std::to_string(make_key('a', 2)) + ".pcd"));
   json = json_of({"info", (folder / "mission").string()});
   REQUIRE(json.at("scans") == 7);

@@ -118,7 +118,7 @@ TEST_CASE("run picture: paths, truth and closures", "[evaluation][picture]") {
   REQUIRE(occurrences(svg, "stroke=\"#d1342f\" stroke-width=\"1\"") ==
           closures.verified - closures.gnc_inliers);
   REQUIRE(occurrences(svg, "h0") > 500);  // points of the map
-  REQUIRE(Contains(">a &amp; &lt;b></text>").match(svg));
+  REQUIRE(Contains(">a &amp; &lt;b&gt;</text>").match(svg));
   REQUIRE(occurrences(svg, "nan") + occurrences(svg, "inf") == 0);
   REQUIRE(run_picture_svg(mission, result, map) == svg);
 

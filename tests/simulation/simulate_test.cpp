@@ -5,7 +5,6 @@
 #include <set>
 
 #include <loopwise/io/mission.hpp>
-#include <loopwise/simulation/map_svg.hpp>
 #include <loopwise/simulation/simulate.hpp>
 
 #include "testing.hpp"
@@ -186,19 +185,4 @@ TEST_CASE("simulate: raw sweeps and the other lidar", "[simulation]") {
     const double steps = p.cast<double>().norm() / 0.002;
     REQUIRE(std::abs(steps - std::round(steps)) < 0.01);
   }
-}
-
-TEST_CASE("write_map_svg: names every robot and beacon, and survives an empty mission", "[simulation]") {
-  SimulationOptions options = small(WorldKind::kMine);
-  options.length_m = 300.0;
-  const SimulatedMission made = simulate(options, 4);
-  std::ostringstream out;
-  write_map_svg(out, made.mission);
-  for (const Robot& robot : made.mission.robots.all()) REQUIRE_THAT(out.str(), Contains(robot.name));
-  for (const BeaconDrop& beacon : made.mission.beacons) REQUIRE_THAT(out.str(), Contains(beacon.beacon));
-  REQUIRE_THAT(out.str(), Contains("</svg>"));
-  std::ostringstream empty;
-  write_map_svg(empty, Mission{});
-  REQUIRE_THAT(empty.str(), Contains("</svg>"));
-  REQUIRE_THAT(empty.str(), !Contains("nan") && !Contains("inf"));
 }

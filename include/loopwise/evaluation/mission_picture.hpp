@@ -1,0 +1,15 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <string>
+
+#include <loopwise/io/mission.hpp>
+
+namespace loopwise {
+
+/// A mission from above as an SVG: each robot's path by odometry (dashed) and in truth where known (solid),
+/// beacons (triangles), where priors hold (squares), and in grey what was driven out of range. North (y) is
+/// up.
+[[nodiscard]] std::string mission_picture_svg(const Mission& mission);
+
+}  // namespace loopwise

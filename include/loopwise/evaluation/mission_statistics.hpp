@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What a mission is like before anything is computed: how its odometry drifts, how many candidates proximity
+/// finds and how many of them saw the same place.
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/io/mission.hpp>
+
+namespace loopwise {
+
+/// Error of one robot's odometry once its first pose lies on the truth's.
+struct RobotDrift {
+  std::string robot;
+  double length_m = 0.0;     ///< True path over the nodes.
+  double largest_m = 0.0;    ///< Largest error of a position.
+  double largest_rad = 0.0;  ///< Largest error of an attitude.
+  double end_m = 0.0;        ///< Error of the last position.
+};
+
+/// One per robot that has at least two nodes with ground truth, in the order of the robots.
+[[nodiscard]] std::vector<RobotDrift> odometry_drift(const Mission& mission);
+
+struct CandidateStatisticsOptions {
+  double radius_m = 30.0;
+  int skip_recent = 10;
+  int pairs = 1000;
+  double near_m = 1.0;
+  double min_overlap = 0.5;
+  int threads = 0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("radius_m", self.radius_m, above(0.0), "Nodes this near by the estimate are candidates, m.");
+    field("skip_recent", self.skip_recent, at_least(1.0), "Index gap that a robot's own nodes need.");
+    field("pairs", self.pairs, at_least(0.0), "Candidates to look at, drawn at random.");
+    field("near_m", self.near_m, above(0.0), "A point is shared if the other scan has one this near, m.");
+    field("min_overlap", self.min_overlap, between(0.0, 1.0), "Share of shared points of a true overlap.");
+    field("threads", self.threads, between(0, 1024), "Threads; 0 takes the number of processors.");
+  }
+};
+
+struct CandidateStatistics {
+  std::size_t candidates = 0;  ///< All within the radius, by the odometry's poses.
+  std::size_t looked_at = 0;   ///< Of them, with two scans and ground truth.
+  double mean_overlap = 0.0;   ///< Share of the newer scan's points that the older shares, by the true poses.
+  double overlapping = 0.0;    ///< Share of those looked at that overlap truly.
+  double within_radius = 0.0;  ///< Share of those looked at that are within the radius in truth too.
+};
+
+/// Candidates by proximity as LAMP's base station generates them. The draw depends on the mission alone.
+/// \throws OptionError; what reading the scans throws.
+[[nodiscard]] CandidateStatistics candidate_statistics(const Mission& mission,
+                                                       const CandidateStatisticsOptions& options = {});
+
+}  // namespace loopwise
