@@ -12,6 +12,8 @@ void dgemm_(const char* transa, const char* transb, const int* m, const int* n, 
 void dsymm_(const char* side, const char* uplo, const int* m, const int* n, const double* alpha,
             const double* a, const int* lda, const double* b, const int* ldb, const double* beta, double* c,
             const int* ldc);
+void dsyrk_(const char* uplo, const char* trans, const int* n, const int* k, const double* alpha,
+            const double* a, const int* lda, const double* beta, double* c, const int* ldc);
 void dtrsm_(const char* side, const char* uplo, const char* transa, const char* diag, const int* m,
             const int* n, const double* alpha, const double* a, const int* lda, double* b, const int* ldb);
 }
@@ -28,6 +30,11 @@ inline void gemm(char transa, char transb, int m, int n, int k, double alpha, co
 inline void symm(int m, int n, double alpha, const double* a, int lda, const double* b, int ldb, double beta,
                  double* c, int ldc) {
   if (m > 0 && n > 0) dsymm_("L", "L", &m, &n, &alpha, a, &lda, b, &ldb, &beta, c, &ldc);
+}
+
+/// Lower triangle of C = alpha·A·Aᵀ + beta·C, A being n×k.
+inline void syrk(int n, int k, double alpha, const double* a, int lda, double beta, double* c, int ldc) {
+  if (n > 0) dsyrk_("L", "N", &n, &k, &alpha, a, &lda, &beta, c, &ldc);
 }
 
 /// B = op(L)⁻¹·B (side 'L') or B·op(L)⁻¹ (side 'R'), L lower triangular, B m×n.

@@ -92,6 +92,21 @@ cholmod_sparse view(std::size_t n, std::vector<int>& start, std::vector<int>& ro
   return a;
 }
 
+/// Lexicographically, by two passes of counting: numbers are small and pairs many.
+void sort_pairs(std::vector<BlockCholesky::Pair>& pairs, std::size_t n) {
+  std::vector<BlockCholesky::Pair> sorted(pairs.size());
+  std::vector<std::size_t> next(n + 1);
+  const auto pass = [&](std::uint32_t BlockCholesky::Pair::*number) {
+    std::fill(next.begin(), next.end(), 0);
+    for (const auto& p : pairs) ++next[p.*number + 1];
+    std::partial_sum(next.begin(), next.end(), next.begin());
+    for (const auto& p : pairs) sorted[next[p.*number]++] = p;
+    pairs.swap(sorted);
+  };
+  pass(&BlockCholesky::Pair::second);
+  pass(&BlockCholesky::Pair::first);
+}
+
 }  // namespace
 
 BlockCholesky::BlockCholesky(int block_size, Factorization factorization)
@@ -274,7 +289,7 @@ void BlockCholesky::analyze(std::size_t variables, const std::vector<Pair>& pair
   for (Pair& p : upper) {
     if (p.first > p.second) std::swap(p.first, p.second);
   }
-  std::sort(upper.begin(), upper.end());
+  sort_pairs(upper, variables);
   upper.erase(std::unique(upper.begin(), upper.end()), upper.end());
   for (std::uint32_t v = 0; v < variables; ++v) upper.emplace_back(v, v);
 

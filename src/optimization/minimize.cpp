@@ -94,7 +94,7 @@ class Minimizer {
       if (!linearized) {
         equations_.linearize(problem_, poses_, residuals_, pool_);
         diagonal_ = hessian_.diagonal();
-        linearized = true;
+        linearized = gradient_is_current_ = true;
         result_.gradient = largest(equations_.gradient());
         if (iteration == 0) result_.gradient_initial = result_.gradient;
         if (result_.gradient == 0.0) return Termination::kConverged;
@@ -142,6 +142,7 @@ class Minimizer {
     double last_predicted = std::numeric_limits<double>::infinity();
     while (iteration + 1 < options_.max_iterations && !stop_.stop_requested()) {
       equations_.linearize_gradient(problem_, poses_, residuals_);
+      gradient_is_current_ = true;
       result_.gradient = largest(equations_.gradient());
       Eigen::VectorXd step = solve();
       IterationRecord record;
@@ -202,6 +203,7 @@ class Minimizer {
     if (!record.accepted) return;
     start_.swap(poses_);
     poses_.swap(trial);
+    gradient_is_current_ = false;
     residuals_.swap(trial_residuals_);
     cost_ = cost;
   }
@@ -223,6 +225,7 @@ class Minimizer {
     record.step *= fraction;
     record.accepted = true;
     poses_.swap(trial);
+    gradient_is_current_ = false;
     residuals_.swap(trial_residuals_);
     cost_ = cost;
   }
@@ -234,7 +237,7 @@ class Minimizer {
   }
 
   void finish(Termination termination) {
-    equations_.linearize_gradient(problem_, poses_, residuals_);
+    if (!gradient_is_current_) equations_.linearize_gradient(problem_, poses_, residuals_);
     result_.termination = termination;
     result_.converged = termination == Termination::kConverged || termination == Termination::kNothingToDo;
     result_.cost = cost_;
@@ -254,7 +257,8 @@ class Minimizer {
 
   double cost_ = 0.0;
   double growth_ = 2.0;
-  std::vector<Pose> start_;  // of the step accepted last
+  bool gradient_is_current_ = false;  // that of the equations is the one at poses_
+  std::vector<Pose> start_;           // of the step accepted last
   std::vector<Vector6d> residuals_, trial_residuals_;
   Eigen::VectorXd diagonal_, added_;
 };

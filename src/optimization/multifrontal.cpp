@@ -17,9 +17,9 @@ bool worth_merging(std::size_t block_columns, double zeros, double entries) {
 }
 
 /// From this many operations on, BLAS updates a front faster than the kernels.
-constexpr double kBlasFlops = 2e6;
+constexpr double kBlasFlops = 1e7;
 /// Columns that the kernels eliminate before BLAS updates the rest of a wide panel.
-constexpr int kStripe = 48;
+constexpr int kStripe = 96;
 
 }  // namespace
 
@@ -208,10 +208,7 @@ bool MultifrontalCholesky::factorize(const double* values) {
     }
     const double* below_panel = l + w;
     if (static_cast<double>(m) * m * w > kBlasFlops) {
-      for (int j = 0; j < m; j += kStripe) {
-        blas::gemm('N', 'T', m - j, std::min(kStripe, m - j), w, -1.0, below_panel + j, h, below_panel + j, h,
-                   leaf ? 0.0 : 1.0, u + static_cast<std::ptrdiff_t>(j) * (m + 1), m);
-      }
+      blas::syrk(m, w, -1.0, below_panel, h, leaf ? 0.0 : 1.0, u, m);
     } else {
       for (int j = 0; j < m; j += 6) {
         kernel.multiply(m - j, w, below_panel + j, h, below_panel + j, h,
