@@ -227,4 +227,23 @@ void add_false_groups(BenchGraph& graph, std::size_t groups, std::size_t size, s
   }
 }
 
+void add_random_false(BenchGraph& graph, std::size_t count, std::uint64_t seed) {
+  Rng rng(seed);
+  const std::size_t nodes = graph.graph.nodes().size();
+  const Matrix6d last = graph.graph.edges().back().information;
+  for (std::size_t i = 0; i < count; ++i) {
+    Edge edge;
+    const std::size_t a = rng.below(nodes), b = (a + 2 + rng.below(nodes - 3)) % nodes;
+    edge.from = graph.graph.nodes()[a].key;
+    edge.to = graph.graph.nodes()[b].key;
+    const Eigen::Vector3d axis(rng.normal(), rng.normal(), rng.normal());
+    edge.T_from_to.linear() = se3::so3_exp(rng.uniform(0.0, 3.0) * axis.normalized());
+    edge.T_from_to.translation() =
+        Eigen::Vector3d(rng.uniform(-5.0, 5.0), rng.uniform(-5.0, 5.0), rng.uniform(-5.0, 5.0));
+    edge.information = last;
+    graph.graph.add_edge(edge);
+    graph.is_false.push_back(true);
+  }
+}
+
 }  // namespace loopwise::bench
