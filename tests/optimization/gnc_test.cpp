@@ -212,6 +212,52 @@ TEST_CASE("gnc: other kernels find false closures too", "[optimization][gnc]") {
   }
 }
 
+TEST_CASE("gnc: graphs that leave something open have a documented result", "[optimization][gnc][error]") {
+  Rng rng(12);
+  testing::RandomGraphOptions shape;
+  shape.false_closures = 5;
+  SECTION("nothing at all") {
+    const GncResult result = optimize_gnc(PoseGraph());
+    REQUIRE(result.optimization.converged);
+    REQUIRE(result.weights.empty());
+  }
+  SECTION("no prior, and a node without any factor") {
+    shape.prior = false;
+    testing::RandomGraph random = testing::random_graph(rng, shape);
+    Node lone;
+    lone.key = 900;
+    lone.pose = se3::normalized(testing::random_pose(rng));
+    random.graph.add_node(lone);
+    const GncResult result = optimize_gnc(random.graph);
+    REQUIRE(result.optimization.held == std::vector<Key>{0});
+    REQUIRE(testing::difference(result.optimization.poses.back(), lone.pose) < 1e-15);
+    REQUIRE(result.outliers >= 5);
+  }
+  SECTION("information without rotation") {
+    const testing::RandomGraph random = testing::random_graph(rng, shape);
+    PoseGraph graph;
+    for (const Node& node : random.graph.nodes()) graph.add_node(node);
+    for (Edge edge : random.graph.edges()) {
+      edge.information.bottomRows<3>().setZero();
+      edge.information.rightCols<3>().setZero();
+      graph.add_edge(edge);
+    }
+    const GncResult result = optimize_gnc(graph);
+    for (const auto& pose : result.optimization.poses) REQUIRE(pose.matrix().allFinite());
+    REQUIRE(result.weights.size() == graph.edges().size());
+  }
+  SECTION("contradicting odometry is never given up") {
+    testing::RandomGraph random = testing::random_graph(rng, shape);
+    Edge edge = random.graph.edges()[3];
+    edge.T_from_to.translation().x() += 10.0;
+    random.graph.add_edge(edge);
+    const GncResult result = optimize_gnc(random.graph);
+    REQUIRE(result.weights[3] == 1.0);
+    REQUIRE(result.weights.back() == 1.0);
+    REQUIRE(result.optimization.cost > 1000.0);
+  }
+}
+
 TEST_CASE("gnc: bad options name the field", "[optimization][error]") {
   GncOptions gnc;
   gnc.inlier_probability = 1.0;

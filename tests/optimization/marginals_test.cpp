@@ -106,6 +106,33 @@ TEST_CASE("marginals: a graph without a prior is seen from its first node", "[op
   REQUIRE(relative_difference(result.covariances[29], dense.bottomRightCorner<6, 6>()) < 1e-7);
 }
 
+TEST_CASE("marginals: components and lone nodes do not influence each other", "[optimization]") {
+  Rng rng(5);
+  const testing::RandomGraph a = testing::random_graph(rng), b = testing::random_graph(rng);
+  PoseGraph both = a.graph;
+  for (Node node : b.graph.nodes()) {
+    node.key += 1000;
+    both.add_node(node);
+  }
+  for (Edge edge : b.graph.edges()) {
+    edge.from += 1000;
+    edge.to += 1000;
+    both.add_edge(edge);
+  }
+  Node lone;
+  lone.key = 5000;
+  both.add_node(lone);
+  const HessianFactor factor(both);
+  const Marginals joint = factor.marginals(), alone = marginals(a.graph);
+  for (std::size_t i = 0; i < a.truth.size(); ++i) {
+    REQUIRE(relative_difference(joint.covariances[i], alone.covariances[i]) < 1e-9);
+  }
+  REQUIRE(factor.held(a.truth.size()));  // b lost its prior
+  REQUIRE(factor.held(both.nodes().size() - 1));
+  REQUIRE(joint.covariances.back().isZero());
+  REQUIRE(marginals(PoseGraph()).trace_full == 0.0);
+}
+
 TEST_CASE("marginals: what the factors leave open is an error that names the node", "[optimization][error]") {
   PoseGraph graph;
   for (Key k = 0; k < 3; ++k) {

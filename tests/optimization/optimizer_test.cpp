@@ -284,6 +284,22 @@ TEST_CASE("optimize: bad input has a documented result or a clear error", "[opti
     REQUIRE_THROWS_AS(optimize(graph), InputError);
     REQUIRE_THROWS_AS(optimize_gnc(graph), InputError);
   }
+  SECTION("an edge from a node to itself, NaN and indefinite information do not get into a graph") {
+    Edge edge = random.graph.edges()[3];
+    edge.to = edge.from;
+    REQUIRE_THROWS_WITH(random.graph.add_edge(edge), Contains("same node"));
+    edge = random.graph.edges()[3];
+    edge.T_from_to.translation().y() = std::numeric_limits<double>::quiet_NaN();
+    REQUIRE_THROWS_WITH(random.graph.add_edge(edge), Contains("not finite"));
+    edge = random.graph.edges()[3];
+    edge.information(2, 2) = std::numeric_limits<double>::quiet_NaN();
+    REQUIRE_THROWS_AS(random.graph.add_edge(edge), InputError);
+    edge.information(2, 2) = -1.0;
+    REQUIRE_THROWS_AS(random.graph.add_edge(edge), InputError);
+    std::vector<Eigen::Isometry3d> poses = random.graph.poses();
+    poses[4].translation().x() = std::numeric_limits<double>::quiet_NaN();
+    REQUIRE_THROWS_AS(random.graph.set_poses(poses), InputError);
+  }
   SECTION("a request to stop keeps the best so far") {
     const StopSource source;
     source.request_stop();
