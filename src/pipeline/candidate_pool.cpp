@@ -94,6 +94,12 @@ void CandidatePool::expire(double now_s) {
     }
     accounting_.waiting = waiting_.size();
   }
+  for (const Refusal& refusal : queue_.give_up(now_s)) {
+    pending_.erase(refusal.id);
+    ++accounting_.expired;
+    ++expired_reasons_[refusal.reason];
+  }
+  accounting_.pending = pending_.size();
   if (options_.max_age_s > 0.0) {
     std::vector<CandidateId> old;
     for (const auto& [id, candidate] : pending_) {

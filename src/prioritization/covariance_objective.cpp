@@ -25,7 +25,7 @@ using Rows = Eigen::Matrix<double, 6, Width, Eigen::RowMajor>;
 
 /// Up to this many candidates the blocks of all pairs are held: a move then costs less than the solves that
 /// its evaluations would need (measured, docs/prioritization.md).
-constexpr std::size_t kDenseUpTo = 48;
+constexpr std::size_t kDenseUpTo = 256;
 /// Moves between two exact evaluations of the running value.
 constexpr std::size_t kValueRefresh = 32;
 /// I − S of a closure in the set is what rounding leaves of two nearly equal terms; below this the closure is

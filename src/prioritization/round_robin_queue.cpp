@@ -53,6 +53,29 @@ void RoundRobinQueue::on_result(const RegistrationResult& result) {
   for (const auto& prioritizer : prioritizers_) prioritizer->on_result(result);
 }
 
+void RoundRobinQueue::improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) {
+  const std::size_t n = prioritizers_.size();
+  count = std::min(count, size());
+  for (std::size_t i = 0; i < n && count > 0; ++i) {
+    const std::size_t k = (i + n - turn_) % n;  // its turn in the next batch
+    const std::size_t share = count / n + (k < count % n ? 1 : 0);
+    if (share > 0) prioritizers_[i]->improve(share, stop, max_evaluations);
+  }
+}
+
+std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
+  std::vector<Refusal> gone;
+  for (const auto& prioritizer : prioritizers_) {
+    for (Refusal& refusal : prioritizer->give_up(now_s)) {
+      const auto holders = holders_.find(refusal.id);
+      if (holders == holders_.end() || --holders->second > 0) continue;
+      holders_.erase(holders);
+      gone.push_back(std::move(refusal));
+    }
+  }
+  return gone;
+}
+
 std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
   const std::size_t n = prioritizers_.size();
   count = std::min(count, size());
@@ -78,7 +101,7 @@ std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
     }
     turn_ = (first + left) % n;
     empty_rounds = found > 0 ? 0 : empty_rounds + 1;
-    if (empty_rounds > n) throw Error("a prioritizer holds candidates that it does not hand out");
+    if (empty_rounds > n) break;  // what is left is held back
     // Best first across the shares: one of each in turn.
     for (std::size_t rank = 0; found > 0; ++rank) {
       for (const auto& share : shares) {

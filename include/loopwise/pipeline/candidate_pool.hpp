@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <limits>
 #include <map>
 #include <string>
 #include <unordered_map>
@@ -69,6 +70,12 @@ class CandidatePool {
   void expire(double now_s);
   /// No more scans will come: everything that waits expires.
   void expire_waiting();
+
+  /// Lets the prioritisers prepare the next batch, see Prioritizer::improve().
+  void improve(std::size_t count, const StopToken& stop,
+               std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max()) {
+    queue_.improve(count, stop, max_evaluations);
+  }
 
   /// The next batch of up to `count` candidates.
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);

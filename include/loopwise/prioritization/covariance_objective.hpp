@@ -39,7 +39,7 @@ struct ClosureModelOptions {
   double sigma_rad = 0.02;
   TraceKind trace = TraceKind::kTranslation;
   Holding holding = Holding::kAutomatic;
-  std::int64_t dense_refresh = 16;
+  std::int64_t dense_refresh = 64;
   int num_threads = 1;
 
   template <class Self, class Visitor>

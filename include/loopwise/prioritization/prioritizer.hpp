@@ -2,6 +2,8 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <limits>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -37,11 +39,17 @@ class Prioritizer {
   virtual void on_scan(const KeyedScan& /*scan*/) {}               ///< A new keyed scan arrived.
   virtual void on_result(const RegistrationResult& /*result*/) {}  ///< A candidate was computed.
 
-  /// Anytime: prepares the best set of `count` until it is done or asked to stop. take() works without it.
-  virtual void improve(std::size_t /*count*/, const StopToken& /*stop*/) {}
+  /// Anytime: prepares the best set of `count` until it is done, asked to stop, or has evaluated so many
+  /// sets: a bound that does not depend on the machine, for runs that must repeat. take() works without it.
+  virtual void improve(std::size_t /*count*/, const StopToken& /*stop*/,
+                       std::uint64_t /*max_evaluations*/ = std::numeric_limits<std::uint64_t>::max()) {}
 
-  /// Removes and returns up to `count` candidates, most valuable first; fewer only if it holds fewer.
+  /// Removes and returns up to `count` candidates, most valuable first; fewer only if it holds fewer, or
+  /// holds some back whose nodes are not known yet.
   [[nodiscard]] virtual std::vector<LoopCandidate> take(std::size_t count) = 0;
+
+  /// Candidates that it holds back and, at mission time `now_s`, does not wait for any longer. They leave it.
+  [[nodiscard]] virtual std::vector<Refusal> give_up(double /*now_s*/) { return {}; }
 
   /// How many candidates it holds.
   [[nodiscard]] virtual std::size_t size() const = 0;

@@ -2,6 +2,8 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
+#include <limits>
 #include <memory>
 #include <string>
 #include <unordered_map>
@@ -25,8 +27,17 @@ class RoundRobinQueue {
   void on_scan(const KeyedScan& scan);
   void on_result(const RegistrationResult& result);
 
+  /// Lets every prioritiser prepare its share of a batch of `count`.
+  void improve(std::size_t count, const StopToken& stop,
+               std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max());
+
+  /// \returns the candidates that were held back and are not waited for any longer, as give_up() of the
+  /// prioritisers says, and that no other prioritiser holds.
+  std::vector<Refusal> give_up(double now_s);
+
   /// Up to `count` candidates. Turns pass from one prioritiser to the next; whoever is empty is passed over,
   /// and the next batch begins after the one that had the last turn, so shares stay equal over time.
+  /// Fewer than size() if prioritisers hold candidates back.
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
 
   /// Candidates that at least one prioritiser holds.

@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/prioritization/graph_objective.hpp>
+
+namespace loopwise {
+
+/// What a graph network is fed with.
+enum class GnnFeatures {
+  kWorld,  ///< The paper's: diagonal of the translational covariance in the world frame (m²), position, 1;
+           ///< candidates have the edge type of closures.
+  kLamp,   ///< What LAMP's code feeds: rotational variances in the body frame (rad²), position, 1, as single
+           ///< precision; candidates have the edge type of odometry.
+};
+[[nodiscard]] inline EnumNames<GnnFeatures> enum_names(GnnFeatures) {
+  return {{GnnFeatures::kWorld, "world"}, {GnnFeatures::kLamp, "lamp"}};
+}
+
+/// The paper's network (§III-B), any number of layers and kernels:
+///
+///     h = W x + b
+///     h_i ← [tanh] mean over edges j→i of Σ_k w_k(e_ji)·h_j·G_k + h_i·Root + bias,
+///           w_k(e) = exp(−½ Σ_d (e_d − μ_kd)² / (1e-15 + σ_kd²))        no tanh after the last
+///     p = Σ_i h_i;  p ← tanh(Lin_l(BatchNorm(p))) for each dense layer;  y = lin(BatchNorm(p))
+///
+/// **File**: JSON `{"__meta__": {...}, NAME: {"shape": [...], "data": [flat, by rows]}, ...}` with the
+/// tensors node_encoder.{weight H×F, bias H}; conv1 and gcs.0, gcs.1, ... each with {g H×(K·H), mu K×D, sigma
+/// K×D, root H×H, bias H}; lins.0, ... {weight H×H, bias H}; batch_norms.1, ... one more than lins, {weight,
+/// bias, running_mean, running_var: H}; lin {weight 1×H, bias 1}. Optional: input.mean and input.std (F) with
+/// which features are normalised, output.mean and output.std (1) which y is taken back from. Others are
+/// ignored.
+class GraphNetwork {
+ public:
+  /// \throws IoError; InputError naming file and tensor on JSON that is none, a tensor that is missing, has
+  /// another shape or a value that is not finite.
+  explicit GraphNetwork(const std::filesystem::path& weights);
+  ~GraphNetwork();
+  GraphNetwork(GraphNetwork&&) noexcept;
+  GraphNetwork& operator=(GraphNetwork&&) noexcept;
+
+  [[nodiscard]] Eigen::Index node_features() const;
+  [[nodiscard]] Eigen::Index edge_features() const;
+  [[nodiscard]] Eigen::Index hidden() const;
+  [[nodiscard]] std::size_t convolutions() const;
+
+  struct Input {
+    Eigen::MatrixXd nodes;                                       ///< A row of features for each node.
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> edges;  ///< Messages go from first to second.
+    Eigen::MatrixXd edge_attributes;                             ///< A row for each edge.
+  };
+  /// y of a whole graph in double precision. \throws InputError if shapes do not fit.
+  [[nodiscard]] double evaluate(const Input& input) const;
+  /// The same in single precision, as the network was trained.
+  [[nodiscard]] float evaluate_single(const Input& input) const;
+
+ private:
+  friend class GnnObjective;
+  struct Impl;
+  std::unique_ptr<const Impl> impl_;
+};
+
+/// What the network says of the graph with a set of closures. One direction, from → to, as it was trained. A
+/// swap is evaluated on the nodes downstream of the two `to` nodes alone.
+class GnnObjective final : public GraphObjective {
+ public:
+  /// \param covariances marginal covariances of the graph's nodes, as Marginals holds them; where they are
+  /// not finite or missing (an empty list) features are 0.
+  /// \throws UnknownKeyError; InputError on another number of covariances or a null or unfit network
+  GnnObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+               std::shared_ptr<const GraphNetwork> network, GnnFeatures features,
+               const std::vector<Matrix6d>& covariances);
+  ~GnnObjective() override;
+
+  [[nodiscard]] std::string_view name() const override { return "gnn"; }
+  [[nodiscard]] std::size_t size() const override;
+  [[nodiscard]] const std::vector<std::size_t>& selected() const override;
+  [[nodiscard]] bool contains(std::size_t candidate) const override;
+  [[nodiscard]] double value() override;
+  [[nodiscard]] double add_change(std::size_t candidate) override;
+  [[nodiscard]] double remove_change(std::size_t candidate) override;
+  [[nodiscard]] double swap_change(std::size_t out, std::size_t in) override;
+  [[nodiscard]] std::vector<double> add_changes() override;
+  void assign(const std::vector<std::size_t>& set) override;
+  void add(std::size_t candidate) override;
+  void remove(std::size_t candidate) override;
+  void swap(std::size_t out, std::size_t in) override;
+  [[nodiscard]] bool connecting(std::size_t candidate) const override;
+
+  /// The network's input for the current set: what a full evaluation gets.
+  [[nodiscard]] GraphNetwork::Input input() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loopwise

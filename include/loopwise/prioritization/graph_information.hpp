@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <map>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/prioritization/covariance_objective.hpp>
+#include <loopwise/prioritization/gnn.hpp>
+#include <loopwise/prioritization/prioritizer.hpp>
+#include <loopwise/prioritization/selection.hpp>
+
+namespace loopwise {
+
+enum class ObjectiveKind { kCovariance, kLogDet, kGnn };
+[[nodiscard]] inline EnumNames<ObjectiveKind> enum_names(ObjectiveKind) {
+  return {{ObjectiveKind::kCovariance, "covariance"},
+          {ObjectiveKind::kLogDet, "log_det"},
+          {ObjectiveKind::kGnn, "gnn"}};
+}
+
+/// How the set is chosen.
+enum class SelectorKind {
+  kGreedyAnnealing,    ///< Greedy choice, then annealing from it for as long as there is time.
+  kGreedy,             ///< Greedy choice alone.
+  kAnnealing,          ///< Annealing from the set of maximal spread: the paper's way.
+  kSeparated,          ///< Maximal spread of the midpoints alone.
+  kLargestCovariance,  ///< Between the nodes that are known least.
+};
+[[nodiscard]] inline EnumNames<SelectorKind> enum_names(SelectorKind) {
+  return {{SelectorKind::kGreedyAnnealing, "greedy_annealing"},
+          {SelectorKind::kGreedy, "greedy"},
+          {SelectorKind::kAnnealing, "annealing"},
+          {SelectorKind::kSeparated, "separated"},
+          {SelectorKind::kLargestCovariance, "largest_covariance"}};
+}
+
+/// What a hypothetical closure's covariance is.
+enum class ClosureCovariance {
+  kSigmas,  ///< diag(sigma_m², sigma_rad²)
+  kMedian,  ///< Element-wise median of the diagonals of the closures verified so far; the sigmas until then.
+};
+[[nodiscard]] inline EnumNames<ClosureCovariance> enum_names(ClosureCovariance) {
+  return {{ClosureCovariance::kSigmas, "sigmas"}, {ClosureCovariance::kMedian, "median"}};
+}
+
+struct GraphInformationOptions {
+  ObjectiveKind objective = ObjectiveKind::kCovariance;
+  SelectorKind selector = SelectorKind::kGreedyAnnealing;
+  ClosureCovariance covariance = ClosureCovariance::kSigmas;
+  double shortlist = 4.0;
+  std::int64_t probes = 64;
+  double cell_m = 10.0;
+  double max_wait_s = 600.0;
+  std::string gnn_weights;
+  GnnFeatures gnn_features = GnnFeatures::kWorld;
+  std::uint64_t seed = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("objective", self.objective, any_value(), "What sets are scored by: covariance, log_det or gnn.");
+    field("selector", self.selector, any_value(),
+          "How the set is chosen: greedy_annealing, greedy, annealing, separated or largest_covariance.");
+    field("covariance", self.covariance, any_value(),
+          "Covariance of a hypothetical closure: sigmas, or median of those verified so far.");
+    field("shortlist", self.shortlist, at_least(1.0),
+          "The set is chosen among this many times its size, by sketched gains and spread over the graph.");
+    field("probes", self.probes, at_least(1),
+          "Random probes of the sketch; the error is about sqrt(2 / probes).");
+    field("cell_m", self.cell_m, above(0.0), "Cells that the shortlist is spread over, m.");
+    field("max_wait_s", self.max_wait_s, at_least(0.0),
+          "Candidates to nodes that the graph does not have are given up after this, s; 0: never.");
+    field("gnn_weights", self.gnn_weights, any_value(), "Objective gnn: file with the network's weights.");
+    field("gnn_features", self.gnn_features, any_value(), "Objective gnn: features, world or lamp.");
+    field("seed", self.seed, at_least(0), "Of annealing and probes.");
+  }
+};
+
+/// Chooses sets that lower the uncertainty of the whole graph (paper §III-B). The set is chosen among all
+/// pending candidates, or, when they are many, a shortlist; improve() makes it better for as long as it may.
+/// A set belongs to the candidates, the graph and the count that it was chosen for: when one of them has
+/// changed, the next improve() or take() starts anew.
+///
+/// Candidates whose nodes the graph does not have yet are kept until it does; take() holds them back.
+class GraphInformationPrioritizer final : public Prioritizer {
+ public:
+  /// \throws OptionError; IoError or InputError if the objective's weights cannot be read.
+  GraphInformationPrioritizer(const GraphInformationOptions& options, const ClosureModelOptions& closures,
+                              const AnnealingOptions& annealing, const GreedyOptions& greedy = {});
+  ~GraphInformationPrioritizer() override;
+
+  [[nodiscard]] std::string_view name() const override { return "gi"; }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override;
+  void remove(const std::vector<CandidateId>& ids) override;
+  void on_graph(const PoseGraph& graph) override;
+  void on_result(const RegistrationResult& result) override;
+  void improve(std::size_t count, const StopToken& stop,
+               std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max()) override;
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override;
+  [[nodiscard]] std::size_t size() const override { return held_.size(); }
+  [[nodiscard]] std::vector<Refusal> give_up(double now_s) override;
+
+  /// What is known of the prepared set; value and start are 0 without one.
+  struct Status {
+    double start_value = 0.0;  ///< Before annealing.
+    double value = 0.0;
+    std::uint64_t steps = 0, accepted = 0;
+    std::size_t pool = 0, shortlist = 0;
+    std::string problem;  ///< Why the graph could not be scored and spread decided instead; else empty.
+  };
+  [[nodiscard]] const Status& status() const { return status_; }
+
+  /// Gains of all pending candidates on the bare graph, by the sketch, for showing to people; 0 where a node
+  /// is missing or the candidate connects.
+  [[nodiscard]] std::map<CandidateId, double> sketch() const;
+
+ private:
+  struct Prepared;
+  void prepare(std::size_t count, const StopToken& stop);
+  void finish();
+  [[nodiscard]] ClosureModel model() const;
+
+  GraphInformationOptions options_;
+  ClosureModelOptions closure_options_;
+  AnnealingOptions annealing_options_;
+  GreedyOptions greedy_options_;
+  std::shared_ptr<const GraphNetwork> network_;
+  PoseGraph graph_;
+  std::map<CandidateId, LoopCandidate> held_;  // in order of generation
+  std::vector<Vector6d> accepted_;             // diagonals of the covariances of verified closures
+  std::unique_ptr<Prepared> prepared_;
+  std::uint64_t round_ = 0;  // sets chosen so far: each has its own seed
+  Status status_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,138 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <string_view>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/random.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/prioritization/graph_objective.hpp>
+
+namespace loopwise {
+
+/// A chosen set of candidates and what choosing it took.
+struct Selection {
+  std::vector<std::size_t> set;  ///< Most valuable first where the selector knows.
+  double value = 0.0;            ///< The objective of the set.
+  std::uint64_t evaluations = 0;
+  std::uint64_t accepted = 0;  ///< Swaps made by annealing.
+  bool stopped = false;        ///< A stop was requested before the end; the set is full nevertheless.
+};
+
+struct GreedyOptions {
+  bool lazy = false;
+  double connecting_share = 0.5;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("lazy", self.lazy, any_value(),
+          "Look again only at the candidate that was best before: exact for submodular objectives "
+          "(log_det), a little worse for the trace.");
+    field("connecting_share", self.connecting_share, between(0.0, 1.0),
+          "Candidates that tie parts of the graph together come first, up to this share of the set.");
+  }
+};
+
+/// Takes the candidate that lowers the objective most, again and again; connecting candidates first, spread
+/// over their midpoints. Ties go to the lower number. Leaves the set in the objective. After a stop request
+/// the rest follows by the gains known last.
+/// \param midpoints one for each candidate. \throws InputError on another number of them.
+[[nodiscard]] Selection greedy(GraphObjective& objective, const std::vector<Eigen::Vector3d>& midpoints,
+                               std::size_t count, const GreedyOptions& options = {},
+                               const StopToken& stop = {});
+
+struct AnnealingOptions {
+  double temperature_max = 1.0;
+  double temperature_min = 1e-4;
+  double cooling = 0.995;
+  bool absolute = false;
+  std::int64_t scale_samples = 100;
+  double distance_floor_m = 0.1;
+  std::int64_t partners = 500;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("temperature_max", self.temperature_max, at_least(0.0),
+          "First temperature, in units of the median change of random swaps.");
+    field("temperature_min", self.temperature_min, at_least(0.0), "Last temperature, in the same units.");
+    field("cooling", self.cooling, Bounds{0.0, 1.0, true}, "Factor of the temperature at each step.");
+    field("absolute", self.absolute, any_value(), "Temperatures are in units of the objective instead.");
+    field("scale_samples", self.scale_samples, at_least(1), "Random swaps that the median is taken of.");
+    field("distance_floor_m", self.distance_floor_m, above(0.0),
+          "Partners nearer than this count as this far, m: the odds are 1 / distance.");
+    field("partners", self.partners, at_least(1),
+          "From more candidates outside the set than this, so many are drawn for a partner to be chosen "
+          "among.");
+  }
+};
+
+/// Options by name: "default", or "lamp" (3, 1e-4, 0.995 absolute, as LAMP's parameters intend; LAMP draws
+/// partners the same way). \throws OptionError naming the presets.
+[[nodiscard]] AnnealingOptions annealing_preset(std::string_view name);
+
+/// The paper's Algorithm 1, made resumable: T = max(T_max·c^step, T_min); a member chosen uniformly leaves,
+/// an outsider enters with odds inverse to the distance of their midpoints; the swap stands if it lowers the
+/// objective or exp(−δ/T) > U(0, 1). Seeded: the same steps give the same set, however they are divided into
+/// runs.
+class SimulatedAnnealing {
+ public:
+  /// Starts from `initial`, or from the farthest points of the midpoints if that is empty; `count` is capped
+  /// at the number of candidates. The objective must outlive this object and not be changed by others
+  /// meanwhile. \throws OptionError; InputError on another number of midpoints or of initial members.
+  SimulatedAnnealing(GraphObjective& objective, std::vector<Eigen::Vector3d> midpoints, std::size_t count,
+                     const AnnealingOptions& options, std::uint64_t seed,
+                     const std::vector<std::size_t>& initial = {});
+
+  /// Goes on until so many further evaluations are used or a stop is requested. The first run begins with the
+  /// evaluations that find the scale of the temperature.
+  void run(std::uint64_t evaluations, const StopToken& stop = {});
+
+  /// The best set seen, valued anew; never above the start. Leaves that set in the objective until the next
+  /// run.
+  [[nodiscard]] Selection best();
+
+  [[nodiscard]] std::uint64_t steps() const { return steps_; }
+  [[nodiscard]] std::uint64_t accepted() const { return accepted_; }
+  [[nodiscard]] std::uint64_t evaluations() const { return evaluations_; }
+  [[nodiscard]] double start_value() const { return start_value_; }
+
+ private:
+  [[nodiscard]] std::size_t choose_partner(std::size_t out);
+  void find_scale(std::uint64_t& budget, const StopToken& stop);
+
+  GraphObjective& objective_;
+  std::vector<Eigen::Vector3d> midpoints_;
+  AnnealingOptions options_;
+  Rng rng_;
+  std::vector<std::size_t> outside_;
+  std::vector<std::size_t> current_, start_, best_;
+  double value_ = 0.0, start_value_ = 0.0, best_value_ = 0.0;
+  std::vector<double> scale_samples_;
+  double scale_ = 0.0;
+  bool scaled_ = false;
+  bool parked_ = false;  // best() left its set in the objective
+  std::uint64_t steps_ = 0, accepted_ = 0, evaluations_ = 0;
+  bool stopped_ = false;
+  std::vector<std::size_t> drawn_;
+  std::vector<double> odds_;
+};
+
+/// Maximal spatial spread: begins with the point farthest from the centroid, then always takes the point
+/// farthest from those taken; ties go to the lower number. O(count · points).
+[[nodiscard]] std::vector<std::size_t> farthest_points(const std::vector<Eigen::Vector3d>& points,
+                                                       std::size_t count);
+
+/// The candidates whose two nodes are known least: by the sum of the traces of their translational
+/// covariances. `covariances` are one per node of the graph, as Marginals holds them.
+[[nodiscard]] std::vector<std::size_t> largest_covariance(const PoseGraph& graph,
+                                                          const std::vector<LoopCandidate>& candidates,
+                                                          const std::vector<Matrix6d>& covariances,
+                                                          std::size_t count);
+
+}  // namespace loopwise

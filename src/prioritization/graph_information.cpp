@@ -1,0 +1,294 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/prioritization/graph_information.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+#include <loopwise/optimization/marginals.hpp>
+
+#include "closure_factor.hpp"
+
+namespace loopwise {
+namespace {
+
+std::vector<LoopCandidate> at(const std::vector<LoopCandidate>& all, const std::vector<std::size_t>& places) {
+  std::vector<LoopCandidate> out;
+  out.reserve(places.size());
+  for (const std::size_t i : places) out.push_back(all[i]);
+  return out;
+}
+
+}  // namespace
+
+/// A set in the making, and what it was made for.
+struct GraphInformationPrioritizer::Prepared {
+  std::size_t count = 0;
+  bool stale = false;                // the candidates or the graph have changed since
+  bool handed = false;               // some of it was handed out
+  std::vector<LoopCandidate> first;  // connecting candidates
+  std::vector<LoopCandidate> list;   // what is chosen among
+  std::vector<Eigen::Vector3d> midpoints;
+  std::unique_ptr<GraphObjective> objective;
+  std::optional<SimulatedAnnealing> annealing;
+  std::vector<std::size_t> set;     // of the list, most valuable first
+  std::vector<LoopCandidate> rest;  // known candidates that are not in the list
+  std::optional<std::vector<LoopCandidate>> reserve;
+};
+
+GraphInformationPrioritizer::GraphInformationPrioritizer(const GraphInformationOptions& options,
+                                                         const ClosureModelOptions& closures,
+                                                         const AnnealingOptions& annealing,
+                                                         const GreedyOptions& greedy)
+    : options_(options), closure_options_(closures), annealing_options_(annealing), greedy_options_(greedy) {
+  validate(options_);
+  validate(closure_options_);
+  validate(annealing_options_);
+  validate(greedy_options_);
+  if (options_.objective == ObjectiveKind::kGnn) {
+    if (options_.gnn_weights.empty()) throw OptionError("gnn_weights is empty, objective gnn needs a file");
+    network_ = std::make_shared<const GraphNetwork>(options_.gnn_weights);
+  }
+}
+
+GraphInformationPrioritizer::~GraphInformationPrioritizer() = default;
+
+std::vector<Refusal> GraphInformationPrioritizer::add(const std::vector<LoopCandidate>& candidates) {
+  std::vector<Refusal> refused;
+  for (const LoopCandidate& candidate : candidates) {
+    if (candidate.from == candidate.to) {
+      refused.push_back({candidate.id, "same_node"});
+      continue;
+    }
+    held_.emplace(candidate.id, candidate);
+  }
+  if (prepared_ && !candidates.empty()) prepared_->stale = true;
+  return refused;
+}
+
+void GraphInformationPrioritizer::remove(const std::vector<CandidateId>& ids) {
+  for (const CandidateId id : ids) held_.erase(id);
+}
+
+void GraphInformationPrioritizer::on_graph(const PoseGraph& graph) {
+  graph_ = graph;
+  if (prepared_) prepared_->stale = true;
+}
+
+void GraphInformationPrioritizer::on_result(const RegistrationResult& result) {
+  if (!result.closure) return;
+  const Vector6d variances = result.closure->covariance.diagonal();
+  if (variances.allFinite() && variances.minCoeff() > 0.0) accepted_.push_back(variances);
+}
+
+std::vector<Refusal> GraphInformationPrioritizer::give_up(double now_s) {
+  std::vector<Refusal> gone;
+  if (options_.max_wait_s <= 0.0) return gone;
+  for (auto held = held_.begin(); held != held_.end();) {
+    const LoopCandidate& c = held->second;
+    if (now_s - c.time_s > options_.max_wait_s && !(graph_.contains(c.from) && graph_.contains(c.to))) {
+      gone.push_back({c.id, "missing_node"});
+      held = held_.erase(held);
+    } else {
+      ++held;
+    }
+  }
+  return gone;
+}
+
+ClosureModel GraphInformationPrioritizer::model() const {
+  ClosureModel model = closure_model(closure_options_);
+  if (options_.covariance == ClosureCovariance::kMedian && !accepted_.empty()) {
+    for (int k = 0; k < 6; ++k) {
+      std::vector<double> values;
+      for (const Vector6d& v : accepted_) values.push_back(v[k]);
+      const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+      std::nth_element(values.begin(), middle, values.end());
+      model.covariance(k, k) = *middle;
+    }
+  }
+  return model;
+}
+
+std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
+  std::vector<LoopCandidate> known;
+  std::map<CandidateId, double> out;
+  for (const auto& [id, c] : held_) {
+    out[id] = 0.0;
+    if (graph_.contains(c.from) && graph_.contains(c.to)) known.push_back(c);
+  }
+  if (known.empty()) return out;
+  const std::vector<double> gains =
+      sketched_gains(graph_, known, closure_options_, model(), static_cast<std::size_t>(options_.probes),
+                     combine_seeds(options_.seed, 0));
+  for (std::size_t i = 0; i < known.size(); ++i) out[known[i].id] = gains[i];
+  return out;
+}
+
+void GraphInformationPrioritizer::prepare(std::size_t count, const StopToken& stop) {
+  prepared_ = std::make_unique<Prepared>();
+  Prepared& p = *prepared_;
+  p.count = count;
+  status_ = {};
+  const std::uint64_t seed = combine_seeds(options_.seed, ++round_);
+
+  std::vector<LoopCandidate> connecting, others;
+  const detail::GraphComponents parts(graph_);
+  for (const auto& [id, candidate] : held_) {
+    const auto from = graph_.find(candidate.from), to = graph_.find(candidate.to);
+    if (!from || !to) continue;
+    (parts.connecting(*from, *to) ? connecting : others).push_back(candidate);
+  }
+  status_.pool = connecting.size() + others.size();
+  count = std::min(count, status_.pool);
+  if (!connecting.empty()) {
+    const auto share =
+        static_cast<std::size_t>(std::ceil(greedy_options_.connecting_share * static_cast<double>(count)));
+    const std::size_t ties =
+        std::min({std::max(share, count - std::min(count, others.size())), connecting.size(), count});
+    const auto chosen = farthest_points(candidate_midpoints(graph_, connecting), ties);
+    p.first = at(connecting, chosen);
+    std::vector<bool> taken(connecting.size(), false);
+    for (const std::size_t i : chosen) taken[i] = true;
+    for (std::size_t i = 0; i < connecting.size(); ++i) {
+      if (!taken[i]) p.rest.push_back(connecting[i]);
+    }
+    count -= ties;
+  }
+  if (others.empty()) return;
+
+  const auto spread_alone = [&] {
+    p.list = others;
+    p.set = farthest_points(candidate_midpoints(graph_, others), count);
+  };
+  if (options_.selector == SelectorKind::kSeparated) {
+    spread_alone();
+    return;
+  }
+  try {
+    if (options_.selector == SelectorKind::kLargestCovariance) {
+      p.list = others;
+      p.set = largest_covariance(graph_, others, marginals(graph_).covariances, count);
+      return;
+    }
+    const ClosureModel closures = model();
+    const auto longest = static_cast<std::size_t>(
+        std::ceil(options_.shortlist * static_cast<double>(std::max<std::size_t>(count, 1))));
+    if (others.size() > longest) {
+      const std::vector<double> gains = sketched_gains(graph_, others, closure_options_, closures,
+                                                       static_cast<std::size_t>(options_.probes), seed);
+      const std::vector<std::size_t> shortlist =
+          spread_shortlist(graph_, others, gains, longest, options_.cell_m);
+      p.list = at(others, shortlist);
+      std::vector<bool> listed(others.size(), false);
+      for (const std::size_t i : shortlist) listed[i] = true;
+      for (std::size_t i = 0; i < others.size(); ++i) {
+        if (!listed[i]) p.rest.push_back(others[i]);
+      }
+    } else {
+      p.list = others;
+    }
+    status_.shortlist = p.list.size();
+    switch (options_.objective) {
+      case ObjectiveKind::kCovariance:
+        p.objective = std::make_unique<CovarianceObjective>(graph_, p.list, closure_options_, closures);
+        break;
+      case ObjectiveKind::kLogDet:
+        p.objective = std::make_unique<LogDetObjective>(graph_, p.list, closure_options_, closures);
+        break;
+      case ObjectiveKind::kGnn:
+        p.objective = std::make_unique<GnnObjective>(graph_, p.list, network_, options_.gnn_features,
+                                                     marginals(graph_).covariances);
+    }
+  } catch (const InputError& error) {
+    // A graph whose factors leave a pose undetermined has no covariance to speak of; its places are known.
+    status_.problem = error.what();
+    p.rest.clear();
+    p.objective.reset();
+    spread_alone();
+    return;
+  }
+  p.midpoints = candidate_midpoints(graph_, p.list);
+  if (options_.selector == SelectorKind::kAnnealing) {
+    p.annealing.emplace(*p.objective, p.midpoints, count, annealing_options_, seed);
+    p.set = p.annealing->best().set;
+    status_.start_value = status_.value = p.annealing->start_value();
+    return;
+  }
+  const Selection chosen = greedy(*p.objective, p.midpoints, count, greedy_options_, stop);
+  p.set = chosen.set;
+  status_.start_value = status_.value = chosen.value;
+  if (options_.selector == SelectorKind::kGreedyAnnealing && !p.set.empty()) {
+    p.annealing.emplace(*p.objective, p.midpoints, count, annealing_options_, seed, p.set);
+  }
+}
+
+void GraphInformationPrioritizer::improve(std::size_t count, const StopToken& stop,
+                                          std::uint64_t max_evaluations) {
+  if (!prepared_ || prepared_->stale || prepared_->handed || prepared_->count != count) prepare(count, stop);
+  Prepared& p = *prepared_;
+  if (!p.annealing || max_evaluations == 0) return;
+  p.annealing->run(max_evaluations, stop);
+  const Selection best = p.annealing->best();
+  p.set = best.set;
+  status_.value = best.value;
+  status_.steps = p.annealing->steps();
+  status_.accepted = p.annealing->accepted();
+}
+
+std::vector<LoopCandidate> GraphInformationPrioritizer::take(std::size_t count) {
+  if (count == 0 || held_.empty()) return {};
+  const bool usable = prepared_ && (prepared_->handed || (!prepared_->stale && prepared_->count >= count));
+  if (!usable) prepare(count, {});
+  Prepared& p = *prepared_;
+  std::vector<LoopCandidate> out;
+  const auto hand_out = [&](const LoopCandidate& candidate) {
+    if (out.size() < count && held_.erase(candidate.id) != 0) out.push_back(candidate);
+  };
+  for (const LoopCandidate& candidate : p.first) hand_out(candidate);
+  if (options_.selector == SelectorKind::kAnnealing && p.objective && !p.handed) {
+    // The order of an annealed set means nothing: what would be missed most goes first.
+    p.objective->assign(p.set);
+    std::map<std::size_t, double> missed;
+    for (const std::size_t i : p.set) missed[i] = p.objective->remove_change(i);
+    std::stable_sort(p.set.begin(), p.set.end(),
+                     [&](std::size_t a, std::size_t b) { return missed[a] > missed[b]; });
+  }
+  for (const std::size_t i : p.set) hand_out(p.list[i]);
+  if (out.size() < count && !p.reserve) {
+    // Others took candidates out of the set: the next best fill up.
+    p.reserve.emplace();
+    std::vector<bool> chosen(p.list.size(), false);
+    for (const std::size_t i : p.set) chosen[i] = true;
+    std::vector<std::size_t> next;
+    for (std::size_t i = 0; i < p.list.size(); ++i) {
+      if (!chosen[i]) next.push_back(i);
+    }
+    if (p.objective && !next.empty()) {
+      p.objective->assign(p.set);
+      const std::vector<double> changes = p.objective->add_changes();
+      std::stable_sort(next.begin(), next.end(),
+                       [&](std::size_t a, std::size_t b) { return changes[a] < changes[b]; });
+    }
+    *p.reserve = at(p.list, next);
+    p.reserve->insert(p.reserve->end(), p.rest.begin(), p.rest.end());
+  }
+  if (p.reserve) {
+    for (const LoopCandidate& candidate : *p.reserve) {
+      if (out.size() == count) break;
+      hand_out(candidate);
+    }
+  }
+  p.handed = true;
+  if (out.size() < count && p.stale) {
+    // What came after the set was made.
+    prepared_.reset();
+    const std::vector<LoopCandidate> more = take(count - out.size());
+    out.insert(out.end(), more.begin(), more.end());
+  }
+  return out;
+}
+
+}  // namespace loopwise
