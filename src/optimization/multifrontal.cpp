@@ -21,6 +21,38 @@ constexpr double kBlasFlops = 1e7;
 /// Columns that the kernels eliminate before BLAS updates the rest of a wide panel.
 constexpr int kStripe = 96;
 
+/// Cholesky factor of the first w columns of a front, which has h rows. \returns the columns done, w unless a
+/// pivot is not positive.
+int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l) {
+  for (int stripe = 0; stripe < w; stripe += kStripe) {
+    const int end = std::min(w, stripe + kStripe);
+    double* block = l + static_cast<std::ptrdiff_t>(stripe) * (h + 1);
+    if (stripe > 0) {
+      blas::gemm('N', 'T', h - stripe, end - stripe, stripe, -1.0, l + stripe, h, l + stripe, h, 1.0, block,
+                 h);
+    }
+    for (int j = stripe; j < end; j += 6, block += 6 * (static_cast<std::ptrdiff_t>(h) + 1)) {
+      const double* left = l + static_cast<std::ptrdiff_t>(stripe) * h + j;
+      if (j > stripe) kernel.multiply(h - j, j - stripe, left, h, left, h, block, h, false);
+      if (!kernel.eliminate(h - j, block, h)) return j;
+    }
+  }
+  return w;
+}
+
+/// U −= R·Rᵀ, or U = −R·Rᵀ if `overwrite`, of which the lower triangle counts; R is m×w.
+void subtract_product(const FrontKernels& kernel, int m, int w, const double* r, int ldr, double* u,
+                      bool overwrite) {
+  if (static_cast<double>(m) * m * w > kBlasFlops) {
+    blas::syrk(m, w, -1.0, r, ldr, overwrite ? 0.0 : 1.0, u, m);
+    return;
+  }
+  for (int j = 0; j < m; j += 6) {
+    kernel.multiply(m - j, w, r + j, ldr, r + j, ldr, u + static_cast<std::ptrdiff_t>(j) * (m + 1), m,
+                    overwrite);
+  }
+}
+
 }  // namespace
 
 MultifrontalCholesky::MultifrontalCholesky(const BlockPattern& pattern, const std::vector<int>& parent,
@@ -104,10 +136,6 @@ void MultifrontalCholesky::make_rows(const BlockPattern& pattern) {
     for (std::size_t p = row_start_[s]; p < row_start_[s + 1]; ++p) {
       index[rows_[p]] = columns + static_cast<std::uint32_t>(p - row_start_[s]);
     }
-    const auto update_size = [&](std::size_t panel) {
-      const auto m = static_cast<std::size_t>(below(panel));
-      return m * m;
-    };
     std::size_t base = top;
     for (std::size_t c = children; c < waiting.size(); ++c) {
       for (std::size_t p = row_start_[waiting[c]]; p < row_start_[waiting[c] + 1]; ++p)
@@ -132,7 +160,7 @@ void MultifrontalCholesky::make_rows(const BlockPattern& pattern) {
 }
 
 void MultifrontalCholesky::add_child(std::size_t child, const double* update, std::size_t s, double* l,
-                                     double* u) {
+                                     double* u) const {
   const auto columns = first_[s + 1] - first_[s];
   const auto h = static_cast<std::size_t>(width(s) + below(s)), m = static_cast<std::size_t>(below(s));
   const std::uint32_t* relative = relative_.data() + row_start_[child];
@@ -158,69 +186,50 @@ void MultifrontalCholesky::add_child(std::size_t child, const double* update, st
   }
 }
 
+void MultifrontalCholesky::load_panel(std::size_t s, const double* values, double* l) const {
+  const auto h = static_cast<std::size_t>(width(s) + below(s));
+  std::fill_n(l, h * static_cast<std::size_t>(width(s)), 0.0);
+  for (std::size_t p = block_start_[s]; p < block_start_[s + 1]; ++p) {
+    double* to = l + places_[p].column * h + places_[p].row;
+    const double* from = values + 36 * p;
+    for (int c = 0; c < 6; ++c, to += h, from += 6) std::memcpy(to, from, 6 * sizeof(double));
+  }
+}
+
 bool MultifrontalCholesky::factorize(const double* values) {
   const FrontKernels& kernel = front_kernels();
   values_.resize(value_start_.back());
   if (!stack_) stack_.reset(new double[stack_size_]);
-  std::vector<std::size_t> waiting;
+  std::vector<std::size_t> waiting;  // panels whose updates are on the stack
   std::size_t top = 0;
   broken_at_ = first_.back();
   for (std::size_t s = 0; s < size(); ++s) {
     const int w = width(s), m = below(s), h = w + m;
-    const auto square = static_cast<std::size_t>(m) * static_cast<std::size_t>(m);
     double* l = values_.data() + value_start_[s];
     double* u = stack_.get() + top;
-    std::fill_n(l, static_cast<std::size_t>(h) * static_cast<std::size_t>(w), 0.0);
-    for (std::size_t p = block_start_[s]; p < block_start_[s + 1]; ++p) {
-      double* to =
-          l + static_cast<std::size_t>(places_[p].column) * static_cast<std::size_t>(h) + places_[p].row;
-      const double* from = values + 36 * p;
-      for (int c = 0; c < 6; ++c, to += h, from += 6) std::memcpy(to, from, 6 * sizeof(double));
+    load_panel(s, values, l);
+    const auto has_child = [&] { return !waiting.empty() && parent_[waiting.back()] == static_cast<int>(s); };
+    const bool leaf = !has_child();
+    for (int c = 0; c < m && !leaf; ++c) {
+      const int first = c - c % 6;  // whole blocks, the diagonal one included
+      std::fill_n(u + static_cast<std::ptrdiff_t>(c) * m + first, m - first, 0.0);
     }
     std::size_t base = top;
-    const bool leaf = waiting.empty() || parent_[waiting.back()] != static_cast<int>(s);
-    if (!leaf) {
-      for (int j = 0; j < m; j += 6) {
-        for (int c = j; c < j + 6; ++c) std::fill_n(u + static_cast<std::ptrdiff_t>(c) * m + j, m - j, 0.0);
-      }
-      while (!waiting.empty() && parent_[waiting.back()] == static_cast<int>(s)) {
-        const auto n = static_cast<std::size_t>(below(waiting.back()));
-        base -= n * n;
-        add_child(waiting.back(), stack_.get() + base, s, l, u);
-        waiting.pop_back();
-      }
+    while (has_child()) {
+      base -= update_size(waiting.back());
+      add_child(waiting.back(), stack_.get() + base, s, l, u);
+      waiting.pop_back();
     }
-    for (int stripe = 0; stripe < w; stripe += kStripe) {
-      const int end = std::min(w, stripe + kStripe);
-      double* block = l + static_cast<std::ptrdiff_t>(stripe) * h + stripe;
-      if (stripe > 0) {
-        blas::gemm('N', 'T', h - stripe, end - stripe, stripe, -1.0, l + stripe, h, l + stripe, h, 1.0, block,
-                   h);
-      }
-      for (int j = stripe; j < end; j += 6, block += 6 * (static_cast<std::ptrdiff_t>(h) + 1)) {
-        const double* left = l + static_cast<std::ptrdiff_t>(stripe) * h + j;
-        if (j > stripe) kernel.multiply(h - j, j - stripe, left, h, left, h, block, h, false);
-        if (!kernel.eliminate(h - j, block, h)) {
-          broken_at_ = first_[s] + static_cast<std::size_t>(j / 6);
-          return false;
-        }
-      }
+    const int done = eliminate_columns(kernel, w, h, l);
+    if (done < w) {
+      broken_at_ = first_[s] + static_cast<std::size_t>(done / 6);
+      return false;
     }
-    const double* below_panel = l + w;
-    if (static_cast<double>(m) * m * w > kBlasFlops) {
-      blas::syrk(m, w, -1.0, below_panel, h, leaf ? 0.0 : 1.0, u, m);
-    } else {
-      for (int j = 0; j < m; j += 6) {
-        kernel.multiply(m - j, w, below_panel + j, h, below_panel + j, h,
-                        u + static_cast<std::ptrdiff_t>(j) * (m + 1), m, leaf);
-      }
-    }
-    if (m == 0) {
-      top = base;
-      continue;
-    }
-    if (base != top) std::memmove(stack_.get() + base, u, square * sizeof(double));
-    top = base + square;
+    top = base;
+    if (m == 0) continue;
+    subtract_product(kernel, m, w, l + w, h, u, leaf);
+    std::memmove(stack_.get() + base, u, update_size(s) * sizeof(double));
+    top += update_size(s);
     waiting.push_back(s);
   }
   return true;

@@ -48,9 +48,15 @@ class MultifrontalCholesky {
   [[nodiscard]] int below(std::size_t s) const {
     return 6 * static_cast<int>(row_start_[s + 1] - row_start_[s]);
   }
+  /// Doubles in what a panel hands to its parent.
+  [[nodiscard]] std::size_t update_size(std::size_t s) const {
+    const auto m = static_cast<std::size_t>(below(s));
+    return m * m;
+  }
   void make_panels(const std::vector<int>& parent, const std::vector<int>& count);
   void make_rows(const BlockPattern& pattern);
-  void add_child(std::size_t child, const double* update, std::size_t s, double* l, double* u);
+  void load_panel(std::size_t s, const double* values, double* l) const;
+  void add_child(std::size_t child, const double* update, std::size_t s, double* l, double* u) const;
   [[nodiscard]] Panels shape() const;
 
   std::vector<std::uint32_t> first_;      // block column, by panel
