@@ -29,6 +29,7 @@ int main(int argc, char** argv) {
 #ifdef LOOPWISE_HAS_SIMULATION
   add_simulate(app, chosen);
 #endif
+  add_study(app, chosen);
   add_config(app, chosen);
 
   try {

@@ -11,6 +11,8 @@ EnumNames<RejectionReason> enum_names(RejectionReason) {
           {RejectionReason::kSacFitness, "sac_fitness"},
           {RejectionReason::kGicpFitness, "gicp_fitness"},
           {RejectionReason::kLowOverlap, "low_overlap"},
+          {RejectionReason::kInconsistent, "inconsistent"},
+          {RejectionReason::kAmbiguous, "ambiguous"},
           {RejectionReason::kDegenerate, "degenerate"},
           {RejectionReason::kTransformThreshold, "transform_threshold"},
           {RejectionReason::kNotConverged, "not_converged"},

@@ -13,6 +13,8 @@
 namespace loopwise {
 namespace {
 
+/// Cosine of the angle within which two normals agree.
+constexpr float kAgreeing = 0.7F;
 constexpr double kDegree = 3.14159265358979323846 / 180.0;
 
 /// max_sigma of each coordinate: with them as units a free direction has variance 1 or more.
@@ -48,7 +50,6 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
                                    const ClosureTestOptions& options) {
   AlignmentFigures figures;
   if (source.empty() || target.empty()) return figures;
-  constexpr double kAgreeing = 0.7;        // cosine
   constexpr double kFullDirection = 0.05;  // share of the points
   const double sq_overlap = options.overlap_distance_m * options.overlap_distance_m;
   const double sq_range = options.fitness_range_m * options.fitness_range_m;
@@ -56,7 +57,7 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
   const bool with_normals = source.has_normals();
   std::array<std::size_t, kNormalBins> of_direction{}, agreeing{};
   double sum_sq = 0.0, sum_sq_plane = 0.0;
-  std::size_t overlapping = 0;
+  std::size_t overlapping = 0, on_plane = 0;
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
   const std::size_t measured =
@@ -76,7 +77,7 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
     const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
     const Eigen::Vector3d m =
         bin == kUnknownNormal ? n : Eigen::Vector3d(T_to_from.linear() * source.normals[i].cast<double>());
-    if (!n.isZero() && std::abs(n.dot(m)) < kAgreeing) continue;
+    if (!n.isZero() && std::abs(n.dot(m)) < static_cast<double>(kAgreeing)) continue;
     ++agreeing[bin];
     if (n.isZero()) continue;
     const double distance = n.dot(y - target.points[nearest->index].cast<double>());
@@ -88,6 +89,7 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
     sum += y;
     moment.selfadjointView<Eigen::Lower>().rankUpdate(y);
     sum_sq_plane += distance * distance;
+    if (std::abs(distance) < options.plane_distance_m) ++on_plane;
     ++figures.plane_points;
   }
   figures.hessian.triangularView<Eigen::StrictlyUpper>() = figures.hessian.transpose();
@@ -106,7 +108,10 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
   figures.normal_noise *= scale;
   figures.fitness_m2 = sum_sq / n;
   figures.overlap = static_cast<double>(overlapping) / n;
-  if (figures.plane_points > 0) figures.plane_rmse_m = std::sqrt(sum_sq_plane / planes);
+  if (figures.plane_points > 0) {
+    figures.plane_rmse_m = std::sqrt(sum_sq_plane / planes);
+    figures.on_plane = static_cast<double>(on_plane) / planes;
+  }
   double weights = 0.0;
   for (std::size_t bin = 0; bin < kNormalBins; ++bin) {
     if (of_direction[bin] == 0) continue;
@@ -117,6 +122,32 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
   }
   figures.balanced_overlap /= weights;
   return figures;
+}
+
+double surface_share(const PointCloud& cloud, const KdTree& tree, const ClosureTestOptions& options) {
+  constexpr std::size_t kLookedAt = 1000;
+  const std::size_t looked_at = std::min(cloud.size(), kLookedAt);
+  const auto reach = static_cast<float>(options.overlap_distance_m);
+  const auto within = static_cast<float>(options.plane_distance_m);
+  std::size_t neighbours = 0, on_plane = 0;
+  std::vector<Neighbour> found;
+  for (std::size_t k = 0; k < looked_at; ++k) {
+    const std::size_t i = k * cloud.size() / looked_at;
+    tree.nearest(cloud.points[i], 2, found);
+    if (found.size() < 2) break;
+    const Neighbour& other = found[found.front().index == i ? 1 : 0];
+    if (other.sq_distance_m2 > reach * reach) continue;
+    const Eigen::Vector3f& n = cloud.normals[other.index];
+    if (std::abs(n.dot(cloud.normals[i])) < kAgreeing) continue;
+    ++neighbours;
+    if (std::abs(n.dot(cloud.points[i] - cloud.points[other.index])) < within) ++on_plane;
+  }
+  return on_plane == 0 ? 1.0 : static_cast<double>(on_plane) / static_cast<double>(neighbours);
+}
+
+double consistency(const AlignmentFigures& figures) {
+  constexpr double kWeight = 3.0;
+  return figures.on_plane / figures.expected_on_plane - kWeight * figures.contradiction;
 }
 
 int free_directions(const AlignmentFigures& figures, const ClosureTestOptions& options) {
@@ -136,6 +167,13 @@ Matrix6d closure_covariance(const AlignmentFigures& figures, const ClosureTestOp
   covariance.diagonal().head<3>().array() += options.min_sigma_m * options.min_sigma_m;
   covariance.diagonal().tail<3>().array() += options.min_sigma_rad * options.min_sigma_rad;
   return 0.5 * (covariance + covariance.transpose());
+}
+
+void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, double sigma_m) {
+  Vector6d d = Vector6d::Zero();
+  d.head<3>() = direction;
+  const double missing = sigma_m * sigma_m - d.dot(covariance * d);
+  if (missing > 0.0) covariance += missing * (d * d.transpose());
 }
 
 void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
@@ -165,6 +203,10 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
     return reject(RejectionReason::kLowOverlap,
                   beyond("overlap balanced over directions", figures.balanced_overlap,
                          ">=", options.min_balanced_overlap, ""));
+  }
+  if (options.min_consistency > 0.0 && !(consistency(figures) >= options.min_consistency)) {
+    return reject(RejectionReason::kInconsistent,
+                  beyond("consistency", consistency(figures), ">=", options.min_consistency, ""));
   }
   const int free = free_directions(figures, options);
   if (free > options.max_free_directions) {

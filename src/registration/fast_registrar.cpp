@@ -8,165 +8,228 @@
 #include <utility>
 #include <vector>
 
+#include <Eigen/Eigenvalues>
+
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include "consensus.hpp"
 #include "fpfh.hpp"
 #include "gicp.hpp"
+#include "matching.hpp"
 #include "normal_bins.hpp"
+#include "range_image.hpp"
 #include "submap.hpp"
 
 namespace loopwise {
 namespace {
 
-/// Key points of a scan with descriptors.
-struct ScanKeyPoints {
-  std::vector<std::uint32_t> indices;  // into the scan's downsampled cloud
-  Descriptors descriptors;             // a column each, none of them zero
+constexpr double kDegree = 3.14159265358979323846 / 180.0;
+
+/// What the registration needs of one side, apart from descriptors.
+struct Side {
+  Submap submap;
+  std::vector<std::uint32_t> order;  // points with a normal, see draw_balanced
+  RangeImage range_image;            // of the centre's scan
+  double surface_share = 1.0;
   [[nodiscard]] std::size_t bytes() const {
-    return sizeof(*this) + indices.capacity() * sizeof(std::uint32_t) +
-           static_cast<std::size_t>(descriptors.size()) * sizeof(float);
+    return sizeof(*this) + submap.bytes() + order.capacity() * sizeof(std::uint32_t) + range_image.bytes();
   }
 };
 
-ScanKeyPoints compute_key_points(const ScanFeatures& scan, const FastRegistrarOptions& options) {
-  ScanKeyPoints out;
-  const auto drawn = draw_balanced(scan.cloud, static_cast<std::size_t>(options.key_points));
-  const Descriptors all = compute_fpfh(scan.cloud, scan.tree, drawn, options.fpfh_radius_m,
-                                       static_cast<std::size_t>(options.fpfh_neighbours));
-  out.descriptors.resize(kFpfhSize, all.cols());
-  for (Eigen::Index i = 0; i < all.cols(); ++i) {
-    if (all.col(i).isZero()) continue;
-    out.descriptors.col(static_cast<Eigen::Index>(out.indices.size())) = all.col(i);
-    out.indices.push_back(drawn[static_cast<std::size_t>(i)]);
-  }
-  out.descriptors.conservativeResize(kFpfhSize, static_cast<Eigen::Index>(out.indices.size()));
-  return out;
-}
-
-/// Key points of a submap in the centre's frame.
+/// Key points of one side in the centre's frame.
 struct KeyPoints {
   std::vector<Eigen::Vector3f> points;
   std::vector<Eigen::Vector3f> normals;
-  Descriptors descriptors;
+  PackedDescriptors descriptors;
+  [[nodiscard]] std::size_t bytes() const {
+    return sizeof(*this) + (points.capacity() + normals.capacity()) * sizeof(Eigen::Vector3f) +
+           descriptors.bytes();
+  }
 };
+
+/// Names a submap: equal for equal members in the same places alone.
+std::string signature(const std::vector<SubmapMember>& members, std::size_t enough_points) {
+  std::string out(reinterpret_cast<const char*>(&enough_points), sizeof enough_points);
+  for (const SubmapMember& member : members) {
+    out.append(reinterpret_cast<const char*>(&member.key), sizeof member.key);
+    out.append(reinterpret_cast<const char*>(member.T_center_member.data()), 16 * sizeof(double));
+  }
+  return out;
+}
+
+/// Key points of a scan: appended to those of the submap.
+void append_key_points(const Part& part, const FastRegistrarOptions& options, KeyPoints& keys,
+                       std::vector<Descriptors>& descriptors) {
+  const ScanFeatures& scan = *part.features;
+  const auto drawn = draw_balanced(scan.cloud, static_cast<std::size_t>(options.key_points));
+  Descriptors all = compute_fpfh(scan.cloud, scan.tree, drawn, options.fpfh_radius_m,
+                                 static_cast<std::size_t>(options.fpfh_neighbours));
+  Eigen::Index kept = 0;
+  const Eigen::Matrix3f R = part.T_center_part.linear().cast<float>();
+  for (Eigen::Index i = 0; i < all.cols(); ++i) {
+    if (all.col(i).isZero()) continue;
+    all.col(kept++) = all.col(i);
+    const std::uint32_t index = drawn[static_cast<std::size_t>(i)];
+    keys.points.push_back((part.T_center_part * scan.cloud.points[index].cast<double>()).cast<float>());
+    keys.normals.push_back(R * scan.cloud.normals[index]);
+  }
+  all.conservativeResize(kFpfhSize, kept);
+  descriptors.push_back(std::move(all));
+}
 
 /// The matches that describe each other best: first those that are mutual, then the others, most similar
 /// first.
 std::vector<Match> match(const KeyPoints& source, const KeyPoints& target, std::size_t max_matches) {
-  struct Candidate {
-    bool mutual;
-    float similarity;
-    Eigen::Index source, target;
-  };
-  const Eigen::Index sources = source.descriptors.cols(), targets = target.descriptors.cols();
-  Eigen::ArrayXf best_similarity = Eigen::ArrayXf::Constant(targets, -1.0F);
-  std::vector<std::int32_t> best_source(target.points.size(), 0);
-  std::vector<Candidate> candidates;
-  candidates.reserve(source.points.size());
-  constexpr Eigen::Index kBlock = 32;  // similarities of a block stay in the cache while they are searched
-  Eigen::MatrixXf similarity(targets, kBlock);
-  for (Eigen::Index begin = 0; begin < sources; begin += kBlock) {
-    const Eigen::Index width = std::min(kBlock, sources - begin);
-    similarity.leftCols(width).noalias() =
-        target.descriptors.transpose() * source.descriptors.middleCols(begin, width);
-    for (Eigen::Index s = 0; s < width; ++s) {
-      const float* values = similarity.col(s).data();
-      const float largest = similarity.col(s).maxCoeff();
-      const Eigen::Index t = std::find(values, values + targets, largest) - values;
-      candidates.push_back({false, largest, begin + s, t});
-      const auto here = static_cast<std::int32_t>(begin + s);
-      for (Eigen::Index k = 0; k < targets; ++k) {
-        const bool better = values[k] > best_similarity[k];
-        best_similarity[k] = better ? values[k] : best_similarity[k];
-        best_source[static_cast<std::size_t>(k)] = better ? here : best_source[static_cast<std::size_t>(k)];
-      }
-    }
-  }
-  for (Candidate& c : candidates) {
-    c.mutual = best_source[static_cast<std::size_t>(c.target)] == static_cast<std::int32_t>(c.source);
-  }
-  std::stable_sort(candidates.begin(), candidates.end(), [](const Candidate& a, const Candidate& b) {
+  std::vector<DescriptorMatch> found = match_descriptors(source.descriptors, target.descriptors);
+  std::stable_sort(found.begin(), found.end(), [](const DescriptorMatch& a, const DescriptorMatch& b) {
     return a.mutual != b.mutual ? a.mutual : a.similarity > b.similarity;
   });
-  if (candidates.size() > max_matches)
-    candidates.erase(candidates.begin() + static_cast<std::ptrdiff_t>(max_matches), candidates.end());
+  if (found.size() > max_matches) found.resize(max_matches);
   std::vector<Match> matches;
-  matches.reserve(candidates.size());
-  for (const Candidate& c : candidates) {
-    const auto s = static_cast<std::size_t>(c.source), t = static_cast<std::size_t>(c.target);
-    matches.push_back({source.points[s], target.points[t], source.normals[s], target.normals[t]});
+  matches.reserve(found.size());
+  for (const DescriptorMatch& m : found) {
+    matches.push_back({source.points[m.source], target.points[m.target], source.normals[m.source],
+                       target.normals[m.target]});
   }
   return matches;
 }
 
-/// Share of source points on the target, each counting 1 − (distance / reach)²; normals must agree within
-/// 45°.
-double score(const PointCloud& source, const std::vector<std::uint32_t>& order, std::size_t count,
-             const Submap& target, const Eigen::Isometry3d& T, float reach) {
+/// Looks at the first `count` source points of the order under T: visit(distance squared, distance along the
+/// target's normal) for each that has a target point within reach whose normal agrees within 45°.
+template <class Visit>
+void look(const Side& source, std::size_t count, const Side& target, const Eigen::Isometry3d& T, float reach,
+          Visit&& visit) {
+  const PointCloud& from = source.submap.cloud();
+  const PointCloud& to = target.submap.cloud();
   const Eigen::Matrix3f R = T.linear().cast<float>();
-  double sum = 0.0;
-  count = std::min(count, order.size());
   for (std::size_t k = 0; k < count; ++k) {
-    const std::uint32_t i = order[k];
-    const auto nearest = target.tree().nearest((T * source.points[i].cast<double>()).cast<float>(), reach);
+    const std::uint32_t i = source.order[k];
+    const Eigen::Vector3f y = (T * from.points[i].cast<double>()).cast<float>();
+    const auto nearest = target.submap.tree().nearest(y, reach);
     if (!nearest) continue;
-    if (std::abs((R * source.normals[i]).dot(target.cloud().normals[nearest->index])) < 0.7F) continue;
-    sum += 1.0 - static_cast<double>(nearest->sq_distance_m2 / (reach * reach));
+    const Eigen::Vector3f& n = to.normals[nearest->index];
+    if (std::abs((R * from.normals[i]).dot(n)) < 0.7F) continue;
+    visit(nearest->sq_distance_m2, std::abs(n.dot(y - to.points[nearest->index])));
   }
-  return sum / static_cast<double>(std::max<std::size_t>(1, count));
 }
+
+/// Share of source points near the target, each counting 1 − (distance / reach)².
+double score(const Side& source, std::size_t count, const Side& target, const Eigen::Isometry3d& T,
+             float reach) {
+  count = std::min(count, source.order.size());
+  float sum = 0.0F;
+  look(source, count, target, T, reach,
+       [&](float sq_distance, float) { sum += 1.0F - sq_distance / (reach * reach); });
+  return static_cast<double>(sum) / static_cast<double>(std::max<std::size_t>(1, count));
+}
+
+/// Share of source points on the target's surfaces.
+double share_on_surface(const Side& source, std::size_t count, const Side& target, const Eigen::Isometry3d& T,
+                        const ClosureTestOptions& options) {
+  count = std::min(count, source.order.size());
+  const auto within = static_cast<float>(options.plane_distance_m);
+  std::size_t on_surface = 0;
+  look(source, count, target, T, static_cast<float>(options.overlap_distance_m),
+       [&](float, float distance) { on_surface += distance < within ? 1 : 0; });
+  return static_cast<double>(on_surface) / static_cast<double>(std::max<std::size_t>(1, count));
+}
+
+/// A Hessian counts every point whose normal looks along a corridor, noise and repeated ribs as well. Whether
+/// the pose is told apart from others along the direction of least information is tried out: where the share
+/// on the surfaces hardly drops a metre away, the closure claims no more than how far it has moved from the
+/// guess.
+void widen_if_free(const Side& source, const Side& target, std::size_t count,
+                   const Eigen::Isometry3d& T_target_source, const AlignmentFigures& figures,
+                   const std::optional<Eigen::Isometry3d>& guess_from_to, const FastRegistrarOptions& options,
+                   Matrix6d& covariance) {
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(
+      Eigen::Matrix3d(figures.hessian.topLeftCorner<3, 3>()));
+  const Eigen::Vector3d weak = solver.eigenvectors().col(0);
+  const Eigen::Isometry3d T_from_to = T_target_source.inverse();
+  const auto share_at = [&](double offset_m) {
+    const Eigen::Isometry3d moved = T_from_to * Eigen::Translation3d(offset_m * weak);
+    return share_on_surface(source, count, target, moved.inverse(), options.tests);
+  };
+  if (std::max(share_at(-1.0), share_at(1.0)) < options.free_share * share_at(0.0)) return;
+  double sigma_m = options.tests.max_sigma_m;
+  if (guess_from_to) {
+    const Eigen::Isometry3d moved = T_from_to.inverse() * *guess_from_to;
+    sigma_m = std::min(sigma_m, std::abs(weak.dot(moved.translation())));
+  }
+  widen_covariance(covariance, weak, sigma_m);
+}
+
+/// Whether two poses are different answers, not one answer twice.
+bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
+  const Eigen::Isometry3d d = a.inverse() * b;
+  return d.translation().norm() > 1.0 || se3::rotation_angle(d) > 5.0 * kDegree;
+}
+
+struct Scored {
+  Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
+  double value = 0.0;
+};
 
 }  // namespace
 
 struct FastRegistrar::Impl {
   std::shared_ptr<FeatureCache> features;
   FastRegistrarOptions options;
-  mutable BoundedCache<Key, ScanKeyPoints> cache;
+  mutable BoundedCache<std::string, Side> sides;
+  mutable BoundedCache<std::string, KeyPoints> keys;
 
-  [[nodiscard]] std::shared_ptr<const ScanKeyPoints> scan_key_points(Key key, const ScanFeatures& scan) const {
-    return cache.get(
-        key, [&](Key) { return std::make_shared<const ScanKeyPoints>(compute_key_points(scan, options)); });
+  /// Null if a scan is missing: then `result` says which.
+  [[nodiscard]] std::shared_ptr<const Side> side(const std::string& name,
+                                                 const std::vector<SubmapMember>& members,
+                                                 std::size_t enough_points,
+                                                 RegistrationResult& result) const {
+    return sides.get(name, [&](const std::string&) -> std::shared_ptr<const Side> {
+      std::optional<Submap> submap = Submap::load(*features, members, enough_points, result);
+      if (!submap) return nullptr;
+      auto out = std::make_shared<Side>();
+      out->submap = std::move(*submap);
+      out->order = draw_balanced(
+          out->submap.cloud(), static_cast<std::size_t>(std::max(options.fine_points, options.score_points)));
+      out->range_image = RangeImage(out->submap.parts().front().features->cloud);
+      out->surface_share = surface_share(out->submap.cloud(), out->submap.tree(), options.tests);
+      return out;
+    });
   }
 
-  [[nodiscard]] KeyPoints key_points(const Submap& submap) const {
-    std::vector<std::shared_ptr<const ScanKeyPoints>> scans;
-    std::size_t count = 0;
-    for (const Part& part : submap.parts()) {
-      scans.push_back(scan_key_points(part.key, *part.features));
-      count += scans.back()->indices.size();
-    }
-    KeyPoints out;
-    out.points.reserve(count);
-    out.normals.reserve(count);
-    out.descriptors.resize(kFpfhSize, static_cast<Eigen::Index>(count));
-    for (std::size_t k = 0; k < scans.size(); ++k) {
-      const Part& part = submap.parts()[k];
-      const auto begin = static_cast<Eigen::Index>(out.points.size());
-      out.descriptors.middleCols(begin, scans[k]->descriptors.cols()) = scans[k]->descriptors;
-      const Eigen::Matrix3f R = part.T_center_part.linear().cast<float>();
-      for (const std::uint32_t i : scans[k]->indices) {
-        out.points.push_back(
-            (part.T_center_part * part.features->cloud.points[i].cast<double>()).cast<float>());
-        out.normals.push_back(R * part.features->cloud.normals[i]);
+  [[nodiscard]] std::shared_ptr<const KeyPoints> key_points(const std::string& name, const Side& side) const {
+    return keys.get(name, [&](const std::string&) {
+      auto out = std::make_shared<KeyPoints>();
+      std::vector<Descriptors> parts;
+      for (const Part& part : side.submap.parts()) append_key_points(part, options, *out, parts);
+      Descriptors all(kFpfhSize, static_cast<Eigen::Index>(out->points.size()));
+      Eigen::Index begin = 0;
+      for (const Descriptors& part : parts) {
+        all.middleCols(begin, part.cols()) = part;
+        begin += part.cols();
       }
-    }
-    return out;
+      out->descriptors = PackedDescriptors(all);
+      return out;
+    });
   }
 };
 
-FastRegistrar::FastRegistrar(std::shared_ptr<FeatureCache> features, const FastRegistrarOptions& options)
-    : impl_(new Impl{
-          std::move(features), options,
-          BoundedCache<Key, ScanKeyPoints>(static_cast<std::size_t>(options.max_descriptor_mb * 1e6))}) {
+FastRegistrar::FastRegistrar(std::shared_ptr<FeatureCache> features, const FastRegistrarOptions& options) {
   validate(options);
-  if (!impl_->features) throw InputError("a registrar needs a feature cache");
+  if (!features) throw InputError("a registrar needs a feature cache");
+  const auto bytes = static_cast<std::size_t>(options.max_descriptor_mb * 1e6);
+  impl_.reset(new Impl{std::move(features), options, BoundedCache<std::string, Side>(bytes),
+                       BoundedCache<std::string, KeyPoints>(bytes)});
 }
 
 FastRegistrar::~FastRegistrar() = default;
 
 void FastRegistrar::prepare(Key key) const {
-  if (const auto scan = impl_->features->get(key)) static_cast<void>(impl_->scan_key_points(key, *scan));
+  const std::vector<SubmapMember> members{{key, Eigen::Isometry3d::Identity()}};
+  const std::string name = signature(members, 0);
+  RegistrationResult ignored;
+  if (const auto side = impl_->side(name, members, 0, ignored)) {
+    static_cast<void>(impl_->key_points(name, *side));
+  }
 }
 
 RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
@@ -179,103 +242,154 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     return result;
   };
   Stopwatch features_watch;
-  const std::optional<Submap> source =
-      Submap::load(*impl_->features, task.source, task.enough_points, result);
-  const std::optional<Submap> target =
-      source ? Submap::load(*impl_->features, task.target, task.enough_points, result) : std::nullopt;
-  if (!target) return result;
-  const std::size_t fewest = std::min(source->cloud().size(), target->cloud().size());
+  const std::string source_name = signature(task.source, task.enough_points);
+  const std::string target_name = signature(task.target, task.enough_points);
+  const auto source_side = impl_->side(source_name, task.source, task.enough_points, result);
+  if (!source_side) return result;
+  const auto target_side = impl_->side(target_name, task.target, task.enough_points, result);
+  if (!target_side) return result;
+  const Side& source = *source_side;
+  const Side& target = *target_side;
+  const PointCloud& source_cloud = source.submap.cloud();
+  const PointCloud& target_cloud = target.submap.cloud();
+  const std::size_t fewest = std::min(source_cloud.size(), target_cloud.size());
   if (fewest < static_cast<std::size_t>(options.tests.min_points)) {
     return reject(RejectionReason::kTooFewPoints,
                   std::to_string(fewest) + " points, must be >= " + std::to_string(options.tests.min_points));
   }
-  const std::vector<std::uint32_t> order = draw_balanced(
-      source->cloud(), static_cast<std::size_t>(std::max(options.fine_points, options.score_points)));
-  if (order.size() < static_cast<std::size_t>(options.tests.min_points)) {
+  if (source.order.size() < static_cast<std::size_t>(options.tests.min_points)) {
     return reject(RejectionReason::kTooFewPoints,
-                  std::to_string(order.size()) +
+                  std::to_string(source.order.size()) +
                       " points with a normal, must be >= " + std::to_string(options.tests.min_points));
   }
   result.features_s = features_watch.seconds();
 
-  const std::vector<GicpPass> passes =
-      gicp_passes(options.coarse_reach_m, options.fine_reach_m, static_cast<std::size_t>(options.coarse_points),
-                  static_cast<std::size_t>(options.fine_points));
-  // Refines a start and measures it; the figures are judged where the pair is decided.
-  AlignmentFigures figures;
-  GicpResult refined;
-  const auto refine = [&](const Eigen::Isometry3d& start) {
-    const Stopwatch watch;
-    refined = refine_gicp(source->cloud(), order, target->cloud(), target->tree(), start, passes);
-    figures = measure_alignment(source->cloud(), target->cloud(), target->tree(), refined.T_target_source,
-                                options.tests);
-    result.refine_s += watch.seconds();
-  };
-  const auto decide = [&] {
-    judge_alignment(result, refined.T_target_source.inverse(), figures, refined.converged, task.guess_from_to,
-                    options.tests);
-    return result;
-  };
-
-  Stopwatch global_watch;
+  const std::vector<GicpPass> passes = gicp_passes(options.coarse_reach_m, options.fine_reach_m,
+                                                   static_cast<std::size_t>(options.coarse_points),
+                                                   static_cast<std::size_t>(options.fine_points));
+  const std::vector<GicpPass> coarse_passes(passes.begin(), passes.end() - 1), fine_pass{passes.back()};
   const auto scored_points = static_cast<std::size_t>(options.score_points);
   const auto reach = static_cast<float>(options.coarse_reach_m);
-  std::vector<Hypothesis> hypotheses;
-  if (task.guess_from_to) {
-    const Eigen::Isometry3d guess = task.guess_from_to->inverse();
-    if (score(source->cloud(), order, scored_points, *target, guess, reach) >= options.min_score) {
-      refine(guess);
-      if (refined.converged && figures.balanced_overlap >= options.sure_overlap) {
-        decide();
-        if (result.verified()) return result;
+
+  // What the last test would refuse need not be tried; the refinement moves a start by its reach at most.
+  const auto allowed = [&](const Eigen::Isometry3d& T_target_source) {
+    if (!task.guess_from_to) return true;
+    const Eigen::Isometry3d moved = *task.guess_from_to * T_target_source;
+    return moved.translation().norm() <= options.tests.max_translation_m + options.coarse_reach_m &&
+           se3::rotation_angle(moved) <= (options.tests.max_rotation_deg + 5.0) * kDegree;
+  };
+  std::vector<Scored> refined;  // best first
+  const auto refine_start = [&](const Eigen::Isometry3d& start) {
+    const Stopwatch watch;
+    Scored pose;
+    pose.T_target_source =
+        refine_gicp(source_cloud, source.order, target_cloud, target.submap.tree(), start, coarse_passes)
+            .T_target_source;
+    if (pose.T_target_source.matrix().allFinite() && allowed(pose.T_target_source)) {
+      pose.value = share_on_surface(source, scored_points, target, pose.T_target_source, options.tests);
+      const auto worse = [&](const Scored& other) { return other.value < pose.value; };
+      refined.insert(std::find_if(refined.begin(), refined.end(), worse), pose);
+    }
+    result.refine_s += watch.seconds();
+    return pose.value;
+  };
+  const auto decide = [&] {
+    const Stopwatch watch;
+    const Scored& best = refined.front();
+    const GicpResult final = refine_gicp(source_cloud, source.order, target_cloud, target.submap.tree(),
+                                         best.T_target_source, fine_pass);
+    AlignmentFigures figures = measure_alignment(source_cloud, target_cloud, target.submap.tree(),
+                                                 final.T_target_source, options.tests);
+    figures.expected_on_plane = 0.5 * (source.surface_share + target.surface_share);
+    constexpr std::size_t kLookedAt = 1000;
+    figures.contradiction = target.range_image.contradiction(source_cloud, final.T_target_source, kLookedAt) +
+                            source.range_image.contradiction(target.submap.parts().front().features->cloud,
+                                                             final.T_target_source.inverse(), kLookedAt);
+    judge_alignment(result, final.T_target_source.inverse(), figures, final.converged, task.guess_from_to,
+                    options.tests);
+    if (result.verified()) {
+      widen_if_free(source, target, scored_points, final.T_target_source, figures, task.guess_from_to,
+                    options, result.closure->covariance);
+      for (const Scored& other : refined) {
+        if (other.value < options.ambiguous_share * best.value) break;
+        if (!far_apart(other.T_target_source, final.T_target_source)) continue;
+        result.closure.reset();
+        reject(RejectionReason::kAmbiguous, "another pose has " + std::to_string(other.value) +
+                                                " of the points on surfaces, this one " +
+                                                std::to_string(best.value));
+        break;
       }
-      hypotheses.push_back({refined.T_target_source, 0});
+    }
+    result.refine_s += watch.seconds();
+  };
+
+  if (task.guess_from_to) {
+    const Stopwatch watch;
+    const Eigen::Isometry3d guess = task.guess_from_to->inverse();
+    const bool promising = score(source, scored_points, target, guess, reach) >= options.min_score;
+    result.global_s += watch.seconds();
+    if (promising && refine_start(guess) >= options.sure_share) {
+      decide();
+      if (result.verified()) return result;
     }
   }
-  global_watch = Stopwatch();
-  const Stopwatch keys_watch;
-  const KeyPoints source_keys = impl_->key_points(*source), target_keys = impl_->key_points(*target);
-  const double keys_s = keys_watch.seconds();
-  result.features_s += keys_s;
-  if (std::min(source_keys.points.size(), target_keys.points.size()) < 3) {
+  Stopwatch keys_watch;
+  const auto source_keys = impl_->key_points(source_name, source);
+  const auto target_keys = impl_->key_points(target_name, target);
+  result.features_s += keys_watch.seconds();
+  const Stopwatch global_watch;
+  if (std::min(source_keys->points.size(), target_keys->points.size()) < 3) {
     return reject(RejectionReason::kTooFewPoints, "fewer than 3 key points with a normal and neighbours");
   }
   const std::vector<Match> matches =
-      match(source_keys, target_keys, static_cast<std::size_t>(options.max_matches));
-  const auto found =
+      match(*source_keys, *target_keys, static_cast<std::size_t>(options.max_matches));
+  std::vector<Hypothesis> hypotheses =
       find_consensus(matches, options.match_tolerance_m, static_cast<std::size_t>(options.hypotheses));
-  hypotheses.insert(hypotheses.end(), found.begin(), found.end());
-  if (hypotheses.empty()) {
-    result.global_s = global_watch.seconds() - keys_s;
-    return reject(RejectionReason::kFewMatches,
-                  "no three of " + std::to_string(matches.size()) + " matches agree on a pose");
-  }
+  const std::size_t found = hypotheses.size();
+  hypotheses.erase(std::remove_if(hypotheses.begin(), hypotheses.end(),
+                                  [&](const Hypothesis& h) { return !allowed(h.T_target_source); }),
+                   hypotheses.end());
   // A quarter of the points tells which hypotheses are worth all of them.
-  std::vector<double> first_look;
-  for (const Hypothesis& hypothesis : hypotheses) {
-    first_look.push_back(
-        score(source->cloud(), order, scored_points / 4, *target, hypothesis.T_target_source, reach));
+  std::vector<Scored> scored;
+  double most = 0.0;
+  for (const Hypothesis& h : hypotheses) {
+    scored.push_back({h.T_target_source, score(source, scored_points / 4, target, h.T_target_source, reach)});
+    most = std::max(most, scored.back().value);
   }
-  const double worth_more = 0.6 * *std::max_element(first_look.begin(), first_look.end());
-  double best_score = -1.0;
-  Eigen::Isometry3d best = Eigen::Isometry3d::Identity();
-  for (std::size_t i = 0; i < hypotheses.size(); ++i) {
-    if (first_look[i] < worth_more) continue;
-    const double value =
-        score(source->cloud(), order, scored_points, *target, hypotheses[i].T_target_source, reach);
-    if (value <= best_score) continue;
-    best_score = value;
-    best = hypotheses[i].T_target_source;
+  for (Scored& s : scored) {
+    s.value = s.value < 0.6 * most ? 0.0 : score(source, scored_points, target, s.T_target_source, reach);
   }
-  result.global_s = global_watch.seconds() - keys_s;
-  result.T_from_to = best.inverse();
-  if (best_score < options.min_score) {
-    return reject(RejectionReason::kLowOverlap, "the best of " + std::to_string(hypotheses.size()) +
-                                                    " hypotheses scores " + std::to_string(best_score) +
+  std::stable_sort(scored.begin(), scored.end(),
+                   [](const Scored& a, const Scored& b) { return a.value > b.value; });
+  result.global_s += global_watch.seconds();
+  if (!scored.empty()) result.T_from_to = scored.front().T_target_source.inverse();
+  std::vector<Eigen::Isometry3d> starts;
+  for (const Scored& s : scored) {
+    if (s.value < options.min_score || s.value < 0.6 * scored.front().value ||
+        starts.size() == static_cast<std::size_t>(options.refined_hypotheses)) {
+      break;
+    }
+    const auto near = [&](const Eigen::Isometry3d& other) { return !far_apart(other, s.T_target_source); };
+    if (std::any_of(starts.begin(), starts.end(), near)) continue;
+    starts.push_back(s.T_target_source);
+    if (refine_start(s.T_target_source) >= options.sure_share) break;
+  }
+  if (refined.empty()) {
+    if (found == 0) {
+      return reject(RejectionReason::kFewMatches,
+                    "no three of " + std::to_string(matches.size()) + " matches agree on a pose");
+    }
+    if (scored.empty()) {
+      return reject(RejectionReason::kTransformThreshold,
+                    "all of " + std::to_string(found) + " hypotheses are too far from the graph's pose");
+    }
+    return reject(RejectionReason::kLowOverlap, "the best of " + std::to_string(scored.size()) +
+                                                    " hypotheses scores " +
+                                                    std::to_string(scored.front().value) +
                                                     ", must be >= " + std::to_string(options.min_score));
   }
-  refine(best);
-  return decide();
+  decide();
+  return result;
 }
 
 }  // namespace loopwise

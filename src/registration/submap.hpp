@@ -31,6 +31,12 @@ class Submap {
   [[nodiscard]] const PointCloud& cloud() const {
     return union_ ? union_->cloud : parts_.front().features->cloud;
   }
+  /// Of all that it keeps alive.
+  [[nodiscard]] std::size_t bytes() const {
+    std::size_t sum = union_ ? union_->cloud.bytes() + union_->tree.bytes() : 0;
+    for (const Part& part : parts_) sum += part.features->bytes();
+    return sum;
+  }
   [[nodiscard]] const KdTree& tree() const { return union_ ? union_->tree : parts_.front().features->tree; }
 
  private:

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// FastRegistrar beside PCL's own stages, pair by pair in one run and one thread.
-///   loopwise_registration_bench kitti DATA/kitti_pair [STARTS]    one pair of overlapping scans from random starts
-///   loopwise_registration_bench session DATA/kaist03 [PCL_EVERY]  all pairs of a session; PCL on every n-th
-///   loopwise_registration_bench foreign DATA                      scans of two places: to be rejected
-///   loopwise_registration_bench gicp DATA/kitti_pair [STARTS]     the refinement alone, 0.25 m voxels
-/// PCL: 0.5 m voxels, normals of 10 neighbours, FPFH of 2 m over all points or Harris key points, whichever is
-/// faster on the pair, 500 hypotheses, GICP. What belongs to a scan is computed before the pair is timed.
+///   loopwise_registration_bench kitti DATA/kitti_pair [STARTS]    one pair of overlapping scans from random
+///   starts loopwise_registration_bench session DATA/kaist03 [PCL_EVERY]  all pairs of a session; PCL on
+///   every n-th loopwise_registration_bench foreign DATA                      scans of two places: to be
+///   rejected loopwise_registration_bench gicp DATA/kitti_pair [STARTS]     the refinement alone, 0.25 m
+///   voxels
+/// PCL: 0.5 m voxels, normals of 10 neighbours, FPFH of 2 m over all points or Harris key points, whichever
+/// is faster on the pair, 500 hypotheses, GICP. What belongs to a scan is computed before the pair is timed.
 /// Times are processor time of the thread: a busy machine shows less.
 #include <algorithm>
 #include <cmath>
@@ -87,26 +88,26 @@ struct Column {
     if (e.m < max_m && e.deg < max_deg) ++right;
   }
   void print(const char* name) const {
-    std::printf("%-14s %5zu %9zu %6zu %9.2f %9.2f %9.2f %8.3f %7.3f %7.2f %6.2f\n", name, pairs, accepted, right,
-                median(ms), median(first_ms), median(second_ms), median(m), largest(m), median(deg), largest(deg));
+    std::printf("%-14s %5zu %9zu %6zu %9.2f %9.2f %9.2f %8.3f %7.3f %7.2f %6.2f\n", name, pairs, accepted,
+                right, median(ms), median(first_ms), median(second_ms), median(m), largest(m), median(deg),
+                largest(deg));
   }
 };
 
 void print_header() {
-  std::printf("%-14s %5s %9s %6s %9s %9s %9s %8s %7s %7s %6s\n", "", "pairs", "accepted", "right", "ms", "global",
-              "refine", "m", "max", "deg", "max");
+  std::printf("%-14s %5s %9s %6s %9s %9s %9s %8s %7s %7s %6s\n", "", "pairs", "accepted", "right", "ms",
+              "global", "refine", "m", "max", "deg", "max");
 }
 
 void print_ratio(const std::vector<double>& ours, const std::vector<double>& pcl, const char* what) {
   std::vector<double> ratio;
   for (std::size_t i = 0; i < std::min(ours.size(), pcl.size()); ++i) ratio.push_back(ours[i] / pcl[i]);
   const double r = median(ratio);
-  std::printf("%s: median of the pairs' ratios 1/%.1f, of the sums 1/%.1f\n", what, 1.0 / r,
-              [&] {
-                double a = 0, b = 0;
-                for (std::size_t i = 0; i < ratio.size(); ++i) a += ours[i], b += pcl[i];
-                return b / a;
-              }());
+  std::printf("%s: median of the pairs' ratios 1/%.1f, of the sums 1/%.1f\n", what, 1.0 / r, [&] {
+    double a = 0, b = 0;
+    for (std::size_t i = 0; i < ratio.size(); ++i) a += ours[i], b += pcl[i];
+    return b / a;
+  }());
 }
 
 /// Our own pair, timed with what belongs to the scans at hand: best of three, for it is short.
@@ -161,10 +162,11 @@ struct Preparation {
     for (std::size_t i = 0; i < ours.size(); ++i) {
       least.push_back(pcl_normals[i] + std::min(pcl_fpfh[i], pcl_harris[i] + pcl_fpfh_harris[i]));
     }
-    std::printf("preparation of a scan, ms: PCL voxels %.1f, normals %.1f, FPFH %.1f (Harris %.1f, FPFH there "
-                "%.1f); ours, voxels to descriptors %.1f\n",
-                median(pcl_voxel), median(pcl_normals), median(pcl_fpfh), median(pcl_harris),
-                median(pcl_fpfh_harris), median(ours));
+    std::printf(
+        "preparation of a scan, ms: PCL voxels %.1f, normals %.1f, FPFH %.1f (Harris %.1f, FPFH there "
+        "%.1f); ours, voxels to descriptors %.1f\n",
+        median(pcl_voxel), median(pcl_normals), median(pcl_fpfh), median(pcl_harris), median(pcl_fpfh_harris),
+        median(ours));
     print_ratio(ours, least, "preparation against PCL's normals and FPFH");
   }
 };
@@ -250,7 +252,8 @@ void session(const fs::path& folder, std::size_t pcl_every) {
       if (!result.verified()) std::printf("%lu-%lu: %s\n", from, to, result.message.c_str());
       if (pcl_every == 0 || number % pcl_every != 0) continue;
       fast_beside.ms.push_back(fast.ms.back());
-      const PclAlignment peers = peer(*pcl_scans[from], *pcl_scans[to], static_cast<unsigned>(number + 1), pcl);
+      const PclAlignment peers =
+          peer(*pcl_scans[from], *pcl_scans[to], static_cast<unsigned>(number + 1), pcl);
       pcl.judge(peers.accepted, error_of(peers.T_target_source, truth), 0.4, 1.2);
     }
   }
@@ -311,7 +314,8 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
   }
   for (std::uint64_t seed = 0; seed < starts; ++seed) {
     Rng rng(seed + 100);
-    Eigen::Vector3d shift(rng.normal(), rng.normal(), rng.normal()), axis(rng.normal(), rng.normal(), rng.normal());
+    Eigen::Vector3d shift(rng.normal(), rng.normal(), rng.normal()),
+        axis(rng.normal(), rng.normal(), rng.normal());
     Eigen::Isometry3d off = Eigen::Isometry3d::Identity();
     off.linear() = Eigen::AngleAxisd(10.0 * kDegree, axis.normalized()).toRotationMatrix();
     off.translation() = shift.normalized();
@@ -320,7 +324,8 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
     GicpResult result;
     for (int i = 0; i < 3; ++i) {
       const double begin = thread_seconds();
-      result = refine_gicp(source.cloud, order, target.cloud, target.tree, start, gicp_passes(2.0, 0.5, 600, 3000));
+      result = refine_gicp(source.cloud, order, target.cloud, target.tree, start,
+                           gicp_passes(2.0, 0.5, 600, 3000));
       best = std::min(best, 1e3 * (thread_seconds() - begin));
     }
     fast.add(0.0, best);

@@ -117,7 +117,8 @@ PclScan::PclScan(const PointCloud& cloud, double voxel_m, double fpfh_radius_m) 
 
   for (const pcl::Normal& normal : *impl->normals) {
     const Eigen::Vector3d n = normal.getNormalVector3fMap().cast<double>();
-    impl->covariances->push_back(Eigen::Matrix3d::Identity() - (n.allFinite() ? 0.999 : 0.0) * n * n.transpose());
+    impl->covariances->push_back(Eigen::Matrix3d::Identity() -
+                                 (n.allFinite() ? 0.999 : 0.0) * n * n.transpose());
     if (!impl->covariances->back().allFinite()) impl->covariances->back().setIdentity();
   }
 }

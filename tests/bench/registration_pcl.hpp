@@ -35,7 +35,8 @@ struct PclAlignment {
 
 /// SampleConsensusInitialAlignment with 500 hypotheses over all points or over Harris key points, then
 /// GeneralizedIterativeClosestPoint. Search structures, descriptors and covariances are there already.
-[[nodiscard]] PclAlignment pcl_align(const PclScan& source, const PclScan& target, bool harris, unsigned seed);
+[[nodiscard]] PclAlignment pcl_align(const PclScan& source, const PclScan& target, bool harris,
+                                     unsigned seed);
 
 struct PclGicpSettings {
   double reach_m = 1.0;

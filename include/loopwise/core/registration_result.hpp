@@ -34,6 +34,8 @@ enum class RejectionReason {
   kSacFitness,          ///< Feature-based stage: mean squared distance above the bound.
   kGicpFitness,         ///< Refinement: mean squared distance above the bound.
   kLowOverlap,          ///< Too small a share of the source lies on the target.
+  kInconsistent,        ///< The surfaces do not match in detail, or one scan lies in what the other saw free.
+  kAmbiguous,           ///< Another pose, far away, fits as well.
   kDegenerate,          ///< The scans leave too many directions of the relative pose free.
   kTransformThreshold,  ///< Moved too far from the graph's relative pose.
   kNotConverged,        ///< Refinement did not converge, or left the finite numbers.

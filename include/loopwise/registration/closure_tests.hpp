@@ -25,6 +25,8 @@ struct ClosureTestOptions {
   double overlap_distance_m = 0.5;
   double min_overlap = 0.4;
   double min_balanced_overlap = 0.22;
+  double plane_distance_m = 0.08;
+  double min_consistency = 0.0;
   int max_free_directions = 2;
   double max_translation_m = 20.0;
   double max_rotation_deg = 50.0;
@@ -52,6 +54,12 @@ struct ClosureTestOptions {
     field(
         "min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0),
         "The same where every direction of surfaces counts alike: ground on ground alone is not one place.");
+    field("plane_distance_m", self.plane_distance_m, above(0.0),
+          "A point whose distance along the target's normal is less lies on the same surface, m.");
+    field(
+        "min_consistency", self.min_consistency, between(0.0, 1.0),
+        "Share of such points among those that overlap, against that within the scans themselves, less three "
+        "times the share of points in what the other scan saw as free; 0: no test.");
     field("max_free_directions", self.max_free_directions, between(0.0, 6.0),
           "Closures with more directions whose deviation reaches max_sigma are refused; a round tunnel has "
           "two.");
@@ -82,6 +90,11 @@ struct AlignmentFigures {
   /// The same with agreeing normals (within 45°), as a mean over directions of the source's surfaces;
   /// directions with less than 5 % of the points count in proportion.
   double balanced_overlap = 0.0;
+  double on_plane = 0.0;           ///< Share of these within plane_distance_m.
+  double expected_on_plane = 1.0;  ///< The share among neighbours within the clouds, see surface_share().
+  /// Share of points that lie where the other scan saw free space, source and target added; 0 if not
+  /// measured.
+  double contradiction = 0.0;
   double plane_rmse_m = 0.0;     ///< Over overlapping points whose normals agree, along the target's.
   std::size_t plane_points = 0;  ///< How many these are.
   /// Gauss-Newton Hessian of ½ Σ (point-to-plane distance)² over T_from_to's right perturbation
@@ -98,6 +111,16 @@ struct AlignmentFigures {
                                                  const Eigen::Isometry3d& T_to_from,
                                                  const ClosureTestOptions& options);
 
+/// Share of points that lie within plane_distance_m of the plane through their nearest neighbour, of those
+/// whose neighbour lies within overlap_distance_m and has an agreeing normal: how smooth the surfaces are at
+/// the scan's spacing, hence what a right alignment can reach. 1 if there are none. Looks at 1000 points.
+[[nodiscard]] double surface_share(const PointCloud& cloud, const KdTree& tree,
+                                   const ClosureTestOptions& options);
+
+/// How well an alignment fits in detail, at most 1: on_plane − 3·contradiction. Corridors that look alike
+/// overlap; their roughness and their openings differ.
+[[nodiscard]] double consistency(const AlignmentFigures& figures);
+
 /// Directions, of six, that the points leave free within the bounds: their standard deviation would exceed
 /// max_sigma.
 [[nodiscard]] int free_directions(const AlignmentFigures& figures, const ClosureTestOptions& options);
@@ -108,8 +131,13 @@ struct AlignmentFigures {
 /// finite input.
 [[nodiscard]] Matrix6d closure_covariance(const AlignmentFigures& figures, const ClosureTestOptions& options);
 
+/// Raises the deviation of the translation along `direction` (unit, in the frame of T_from_to's perturbation)
+/// to at least `sigma_m`.
+void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, double sigma_m);
+
 /// Fills `result` from an alignment: figures, reason and message, or the closure with its covariance.
-/// Tests in order: finite, converged, fitness, overlap, free directions, distance from the guess.
+/// Tests in order: finite, converged, fitness, overlap, consistency, free directions, distance from the
+/// guess.
 void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
                      const AlignmentFigures& figures, bool converged,
                      const std::optional<Eigen::Isometry3d>& guess_from_to,

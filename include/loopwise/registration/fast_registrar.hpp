@@ -20,13 +20,24 @@ struct FastRegistrarOptions {
   int hypotheses = 40;
   int score_points = 300;
   double min_score = 0.15;
-  double sure_overlap = 0.6;
+  int refined_hypotheses = 3;
+  double sure_share = 0.6;
+  double ambiguous_share = 0.9;
+  double free_share = 0.7;
   double coarse_reach_m = 2.0;
   double fine_reach_m = 0.5;
   int coarse_points = 600;
   int fine_points = 3000;
   double max_descriptor_mb = 256.0;
-  ClosureTestOptions tests;
+  ClosureTestOptions tests = default_tests();
+
+  /// Unlike the reference's: detail decides, so scans may reach further beyond each other.
+  [[nodiscard]] static ClosureTestOptions default_tests() {
+    ClosureTestOptions tests;
+    tests.max_fitness_m2 = 1.5;
+    tests.min_consistency = 0.8;
+    return tests;
+  }
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -45,23 +56,31 @@ struct FastRegistrarOptions {
           "Source points that the comparison looks at.");
     field("min_score", self.min_score, between(0.0, 1.0),
           "Share of these on the target, nearer counting more, below which the pair is given up.");
-    field("sure_overlap", self.sure_overlap, between(0.0, 1.0),
-          "Balanced overlap at which an alignment from the graph's guess is taken without a global search.");
+    field("refined_hypotheses", self.refined_hypotheses, between(1.0, 100.0),
+          "Hypotheses, the best by that comparison, that are refined and compared in detail.");
+    field("sure_share", self.sure_share, between(0.0, 1.0),
+          "Share of the scored points on the target's surfaces at which a refined pose is taken at once.");
+    field("ambiguous_share", self.ambiguous_share, between(0.0, 2.0),
+          "A pair is refused if a second refined pose, more than 1 m or 5 degrees away, has this much of the "
+          "best one's share.");
+    field("free_share", self.free_share, between(0.0, 2.0),
+          "A direction is free if a metre along it this much of the points on surfaces remain there.");
     field("coarse_reach_m", self.coarse_reach_m, above(0.0),
           "Largest distance of matched points in the first pass, m.");
     field("fine_reach_m", self.fine_reach_m, above(0.0), "The same in the last pass, m.");
     field("coarse_points", self.coarse_points, at_least(10.0), "Source points in the first passes.");
     field("fine_points", self.fine_points, at_least(10.0), "Source points in the last pass.");
     field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0),
-          "Bound of the descriptors kept in memory, MB.");
+          "Bound of the submaps kept in memory, and as much again for their descriptors, MB.");
     ClosureTestOptions::visit(self.tests, field);
   }
 };
 
 /// Registration at an order of magnitude less cost than the reference, without random draws: the graph's
-/// guess first, where there is one; else mutual FPFH matches, consensus by second-order compatibility,
-/// hypotheses compared on the scans; then generalized ICP by Gauss-Newton from coarse to fine. Hopeless pairs
-/// end before the refinement. Thread-safe; what belongs to a scan is computed once.
+/// guess first, where there is one; else mutual FPFH matches, consensus by second-order compatibility, and
+/// the hypotheses that the guess allows compared on the scans. The best are refined by generalized ICP
+/// (Gauss-Newton, from coarse to fine) and compared by the share of points on the target's surfaces. Hopeless
+/// pairs end before that. Thread-safe; what belongs to a scan or a submap is computed once.
 class FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
@@ -70,8 +89,8 @@ class FastRegistrar final : public Registrar {
 
   [[nodiscard]] std::string_view name() const override { return "fast"; }
   [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override;
-  /// Computes what belongs to a scan now, which compute() otherwise does on first use. \throws what the loader
-  /// throws.
+  /// Computes what belongs to a scan now, which compute() otherwise does on first use. Does nothing if there
+  /// is no scan.
   void prepare(Key key) const;
 
  private:

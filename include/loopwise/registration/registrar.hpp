@@ -29,8 +29,9 @@ struct RegistrationTask {
   std::optional<Eigen::Isometry3d> guess_from_to;
   std::vector<SubmapMember> source;  ///< Centre: candidate.from, at least {from, identity}.
   std::vector<SubmapMember> target;  ///< Centre: candidate.to, e.g. with its neighbours along the odometry.
-  /// A submap takes its members nearest to the centre first and no more of them once it has this many downsampled
-  /// points: neighbours make up for sparse scans, and bring the odometry's error into dense ones. 0: all members.
+  /// A submap takes its members nearest to the centre first and no more of them once it has this many
+  /// downsampled points: neighbours make up for sparse scans, and bring the odometry's error into dense ones.
+  /// 0: all members.
   std::size_t enough_points = 0;
   std::uint64_t seed = 0;  ///< Of all random draws.
 };

@@ -33,10 +33,10 @@ struct TaskOptions {
 
 /// The task of a candidate in the graph's present state. Neighbours are found, and placed, along the chain of
 /// odometry edges within the node's robot, not by the estimate: a later optimisation never changes a submap.
-/// The candidate's other end is never a neighbour: its place there would be the odometry's, not a measurement.
-/// Where the chain ends, or `has_scan` (may be empty: all have) denies a scan, the neighbour is left out; the
-/// chain goes on past a missing scan. The seed is pair_seed(seed, from, to). \throws UnknownKeyError if the
-/// graph lacks a node of the candidate.
+/// The candidate's other end is never a neighbour: its place there would be the odometry's, not a
+/// measurement. Where the chain ends, or `has_scan` (may be empty: all have) denies a scan, the neighbour is
+/// left out; the chain goes on past a missing scan. The seed is pair_seed(seed, from, to). \throws
+/// UnknownKeyError if the graph lacks a node of the candidate.
 [[nodiscard]] RegistrationTask make_task(const PoseGraph& graph, const Robots& robots,
                                          const LoopCandidate& candidate, const TaskOptions& options,
                                          std::uint64_t seed, const std::function<bool(Key)>& has_scan = {});

@@ -1,0 +1,12 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "study.hpp"
+
+namespace loopwise::cli {
+
+void add_study(CLI::App& app, Action& chosen) {
+  CLI::App* command = app.add_subcommand("study", "Measure one part of the system against ground truth");
+  command->require_subcommand(1);
+  add_registration_study(*command, chosen);
+}
+
+}  // namespace loopwise::cli

@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "fpfh.hpp"
+
+namespace loopwise {
+
+/// Descriptors as 16-bit integers, 2^14 for 1, in the order that the comparison of all with all reads them
+/// in: blocks of kBlock descriptors, within a block pairs of components, within a pair the block's
+/// descriptors. Integers make the comparison exact, whatever the order of its sums, and four times as fast as
+/// floats on every x86-64.
+class PackedDescriptors {
+ public:
+  static constexpr std::size_t kBlock = 8;
+  static constexpr std::size_t kPairs = (kFpfhSize + 1) / 2;
+
+  PackedDescriptors() = default;
+  explicit PackedDescriptors(const Descriptors& descriptors);
+
+  [[nodiscard]] std::size_t size() const { return size_; }
+  [[nodiscard]] std::size_t blocks() const { return (size_ + kBlock - 1) / kBlock; }
+  /// 2·kBlock numbers for each pair of components. Descriptors past the end are zero.
+  [[nodiscard]] const std::int16_t* block(std::size_t b) const {
+    return packed_.data() + b * kPairs * 2 * kBlock;
+  }
+  [[nodiscard]] std::size_t bytes() const {
+    return sizeof(*this) + packed_.capacity() * sizeof(std::int16_t);
+  }
+
+ private:
+  std::size_t size_ = 0;
+  std::vector<std::int16_t> packed_;
+};
+
+/// A source descriptor and the target's most similar one.
+struct DescriptorMatch {
+  std::uint32_t source = 0;
+  std::uint32_t target = 0;
+  std::int32_t similarity = 0;  ///< Scalar product, 2^28 for equal ones.
+  bool mutual = false;          ///< The source's is also the most similar one to the target's.
+};
+
+/// One match for each source descriptor, in their order; the first of equal ones. None if a side is empty.
+[[nodiscard]] std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
+                                                             const PackedDescriptors& target);
+
+}  // namespace loopwise

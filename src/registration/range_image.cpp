@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "range_image.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace loopwise {
+namespace {
+
+constexpr int kColumns = 90, kRows = 45;
+constexpr float kPi = 3.14159265358979F;
+constexpr float kMarginM = 0.5F, kMarginShare = 0.05F;
+
+std::size_t cell_of(const Eigen::Vector3f& p, float range) {
+  const float azimuth = std::atan2(p.y(), p.x());
+  const float elevation = std::asin(std::clamp(p.z() / range, -1.0F, 1.0F));
+  const int column = static_cast<int>((azimuth + kPi) * (static_cast<float>(kColumns) / (2.0F * kPi)));
+  const int row = static_cast<int>((elevation + 0.5F * kPi) * (static_cast<float>(kRows) / kPi));
+  return static_cast<std::size_t>(std::clamp(column, 0, kColumns - 1) * kRows +
+                                  std::clamp(row, 0, kRows - 1));
+}
+
+}  // namespace
+
+RangeImage::RangeImage(const PointCloud& cloud)
+    : free_m_(std::size_t{kColumns} * kRows, std::numeric_limits<float>::infinity()),
+      seen_(free_m_.size(), 0) {
+  std::vector<float> nearest = free_m_;
+  for (const Eigen::Vector3f& p : cloud.points) {
+    const float range = p.norm();
+    if (!(range > 0.0F)) continue;
+    const std::size_t cell = cell_of(p, range);
+    nearest[cell] = std::min(nearest[cell], range);
+    seen_[cell] = 1;
+  }
+  for (int column = 0; column < kColumns; ++column) {
+    for (int row = 0; row < kRows; ++row) {
+      float& free = free_m_[static_cast<std::size_t>(column * kRows + row)];
+      for (int dc = -1; dc <= 1; ++dc) {
+        const int beside = (column + dc + kColumns) % kColumns;
+        for (int r = std::max(0, row - 1); r <= std::min(kRows - 1, row + 1); ++r) {
+          free = std::min(free, nearest[static_cast<std::size_t>(beside * kRows + r)]);
+        }
+      }
+    }
+  }
+}
+
+double RangeImage::contradiction(const PointCloud& cloud, const Eigen::Isometry3d& T_sensor_cloud,
+                                 std::size_t count) const {
+  if (free_m_.empty()) return 0.0;
+  const std::size_t looked_at = std::min(cloud.size(), count);
+  std::size_t seen = 0, free = 0;
+  for (std::size_t k = 0; k < looked_at; ++k) {
+    const Eigen::Vector3f p =
+        (T_sensor_cloud * cloud.points[k * cloud.size() / looked_at].cast<double>()).cast<float>();
+    const float range = p.norm();
+    if (!(range > kMarginM)) continue;  // the sensor itself stood here
+    const std::size_t cell = cell_of(p, range);
+    if (seen_[cell] == 0) continue;
+    ++seen;
+    if (range < free_m_[cell] * (1.0F - kMarginShare) - kMarginM) ++free;
+  }
+  return seen == 0 ? 0.0 : static_cast<double>(free) / static_cast<double>(seen);
+}
+
+}  // namespace loopwise

@@ -1,0 +1,33 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/keyed_scan.hpp>
+
+namespace loopwise {
+
+/// How far a sensor at the origin saw in each direction, on a grid of 4° by 4°: the space before that was
+/// free. Each cell keeps the nearest point of its surroundings, three cells by three, so that the edges of
+/// what was seen do not count as free.
+class RangeImage {
+ public:
+  RangeImage() = default;
+  explicit RangeImage(const PointCloud& cloud);
+
+  /// Share of the points, of those in directions that the sensor saw something in, that lie in free space by
+  /// more than 0.5 m and 5 % of the range. At most `count` points, evenly taken. 0 for a scan without points.
+  [[nodiscard]] double contradiction(const PointCloud& cloud, const Eigen::Isometry3d& T_sensor_cloud,
+                                     std::size_t count) const;
+
+  [[nodiscard]] std::size_t bytes() const { return sizeof(*this) + free_m_.capacity() * sizeof(float); }
+
+ private:
+  std::vector<float> free_m_;  // by cell; infinite where nothing was seen
+  std::vector<char> seen_;     // whether the cell itself holds a point
+};
+
+}  // namespace loopwise
