@@ -4,7 +4,6 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
-#include <limits>
 #include <map>
 #include <memory>
 #include <string>
@@ -16,6 +15,7 @@
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/problems.hpp>
+#include <loopwise/core/radio.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/scan_store.hpp>
@@ -37,23 +37,6 @@ struct CommunicationGap {
   std::size_t robot = 0;
   double begin_s = 0.0;
   double end_s = 0.0;
-};
-
-/// Power of one radio link from a node to a beacon, dBm.
-struct RadioReading {
-  Key key = 0;
-  std::string beacon;
-  double transmit_dbm = std::numeric_limits<double>::quiet_NaN();
-  std::string receiver;  ///< Antenna or channel: a node has one reading for each.
-  double receive_dbm = std::numeric_limits<double>::quiet_NaN();  ///< NaN: nothing received.
-};
-
-/// A radio beacon left behind by a robot at a node.
-struct BeaconDrop {
-  std::string beacon;
-  std::size_t robot = 0;
-  Key drop_key = 0;
-  std::int64_t stamp_ns = 0;
 };
 
 /// Everything recorded of a run of a team of robots, in one common frame.

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <map>
+#include <set>
+#include <string>
+#include <string_view>
+
+#include <utility>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/problems.hpp>
+#include <loopwise/core/radio.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/generation/candidate_generator.hpp>
+
+namespace loopwise {
+
+struct RadioOptions {
+  double max_loss_db = 60.0;
+  std::int64_t max_gap_nodes = 20;
+  std::int64_t max_waiting = 100000;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("max_loss_db", self.max_loss_db, above(0.0),
+          "A node is near a beacon if its mean path loss over the receivers is less than this, dB.");
+    field("max_gap_nodes", self.max_gap_nodes, at_least(1),
+          "Near nodes of one robot whose indices differ by at most this belong to one fly-by.");
+    field(
+        "max_waiting", self.max_waiting, at_least(0),
+        "Nodes with readings that may wait for their node or beacon to become known; beyond, the oldest go.");
+  }
+};
+
+/// Mean path loss transmit − receive over the receivers that heard something, dB; NaN if none did.
+[[nodiscard]] double mean_path_loss_db(const std::vector<RadioReading>& readings);
+
+/// Proposes pairs of nodes that passed the same radio beacon (paper §III-D). A node is *near* a beacon if its
+/// mean path loss is positive and less than a threshold. The node where a robot drops the beacon is fly-by 0.
+/// Near nodes of one robot whose indices lie close together form one **fly-by**; fly-bys are numbered in the
+/// order in which they begin, and robots that alternate at a beacon do not split each other's. On its way out
+/// the dropping robot is near as well: its first fly-by starts once it has left. Readings of other robots
+/// before the drop are ignored.
+///
+/// Each node of a fly-by is proposed against the nodes of all other fly-bys of that beacon that are known, in
+/// their order and the order of traversal. Nodes, readings and drops may come in any order: what is still
+/// missing is waited for.
+class RadioGenerator final : public CandidateGenerator {
+ public:
+  /// \throws OptionError
+  RadioGenerator(const RadioOptions& options, Robots robots);
+
+  [[nodiscard]] std::string_view name() const override { return "radio"; }
+
+  /// A beacon was dropped. A beacon that is known already stays as it is ("beacon dropped twice").
+  [[nodiscard]] std::vector<LoopCandidate> on_drop(const PoseGraph& graph, const BeaconDrop& drop,
+                                                   double time_s);
+
+  /// All readings of some nodes: those of one node and beacon must come together. Such that come again are
+  /// ignored. Readings of no robot's node are counted ("radio reading of no robot's node").
+  [[nodiscard]] std::vector<LoopCandidate> on_radio(const PoseGraph& graph,
+                                                    const std::vector<RadioReading>& readings, double time_s);
+
+  /// Takes up what waited for the node.
+  [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
+
+  /// Nodes with readings that wait for their node or their beacon.
+  [[nodiscard]] std::size_t waiting() const { return waiting_.size(); }
+  [[nodiscard]] const Problems& problems() const { return problems_; }
+
+ private:
+  struct FlyBy {
+    std::size_t robot;
+    std::uint64_t last_index;
+    std::vector<Key> nodes;
+  };
+  struct Beacon {
+    BeaconDrop drop;
+    bool departing = true;  ///< The dropping robot has not left yet.
+    std::uint64_t departed_index = 0;
+    std::vector<FlyBy> fly_bys;                  ///< From 1; fly-by 0 is the drop's node.
+    std::map<std::size_t, std::size_t> current;  ///< Robot -> its latest fly-by.
+    std::set<Key> seen;
+  };
+
+  void take_up(const PoseGraph& graph, double time_s, std::vector<LoopCandidate>& out);
+  void pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s, std::vector<LoopCandidate>& out);
+
+  RadioOptions options_;
+  Robots robots_;
+  std::map<std::string, Beacon> beacons_;
+  std::map<std::pair<Key, std::string>, std::size_t> waiting_;  ///< Near nodes -> number of arrival.
+  std::size_t arrivals_ = 0;
+  std::set<std::pair<Key, Key>> proposed_;
+  Problems problems_;
+};
+
+}  // namespace loopwise
