@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/registration/batch.hpp>
 
+#include <algorithm>
 #include <exception>
 #include <mutex>
+#include <numeric>
 #include <string>
+#include <tuple>
 
 namespace loopwise {
 namespace {
@@ -27,18 +30,29 @@ RegistrationResult compute_or_fail(const Registrar& registrar, const Registratio
 
 }  // namespace
 
-std::vector<std::optional<RegistrationResult>> compute_batch(const Registrar& registrar,
-                                                             const std::vector<RegistrationTask>& tasks,
-                                                             ThreadPool& pool, const StopToken& stop,
-                                                             const ProgressCallback& progress) {
+std::vector<std::optional<RegistrationResult>> compute_batch(
+    const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,
+    const StopToken& stop, const ProgressCallback& progress,
+    const std::function<void(const RegistrationResult&)>& on_result) {
   std::vector<std::optional<RegistrationResult>> results(tasks.size());
+  // Pairs with the same target run one after the other, so that it is at hand: a cache of any size then holds
+  // what the next pair needs. Results do not depend on the order.
+  std::vector<std::size_t> order(tasks.size());
+  std::iota(order.begin(), order.end(), 0);
+  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+    const LoopCandidate &x = tasks[a].candidate, &y = tasks[b].candidate;
+    return std::tie(x.to, x.from, a) < std::tie(y.to, y.from, b);
+  });
   std::mutex mutex;
   std::size_t accepted = 0, rejected = 0;
-  pool.for_each(tasks.size(), [&](std::size_t i) {
+  pool.for_each(tasks.size(), [&](std::size_t position) {
+    const std::size_t i = order[position];
     if (stop.stop_requested()) return;
     results[i] = compute_or_fail(registrar, tasks[i]);
-    if (!progress) return;
+    if (!progress && !on_result) return;
     const std::lock_guard<std::mutex> lock(mutex);
+    if (on_result) on_result(*results[i]);
+    if (!progress) return;
     ++(results[i]->verified() ? accepted : rejected);
     progress({"registering", accepted + rejected, tasks.size(),
               std::to_string(accepted) + " accepted, " + std::to_string(rejected) + " rejected"});

@@ -278,6 +278,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     return moved.translation().norm() <= options.tests.max_translation_m + options.coarse_reach_m &&
            se3::rotation_angle(moved) <= (options.tests.max_rotation_deg + 5.0) * kDegree;
   };
+  const double expected_share = 0.5 * (source.surface_share + target.surface_share);
   std::vector<Scored> refined;  // best first
   const auto refine_start = [&](const Eigen::Isometry3d& start) {
     const Stopwatch watch;
@@ -286,7 +287,8 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
         refine_gicp(source_cloud, source.order, target_cloud, target.submap.tree(), start, coarse_passes)
             .T_target_source;
     if (pose.T_target_source.matrix().allFinite() && allowed(pose.T_target_source)) {
-      pose.value = share_on_surface(source, scored_points, target, pose.T_target_source, options.tests);
+      pose.value = share_on_surface(source, scored_points, target, pose.T_target_source, options.tests) /
+                   expected_share;
       const auto worse = [&](const Scored& other) { return other.value < pose.value; };
       refined.insert(std::find_if(refined.begin(), refined.end(), worse), pose);
     }
@@ -300,7 +302,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
                                          best.T_target_source, fine_pass);
     AlignmentFigures figures = measure_alignment(source_cloud, target_cloud, target.submap.tree(),
                                                  final.T_target_source, options.tests);
-    figures.expected_on_plane = 0.5 * (source.surface_share + target.surface_share);
+    figures.expected_on_plane = expected_share;
     constexpr std::size_t kLookedAt = 1000;
     figures.contradiction = target.range_image.contradiction(source_cloud, final.T_target_source, kLookedAt) +
                             source.range_image.contradiction(target.submap.parts().front().features->cloud,
@@ -365,7 +367,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   if (!scored.empty()) result.T_from_to = scored.front().T_target_source.inverse();
   std::vector<Eigen::Isometry3d> starts;
   for (const Scored& s : scored) {
-    if (s.value < options.min_score || s.value < 0.6 * scored.front().value ||
+    if (s.value < options.min_score || s.value < 0.75 * scored.front().value ||
         starts.size() == static_cast<std::size_t>(options.refined_hypotheses)) {
       break;
     }

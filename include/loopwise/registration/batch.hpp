@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <functional>
 #include <optional>
 #include <vector>
 
@@ -14,8 +15,11 @@ namespace loopwise {
 /// Computes tasks on the pool, one task a thread. Results stand in the order of the tasks and do not depend
 /// on the number of threads. A registrar that throws gives RejectionReason::kFailed with the exception's
 /// message. After a stop request no further task is begun; tasks that were not begun have no result.
+/// `on_result` is told of each result as soon as it is there: in any order, one at a time, from any thread of
+/// the pool.
 [[nodiscard]] std::vector<std::optional<RegistrationResult>> compute_batch(
     const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,
-    const StopToken& stop = {}, const ProgressCallback& progress = {});
+    const StopToken& stop = {}, const ProgressCallback& progress = {},
+    const std::function<void(const RegistrationResult&)>& on_result = {});
 
 }  // namespace loopwise

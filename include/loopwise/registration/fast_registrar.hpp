@@ -21,7 +21,7 @@ struct FastRegistrarOptions {
   int score_points = 300;
   double min_score = 0.15;
   int refined_hypotheses = 3;
-  double sure_share = 0.6;
+  double sure_share = 0.5;
   double ambiguous_share = 0.9;
   double free_share = 0.7;
   double coarse_reach_m = 2.0;
@@ -59,7 +59,8 @@ struct FastRegistrarOptions {
     field("refined_hypotheses", self.refined_hypotheses, between(1.0, 100.0),
           "Hypotheses, the best by that comparison, that are refined and compared in detail.");
     field("sure_share", self.sure_share, between(0.0, 1.0),
-          "Share of the scored points on the target's surfaces at which a refined pose is taken at once.");
+          "Share of the scored points on the target's surfaces, against that within the scans themselves, at "
+          "which a refined pose is taken at once.");
     field("ambiguous_share", self.ambiguous_share, between(0.0, 2.0),
           "A pair is refused if a second refined pose, more than 1 m or 5 degrees away, has this much of the "
           "best one's share.");
