@@ -312,8 +312,8 @@ void write_growth(const std::vector<Growth>& families, const std::string& path) 
   const auto y = [&](double ms) { return kTop + kHeight * (1.0 - std::log10(ms) / kDecadesY); };
   std::ofstream out(path);
   out << std::fixed << std::setprecision(1);
-  out << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 830 430\" font-family=\"sans-serif\" "
-         "font-size=\"13\">\n<rect width=\"830\" height=\"430\" fill=\"white\"/>\n";
+  out << "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 860 430\" font-family=\"sans-serif\" "
+         "font-size=\"13\">\n<rect width=\"860\" height=\"430\" fill=\"white\"/>\n";
   const auto line = [&](double x1, double y1, double x2, double y2, const char* style) {
     out << "<line x1=\"" << x1 << "\" y1=\"" << y1 << "\" x2=\"" << x2 << "\" y2=\"" << y2 << "\" " << style
         << "/>\n";
@@ -334,7 +334,7 @@ void write_growth(const std::vector<Growth>& families, const std::string& path) 
   }
   text(kLeft + kWidth / 2, kTop + kHeight + 42, "middle", "poses");
   const char* dashes[] = {"", " stroke-dasharray=\"7 4\"", " stroke-dasharray=\"2 4\""};
-  const char* names[] = {"optimise", "marginals", "Ceres: optimise"};
+  const char* names[] = {"optimise", "marginals", "Ceres"};
   double legend = kTop + 10;
   for (const Growth& family : families) {
     for (std::size_t series = 1; series < 4; ++series) {
