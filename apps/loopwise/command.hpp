@@ -66,6 +66,7 @@ void add_config(CLI::App& app, Action& chosen);
 void add_evaluate(CLI::App& app, Action& chosen);
 void add_info(CLI::App& app, Action& chosen);
 void add_optimize(CLI::App& app, Action& chosen);
+void add_rank(CLI::App& app, Action& chosen);
 void add_register(CLI::App& app, Action& chosen);
 void add_replay(CLI::App& app, Action& chosen);
 void add_study(CLI::App& app, Action& chosen);

@@ -24,6 +24,7 @@ int main(int argc, char** argv) {
   add_info(app, chosen);
   add_replay(app, chosen);
   add_optimize(app, chosen);
+  add_rank(app, chosen);
   add_register(app, chosen);
   add_evaluate(app, chosen);
 #ifdef LOOPWISE_HAS_SIMULATION

@@ -23,7 +23,7 @@ struct Options {
   std::string output;
   std::string method, clock = "virtual", preset, robots, guess, registrar;
   std::optional<std::int64_t> batch, workers, max_registrations, skip_recent;
-  std::optional<double> registration_time;
+  std::optional<double> registration_time, gi_evaluation_time;
   std::vector<double> odometry_noise;
   std::optional<std::uint64_t> seed;
   bool after_mission = false;
@@ -45,6 +45,7 @@ Config configured(const Options& o) {
   if (o.workers) replay.workers = *o.workers;
   if (o.max_registrations) replay.max_registrations = *o.max_registrations;
   if (o.registration_time) replay.registration_time_s = *o.registration_time;
+  if (o.gi_evaluation_time) replay.gi_evaluation_time_s = *o.gi_evaluation_time;
   if (!o.odometry_noise.empty()) {
     replay.odometry_noise_m_per_m = o.odometry_noise[0];
     replay.odometry_noise_rad_per_m = o.odometry_noise[1];
@@ -201,7 +202,8 @@ void add_replay(CLI::App& app, Action& chosen) {
   command->add_option("-o,--output", options->output, "Folder for the results")->required()->type_name("DIR");
   command
       ->add_option("--method", options->method,
-                   "Order of the candidates: odom (none), baseline, random or obs")
+                   "Order of the candidates: odom (none), baseline, random, obs, gi, full (obs and gi), rssi, or "
+                   "several joined by +")
       ->type_name("M");
   command
       ->add_option("--preset", options->preset,
@@ -214,6 +216,10 @@ void add_replay(CLI::App& app, Action& chosen) {
   command
       ->add_option("--registration-time", options->registration_time,
                    "Mission time of one registration on one worker, s (default 1.3)")
+      ->type_name("S");
+  command
+      ->add_option("--gi-evaluation-time", options->gi_evaluation_time,
+                   "Mission time of one evaluation of graph information, s (default 0.02)")
       ->type_name("S");
   command
       ->add_option("--workers", options->workers,

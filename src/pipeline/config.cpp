@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/pipeline/config.hpp>
 
+#include <algorithm>
+
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/prioritization/baselines.hpp>
+#include <loopwise/prioritization/rssi.hpp>
 
 namespace loopwise {
 namespace {
@@ -52,10 +56,7 @@ void validate_config(const Config& config) {
     }
   });
   check_relations(config.generation, "generation");
-  const std::vector<std::string> methods = method_names();
-  if (std::find(methods.begin(), methods.end(), config.replay.method) == methods.end()) {
-    throw_unknown_name("method", config.replay.method, methods);
-  }
+  (void)method_parts(config.replay.method);
 }
 
 void read_config(const std::filesystem::path& path, Config& config) {
@@ -114,7 +115,31 @@ std::vector<ConfigEntry> describe_config(const Config& config) {
 }
 
 std::vector<std::string> method_names() {
-  return {"odom", "baseline", "random", "obs"};
+  return {"odom", "baseline", "random", "obs", "gi", "full", "rssi"};
+}
+
+std::vector<std::string> method_parts(const std::string& method) {
+  if (method == "odom") return {};
+  std::vector<std::string> asked;
+  for (std::size_t begin = 0; begin <= method.size();) {
+    const std::size_t end = std::min(method.find('+', begin), method.size());
+    const std::string word = method.substr(begin, end - begin);
+    const std::vector<std::string> names = method_names();
+    if (word == "odom" || std::find(names.begin(), names.end(), word) == names.end()) {
+      throw_unknown_name("method", method, names);
+    }
+    if (word == "full") {
+      asked.insert(asked.end(), {"obs", "gi"});
+    } else {
+      asked.push_back(word);
+    }
+    begin = end + 1;
+  }
+  std::vector<std::string> parts;
+  for (const char* name : {"baseline", "random", "obs", "gi", "rssi"}) {
+    if (std::find(asked.begin(), asked.end(), name) != asked.end()) parts.emplace_back(name);
+  }
+  return parts;
 }
 
 std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config& config,
@@ -131,17 +156,23 @@ std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config
 
 RoundRobinQueue make_queue(const Config& config, const Robots& robots,
                            const ObservabilityPrioritizer::Eigenvalue& eigenvalue) {
-  const std::string& method = config.replay.method;
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;
-  if (method == "baseline") {
-    prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
-  } else if (method == "random") {
-    prioritizers.push_back(std::make_unique<RandomPrioritizer>(config.replay.seed));
-  } else if (method == "obs") {
-    prioritizers.push_back(
-        std::make_unique<ObservabilityPrioritizer>(config.observability, robots, eigenvalue));
-  } else if (method != "odom") {
-    throw_unknown_name("method", method, method_names());
+  for (const std::string& part : method_parts(config.replay.method)) {
+    if (part == "baseline") {
+      prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+    } else if (part == "random") {
+      prioritizers.push_back(std::make_unique<RandomPrioritizer>(config.replay.seed));
+    } else if (part == "obs") {
+      prioritizers.push_back(
+          std::make_unique<ObservabilityPrioritizer>(config.observability, robots, eigenvalue));
+    } else if (part == "gi") {
+      GraphInformationOptions options = config.graph_information;
+      options.seed = combine_seeds(config.replay.seed, options.seed);
+      prioritizers.push_back(std::make_unique<GraphInformationPrioritizer>(options, config.closure_model,
+                                                                           config.annealing, config.greedy));
+    } else {
+      prioritizers.push_back(std::make_unique<RssiPrioritizer>());
+    }
   }
   return RoundRobinQueue(std::move(prioritizers));
 }

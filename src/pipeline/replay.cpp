@@ -78,8 +78,11 @@ class Run {
         known_(known),
         odometry_edges_(replay_odometry(mission, config.replay)),
         generator_(config.generation, mission.robots),
-        pool_(config.pool, make_queue(config, mission.robots,
-                                      [this](const KeyedScan& scan) { return eigenvalue(scan.key); })),
+        radio_(config.radio, mission.robots),
+        pool_(config.pool,
+              make_queue(config, mission.robots,
+                         [this](const KeyedScan& scan) { return eigenvalue(scan.key); }),
+              mission.robots),
         optimizer_(with_threads(config.optimization, threads.num_threads())) {
     for (std::size_t e = 0; e < odometry_edges_.size(); ++e) {
       edges_at_[odometry_edges_[e].from].push_back(e);
@@ -87,6 +90,14 @@ class Run {
     }
     for (std::size_t p = 0; p < mission.graph.priors().size(); ++p) {
       priors_at_[mission.graph.priors()[p].key].push_back(p);
+    }
+    const std::vector<std::string> parts = method_parts(config.replay.method);
+    with_radio_ = std::find(parts.begin(), parts.end(), "rssi") != parts.end();
+    if (with_radio_) {
+      for (const RadioReading& reading : mission.radio) readings_at_[reading.key].push_back(reading);
+      for (std::size_t b = 0; b < mission.beacons.size(); ++b) {
+        drops_at_[mission.beacons[b].drop_key].push_back(b);
+      }
     }
   }
 
@@ -149,12 +160,33 @@ class Run {
 
     // Generation sees each new node before its scan is announced, so that what waits for the scan is found at
     // once.
-    const std::vector<LoopCandidate> candidates = generator_.on_node(graph_, node.key, now_s_);
+    std::vector<LoopCandidate> candidates = generator_.on_node(graph_, node.key, now_s_);
+    if (with_radio_) {
+      // First, so that a pair that both propose counts as radio's.
+      std::vector<LoopCandidate> heard = radio_candidates(node.key);
+      candidates.insert(candidates.begin(), heard.begin(), heard.end());
+    }
     const std::size_t added = pool_.queue().prioritizers().empty() ? 0 : pool_.add(candidates);
     announce_scan(node);
     write(journal::key_frame_line(now_s_, node.key, added, pool_.accounting()));
     ++key_frames_;
     report();
+  }
+
+  /// A node comes with the beacons dropped there and what it heard.
+  std::vector<LoopCandidate> radio_candidates(Key key) {
+    std::vector<LoopCandidate> found;
+    const auto take = [&found](const std::vector<LoopCandidate>& more) {
+      found.insert(found.end(), more.begin(), more.end());
+    };
+    if (const auto drops = drops_at_.find(key); drops != drops_at_.end()) {
+      for (const std::size_t b : drops->second) take(radio_.on_drop(graph_, mission_.beacons[b], now_s_));
+    }
+    if (const auto readings = readings_at_.find(key); readings != readings_at_.end()) {
+      take(radio_.on_radio(graph_, readings->second, now_s_));
+    }
+    take(radio_.on_node(graph_, key, now_s_));
+    return found;
   }
 
   struct KnownNeighbour {
@@ -200,6 +232,13 @@ class Run {
       if (used >= bound) return;
       count = std::min(count, bound - used);
     }
+    if (pool_.accounting().pending == 0) return;
+    if (graph_.nodes().size() != announced_nodes_) pool_.on_graph(graph_);
+    announced_nodes_ = graph_.nodes().size();
+    // While the last batch was computed the next one could be improved: as far as mission time allowed.
+    const double evaluations = (now_s_ - batch_began_s_) / config_.replay.gi_evaluation_time_s;
+    pool_.improve(count, hooks_.stop, static_cast<std::uint64_t>(std::min(evaluations, 1e12)));
+    batch_began_s_ = now_s_;
     batch_ = pool_.take(count);
     if (batch_.empty()) return;
     ++result_.batches;
@@ -313,6 +352,7 @@ class Run {
     }
     result_.mission_time_s = now_s_;
     result_.problems.add(mission_.scans->problems());
+    result_.problems.add(radio_.problems());
     write(journal::end_line(now_s_, result_.interrupted, pool_.accounting()));
     result_.graph = std::move(graph_);
   }
@@ -360,6 +400,10 @@ class Run {
   std::unordered_map<Key, std::vector<std::size_t>> edges_at_;
   std::unordered_map<Key, std::vector<std::size_t>> priors_at_;
   ProximityGenerator generator_;
+  RadioGenerator radio_;
+  bool with_radio_ = false;
+  std::unordered_map<Key, std::vector<RadioReading>> readings_at_;
+  std::unordered_map<Key, std::vector<std::size_t>> drops_at_;
   CandidatePool pool_;
   PoseGraphOptimizer optimizer_;
 
@@ -369,7 +413,9 @@ class Run {
   double end_s_ = 0.0;
   std::vector<LoopCandidate> batch_;  ///< Being computed; empty when the computation is dry.
   std::vector<std::optional<RegistrationResult>> results_;  ///< Of the batch, by place.
-  std::size_t outstanding_ = 0;                             ///< Results of the batch still to come.
+  double batch_began_s_ = 0.0;
+  std::size_t announced_nodes_ = 0;  ///< Of the graph, when the prioritisers last saw it.
+  std::size_t outstanding_ = 0;      ///< Results of the batch still to come.
   std::uint64_t next_result_ = 0;
   std::vector<std::pair<std::size_t, std::size_t>>
       closure_edges_;  ///< Edge of the graph, place in `computed`.

@@ -54,6 +54,19 @@ std::size_t number(const Json& account, const char* name) {
   return account.at(name).get<std::size_t>();
 }
 
+/// The first robot drops a beacon at its third node; both pass it on their second round.
+Mission with_radio(Mission mission) {
+  mission.beacons.push_back({"beacon", 0, make_key('a', 2), mission.graph.node(make_key('a', 2)).stamp_ns});
+  for (const char robot : {'a', 'b'}) {
+    for (std::uint64_t i = 30; i < 34; ++i) {
+      for (const char* receiver : {"0", "1"}) {
+        mission.radio.push_back({make_key(robot, i), "beacon", 28.0, receiver, -20.0});
+      }
+    }
+  }
+  return mission;
+}
+
 /// Mean distance of the poses from the truth, no alignment.
 double mean_error(const Mission& mission, const PoseGraph& graph) {
   double sum = 0.0;
@@ -74,7 +87,7 @@ double mean_error(const Mission& mission, const std::vector<Eigen::Isometry3d>& 
 
 TEST_CASE("replay: the account balances at every event of the journal, for every method",
           "[pipeline][replay]") {
-  const Mission mission = two_circles();
+  const Mission mission = with_radio(two_circles());
   for (const std::string& method : method_names()) {
     CAPTURE(method);
     const Recorded run = replay(mission, fast_config(method));
@@ -103,8 +116,8 @@ TEST_CASE("replay: the account balances at every event of the journal, for every
 }
 
 TEST_CASE("replay: the same bits for any number of threads", "[pipeline][replay][threads]") {
-  const Mission mission = two_circles();
-  for (const char* method : {"obs", "random"}) {
+  const Mission mission = with_radio(two_circles());
+  for (const char* method : {"obs", "random", "gi", "full", "obs+gi+rssi"}) {
     const Recorded one = replay(mission, fast_config(method), 1);
     for (const int threads : {2, 4}) {
       const Recorded many = replay(mission, fast_config(method), threads);
@@ -376,6 +389,52 @@ TEST_CASE("config: sections, presets and assignments; errors name section and fi
     CAPTURE(assignment);
     REQUIRE_THROWS_AS(set_config_option(assignment, config), OptionError);
   }
+}
+
+TEST_CASE("replay: with full each prioritiser has its share of every batch while both have candidates",
+          "[pipeline][replay]") {
+  Config config = fast_config("full");
+  config.replay.batch = 7;
+  const Recorded run = replay(two_circles(), config);
+  REQUIRE(run.result.handed_out.size() == 2);
+  REQUIRE(run.result.handed_out[0].first == "obs");
+  REQUIRE(run.result.handed_out[1].first == "gi");
+  const std::size_t obs = run.result.handed_out[0].second, gi = run.result.handed_out[1].second;
+  REQUIRE(obs + gi >= 50);
+  REQUIRE(std::max(obs, gi) - std::min(obs, gi) <= 1);
+}
+
+TEST_CASE("replay: graph information spends the evaluations that fit into mission time",
+          "[pipeline][replay]") {
+  const Mission mission = two_circles();
+  Config config = fast_config("gi");
+  const auto order = [&] {
+    std::vector<std::pair<Key, Key>> pairs;
+    for (const ComputedCandidate& c : replay(mission, config).result.computed) {
+      pairs.emplace_back(c.result.candidate.from, c.result.candidate.to);
+    }
+    return pairs;
+  };
+  const auto usual = order();
+  REQUIRE(order() == usual);
+  config.replay.gi_evaluation_time_s = 1e6;  // none fits: greedy choice alone
+  const auto greedy_alone = order();
+  REQUIRE(greedy_alone.size() == usual.size());
+  config.graph_information.selector = SelectorKind::kGreedy;
+  REQUIRE(order() == greedy_alone);
+}
+
+TEST_CASE("replay: radio candidates come first with method rssi, all others are pruned",
+          "[pipeline][replay]") {
+  const Recorded run = replay(with_radio(two_circles()), fast_config("rssi"));
+  // Two fly-bys of four nodes: each against the drop, and against each other.
+  REQUIRE(run.result.computed.size() == 8 + 16);
+  for (const ComputedCandidate& c : run.result.computed) {
+    REQUIRE(c.result.candidate.source == CandidateSource::kRadio);
+  }
+  REQUIRE(run.result.pruned.at("not_radio") == run.result.accounting.pruned);
+  Config config = fast_config("obs+loud");
+  REQUIRE_THROWS_AS(validate_config(config), OptionError);
 }
 
 }  // namespace loopwise

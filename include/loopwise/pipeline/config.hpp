@@ -12,10 +12,12 @@
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/generation/proximity.hpp>
+#include <loopwise/generation/radio.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/optimizer.hpp>
 #include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/prioritization/graph_information.hpp>
 #include <loopwise/prioritization/observability.hpp>
 #include <loopwise/registration/fast_registrar.hpp>
 #include <loopwise/registration/pcl_registrar.hpp>
@@ -46,6 +48,7 @@ struct ReplayOptions {
   double registration_time_s = 1.3;
   std::int64_t workers = 10;
   std::int64_t max_registrations = 0;
+  double gi_evaluation_time_s = 0.02;
   bool after_mission = false;
   RegistrarKind registrar = RegistrarKind::kFast;
   GuessSource guess = GuessSource::kEstimate;
@@ -55,14 +58,19 @@ struct ReplayOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("method", self.method, any_value(),
-          "What decides the order: odom (no closures), baseline, random or obs.");
+    field(
+        "method", self.method, any_value(),
+        "What decides the order: odom (no closures), baseline, random, obs, gi, full (obs and gi), rssi, or "
+        "several of them joined by +.");
     field("batch", self.batch, at_least(1), "Candidates handed out each time the computation runs dry.");
     field("registration_time_s", self.registration_time_s, above(0.0),
           "Mission time that one registration takes on one worker, s.");
     field("workers", self.workers, at_least(1), "Registrations that run at a time on the mission's clock.");
     field("max_registrations", self.max_registrations, at_least(0),
           "The run ends after this many; 0: no bound.");
+    field("gi_evaluation_time_s", self.gi_evaluation_time_s, above(0.0),
+          "Mission time of one evaluation while graph information improves its next set, s: as many as fit "
+          "between two batches.");
     field("after_mission", self.after_mission, any_value(),
           "Go on after the last key frame until nothing is pending.");
     field("registrar", self.registrar, any_value(), "What computes the candidates: fast or pcl.");
@@ -81,9 +89,14 @@ struct ReplayOptions {
 struct Config {
   MissionOptions mission;
   ProximityOptions generation;
+  RadioOptions radio;
   FeatureOptions features;
   CandidatePoolOptions pool;
   ObservabilityPriorityOptions observability;
+  GraphInformationOptions graph_information;
+  ClosureModelOptions closure_model;
+  AnnealingOptions annealing;
+  GreedyOptions greedy;
   TaskOptions task;
   FastRegistrarOptions fast_registrar;
   PclRegistrarOptions pcl_registrar;
@@ -96,9 +109,14 @@ struct Config {
   static void visit_sections(Self& self, Visitor&& visitor) {
     visitor("mission", self.mission);
     visitor("generation", self.generation);
+    visitor("radio", self.radio);
     visitor("features", self.features);
     visitor("pool", self.pool);
     visitor("observability", self.observability);
+    visitor("graph_information", self.graph_information);
+    visitor("closure_model", self.closure_model);
+    visitor("annealing", self.annealing);
+    visitor("greedy", self.greedy);
     visitor("task", self.task);
     visitor("fast_registrar", self.fast_registrar);
     visitor("pcl_registrar", self.pcl_registrar);
@@ -130,6 +148,10 @@ struct ConfigEntry {
 
 /// The methods that ReplayOptions::method names.
 [[nodiscard]] std::vector<std::string> method_names();
+
+/// The prioritisers of a method by name, in the order of their turns: "full" and "gi+obs" are obs and gi,
+/// "odom" is none. \throws OptionError naming the methods there are.
+[[nodiscard]] std::vector<std::string> method_parts(const std::string& method);
 
 /// The registrar of a kind over these features. \throws OptionError if this build has it not.
 [[nodiscard]] std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config& config,
