@@ -12,9 +12,11 @@ std::size_t CandidatePool::PairHash::operator()(const std::pair<Key, Key>& pair)
   return static_cast<std::size_t>(combine_seeds(pair.first, pair.second));
 }
 
-CandidatePool::CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue)
-    : options_(options), queue_(std::move(queue)) {
+CandidatePool::CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots)
+    : options_(options), queue_(std::move(queue)), robots_(std::move(robots)) {
   validate(options_);
+  if (options_.redundant_m > 0.0 && robots_.empty())
+    throw OptionError("redundant_m needs to know the robots");
 }
 
 std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
@@ -127,8 +129,51 @@ void CandidatePool::expire_waiting() {
   accounting_.waiting = 0;
 }
 
+void CandidatePool::on_graph(const PoseGraph& graph) {
+  queue_.on_graph(graph);
+  if (options_.redundant_m <= 0.0) return;
+  for (const Node& node : graph.nodes()) positions_[node.key] = node.pose.translation();
+}
+
+std::optional<CandidatePool::Place> CandidatePool::place_of(Key from, Key to) const {
+  if (robots_.of(from) > robots_.of(to)) std::swap(from, to);
+  const auto first = positions_.find(from), second = positions_.find(to);
+  if (first == positions_.end() || second == positions_.end()) return std::nullopt;
+  return Place{{robots_.of(from), robots_.of(to)}, first->second, second->second};
+}
+
+bool CandidatePool::redundant(const LoopCandidate& candidate) const {
+  const auto here = place_of(candidate.from, candidate.to);
+  if (!here) return false;
+  const auto near = [this](const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
+    return (a - b).norm() <= options_.redundant_m;
+  };
+  return std::any_of(closed_.begin(), closed_.end(), [&](const std::pair<Key, Key>& closure) {
+    const auto there = place_of(closure.first, closure.second);
+    if (!there || there->robots != here->robots) return false;
+    if (near(here->first, there->first) && near(here->second, there->second)) return true;
+    return here->robots.first == here->robots.second && near(here->first, there->second) &&
+           near(here->second, there->first);
+  });
+}
+
 std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
-  std::vector<LoopCandidate> batch = queue_.take(count);
+  std::vector<LoopCandidate> batch;
+  while (batch.size() < count) {
+    const std::vector<LoopCandidate> taken = queue_.take(count - batch.size());
+    if (taken.empty()) break;
+    for (const LoopCandidate& candidate : taken) {
+      if (options_.redundant_m > 0.0 && redundant(candidate)) {
+        redundant_.push_back(candidate);
+      } else {
+        batch.push_back(candidate);
+      }
+    }
+  }
+  for (; batch.size() < count && !redundant_.empty(); redundant_.pop_front()) {
+    if (pending_.count(redundant_.front().id) != 0)
+      batch.push_back(redundant_.front());  // else it has expired
+  }
   for (const LoopCandidate& candidate : batch) {
     pending_.erase(candidate.id);
     in_flight_.emplace(candidate.id, candidate);
@@ -145,6 +190,7 @@ void CandidatePool::complete(const RegistrationResult& result) {
   }
   accounting_.in_flight = in_flight_.size();
   ++accounting_.computed;
+  if (result.verified()) closed_.emplace_back(result.candidate.from, result.candidate.to);
   queue_.on_result(result);
 }
 
@@ -155,6 +201,11 @@ void CandidatePool::give_back(const std::vector<LoopCandidate>& candidates) {
   }
   accounting_.in_flight = in_flight_.size();
   enqueue(returned);
+}
+
+std::optional<double> CandidatePool::oldest_pending_s() const {
+  if (pending_.empty()) return std::nullopt;
+  return pending_.begin()->second.time_s;  // ids count up in the order of generation
 }
 
 }  // namespace loopwise

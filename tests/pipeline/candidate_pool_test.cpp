@@ -158,4 +158,72 @@ TEST_CASE("pool: the account balances through random work", "[pipeline][pool][pr
   }
 }
 
+TEST_CASE("pool: what lies near a verified closure comes last", "[pipeline][pool]") {
+  const Robots robots = parse_robots("0-9,10-19,20-29");
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+  CandidatePoolOptions options;
+  options.redundant_m = 3.0;
+  REQUIRE_THROWS_AS(arrival_pool(options), OptionError);  // which robots?
+  CandidatePool pool(options, RoundRobinQueue(std::move(prioritizers)), robots);
+
+  // Each robot drives along x, a node every 2 m, 1 m beside the last one.
+  PoseGraph graph;
+  for (Key key = 0; key < 30; ++key) {
+    Node node;
+    node.key = key;
+    node.pose.translation() << 2.0 * static_cast<double>(key % 10), static_cast<double>(key / 10), 0.0;
+    graph.add_node(node);
+    pool.on_scan(scan_of(key));
+  }
+  pool.on_graph(graph);
+  pool.add({pair(15, 5)});
+  RegistrationResult closed = result_of(pool.take(1).at(0));
+  closed.reason = RejectionReason::kNone;
+  closed.closure = LoopClosure();
+  closed.closure->from = 15;
+  closed.closure->to = 5;
+  pool.complete(closed);
+
+  // Near: both ends within 3 m, also the other way round. Not: one end far, another robot.
+  pool.add({pair(16, 4), pair(6, 14), pair(17, 5), pair(25, 5), pair(19, 9)});
+  std::vector<std::pair<Key, Key>> order;
+  for (const std::size_t count : {2U, 3U}) {
+    const auto batch = pool.take(count);
+    REQUIRE(batch.size() == count);
+    for (const LoopCandidate& c : batch) order.emplace_back(c.from, c.to);
+    REQUIRE(pool.accounting().balanced());
+  }
+  REQUIRE(order == std::vector<std::pair<Key, Key>>{{17, 5}, {25, 5}, {19, 9}, {16, 4}, {6, 14}});
+}
+
+TEST_CASE("pool: a candidate put last expires like any other", "[pipeline][pool]") {
+  CandidatePoolOptions options;
+  options.redundant_m = 100.0;
+  options.max_age_s = 10.0;
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+  CandidatePool pool(options, RoundRobinQueue(std::move(prioritizers)), parse_robots("0-9"));
+  PoseGraph graph;
+  for (Key key = 0; key < 6; ++key) {
+    Node node;
+    node.key = key;
+    graph.add_node(node);
+    pool.on_scan(scan_of(key));
+  }
+  pool.on_graph(graph);
+  pool.add({pair(1, 0)});
+  RegistrationResult closed = result_of(pool.take(1).at(0));
+  closed.reason = RejectionReason::kNone;
+  closed.closure = LoopClosure();
+  pool.complete(closed);
+  pool.add({pair(2, 0, 1.0), pair(3, 0, 8.0), pair(4, 0, 8.0)});
+  REQUIRE(pool.oldest_pending_s() == 1.0);
+  REQUIRE(pool.take(1).at(0).from == 2);  // all are redundant: in their order
+  pool.expire(19.0);
+  REQUIRE(pool.accounting().expired == 2);
+  REQUIRE(pool.take(5).empty());
+  REQUIRE(pool.accounting().balanced());
+}
+
 }  // namespace loopwise

@@ -3,14 +3,20 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <deque>
 #include <limits>
 #include <map>
+#include <optional>
 #include <string>
 #include <unordered_map>
 #include <unordered_set>
+#include <utility>
 #include <vector>
 
+#include <Eigen/Core>
+
 #include <loopwise/core/options.hpp>
+#include <loopwise/core/robots.hpp>
 #include <loopwise/prioritization/round_robin_queue.hpp>
 
 namespace loopwise {
@@ -38,6 +44,7 @@ struct CandidatePoolOptions {
   double max_age_s = 0.0;
   double max_wait_s = 600.0;
   std::int64_t max_pending = 0;
+  double redundant_m = 0.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -47,6 +54,10 @@ struct CandidatePoolOptions {
           "Candidates whose scan has not come for this long expire, s; 0: never.");
     field("max_pending", self.max_pending, at_least(0.0),
           "Pending candidates beyond this number expire, oldest first; 0: no bound.");
+    field("redundant_m", self.redundant_m, at_least(0.0),
+          "Candidates with both ends this near those of a verified closure between the same robots come "
+          "last, m; 0: "
+          "they come in their turn.");
   }
 };
 
@@ -54,8 +65,8 @@ struct CandidatePoolOptions {
 /// are not here yet, feeds the queue and keeps the account. For one thread at a time.
 class CandidatePool {
  public:
-  /// \throws OptionError
-  CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue);
+  /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
+  CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});
 
   /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before is
   /// ignored. \returns how many were new.
@@ -64,7 +75,7 @@ class CandidatePool {
   /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
   /// pending.
   void on_scan(const KeyedScan& scan);
-  void on_graph(const PoseGraph& graph) { queue_.on_graph(graph); }
+  void on_graph(const PoseGraph& graph);
 
   /// Expires what is too old, waits too long, or exceeds the cap at mission time `now_s`.
   void expire(double now_s);
@@ -84,6 +95,8 @@ class CandidatePool {
   /// Candidates in flight that will not be computed after all become pending again.
   void give_back(const std::vector<LoopCandidate>& candidates);
 
+  /// Mission time at which the oldest pending candidate was generated, if any is.
+  [[nodiscard]] std::optional<double> oldest_pending_s() const;
   [[nodiscard]] const CandidateAccounting& accounting() const { return accounting_; }
   /// How many were pruned or expired, by reason.
   [[nodiscard]] const std::map<std::string, std::size_t>& pruned_reasons() const { return pruned_reasons_; }
@@ -95,11 +108,19 @@ class CandidatePool {
     std::size_t operator()(const std::pair<Key, Key>& pair) const;
   };
 
+  /// The two ends, the one of the lower robot first; nothing if a position is unknown.
+  struct Place {
+    std::pair<std::size_t, std::size_t> robots;
+    Eigen::Vector3d first, second;
+  };
+  [[nodiscard]] std::optional<Place> place_of(Key from, Key to) const;
+  [[nodiscard]] bool redundant(const LoopCandidate& candidate) const;
   void enqueue(const std::vector<LoopCandidate>& candidates);
   void drop_pending(const std::vector<CandidateId>& ids, const std::string& reason);
 
   CandidatePoolOptions options_;
   RoundRobinQueue queue_;
+  Robots robots_;
   CandidateAccounting accounting_;
   CandidateId next_id_ = 0;
   std::unordered_set<std::pair<Key, Key>, PairHash> proposed_;
@@ -108,6 +129,9 @@ class CandidatePool {
   std::unordered_map<Key, std::vector<CandidateId>> waiting_for_;  // missing scan -> candidates, in order
   std::map<CandidateId, LoopCandidate> pending_;
   std::map<CandidateId, LoopCandidate> in_flight_;
+  std::unordered_map<Key, Eigen::Vector3d> positions_;  // by the last estimate; kept for redundant_m alone
+  std::vector<std::pair<Key, Key>> closed_;
+  std::deque<LoopCandidate> redundant_;  // pending, but in no prioritiser any more
   std::map<std::string, std::size_t> pruned_reasons_;
   std::map<std::string, std::size_t> expired_reasons_;
 };
