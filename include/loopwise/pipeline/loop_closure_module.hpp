@@ -1,0 +1,187 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// The online system: fed by a SLAM stack as its robots drive, it finds, orders and computes loop closures
+/// beside the stack's own work.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/registration_result.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/pipeline/config.hpp>
+#include <loopwise/prioritization/prioritizer.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+struct ModuleOptions {
+  std::string method = "full";
+  std::int64_t batch = 50;
+  int threads = 0;
+  std::int64_t queue_capacity = 1024;
+  bool back_end = true;
+  bool proximity = true;
+  double max_factor_wait_s = 600.0;
+  std::uint64_t seed = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("method", self.method, any_value(), "What decides the order, as for a replay.");
+    field("batch", self.batch, at_least(1), "Candidates handed out each time the computation runs dry.");
+    field("threads", self.threads, between(0, 1024), "That compute registrations; 0: one per processor.");
+    field("queue_capacity", self.queue_capacity, at_least(1),
+          "Events that wait to be taken in; whoever adds more is held until there is room.");
+    field("back_end", self.back_end, any_value(),
+          "Optimise the graph after each batch with a closure. Without, set_estimate() brings the poses.");
+    field("proximity", self.proximity, any_value(),
+          "Propose nodes that are near. Without, candidates come from add_candidates() and radio alone.");
+    field("max_factor_wait_s", self.max_factor_wait_s, at_least(0.0),
+          "Factors to nodes that have not come for this long (stamps, s) are dropped and counted; 0: never.");
+    field("seed", self.seed, at_least(0), "Of everything random.");
+  }
+};
+
+/// A node as a front end hands it over, all at once or with factors and scan following later.
+struct KeyFrame {
+  /// The pose counts for a robot's first node only, and where no odometry leads to the node.
+  Node node;
+  std::vector<Edge> factors;  ///< Odometry from the previous node, by kind; other edges are closures.
+  std::vector<PriorFactor> priors;
+  std::shared_ptr<const PointCloud> cloud;  ///< Null: add_scan() brings it later, or nobody does.
+};
+
+/// Poses and, where known, marginal covariances from a back end other than ours.
+struct ExternalEstimate {
+  std::map<Key, Eigen::Isometry3d> poses;
+  std::map<Key, Matrix6d> covariances;  ///< Right perturbation, [translation, rotation].
+};
+
+/// What the back end, ours or another, made of the graph. Shared: it never changes.
+struct Estimate {
+  PoseGraph graph;             ///< As it was optimised: nodes added since are missing.
+  std::uint64_t revision = 0;  ///< Counts up.
+  std::size_t closures = 0;    ///< Of the edges, loop closures.
+  std::size_t inliers = 0;     ///< Of these, with a weight above 0.5.
+};
+
+/// Calls back from a thread of the module, one call at a time, in the order of events. They may call any
+/// add_* function of the module, but neither wait() nor stop(). Keep them short: the module waits for them.
+/// Any may be empty.
+struct ModuleCallbacks {
+  std::function<void(const LoopClosure& closure)> closure;       ///< A verified closure, not yet optimised.
+  std::function<void(const RegistrationResult& result)> result;  ///< Every computed candidate.
+  std::function<void(const std::shared_ptr<const Estimate>& estimate)> estimate;
+  std::function<void(const std::string& problem)> problem;  ///< Something was left out, and why.
+};
+
+/// Parts that a stack may bring of its own; what is left empty is made from the configuration.
+struct ModuleParts {
+  /// Where scans are read from. Empty: the module keeps the clouds that it is given in memory.
+  ScanLoader scans;
+  std::shared_ptr<const Registrar> registrar;
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+};
+
+/// How busy each stage is. Counts are since the start.
+struct ModuleStatistics {
+  std::size_t events_waiting = 0;    ///< Taken from producers, not handled yet.
+  std::size_t commands_waiting = 0;  ///< Between the graph and prioritisation.
+  std::size_t events = 0;            ///< Handled.
+  std::size_t producer_waits = 0;    ///< Times that a producer was held because of a full queue.
+  std::size_t batches = 0;
+  std::size_t optimizations = 0;
+  std::size_t improvements = 0;     ///< Times that prioritisation improved its next set meanwhile.
+  std::size_t factors_waiting = 0;  ///< For their nodes.
+  std::size_t factors_dropped = 0;
+  double computing_s = 0.0;                       ///< Wall time with a batch in computation, ...
+  double idle_s = 0.0;                            ///< ... and without, since the start.
+  double oldest_pending_s = 0.0;                  ///< Age of the oldest pending candidate by the stamps, s.
+  std::map<std::string, std::size_t> handed_out;  ///< By prioritiser.
+  CandidateAccounting candidates;
+};
+
+/// Generation, prioritisation, computation and back end in parallel:
+///
+///     add_*() ─► bounded queue ─► graph, generation ─► bounded queue ─► pool, prioritisation ─► batches
+///                                   ▲   │   ▲                                                     │
+///                       estimates ──┘   └───┴─────────── results ◄──────── computation ◄──────────┘
+///
+/// Prioritisation improves its next set while the computation is busy and is stopped when that runs dry; what
+/// arrives meanwhile is kept and delivered before the next set. All functions may be called from any thread
+/// at any moment. A full queue holds its producer until there is room: nothing is dropped. Unlike a replay's,
+/// the outcome depends on when things arrive and on how fast the machine is.
+///
+/// Bad input throws where it is handed over and leaves the module as it was.
+class LoopClosureModule {
+ public:
+  /// `config.replay` is not used: its place is taken by `options`.
+  /// \throws OptionError, also on options of parts that are made from `config`.
+  explicit LoopClosureModule(const Robots& robots, const ModuleOptions& options = {},
+                             const Config& config = {}, ModuleCallbacks callbacks = {},
+                             ModuleParts parts = {});
+  /// As stop().
+  ~LoopClosureModule();
+  LoopClosureModule(const LoopClosureModule&) = delete;
+  LoopClosureModule& operator=(const LoopClosureModule&) = delete;
+
+  /// Each add_* function \returns false if the module was stopped: then nothing was taken.
+
+  /// \throws InputError on a repeated key, numbers that are not finite or bad information; UnknownKeyError if
+  /// no robot owns the key.
+  bool add_key_frame(const KeyFrame& frame);
+  /// The cloud of a node, before or after the node itself. \throws InputError if it has one already or a
+  /// point is not finite; UnknownKeyError if no robot owns the key.
+  bool add_scan(Key key, std::shared_ptr<const PointCloud> cloud);
+  /// Edges and priors of nodes that have come or will. \throws InputError as PoseGraph does.
+  bool add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors = {});
+  /// Received powers, all of one node and beacon together, in any order with nodes and drops. Readings of
+  /// unknown nodes or beacons wait within RadioOptions' bound. \throws UnknownKeyError if no robot owns a
+  /// key.
+  bool add_radio(const std::vector<RadioReading>& readings);
+  /// \throws UnknownKeyError if no robot owns the drop's node.
+  bool add_beacon_drop(const BeaconDrop& drop);
+  /// From a place recognition of the stack's own; ids are given by the module, the order of the two keys does
+  /// not matter. Nodes that have not come are waited for, see CandidatePoolOptions::max_wait_s. \throws
+  /// InputError if a candidate joins a node with itself; UnknownKeyError if no robot owns a key.
+  bool add_candidates(const std::vector<LoopCandidate>& candidates);
+  /// Poses of a back end of the stack's own. Nodes that are not named move with the nearest named one before
+  /// them on their robot's path. \throws InputError if our back end is on, or a number is not finite.
+  bool set_estimate(const ExternalEstimate& estimate);
+  /// Takes out every closure between two nodes, as after a human's veto; the pair is not computed again.
+  bool remove_closure(Key from, Key to);
+
+  /// Waits until all that was added is handled, nothing is pending or being computed, and the estimate is up
+  /// to date. \returns false if the module was stopped instead.
+  bool wait();
+
+  /// Ends all work soon and joins the threads; what was being computed is finished, what was pending stays so
+  /// in the account. May be called more than once and from any thread but the callbacks'.
+  void stop();
+
+  /// The last estimate; null before the first.
+  [[nodiscard]] std::shared_ptr<const Estimate> estimate() const;
+  /// The graph as it is now: all nodes, factors and verified closures with their last weights.
+  [[nodiscard]] PoseGraph graph() const;
+  [[nodiscard]] ModuleStatistics statistics() const;
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,949 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/pipeline/loop_closure_module.hpp>
+
+#include <algorithm>
+#include <condition_variable>
+#include <exception>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <thread>
+#include <unordered_map>
+#include <unordered_set>
+#include <variant>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/features/feature_cache.hpp>
+#include <loopwise/generation/proximity.hpp>
+#include <loopwise/generation/radio.hpp>
+#include <loopwise/optimization/gnc.hpp>
+#include <loopwise/registration/batch.hpp>
+#include <loopwise/registration/task.hpp>
+
+#include "mailbox.hpp"
+
+namespace loopwise {
+namespace {
+
+using SharedGraph = std::shared_ptr<const PoseGraph>;
+
+// ---- what the graph's thread is told
+
+struct ScanEvent {
+  KeyedScan scan;
+};
+struct FactorEvent {
+  std::vector<Edge> edges;
+  std::vector<PriorFactor> priors;
+};
+struct RadioEvent {
+  std::vector<RadioReading> readings;
+};
+struct CandidateEvent {
+  std::vector<LoopCandidate> candidates;
+};
+struct RemovalEvent {
+  Key from, to;
+};
+struct BatchEvent {  // prioritisation has chosen
+  std::vector<LoopCandidate> candidates;
+};
+struct BatchDoneEvent {
+  std::vector<LoopCandidate> not_computed;
+};
+struct EstimateEvent {  // the back end is done
+  GncResult gnc;
+  std::uint64_t removals;
+  bool stopped;
+};
+struct GraphWantedEvent {};  // prioritisation holds candidates of nodes that it does not know
+struct ProblemEvent {
+  std::string text;
+};
+using Event = std::variant<KeyFrame, ScanEvent, FactorEvent, RadioEvent, BeaconDrop, CandidateEvent,
+                           ExternalEstimate, RemovalEvent, BatchEvent, RegistrationResult, BatchDoneEvent,
+                           EstimateEvent, GraphWantedEvent, ProblemEvent>;
+
+// ---- what prioritisation is told
+
+struct AddCommand {
+  std::vector<LoopCandidate> candidates;
+};
+struct ScanCommand {
+  KeyedScan scan;
+};
+struct GraphCommand {
+  SharedGraph graph;
+};
+struct ResultCommand {
+  RegistrationResult result;
+};
+struct TimeCommand {
+  double now_s;
+};
+struct DryCommand {  // the computation has nothing to do
+  std::vector<LoopCandidate> not_computed;
+};
+using Command = std::variant<AddCommand, ScanCommand, GraphCommand, ResultCommand, TimeCommand, DryCommand>;
+
+struct BackEndJob {
+  PoseGraph graph;
+  std::uint64_t removals;
+};
+
+template <class... Functions>
+struct Overloaded : Functions... {
+  using Functions::operator()...;
+};
+template <class... Functions>
+Overloaded(Functions...) -> Overloaded<Functions...>;
+
+void check_edge(const Edge& edge) {
+  if (edge.from == edge.to) throw InputError("edge from node " + key_name(edge.from) + " to itself");
+  PoseGraph scratch;
+  for (const Key key : {edge.from, edge.to}) {
+    Node node;
+    node.key = key;
+    scratch.add_node(node);
+  }
+  scratch.add_edge(edge);
+}
+
+void check_prior(const PriorFactor& prior) {
+  PoseGraph scratch;
+  Node node;
+  node.key = prior.key;
+  scratch.add_node(node);
+  scratch.add_prior(prior);
+}
+
+void check_cloud(Key key, const PointCloud& cloud) {
+  for (const Eigen::Vector3f& p : cloud.points) {
+    if (!p.allFinite()) throw InputError("scan of node " + key_name(key) + ": a point is not finite");
+  }
+}
+
+Config module_config(Config config, const ModuleOptions& options) {
+  config.replay = ReplayOptions();
+  config.replay.method = options.method;
+  config.replay.batch = options.batch;
+  config.replay.seed = options.seed;
+  return config;
+}
+
+RoundRobinQueue module_queue(const Config& config, const Robots& robots, FeatureCache& features,
+                             std::vector<std::unique_ptr<Prioritizer>> own) {
+  if (!own.empty()) return RoundRobinQueue(std::move(own));
+  return make_queue(config, robots, [&features, &config](const KeyedScan& scan) {
+    const auto of_scan = features.get(scan.key);
+    if (!of_scan) return 0.0;
+    return config.observability.variant == ObservabilityVariant::kLamp
+               ? of_scan->observability.min_eigenvalue_lamp
+               : of_scan->observability.min_eigenvalue;
+  });
+}
+
+}  // namespace
+
+class LoopClosureModule::Impl {
+ public:
+  Impl(const Robots& robots, const ModuleOptions& options, const Config& config, ModuleCallbacks callbacks,
+       ModuleParts parts)
+      : robots_(robots),
+        options_(options),
+        config_(module_config(config, options)),
+        callbacks_(std::move(callbacks)),
+        scans_(parts.scans),
+        features_(std::make_shared<FeatureCache>([this](Key key) { return load(key); }, config.features)),
+        registrar_(parts.registrar ? parts.registrar
+                                   : make_registrar(RegistrarKind::kFast, config_, features_)),
+        inbox_(static_cast<std::size_t>(options.queue_capacity)),
+        commands_(static_cast<std::size_t>(options.queue_capacity)),
+        jobs_(1),
+        batches_(1),
+        generator_(config_.generation, robots_),
+        radio_(config_.radio, robots_),
+        pool_(config_.pool, module_queue(config_, robots_, *features_, std::move(parts.prioritizers)),
+              robots_) {
+    prioritizes_ = !pool_.queue().prioritizers().empty();
+    for (const auto& prioritizer : pool_.queue().prioritizers()) names_.emplace_back(prioritizer->name());
+    computation_ = std::thread([this] { compute(); });
+    back_end_ = std::thread([this] { optimize(); });
+    prioritization_ = std::thread([this] { prioritize(); });
+    graph_thread_ = std::thread([this] { handle_events(); });
+  }
+
+  ~Impl() { stop(); }
+
+  // ---- producers' side
+
+  bool add_key_frame(const KeyFrame& frame) {
+    const Key key = frame.node.key;
+    static_cast<void>(robots_.of(key));
+    PoseGraph scratch;
+    scratch.add_node(frame.node);
+    for (const Edge& edge : frame.factors) check_edge(edge);
+    for (const PriorFactor& prior : frame.priors) check_prior(prior);
+    if (frame.cloud) check_cloud(key, *frame.cloud);
+    {
+      const std::lock_guard<std::mutex> lock(entry_mutex_);
+      if (nodes_seen_.count(key) != 0) throw InputError("node " + key_name(key) + " was added before");
+      if (frame.cloud) keep_scan(key, frame.cloud);
+      nodes_seen_.insert(key);
+    }
+    return post(frame);
+  }
+
+  bool add_scan(Key key, std::shared_ptr<const PointCloud> cloud) {
+    static_cast<void>(robots_.of(key));
+    if (!cloud) throw InputError("scan of node " + key_name(key) + " is a null pointer");
+    check_cloud(key, *cloud);
+    {
+      const std::lock_guard<std::mutex> lock(entry_mutex_);
+      keep_scan(key, cloud);
+    }
+    return post(ScanEvent{{key, 0, std::move(cloud)}});
+  }
+
+  bool add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors) {
+    for (const Edge& edge : edges) {
+      check_edge(edge);
+      static_cast<void>(robots_.of(edge.from));
+      static_cast<void>(robots_.of(edge.to));
+    }
+    for (const PriorFactor& prior : priors) {
+      check_prior(prior);
+      static_cast<void>(robots_.of(prior.key));
+    }
+    return post(FactorEvent{edges, priors});
+  }
+
+  bool add_radio(const std::vector<RadioReading>& readings) {
+    for (const RadioReading& reading : readings) static_cast<void>(robots_.of(reading.key));
+    return post(RadioEvent{readings});
+  }
+
+  bool add_beacon_drop(const BeaconDrop& drop) {
+    static_cast<void>(robots_.of(drop.drop_key));
+    return post(drop);
+  }
+
+  bool add_candidates(const std::vector<LoopCandidate>& candidates) {
+    for (const LoopCandidate& candidate : candidates) {
+      static_cast<void>(robots_.of(candidate.from));
+      static_cast<void>(robots_.of(candidate.to));
+      if (candidate.from == candidate.to) {
+        throw InputError("candidate from node " + key_name(candidate.from) + " to itself");
+      }
+    }
+    return post(CandidateEvent{candidates});
+  }
+
+  bool set_estimate(const ExternalEstimate& estimate) {
+    if (options_.back_end)
+      throw InputError("an estimate from outside needs ModuleOptions::back_end to be off");
+    for (const auto& [key, pose] : estimate.poses) {
+      if (!pose.matrix().allFinite())
+        throw InputError("estimate of node " + key_name(key) + " is not finite");
+    }
+    for (const auto& [key, covariance] : estimate.covariances) {
+      if (!covariance.allFinite()) throw InputError("covariance of node " + key_name(key) + " is not finite");
+    }
+    return post(estimate);
+  }
+
+  bool remove_closure(Key from, Key to) { return post(RemovalEvent{from, to}); }
+
+  bool wait() {
+    std::unique_lock<std::mutex> lock(work_mutex_);
+    work_done_.wait(lock, [this] { return work_ == 0 || stopping_; });
+    return !stopping_;
+  }
+
+  void stop() {
+    {
+      const std::lock_guard<std::mutex> lock(work_mutex_);
+      stopping_ = true;
+      work_done_.notify_all();
+    }
+    const std::lock_guard<std::mutex> lock(stop_mutex_);
+    if (!graph_thread_.joinable()) return;
+    stop_source_.request_stop();
+    interrupt_improvement();
+    inbox_.close();
+    graph_thread_.join();  // ends after all others but these two
+    batches_.close();
+    jobs_.close();
+    computation_.join();
+    back_end_.join();
+    const std::lock_guard<std::mutex> statistics_lock(statistics_mutex_);
+    statistics_.idle_s += watch_.seconds() - since_s_;
+    ended_ = true;
+  }
+
+  std::shared_ptr<const Estimate> estimate() const {
+    const std::lock_guard<std::mutex> lock(graph_mutex_);
+    return estimate_;
+  }
+
+  PoseGraph graph() const {
+    const std::lock_guard<std::mutex> lock(graph_mutex_);
+    return graph_;
+  }
+
+  ModuleStatistics statistics() const {
+    ModuleStatistics result;
+    {
+      const std::lock_guard<std::mutex> lock(statistics_mutex_);
+      result = statistics_;
+      if (!ended_) (busy_ ? result.computing_s : result.idle_s) += watch_.seconds() - since_s_;
+    }
+    result.events_waiting = inbox_.size();
+    result.commands_waiting = commands_.size();
+    return result;
+  }
+
+ private:
+  // ---- work that is under way: zero means that nothing will happen unless somebody adds something
+
+  void begin_work() {
+    const std::lock_guard<std::mutex> lock(work_mutex_);
+    ++work_;
+  }
+  void end_work() {
+    const std::lock_guard<std::mutex> lock(work_mutex_);
+    if (--work_ == 0) work_done_.notify_all();
+  }
+
+  bool post(Event event) {
+    begin_work();
+    // A callback runs in the thread that would make room.
+    const bool taken = std::this_thread::get_id() == graph_thread_id()
+                           ? inbox_.post_now(std::move(event))
+                           : inbox_.post(std::move(event), [this] {
+                               const std::lock_guard<std::mutex> lock(statistics_mutex_);
+                               ++statistics_.producer_waits;
+                             });
+    if (!taken) end_work();
+    return taken;
+  }
+
+  void post_inside(Event event) {
+    begin_work();
+    inbox_.post_inside(std::move(event));
+  }
+
+  [[nodiscard]] std::thread::id graph_thread_id() const {
+    const std::lock_guard<std::mutex> lock(statistics_mutex_);
+    return graph_thread_id_;
+  }
+
+  /// To prioritisation. Waits for room; an improvement that would let too much wait ends early.
+  void tell(Command command) {
+    begin_work();
+    const bool dry = std::holds_alternative<DryCommand>(command);
+    if (dry || 2 * commands_.size() >= static_cast<std::size_t>(options_.queue_capacity))
+      interrupt_improvement();
+    if (dry) {
+      commands_.post_inside(std::move(command));
+      interrupt_improvement();  // also one that has begun in between
+      return;
+    }
+    const bool taken = commands_.post(std::move(command), [this] { interrupt_improvement(); });
+    if (!taken) end_work();
+  }
+
+  void interrupt_improvement() {
+    const std::lock_guard<std::mutex> lock(improvement_mutex_);
+    improvement_.request_stop();
+  }
+
+  // ---- scans
+
+  /// With entry_mutex_ held.
+  void keep_scan(Key key, const std::shared_ptr<const PointCloud>& cloud) {
+    if (!scans_seen_.insert(key).second) throw InputError("node " + key_name(key) + " has a scan already");
+    if (!scans_) clouds_.emplace(key, cloud);
+  }
+
+  std::shared_ptr<const PointCloud> load(Key key) {
+    if (scans_) return scans_(key);
+    const std::lock_guard<std::mutex> lock(entry_mutex_);
+    const auto found = clouds_.find(key);
+    return found == clouds_.end() ? nullptr : found->second;
+  }
+
+  bool has_scan(Key key) {
+    const std::lock_guard<std::mutex> lock(entry_mutex_);
+    return scans_seen_.count(key) != 0;
+  }
+
+  // ---- the graph's thread
+
+  void handle_events() {
+    {
+      const std::lock_guard<std::mutex> lock(statistics_mutex_);
+      graph_thread_id_ = std::this_thread::get_id();
+    }
+    while (auto event = inbox_.next(/*expect_inside=*/computing_ || optimizing_)) {
+      try {
+        std::visit([this](auto&& e) { on(e); }, *event);
+      } catch (const std::exception& error) {
+        problem(error.what());
+      }
+      keep_busy();
+      {
+        const std::lock_guard<std::mutex> lock(statistics_mutex_);
+        ++statistics_.events;
+        statistics_.factors_waiting = waiting_edges_.size() + waiting_priors_.size();
+        statistics_.factors_dropped = factors_dropped_;
+      }
+      end_work();
+    }
+    // Stopped. A batch that was chosen at the last moment goes back.
+    commands_.close();
+    prioritization_.join();
+    while (auto event = inbox_.next(false)) {
+      if (const auto* batch = std::get_if<BatchEvent>(&*event)) pool_.give_back(batch->candidates);
+      if (const auto* left = std::get_if<ProblemEvent>(&*event)) on(*left);
+      end_work();
+    }
+    publish_account();
+  }
+
+  template <class Function>
+  void change_graph(Function&& function) {
+    const std::lock_guard<std::mutex> lock(graph_mutex_);
+    function();
+  }
+
+  template <class Callback, class... Arguments>
+  void call(const Callback& callback, const Arguments&... arguments) {
+    if (!callback) return;
+    try {
+      callback(arguments...);
+    } catch (const std::exception& error) {
+      problem(std::string("a callback threw: ") + error.what());
+    } catch (...) {
+      problem("a callback threw something that is not a std::exception");
+    }
+  }
+
+  void problem(const std::string& text) {
+    if (!callbacks_.problem) return;
+    try {
+      callbacks_.problem(text);
+    } catch (...) {  // nobody is left to tell
+    }
+  }
+
+  void on(const KeyFrame& frame) {
+    Node node = frame.node;
+    node.covariance.reset();
+    if (!frame.priors.empty() && frame.priors.front().key == node.key) {
+      node.pose = frame.priors.front().pose;
+    } else {
+      for (const Edge& edge : frame.factors) {
+        const bool forward = edge.to == node.key;
+        if (edge.kind != EdgeKind::kOdometry || (!forward && edge.from != node.key)) continue;
+        const auto other = graph_.find(forward ? edge.from : edge.to);
+        if (!other) continue;
+        node.pose = se3::normalized(graph_.nodes()[*other].pose *
+                                    (forward ? edge.T_from_to : edge.T_from_to.inverse()));
+        break;
+      }
+    }
+    if (graph_.empty()) first_stamp_ns_ = node.stamp_ns;
+    now_s_ = std::max(now_s_, static_cast<double>(node.stamp_ns - first_stamp_ns_) * 1e-9);
+    change_graph([&] { graph_.add_node(node); });
+    graph_is_new_ = true;
+    add_factors_now(frame.factors, frame.priors);
+    retry_factors(node.key);
+
+    propose(radio_.on_node(graph_, node.key, now_s_));
+    if (options_.proximity && prioritizes_) {
+      propose(generator_.on_node(graph_, node.key, now_s_));
+    }
+    if (const auto early = early_scans_.find(node.key); early != early_scans_.end()) {
+      announce({node.key, node.stamp_ns, early->second});
+      early_scans_.erase(early);
+    } else if (frame.cloud) {
+      announce({node.key, node.stamp_ns, frame.cloud});
+    }
+    drop_old_factors();
+    if (prioritizes_) tell(TimeCommand{now_s_});
+  }
+
+  void on(const ScanEvent& event) {
+    if (const auto node = graph_.find(event.scan.key)) {
+      announce({event.scan.key, graph_.nodes()[*node].stamp_ns, event.scan.cloud});
+    } else {
+      early_scans_.emplace(event.scan.key, event.scan.cloud);
+    }
+  }
+
+  void announce(const KeyedScan& scan) {
+    if (prioritizes_) tell(ScanCommand{scan});
+  }
+
+  void on(const FactorEvent& event) { add_factors_now(event.edges, event.priors); }
+
+  void add_factors_now(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors) {
+    for (const Edge& edge : edges) {
+      if (!graph_.contains(edge.from) || !graph_.contains(edge.to)) {
+        waiting_edges_.emplace(graph_.contains(edge.from) ? edge.to : edge.from, std::pair(now_s_, edge));
+        continue;
+      }
+      change_graph([&] { graph_.add_edge(edge); });
+      if (edge.kind == EdgeKind::kLoopClosure) wants_estimate_ = true;
+    }
+    for (const PriorFactor& prior : priors) {
+      if (graph_.contains(prior.key)) {
+        change_graph([&] { graph_.add_prior(prior); });
+      } else {
+        waiting_priors_.emplace(prior.key, std::pair(now_s_, prior));
+      }
+    }
+  }
+
+  void retry_factors(Key key) {
+    std::vector<Edge> edges;
+    std::vector<PriorFactor> priors;
+    for (auto [i, end] = waiting_edges_.equal_range(key); i != end; ++i) edges.push_back(i->second.second);
+    for (auto [i, end] = waiting_priors_.equal_range(key); i != end; ++i) priors.push_back(i->second.second);
+    waiting_edges_.erase(key);
+    waiting_priors_.erase(key);
+    add_factors_now(edges, priors);
+  }
+
+  void drop_old_factors() {
+    constexpr double kCheckEvery = 1.0;  // s; a check looks at all that wait
+    if (options_.max_factor_wait_s <= 0.0 || now_s_ < next_factor_check_s_) return;
+    next_factor_check_s_ = now_s_ + kCheckEvery;
+    const auto drop = [this](auto& waiting) {
+      for (auto i = waiting.begin(); i != waiting.end();) {
+        if (now_s_ - i->second.first <= options_.max_factor_wait_s) {
+          ++i;
+          continue;
+        }
+        problem("a factor of node " + key_name(i->first) + " was dropped: the node did not come");
+        i = waiting.erase(i);
+        ++factors_dropped_;
+      }
+    };
+    drop(waiting_edges_);
+    drop(waiting_priors_);
+  }
+
+  void on(const RadioEvent& event) { propose(radio_.on_radio(graph_, event.readings, now_s_)); }
+
+  void on(const BeaconDrop& drop) { propose(radio_.on_drop(graph_, drop, now_s_)); }
+
+  void on(const CandidateEvent& event) {
+    std::vector<LoopCandidate> candidates = event.candidates;
+    for (LoopCandidate& candidate : candidates) {
+      candidate.source = CandidateSource::kUser;
+      candidate.time_s = now_s_;
+      const auto from = graph_.find(candidate.from), to = graph_.find(candidate.to);
+      if (from && to && graph_.nodes()[*from].stamp_ns < graph_.nodes()[*to].stamp_ns) {
+        std::swap(candidate.from, candidate.to);
+      }
+    }
+    propose(candidates);
+  }
+
+  void propose(std::vector<LoopCandidate> candidates) {
+    if (candidates.empty() || !prioritizes_) return;
+    tell(AddCommand{std::move(candidates)});
+  }
+
+  void on(const BatchEvent& event) {
+    std::vector<RegistrationTask> tasks;
+    for (const LoopCandidate& candidate : event.candidates) {
+      try {
+        tasks.push_back(make_task(graph_, robots_, candidate, config_.task, options_.seed,
+                                  [this](Key key) { return has_scan(key); }));
+      } catch (const Error& error) {  // from a prioritiser that hands out what it was not given
+        RegistrationResult failed;
+        failed.candidate = candidate;
+        failed.reason = RejectionReason::kFailed;
+        failed.message = error.what();
+        post_inside(std::move(failed));
+      }
+    }
+    computing_ = true;
+    set_busy(true);
+    begin_work();
+    batches_.post_inside(std::move(tasks));
+  }
+
+  void on(const RegistrationResult& result) {
+    if (result.verified() && vetoed_.count(std::minmax(result.candidate.from, result.candidate.to)) == 0) {
+      change_graph([&] { graph_.add_closure(*result.closure); });
+      wants_estimate_ = true;
+      call(callbacks_.closure, *result.closure);
+    }
+    call(callbacks_.result, result);
+    tell(ResultCommand{result});
+  }
+
+  void on(const BatchDoneEvent& event) {
+    computing_ = false;
+    set_busy(false);
+    if (graph_is_new_) tell(GraphCommand{snapshot()});
+    tell(DryCommand{event.not_computed});
+  }
+
+  void on(const RemovalEvent& event) {
+    vetoed_.insert(std::minmax(event.from, event.to));
+    std::size_t removed = 0;
+    change_graph([&] {
+      removed = graph_.remove_edges_if([&](const Edge& edge) {
+        return edge.kind == EdgeKind::kLoopClosure &&
+               std::minmax(edge.from, edge.to) == std::minmax(event.from, event.to);
+      });
+    });
+    if (removed == 0) return;
+    ++removals_;
+    wants_estimate_ = true;
+  }
+
+  void on(const EstimateEvent& event) {
+    optimizing_ = false;
+    // One made with edges that were taken out since is not worth keeping: the next is already wanted.
+    if (event.stopped || event.removals != removals_) {
+      wants_estimate_ = wants_estimate_ || !event.stopped;
+      return;
+    }
+    const std::vector<Eigen::Isometry3d>& poses = event.gnc.optimization.poses;
+    std::map<Key, Eigen::Isometry3d> named;
+    for (std::size_t i = 0; i < poses.size(); ++i) named.emplace(graph_.nodes()[i].key, poses[i]);
+    change_graph([&] {
+      for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
+    });
+    move_nodes(named);
+    publish();
+  }
+
+  void on(const ExternalEstimate& estimate) {
+    std::map<Key, Eigen::Isometry3d> named;
+    for (const auto& [key, pose] : estimate.poses) {
+      if (graph_.contains(key)) named.emplace(key, pose);
+    }
+    move_nodes(named);
+    change_graph([&] {
+      for (const auto& [key, covariance] : estimate.covariances) {
+        if (const auto node = graph_.find(key)) graph_.set_covariance(*node, covariance);
+      }
+    });
+    publish();
+  }
+
+  void on(const GraphWantedEvent&) {
+    if (graph_is_new_) tell(GraphCommand{snapshot()});
+  }
+
+  void on(const ProblemEvent& event) { problem(event.text); }
+
+  /// Sets the poses of the named nodes; the others of a robot move with the nearest named one before them.
+  void move_nodes(const std::map<Key, Eigen::Isometry3d>& named) {
+    std::vector<std::pair<std::size_t, std::size_t>> order;  // robot, node
+    order.reserve(graph_.nodes().size());
+    for (std::size_t i = 0; i < graph_.nodes().size(); ++i)
+      order.emplace_back(robots_.of(graph_.nodes()[i].key), i);
+    std::sort(order.begin(), order.end(), [this](const auto& a, const auto& b) {
+      return std::pair(a.first, graph_.nodes()[a.second].key) <
+             std::pair(b.first, graph_.nodes()[b.second].key);
+    });
+    std::vector<Eigen::Isometry3d> poses = graph_.poses();
+    Eigen::Isometry3d correction = Eigen::Isometry3d::Identity();
+    for (std::size_t k = 0; k < order.size(); ++k) {
+      const auto [robot, i] = order[k];
+      if (k == 0 || order[k - 1].first != robot) correction.setIdentity();
+      if (const auto found = named.find(graph_.nodes()[i].key); found != named.end()) {
+        correction = found->second * poses[i].inverse();
+        poses[i] = found->second;
+      } else {
+        poses[i] = se3::normalized(correction * poses[i]);
+      }
+    }
+    change_graph([&] { graph_.set_poses(poses); });
+  }
+
+  void publish() {
+    auto estimate = std::make_shared<Estimate>();
+    estimate->graph = graph_;
+    for (const Edge& edge : graph_.edges()) {
+      if (edge.kind != EdgeKind::kLoopClosure) continue;
+      ++estimate->closures;
+      if (edge.weight > 0.5) ++estimate->inliers;
+    }
+    generator_.on_graph(graph_);
+    {
+      const std::lock_guard<std::mutex> lock(graph_mutex_);
+      estimate->revision = estimate_ ? estimate_->revision + 1 : 1;
+      estimate_ = estimate;
+    }
+    graph_is_new_ = false;
+    if (prioritizes_) tell(GraphCommand{SharedGraph(estimate, &estimate->graph)});
+    call(callbacks_.estimate, std::shared_ptr<const Estimate>(estimate));
+  }
+
+  [[nodiscard]] SharedGraph snapshot() {
+    graph_is_new_ = false;
+    return std::make_shared<const PoseGraph>(graph_);
+  }
+
+  /// After each event: starts what there is reason for.
+  void keep_busy() {
+    const bool stopping = stop_source_.stop_requested();
+    if (wants_estimate_ && options_.back_end && !optimizing_ && !computing_ && !stopping) {
+      wants_estimate_ = false;
+      optimizing_ = true;
+      begin_work();
+      jobs_.post_inside({graph_, removals_});
+    }
+  }
+
+  void set_busy(bool busy) {
+    const double now = watch_.seconds();
+    const std::lock_guard<std::mutex> lock(statistics_mutex_);
+    (busy_ ? statistics_.computing_s : statistics_.idle_s) += now - since_s_;
+    if (busy) ++statistics_.batches;
+    busy_ = busy;
+    since_s_ = now;
+  }
+
+  // ---- computation
+
+  void compute() {
+    ThreadPool threads(options_.threads);
+    while (auto tasks = batches_.next(false)) {
+      const auto results = compute_batch(*registrar_, *tasks, threads, stop_source_.token(), {},
+                                         [this](const RegistrationResult& result) { post_inside(result); });
+      BatchDoneEvent done;
+      for (std::size_t i = 0; i < results.size(); ++i) {
+        if (!results[i]) done.not_computed.push_back((*tasks)[i].candidate);
+      }
+      post_inside(std::move(done));
+      end_work();
+    }
+  }
+
+  // ---- back end
+
+  void optimize() {
+    OptimizerOptions options = config_.optimization;
+    PoseGraphOptimizer optimizer(options);
+    while (auto job = jobs_.next(false)) {
+      EstimateEvent done{{}, job->removals, true};
+      try {
+        done.gnc = optimizer.optimize_gnc(job->graph, config_.gnc, stop_source_.token());
+        done.stopped = done.gnc.optimization.termination == Termination::kStopped;
+        const std::lock_guard<std::mutex> lock(statistics_mutex_);
+        ++statistics_.optimizations;
+      } catch (const std::exception& error) {
+        post_inside(ProblemEvent{std::string("the back end failed: ") + error.what()});
+      }
+      post_inside(std::move(done));
+      end_work();
+    }
+  }
+
+  // ---- prioritisation
+
+  void prioritize() {
+    bool dry = true;        // the computation waits for a batch
+    bool improved = false;  // nothing has changed since the last improvement came to its end
+    while (auto first = commands_.next(false)) {
+      std::optional<Command> command = std::move(first);
+      std::size_t handled = 0;
+      // All that waits is delivered before the next set; but a prepared set is handed out before what came
+      // while it was being prepared makes it old.
+      while (command) {
+        apply(*command, dry);
+        ++handled;
+        command.reset();
+        if (commands_.size() > 0) command = commands_.next(false);
+      }
+      improved = false;
+      hand_out(dry);
+      publish_account();
+      for (; handled > 0; --handled) end_work();
+
+      while (!dry && !improved && commands_.size() == 0 && pool_.accounting().pending > 0) {
+        StopToken token;
+        {
+          const std::lock_guard<std::mutex> lock(improvement_mutex_);
+          improvement_ = StopSource();
+          token = improvement_.token();
+        }
+        if (commands_.size() > 0 || stop_source_.stop_requested()) break;
+        guarded([&] { pool_.improve(static_cast<std::size_t>(options_.batch), token); });
+        improved = true;
+        const std::lock_guard<std::mutex> lock(statistics_mutex_);
+        ++statistics_.improvements;
+      }
+    }
+  }
+
+  template <class Function>
+  void guarded(Function&& function) {
+    try {
+      function();
+    } catch (const std::exception& error) {
+      post_inside(ProblemEvent{std::string("prioritisation: ") + error.what()});
+    }
+  }
+
+  void apply(Command& command, bool& dry) {
+    guarded([&] {
+      std::visit(Overloaded{[&](AddCommand& c) { pool_.add(c.candidates); },
+                            [&](ScanCommand& c) { pool_.on_scan(c.scan); },
+                            [&](GraphCommand& c) { pool_.on_graph(*c.graph); },
+                            [&](ResultCommand& c) { pool_.complete(c.result); },
+                            [&](TimeCommand& c) {
+                              now_of_pool_s_ = std::max(now_of_pool_s_, c.now_s);
+                              pool_.expire(c.now_s);
+                            },
+                            [&](DryCommand& c) {
+                              pool_.give_back(c.not_computed);
+                              dry = true;
+                              hand_out(dry);
+                            }},
+                 command);
+    });
+  }
+
+  void hand_out(bool& dry) {
+    if (!dry || pool_.accounting().pending == 0 || stop_source_.stop_requested()) return;
+    guarded([&] {
+      std::vector<LoopCandidate> batch = pool_.take(static_cast<std::size_t>(options_.batch));
+      if (batch.empty()) return post_inside(GraphWantedEvent{});
+      dry = false;
+      post_inside(BatchEvent{std::move(batch)});
+    });
+  }
+
+  void publish_account() {
+    const std::optional<double> oldest = pool_.oldest_pending_s();
+    const std::lock_guard<std::mutex> lock(statistics_mutex_);
+    statistics_.candidates = pool_.accounting();
+    statistics_.oldest_pending_s = oldest ? now_of_pool_s_ - *oldest : 0.0;
+    for (std::size_t i = 0; i < names_.size(); ++i)
+      statistics_.handed_out[names_[i]] = pool_.queue().handed_out()[i];
+  }
+
+  const Robots robots_;
+  const ModuleOptions options_;
+  const Config config_;
+  const ModuleCallbacks callbacks_;
+  const ScanLoader scans_;
+  std::shared_ptr<FeatureCache> features_;
+  std::shared_ptr<const Registrar> registrar_;
+
+  std::mutex entry_mutex_;  // of what producers are checked against
+  std::unordered_set<Key> nodes_seen_, scans_seen_;
+  std::unordered_map<Key, std::shared_ptr<const PointCloud>> clouds_;
+
+  Mailbox<Event> inbox_;
+  Mailbox<Command> commands_;
+  Mailbox<BackEndJob> jobs_;
+  Mailbox<std::vector<RegistrationTask>> batches_;
+  StopSource stop_source_;
+  std::mutex improvement_mutex_;
+  StopSource improvement_;
+
+  std::mutex work_mutex_;
+  std::condition_variable work_done_;
+  std::size_t work_ = 0;
+  bool stopping_ = false;
+
+  mutable std::mutex graph_mutex_;  // of graph_ and estimate_; the graph's thread alone writes
+  PoseGraph graph_;
+  std::shared_ptr<const Estimate> estimate_;
+
+  // The graph's thread alone.
+  ProximityGenerator generator_;
+  RadioGenerator radio_;
+  bool prioritizes_ = true;
+  bool graph_is_new_ = false;
+  bool computing_ = false, optimizing_ = false, wants_estimate_ = false;
+  std::uint64_t removals_ = 0;
+  std::int64_t first_stamp_ns_ = 0;
+  double now_s_ = 0.0, next_factor_check_s_ = 0.0;
+  std::multimap<Key, std::pair<double, Edge>> waiting_edges_;  // by a missing node; with the time of arrival
+  std::multimap<Key, std::pair<double, PriorFactor>> waiting_priors_;
+  std::size_t factors_dropped_ = 0;
+  std::unordered_map<Key, std::shared_ptr<const PointCloud>> early_scans_;  // before their nodes
+  std::set<std::pair<Key, Key>> vetoed_;
+
+  // Prioritisation's thread alone.
+  CandidatePool pool_;
+  double now_of_pool_s_ = 0.0;
+  std::vector<std::string> names_;
+
+  mutable std::mutex statistics_mutex_;
+  ModuleStatistics statistics_;
+  Stopwatch watch_;
+  bool busy_ = false, ended_ = false;  // the computation
+  double since_s_ = 0.0;               // by watch_
+  std::thread::id graph_thread_id_;
+
+  std::mutex stop_mutex_;
+  std::thread computation_, back_end_, prioritization_, graph_thread_;
+};
+
+LoopClosureModule::LoopClosureModule(const Robots& robots, const ModuleOptions& options, const Config& config,
+                                     ModuleCallbacks callbacks, ModuleParts parts) {
+  validate(options);
+  validate_config(config);
+  impl_ = std::make_unique<Impl>(robots, options, config, std::move(callbacks), std::move(parts));
+}
+
+LoopClosureModule::~LoopClosureModule() = default;
+
+bool LoopClosureModule::add_key_frame(const KeyFrame& frame) {
+  return impl_->add_key_frame(frame);
+}
+bool LoopClosureModule::add_scan(Key key, std::shared_ptr<const PointCloud> cloud) {
+  return impl_->add_scan(key, std::move(cloud));
+}
+bool LoopClosureModule::add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors) {
+  return impl_->add_factors(edges, priors);
+}
+bool LoopClosureModule::add_radio(const std::vector<RadioReading>& readings) {
+  return impl_->add_radio(readings);
+}
+bool LoopClosureModule::add_beacon_drop(const BeaconDrop& drop) {
+  return impl_->add_beacon_drop(drop);
+}
+bool LoopClosureModule::add_candidates(const std::vector<LoopCandidate>& candidates) {
+  return impl_->add_candidates(candidates);
+}
+bool LoopClosureModule::set_estimate(const ExternalEstimate& estimate) {
+  return impl_->set_estimate(estimate);
+}
+bool LoopClosureModule::remove_closure(Key from, Key to) {
+  return impl_->remove_closure(from, to);
+}
+bool LoopClosureModule::wait() {
+  return impl_->wait();
+}
+void LoopClosureModule::stop() {
+  impl_->stop();
+}
+std::shared_ptr<const Estimate> LoopClosureModule::estimate() const {
+  return impl_->estimate();
+}
+PoseGraph LoopClosureModule::graph() const {
+  return impl_->graph();
+}
+ModuleStatistics LoopClosureModule::statistics() const {
+  return impl_->statistics();
+}
+
+}  // namespace loopwise

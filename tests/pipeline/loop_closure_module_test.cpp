@@ -1,0 +1,577 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <atomic>
+#include <chrono>
+#include <condition_variable>
+#include <mutex>
+#include <set>
+#include <thread>
+
+#include <loopwise/pipeline/loop_closure_module.hpp>
+#include <loopwise/prioritization/baselines.hpp>
+
+#include "testing_mission.hpp"
+
+namespace loopwise {
+namespace {
+
+using testing::OracleRegistrar;
+using testing::two_circles;
+
+ModuleOptions module_options(const std::string& method = "random") {
+  ModuleOptions options;
+  options.method = method;
+  options.batch = 20;
+  options.threads = 2;
+  return options;
+}
+
+Config module_test_config() {
+  Config config;
+  config.observability.min_sum = 0.0;
+  return config;
+}
+
+/// Each node as a front end would hand it over.
+std::vector<KeyFrame> key_frames(const Mission& mission) {
+  std::vector<KeyFrame> frames;
+  for (const Node& node : mission.graph.nodes()) {
+    KeyFrame frame;
+    frame.node = node;
+    for (const Edge& edge : mission.graph.edges()) {
+      if (edge.to == node.key && edge.kind == EdgeKind::kOdometry) frame.factors.push_back(edge);
+    }
+    for (const PriorFactor& prior : mission.graph.priors()) {
+      if (prior.key == node.key) frame.priors.push_back(prior);
+    }
+    frame.cloud = mission.scans->load(node.key);
+    frames.push_back(frame);
+  }
+  std::sort(frames.begin(), frames.end(),
+            [](const KeyFrame& a, const KeyFrame& b) { return a.node.stamp_ns < b.node.stamp_ns; });
+  return frames;
+}
+
+ModuleParts with_oracle(const Mission& mission) {
+  ModuleParts parts;
+  parts.registrar = std::make_shared<OracleRegistrar>(mission.ground_truth);
+  return parts;
+}
+
+double mean_error(const Mission& mission, const PoseGraph& graph) {
+  double sum = 0.0;
+  for (const Node& node : graph.nodes()) {
+    sum += (node.pose.translation() - mission.ground_truth.at(node.key).translation()).norm();
+  }
+  return sum / static_cast<double>(graph.nodes().size());
+}
+
+LoopCandidate pair(Key from, Key to) {
+  LoopCandidate candidate;
+  candidate.from = from;
+  candidate.to = to;
+  return candidate;
+}
+
+}  // namespace
+
+TEST_CASE("module: closes loops, keeps account, tells of everything", "[pipeline][module]") {
+  const Mission mission = two_circles();
+  for (const std::string& method : method_names()) {
+    if (method == "odom" || method == "rssi") continue;
+    CAPTURE(method);
+    std::size_t results = 0, closures = 0, estimates = 0;  // called back one at a time, read after wait()
+    std::vector<std::string> problems;
+    ModuleCallbacks callbacks;
+    callbacks.result = [&](const RegistrationResult&) { ++results; };
+    callbacks.closure = [&](const LoopClosure&) { ++closures; };
+    callbacks.estimate = [&](const std::shared_ptr<const Estimate>& estimate) {
+      ++estimates;
+      REQUIRE(estimate->revision == estimates);
+    };
+    callbacks.problem = [&](const std::string& text) { problems.push_back(text); };
+    LoopClosureModule module(mission.robots, module_options(method), module_test_config(), callbacks,
+                             with_oracle(mission));
+    for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+    REQUIRE(module.wait());
+
+    const ModuleStatistics statistics = module.statistics();
+    const CandidateAccounting& account = statistics.candidates;
+    REQUIRE(problems.empty());
+    REQUIRE(account.balanced());
+    REQUIRE(account.generated > 1000);
+    REQUIRE(account.pending + account.in_flight + account.waiting == 0);
+    REQUIRE(account.computed == account.queued());
+    REQUIRE(results == account.computed);
+    REQUIRE(estimates > 0);
+    const PoseGraph graph = module.graph();
+    REQUIRE(graph.nodes().size() == mission.graph.nodes().size());
+    REQUIRE(graph.edges().size() == mission.graph.edges().size() + closures);
+    REQUIRE(mean_error(mission, graph) < 0.2 * mean_error(mission, mission.graph));  // 0.05 was measured
+    std::size_t handed_out = 0;
+    for (const auto& [name, count] : statistics.handed_out) handed_out += count;
+    REQUIRE(handed_out == account.computed);
+    REQUIRE(statistics.events_waiting + statistics.commands_waiting == 0);
+    module.stop();
+    REQUIRE_FALSE(module.wait());
+    REQUIRE_FALSE(module.add_candidates({pair(make_key('a', 1), make_key('b', 1))}));
+    REQUIRE(module.graph().edges().size() == graph.edges().size());
+  }
+}
+
+TEST_CASE("module: scans, factors and candidates may come before their nodes", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  ModuleOptions options = module_options("baseline");
+  options.proximity = false;
+  LoopClosureModule module(mission.robots, options, {}, {}, with_oracle(mission));
+  const Key a = make_key('a', 11), b = make_key('b', 11);
+  REQUIRE(module.add_candidates({pair(a, b), pair(b, a), pair(make_key('a', 9), b)}));
+  std::vector<Edge> odometry;
+  for (const Edge& edge : mission.graph.edges()) odometry.push_back(edge);
+  REQUIRE(module.add_factors(odometry, mission.graph.priors()));
+  for (const Node& node : mission.graph.nodes())
+    REQUIRE(module.add_scan(node.key, mission.scans->load(node.key)));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().factors_waiting == odometry.size() + mission.graph.priors().size());
+  REQUIRE(module.statistics().candidates.waiting == 2);
+  for (const Node& node : mission.graph.nodes()) {
+    KeyFrame frame;
+    frame.node = node;
+    REQUIRE(module.add_key_frame(frame));
+  }
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().factors_waiting == 0);
+  REQUIRE(module.statistics().candidates.computed == 2);
+  REQUIRE(module.graph().priors().size() == mission.graph.priors().size());
+  REQUIRE(module.graph().edges().size() >= odometry.size());
+}
+
+TEST_CASE("module: fly-bys of a radio beacon become candidates, whatever comes first", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 40);
+  ModuleOptions options = module_options("rssi");
+  options.proximity = false;
+  LoopClosureModule module(mission.robots, options, {}, {}, with_oracle(mission));
+  // Robot a drops a beacon at its node 5; robot b passes it at its nodes 4 to 6.
+  std::vector<RadioReading> readings;
+  for (std::uint64_t i = 0; i < 40; ++i) {
+    RadioReading reading;
+    reading.key = make_key('b', i);
+    reading.beacon = "b1";
+    reading.transmit_dbm = 28.0;
+    reading.receive_dbm = i >= 4 && i <= 6 ? -20.0 : -80.0;
+    readings.push_back(reading);
+  }
+  REQUIRE(module.add_radio(readings));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().candidates.generated == 0);
+  BeaconDrop drop;
+  drop.beacon = "b1";
+  drop.robot = 0;
+  drop.drop_key = make_key('a', 5);
+  REQUIRE(module.add_beacon_drop(drop));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().candidates.computed == 3);
+  REQUIRE_THROWS_AS(module.add_radio({RadioReading()}), UnknownKeyError);
+}
+
+TEST_CASE("module: factors to nodes that never come are dropped in the end, and counted",
+          "[pipeline][module]") {
+  const Mission mission = two_circles(1, 40);
+  ModuleOptions options = module_options("odom");
+  options.max_factor_wait_s = 10.0;
+  std::vector<std::string> problems;
+  ModuleCallbacks callbacks;
+  callbacks.problem = [&](const std::string& text) { problems.push_back(text); };
+  LoopClosureModule module(mission.robots, options, {}, callbacks, with_oracle(mission));
+  Edge lost = mission.graph.edges()[0];
+  lost.from = make_key('a', 1000);
+  REQUIRE(module.add_factors({lost}));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().factors_dropped == 1);
+  REQUIRE(module.statistics().factors_waiting == 0);
+  REQUIRE(problems.size() == 1);
+  REQUIRE_THAT(problems[0], Contains(key_name(lost.from)));
+}
+
+TEST_CASE("module: bad input throws where it is handed over, and nothing is taken", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 5);
+  LoopClosureModule module(mission.robots, module_options(), {}, {}, with_oracle(mission));
+  const std::vector<KeyFrame> frames = key_frames(mission);
+  REQUIRE(module.add_key_frame(frames[0]));
+  REQUIRE_THROWS_AS(module.add_key_frame(frames[0]), InputError);
+  REQUIRE_THROWS_AS(module.add_scan(frames[0].node.key, frames[0].cloud), InputError);
+  REQUIRE_THROWS_AS(module.add_scan(frames[1].node.key, nullptr), InputError);
+  KeyFrame bad = frames[1];
+  bad.node.pose.translation().x() = std::nan("");
+  REQUIRE_THROWS_AS(module.add_key_frame(bad), InputError);
+  bad = frames[1];
+  bad.node.key = make_key('z', 0);
+  REQUIRE_THROWS_AS(module.add_key_frame(bad), UnknownKeyError);
+  bad = frames[2];
+  bad.factors.at(0).information(0, 0) = -1.0;
+  REQUIRE_THROWS_AS(module.add_key_frame(bad), InputError);
+  bad = frames[2];
+  bad.factors.at(0).from = bad.node.key;
+  REQUIRE_THROWS_AS(module.add_key_frame(bad), InputError);
+  bad = frames[1];
+  auto cloud = std::make_shared<PointCloud>(*bad.cloud);
+  cloud->points[3].z() = std::numeric_limits<float>::infinity();
+  bad.cloud = cloud;
+  REQUIRE_THROWS_AS(module.add_key_frame(bad), InputError);
+  REQUIRE_THROWS_AS(module.add_candidates({pair(1, 1)}), UnknownKeyError);
+  REQUIRE_THROWS_AS(module.add_candidates({pair(frames[0].node.key, frames[0].node.key)}), InputError);
+  REQUIRE_THROWS_AS(module.set_estimate({}), InputError);  // our back end is on
+  for (std::size_t i = 1; i < frames.size(); ++i)
+    REQUIRE(module.add_key_frame(frames[i]));  // the good ones go in
+  REQUIRE(module.wait());
+  REQUIRE(module.graph().nodes().size() == frames.size());
+  REQUIRE_THROWS_AS(LoopClosureModule(mission.robots, module_options("nonsense")), OptionError);
+  ModuleOptions options = module_options();
+  options.batch = 0;
+  REQUIRE_THROWS_AS(LoopClosureModule(mission.robots, options), OptionError);
+}
+
+TEST_CASE("module: with another back end, poses come from outside and later nodes move along",
+          "[pipeline][module]") {
+  const Mission mission = two_circles(1, 20);
+  ModuleOptions options = module_options();
+  options.back_end = false;
+  std::vector<std::shared_ptr<const Estimate>> estimates;
+  ModuleCallbacks callbacks;
+  callbacks.estimate = [&](const std::shared_ptr<const Estimate>& e) { estimates.push_back(e); };
+  LoopClosureModule module(mission.robots, options, module_test_config(), callbacks, with_oracle(mission));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  REQUIRE(estimates.empty());
+  const PoseGraph before = module.graph();
+
+  ExternalEstimate estimate;
+  const Key named = make_key('a', 10);
+  const Eigen::Isometry3d shift(Eigen::Translation3d(0.0, 0.0, 5.0));
+  estimate.poses[named] = shift * before.node(named).pose;
+  estimate.covariances[named] = 0.5 * Matrix6d::Identity();
+  estimate.poses[make_key('a', 999)] = Eigen::Isometry3d::Identity();  // a node that has not come: left out
+  REQUIRE(module.set_estimate(estimate));
+  REQUIRE(module.wait());
+  REQUIRE(estimates.size() == 1);
+  const PoseGraph after = module.graph();
+  for (const Node& node : after.nodes()) {
+    const bool moved = key_character(node.key) == 'a' && key_index(node.key) >= 10;
+    REQUIRE((node.pose.translation() - before.node(node.key).pose.translation()).z() ==
+            Approx(moved ? 5.0 : 0.0).margin(1e-9));
+  }
+  REQUIRE(after.node(named).covariance->isApprox(0.5 * Matrix6d::Identity()));
+  estimate.poses[named].translation().x() = std::nan("");
+  REQUIRE_THROWS_AS(module.set_estimate(estimate), InputError);
+}
+
+TEST_CASE("module: a closure that is taken out stays out", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  ModuleOptions options = module_options("baseline");
+  options.proximity = false;
+  LoopClosureModule module(mission.robots, options, {}, {}, [&] {
+    ModuleParts parts;
+    parts.registrar = std::make_shared<OracleRegistrar>(mission.ground_truth, 0.0, 0.0);
+    return parts;
+  }());
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  const Key a = make_key('a', 5), b = make_key('b', 5);
+  REQUIRE(module.add_candidates({pair(a, b), pair(make_key('a', 9), make_key('b', 9))}));
+  REQUIRE(module.wait());
+  REQUIRE(module.graph().edges().size() == mission.graph.edges().size() + 2);
+  REQUIRE(module.estimate()->closures == 2);
+  REQUIRE(module.remove_closure(b, a));
+  REQUIRE(module.wait());
+  REQUIRE(module.graph().edges().size() == mission.graph.edges().size() + 1);
+  REQUIRE(module.estimate()->closures == 1);
+  REQUIRE(module.add_candidates({pair(a, b)}));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().candidates.computed == 2);
+}
+
+namespace {
+
+/// Holds every registration until it is opened.
+class GatedRegistrar final : public Registrar {
+ public:
+  explicit GatedRegistrar(std::map<Key, Eigen::Isometry3d> truth) : oracle_(std::move(truth), 0.0, 0.0) {}
+  [[nodiscard]] std::string_view name() const override { return "gated"; }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+    std::unique_lock<std::mutex> lock(mutex_);
+    ++begun_;
+    changed_.notify_all();
+    changed_.wait(lock, [this] { return open_; });
+    return oracle_.compute(task);
+  }
+  void open() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    open_ = true;
+    changed_.notify_all();
+  }
+  void wait_for_first() const {
+    std::unique_lock<std::mutex> lock(mutex_);
+    changed_.wait(lock, [this] { return begun_ > 0; });
+  }
+
+ private:
+  OracleRegistrar oracle_;
+  mutable std::mutex mutex_;
+  mutable std::condition_variable changed_;
+  mutable int begun_ = 0;
+  bool open_ = false;
+};
+
+/// Improves until it is stopped, and writes down what it was called with.
+class EndlessPrioritizer final : public Prioritizer {
+ public:
+  struct Log {
+    std::mutex mutex;
+    std::condition_variable changed;
+    int improving = 0;
+    std::vector<std::string> calls;
+    void wait_for_improvement() {
+      std::unique_lock<std::mutex> lock(mutex);
+      changed.wait(lock, [this] { return improving > 0; });
+    }
+  };
+  explicit EndlessPrioritizer(std::shared_ptr<Log> log) : log_(std::move(log)) {}
+  [[nodiscard]] std::string_view name() const override { return "endless"; }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
+    write("add");
+    return arrival_.add(candidates);
+  }
+  void remove(const std::vector<CandidateId>& ids) override { arrival_.remove(ids); }
+  void improve(std::size_t, const StopToken& stop, std::uint64_t) override {
+    {
+      const std::lock_guard<std::mutex> lock(log_->mutex);
+      ++log_->improving;
+      log_->calls.emplace_back("improve");
+      log_->changed.notify_all();
+    }
+    while (!stop.stop_requested()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  }
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override {
+    write("take");
+    return arrival_.take(count);
+  }
+  [[nodiscard]] std::size_t size() const override { return arrival_.size(); }
+
+ private:
+  void write(const std::string& call) {
+    const std::lock_guard<std::mutex> lock(log_->mutex);
+    if (log_->calls.empty() || log_->calls.back() != call) log_->calls.push_back(call);
+  }
+  std::shared_ptr<Log> log_;
+  ArrivalPrioritizer arrival_;
+};
+
+}  // namespace
+
+TEST_CASE(
+    "module: improves the next set beside the computation, stops when it runs dry, keeps what comes "
+    "meanwhile",
+    "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  const auto log = std::make_shared<EndlessPrioritizer::Log>();
+  const auto registrar = std::make_shared<GatedRegistrar>(mission.ground_truth);
+  ModuleParts parts;
+  parts.registrar = registrar;
+  parts.prioritizers.push_back(std::make_unique<EndlessPrioritizer>(log));
+  ModuleOptions options = module_options();
+  options.proximity = false;
+  options.batch = 2;
+  LoopClosureModule module(mission.robots, options, {}, {}, std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  const auto candidate = [](std::uint64_t i) { return pair(make_key('a', i), make_key('b', i)); };
+  REQUIRE(module.add_candidates({candidate(0), candidate(1), candidate(2), candidate(3), candidate(4)}));
+  registrar->wait_for_first();
+  log->wait_for_improvement();  // the first batch is held in the computation
+  REQUIRE(module.add_candidates({candidate(5)}));
+  while (module.statistics().commands_waiting == 0) std::this_thread::yield();
+  {
+    const std::lock_guard<std::mutex> lock(log->mutex);
+    REQUIRE(log->calls == std::vector<std::string>{"add", "take", "improve"});  // the late one is kept
+  }
+  registrar->open();
+  REQUIRE(module.wait());
+  const std::lock_guard<std::mutex> lock(log->mutex);
+  REQUIRE(std::vector<std::string>(log->calls.begin(), log->calls.begin() + 5) ==
+          std::vector<std::string>{"add", "take", "improve", "take", "add"});
+  REQUIRE(module.statistics().candidates.computed == 6);
+}
+
+TEST_CASE("module: a full queue holds its producer and drops nothing; callbacks may add",
+          "[pipeline][module]") {
+  const Mission mission = two_circles(1, 30);
+  ModuleOptions options = module_options("baseline");
+  options.queue_capacity = 1;
+  options.proximity = false;
+  LoopClosureModule* self = nullptr;
+  std::atomic<int> echoed{0};
+  ModuleCallbacks callbacks;
+  callbacks.result = [&](const RegistrationResult& result) {
+    if (echoed.fetch_add(1) == 0) {  // from within, with the queue as full as may be
+      for (std::uint64_t i = 0; i < 5; ++i) {
+        REQUIRE(self->add_candidates({pair(result.candidate.from, make_key('b', 20 + i))}));
+      }
+      throw std::runtime_error("a user's mistake");
+    }
+  };
+  std::vector<std::string> problems;
+  callbacks.problem = [&](const std::string& text) { problems.push_back(text); };
+  LoopClosureModule module(mission.robots, options, {}, callbacks, with_oracle(mission));
+  self = &module;
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  REQUIRE(module.add_candidates({pair(make_key('a', 3), make_key('b', 3))}));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().candidates.computed == 6);
+  REQUIRE(module.graph().nodes().size() == mission.graph.nodes().size());
+  REQUIRE(problems == std::vector<std::string>{"a callback threw: a user's mistake"});
+}
+
+namespace {
+
+/// Stalls now and then, refuses most, throws at times: what a bad day looks like.
+class MoodyRegistrar final : public Registrar {
+ public:
+  explicit MoodyRegistrar(std::atomic<std::size_t>& computed) : computed_(computed) {}
+  [[nodiscard]] std::string_view name() const override { return "moody"; }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+    ++computed_;
+    Rng rng(task.seed);
+    if (rng.uniform() < 0.01) std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    if (rng.uniform() < 0.01) throw std::runtime_error("moody");
+    RegistrationResult result;
+    result.candidate = task.candidate;
+    if (rng.uniform() < 0.99 || !task.guess_from_to) {
+      result.reason = RejectionReason::kFewMatches;
+      return result;
+    }
+    LoopClosure closure;
+    closure.from = task.candidate.from;
+    closure.to = task.candidate.to;
+    closure.T_from_to = *task.guess_from_to;
+    closure.covariance = 1e-2 * Matrix6d::Identity();
+    result.closure = closure;
+    return result;
+  }
+
+ private:
+  std::atomic<std::size_t>& computed_;
+};
+
+}  // namespace
+
+TEST_CASE("module: four producers, ten thousand key frames, stalls: nothing is lost",
+          "[pipeline][module][stress]") {
+  constexpr std::size_t kProducers = 4, kFrames = 2500;
+  const Robots robots = parse_robots("a,b,c,d");
+  std::atomic<std::size_t> computed{0};
+  ModuleOptions options = module_options("random");
+  options.queue_capacity = 64;
+  options.batch = 100;
+  Config config;
+  config.generation.radius_min_m = config.generation.radius_max_m = 3.0;
+  config.generation.n_closest = 2;
+  std::size_t results = 0;
+  ModuleCallbacks callbacks;
+  callbacks.result = [&](const RegistrationResult&) { ++results; };
+  ModuleParts parts;
+  parts.registrar = std::make_shared<MoodyRegistrar>(computed);
+  LoopClosureModule module(robots, options, config, callbacks, std::move(parts));
+  const auto cloud = std::make_shared<const PointCloud>(PointCloud{{Eigen::Vector3f::UnitX()}, {}, {}});
+  std::atomic<std::size_t> taken{0};
+  std::vector<std::thread> producers;
+  for (std::size_t p = 0; p < kProducers; ++p) {
+    producers.emplace_back([&, p] {
+      Rng rng(p);
+      const char robot = static_cast<char>('a' + p);
+      Edge edge;
+      for (std::uint64_t i = 0; i < kFrames; ++i) {
+        KeyFrame frame;
+        frame.node.key = make_key(robot, i);
+        frame.node.stamp_ns = static_cast<std::int64_t>(i) * 1'000'000'000;
+        frame.node.pose.translation() << 100.0 * std::cos(0.02 * static_cast<double>(i)),
+            100.0 * std::sin(0.02 * static_cast<double>(i)), 2.0 * static_cast<double>(p);
+        if (i > 0) {
+          edge.from = make_key(robot, i - 1);
+          edge.to = frame.node.key;
+          edge.kind = EdgeKind::kOdometry;
+          edge.T_from_to.setIdentity();
+          edge.T_from_to.linear() = se3::so3_exp(Eigen::Vector3d(0.0, 0.0, 0.02));
+          edge.T_from_to.translation().x() = 2.0;
+        }
+        // All at once, or piece by piece in any order.
+        const double way = rng.uniform();
+        if (i > 0 && way < 0.5) frame.factors = {edge};
+        if (way < 0.7) frame.cloud = cloud;
+        if (i > 0 && way >= 0.75) taken += module.add_factors({edge}) ? 0 : 1;
+        if (way >= 0.85) taken += module.add_scan(frame.node.key, cloud) ? 0 : 1;
+        taken += module.add_key_frame(frame) ? 1 : 0;
+        if (i > 0 && way >= 0.5 && way < 0.75) taken += module.add_factors({edge}) ? 0 : 1;
+        if (way >= 0.7 && way < 0.85) taken += module.add_scan(frame.node.key, cloud) ? 0 : 1;
+        if (rng.uniform() < 0.02 && i > 20) {
+          module.add_candidates({pair(frame.node.key, make_key(robot, rng.below(i - 10)))});
+        }
+        if (rng.uniform() < 0.001) std::this_thread::sleep_for(std::chrono::milliseconds(3));
+        if (rng.uniform() < 0.001) static_cast<void>(module.graph());
+        if (rng.uniform() < 0.01) static_cast<void>(module.statistics());
+      }
+    });
+  }
+  for (std::thread& producer : producers) producer.join();
+  REQUIRE(taken == kProducers * kFrames);
+  REQUIRE(module.wait());
+  const ModuleStatistics statistics = module.statistics();
+  REQUIRE(statistics.candidates.balanced());
+  REQUIRE(statistics.candidates.generated > kFrames);
+  REQUIRE(statistics.candidates.computed == statistics.candidates.generated);
+  REQUIRE(results == computed);
+  REQUIRE(computed == statistics.candidates.computed);
+  const PoseGraph graph = module.graph();
+  REQUIRE(graph.nodes().size() == kProducers * kFrames);
+  std::size_t odometry = 0;
+  for (const Edge& edge : graph.edges()) odometry += edge.kind == EdgeKind::kOdometry ? 1 : 0;
+  REQUIRE(odometry == kProducers * (kFrames - 1));
+}
+
+TEST_CASE("module: a stop at any moment loses nothing that was taken", "[pipeline][module][stress]") {
+  const Mission mission = two_circles(1, 40);
+  const std::vector<KeyFrame> frames = key_frames(mission);
+  for (std::uint64_t trial = 0; trial < 40; ++trial) {
+    CAPTURE(trial);
+    std::atomic<std::size_t> computed{0}, taken{0};
+    std::size_t results = 0;
+    ModuleOptions options = module_options(trial % 2 == 0 ? "random" : "baseline");
+    options.queue_capacity = 4;
+    ModuleCallbacks callbacks;
+    callbacks.result = [&](const RegistrationResult&) { ++results; };
+    ModuleParts parts;
+    parts.registrar = std::make_shared<MoodyRegistrar>(computed);
+    LoopClosureModule module(mission.robots, options, {}, callbacks, std::move(parts));
+    std::vector<std::thread> producers;
+    for (std::size_t p = 0; p < 2; ++p) {
+      producers.emplace_back([&, p] {
+        for (const KeyFrame& frame : frames) {
+          if (mission.robots.of(frame.node.key) != p) continue;
+          if (!module.add_key_frame(frame)) return;
+          ++taken;
+        }
+      });
+    }
+    std::this_thread::sleep_for(std::chrono::microseconds(Rng(trial).below(20000)));
+    module.stop();
+    for (std::thread& producer : producers) producer.join();
+    const ModuleStatistics statistics = module.statistics();
+    REQUIRE(module.graph().nodes().size() == taken);
+    REQUIRE(statistics.candidates.balanced());
+    REQUIRE(statistics.candidates.in_flight == 0);
+    REQUIRE(statistics.candidates.computed == results);
+    REQUIRE(results == computed);
+  }
+}
+
+}  // namespace loopwise
