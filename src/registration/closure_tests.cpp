@@ -124,12 +124,12 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
   return figures;
 }
 
-double surface_share(const PointCloud& cloud, const KdTree& tree, const ClosureTestOptions& options) {
+SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree, const ClosureTestOptions& options) {
   constexpr std::size_t kLookedAt = 1000;
   const std::size_t looked_at = std::min(cloud.size(), kLookedAt);
   const auto reach = static_cast<float>(options.overlap_distance_m);
   const auto within = static_cast<float>(options.plane_distance_m);
-  std::size_t neighbours = 0, on_plane = 0;
+  std::size_t near = 0, neighbours = 0, on_plane = 0;
   std::vector<Neighbour> found;
   for (std::size_t k = 0; k < looked_at; ++k) {
     const std::size_t i = k * cloud.size() / looked_at;
@@ -137,12 +137,18 @@ double surface_share(const PointCloud& cloud, const KdTree& tree, const ClosureT
     if (found.size() < 2) break;
     const Neighbour& other = found[found.front().index == i ? 1 : 0];
     if (other.sq_distance_m2 > reach * reach) continue;
+    ++near;
     const Eigen::Vector3f& n = cloud.normals[other.index];
     if (std::abs(n.dot(cloud.normals[i])) < kAgreeing) continue;
     ++neighbours;
     if (std::abs(n.dot(cloud.points[i] - cloud.points[other.index])) < within) ++on_plane;
   }
-  return on_plane == 0 ? 1.0 : static_cast<double>(on_plane) / static_cast<double>(neighbours);
+  constexpr double kLeastOverlap = 0.05;
+  SurfaceShare share;
+  if (near > 0)
+    share.overlap = std::max(kLeastOverlap, static_cast<double>(near) / static_cast<double>(looked_at));
+  if (on_plane > 0) share.on_plane = static_cast<double>(on_plane) / static_cast<double>(neighbours);
+  return share;
 }
 
 double consistency(const AlignmentFigures& figures) {
@@ -173,7 +179,9 @@ void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, do
   Vector6d d = Vector6d::Zero();
   d.head<3>() = direction;
   const double missing = sigma_m * sigma_m - d.dot(covariance * d);
-  if (missing > 0.0) covariance += missing * (d * d.transpose());
+  if (missing <= 0.0) return;
+  covariance += missing * (d * d.transpose());
+  covariance = (0.5 * (covariance + covariance.transpose())).eval();
 }
 
 void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
@@ -195,14 +203,14 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
     return reject(RejectionReason::kGicpFitness,
                   beyond("mean squared distance", figures.fitness_m2, "<=", options.max_fitness_m2, " m^2"));
   }
-  if (!(figures.overlap >= options.min_overlap)) {
-    return reject(RejectionReason::kLowOverlap,
-                  beyond("overlap", figures.overlap, ">=", options.min_overlap, ""));
+  const double overlap = figures.overlap / figures.expected_overlap;
+  if (!(overlap >= options.min_overlap)) {
+    return reject(RejectionReason::kLowOverlap, beyond("overlap", overlap, ">=", options.min_overlap, ""));
   }
-  if (!(figures.balanced_overlap >= options.min_balanced_overlap)) {
-    return reject(RejectionReason::kLowOverlap,
-                  beyond("overlap balanced over directions", figures.balanced_overlap,
-                         ">=", options.min_balanced_overlap, ""));
+  const double balanced = figures.balanced_overlap / figures.expected_overlap;
+  if (!(balanced >= options.min_balanced_overlap)) {
+    return reject(RejectionReason::kLowOverlap, beyond("overlap balanced over directions", balanced,
+                                                       ">=", options.min_balanced_overlap, ""));
   }
   if (options.min_consistency > 0.0 && !(consistency(figures) >= options.min_consistency)) {
     return reject(RejectionReason::kInconsistent,

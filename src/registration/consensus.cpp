@@ -11,6 +11,37 @@
 namespace loopwise {
 namespace {
 
+using CommonOnes = std::uint32_t (*)(const std::uint64_t* a, const std::uint64_t* b, std::size_t words);
+
+/// Ones in both of two rows. Those of a word by adding neighbours in parallel.
+std::uint32_t common_ones_portable(const std::uint64_t* a, const std::uint64_t* b, std::size_t words) {
+  std::uint32_t count = 0;
+  for (std::size_t w = 0; w < words; ++w) {
+    std::uint64_t x = a[w] & b[w];
+    x -= (x >> 1) & 0x5555555555555555ULL;
+    x = (x & 0x3333333333333333ULL) + ((x >> 2) & 0x3333333333333333ULL);
+    x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fULL;
+    count += static_cast<std::uint32_t>((x * 0x0101010101010101ULL) >> 56);
+  }
+  return count;
+}
+
+#if defined(__x86_64__) && defined(__GNUC__)
+/// The same with the instruction that nearly every x86-64 has, but not the oldest.
+__attribute__((target("popcnt"))) std::uint32_t common_ones_popcnt(const std::uint64_t* a,
+                                                                   const std::uint64_t* b,
+                                                                   std::size_t words) {
+  std::uint64_t count = 0;
+  for (std::size_t w = 0; w < words; ++w) {
+    count += static_cast<std::uint64_t>(__builtin_popcountll(a[w] & b[w]));
+  }
+  return static_cast<std::uint32_t>(count);
+}
+const CommonOnes common_ones = __builtin_cpu_supports("popcnt") ? common_ones_popcnt : common_ones_portable;
+#else
+const CommonOnes common_ones = common_ones_portable;
+#endif
+
 /// Square matrix of bits, rows of whole words.
 class BitMatrix {
  public:
@@ -20,22 +51,10 @@ class BitMatrix {
     return (bits_[i * words_ + j / 64] >> (j % 64)) & 1U;
   }
   [[nodiscard]] std::uint32_t common(std::size_t i, std::size_t j) const {
-    std::uint32_t count = 0;
-    for (std::size_t w = 0; w < words_; ++w) {
-      count += ones(bits_[i * words_ + w] & bits_[j * words_ + w]);
-    }
-    return count;
+    return common_ones(&bits_[i * words_], &bits_[j * words_], words_);
   }
 
  private:
-  /// Ones of a word by adding neighbours in parallel; the processor's instruction is not in the baseline
-  /// x86-64.
-  [[nodiscard]] static std::uint32_t ones(std::uint64_t x) {
-    x -= (x >> 1) & 0x5555555555555555ULL;
-    x = (x & 0x3333333333333333ULL) + ((x >> 2) & 0x3333333333333333ULL);
-    x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fULL;
-    return static_cast<std::uint32_t>((x * 0x0101010101010101ULL) >> 56);
-  }
   std::size_t words_;
   std::vector<std::uint64_t> bits_;
 };
@@ -44,15 +63,22 @@ class BitMatrix {
 /// about 90.
 constexpr float kNormalTolerance = 0.45F;
 
-std::vector<std::size_t> inliers_of(const std::vector<Match>& matches, const Eigen::Isometry3d& T,
-                                    double tolerance_m) {
+/// Matches by coordinate, so that they are compared with SIMD: source, target, source normal, target normal.
+using Columns = Eigen::Array<float, Eigen::Dynamic, 12>;
+
+std::vector<std::size_t> inliers_of(const std::vector<Match>& matches, const Columns& m,
+                                    const Eigen::Isometry3d& T, double tolerance_m,
+                                    Eigen::ArrayXf& sq_distances) {
   const Eigen::Matrix3f R = T.linear().cast<float>();
   const Eigen::Vector3f t = T.translation().cast<float>();
   const auto sq_tolerance = static_cast<float>(tolerance_m * tolerance_m);
+  sq_distances = (R(0, 0) * m.col(0) + R(0, 1) * m.col(1) + R(0, 2) * m.col(2) + t[0] - m.col(3)).square() +
+                 (R(1, 0) * m.col(0) + R(1, 1) * m.col(1) + R(1, 2) * m.col(2) + t[1] - m.col(4)).square() +
+                 (R(2, 0) * m.col(0) + R(2, 1) * m.col(1) + R(2, 2) * m.col(2) + t[2] - m.col(5)).square();
   std::vector<std::size_t> inliers;
   for (std::size_t i = 0; i < matches.size(); ++i) {
+    if (sq_distances[static_cast<Eigen::Index>(i)] > sq_tolerance) continue;
     const Match& match = matches[i];
-    if ((R * match.source + t - match.target).squaredNorm() > sq_tolerance) continue;
     if ((R * match.source_normal).dot(match.target_normal) < 0.7F) continue;
     inliers.push_back(i);
   }
@@ -96,13 +122,12 @@ std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double
   if (n < 3 || count == 0) return hypotheses;
   BitMatrix compatible(n);
   const auto tolerance = static_cast<float>(tolerance_m);
-  // By coordinate, so that a row is compared with SIMD: [coordinate](match).
-  Eigen::Array<float, Eigen::Dynamic, 12> m(static_cast<Eigen::Index>(n), 12);
+  Columns m(static_cast<Eigen::Index>(n), 12);
   for (std::size_t i = 0; i < n; ++i) {
     m.row(static_cast<Eigen::Index>(i)) << matches[i].source.transpose(), matches[i].target.transpose(),
         matches[i].source_normal.transpose(), matches[i].target_normal.transpose();
   }
-  Eigen::Array<float, Eigen::Dynamic, 1> source_m(m.rows()), target_m(m.rows()), turn(m.rows());
+  Eigen::ArrayXf source_m(m.rows()), target_m(m.rows()), turn(m.rows());
   for (Eigen::Index i = 0; i + 1 < m.rows(); ++i) {
     const Eigen::Index rest = m.rows() - i - 1;
     const auto others = [&](Eigen::Index column) { return m.col(column).tail(rest); };
@@ -164,10 +189,10 @@ std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double
     }
     if (clique.size() < 3) continue;
     Eigen::Isometry3d T = fit_rigid(matches, clique);
-    std::vector<std::size_t> inliers = inliers_of(matches, T, 1.5 * tolerance_m);
+    std::vector<std::size_t> inliers = inliers_of(matches, m, T, 1.5 * tolerance_m, turn);
     for (int pass = 0; pass < 2 && inliers.size() >= 3; ++pass) {
       T = fit_rigid(matches, inliers);
-      inliers = inliers_of(matches, T, tolerance_m);
+      inliers = inliers_of(matches, m, T, tolerance_m, turn);
     }
     for (const std::size_t i : inliers) covered[i] = 1;
     if (inliers.size() < 3 || !T.matrix().allFinite()) continue;

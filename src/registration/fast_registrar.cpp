@@ -30,7 +30,8 @@ struct Side {
   Submap submap;
   std::vector<std::uint32_t> order;  // points with a normal, see draw_balanced
   RangeImage range_image;            // of the centre's scan
-  double surface_share = 1.0;
+  SurfaceShare share;
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  // mean of the points
   [[nodiscard]] std::size_t bytes() const {
     return sizeof(*this) + submap.bytes() + order.capacity() * sizeof(std::uint32_t) + range_image.bytes();
   }
@@ -159,10 +160,9 @@ void widen_if_free(const Side& source, const Side& target, std::size_t count,
   widen_covariance(covariance, weak, sigma_m);
 }
 
-/// Whether two poses are different answers, not one answer twice.
-bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
-  const Eigen::Isometry3d d = a.inverse() * b;
-  return d.translation().norm() > 1.0 || se3::rotation_angle(d) > 5.0 * kDegree;
+/// Whether two poses of a cloud about `centre` are different answers, not one answer twice.
+bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const Eigen::Vector3d& centre) {
+  return (a * centre - b * centre).norm() > 1.0 || se3::rotation_angle(a.inverse() * b) > 5.0 * kDegree;
 }
 
 struct Scored {
@@ -191,7 +191,9 @@ struct FastRegistrar::Impl {
       out->order = draw_balanced(
           out->submap.cloud(), static_cast<std::size_t>(std::max(options.fine_points, options.score_points)));
       out->range_image = RangeImage(out->submap.parts().front().features->cloud);
-      out->surface_share = surface_share(out->submap.cloud(), out->submap.tree(), options.tests);
+      for (const Eigen::Vector3f& p : out->submap.cloud().points) out->centre += p.cast<double>();
+      out->centre /= static_cast<double>(std::max<std::size_t>(1, out->submap.cloud().size()));
+      out->share = surface_share(out->submap.cloud(), out->submap.tree(), options.tests);
       return out;
     });
   }
@@ -278,7 +280,8 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     return moved.translation().norm() <= options.tests.max_translation_m + options.coarse_reach_m &&
            se3::rotation_angle(moved) <= (options.tests.max_rotation_deg + 5.0) * kDegree;
   };
-  const double expected_share = 0.5 * (source.surface_share + target.surface_share);
+  const double expected_on_plane = 0.5 * (source.share.on_plane + target.share.on_plane);
+  const double expected_share = expected_on_plane * target.share.overlap;
   std::vector<Scored> refined;  // best first
   const auto refine_start = [&](const Eigen::Isometry3d& start) {
     const Stopwatch watch;
@@ -302,7 +305,9 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
                                          best.T_target_source, fine_pass);
     AlignmentFigures figures = measure_alignment(source_cloud, target_cloud, target.submap.tree(),
                                                  final.T_target_source, options.tests);
-    figures.expected_on_plane = expected_share;
+    figures.expected_on_plane = expected_on_plane;
+    // Sparse scans of long range: fewer than half of the points have a neighbour.
+    figures.expected_overlap = std::min(1.0, 2.0 * target.share.overlap);
     constexpr std::size_t kLookedAt = 1000;
     figures.contradiction = target.range_image.contradiction(source_cloud, final.T_target_source, kLookedAt) +
                             source.range_image.contradiction(target.submap.parts().front().features->cloud,
@@ -314,7 +319,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
                     options, result.closure->covariance);
       for (const Scored& other : refined) {
         if (other.value < options.ambiguous_share * best.value) break;
-        if (!far_apart(other.T_target_source, final.T_target_source)) continue;
+        if (!far_apart(other.T_target_source, final.T_target_source, source.centre)) continue;
         result.closure.reset();
         reject(RejectionReason::kAmbiguous, "another pose has " + std::to_string(other.value) +
                                                 " of the points on surfaces, this one " +
@@ -371,7 +376,9 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
         starts.size() == static_cast<std::size_t>(options.refined_hypotheses)) {
       break;
     }
-    const auto near = [&](const Eigen::Isometry3d& other) { return !far_apart(other, s.T_target_source); };
+    const auto near = [&](const Eigen::Isometry3d& other) {
+      return !far_apart(other, s.T_target_source, source.centre);
+    };
     if (std::any_of(starts.begin(), starts.end(), near)) continue;
     starts.push_back(s.T_target_source);
     if (refine_start(s.T_target_source) >= options.sure_share) break;

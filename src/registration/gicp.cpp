@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <optional>
 
 #include <Eigen/Cholesky>
@@ -45,6 +46,9 @@ GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t
   for (const std::uint32_t i : order) source_centre += source.points[i].cast<double>();
   source_centre /= static_cast<double>(std::max<std::size_t>(1, order.size()));
 
+  // A point's last match bounds the search for its next one: the steps are small.
+  constexpr std::uint32_t kNone = ~std::uint32_t{0};
+  std::vector<std::uint32_t> last(order.size(), kNone);
   for (const GicpPass& pass : passes) {
     const std::size_t count = pass.points == 0 ? order.size() : std::min(pass.points, order.size());
     const auto reach = static_cast<float>(pass.reach_m);
@@ -63,8 +67,15 @@ GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t
       for (std::size_t k = 0; k < count; ++k) {
         const std::uint32_t i = order[k];
         const Eigen::Vector3d moved = T * source.points[i].cast<double>();
-        const std::optional<Neighbour> nearest = target_tree.nearest(moved.cast<float>(), reach);
+        const Eigen::Vector3f query = moved.cast<float>();
+        float bound = reach;
+        if (last[k] != kNone) {
+          // Above the distance by more than its rounding, so that the point itself is found again.
+          bound = std::min(bound, 1.0001F * (target.points[last[k]] - query).norm() + 1e-6F);
+        }
+        const std::optional<Neighbour> nearest = target_tree.nearest(query, bound);
         if (!nearest) continue;
+        last[k] = nearest->index;
         const Eigen::Vector3d m = T.linear() * source.normals[i].cast<double>();
         const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
         const Eigen::Vector3d d = moved - target.points[nearest->index].cast<double>();

@@ -7,7 +7,9 @@
 #include "consensus.hpp"
 #include "fpfh.hpp"
 #include "gicp.hpp"
+#include "matching.hpp"
 #include "normal_bins.hpp"
+#include "range_image.hpp"
 #include "scene.hpp"
 #include "testing.hpp"
 
@@ -170,6 +172,80 @@ TEST_CASE("refine_gicp: without matches it stays and says so", "[parts][error]")
                                         Eigen::Isometry3d::Identity(), {{}});
   REQUIRE_FALSE(result.converged);
   REQUIRE(testing::difference(result.T_target_source, Eigen::Isometry3d::Identity()) == 0.0);
+}
+
+TEST_CASE("match_descriptors: the most similar of all, as by comparing each with each", "[parts][property]") {
+  Rng rng(41);
+  for (const auto& [sources, targets] :
+       std::vector<std::pair<int, int>>{{0, 5}, {5, 0}, {1, 1}, {3, 9}, {61, 50}}) {
+    CAPTURE(sources, targets);
+    const auto draw = [&](int count) {
+      Descriptors d(kFpfhSize, count);
+      for (Eigen::Index i = 0; i < d.size(); ++i) d.data()[i] = static_cast<float>(rng.uniform());
+      if (count > 0) d.colwise().normalize();
+      return d;
+    };
+    const Descriptors a = draw(sources), b = draw(targets);
+    const auto matches = match_descriptors(PackedDescriptors(a), PackedDescriptors(b));
+    REQUIRE(matches.size() == (targets == 0 ? 0U : static_cast<std::size_t>(sources)));
+    for (const DescriptorMatch& m : matches) {
+      const Eigen::VectorXf similar = b.transpose() * a.col(m.source);
+      const Eigen::VectorXf back = a.transpose() * b.col(m.target);
+      // Measured: the integers differ from the floats by at most 1.1e-4.
+      REQUIRE(similar[m.target] > similar.maxCoeff() - 3e-4F);
+      REQUIRE(std::abs(static_cast<float>(m.similarity) / 268435456.0F - similar[m.target]) < 3e-4F);
+      if (m.mutual) REQUIRE(back[m.source] > back.maxCoeff() - 3e-4F);
+      if (back[m.source] > 0.0F && (back.array() < back[m.source] - 3e-4F).count() == sources - 1) {
+        REQUIRE(m.mutual);
+      }
+    }
+  }
+}
+
+TEST_CASE("RangeImage: what lies before the seen surfaces contradicts them, what lies on or behind does not",
+          "[parts]") {
+  Rng rng(43);
+  // A sphere of 10 m around the sensor, but for a hole upwards.
+  PointCloud shell;
+  while (shell.points.size() < 20000) {
+    const Eigen::Vector3f direction = random_direction(rng);
+    if (direction.z() < 0.8F) shell.points.push_back(10.0F * direction);
+  }
+  const RangeImage image(shell);
+  const auto scaled = [&](float factor) {
+    PointCloud out = shell;
+    for (Eigen::Vector3f& p : out.points) p *= factor;
+    return out;
+  };
+  const Eigen::Isometry3d same = Eigen::Isometry3d::Identity();
+  REQUIRE(image.contradiction(shell, same, 1000) == 0.0);
+  REQUIRE(image.contradiction(scaled(1.5F), same, 1000) == 0.0);
+  REQUIRE(image.contradiction(scaled(0.95F), same, 1000) == 0.0);  // within the margin
+  REQUIRE(image.contradiction(scaled(0.6F), same, 1000) == 1.0);
+  REQUIRE(image.contradiction(scaled(0.6F), Eigen::Isometry3d(Eigen::Translation3d(0, 0, 40)), 1000) == 0.0);
+  REQUIRE(RangeImage(PointCloud{}).contradiction(shell, same, 1000) == 0.0);
+  REQUIRE(image.contradiction(PointCloud{}, same, 1000) == 0.0);
+}
+
+TEST_CASE("refine_gicp: the last match as a bound changes nothing", "[parts][property]") {
+  Rng rng(47);
+  FeatureOptions options;
+  const testing::Scene scene(47);
+  const ScanFeatures a = compute_features(*scene.scan(testing::ground_pose(0, 0, 0), 6000, rng), options);
+  const ScanFeatures b =
+      compute_features(*scene.scan(testing::ground_pose(0.4, 0.2, 0.1), 6000, rng), options);
+  const auto order = draw_balanced(b.cloud, 3000);
+  // Passes of one iteration each keep no match from the iteration before only if they are runs of their own.
+  const GicpPass one{1.0, 0, 1, 1e-9, 1e-9};
+  Eigen::Isometry3d apart = Eigen::Isometry3d::Identity();
+  for (int i = 0; i < 6; ++i)
+    apart = refine_gicp(b.cloud, order, a.cloud, a.tree, apart, {one}).T_target_source;
+  GicpPass six = one;
+  six.iterations = 6;
+  const GicpResult together =
+      refine_gicp(b.cloud, order, a.cloud, a.tree, Eigen::Isometry3d::Identity(), {six});
+  REQUIRE(together.iterations == 6);
+  REQUIRE(together.T_target_source.matrix() == apart.matrix());
 }
 
 }  // namespace

@@ -236,6 +236,60 @@ TEST_CASE("registrar: degenerate scans are refused with a reason", "[registrar][
   }
 }
 
+TEST_CASE("registrar: any number of points up to 50, not all finite, gives a reason", "[registrar][error]") {
+  const std::string name = GENERATE(from_range(registrar_names()));
+  CAPTURE(name);
+  Rng rng(37);
+  testing::Scans scans{{1000, testing::Scene(1).scan(testing::ground_pose(0, 0, 0), 1500, rng)}};
+  for (Key count = 0; count <= 50; ++count) {
+    auto cloud = std::make_shared<PointCloud>(*scans.at(1000));
+    cloud->points.resize(count);
+    cloud->normals.clear();
+    if (count % 7 == 3) cloud->points.back() = Eigen::Vector3f::Constant(std::nanf(""));
+    if (count % 7 == 5) cloud->points.back().x() = std::numeric_limits<float>::infinity();
+    scans[count] = cloud;
+  }
+  const auto registrar = make_registrar(name, testing::loader(scans));
+  for (Key count = 0; count <= 50; ++count) {
+    CAPTURE(count);
+    require_sound(registrar->compute(pair_task(count, 1000, 1)));
+    require_sound(registrar->compute(pair_task(1000, count, 1)));
+    const RegistrationResult own = registrar->compute(pair_task(count, count, 1));
+    require_sound(own);
+    if (count < 20) REQUIRE(own.reason == RejectionReason::kTooFewPoints);
+  }
+}
+
+TEST_CASE("registrar: 200 000 points with duplicates and holes", "[registrar][error]") {
+  Rng rng(53);
+  const testing::Scene scene(11);
+  testing::Scans scans;
+  for (Key key = 0; key < 2; ++key) {
+    const auto part = scene.scan(testing::ground_pose(1.0 * static_cast<double>(key), 0, 0.2), 50000, rng);
+    auto cloud = std::make_shared<PointCloud>(*part);
+    for (int copy = 0; copy < 3; ++copy) {
+      cloud->points.insert(cloud->points.end(), part->points.begin(), part->points.end());
+    }
+    cloud->normals.clear();
+    for (std::size_t i = 0; i < cloud->points.size(); i += 1000) cloud->points[i].setConstant(std::nanf(""));
+    scans[key] = cloud;
+  }
+  const RegistrationResult result =
+      make_registrar("fast", testing::loader(scans))->compute(pair_task(1, 0, 1));
+  require_sound(result);
+  REQUIRE(result.verified());
+}
+
+TEST_CASE("FastRegistrar: prepared scans change nothing", "[registrar]") {
+  const Drive drive(19, 2, 4000);
+  const auto features = std::make_shared<FeatureCache>(testing::loader(drive.scans));
+  const FastRegistrar cold(features), warm(features);
+  warm.prepare(0);
+  warm.prepare(1);
+  warm.prepare(99);  // there is none
+  require_identical(warm.compute(pair_task(1, 0, 1)), cold.compute(pair_task(1, 0, 1)));
+}
+
 TEST_CASE("registrar: clouds that lie 100 km from the sensor align as well", "[registrar][error]") {
   const std::string name = GENERATE(from_range(registrar_names()));
   CAPTURE(name);

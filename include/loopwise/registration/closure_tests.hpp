@@ -50,7 +50,8 @@ struct ClosureTestOptions {
     field("overlap_distance_m", self.overlap_distance_m, above(0.0),
           "A source point with a target point within this distance overlaps, m.");
     field("min_overlap", self.min_overlap, between(0.0, 1.0),
-          "Share of overlapping source points that a closure needs.");
+          "Share of overlapping source points, against that of neighbours within the target, that a closure "
+          "needs.");
     field(
         "min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0),
         "The same where every direction of surfaces counts alike: ground on ground alone is not one place.");
@@ -92,6 +93,7 @@ struct AlignmentFigures {
   double balanced_overlap = 0.0;
   double on_plane = 0.0;           ///< Share of these within plane_distance_m.
   double expected_on_plane = 1.0;  ///< The share among neighbours within the clouds, see surface_share().
+  double expected_overlap = 1.0;   ///< Overlap of neighbours within the target, see surface_share().
   /// Share of points that lie where the other scan saw free space, source and target added; 0 if not
   /// measured.
   double contradiction = 0.0;
@@ -111,11 +113,18 @@ struct AlignmentFigures {
                                                  const Eigen::Isometry3d& T_to_from,
                                                  const ClosureTestOptions& options);
 
-/// Share of points that lie within plane_distance_m of the plane through their nearest neighbour, of those
-/// whose neighbour lies within overlap_distance_m and has an agreeing normal: how smooth the surfaces are at
-/// the scan's spacing, hence what a right alignment can reach. 1 if there are none. Looks at 1000 points.
-[[nodiscard]] double surface_share(const PointCloud& cloud, const KdTree& tree,
-                                   const ClosureTestOptions& options);
+/// What a right alignment can reach, by what neighbours within a cloud do.
+struct SurfaceShare {
+  /// Share of points with a neighbour within overlap_distance_m: low for sparse scans of long range. At least
+  /// 0.05.
+  double overlap = 1.0;
+  /// Share of the neighbours with agreeing normals that lie within plane_distance_m of each other's plane:
+  /// low for leaves and rubble. 1 if there are none.
+  double on_plane = 1.0;
+};
+/// Looks at 1000 points.
+[[nodiscard]] SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree,
+                                         const ClosureTestOptions& options);
 
 /// How well an alignment fits in detail, at most 1: on_plane − 3·contradiction. Corridors that look alike
 /// overlap; their roughness and their openings differ.

@@ -27,14 +27,15 @@ struct FastRegistrarOptions {
   double coarse_reach_m = 2.0;
   double fine_reach_m = 0.5;
   int coarse_points = 600;
-  int fine_points = 3000;
+  int fine_points = 2000;
   double max_descriptor_mb = 256.0;
   ClosureTestOptions tests = default_tests();
 
   /// Unlike the reference's: detail decides, so scans may reach further beyond each other.
   [[nodiscard]] static ClosureTestOptions default_tests() {
     ClosureTestOptions tests;
-    tests.max_fitness_m2 = 1.5;
+    tests.max_fitness_m2 = 2.2;
+    tests.measured_points = 2000;
     tests.min_consistency = 0.8;
     return tests;
   }
