@@ -233,7 +233,8 @@ void SimulatedAnnealing::run(std::uint64_t evaluations, const StopToken& stop) {
     parked_ = false;
   }
   if (!scaled_) find_scale(evaluations, stop);
-  while (scaled_ && evaluations > 0 && !stop.stop_requested()) {
+  const auto most = static_cast<std::uint64_t>(options_.max_steps);
+  while (scaled_ && evaluations > 0 && (most == 0 || steps_ < most) && !stop.stop_requested()) {
     --evaluations;
     ++evaluations_;
     ++steps_;

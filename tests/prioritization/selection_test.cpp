@@ -103,6 +103,14 @@ TEST_CASE("selection: the same steps give the same set, however divided", "[prio
   REQUIRE(run({600}, 1) == whole);
   REQUIRE(run({30, 200, 370}, 1) == whole);
   REQUIRE(run({600}, 2) != whole);
+
+  // It comes to an end by itself.
+  CovarianceObjective objective(p.graph, p.candidates);
+  AnnealingOptions options;
+  options.max_steps = 70;
+  SimulatedAnnealing annealing(objective, p.midpoints, 10, options, 1);
+  annealing.run(std::numeric_limits<std::uint64_t>::max());
+  REQUIRE(annealing.steps() == 70);
 }
 
 TEST_CASE("selection: a stop request ends the work, and the set is full all the same",

@@ -55,6 +55,7 @@ struct AnnealingOptions {
   std::int64_t scale_samples = 100;
   double distance_floor_m = 0.1;
   std::int64_t partners = 500;
+  std::int64_t max_steps = 50000;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -69,6 +70,8 @@ struct AnnealingOptions {
     field("partners", self.partners, at_least(1),
           "From more candidates outside the set than this, so many are drawn for a partner to be chosen "
           "among.");
+    field("max_steps", self.max_steps, at_least(0),
+          "The end of annealing a set, long after it has gone cold; 0: never.");
   }
 };
 
