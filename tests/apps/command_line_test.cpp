@@ -356,6 +356,52 @@ TEST_CASE("info: missions, graphs and clouds", "[apps]") {
   REQUIRE(json.at("points").at("total") == 1200);
 }
 
+TEST_CASE("rank: every candidate with its scores, the ranked first", "[apps]") {
+  const TemporaryFolder folder;
+  const std::string path = (folder / "yard").string(), csv = (folder / "candidates.csv").string();
+  write_mission(path, small_mission());
+  const std::vector<std::string> common{
+      "rank", path, "--set", "generation.skip_recent=2", "--set", "observability.min_sum=0"};
+  const auto rank = [&](std::vector<std::string> more) {
+    more.insert(more.begin(), common.begin(), common.end());
+    return json_of(more);
+  };
+  for (const char* method : {"baseline", "random", "obs", "gi", "full"}) {
+    CAPTURE(method);
+    const Json json = rank({"--method", method, "--count", "12", "--batch", "5", "-o", csv});
+    require_fields(json, {"mission", "method", "seed", "candidates", "ranked", "refused", "gains_exact",
+                          "trace_m2", "order"});
+    REQUIRE(json.at("ranked") == 12);
+    REQUIRE(json.at("order").size() == 12);
+    REQUIRE(json.at("trace_m2").at("with_ranked").get<double>() <
+            json.at("trace_m2").at("now").get<double>());
+    const CsvTable table(csv, {"rank", "from", "to", "source", "distance_m", "observability_from",
+                               "observability_to", "gain_m2", "connecting", "refused"});
+    REQUIRE(table.size() == json.at("candidates").get<std::size_t>());
+    for (std::size_t row = 0; row < table.size(); ++row) {
+      REQUIRE(table.text(row, 0) == (row < 12 ? std::to_string(row + 1) : ""));
+      REQUIRE(table.number(row, 7) > 0.0);
+      REQUIRE(table.number(row, 5) > 0.0);
+    }
+    REQUIRE(json.at("order")[0].at("from") == table.text(0, 1));
+    REQUIRE(rank({"--method", method, "--count", "12", "--batch", "5", "--threads", "2"}) ==
+            rank({"--method", method, "--count", "12", "--batch", "5", "--threads", "1"}));
+  }
+  // The best single gain is what graph information begins with when it is greedy.
+  const Json gi = rank({"--method", "gi", "--count", "1", "--batch", "1", "--evaluations", "0", "--set",
+                        "graph_information.shortlist=10000"});
+  const double first = gi.at("order")[0].at("gain_m2").get<double>();
+  rank({"--method", "baseline", "-o", csv});
+  const CsvTable table(csv, {"rank", "from", "to", "source", "distance_m", "observability_from",
+                             "observability_to", "gain_m2", "connecting", "refused"});
+  for (std::size_t row = 0; row < table.size(); ++row) REQUIRE(table.number(row, 7) <= first * (1.0 + 1e-9));
+
+  REQUIRE(rank({"--method", "odom"}).at("ranked") == 0);
+  require_failure({"rank", path, "--method", "best"}, kBadUsage, "best");
+  require_failure({"rank", path, "--batch", "0"}, kBadUsage, "replay.batch = 0");
+  require_failure({"rank", (folder / "absent").string()}, kBadInput, "absent");
+}
+
 TEST_CASE("config: what it prints is what --config takes", "[apps]") {
   const TemporaryFolder folder;
   const ProgramRun defaults = run_program({"config"});
