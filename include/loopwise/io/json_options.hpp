@@ -125,12 +125,8 @@ template <class T>
 [[nodiscard]] OptionValue option_value(const T& field) {
   if constexpr (std::is_enum_v<T>) {
     return enum_name(field);
-  } else if constexpr (std::is_same_v<T, bool>) {
-    return field;
-  } else if constexpr (std::is_integral_v<T> && std::is_signed_v<T>) {
-    return static_cast<std::int64_t>(field);
-  } else if constexpr (std::is_integral_v<T>) {
-    return static_cast<std::uint64_t>(field);
+  } else if constexpr (std::is_integral_v<T> && !std::is_same_v<T, bool>) {
+    return static_cast<std::conditional_t<std::is_signed_v<T>, std::int64_t, std::uint64_t>>(field);
   } else if constexpr (std::is_floating_point_v<T>) {
     return static_cast<double>(field);
   } else {
