@@ -201,9 +201,10 @@ void add_replay(CLI::App& app, Action& chosen) {
       ->type_name("MISSION");
   command->add_option("-o,--output", options->output, "Folder for the results")->required()->type_name("DIR");
   command
-      ->add_option("--method", options->method,
-                   "Order of the candidates: odom (none), baseline, random, obs, gi, full (obs and gi), rssi, or "
-                   "several joined by +")
+      ->add_option(
+          "--method", options->method,
+          "Order of the candidates: odom (none), baseline, random, obs, gi, full (obs and gi), rssi, or "
+          "several joined by +")
       ->type_name("M");
   command
       ->add_option("--preset", options->preset,

@@ -191,8 +191,8 @@ int run(const Options& options) {
   sample.erase(std::remove_if(sample.begin(), sample.end(),
                               [&](const LoopCandidate& c) {
                                 return mission.ground_truth.count(c.from) == 0 ||
-                                       mission.ground_truth.count(c.to) == 0 ||
-                                       !mission.scans->has(c.from) || !mission.scans->has(c.to);
+                                       mission.ground_truth.count(c.to) == 0 || !mission.scans->has(c.from) ||
+                                       !mission.scans->has(c.to);
                               }),
                sample.end());
   Rng(options.seed).shuffle(sample);

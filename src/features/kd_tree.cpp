@@ -202,7 +202,8 @@ void KdTree::within(const Eigen::Vector3f& query, float radius_m, std::vector<Ne
   std::sort(found.begin(), found.end(), nearer);
 }
 
-void KdTree::within_unordered(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const {
+void KdTree::within_unordered(const Eigen::Vector3f& query, float radius_m,
+                              std::vector<Neighbour>& found) const {
   found.clear();
   RadiusVisitor visitor(radius_m * radius_m, found);
   search(query, visitor);

@@ -184,6 +184,7 @@ SimulatedAnnealing::SimulatedAnnealing(GraphObjective& objective, std::vector<Ei
   }
   best_ = start_;
   value_ = start_value_ = best_value_ = objective_.value();
+  first_temperature_ = options_.temperature_max * (initial.empty() ? 1.0 : options_.seeded_share);
   scaled_ = options_.absolute;
   scale_ = 1.0;
 }
@@ -239,7 +240,7 @@ void SimulatedAnnealing::run(std::uint64_t evaluations, const StopToken& stop) {
     ++evaluations_;
     ++steps_;
     const double T =
-        scale_ * std::max(options_.temperature_max * std::pow(options_.cooling, static_cast<double>(steps_)),
+        scale_ * std::max(first_temperature_ * std::pow(options_.cooling, static_cast<double>(steps_)),
                           options_.temperature_min);
     const std::size_t out = objective_.selected()[rng_.below(objective_.selected().size())];
     const std::size_t place = choose_partner(out);

@@ -151,7 +151,8 @@ TEST_CASE("se3: the covariance of the inverse follows samples", "[core][se3]") {
   for (int r = 0; r < 6; ++r) {
     for (int c = 0; c <= r; ++c) L(r, c) = 1e-4 * rng.normal();
   }
-  // To first order each sample ξ of T moves T⁻¹ by η = Log(T · (T·Exp(ξ))⁻¹), so the columns of L may stand for samples.
+  // To first order each sample ξ of T moves T⁻¹ by η = Log(T · (T·Exp(ξ))⁻¹), so the columns of L may stand
+  // for samples.
   Matrix6d moved;
   for (int k = 0; k < 6; ++k) moved.col(k) = se3::log(T * (T * se3::exp(L.col(k))).inverse());
   const Matrix6d expected = moved * moved.transpose();

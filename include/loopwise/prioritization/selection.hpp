@@ -51,6 +51,7 @@ struct AnnealingOptions {
   double temperature_max = 1.0;
   double temperature_min = 1e-4;
   double cooling = 0.995;
+  double seeded_share = 0.01;
   bool absolute = false;
   std::int64_t scale_samples = 100;
   double distance_floor_m = 0.1;
@@ -63,6 +64,9 @@ struct AnnealingOptions {
           "First temperature, in units of the median change of random swaps.");
     field("temperature_min", self.temperature_min, at_least(0.0), "Last temperature, in the same units.");
     field("cooling", self.cooling, Bounds{0.0, 1.0, true}, "Factor of the temperature at each step.");
+    field("seeded_share", self.seeded_share, between(0.0, 1.0),
+          "From a set that was chosen already, the share of temperature_max to begin with: heat would undo "
+          "the choice.");
     field("absolute", self.absolute, any_value(), "Temperatures are in units of the objective instead.");
     field("scale_samples", self.scale_samples, at_least(1), "Random swaps that the median is taken of.");
     field("distance_floor_m", self.distance_floor_m, above(0.0),
@@ -119,6 +123,7 @@ class SimulatedAnnealing {
   std::vector<double> scale_samples_;
   double scale_ = 0.0;
   bool scaled_ = false;
+  double first_temperature_ = 0.0;
   bool parked_ = false;  // best() left its set in the objective
   std::uint64_t steps_ = 0, accepted_ = 0, evaluations_ = 0;
   bool stopped_ = false;
