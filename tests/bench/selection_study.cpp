@@ -33,9 +33,9 @@ namespace {
 
 constexpr std::size_t kCandidates = 500;
 constexpr std::size_t kBatch = 100;
-constexpr double kSeconds = 0.5;              // of processor time, for each anytime method
+constexpr double kSeconds = 0.5;               // of processor time, for each anytime method
 constexpr std::uint64_t kEvaluations = 10000;  // the other budget: the steps of Algorithm 1 in the benchmark
-constexpr double kLengthM = 1000.0;           // driven by all robots together
+constexpr double kLengthM = 1000.0;            // driven by all robots together
 
 double cpu() {
   timespec t{};
