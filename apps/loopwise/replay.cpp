@@ -162,6 +162,8 @@ int run(const Options& options) {
     if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
   };
   hooks.outcome = [&](const RegistrationResult& result) { outcomes.add(result); };
+  RunHistory history(mission);
+  hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
   hooks.progress = console.progress_callback();
   hooks.stop = interrupt.token();
   const ReplayResult result =
@@ -171,7 +173,8 @@ int run(const Options& options) {
   const RunEvaluation evaluation = evaluate_run(mission, result);
   const PointCloud map =
       stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
-  write_run_folder(folder, mission, config, result, evaluation, interrupt.interrupted() ? PointCloud{} : map);
+  write_run_folder(folder, mission, config, result, evaluation, history.rows(),
+                   interrupt.interrupted() ? PointCloud{} : map);
   print_results(options.common, parse_json(run_summary_json(mission, config, result, evaluation), "summary"),
                 results_text(config, result, evaluation) + "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
@@ -194,8 +197,8 @@ void add_replay(CLI::App& app, Action& chosen) {
       "  loopwise replay my_mission -o out --method obs\n"
       "  loopwise replay my_session -o out --set generation.skip_recent=2 --odometry-noise 0.05 0.01 --seed "
       "3\n"
-      "DIR gets summary.json, closures.csv, graph.g2o, trajectories/, map.pcd, picture.svg and "
-      "journal.jsonl.");
+      "DIR gets summary.json, closures.csv, history.csv, graph.g2o, trajectories/, map.pcd, picture.svg "
+      "and journal.jsonl.");
   command->add_option("mission", options->mission, "Mission folder, session folder or g2o file")
       ->required()
       ->type_name("MISSION");

@@ -115,6 +115,7 @@ std::string run_summary_json(const Mission& mission, const Config& config, const
   json["seed"] = config.replay.seed;
   json["interrupted"] = result.interrupted;
   json["mission_time_s"] = result.mission_time_s;
+  json["mission_end_s"] = result.mission_end_s;
   json["key_frames"] = result.graph.nodes().size();
   json["batches"] = result.batches;
   json["optimizations"] = result.optimizations;
@@ -205,7 +206,8 @@ PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double vox
 }
 
 void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
-                      const ReplayResult& result, const RunEvaluation& evaluation, const PointCloud& map) {
+                      const ReplayResult& result, const RunEvaluation& evaluation,
+                      const std::vector<HistoryRow>& history, const PointCloud& map) {
   write_g2o(folder / "graph.g2o", result.graph);
   std::error_code failure;
   std::filesystem::create_directories(folder / "trajectories", failure);
@@ -228,6 +230,7 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
     write_tum(folder / "trajectories" / (name + "_odometry.tum"), odometry);
   }
   write_file(folder / "closures.csv", closures_csv(result));
+  write_file(folder / "history.csv", history_csv(history));
   if (!map.empty()) {
     write_pcd(folder / "map.pcd", map);
     write_file(folder / "picture.svg", run_picture_svg(mission, result, map));

@@ -109,6 +109,7 @@ class Run {
       events_.insert({times[i], EventKind::kKeyFrame, mission_.graph.nodes()[i].key, i});
       mission_end = std::max(mission_end, times[i]);
     }
+    result_.mission_end_s = mission_end;
     end_s_ = config_.replay.after_mission ? std::numeric_limits<double>::infinity() : mission_end;
     write(journal::start_line(mission_, config_));
 
@@ -121,6 +122,7 @@ class Run {
       }
       pool_.expire(now_s_);
       if (batch_.empty()) start_batch();
+      show(now_s_ == mission_end ? ReplayMoment::Kind::kMissionEnd : ReplayMoment::Kind::kKeyFrame);
     }
 
     result_.interrupted = hooks_.stop.stop_requested();
@@ -309,6 +311,7 @@ class Run {
     if (std::none_of(batch_.begin(), batch_.end(), [&](const LoopCandidate& c) { return is_unpaid(c); }))
       batch_.clear();
     optimize();
+    show(ReplayMoment::Kind::kBatch);
   }
 
   bool is_unpaid(const LoopCandidate& candidate) const {
@@ -354,6 +357,7 @@ class Run {
     result_.problems.add(mission_.scans->problems());
     result_.problems.add(radio_.problems());
     write(journal::end_line(now_s_, result_.interrupted, pool_.accounting()));
+    show(ReplayMoment::Kind::kEnd);
     result_.graph = std::move(graph_);
   }
 
@@ -362,6 +366,11 @@ class Run {
 
   void write(const std::string& line) const {
     if (hooks_.journal) hooks_.journal(line);
+  }
+
+  void show(ReplayMoment::Kind kind) const {
+    if (!hooks_.moment) return;
+    hooks_.moment({kind, now_s_, graph_, result_.odometry, result_.computed, pool_.accounting()});
   }
 
   void report() const { report(pool_.accounting().computed); }

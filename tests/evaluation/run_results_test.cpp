@@ -17,13 +17,15 @@
 namespace loopwise {
 namespace {
 
-ReplayResult replayed(const Mission& mission, const Config& config) {
+ReplayResult replayed(const Mission& mission, const Config& config, RunHistory* history = nullptr) {
   const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
   std::map<Key, Eigen::Isometry3d> truth = mission.ground_truth;
   if (truth.empty()) truth = testing::two_circles().ground_truth;
   const auto registrar = std::make_shared<testing::OracleRegistrar>(truth);
   ThreadPool pool(1);
-  return MissionReplay(mission, config, features, registrar).run(pool, {});
+  ReplayHooks hooks;
+  if (history) hooks.moment = [history](const ReplayMoment& moment) { history->add(moment); };
+  return MissionReplay(mission, config, features, registrar).run(pool, hooks);
 }
 
 Config short_config() {
@@ -44,10 +46,11 @@ std::size_t occurrences(const std::string& text, const std::string& part) {
 TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evaluation][run]") {
   const Mission mission = testing::two_circles();
   const Config config = short_config();
-  const ReplayResult result = replayed(mission, config);
+  RunHistory history(mission);
+  const ReplayResult result = replayed(mission, config, &history);
   const RunEvaluation evaluation = evaluate_run(mission, result);
   const testing::TemporaryFolder folder;
-  write_run_folder(folder.path(), mission, config, result, evaluation,
+  write_run_folder(folder.path(), mission, config, result, evaluation, history.rows(),
                    stitch_map(result.graph, *mission.scans, 0.2));
 
   const Json summary = parse_json(testing::read_text(folder / "summary.json"), "summary.json");
@@ -90,6 +93,49 @@ TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evalua
   REQUIRE(read_tum(folder / "trajectories" / "b.tum")[0].stamp_ns == 500000000);
   REQUIRE(read_cloud(folder / "map.pcd").cloud.size() > 1000);
   REQUIRE(testing::fs::exists(folder / "picture.svg"));
+}
+
+TEST_CASE("run history: counts never fall, the rows are dense, the last one is the result",
+          "[evaluation][run]") {
+  const Mission mission = testing::two_circles();
+  const std::string method = GENERATE("odom", "random");
+  Config config = short_config();
+  config.replay.method = method;
+  config.replay.batch = 10;
+  RunHistory history(mission);
+  const ReplayResult result = replayed(mission, config, &history);
+  const RunEvaluation evaluation = evaluate_run(mission, result);
+  const std::vector<HistoryRow>& rows = history.rows();
+
+  REQUIRE(rows.size() >= (method == "odom" ? 8 : 12));  // 78.5 s; six batches besides
+  for (std::size_t i = 1; i < rows.size(); ++i) {
+    REQUIRE(rows[i].mission_time_s > rows[i - 1].mission_time_s);
+    REQUIRE(rows[i].mission_time_s - rows[i - 1].mission_time_s <
+            12.0);  // key frames come every 1.5 s at most
+    REQUIRE(rows[i].key_frames >= rows[i - 1].key_frames);
+    REQUIRE(rows[i].computed >= rows[i - 1].computed);
+    REQUIRE(rows[i].true_inliers <= rows[i].verified);
+    REQUIRE(rows[i].right_inliers <= std::min(rows[i].true_inliers, rows[i].gnc_inliers));
+  }
+  const HistoryRow& last = rows.back();
+  REQUIRE(last.mission_time_s == result.mission_time_s);
+  REQUIRE(result.mission_end_s == 78.5);
+  REQUIRE(last.queued == result.accounting.queued());
+  REQUIRE(last.computed == result.computed.size());
+  REQUIRE(last.verified == evaluation.closures.verified);
+  REQUIRE(last.gnc_inliers == evaluation.closures.gnc_inliers);
+  REQUIRE(last.true_inliers == evaluation.closures.true_inliers);
+  REQUIRE(last.right_inliers == evaluation.closures.right_inliers);
+  REQUIRE(last.ate_m == Approx(evaluation.optimized.ate_m.mean).epsilon(1e-12));
+  REQUIRE(last.odometry_ate_m == Approx(evaluation.odometry.ate_m.mean).epsilon(1e-12));
+
+  const testing::TemporaryFolder folder;
+  testing::write_text(folder / "history.csv", history_csv(rows));
+  const CsvTable table(folder / "history.csv",
+                       {"mission_time_s", "key_frames", "generated", "queued", "computed", "verified",
+                        "gnc_inliers", "true_inliers", "right_inliers", "ate_m", "odometry_ate_m"});
+  REQUIRE(table.size() == rows.size());
+  REQUIRE(table.number(rows.size() - 1, 9) == last.ate_m);
 }
 
 TEST_CASE("run folder: without ground truth errors are null, not zero", "[evaluation][run]") {

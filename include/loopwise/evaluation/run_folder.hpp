@@ -5,8 +5,10 @@
 #include <filesystem>
 #include <map>
 #include <string>
+#include <vector>
 
 #include <loopwise/evaluation/closure_statistics.hpp>
+#include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/pipeline/config.hpp>
@@ -38,9 +40,10 @@ struct RunEvaluation {
                                     const StopToken& stop = {}, const ProgressCallback& progress = {});
 
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
-/// trajectories/ROBOT_odometry.tum, closures.csv, map.pcd (if `map` is not empty), picture.svg and, last,
-/// summary.json: where that is missing the folder is not whole. \throws IoError
+/// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
+/// and, last, summary.json: where that is missing the folder is not whole. \throws IoError
 void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
-                      const ReplayResult& result, const RunEvaluation& evaluation, const PointCloud& map);
+                      const ReplayResult& result, const RunEvaluation& evaluation,
+                      const std::vector<HistoryRow>& history, const PointCloud& map);
 
 }  // namespace loopwise

@@ -35,6 +35,22 @@ struct ComputedCandidate {
   double weight = 0.0;          ///< Last weight of the robust optimisation; 0 if rejected.
 };
 
+/// A run at one moment of mission time. The references hold during the call alone.
+struct ReplayMoment {
+  enum class Kind {
+    kKeyFrame,    ///< Key frames have arrived.
+    kBatch,       ///< A batch is done, and the graph optimised if it brought a closure.
+    kMissionEnd,  ///< The last key frame has arrived.
+    kEnd,         ///< The run is over.
+  };
+  Kind kind = Kind::kKeyFrame;
+  double mission_time_s = 0.0;
+  const PoseGraph& graph;
+  const std::vector<Eigen::Isometry3d>& odometry;  ///< In the order of graph.nodes().
+  const std::vector<ComputedCandidate>& computed;
+  const CandidateAccounting& accounting;
+};
+
 /// What a run tells while it goes on. Any may be empty.
 struct ReplayHooks {
   /// Takes one line of JSON, without its line end, per event: in the order of mission time, the same in every
@@ -43,6 +59,8 @@ struct ReplayHooks {
   using OutcomeSink = std::function<void(const RegistrationResult& result)>;
   /// Takes every registration as soon as it is computed, in any order, one at a time from any thread.
   OutcomeSink outcome;
+  /// Is shown the run after key frames and batches, in the order of mission time, the same in every run.
+  std::function<void(const ReplayMoment& moment)> moment;
   ProgressCallback progress;
   StopToken stop;
 };
@@ -56,6 +74,7 @@ struct ReplayResult {
   std::map<std::string, std::size_t> expired;
   std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
   double mission_time_s = 0.0;                                  ///< When the run ended.
+  double mission_end_s = 0.0;                                   ///< When the last key frame arrives.
   std::size_t batches = 0;
   std::size_t optimizations = 0;
   bool interrupted = false;  ///< A stop was requested: the result is what there was until then.
