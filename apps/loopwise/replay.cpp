@@ -8,6 +8,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/pipeline/outcome_store.hpp>
 #include <loopwise/pipeline/replay.hpp>
 
 #include "command.hpp"
@@ -25,6 +26,8 @@ struct Options {
   std::optional<std::int64_t> batch, workers, max_registrations, skip_recent;
   std::optional<double> registration_time, gi_evaluation_time;
   std::vector<double> odometry_noise;
+  std::string outcomes;
+  OutcomeStoreOptions outcomes_bound;
   std::optional<std::uint64_t> seed;
   bool after_mission = false;
   bool resume = false;
@@ -131,6 +134,17 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   return text;
 }
 
+void note_outcomes(Console& console, const OutcomeStore& store) {
+  const OutcomeStoreStatistics statistics = store.statistics();
+  console.note(std::to_string(statistics.hits) + " registrations taken from the stored outcomes, " +
+               std::to_string(statistics.computed) + " computed");
+  if (statistics.damaged_bytes > 0) {
+    console.warn(std::to_string(statistics.damaged_bytes) +
+                 " bytes of the stored outcomes were damaged and passed over");
+  }
+  if (!statistics.problem.empty()) console.warn("outcomes are not stored any more: " + statistics.problem);
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -155,7 +169,13 @@ int run(const Options& options) {
 
   ThreadPool threads(thread_count(options.common));
   const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
-  const auto registrar = make_registrar(config.replay.registrar, config, features);
+  std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
+  std::shared_ptr<OutcomeStore> store;
+  if (!options.outcomes.empty()) {
+    store = std::make_shared<OutcomeStore>(options.outcomes, options.outcomes_bound);
+    registrar = std::make_shared<StoredRegistrar>(registrar, store, mission.scans->loader(),
+                                                  registration_context(config.replay.registrar, config));
+  }
   ReplayHooks hooks;
   hooks.journal = [&](const std::string& line) {
     journal << line + "\n" << std::flush;
@@ -169,6 +189,7 @@ int run(const Options& options) {
   const ReplayResult result =
       MissionReplay(mission, config, features, registrar).run(threads, hooks, outcomes.known());
   console.warn(result.problems);
+  if (store) note_outcomes(console, *store);
 
   const RunEvaluation evaluation = evaluate_run(mission, result);
   const PointCloud map =
@@ -242,6 +263,14 @@ void add_replay(CLI::App& app, Action& chosen) {
       ->type_name("WORD");
   command->add_option("--guess", options->guess, "Relative pose given to registrations: estimate or odometry")
       ->type_name("WORD");
+  command
+      ->add_option("--outcomes", options->outcomes,
+                   "Keep outcomes of registrations in this folder, and take from it those that are there")
+      ->type_name("DIR");
+  command
+      ->add_option("--outcomes-mb", options->outcomes_bound.max_mb,
+                   "Bound of that folder, MB; the oldest outcomes go first (default 4096)")
+      ->type_name("MB");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
