@@ -69,6 +69,7 @@ void add_optimize(CLI::App& app, Action& chosen);
 void add_rank(CLI::App& app, Action& chosen);
 void add_register(CLI::App& app, Action& chosen);
 void add_replay(CLI::App& app, Action& chosen);
+void add_report(CLI::App& app, Action& chosen);
 void add_study(CLI::App& app, Action& chosen);
 #ifdef LOOPWISE_HAS_SIMULATION
 void add_simulate(CLI::App& app, Action& chosen);

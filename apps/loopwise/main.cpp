@@ -14,6 +14,7 @@ int main(int argc, char** argv) {
       "Examples:\n"
       "  loopwise info my_mission                               what is recorded there\n"
       "  loopwise replay my_mission -o out --method obs         find loop closures and the map\n"
+      "  loopwise report out -o report.html                     look at it in a browser\n"
       "  loopwise optimize graph.g2o -o better.g2o --gnc        optimise a pose graph robustly\n"
       "  loopwise register a.pcd b.pcd                          align two scans\n"
       "  loopwise evaluate estimate.tum truth.tum               trajectory errors\n\n"
@@ -27,6 +28,7 @@ int main(int argc, char** argv) {
   add_rank(app, chosen);
   add_register(app, chosen);
   add_evaluate(app, chosen);
+  add_report(app, chosen);
 #ifdef LOOPWISE_HAS_SIMULATION
   add_simulate(app, chosen);
 #endif

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <nlohmann/json.hpp>
+
+#include <loopwise/evaluation/report.hpp>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Options {
+  CommonOptions common;
+  std::vector<std::string> runs, missions;
+  std::string output = "report.html";
+  ReportOptions report;
+};
+
+int run(const Options& options) {
+  Console console(options.common.quiet);
+  const Config config = load_config(options.common);
+  std::vector<Mission> missions;
+  for (const std::string& path : options.missions) {
+    missions.push_back(read_mission(path, config.mission));
+    console.warn(missions.back().problems);
+  }
+  ThreadPool threads(thread_count(options.common));
+  const Report report =
+      write_report(options.output, std::vector<fs::path>(options.runs.begin(), options.runs.end()), missions,
+                   options.report, threads, console.progress_callback());
+  for (const std::string& note : report.notes) console.note(note);
+
+  const auto bytes = static_cast<std::size_t>(fs::file_size(options.output));
+  const Json json = {{"report", options.output},  {"bytes", bytes},      {"runs", report.runs},
+                     {"studies", report.studies}, {"maps", report.maps}, {"notes", report.notes}};
+  print_results(options.common, json,
+                "report " + options.output + ": " + std::to_string(report.runs) + " runs, " +
+                    std::to_string(report.studies) + " studies, " +
+                    fixed(static_cast<double>(bytes) * 1e-6, 1) + " MB. Open it in any browser.\n");
+  return kDone;
+}
+
+}  // namespace
+
+void add_report(CLI::App& app, Action& chosen) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("report", "Runs side by side as one page for any browser");
+  command->footer(
+      "The page holds a map to turn and zoom, charts over mission time, tables and options, and loads "
+      "nothing\n"
+      "from the network.\n"
+      "  loopwise report out -o report.html --mission my_mission\n"
+      "  loopwise report out/baseline out/obs out/full -o report.html --mission my_mission");
+  command->add_option("runs", options->runs, "Folders of 'loopwise replay' or 'loopwise study ablation'")
+      ->required()
+      ->type_name("RUN");
+  command->add_option("-o,--output", options->output, "The page (default report.html)")->type_name("FILE");
+  command
+      ->add_option("--mission", options->missions,
+                   "Mission of the runs, for true paths, radio and observability; may be repeated")
+      ->type_name("MISSION")
+      ->expected(1)
+      ->take_all();
+  command
+      ->add_option("--map-points", options->report.map_points,
+                   "Most points of a map that are drawn (default 20000)")
+      ->type_name("N");
+  command->add_option("--maps", options->report.maps, "Runs that get a map, the first ones (default 8)")
+      ->type_name("N");
+  command->add_option("--seed", options->report.seed, "Of what is drawn where a layer has more (default 1)")
+      ->type_name("S");
+  add_common_options(*command, options->common);
+  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+}
+
+}  // namespace loopwise::cli

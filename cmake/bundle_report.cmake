@@ -1,0 +1,41 @@
+# Run by the build: bundles WEB into OUT/report_template.cpp with NPM and NODE. Where that fails, MODE=ON fails the
+# build; MODE=AUTO warns and takes ABSENT, with which `loopwise report` says that it has no page.
+
+function(give_up what why)
+  set(text "${what}:\n${why}\n  The page of `loopwise report` cannot be bundled. npm needs the network or its cache once: "
+           "where a registry is reached by other means, set npm's own configuration (npm config set registry ...), "
+           "or do without the page: cmake -DLOOPWISE_WITH_REPORT=OFF.")
+  string(CONCAT text ${text})
+  if(MODE STREQUAL "ON")
+    message(FATAL_ERROR "${text}")
+  endif()
+  message(WARNING "${text}\n  Going on without: to try again, build with -DLOOPWISE_WITH_REPORT=ON.")
+  configure_file(${ABSENT} ${OUT}/report_template.cpp COPYONLY)
+  file(TOUCH ${OUT}/report_template.cpp)
+endfunction()
+
+# npm works beside its package.json: on a copy, so that the source tree stays as it is.
+set(work ${OUT}/work)
+file(REMOVE_RECURSE ${work}/src)
+file(COPY ${WEB}/package.json ${WEB}/package-lock.json ${WEB}/.npmrc ${WEB}/build.mjs ${WEB}/src DESTINATION ${work})
+
+file(SHA256 ${WEB}/package-lock.json lock)
+set(stamp ${work}/node_modules/.loopwise-lock)
+set(installed "")
+if(EXISTS ${stamp})
+  file(READ ${stamp} installed)
+endif()
+if(NOT installed STREQUAL lock)
+  execute_process(COMMAND ${NPM} ci --no-audit --no-fund --prefer-offline --loglevel=error --fetch-retries=1
+    WORKING_DIRECTORY ${work} RESULT_VARIABLE status OUTPUT_QUIET ERROR_VARIABLE errors)
+  if(NOT status EQUAL 0)
+    give_up("npm ci failed (${status})" "${errors}")
+    return()
+  endif()
+  file(WRITE ${stamp} ${lock})
+endif()
+execute_process(COMMAND ${NODE} build.mjs --out ${OUT}
+  WORKING_DIRECTORY ${work} RESULT_VARIABLE status ERROR_VARIABLE errors)
+if(NOT status EQUAL 0)
+  give_up("node build.mjs failed (${status})" "${errors}")
+endif()

@@ -1,0 +1,802 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/evaluation/report.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstring>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <numeric>
+#include <optional>
+#include <set>
+#include <tuple>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+#include <loopwise/features/feature_cache.hpp>
+#include <loopwise/features/kd_tree.hpp>
+#include <loopwise/generation/radio.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/trajectory.hpp>
+#include <loopwise/pipeline/config.hpp>
+
+#include "report_template.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr std::string_view kMark = "@LOOPWISE_DATA@";
+constexpr std::size_t kHistoryRows = 2000;
+constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
+
+// Arrays as text.
+
+std::string base64(const unsigned char* bytes, std::size_t count) {
+  constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string text;
+  text.reserve((count + 2) / 3 * 4);
+  for (std::size_t i = 0; i < count; i += 3) {
+    const std::size_t left = count - i;
+    const unsigned word = (static_cast<unsigned>(bytes[i]) << 16) |
+                          (left > 1 ? static_cast<unsigned>(bytes[i + 1]) << 8 : 0U) |
+                          (left > 2 ? static_cast<unsigned>(bytes[i + 2]) : 0U);
+    text += kDigits[word >> 18];
+    text += kDigits[(word >> 12) & 63];
+    text += left > 1 ? kDigits[(word >> 6) & 63] : '=';
+    text += left > 2 ? kDigits[word & 63] : '=';
+  }
+  return text;
+}
+
+/// Little-endian, as every browser's typed arrays in practice.
+template <class T>
+std::string base64(const std::vector<T>& values) {
+  static_assert(std::is_arithmetic_v<T>, "numbers");
+  std::vector<unsigned char> bytes(values.size() * sizeof(T));
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    std::array<unsigned char, sizeof(T)> raw{};
+    std::memcpy(raw.data(), &values[i], sizeof(T));
+    const std::uint16_t one = 1;
+    unsigned char first = 0;
+    std::memcpy(&first, &one, 1);
+    if (first == 0) std::reverse(raw.begin(), raw.end());
+    std::copy(raw.begin(), raw.end(), bytes.begin() + static_cast<std::ptrdiff_t>(i * sizeof(T)));
+  }
+  return base64(bytes.data(), bytes.size());
+}
+
+/// Positions of at most `limit` of `total` items, ascending, every set of them as likely (Knuth's algorithm
+/// S).
+std::vector<std::size_t> drawn(std::size_t total, std::int64_t limit, std::uint64_t seed) {
+  const auto most = std::min(total, static_cast<std::size_t>(limit));
+  std::vector<std::size_t> chosen;
+  chosen.reserve(most);
+  Rng rng(seed);
+  for (std::size_t i = 0; i < total && chosen.size() < most; ++i) {
+    if (rng.below(total - i) < most - chosen.size()) chosen.push_back(i);
+  }
+  return chosen;
+}
+
+/// Numbers where the text is one, nothing where it is empty.
+Json cell(const std::string& text) {
+  if (text.empty() || text == "nan") return nullptr;
+  char* end = nullptr;
+  const double number = std::strtod(text.c_str(), &end);
+  if (end == text.c_str() + text.size() && std::isfinite(number)) return number;
+  return text;
+}
+
+std::vector<std::string> header_of(const fs::path& path) {
+  std::ifstream in(path);
+  std::string line;
+  if (!std::getline(in, line)) throw ParseError(path.string(), 1, "no header line");
+  std::vector<std::string> columns;
+  std::string name;
+  for (const char c : line + ",") {
+    if (c == ',') {
+      columns.push_back(name);
+      name.clear();
+    } else if (c != '\r' && c != ' ' && c != '"') {
+      name += c;
+    }
+  }
+  return columns;
+}
+
+// One run.
+
+/// A robot's part of a run. The vectors go along with `keys`; what is not known is empty.
+struct RobotPath {
+  std::string name;
+  std::vector<Key> keys;
+  std::vector<std::int64_t> stamps_ns;
+  std::vector<Eigen::Vector3d> odometry;
+};
+
+/// The trajectories name robots and hold stamps, the graph holds keys: a robot's file is the one that goes
+/// through the positions of the next keys in order. What no file goes through is told apart by characters.
+std::vector<RobotPath> robot_paths(const fs::path& folder, const PoseGraph& graph) {
+  std::vector<Key> keys = graph.keys();
+  std::sort(keys.begin(), keys.end());
+
+  struct File {
+    std::string name;
+    std::vector<StampedPose> poses;
+    std::vector<StampedPose> odometry;
+  };
+  std::vector<File> files;
+  if (fs::is_directory(folder / "trajectories")) {
+    std::vector<fs::path> paths;
+    for (const auto& entry : fs::directory_iterator(folder / "trajectories")) paths.push_back(entry.path());
+    std::sort(paths.begin(), paths.end());
+    for (const fs::path& path : paths) {
+      const fs::path odometry = path.parent_path() / (path.stem().string() + "_odometry.tum");
+      if (path.extension() != ".tum" || !fs::exists(odometry)) continue;
+      files.push_back({path.stem().string(), read_tum(path), read_tum(odometry)});
+    }
+  }
+  const auto goes_through = [&](const File& file, std::size_t from) {
+    if (file.poses.empty() || file.poses.size() > keys.size() - from) return false;
+    for (std::size_t i = 0; i < file.poses.size(); ++i) {
+      const Eigen::Vector3d& p = graph.node(keys[from + i]).pose.translation();
+      if ((p - file.poses[i].pose.translation()).norm() > 1e-4) return false;
+    }
+    return true;
+  };
+
+  std::vector<RobotPath> robots;
+  std::vector<Key> unnamed;
+  std::set<std::size_t> used;
+  for (std::size_t at = 0; at < keys.size();) {
+    std::size_t found = files.size();
+    for (std::size_t f = 0; f < files.size() && found == files.size(); ++f) {
+      if (used.count(f) == 0 && goes_through(files[f], at)) found = f;
+    }
+    if (found == files.size()) {
+      unnamed.push_back(keys[at++]);
+      continue;
+    }
+    used.insert(found);
+    RobotPath robot;
+    robot.name = files[found].name;
+    for (const StampedPose& pose : files[found].poses) {
+      robot.keys.push_back(keys[at++]);
+      robot.stamps_ns.push_back(pose.stamp_ns);
+    }
+    for (const StampedPose& pose : files[found].odometry) robot.odometry.push_back(pose.pose.translation());
+    if (robot.odometry.size() != robot.keys.size()) robot.odometry.clear();
+    robots.push_back(std::move(robot));
+  }
+  const Robots by_character = Robots::from_keys(unnamed);
+  for (const Robot& robot : by_character.all()) {
+    RobotPath path;
+    path.name = robot.name;
+    for (const Key key : unnamed) {
+      if (robot.first <= key && key <= robot.last) path.keys.push_back(key);
+    }
+    robots.push_back(std::move(path));
+  }
+  return robots;
+}
+
+/// What a mission adds to its runs, made once.
+struct MissionView {
+  const Mission* mission = nullptr;
+  bool used = false;
+  std::map<Key, double> observability;  ///< λ_min by the largest of all, for nodes with a scan.
+};
+
+std::map<Key, double> observability_of(const Mission& mission, const FeatureOptions& options,
+                                       ThreadPool& threads, const ProgressCallback& progress) {
+  const std::vector<Key> keys = mission.scans->keys();
+  std::vector<double> values(keys.size(), kNan);
+  FeatureCache features(mission.scans->loader(), options);
+  constexpr std::size_t kChunk = 64;
+  for (std::size_t begin = 0; begin < keys.size(); begin += kChunk) {
+    const std::size_t count = std::min(kChunk, keys.size() - begin);
+    threads.for_each(count, [&](std::size_t i) {
+      try {
+        if (const auto scan = features.get(keys[begin + i]))
+          values[begin + i] = scan->observability.min_eigenvalue;
+      } catch (const Error&) {
+        // A broken scan has no observability; the mission's reader names it.
+      }
+    });
+    if (progress) progress({"reading scans", begin + count, keys.size(), ""});
+  }
+  double largest = 0.0;
+  for (const double value : values) {
+    if (value > largest) largest = value;
+  }
+  std::map<Key, double> scores;
+  for (std::size_t i = 0; i < keys.size() && largest > 0.0; ++i) {
+    if (std::isfinite(values[i])) scores[keys[i]] = values[i] / largest;
+  }
+  return scores;
+}
+
+struct Row {
+  Key from, to;
+  std::string outcome;
+  double weight, time_s;
+};
+
+class RunReader {
+ public:
+  RunReader(fs::path folder, const ReportOptions& options)
+      : folder_(std::move(folder)), options_(options), summary_(read_json_file(folder_ / "summary.json")) {
+    if (!summary_.is_object()) throw InputError((folder_ / "summary.json").string() + ": not an object");
+    if (summary_.contains("mission") && summary_["mission"].is_string())
+      mission_name_ = summary_["mission"].get<std::string>();
+    if (fs::exists(folder_ / "closures.csv")) read_closures();
+  }
+
+  [[nodiscard]] const std::string& mission_name() const { return mission_name_; }
+  [[nodiscard]] const Json& summary() const { return summary_; }
+
+  void note(const std::string& text) { notes_.push_back(text); }
+  [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
+
+  /// A section of the options that the run had; defaults where it has none that this version knows.
+  template <class Options>
+  [[nodiscard]] Options section(const char* name) const {
+    Options options;
+    if (!summary_.contains("options") || !summary_["options"].is_object()) return options;
+    const Json& all = summary_["options"];
+    if (!all.contains(name)) return options;
+    try {
+      apply_json(all[name], name, options);
+    } catch (const OptionError&) {
+      return Options();
+    }
+    return options;
+  }
+
+  [[nodiscard]] Json history() {
+    const fs::path path = folder_ / "history.csv";
+    Json columns = Json::object();
+    if (fs::exists(path)) {
+      const std::vector<std::string> names = header_of(path);
+      const CsvTable table(path, names);
+      const std::size_t stride = std::max<std::size_t>(1, (table.size() + kHistoryRows - 1) / kHistoryRows);
+      for (std::size_t c = 0; c < names.size(); ++c) {
+        Json values = Json::array();
+        for (std::size_t r = 0; r < table.size(); ++r) {
+          if (r % stride == 0 || r + 1 == table.size()) values.push_back(cell(table.text(r, c)));
+        }
+        columns[names[c]] = values;
+      }
+      return {{"source", "history.csv"}, {"columns", columns}};
+    }
+    if (!fs::exists(folder_ / "journal.jsonl")) {
+      note("no history.csv and no journal.jsonl: nothing over time");
+      return nullptr;
+    }
+    note("no history.csv: closures over time are from journal.jsonl, errors over time are not known");
+    return history_of_journal();
+  }
+
+  [[nodiscard]] Json scene(const MissionView* view) {
+    if (!fs::exists(folder_ / "graph.g2o")) {
+      note("no graph.g2o: no map");
+      return nullptr;
+    }
+    const PoseGraph graph = read_g2o(folder_ / "graph.g2o").graph;
+    const std::vector<RobotPath> robots = robot_paths(folder_, graph);
+    std::map<Key, std::uint32_t> place;
+    Json scene = Json::object();
+    put_nodes(scene, graph, robots, view, place);
+    put_points(scene, graph, robots, view);
+    put_candidates(scene, place);
+    put_radio(scene, view, place);
+    return scene;
+  }
+
+ private:
+  void read_closures() {
+    const fs::path path = folder_ / "closures.csv";
+    const std::vector<std::string> names = header_of(path);
+    const CsvTable table(path, names);
+    const auto column = [&](const char* name) {
+      const auto found = std::find(names.begin(), names.end(), name);
+      if (found == names.end()) throw ParseError(path.string(), 1, std::string("no column \"") + name + "\"");
+      return static_cast<std::size_t>(found - names.begin());
+    };
+    const std::size_t from = column("from"), to = column("to"), outcome = column("outcome"),
+                      weight = column("weight"), time = column("mission_time_s");
+    for (std::size_t r = 0; r < table.size(); ++r) {
+      rows_.push_back({table.key(r, from), table.key(r, to), table.text(r, outcome),
+                       table.number_or_nan(r, weight), table.number_or_nan(r, time)});
+    }
+    has_closures_ = true;
+  }
+
+  /// Calls visit(event) for the journal's lines of an event.
+  template <class Visitor>
+  void journal(const std::set<std::string>& events, Visitor&& visit) const {
+    std::ifstream in(folder_ / "journal.jsonl", std::ios::binary);
+    std::string line;
+    while (std::getline(in, line)) {
+      // The event comes first in each line. Most lines are others, and long.
+      const std::size_t begin = line.find(":\"") + 2, end = line.find('"', begin);
+      if (begin < 2 || end == std::string::npos || events.count(line.substr(begin, end - begin)) == 0)
+        continue;
+      const Json event = Json::parse(line, nullptr, false);
+      if (event.is_object()) visit(event);
+    }
+  }
+
+  [[nodiscard]] Json history_of_journal() const {
+    std::vector<double> verified;
+    for (const Row& row : rows_) {
+      if (row.outcome == "verified") verified.push_back(row.time_s);
+    }
+    std::sort(verified.begin(), verified.end());
+    struct Moment {
+      double time_s;
+      std::uint64_t generated, queued, computed, verified, inliers;
+    };
+    std::vector<Moment> moments;
+    std::uint64_t inliers = 0;
+    journal({"batch", "estimate", "end"}, [&](const Json& event) {
+      if (!event.contains("account") || !event.contains("time_s")) return;
+      const Json& account = event["account"];
+      if (event["event"] == "estimate") inliers = event.value("inliers", std::uint64_t{0});
+      const double time_s = event["time_s"].get<double>();
+      const auto seen = static_cast<std::uint64_t>(
+          std::upper_bound(verified.begin(), verified.end(), time_s) - verified.begin());
+      const auto generated = account.value("generated", std::uint64_t{0});
+      const Moment moment{time_s,
+                          generated,
+                          generated - account.value("pruned", std::uint64_t{0}),
+                          account.value("computed", std::uint64_t{0}),
+                          seen,
+                          std::min(inliers, seen)};
+      if (!moments.empty() && moments.back().time_s == time_s) {
+        moments.back() = moment;
+      } else {
+        moments.push_back(moment);
+      }
+    });
+    const std::size_t stride = std::max<std::size_t>(1, (moments.size() + kHistoryRows - 1) / kHistoryRows);
+    Json columns = {{"mission_time_s", Json::array()}, {"generated", Json::array()},
+                    {"queued", Json::array()},         {"computed", Json::array()},
+                    {"verified", Json::array()},       {"gnc_inliers", Json::array()}};
+    for (std::size_t i = 0; i < moments.size(); ++i) {
+      if (i % stride != 0 && i + 1 != moments.size()) continue;
+      columns["mission_time_s"].push_back(moments[i].time_s);
+      columns["generated"].push_back(moments[i].generated);
+      columns["queued"].push_back(moments[i].queued);
+      columns["computed"].push_back(moments[i].computed);
+      columns["verified"].push_back(moments[i].verified);
+      columns["gnc_inliers"].push_back(moments[i].inliers);
+    }
+    return {{"source", "journal.jsonl"}, {"columns", columns}};
+  }
+
+  void put_nodes(Json& scene, const PoseGraph& graph, const std::vector<RobotPath>& robots,
+                 const MissionView* view, std::map<Key, std::uint32_t>& place) {
+    std::vector<float> optimized, odometry, truth, time_s, observability;
+    Json names = Json::array(), keys = Json::array();
+    bool has_odometry = false, has_times = false, has_truth = false, has_observability = false;
+    std::int64_t start_ns = std::numeric_limits<std::int64_t>::max();
+    for (const RobotPath& robot : robots) {
+      for (const std::int64_t stamp : robot.stamps_ns) start_ns = std::min(start_ns, stamp);
+    }
+    if (view != nullptr) start_ns = view->mission->start_ns;
+    const auto put = [](std::vector<float>& out, const Eigen::Vector3d* p) {
+      for (int axis = 0; axis < 3; ++axis)
+        out.push_back(p != nullptr ? static_cast<float>((*p)[axis])
+                                   : std::numeric_limits<float>::quiet_NaN());
+    };
+    Json begins = Json::array();
+    for (const RobotPath& robot : robots) {
+      begins.push_back(place.size());
+      std::string name = robot.name;
+      if (view != nullptr && !robot.keys.empty()) {
+        if (const auto known = view->mission->robots.find(robot.keys.front()))
+          name = view->mission->robots[*known].name;
+      }
+      names.push_back(name);
+      for (std::size_t i = 0; i < robot.keys.size(); ++i) {
+        const Key key = robot.keys[i];
+        place.emplace(key, static_cast<std::uint32_t>(place.size()));
+        keys.push_back(key_name(key));
+        const Eigen::Vector3d at = graph.node(key).pose.translation();
+        put(optimized, &at);
+        put(odometry, robot.odometry.empty() ? nullptr : &robot.odometry[i]);
+        has_odometry = has_odometry || !robot.odometry.empty();
+        time_s.push_back(robot.stamps_ns.empty()
+                             ? std::numeric_limits<float>::quiet_NaN()
+                             : static_cast<float>(static_cast<double>(robot.stamps_ns[i] - start_ns) * 1e-9));
+        has_times = has_times || !robot.stamps_ns.empty();
+        if (view == nullptr) continue;
+        const auto known = view->mission->ground_truth.find(key);
+        const bool is_known = known != view->mission->ground_truth.end();
+        Eigen::Vector3d true_at = Eigen::Vector3d::Zero();
+        if (is_known) true_at = known->second.translation();
+        put(truth, is_known ? &true_at : nullptr);
+        has_truth = has_truth || is_known;
+        const auto score = view->observability.find(key);
+        has_observability = has_observability || score != view->observability.end();
+        observability.push_back(score != view->observability.end() ? static_cast<float>(score->second)
+                                                                   : std::numeric_limits<float>::quiet_NaN());
+      }
+    }
+    scene["robots"] = names;
+    scene["nodes"] = {{"total", place.size()},
+                      {"stride", std::max<std::size_t>(
+                                     1, (place.size() + static_cast<std::size_t>(options_.layer_items) - 1) /
+                                            static_cast<std::size_t>(options_.layer_items))},
+                      {"begin", begins},
+                      {"key", keys},
+                      {"optimized", base64(optimized)},
+                      {"odometry", has_odometry ? Json(base64(odometry)) : Json(nullptr)},
+                      {"truth", has_truth ? Json(base64(truth)) : Json(nullptr)},
+                      {"time_s", has_times ? Json(base64(time_s)) : Json(nullptr)},
+                      {"observability", has_observability ? Json(base64(observability)) : Json(nullptr)}};
+    if (!has_odometry) note("no trajectories: robots are told apart by their keys, no odometry");
+    if (view == nullptr) {
+      note("no mission given: no true paths, beacons, radio or observability (--mission MISSION)");
+    } else {
+      if (!has_truth) note("the mission has no ground truth: no true paths");
+      if (!has_observability) note("the mission has no scans: no observability");
+    }
+  }
+
+  /// Points coloured by the robot and the observability of the nearest node.
+  void put_points(Json& scene, const PoseGraph& graph, const std::vector<RobotPath>& robots,
+                  const MissionView* view) {
+    scene["points"] = nullptr;
+    if (!fs::exists(folder_ / "map.pcd")) {
+      note("no map.pcd: no points");
+      return;
+    }
+    const PointCloud map = read_cloud(folder_ / "map.pcd").cloud;
+    std::vector<std::size_t> chosen = drawn(map.size(), options_.map_points, combine_seeds(options_.seed, 1));
+    // A few far points would cost all others their resolution.
+    Eigen::Vector3d low = Eigen::Vector3d::Zero(), high = Eigen::Vector3d::Zero();
+    for (int axis = 0; axis < 3 && !chosen.empty(); ++axis) {
+      std::vector<double> values;
+      for (const std::size_t i : chosen) values.push_back(static_cast<double>(map.points[i][axis]));
+      std::sort(values.begin(), values.end());
+      const auto at = [&](double share) {
+        return values[static_cast<std::size_t>(share * static_cast<double>(values.size() - 1))];
+      };
+      const double margin = 0.5 * (at(0.995) - at(0.005)) + 1.0;
+      low[axis] = std::max(values.front(), at(0.005) - margin);
+      high[axis] = std::min(values.back(), at(0.995) + margin);
+    }
+    const auto outside = [&](std::size_t i) {
+      const Eigen::Array3d p = map.points[i].cast<double>();
+      return (p < low.array()).any() || (p > high.array()).any();
+    };
+    chosen.erase(std::remove_if(chosen.begin(), chosen.end(), outside), chosen.end());
+    const Eigen::Vector3d step = (high - low).cwiseMax(1e-3) / 65535.0;
+
+    std::vector<Eigen::Vector3f> nodes;
+    std::vector<std::uint8_t> owner;
+    std::vector<double> scores;
+    for (std::size_t robot = 0; robot < robots.size(); ++robot) {
+      for (const Key key : robots[robot].keys) {
+        nodes.push_back(graph.node(key).pose.translation().cast<float>());
+        owner.push_back(static_cast<std::uint8_t>(std::min<std::size_t>(robot, 255)));
+        const auto score =
+            view != nullptr ? view->observability.find(key) : std::map<Key, double>::const_iterator();
+        scores.push_back(view != nullptr && score != view->observability.end() ? score->second : kNan);
+      }
+    }
+    const KdTree tree(nodes);
+    std::vector<std::uint16_t> position;
+    std::vector<std::uint8_t> robot, observability;
+    for (const std::size_t i : chosen) {
+      const Eigen::Vector3f& p = map.points[i];
+      for (int axis = 0; axis < 3; ++axis) {
+        const double q = std::round((static_cast<double>(p[axis]) - low[axis]) / step[axis]);
+        position.push_back(static_cast<std::uint16_t>(std::clamp(q, 0.0, 65535.0)));
+      }
+      const auto nearest = tree.nearest(p);
+      robot.push_back(nearest ? owner[nearest->index] : std::uint8_t{0});
+      const double score = nearest ? scores[nearest->index] : kNan;
+      observability.push_back(  // 255: not known
+          std::isfinite(score) ? static_cast<std::uint8_t>(std::lround(254.0 * std::clamp(score, 0.0, 1.0)))
+                               : std::uint8_t{255});
+    }
+    scene["points"] = {{"total", map.size()},
+                       {"drawn", chosen.size()},
+                       {"low", {low[0], low[1], low[2]}},
+                       {"step", {step[0], step[1], step[2]}},
+                       {"position", base64(position)},
+                       {"robot", base64(robot)},
+                       {"observability", base64(observability)}};
+  }
+
+  using Pairs = std::vector<std::pair<Key, Key>>;
+
+  /// Pairs of which a node is not in the graph are not drawn.
+  [[nodiscard]] Json pair_layer(const Pairs& pairs, const std::map<Key, std::uint32_t>& place,
+                                std::uint64_t stream) const {
+    Pairs known;
+    for (const auto& [from, to] : pairs) {
+      if (place.count(from) != 0 && place.count(to) != 0) known.emplace_back(from, to);
+    }
+    std::vector<std::uint32_t> ends;
+    const auto chosen = drawn(known.size(), options_.layer_items, combine_seeds(options_.seed, stream));
+    for (const std::size_t i : chosen) {
+      ends.push_back(place.at(known[i].first));
+      ends.push_back(place.at(known[i].second));
+    }
+    return {{"total", pairs.size()}, {"drawn", chosen.size()}, {"ends", base64(ends)}};
+  }
+
+  void put_candidates(Json& scene, const std::map<Key, std::uint32_t>& place) {
+    Json layers = Json::object();
+    if (has_closures_) {
+      Pairs rejected, kept, outliers;
+      for (const Row& row : rows_) {
+        Pairs& to = row.outcome != "verified" ? rejected : row.weight > kInlierWeight ? kept : outliers;
+        to.emplace_back(row.from, row.to);
+      }
+      layers["kept"] = pair_layer(kept, place, 2);
+      layers["outlier"] = pair_layer(outliers, place, 3);
+      layers["rejected"] = pair_layer(rejected, place, 4);
+    } else {
+      note("no closures.csv: no outcomes of candidates");
+    }
+    if (fs::exists(folder_ / "journal.jsonl")) {
+      Pairs selected;
+      journal({"batch"}, [&](const Json& event) {
+        if (!event.contains("pairs") || !event["pairs"].is_array()) return;
+        for (const Json& pair : event["pairs"]) {
+          if (pair.is_array() && pair.size() == 2 && pair[0].is_string() && pair[1].is_string())
+            selected.emplace_back(parse_key(pair[0].get<std::string>()),
+                                  parse_key(pair[1].get<std::string>()));
+        }
+      });
+      layers["selected"] = pair_layer(selected, place, 5);
+    } else {
+      note("no journal.jsonl: which candidates were selected is not known");
+    }
+    scene["candidates"] = layers;
+  }
+
+  /// Beacons at the nodes where they were dropped, links from each node in reach, and the passes: runs of
+  /// such nodes of one robot.
+  void put_radio(Json& scene, const MissionView* view, const std::map<Key, std::uint32_t>& place) {
+    scene["beacons"] = nullptr;
+    if (view == nullptr) return;
+    const Mission& mission = *view->mission;
+    if (mission.beacons.empty()) {
+      note("the mission has no radio beacons");
+      return;
+    }
+    const auto options = section<RadioOptions>("radio");
+    Json beacons = Json::array();
+    std::map<std::string, std::uint32_t> at;
+    for (const BeaconDrop& beacon : mission.beacons) {
+      const auto found = place.find(beacon.drop_key);
+      if (found == place.end()) continue;
+      at.emplace(beacon.beacon, found->second);
+      beacons.push_back({{"name", beacon.beacon}, {"node", found->second}});
+    }
+    std::map<std::pair<std::string, Key>, std::vector<RadioReading>> readings;
+    for (const RadioReading& reading : mission.radio)
+      readings[{reading.beacon, reading.key}].push_back(reading);
+    std::vector<std::pair<std::uint32_t, std::uint32_t>> links;  // node, node of the beacon
+    std::size_t passes = 0;
+    std::tuple<std::string, std::size_t> last_place{"", 0};
+    std::uint64_t last_index = 0;
+    bool is_first = true;
+    for (const auto& [name, own] : readings) {  // by beacon, then key: a robot's nodes in order
+      const auto beacon = at.find(name.first);
+      const auto node = place.find(name.second);
+      const auto robot = mission.robots.find(name.second);
+      const double loss = mean_path_loss_db(own);
+      if (beacon == at.end() || node == place.end() || !robot || !(loss > 0.0 && loss < options.max_loss_db))
+        continue;
+      links.emplace_back(node->second, beacon->second);
+      const std::uint64_t index = mission.robots.node_index(name.second);
+      const std::tuple<std::string, std::size_t> now{name.first, *robot};
+      const auto gap = static_cast<std::uint64_t>(options.max_gap_nodes);
+      if (is_first || now != last_place || index > last_index + gap) ++passes;
+      is_first = false;
+      last_place = now;
+      last_index = index;
+    }
+    std::vector<std::uint32_t> ends;
+    const auto chosen = drawn(links.size(), options_.layer_items, combine_seeds(options_.seed, 6));
+    for (const std::size_t i : chosen) {
+      ends.push_back(links[i].first);
+      ends.push_back(links[i].second);
+    }
+    scene["beacons"] = beacons;
+    scene["radio"] = {{"total", links.size()},
+                      {"drawn", chosen.size()},
+                      {"passes", passes},
+                      {"max_loss_db", options.max_loss_db},
+                      {"ends", base64(ends)}};
+  }
+
+  fs::path folder_;
+  const ReportOptions& options_;
+  Json summary_;
+  std::string mission_name_;
+  std::vector<Row> rows_;
+  bool has_closures_ = false;
+  std::vector<std::string> notes_;
+};
+
+Json mission_json(const Mission& mission) {
+  Json robots = Json::array(), gaps = Json::array();
+  for (const Robot& robot : mission.robots.all()) robots.push_back(robot.name);
+  for (const CommunicationGap& gap : mission.gaps) {
+    gaps.push_back(
+        {{"robot", mission.robots[gap.robot].name}, {"begin_s", gap.begin_s}, {"end_s", gap.end_s}});
+  }
+  return {{"name", mission.name},
+          {"kind", enum_name(mission.kind)},
+          {"robots", robots},
+          {"key_frames", mission.graph.nodes().size()},
+          {"scans", mission.scans->size()},
+          {"ground_truth", mission.ground_truth.size()},
+          {"radio_readings", mission.radio.size()},
+          {"beacons", mission.beacons.size()},
+          {"communication_gaps", gaps},
+          {"provenance", parse_json(mission.provenance_json, "provenance")}};
+}
+
+Json study_json(const fs::path& folder, const std::string& label) {
+  const fs::path path = folder / "runs.csv";
+  const std::vector<std::string> names = header_of(path);
+  const CsvTable table(path, names);
+  Json rows = Json::array();
+  for (std::size_t r = 0; r < table.size(); ++r) {
+    Json row = Json::object();
+    for (std::size_t c = 0; c < names.size(); ++c) row[names[c]] = cell(table.text(r, c));
+    rows.push_back(row);
+  }
+  return {
+      {"label", label},
+      {"columns", names},
+      {"rows", rows},
+      {"result", fs::exists(folder / "ablation.json") ? read_json_file(folder / "ablation.json") : Json()}};
+}
+
+/// The shortest tails of the paths that differ: "a/run" and "b/run" keep both words.
+std::vector<std::string> labels_of(const std::vector<fs::path>& folders) {
+  std::vector<std::vector<std::string>> words;
+  for (const fs::path& folder : folders) {
+    std::vector<std::string> parts;
+    for (const fs::path& part : fs::absolute(folder).lexically_normal()) {
+      if (!part.empty() && part != "/") parts.push_back(part.string());
+    }
+    words.push_back(parts);
+  }
+  std::vector<std::string> labels;
+  for (std::size_t length = 1; length < 16; ++length) {
+    labels.clear();
+    for (const auto& parts : words) {
+      std::string label;
+      for (std::size_t i = parts.size() - std::min(length, parts.size()); i < parts.size(); ++i)
+        label += (label.empty() ? "" : "/") + parts[i];
+      labels.push_back(label);
+    }
+    if (std::set<std::string>(labels.begin(), labels.end()).size() == labels.size()) break;
+  }
+  return labels;
+}
+
+}  // namespace
+
+Report make_report(const std::vector<fs::path>& folders, const std::vector<Mission>& missions,
+                   const ReportOptions& options, ThreadPool& threads, const ProgressCallback& progress) {
+  validate(options);
+  if (folders.empty()) throw OptionError("a report needs at least one run");
+  std::vector<MissionView> views(missions.size());
+  for (std::size_t i = 0; i < missions.size(); ++i) views[i].mission = &missions[i];
+
+  Report report;
+  Json runs = Json::array(), studies = Json::array();
+  const std::vector<std::string> labels = labels_of(folders);
+  for (std::size_t i = 0; i < folders.size(); ++i) {
+    const fs::path& folder = folders[i];
+    if (progress) progress({"reading runs", i, folders.size(), labels[i]});
+    if (fs::exists(folder / "runs.csv")) {
+      studies.push_back(study_json(folder, labels[i]));
+      ++report.studies;
+      continue;
+    }
+    if (!fs::exists(folder / "summary.json")) {
+      if (!fs::exists(folder)) throw IoError(folder.string(), "no such folder");
+      throw InputError(folder.string() +
+                       ": neither a run (summary.json, written last: an unfinished one lacks it) nor a study "
+                       "(runs.csv)");
+    }
+    RunReader run(folder, options);
+    MissionView* view = nullptr;
+    for (MissionView& candidate : views) {
+      if (candidate.mission->name == run.mission_name()) view = &candidate;
+    }
+    Json json = {{"label", labels[i]}, {"summary", run.summary()}, {"history", run.history()}};
+    if (static_cast<std::int64_t>(report.maps) < options.maps) {
+      if (view != nullptr && view->observability.empty()) {
+        view->observability =
+            observability_of(*view->mission, run.section<FeatureOptions>("features"), threads, progress);
+      }
+      json["scene"] = run.scene(view);
+      if (!json["scene"].is_null()) ++report.maps;
+    } else {
+      json["scene"] = nullptr;
+      run.note("only the first " + std::to_string(options.maps) + " runs have a map");
+    }
+    if (view != nullptr) view->used = true;
+    json["notes"] = run.notes();
+    for (const std::string& note : run.notes()) report.notes.push_back(labels[i] + ": " + note);
+    runs.push_back(json);
+    ++report.runs;
+  }
+  Json mission_list = Json::array();
+  for (const MissionView& view : views) {
+    if (!view.used) {
+      throw InputError(view.mission->path.string() + ": none of the runs is of the mission \"" +
+                       view.mission->name + "\"");
+    }
+    mission_list.push_back(mission_json(*view.mission));
+  }
+  const Json data = {{"format", "loopwise-report"},
+                     {"version", 1},
+                     {"generator", "loopwise " LOOPWISE_VERSION},
+                     {"runs", runs},
+                     {"studies", studies},
+                     {"missions", mission_list}};
+  report.data = data.dump(-1, ' ', true, Json::error_handler_t::replace);
+  return report;
+}
+
+bool report_pages_built() {
+  return !report_template().empty();
+}
+
+std::string report_page(std::string_view data) {
+  const std::string_view page = report_template();
+  if (page.empty()) {
+    throw Error(
+        "this build cannot write reports: its page is bundled by npm, which was absent or failed when this "
+        "program was built. Install npm, configure with -DLOOPWISE_WITH_REPORT=ON and build again");
+  }
+  const std::size_t at = page.find(kMark);
+  std::string out(page.substr(0, at));
+  out.reserve(page.size() + data.size() + data.size() / 16);
+  // In JSON '<' stands in strings alone: as an escape it can end no element and begin no comment.
+  for (const char c : data) {
+    if (c == '<') {
+      out += "\\u003c";
+    } else {
+      out += c;
+    }
+  }
+  out += page.substr(at + kMark.size());
+  return out;
+}
+
+Report write_report(const fs::path& file, const std::vector<fs::path>& folders,
+                    const std::vector<Mission>& missions, const ReportOptions& options, ThreadPool& threads,
+                    const ProgressCallback& progress) {
+  if (!report_pages_built()) static_cast<void>(report_page("{}"));  // says why before the work
+  Report report = make_report(folders, missions, options, threads, progress);
+  write_file(file, report_page(report.data));
+  return report;
+}
+
+}  // namespace loopwise

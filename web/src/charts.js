@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Charts over mission time and over runs, by Vega-Lite.
+import embed from 'vega-embed';
+import { h, isNumber } from './dom.js';
+import { ink, methodColour } from './palette.js';
+
+const kKinds = { verified: 'verified', gnc_inliers: 'kept by GNC', true_inliers: 'true' };
+
+function config() {
+  const { text, soft, line } = ink();
+  return {
+    background: null,
+    font: 'system-ui, sans-serif',
+    padding: 4,
+    view: { stroke: null },
+    axis: { labelColor: soft, titleColor: soft, titleFontWeight: 'normal', gridColor: line, domainColor: line, tickColor: line, labelFontSize: 12, titleFontSize: 12, titlePadding: 8 },
+    legend: { labelColor: text, titleColor: soft, orient: 'top', labelFontSize: 12, symbolStrokeWidth: 3, symbolType: 'stroke', columns: 3, labelLimit: 260, title: null },
+    line: { strokeWidth: 2 },
+    rule: { color: soft },
+    text: { color: soft },
+  };
+}
+
+/** Minutes where seconds would be large numbers. */
+const timeUnit = (runs) => (Math.max(0, ...runs.map((run) => run.rows.at(-1)?.mission_time_s ?? 0)) > 900 ? { unit: 'min', divide: 60 } : { unit: 's', divide: 1 });
+
+/** Colours by run: its method's, lighter shades for more runs of one method. */
+function runColours(runs) {
+  const others = [];
+  const domain = runs.map((run) => run.name);
+  const range = runs.map((run) => {
+    if (!others.includes(run.method)) others.push(run.method);
+    return methodColour(run.method, others.indexOf(run.method));
+  });
+  return { domain, range };
+}
+
+/** The ends of the runs' missions, where known: a line each. */
+function ends(runs, divide) {
+  const times = [...new Set(runs.map((run) => run.end_s).filter(isNumber))];
+  if (times.length === 0 || times.length > 4) return [];
+  const data = { values: times.map((t) => ({ t: t / divide, label: 'mission ends' })) };
+  return [
+    { data, mark: { type: 'rule', strokeDash: [3, 3] }, encoding: { x: { field: 't', type: 'quantitative' } } },
+    { data, mark: { type: 'text', align: 'right', dx: -5, y: 8, fontSize: 11 }, encoding: { x: { field: 't', type: 'quantitative' }, text: { field: 'label' } } },
+  ];
+}
+
+function overTime(runs, columns, value, yTitle, { kinds = kKinds, colours, format = ',.3~r', wide = false } = {}) {
+  const { unit, divide } = timeUnit(runs);
+  const values = [];
+  for (const run of runs) {
+    for (const row of run.rows) {
+      for (const column of columns) {
+        const y = value(row, column);
+        if (isNumber(y) && (!wide || y > 0)) values.push({ run: run.name, kind: kinds[column], t: row.mission_time_s / divide, y });
+      }
+    }
+  }
+  if (values.length === 0) return null;
+  const several = runs.length > 1;
+  const present = columns.map((column) => kinds[column]).filter((kind) => values.some((v) => v.kind === kind));
+  const dashes = { domain: present, range: [[1, 0], [6, 3], [2, 2]].slice(0, present.length) };
+  const kindColours = { domain: present, range: present.map((kind) => colours[kind]) };
+  return {
+    layer: [
+      ...ends(runs, divide),
+      {
+        data: { values },
+        mark: { type: 'line', interpolate: 'step-after', clip: true },
+        encoding: {
+          x: { field: 't', type: 'quantitative', title: `mission time (${unit})`, axis: { grid: false }, scale: { nice: false, zero: true } },
+          y: { field: 'y', type: 'quantitative', title: yTitle, ...(wide ? { scale: { type: 'log' }, axis: { format: '~g', tickCount: 5 } } : {}) },
+          color: several ? { field: 'run', type: 'nominal', scale: runColours(runs), sort: null } : { field: 'kind', type: 'nominal', scale: kindColours, sort: null },
+          ...(several && present.length > 1 ? { strokeDash: { field: 'kind', type: 'nominal', scale: dashes, sort: null } } : {}),
+          detail: [{ field: 'run' }, { field: 'kind' }],
+          tooltip: [
+            { field: 'run', title: 'run' }, { field: 'kind', title: 'closures' },
+            { field: 't', title: `time (${unit})`, format: '.1f' }, { field: 'y', title: yTitle, format },
+          ],
+        },
+      },
+    ],
+  };
+}
+
+function boxes(entries, mission) {
+  const values = entries.filter((entry) => entry.mission === mission);
+  const methods = [...new Set(values.map((v) => v.method))];
+  const range = methods.map((m, i) => methodColour(m, i));
+  const median = (m) => {
+    const all = values.filter((v) => v.method === m).map((v) => v.ate).sort((a, b) => a - b);
+    return all[Math.floor(all.length / 2)];
+  };
+  const sort = [...methods].sort((a, b) => (b === 'odometry') - (a === 'odometry') || median(b) - median(a));
+  const y = { field: 'method', type: 'nominal', title: null, sort, axis: { labelFontSize: 13, domain: false, ticks: false } };
+  const color = { field: 'method', type: 'nominal', scale: { domain: methods, range }, legend: null };
+  return {
+    height: 34 * methods.length,
+    layer: [
+      { mark: { type: 'boxplot', extent: 'min-max', size: 16, box: { fillOpacity: 0.3 }, median: { color: ink().text, strokeWidth: 2 } }, encoding: { x: { field: 'ate', type: 'quantitative', title: 'mean position error (m)', scale: { zero: true } }, y, color } },
+      { mark: { type: 'point', filled: true, size: 42, opacity: 0.9 }, encoding: { x: { field: 'ate', type: 'quantitative' }, y, color, tooltip: [{ field: 'label', title: 'run' }, { field: 'method' }, { field: 'ate', title: 'mean error (m)', format: '.4f' }] } },
+    ],
+    data: { values },
+  };
+}
+
+function robots(run) {
+  const values = [];
+  for (const [name, robot] of Object.entries(run.summary.robots ?? {})) {
+    for (const which of ['odometry', 'optimized']) {
+      const mean = robot?.[which]?.ate_m?.mean;
+      const max = robot?.[which]?.ate_m?.max;
+      if (isNumber(mean)) values.push({ robot: name, which: which === 'optimized' ? 'optimised' : 'odometry alone', mean, max });
+    }
+  }
+  if (values.length === 0) return null;
+  const { text } = ink();
+  const y = { field: 'robot', type: 'nominal', title: null, axis: { labelLimit: 140, domain: false, ticks: false, labelFontSize: 13 } };
+  const yOffset = { field: 'which', scale: { domain: ['odometry alone', 'optimised'] } };
+  return {
+    height: 44 * new Set(values.map((v) => v.robot)).size,
+    data: { values },
+    layer: [
+      { mark: { type: 'bar', cornerRadiusEnd: 2, height: { band: 0.8 } }, encoding: { x: { field: 'mean', type: 'quantitative', title: 'position error (m): bar mean, line up to the largest' }, y, yOffset, color: { field: 'which', type: 'nominal', sort: null, legend: { symbolType: 'square', symbolStrokeWidth: 0 }, scale: { domain: ['odometry alone', 'optimised'], range: [methodColour('odometry'), methodColour('obs')] } }, tooltip: [{ field: 'robot' }, { field: 'which', title: 'path' }, { field: 'mean', format: '.3f' }, { field: 'max', title: 'largest', format: '.3f' }] } },
+      { mark: { type: 'rule', strokeWidth: 1.2, color: text, opacity: 0.6 }, encoding: { x: { field: 'mean', type: 'quantitative' }, x2: { field: 'max' }, y, yOffset } },
+    ],
+  };
+}
+
+/** Mean position errors per method: of runs and of studies' rows. */
+export function errorEntries(data) {
+  const entries = [];
+  const add = (mission, method, label, ate) => isNumber(ate) && entries.push({ mission: String(mission), method: String(method), label, ate });
+  const odometry = new Set();
+  const addOdometry = (mission, label, ate) => {
+    // The same odometry in every run of a mission: one entry, unless noise was added.
+    const key = `${mission}\n${isNumber(ate) ? ate.toPrecision(9) : ''}`;
+    if (odometry.has(key)) return;
+    odometry.add(key);
+    add(mission, 'odometry', label, ate);
+  };
+  for (const run of data.runs) {
+    add(run.mission, run.method, run.label, run.summary.ate_m?.optimized);
+    addOdometry(run.mission, run.label, run.summary.ate_m?.odometry);
+  }
+  for (const study of data.studies) {
+    for (const row of study.rows) {
+      const label = `${study.label}, seed ${row.seed ?? '–'}`;
+      const mission = row.world ?? row.mission ?? study.label;
+      add(mission, row.method, label, row.ate_m ?? row.ate_m_optimized ?? row.optimized_ate_m);
+      addOdometry(mission, label, row.odometry_ate_m ?? row.ate_m_odometry);
+    }
+  }
+  return entries;
+}
+
+/** The charts that the data allow: [{id, title, caption, spec}]. */
+function plan(data, run) {
+  const { kept, outlier } = ink();
+  const colours = { verified: methodColour('obs'), 'kept by GNC': kept, true: methodColour('gi'), estimate: methodColour('obs'), 'odometry alone': methodColour('odometry') };
+  const withRows = data.runs.filter((one) => one.rows.length > 1);
+  // Runs of many missions are told apart in the tables; over time a screen holds a dozen.
+  const shown = withRows.length <= 12 ? withRows : withRows.filter((one) => one.mission === run?.mission).slice(0, 12);
+  const charts = [];
+  const push = (id, title, caption, spec) => spec && charts.push({ id, title, caption, spec });
+  push('ratio', 'Inliers per queued candidate', 'Closures that robust optimisation (GNC) keeps, and those within 5 cm and 0.05 rad of the truth, as a share of all candidates queued so far. Higher means that computation goes to better candidates.',
+    overTime(shown, ['gnc_inliers', 'true_inliers'], (row, c) => (row.queued > 0 && isNumber(row[c]) ? (100 * row[c]) / row.queued : null), 'share of queued (%)', { colours, wide: true }));
+  push('error', 'Error over time', 'Mean position error of all nodes that have arrived, in the common frame without alignment.',
+    overTime(shown, ['ate_m', ...(shown.length > 1 ? [] : ['odometry_ate_m'])], (row, c) => row[c], 'mean position error (m)', { kinds: { ate_m: 'estimate', odometry_ate_m: 'odometry alone' }, colours }));
+  push('closures', 'Closures over time', 'Verified by registration, and how many of them robust optimisation keeps.',
+    overTime(shown, ['verified', 'gnc_inliers', ...(shown.length > 1 ? [] : ['true_inliers'])], (row, c) => row[c], 'closures', { colours, format: ',d' }));
+  if (run) push('robots', `Error by robot: ${run.name}`, null, robots(run));
+  const entries = errorEntries(data);
+  for (const mission of [...new Set(entries.map((entry) => entry.mission))]) {
+    const own = entries.filter((entry) => entry.mission === mission);
+    if (own.length < 3) continue;
+    push(`boxes-${charts.filter((c) => c.id.startsWith('boxes')).length}`, `Error by method: ${mission}`, 'Each point is a run; the box holds the middle half, the line is the median.', boxes(own, mission));
+  }
+  return charts;
+}
+
+/** Draws the charts into `container`; resolves when all are drawn. `state` gets their marks. */
+export async function drawCharts(container, data, run, state) {
+  const charts = plan(data, run);
+  container.replaceChildren();
+  for (const id of Object.keys(state)) delete state[id];
+  const cards = charts.map(({ id, title, caption }) => {
+    const target = h('div', { class: 'chart', id: `chart-${id}` });
+    container.append(h('figure', { class: 'card' }, h('figcaption', {}, h('h3', {}, title), caption && h('p', {}, caption)), target));
+    return target;
+  });
+  for (const [i, { id, title, spec }] of charts.entries()) {
+    const { view } = await embed(cards[i], {
+      $schema: 'https://vega.github.io/schema/vega-lite/v6.json', width: 'container', height: 230,
+      autosize: { type: 'fit-x', contains: 'padding' }, description: title, ...spec, config: config(),
+    }, { renderer: 'svg', actions: { export: true, source: false, compiled: false, editor: false }, tooltip: { theme: 'custom' }, downloadFileName: `loopwise-${id}` });
+    state[id] = cards[i].querySelectorAll('svg path[d], svg rect').length;
+    cards[i].view = view;
+    await new Promise((next) => setTimeout(next));
+  }
+}

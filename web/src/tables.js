@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Everything as figures.
+import { at, count, duration, fixed, h, isNumber, metres, percent, table } from './dom.js';
+
+const words = (name) => String(name).replace(/_/g, ' ');
+
+/** A row's figure with a bar of its share behind it. */
+const barred = (value, whole) => h('span', { class: 'barred', style: `--share: ${isNumber(value) && whole > 0 ? ((100 * value) / whole).toFixed(1) : 0}%` }, count(value));
+
+function accounting(run) {
+  const c = run.summary.candidates ?? {};
+  const k = run.summary.closures ?? {};
+  const rows = [
+    ['generated', c.generated], ['pruned by the method', c.pruned], ['expired', c.expired], ['still pending', c.pending],
+    ['computed', c.computed], ['verified', k.verified], ['kept by GNC', k.gnc_inliers], ['true (5 cm, 0.05 rad)', k.true_inliers],
+  ].map(([name, value]) => [name, barred(value, c.generated), percent(value, c.queued), percent(value, c.computed)]);
+  for (const row of rows.slice(0, 4)) row[3] = '';
+  return table('Candidates', ['', 'number', '% of queued', '% of computed'], rows);
+}
+
+function reasons(run) {
+  const all = Object.entries(run.summary.reasons ?? {}).sort((a, b) => b[1] - a[1]);
+  const other = [...Object.entries(run.summary.pruned_reasons ?? {}).map(([k, v]) => [`pruned: ${k}`, v]), ...Object.entries(run.summary.expired_reasons ?? {}).map(([k, v]) => [`expired: ${k}`, v])];
+  const total = all.reduce((sum, [, value]) => sum + value, 0);
+  if (all.length + other.length === 0) return null;
+  return table('Why candidates were rejected', ['', 'number', 'share'], [...all, ...other].map(([name, value]) => [words(name), barred(value, total), name.includes(':') ? '' : percent(value, total)]));
+}
+
+function robots(run) {
+  const all = Object.entries(run.summary.robots ?? {});
+  if (all.length === 0 || !run.summary.ate_m) return null;
+  const of = (robot, which) => [metres(at(robot, which, 'ate_m', 'mean')), metres(at(robot, which, 'ate_m', 'max')), fixed(at(robot, which, 'translation_percent'), 2), fixed(at(robot, which, 'rotation_deg_per_m'), 3)];
+  const rows = all.flatMap(([name, robot]) => [
+    [name, String(robot.poses ?? '–'), fixed(robot.path_length_m, 0), 'odometry', ...of(robot, 'odometry')],
+    ['', '', '', 'optimised', ...of(robot, 'optimized')],
+  ]);
+  return table('Errors by robot', ['', 'nodes', 'path (m)', '', 'mean', 'largest', 'transl. %', 'rot. °/m'], rows);
+}
+
+function errors(run) {
+  const s = run.summary;
+  if (!s.ate_m) return null;
+  const row = (name, field, unit = metres) => [name, unit(at(s, field, 'odometry')), unit(at(s, field, 'optimized'))];
+  const degrees = (v) => (isNumber(v) ? `${((v * 180) / Math.PI).toFixed(3)}°` : '–');
+  return table('Errors of all positions', ['', 'odometry', 'optimised'], [
+    row('mean, common frame (the paper’s ATE)', 'ate_m'), row('root mean square', 'ate_rmse_m'), row('mean, aligned', 'ate_se3_m'), row('mean attitude', 'ate_rad', degrees),
+    ['per step, mean', metres(at(s, 'rpe', 'odometry', 'translation_m', 'mean')), metres(at(s, 'rpe', 'optimized', 'translation_m', 'mean'))],
+  ]);
+}
+
+/** Runs side by side; the best error of a mission stands out. */
+export function comparison(data, select) {
+  if (data.runs.length < 2) return null;
+  const missions = new Set(data.runs.map((run) => run.mission)).size > 1;
+  const best = (run) => Math.min(...data.runs.filter((one) => one.mission === run.mission).map((one) => at(one, 'summary', 'ate_m', 'optimized')).filter(isNumber));
+  const rows = data.runs.map((run) => {
+    const { candidates: c = {}, closures: k = {} } = run.summary;
+    const ate = at(run, 'summary', 'ate_m', 'optimized');
+    return {
+      attributes: { 'data-run': run.index },
+      cells: [
+        h('button', { class: 'link', type: 'button', onclick: () => select(run.index) }, run.label), run.method, ...(missions ? [run.mission] : []), String(run.summary.seed ?? '–'),
+        count(c.queued), count(c.computed), percent(k.verified, c.queued), percent(k.gnc_inliers, c.queued), percent(k.true_inliers, c.queued),
+        metres(at(run, 'summary', 'ate_m', 'odometry')), isNumber(ate) && ate === best(run) ? h('strong', {}, metres(ate)) : metres(ate),
+        metres(at(run, 'summary', 'ate_se3_m', 'optimized')),
+      ],
+    };
+  });
+  return table('Runs. Shares are of queued candidates; errors are means over all positions', ['run', 'method', ...(missions ? ['mission'] : []), 'seed', 'queued', 'computed', 'verified', 'GNC inliers', 'true inliers', 'odometry', 'error', 'aligned'], rows, { class: 'left2' });
+}
+
+export function studyTables(study) {
+  const cells = (row) => study.columns.map((name) => {
+    const value = row[name];
+    if (!isNumber(value)) return value === null ? '–' : String(value);
+    return Number.isInteger(value) ? count(value) : fixed(value, Math.abs(value) < 10 ? 4 : 2);
+  });
+  return h('details', {}, h('summary', {}, `All ${study.rows.length} runs of ${study.label}`), table(null, study.columns.map(words), study.rows.map(cells)));
+}
+
+export function runTables(run) {
+  return [accounting(run), errors(run), robots(run), reasons(run)].filter(Boolean).map((one) => h('div', { class: 'card' }, one));
+}
+
+const flat = (value, path = '') =>
+  value !== null && typeof value === 'object' && !Array.isArray(value) ? Object.entries(value).flatMap(([name, inner]) => flat(inner, path ? `${path}.${name}` : name)) : [[path, Array.isArray(value) ? value.map((v) => (typeof v === 'object' ? JSON.stringify(v) : v)).join(', ') : String(value)]];
+
+/** Where everything comes from. */
+export function provenance(data, run) {
+  const parts = [];
+  const mission = run && data.missions.find((one) => one.name === run.mission);
+  if (run) {
+    const s = run.summary;
+    const facts = [
+      ['report by', data.generator], ['run', run.label], ['mission', run.mission], ['method', run.method], ['seed', String(s.seed ?? '–')],
+      ...Object.entries(s).filter(([name, value]) => typeof value === 'string' && !['mission', 'method'].includes(name)).map(([name, value]) => [words(name), value]),
+      ['mission time', duration(s.mission_time_s)], ['computing time here', duration(at(s, 'seconds', 'total'))],
+      ['batches, optimisations', `${count(s.batches)}, ${count(s.optimizations)}`],
+    ];
+    parts.push(table('This run', ['', ''], facts, { class: 'left' }));
+  }
+  if (mission) parts.push(table('Its mission', ['', ''], flat({ ...mission, communication_gaps: mission.communication_gaps.map((g) => `${g.robot} ${duration(g.begin_s)} to ${duration(g.end_s)}`) }), { class: 'left' }));
+  const options = run?.summary.options;
+  return [
+    h('div', { class: 'cards' }, parts.map((part) => h('div', { class: 'card' }, part))),
+    options && h('details', {}, h('summary', {}, 'All options of this run'), table(null, ['option', 'value'], flat(options), { class: 'left mono' })),
+    run && run.summary.problems?.length > 0 && h('details', {}, h('summary', {}, `Problems found in its files (${run.summary.problems.length})`), h('ul', {}, run.summary.problems.map((text) => h('li', {}, String(text))))),
+    run && run.notes.length > 0 && h('details', { open: true, id: 'notes' }, h('summary', {}, 'Not shown'), h('ul', {}, run.notes.map((text) => h('li', {}, text)))),
+    h('details', {}, h('summary', {}, 'Licences of what this page contains'), h('pre', {}, document.getElementById('licences')?.textContent ?? '')),
+  ];
+}
