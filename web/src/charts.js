@@ -3,6 +3,7 @@
 import embed from 'vega-embed';
 import { h, isNumber } from './dom.js';
 import { ink, methodColour } from './palette.js';
+import { variantOf, worldOf } from './studies.js';
 
 const kKinds = { verified: 'verified', gnc_inliers: 'kept by GNC', true_inliers: 'true' };
 
@@ -70,7 +71,7 @@ function overTime(runs, columns, value, yTitle, { kinds = kKinds, colours, forma
         mark: { type: 'line', interpolate: 'step-after', clip: true },
         encoding: {
           x: { field: 't', type: 'quantitative', title: `mission time (${unit})`, axis: { grid: false }, scale: { nice: false, zero: true } },
-          y: { field: 'y', type: 'quantitative', title: yTitle, ...(wide ? { scale: { type: 'log' }, axis: { format: '~g', tickCount: 5 } } : {}) },
+          y: { field: 'y', type: 'quantitative', title: yTitle, ...(wide ? { scale: { type: 'log', nice: false }, axis: { format: '~g', values: [-3, -2, -1, 0, 1].flatMap((e) => [1, 2, 5].map((f) => f * 10 ** e)).concat(100) } } : {}) },
           color: several ? { field: 'run', type: 'nominal', scale: runColours(runs), sort: null } : { field: 'kind', type: 'nominal', scale: kindColours, sort: null },
           ...(several && present.length > 1 ? { strokeDash: { field: 'kind', type: 'nominal', scale: dashes, sort: null } } : {}),
           detail: [{ field: 'run' }, { field: 'kind' }],
@@ -145,11 +146,11 @@ export function errorEntries(data) {
     addOdometry(run.mission, run.label, run.summary.ate_m?.odometry);
   }
   for (const study of data.studies) {
+    const variant = variantOf(study);
     for (const row of study.rows) {
-      const label = `${study.label}, seed ${row.seed ?? '–'}`;
-      const mission = row.world ?? row.mission ?? study.label;
-      add(mission, row.method, label, row.ate_m ?? row.ate_m_optimized ?? row.optimized_ate_m);
-      addOdometry(mission, label, row.odometry_ate_m ?? row.ate_m_odometry);
+      const label = `${study.label}: ${row.mission ?? ''}, seed ${row.seed ?? '–'}`;
+      add(worldOf(study, row), variant(row), label, row.ate_m);
+      addOdometry(worldOf(study, row), label, row.odometry_ate_m);
     }
   }
   return entries;
@@ -164,7 +165,7 @@ function plan(data, run) {
   const shown = withRows.length <= 12 ? withRows : withRows.filter((one) => one.mission === run?.mission).slice(0, 12);
   const charts = [];
   const push = (id, title, caption, spec) => spec && charts.push({ id, title, caption, spec });
-  push('ratio', 'Inliers per queued candidate', 'Closures that robust optimisation (GNC) keeps, and those within 5 cm and 0.05 rad of the truth, as a share of all candidates queued so far. Higher means that computation goes to better candidates.',
+  push('ratio', 'Inliers per queued candidate', 'Closures that robust optimisation (GNC) keeps, and true ones (within 5 cm and 0.05 rad), as a share of all candidates queued so far: higher means that the better candidates are computed.',
     overTime(shown, ['gnc_inliers', 'true_inliers'], (row, c) => (row.queued > 0 && isNumber(row[c]) ? (100 * row[c]) / row.queued : null), 'share of queued (%)', { colours, wide: true }));
   push('error', 'Error over time', 'Mean position error of all nodes that have arrived, in the common frame without alignment.',
     overTime(shown, ['ate_m', ...(shown.length > 1 ? [] : ['odometry_ate_m'])], (row, c) => row[c], 'mean position error (m)', { kinds: { ate_m: 'estimate', odometry_ate_m: 'odometry alone' }, colours }));

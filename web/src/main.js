@@ -4,7 +4,8 @@ import { at, count, duration, fixed, h, isNumber, metres, percent } from './dom.
 import { readData } from './data.js';
 import { layersOf, MissionMap } from './map.js';
 import { drawCharts } from './charts.js';
-import { comparison, provenance, runTables, studyTables } from './tables.js';
+import { pairedTable, studyFigures, studyTables } from './studies.js';
+import { allRuns, comparison, provenance, runTables } from './tables.js';
 import { robotColour, scaleGradient } from './palette.js';
 
 const state = { ready: false, firstFrameMs: null, frames: 0, layers: {}, colourBy: 'height', charts: {}, errors: [], run: null };
@@ -23,6 +24,8 @@ const shownLayers = {};
 let colourBy = 'height';
 let map = null;
 
+const figure = (label, value, detail) => h('div', { class: 'figure' }, h('dt', {}, label), h('dd', {}, h('span', { class: 'value' }, value), h('span', { class: 'detail' }, detail)));
+
 function keyFigures(run) {
   const s = run.summary;
   const { candidates: c = {}, closures: k = {} } = s;
@@ -30,7 +33,6 @@ function keyFigures(run) {
   const after = at(s, 'ate_m', 'optimized');
   const length = Object.values(s.robots ?? {}).reduce((sum, robot) => sum + (robot.path_length_m ?? 0), 0);
   const robots = Object.keys(s.robots ?? {}).length;
-  const figure = (label, value, detail) => h('div', { class: 'figure' }, h('dt', {}, label), h('dd', {}, h('span', { class: 'value' }, value), h('span', { class: 'detail' }, detail)));
   return h('dl', { class: 'figures' },
     isNumber(after)
       ? figure('Mean position error', metres(after), isNumber(before) && before > 0 ? `${metres(before)} by odometry: ${after <= before ? '−' : '+'}${Math.abs(100 - (100 * after) / before).toFixed(0)} %` : '')
@@ -70,7 +72,7 @@ function legend(scene) {
   if (!modes.some(([id]) => id === colourBy)) colourBy = 'height';
   const key = h('div', { class: 'scale', id: 'scale' });
   const showKey = () => {
-    const [low, high] = colourBy === 'height' && map?.heights ? map.heights.map((z) => `${z.toFixed(1)} m`) : colourBy === 'observability' ? ['low', 'high'] : [];
+    const [low, high] = colourBy === 'height' && map?.heights ? map.heights.map((z) => `${z.toFixed(1)} m`) : colourBy === 'observability' ? ['0', '1'] : [];
     key.replaceChildren(...(low ? [h('span', {}, low), h('span', { class: 'gradient', style: `background: ${scaleGradient()}` }), h('span', {}, high)] : []));
   };
   const colours = scene.points && h('fieldset', {}, h('legend', {}, 'Colour points by'), h('div', { class: 'choices' }, modes.map(([id, label]) => h('label', {}, h('input', {
@@ -105,7 +107,7 @@ function start(data) {
   root.replaceChildren(
     h('header', {}, h('div', {}, h('h1', {}, title || 'Loopwise report'), subtitle), chosen),
     figures, mapRow, charts,
-    h('section', {}, (compared || data.studies.length > 0) && h('h2', {}, 'Comparison'), compared && h('div', { class: 'card' }, compared), data.studies.map(studyTables)),
+    h('section', {}, (compared || data.studies.length > 0) && h('h2', {}, 'Comparison'), compared && h('div', { class: 'card' }, compared), data.studies.flatMap((study) => [...studyTables(study), pairedTable(study), allRuns(study)])),
     h('section', {}, current && h('h2', {}, 'Figures of the run'), tables),
     h('section', {}, h('h2', {}, 'Configuration and provenance'), origin),
     h('footer', {}, data.generator, ' report. This page loads nothing from the network.'));
@@ -129,7 +131,12 @@ function start(data) {
   }
 
   function showText() {
-    if (!current) return;
+    if (!current) {
+      const studies = `${data.studies.length} stud${data.studies.length === 1 ? 'y' : 'ies'}`;
+      subtitle.textContent = `${studies}, ${count(data.studies.reduce((sum, study) => sum + study.rows.length, 0))} runs`;
+      if (data.studies.length > 0) figures.replaceChildren(h('dl', { class: 'figures' }, studyFigures(data.studies[0]).map((one) => figure(...one))));
+      return;
+    }
     const parts = [`method ${current.method}`, `seed ${current.summary.seed ?? '–'}`];
     if (data.runs.length > 1) parts.push(`${data.runs.length} runs`);
     if (current.summary.interrupted) parts.push('interrupted');

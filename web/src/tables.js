@@ -69,10 +69,10 @@ export function comparison(data, select) {
   return table('Runs. Shares are of queued candidates; errors are means over all positions', ['run', 'method', ...(missions ? ['mission'] : []), 'seed', 'queued', 'computed', 'verified', 'GNC inliers', 'true inliers', 'odometry', 'error', 'aligned'], rows, { class: 'left2' });
 }
 
-export function studyTables(study) {
+export function allRuns(study) {
   const cells = (row) => study.columns.map((name) => {
     const value = row[name];
-    if (!isNumber(value)) return value === null ? '–' : String(value);
+    if (!isNumber(value)) return value === null ? '–' : String(value).length > 40 ? h('span', { title: String(value) }, `${String(value).slice(0, 12)}…`) : String(value);
     return Number.isInteger(value) ? count(value) : fixed(value, Math.abs(value) < 10 ? 4 : 2);
   });
   return h('details', {}, h('summary', {}, `All ${study.rows.length} runs of ${study.label}`), table(null, study.columns.map(words), study.rows.map(cells)));

@@ -1,0 +1,383 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <array>
+#include <cmath>
+#include <cstring>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/report.hpp>
+#include <loopwise/evaluation/run_folder.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
+
+#include "pipeline/testing_mission.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+/// A run of the two circles as its folder.
+class Run {
+ public:
+  explicit Run(const Mission& mission, const std::string& method = "random") {
+    Config config;
+    config.replay.method = method;
+    config.replay.max_registrations = 60;
+    const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+    const auto registrar = std::make_shared<testing::OracleRegistrar>(testing::two_circles().ground_truth);
+    ThreadPool pool(1);
+    RunHistory history(mission);
+    ReplayHooks hooks;
+    std::string journal;
+    hooks.journal = [&](const std::string& line) { journal += line + "\n"; };
+    hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
+    result = MissionReplay(mission, config, features, registrar).run(pool, hooks);
+    testing::write_text(folder / "journal.jsonl", journal);
+    map = stitch_map(result.graph, *mission.scans, 0.2);
+    write_run_folder(folder.path(), mission, config, result, evaluate_run(mission, result), history.rows(),
+                     map);
+  }
+
+  testing::TemporaryFolder folder;
+  ReplayResult result;
+  PointCloud map;
+};
+
+template <class T>
+std::vector<T> decoded(const Json& json) {
+  const auto text = json.get<std::string>();
+  const std::string digits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+  std::string bytes;
+  unsigned word = 0;
+  int bits = 0;
+  for (const char c : text) {
+    if (c == '=') break;
+    word = (word << 6) | static_cast<unsigned>(digits.find(c));
+    bits += 6;
+    if (bits >= 8) bytes += static_cast<char>((word >> (bits -= 8)) & 0xff);
+  }
+  REQUIRE(bytes.size() % sizeof(T) == 0);
+  std::vector<T> values(bytes.size() / sizeof(T));
+  std::memcpy(values.data(), bytes.data(), bytes.size());
+  return values;
+}
+
+Json made(const std::vector<testing::fs::path>& folders, const std::vector<Mission>& missions,
+          const ReportOptions& options = {}, int num_threads = 1) {
+  ThreadPool threads(num_threads);
+  return parse_json(make_report(folders, missions, options, threads).data, "data");
+}
+
+std::size_t count(const Json& json, const char* name) {
+  return json.at(name).get<std::size_t>();
+}
+
+std::string notes(const Json& run) {
+  return run.at("notes").dump();
+}
+
+}  // namespace
+
+TEST_CASE("report: shows where everything is and what became of it", "[evaluation][report]") {
+  const Mission mission = testing::two_circles();
+  const Run run(mission);
+  const Json data = made({run.folder.path()}, {mission});
+  REQUIRE(data.at("format") == "loopwise-report");
+  const Json& shown = data.at("runs").at(0);
+  REQUIRE(shown.at("summary") == parse_json(testing::read_text(run.folder / "summary.json"), "summary.json"));
+
+  const Json& nodes = shown.at("scene").at("nodes");
+  REQUIRE(shown.at("scene").at("robots") == Json({"a", "b"}));
+  REQUIRE(nodes.at("begin") == Json({0, 40}));
+  const auto optimized = decoded<float>(nodes.at("optimized")),
+             odometry = decoded<float>(nodes.at("odometry")), truth = decoded<float>(nodes.at("truth")),
+             time_s = decoded<float>(nodes.at("time_s")),
+             observability = decoded<float>(nodes.at("observability"));
+  REQUIRE(optimized.size() == 240);
+  REQUIRE(observability.size() == 80);
+  float largest = 0.0F;
+  for (const float value : observability) largest = std::max(largest, value);
+  REQUIRE(largest == 1.0F);
+  for (std::size_t i = 0; i < 80; ++i) {
+    const Key key = parse_key(nodes.at("key").at(i).get<std::string>());
+    REQUIRE(key == make_key(i < 40 ? 'a' : 'b', i % 40));
+    const std::size_t place = run.result.graph.index_of(key);
+    const Eigen::Vector3d p = run.result.graph.nodes()[place].pose.translation();
+    for (int axis = 0; axis < 3; ++axis) {
+      const std::size_t at = 3 * i + static_cast<std::size_t>(axis);
+      REQUIRE(optimized[at] == Approx(p[axis]).margin(1e-5));
+      REQUIRE(odometry[at] == Approx(run.result.odometry[place].translation()[axis]).margin(1e-5));
+      REQUIRE(truth[at] == Approx(mission.ground_truth.at(key).translation()[axis]).margin(1e-5));
+    }
+    REQUIRE(time_s[i] == Approx(2.0 * static_cast<double>(i % 40) + (i < 40 ? 0.0 : 0.5)));
+  }
+
+  // Points come back within half a step of where they were.
+  const Json& points = shown.at("scene").at("points");
+  const auto position = decoded<std::uint16_t>(points.at("position"));
+  const auto owner = decoded<std::uint8_t>(points.at("robot"));
+  REQUIRE(count(points, "total") == run.map.size());
+  REQUIRE(count(points, "drawn") == run.map.size());  // fewer than the bound, none far off
+  REQUIRE(position.size() == 3 * run.map.size());
+  for (std::size_t i = 0; i < run.map.size(); ++i) {
+    for (std::size_t axis = 0; axis < 3; ++axis) {
+      const double step = points.at("step").at(axis).get<double>();
+      const double at = points.at("low").at(axis).get<double>() + step * position[3 * i + axis];
+      REQUIRE(std::abs(at - static_cast<double>(run.map.points[i][static_cast<int>(axis)])) <= 0.51 * step);
+    }
+    REQUIRE(owner[i] < 2);
+  }
+
+  // Layers hold the pairs of each outcome.
+  const Json& layers = shown.at("scene").at("candidates");
+  std::map<std::string, std::vector<std::pair<Key, Key>>> expected;
+  for (const ComputedCandidate& computed : run.result.computed) {
+    const LoopCandidate& pair = computed.result.candidate;
+    expected[!computed.result.verified() ? "rejected"
+             : computed.weight > 0.5     ? "kept"
+                                         : "outlier"]
+        .emplace_back(pair.from, pair.to);
+  }
+  for (const char* name : {"kept", "outlier", "rejected"}) {
+    const auto ends = decoded<std::uint32_t>(layers.at(name).at("ends"));
+    REQUIRE(count(layers.at(name), "total") == expected[name].size());
+    REQUIRE(ends.size() == 2 * expected[name].size());
+    for (std::size_t i = 0; i < expected[name].size(); ++i) {
+      const auto key = [&](std::size_t end) {
+        return parse_key(nodes.at("key").at(ends[end]).get<std::string>());
+      };
+      REQUIRE(std::pair(key(2 * i), key(2 * i + 1)) == expected[name][i]);
+    }
+  }
+  REQUIRE(count(layers.at("kept"), "total") > 10);
+  REQUIRE(count(layers.at("rejected"), "total") > 5);
+  REQUIRE(count(layers.at("selected"), "total") >= 60);
+
+  const Json& history = shown.at("history");
+  REQUIRE(history.at("source") == "history.csv");
+  REQUIRE(history.at("columns").at("computed").back() == 60);
+  REQUIRE(history.at("columns").at("ate_m").back().get<double>() ==
+          Approx(shown.at("summary").at("ate_m").at("optimized").get<double>()).epsilon(1e-9));
+}
+
+TEST_CASE("report: a layer beyond its bound is drawn at random, its total stays", "[evaluation][report]") {
+  const Mission mission = testing::two_circles();
+  const Run run(mission);
+  ReportOptions options;
+  options.map_points = 500;
+  options.layer_items = 7;
+  const Json some = made({run.folder.path()}, {mission}, options);
+  const Json& scene = some.at("runs").at(0).at("scene");
+  REQUIRE(count(scene.at("points"), "total") == run.map.size());
+  REQUIRE(count(scene.at("points"), "drawn") <= 500);
+  REQUIRE(count(scene.at("points"), "drawn") > 450);  // those far off are left out: none or few
+  for (const auto& [name, layer] : scene.at("candidates").items()) {
+    CAPTURE(name);
+    REQUIRE(count(layer, "drawn") == std::min<std::size_t>(7, count(layer, "total")));
+    REQUIRE(decoded<std::uint32_t>(layer.at("ends")).size() == 2 * count(layer, "drawn"));
+  }
+  REQUIRE(count(scene.at("nodes"), "stride") == 12);  // 80 nodes in at most 7 steps
+
+  // Another seed draws others; each candidate as likely: over 200 seeds, each of n within 5 sigmas of 7/n.
+  const std::size_t total = count(scene.at("candidates").at("rejected"), "total");
+  std::map<std::pair<std::uint32_t, std::uint32_t>, int> seen;
+  for (options.seed = 1; options.seed <= 200; ++options.seed) {
+    options.map_points = 0;
+    const Json data = made({run.folder.path()}, {}, options);
+    const auto ends =
+        decoded<std::uint32_t>(data.at("runs").at(0).at("scene").at("candidates").at("rejected").at("ends"));
+    for (std::size_t i = 0; i < ends.size(); i += 2) ++seen[{ends[i], ends[i + 1]}];
+  }
+  REQUIRE(seen.size() == total);
+  const double share = 7.0 / static_cast<double>(total), sigma = std::sqrt(200.0 * share * (1.0 - share));
+  for (const auto& [pair, times] : seen) REQUIRE(std::abs(times - 200.0 * share) < 5.0 * sigma);
+}
+
+TEST_CASE("report: neither threads nor a second time change a byte", "[evaluation][report]") {
+  const Mission mission = testing::two_circles();
+  const Run run(mission);
+  REQUIRE(made({run.folder.path()}, {mission}, {}, 1).dump() ==
+          made({run.folder.path()}, {mission}, {}, 3).dump());
+}
+
+TEST_CASE("report: what a run lacks is left out and said", "[evaluation][report]") {
+  Mission mission = testing::two_circles();
+  const Run run(mission);
+
+  const Json alone = made({run.folder.path()}, {});
+  REQUIRE(alone.at("runs").at(0).at("scene").at("nodes").at("truth").is_null());
+  REQUIRE_FALSE(alone.at("runs").at(0).at("scene").at("nodes").at("odometry").is_null());
+  REQUIRE(Contains("no mission given").match(notes(alone.at("runs").at(0))));
+
+  mission.ground_truth.clear();
+  mission.scans = std::make_shared<ScanStore>();
+  testing::fs::remove(run.folder / "history.csv");
+  testing::fs::remove(run.folder / "map.pcd");
+  testing::fs::remove_all(run.folder / "trajectories");
+  const Json bare = made({run.folder.path()}, {mission});
+  const Json& shown = bare.at("runs").at(0);
+  REQUIRE(shown.at("scene").at("robots") == Json({"a", "b"}));
+  REQUIRE(shown.at("scene").at("nodes").at("truth").is_null());
+  REQUIRE(shown.at("scene").at("nodes").at("observability").is_null());
+  REQUIRE(shown.at("scene").at("points").is_null());
+  REQUIRE(shown.at("scene").at("beacons").is_null());
+  REQUIRE(shown.at("history").at("source") == "journal.jsonl");
+  REQUIRE(shown.at("history").at("columns").at("computed").back() == 60);
+  for (const char* part :
+       {"no ground truth", "no scans", "no map.pcd", "no trajectories", "no history.csv"}) {
+    CAPTURE(part, notes(shown));
+    REQUIRE(Contains(part).match(notes(shown)));
+  }
+
+  for (const char* name : {"closures.csv", "journal.jsonl", "graph.g2o"})
+    testing::fs::remove(run.folder / name);
+  const Json least = made({run.folder.path()}, {});
+  REQUIRE(least.at("runs").at(0).at("scene").is_null());
+  REQUIRE(least.at("runs").at(0).at("history").is_null());
+  REQUIRE(count(least.at("runs").at(0).at("summary").at("candidates"), "computed") == 60);
+}
+
+TEST_CASE("report: robots of plain keys are told apart by their trajectories", "[evaluation][report]") {
+  // The same run with keys 0 … 79: without the mission only the files tell where the second robot begins.
+  const Mission mission = testing::two_circles();
+  const Run run(mission);
+  const PoseGraph graph = read_g2o(run.folder / "graph.g2o").graph;
+  PoseGraph renumbered;
+  for (const char robot : {'a', 'b'}) {
+    for (std::uint64_t i = 0; i < 40; ++i) {
+      Node node = graph.node(make_key(robot, i));
+      node.key = i + (robot == 'a' ? 0 : 40);
+      renumbered.add_node(node);
+    }
+  }
+  write_g2o(run.folder / "graph.g2o", renumbered);
+  const Json data = made({run.folder.path()}, {});
+  const Json& scene = data.at("runs").at(0).at("scene");
+  REQUIRE(scene.at("robots") == Json({"a", "b"}));
+  REQUIRE(scene.at("nodes").at("begin") == Json({0, 40}));
+  // The pairs of closures.csv have no nodes now: counted, not drawn.
+  REQUIRE(count(scene.at("candidates").at("kept"), "drawn") == 0);
+  REQUIRE(count(scene.at("candidates").at("kept"), "total") > 0);
+}
+
+TEST_CASE("report: beacons and passes within reach", "[evaluation][report]") {
+  Mission mission = testing::two_circles();
+  mission.beacons = {{"b1", 0, make_key('a', 5), 0}};
+  for (const std::uint64_t i : {4U, 5U, 6U, 38U, 39U})
+    mission.radio.push_back({make_key('a', i), "b1", 20.0, "0", -20.0});  // 40 dB
+  mission.radio.push_back({make_key('b', 5), "b1", 20.0, "0", -30.0});    // 50 dB
+  mission.radio.push_back({make_key('b', 9), "b1", 20.0, "0", -60.0});    // 80 dB: out of reach
+  const Run run(mission);
+  const Json data = made({run.folder.path()}, {mission});
+  const Json& scene = data.at("runs").at(0).at("scene");
+  REQUIRE(scene.at("beacons") == Json::array({{{"name", "b1"}, {"node", 5}}}));
+  REQUIRE(count(scene.at("radio"), "total") == 6);
+  REQUIRE(count(scene.at("radio"), "passes") == 3);
+  const auto ends = decoded<std::uint32_t>(scene.at("radio").at("ends"));
+  REQUIRE(ends == std::vector<std::uint32_t>{4, 5, 5, 5, 6, 5, 38, 5, 39, 5, 45, 5});
+}
+
+TEST_CASE("report: several runs keep their names apart, maps are bounded", "[evaluation][report]") {
+  const Mission mission = testing::two_circles();
+  const Run one(mission), two(mission, "baseline");
+  const testing::TemporaryFolder folder;
+  for (const auto& [name, run] : {std::pair("x", &one), std::pair("y", &two)}) {
+    testing::fs::create_directories(folder / name);
+    testing::fs::copy(run->folder.path(), folder.path() / name / "run", testing::fs::copy_options::recursive);
+  }
+  ReportOptions options;
+  options.maps = 1;
+  ThreadPool threads(1);
+  const Report report =
+      make_report({folder.path() / "x" / "run", folder.path() / "y" / "run"}, {mission}, options, threads);
+  REQUIRE(report.runs == 2);
+  REQUIRE(report.maps == 1);
+  const Json data = parse_json(report.data, "data");
+  REQUIRE(data.at("runs").at(0).at("label") == "x/run");
+  REQUIRE(data.at("runs").at(1).at("label") == "y/run");
+  REQUIRE_FALSE(data.at("runs").at(0).at("scene").is_null());
+  REQUIRE(data.at("runs").at(1).at("scene").is_null());
+}
+
+TEST_CASE("report: names of any kind cannot leave the data", "[evaluation][report]") {
+  Mission mission = testing::two_circles();
+  mission.name = "</script><!--<script> \"x\" & \\";
+  const Run run(mission);
+  ThreadPool threads(1);
+  const Report report = make_report({run.folder.path()}, {}, {}, threads);
+  REQUIRE(Contains("</script>").match(report.data));  // the data are JSON, not yet HTML
+  if (!report_pages_built()) {
+    REQUIRE_THROWS_WITH(report_page(report.data), Contains("LOOPWISE_WITH_REPORT"));
+    return;
+  }
+  const std::string page = report_page(report.data);
+  const std::string empty = report_page("{}");
+  const auto occurrences = [](const std::string& text, const std::string& part) {
+    std::size_t times = 0;
+    for (std::size_t at = text.find(part); at != std::string::npos; at = text.find(part, at + 1)) ++times;
+    return times;
+  };
+  for (const char* part : {"</script", "<script", "<!--", "<"})
+    REQUIRE(occurrences(page, part) == occurrences(empty, part));
+  REQUIRE(Contains("\\u003c/script>\\u003c!--").match(page));
+
+  // What the page reads is what was given.
+  const std::string begin = "<script type=\"application/json\" id=\"data\">";
+  const std::size_t from = page.find(begin) + begin.size();
+  const std::string inside = page.substr(from, page.find("</script>", from) - from);
+  REQUIRE(parse_json(inside, "page") == parse_json(report.data, "data"));
+  REQUIRE(occurrences(page, "http://") + occurrences(page, "https://") ==
+          occurrences(empty, "http://") + occurrences(empty, "https://"));
+}
+
+TEST_CASE("report: one file that is replaced as a whole", "[evaluation][report]") {
+  const Mission mission = testing::two_circles();
+  const Run run(mission);
+  const testing::TemporaryFolder folder;
+  ThreadPool threads(1);
+  if (!report_pages_built()) {
+    REQUIRE_THROWS_AS(write_report(folder / "r.html", {run.folder.path()}, {}, {}, threads), Error);
+    REQUIRE_FALSE(testing::fs::exists(folder / "r.html"));
+    return;
+  }
+  const Report report = write_report(folder / "r.html", {run.folder.path()}, {mission}, {}, threads);
+  REQUIRE(testing::read_text(folder / "r.html") == report_page(report.data));
+}
+
+TEST_CASE("report: bad input is named", "[evaluation][report][error]") {
+  const Mission mission = testing::two_circles();
+  const Run run(mission);
+  const testing::TemporaryFolder folder;
+  ThreadPool threads(1);
+  const auto make = [&](const testing::fs::path& path, const std::vector<Mission>& missions = {}) {
+    return make_report({path}, missions, {}, threads);
+  };
+  REQUIRE_THROWS_WITH(make(folder / "absent"), Contains("absent") && Contains("no such folder"));
+  REQUIRE_THROWS_WITH(make(folder.path()), Contains("neither a run"));
+  REQUIRE_THROWS_AS(make_report({}, {}, {}, threads), OptionError);
+  ReportOptions options;
+  options.layer_items = 0;
+  REQUIRE_THROWS_AS(make_report({run.folder.path()}, {}, options, threads), OptionError);
+
+  Mission other = mission;
+  other.name = "elsewhere";
+  REQUIRE_THROWS_WITH(make(run.folder.path(), {other}),
+                      Contains("none of the runs") && Contains("elsewhere"));
+
+  const std::string closures = testing::read_text(run.folder / "closures.csv");
+  testing::write_text(run.folder / "closures.csv", "from,to\n1,2\n");
+  REQUIRE_THROWS_WITH(make(run.folder.path()), Contains("closures.csv:1") && Contains("outcome"));
+  testing::write_text(run.folder / "closures.csv", closures + "a1,a2,x\n");
+  REQUIRE_THROWS_AS(make(run.folder.path()), ParseError);
+  testing::write_text(run.folder / "closures.csv", closures);
+  testing::write_text(run.folder / "summary.json", "{\"mission\": ");
+  REQUIRE_THROWS_WITH(make(run.folder.path()), Contains("summary.json"));
+  testing::write_text(run.folder / "summary.json", "[]");
+  REQUIRE_THROWS_WITH(make(run.folder.path()), Contains("not an object"));
+  testing::write_text(run.folder / "summary.json", "{}");  // nothing is known, nothing is wrong
+  REQUIRE(make(run.folder.path()).runs == 1);
+}
+
+}  // namespace loopwise

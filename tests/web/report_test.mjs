@@ -1,0 +1,157 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Makes reports of the sample mission and looks at them in Chromium:
+//   node report_test.mjs LOOPWISE SAMPLE_MISSION FOLDER [CHROMIUM]
+// Prints "SKIPPED: why" where something that it needs is absent. Pictures stay in FOLDER.
+import assert from 'node:assert/strict';
+import { spawnSync } from 'node:child_process';
+import { cpSync, existsSync, mkdirSync, readFileSync, rmSync, statSync, writeFileSync } from 'node:fs';
+import { join } from 'node:path';
+import { pathToFileURL } from 'node:url';
+import { Browser } from './browser.mjs';
+
+const [program, sample, folder, given] = process.argv.slice(2);
+const skip = (why) => {
+  console.log(`SKIPPED: ${why}`);
+  process.exit(0);
+};
+const chromium = given ?? ['chromium', 'chromium-browser', 'google-chrome'].find((name) => spawnSync(name, ['--version']).status === 0);
+if (!chromium) skip('no chromium');
+
+const loopwise = (...words) => {
+  const run = spawnSync(program, words, { encoding: 'utf8' });
+  if (/this build cannot write reports/.test(run.stderr)) skip('this build has no page for reports: npm was absent or failed');
+  assert.equal(run.status, 0, `loopwise ${words.join(' ')}\n${run.stderr}`);
+  return run.stdout;
+};
+
+rmSync(folder, { recursive: true, force: true });
+mkdirSync(folder, { recursive: true });
+const inFolder = (name) => join(folder, name);
+
+// A mission whose names are markup.
+const kMission = '</script><script>window.hacked = 1</script><b>';
+const kRobot = '<img src=x onerror="window.hacked=2">&amp;';
+cpSync(sample, inFolder('mission'), { recursive: true });
+const about = JSON.parse(readFileSync(join(sample, 'mission.json'), 'utf8'));
+const [kOldRobot] = about.robots.map((robot) => robot.name);
+about.name = kMission;
+const named = JSON.stringify(about).split(JSON.stringify(kOldRobot)).join(JSON.stringify(kRobot));
+writeFileSync(inFolder('mission/mission.json'), named);
+const beacons = readFileSync(join(sample, 'beacons.csv'), 'utf8');
+writeFileSync(inFolder('mission/beacons.csv'), beacons.split(kOldRobot).join(`"${kRobot.replaceAll('"', '""')}"`));
+
+for (const method of ['baseline', 'obs', 'full']) {
+  loopwise('replay', inFolder('mission'), '-o', inFolder(method), '--method', method, '--max-registrations', '150', '--quiet');
+}
+const runs = ['obs', 'baseline', 'full'].map(inFolder);
+loopwise('report', ...runs, '-o', inFolder('all.html'), '--mission', inFolder('mission'), '--quiet');
+loopwise('report', inFolder('obs'), '-o', inFolder('alone.html'), '--quiet');
+for (const file of ['map.pcd', 'journal.jsonl', 'history.csv', 'closures.csv']) rmSync(join(inFolder('full'), file), { force: true });
+rmSync(join(inFolder('full'), 'trajectories'), { recursive: true });
+loopwise('report', inFolder('full'), '-o', inFolder('bare.html'), '--quiet');
+
+const browser = new Browser(chromium);
+const open = async (name, options) => {
+  const page = await browser.open(pathToFileURL(inFolder(name)).href, options);
+  await page.until('window.loopwiseReport?.ready === true');
+  return page;
+};
+const state = (page) => page.value('({...loopwiseReport, map: undefined})');
+const clean = async (page, name) => {
+  assert.deepEqual(page.complaints, [], `${name}: complaints`);
+  assert.deepEqual((await state(page)).errors, [], `${name}: errors`);
+  assert.deepEqual(page.requests, [pathToFileURL(inFolder(name)).href], `${name}: asked for more than itself`);
+};
+/** Pixels of the map that are not ground, and a sum that tells pictures apart. */
+const pixels = (page) => page.value(`new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => {
+  const from = document.querySelector('#map canvas');
+  const canvas = document.createElement('canvas');
+  [canvas.width, canvas.height] = [from.width, from.height];
+  const pen = canvas.getContext('2d');
+  pen.drawImage(from, 0, 0);
+  const data = pen.getImageData(0, 0, canvas.width, canvas.height).data;
+  let drawn = 0, sum = 0;
+  for (let i = 0; i < data.length; i += 4) {
+    const off = Math.abs(data[i] - data[0]) + Math.abs(data[i + 1] - data[1]) + Math.abs(data[i + 2] - data[2]);
+    if (off > 12) ++drawn;
+    sum = (sum * 31 + data[i] + 3 * data[i + 1] + 7 * data[i + 2]) % 1000000007;
+  }
+  done({drawn, sum});
+})))`);
+
+try {
+  let page = await open('all.html');
+  await clean(page, 'all.html');
+  const first = await state(page);
+  console.log(`all.html: ${(statSync(inFolder('all.html')).size / 1e6).toFixed(2)} MB, first frame after ${Math.round(first.firstFrameMs)} ms`);
+
+  // Names are text.
+  assert.equal(await page.value('window.hacked'), undefined);
+  assert.equal(await page.value('document.querySelector("h1").textContent'), kMission);
+  assert.equal(await page.value('document.querySelectorAll("#report img, #report b, #report script").length'), 0);
+  assert.ok((await page.value('document.querySelector(".robots").textContent')).includes(kRobot));
+
+  // Every layer draws something by itself, and is switched by the keyboard.
+  const ids = ['points', 'optimized', 'odometry', 'truth', 'kept', 'rejected', 'selected', 'beacons', 'radio'];
+  for (const id of ids) assert.ok(first.layers[id]?.drawn > 0, `layer ${id}: ${JSON.stringify(first.layers[id])}`);
+  assert.ok('outlier' in first.layers);
+  const set = (id, on) => page.value(`(() => { const box = document.querySelector('[data-layer="${id}"]'); if (box.checked !== ${on}) box.click(); })()`);
+  for (const id of Object.keys(first.layers)) await set(id, false);
+  assert.equal((await pixels(page)).drawn, 0, 'all layers off');
+  for (const id of ids) {
+    await page.value(`document.querySelector('[data-layer="${id}"]').focus()`);
+    await page.key(' ', 'Space', ' ');
+    assert.equal((await state(page)).layers[id].on, true, `${id} by the space bar`);
+    const { drawn } = await pixels(page);
+    assert.ok(drawn > 50, `layer ${id} drew ${drawn} pixels`);
+    await set(id, false);
+  }
+  await set('points', true);
+  const looks = new Set();
+  for (const mode of ['height', 'robot', 'observability']) {
+    await page.value(`document.querySelector('input[value="${mode}"]').click()`);
+    looks.add((await pixels(page)).sum);
+  }
+  assert.equal(looks.size, 3, 'each way to colour looks different');
+  for (const button of ['From above', 'Whole map']) {
+    const before = (await pixels(page)).sum;
+    await page.value(`[...document.querySelectorAll('.views button')].find((b) => b.textContent === '${button}').click()`);
+    assert.notEqual((await pixels(page)).sum, before, button);
+  }
+
+  // Charts and tables.
+  for (const id of ['ratio', 'error', 'closures', 'robots', 'boxes-0']) assert.ok(first.charts[id] > 3, `chart ${id}: ${first.charts[id]} marks`);
+  assert.equal(await page.value('document.querySelectorAll("tr[data-run]").length'), 3);
+  assert.ok((await page.value('document.getElementById("report").textContent')).includes('parameters_sha256'));
+  assert.ok((await page.value('document.getElementById("licences").textContent')).includes('three.js authors'));
+
+  // Another run.
+  await page.value(`(() => { const s = document.getElementById('run'); s.value = '1'; s.dispatchEvent(new Event('change')); })()`);
+  await page.until('loopwiseReport.ready === true && loopwiseReport.run === 1');
+  assert.ok((await page.value('document.querySelector(".subtitle").textContent')).includes('baseline'));
+  await clean(page, 'all.html');
+  await page.screenshot(inFolder('all.png'));
+
+  // Small and dark.
+  page = await open('all.html', { width: 400, height: 800, dark: true });
+  await clean(page, 'all.html');
+  assert.ok(await page.value('document.documentElement.scrollWidth <= innerWidth'), 'no sideways scrolling on a phone');
+  await page.screenshot(inFolder('small.png'));
+
+  // What is not known is left out, and said.
+  page = await open('alone.html');
+  await clean(page, 'alone.html');
+  const alone = await state(page);
+  assert.ok(!('truth' in alone.layers) && !('beacons' in alone.layers));
+  assert.ok(alone.layers.odometry.drawn > 0);
+  assert.ok((await page.value('document.getElementById("notes").textContent')).includes('no mission given'));
+  page = await open('bare.html');
+  await clean(page, 'bare.html');
+  const bare = await state(page);
+  assert.deepEqual(Object.keys(bare.layers), ['optimized']);
+  assert.ok((await page.value('document.getElementById("notes").textContent')).includes('no map.pcd'));
+  assert.ok(existsSync(inFolder('all.png')));
+  console.log('passed');
+} finally {
+  await browser.close();
+}

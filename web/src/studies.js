@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What the rows of studies say together: medians by world and method.
+import { at, count, fixed, h, isNumber, table } from './dom.js';
+
+/** Linear between order statistics, as most tools. */
+export function quantile(values, share) {
+  const sorted = values.filter(isNumber).sort((a, b) => a - b);
+  if (sorted.length === 0) return null;
+  const place = share * (sorted.length - 1);
+  const low = Math.floor(place);
+  return sorted[low] + (place - low) * ((sorted[low + 1] ?? sorted[low]) - sorted[low]);
+}
+export const median = (values) => quantile(values, 0.5);
+
+export const worldOf = (study, row) => String(row.world ?? row.mission ?? study.label);
+
+/** The method, and what else differs between a study's runs: "full, workers 50". */
+export function variantOf(study) {
+  const differing = ['registration_time_s', 'workers', 'thin', 'after_mission'].filter((name) => new Set(study.rows.map((row) => row[name])).size > 1);
+  return (row) => [String(row.method), ...differing.map((name) => `${name.replace(/_s$/, '').replace(/_/g, ' ')} ${row[name]}`)].join(', ');
+}
+
+const share = (part, whole) => (row) => (row[whole] > 0 && isNumber(row[part]) ? (100 * row[part]) / row[whole] : null);
+const kFigures = [
+  ['verified, % of queued', share('verified', 'queued'), 3], ['GNC inliers, % of queued', share('gnc_inliers', 'queued'), 3],
+  ['true inliers, % of queued', share('true_inliers', 'queued'), 3], ['verified, % of computed', share('verified', 'computed'), 1],
+  ['true inliers, % of computed', share('true_inliers', 'computed'), 1], ['mean position error, m', (row) => row.ate_m, 3], ['the same aligned, m', (row) => row.ate_se3_m, 3],
+];
+
+const distinct = (values) => [...new Set(values)];
+
+/** The paper's Table I of one study: a table for each world. */
+export function studyTables(study) {
+  const variant = variantOf(study);
+  return distinct(study.rows.map((row) => worldOf(study, row))).map((world) => {
+    const rows = study.rows.filter((row) => worldOf(study, row) === world);
+    const variants = distinct(rows.map(variant));
+    const missions = new Set(rows.map((row) => row.mission)).size;
+    const odometry = median(distinct(rows.map((row) => row.odometry_ate_m)));
+    const best = Math.min(...variants.map((v) => median(rows.filter((row) => variant(row) === v).map((row) => row.ate_m))).filter(isNumber));
+    const known = kFigures.filter(([, value]) => rows.some((row) => isNumber(value(row))));
+    const body = known.map(([name, value, digits]) => [name, ...variants.map((v) => {
+      const values = rows.filter((row) => variant(row) === v).map(value).filter(isNumber);
+      if (values.length === 0) return '–';
+      const middle = fixed(median(values), digits);
+      const strong = name.startsWith('mean') && median(values) === best ? h('strong', {}, middle) : middle;
+      return values.length < 2 ? strong : h('span', { title: `${values.length} runs` }, strong, h('span', { class: 'detail' }, ` ${fixed(quantile(values, 0.25), digits)}–${fixed(quantile(values, 0.75), digits)}`));
+    })]);
+    return h('div', { class: 'card study' }, table(`${world}: ${count(rows.length)} runs of ${missions} mission${missions === 1 ? '' : 's'}, medians and quartiles${isNumber(odometry) ? `; odometry alone ${fixed(odometry, 3)} m` : ''}`, ['', ...variants], body));
+  });
+}
+
+/** How much lower a method's median error is than another's, %, mean over the worlds; null where one lacks. */
+function reduction(study, method, other) {
+  const worlds = distinct(study.rows.map((row) => worldOf(study, row)));
+  const reductions = worlds.map((world) => {
+    const rows = study.rows.filter((row) => worldOf(study, row) === world);
+    const own = median(rows.filter((row) => row.method === method).map((row) => row.ate_m));
+    const against = other === 'odometry' ? median(distinct(rows.map((row) => row.odometry_ate_m))) : median(rows.filter((row) => row.method === other).map((row) => row.ate_m));
+    return isNumber(own) && against > 0 ? 100 * (1 - own / against) : null;
+  });
+  return reductions.every(isNumber) && reductions.length > 0 ? reductions.reduce((a, b) => a + b, 0) / reductions.length : null;
+}
+
+/** Key figures of a report that has studies alone: [label, value, detail]. */
+export function studyFigures(study) {
+  const methods = distinct(study.rows.map((row) => row.method));
+  const method = methods.includes('full') ? 'full' : methods.at(-1);
+  const worlds = distinct(study.rows.map((row) => worldOf(study, row)));
+  const missions = distinct(study.rows.map((row) => row.mission)).length;
+  const change = (value) => `${value >= 0 ? '−' : '+'}${Math.abs(value).toFixed(0)} %`;
+  return [
+    ['Runs', count(study.rows.length), `${missions} mission${missions === 1 ? '' : 's'} of ${worlds.length} world${worlds.length === 1 ? '' : 's'}, ${methods.length} methods`],
+    ...['odometry', 'baseline'].filter((other) => other !== method).map((other) => [other, reduction(study, method, other)])
+      .filter(([, value]) => isNumber(value)).map(([other, value]) => [`Error of ${method} against ${other}`, change(value), 'median error, mean over the worlds']),
+  ];
+}
+
+/** Paired comparisons over all missions, as `loopwise study ablation` gives them. */
+export function pairedTable(study) {
+  const pooled = at(study, 'result', 'pooled');
+  if (!pooled || typeof pooled !== 'object') return null;
+  const interval = (value) => {
+    const [low, high] = Array.isArray(value) ? value : [at(value, 'low'), at(value, 'high')];
+    return isNumber(low) && isNumber(high) ? ` (${fixed(low, 3)} to ${fixed(high, 3)})` : '';
+  };
+  const rows = Object.entries(pooled).flatMap(([method, others]) => Object.entries(others ?? {}).map(([other, c]) => [
+    method, other, isNumber(at(c, 'better')) ? `${c.better} of ${c.count ?? c.missions ?? '–'}` : '–',
+    fixed(at(c, 'mean_difference_m'), 3) + interval(at(c, 'difference_interval_95_m')), fixed(at(c, 'ratio'), 3) + interval(at(c, 'ratio_interval_95')),
+  ]));
+  if (rows.length === 0) return null;
+  return h('div', { class: 'card' }, table('All missions, paired: mean position error (95 % intervals)', ['method', 'against', 'lower in', 'mean difference (m)', 'ratio'], rows, { class: 'left2' }));
+}
