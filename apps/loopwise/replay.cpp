@@ -12,6 +12,7 @@
 #include <loopwise/pipeline/replay.hpp>
 
 #include "command.hpp"
+#include "replay_arguments.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -22,13 +23,9 @@ struct Options {
   CommonOptions common;
   std::string mission;
   std::string output;
-  std::string method, clock = "virtual", preset, robots, guess, registrar;
-  std::optional<std::int64_t> batch, workers, max_registrations, skip_recent;
-  std::optional<double> registration_time, gi_evaluation_time;
-  std::vector<double> odometry_noise;
-  std::string outcomes;
-  OutcomeStoreOptions outcomes_bound;
-  std::optional<std::uint64_t> seed;
+  std::string method, clock = "virtual";
+  ReplayArguments replay;
+  std::optional<std::int64_t> workers;
   bool after_mission = false;
   bool resume = false;
   bool overwrite = false;
@@ -37,24 +34,10 @@ struct Options {
 
 Config configured(const Options& o) {
   Config config = load_config(o.common);
-  if (!o.preset.empty()) config.generation = proximity_preset(o.preset);
-  if (o.skip_recent) config.generation.skip_recent = *o.skip_recent;
-  if (!o.robots.empty()) config.mission.robots = o.robots;
-  ReplayOptions& replay = config.replay;
-  if (!o.method.empty()) replay.method = o.method;
-  if (!o.guess.empty()) replay.guess = parse_enum<GuessSource>("--guess", o.guess);
-  if (!o.registrar.empty()) replay.registrar = parse_enum<RegistrarKind>("--registrar", o.registrar);
-  if (o.batch) replay.batch = *o.batch;
-  if (o.workers) replay.workers = *o.workers;
-  if (o.max_registrations) replay.max_registrations = *o.max_registrations;
-  if (o.registration_time) replay.registration_time_s = *o.registration_time;
-  if (o.gi_evaluation_time) replay.gi_evaluation_time_s = *o.gi_evaluation_time;
-  if (!o.odometry_noise.empty()) {
-    replay.odometry_noise_m_per_m = o.odometry_noise[0];
-    replay.odometry_noise_rad_per_m = o.odometry_noise[1];
-  }
-  if (o.seed) replay.seed = *o.seed;
-  if (o.after_mission) replay.after_mission = true;
+  apply(o.replay, config);
+  if (!o.method.empty()) config.replay.method = o.method;
+  if (o.workers) config.replay.workers = *o.workers;
+  if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual") throw_unknown_name("clock", o.clock, {"virtual"});
   validate_config(config);
   return config;
@@ -134,17 +117,6 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   return text;
 }
 
-void note_outcomes(Console& console, const OutcomeStore& store) {
-  const OutcomeStoreStatistics statistics = store.statistics();
-  console.note(std::to_string(statistics.hits) + " registrations taken from the stored outcomes, " +
-               std::to_string(statistics.computed) + " computed");
-  if (statistics.damaged_bytes > 0) {
-    console.warn(std::to_string(statistics.damaged_bytes) +
-                 " bytes of the stored outcomes were damaged and passed over");
-  }
-  if (!statistics.problem.empty()) console.warn("outcomes are not stored any more: " + statistics.problem);
-}
-
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -171,8 +143,8 @@ int run(const Options& options) {
   const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
   std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
   std::shared_ptr<OutcomeStore> store;
-  if (!options.outcomes.empty()) {
-    store = std::make_shared<OutcomeStore>(options.outcomes, options.outcomes_bound);
+  if (!options.replay.outcomes.empty()) {
+    store = std::make_shared<OutcomeStore>(options.replay.outcomes, options.replay.outcomes_bound);
     registrar = std::make_shared<StoredRegistrar>(registrar, store, mission.scans->loader(),
                                                   registration_context(config.replay.registrar, config));
   }
@@ -230,50 +202,13 @@ void add_replay(CLI::App& app, Action& chosen) {
           "Order of the candidates: odom (none), baseline, random, obs, gi, full (obs and gi), rssi, or "
           "several joined by +")
       ->type_name("M");
-  command
-      ->add_option("--preset", options->preset,
-                   "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
-      ->type_name("NAME");
-  command->add_option("--skip-recent", options->skip_recent, "Least index gap between two nodes of one robot")
-      ->type_name("N");
-  command->add_option("--batch", options->batch, "Candidates handed out at a time")->type_name("B");
+  add_replay_arguments(*command, options->replay);
   command->add_option("--clock", options->clock, "virtual: mission time is modelled")->type_name("WORD");
-  command
-      ->add_option("--registration-time", options->registration_time,
-                   "Mission time of one registration on one worker, s (default 1.3)")
-      ->type_name("S");
-  command
-      ->add_option("--gi-evaluation-time", options->gi_evaluation_time,
-                   "Mission time of one evaluation of graph information, s (default 0.02)")
-      ->type_name("S");
   command
       ->add_option("--workers", options->workers,
                    "Registrations at a time on the mission's clock (default 10)")
       ->type_name("N");
-  command->add_option("--max-registrations", options->max_registrations, "End after this many")
-      ->type_name("N");
   command->add_flag("--after-mission", options->after_mission, "Go on until no candidate is pending");
-  command
-      ->add_option("--odometry-noise", options->odometry_noise,
-                   "Make the odometry worse: sigma after 1 m, in m and rad")
-      ->type_name("M_PER_M RAD_PER_M")
-      ->expected(2);
-  command
-      ->add_option("--registrar", options->registrar, "What computes the candidates: fast (default) or pcl")
-      ->type_name("WORD");
-  command->add_option("--guess", options->guess, "Relative pose given to registrations: estimate or odometry")
-      ->type_name("WORD");
-  command
-      ->add_option("--outcomes", options->outcomes,
-                   "Keep outcomes of registrations in this folder, and take from it those that are there")
-      ->type_name("DIR");
-  command
-      ->add_option("--outcomes-mb", options->outcomes_bound.max_mb,
-                   "Bound of that folder, MB; the oldest outcomes go first (default 4096)")
-      ->type_name("MB");
-  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
-      ->type_name("LIST");
-  command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
   command->add_option("--map-voxel", options->map_voxel_m, "Voxel of map.pcd, m (default 0.2)")
       ->type_name("M")
       ->check(CLI::PositiveNumber);

@@ -4,8 +4,12 @@
 namespace loopwise::cli {
 
 void add_study(CLI::App& app, Action& chosen) {
-  CLI::App* command = app.add_subcommand("study", "Measure one part of the system against ground truth");
+  CLI::App* command =
+      app.add_subcommand("study", "Measure the system, or a part of it, against ground truth");
   command->require_subcommand(1);
+  add_ablation_study(*command, chosen);
+  add_budget_study(*command, chosen);
+  add_rssi_study(*command, chosen);
   add_registration_study(*command, chosen);
 }
 

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <mutex>
+#include <numeric>
 #include <optional>
 #include <set>
 #include <tuple>
@@ -168,11 +169,25 @@ class Run {
       std::vector<LoopCandidate> heard = radio_candidates(node.key);
       candidates.insert(candidates.begin(), heard.begin(), heard.end());
     }
+    if (config_.replay.thin > 1) {
+      candidates.erase(std::remove_if(candidates.begin(), candidates.end(),
+                                      [this](const LoopCandidate& c) { return !kept(c); }),
+                       candidates.end());
+    }
     const std::size_t added = pool_.queue().prioritizers().empty() ? 0 : pool_.add(candidates);
     announce_scan(node);
     write(journal::key_frame_line(now_s_, node.key, added, pool_.accounting()));
     ++key_frames_;
     report();
+  }
+
+  /// Whether a candidate is among those that ReplayOptions::thin leaves.
+  [[nodiscard]] bool kept(const LoopCandidate& candidate) const {
+    constexpr std::uint64_t kStream = 0x7468696e;  // apart from the registrations' seeds
+    const auto [low, high] = std::minmax(candidate.from, candidate.to);
+    return pair_seed(combine_seeds(config_.replay.seed, kStream), low, high) %
+               static_cast<std::uint64_t>(config_.replay.thin) ==
+           0;
   }
 
   /// A node comes with the beacons dropped there and what it heard.
@@ -246,8 +261,13 @@ class Run {
     ++result_.batches;
     write(journal::batch_line(now_s_, batch_, pool_.accounting()));
 
-    // Worker k of W computes the batch's candidates k, k + W, …; those that would end after the mission are
-    // not paid for, so they are not computed.
+    config_.replay.measured_time ? compute_measured() : compute_modelled();
+    next_result_ += batch_.size();
+  }
+
+  /// Worker k of W computes the batch's candidates k, k + W, …; those that would end after the mission are
+  /// not paid for, so they are not computed.
+  void compute_modelled() {
     const auto workers = static_cast<std::size_t>(config_.replay.workers);
     std::vector<std::size_t> paid;
     for (std::size_t i = 0; i < batch_.size(); ++i) {
@@ -257,9 +277,30 @@ class Run {
       events_.insert({finish_s, EventKind::kResult, next_result_ + i, i});
       paid.push_back(i);
     }
-    next_result_ += batch_.size();
     outstanding_ = paid.size();
     compute(paid);
+  }
+
+  /// What a registration takes is known once it is computed: all are, each then takes its turn on the worker
+  /// that is free first, and the results of those that would end after the mission are not looked at.
+  void compute_measured() {
+    std::vector<std::size_t> all(batch_.size());
+    std::iota(all.begin(), all.end(), std::size_t{0});
+    compute(all);
+    std::vector<double> free_s(static_cast<std::size_t>(config_.replay.workers), now_s_);
+    outstanding_ = 0;
+    for (std::size_t i = 0; i < batch_.size(); ++i) {
+      if (!results_[i]) continue;  // a stop request came first
+      const auto worker = std::min_element(free_s.begin(), free_s.end());
+      const double finish_s = *worker + results_[i]->seconds();
+      if (finish_s > end_s_) {
+        results_[i].reset();
+        continue;
+      }
+      *worker = finish_s;
+      events_.insert({finish_s, EventKind::kResult, next_result_ + i, i});
+      ++outstanding_;
+    }
   }
 
   void compute(const std::vector<std::size_t>& paid) {

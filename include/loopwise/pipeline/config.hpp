@@ -46,8 +46,10 @@ struct ReplayOptions {
   std::string method = "obs";
   std::int64_t batch = 100;
   double registration_time_s = 1.3;
+  bool measured_time = false;
   std::int64_t workers = 10;
   std::int64_t max_registrations = 0;
+  std::int64_t thin = 1;
   double gi_evaluation_time_s = 0.02;
   bool after_mission = false;
   RegistrarKind registrar = RegistrarKind::kFast;
@@ -65,9 +67,13 @@ struct ReplayOptions {
     field("batch", self.batch, at_least(1), "Candidates handed out each time the computation runs dry.");
     field("registration_time_s", self.registration_time_s, above(0.0),
           "Mission time that one registration takes on one worker, s.");
+    field("measured_time", self.measured_time, any_value(),
+          "A registration takes what it took on this machine, as recorded with its outcome, in place of "
+          "registration_time_s.");
     field("workers", self.workers, at_least(1), "Registrations that run at a time on the mission's clock.");
     field("max_registrations", self.max_registrations, at_least(0),
           "The run ends after this many; 0: no bound.");
+    field("thin", self.thin, at_least(1), "Keep one candidate in this many, drawn by pair and seed; 1: all.");
     field("gi_evaluation_time_s", self.gi_evaluation_time_s, above(0.0),
           "Mission time of one evaluation while graph information improves its next set, s: as many as fit "
           "between two batches.");

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "replay_arguments.hpp"
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise::cli {
+
+void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
+  command
+      .add_option("--preset", arguments.preset,
+                  "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
+      ->type_name("NAME");
+  command
+      .add_option("--skip-recent", arguments.skip_recent, "Least index gap between two nodes of one robot")
+      ->type_name("N");
+  command.add_option("--thin", arguments.thin, "Keep one candidate in N, drawn by pair and seed")
+      ->type_name("N");
+  command.add_option("--batch", arguments.batch, "Candidates handed out at a time")->type_name("B");
+  command
+      .add_option(
+          "--registration-time", arguments.registration_time,
+          "Mission time of one registration on one worker, s (default 1.3), or the word measured: what "
+          "it took here")
+      ->type_name("S");
+  command
+      .add_option("--gi-evaluation-time", arguments.gi_evaluation_time,
+                  "Mission time of one evaluation of graph information, s (default 0.02)")
+      ->type_name("S");
+  command.add_option("--max-registrations", arguments.max_registrations, "End after this many")
+      ->type_name("N");
+  command
+      .add_option("--odometry-noise", arguments.odometry_noise,
+                  "Make the odometry worse: sigma after 1 m, in m and rad")
+      ->type_name("M_PER_M RAD_PER_M")
+      ->expected(2);
+  command
+      .add_option("--registrar", arguments.registrar, "What computes the candidates: fast (default) or pcl")
+      ->type_name("WORD");
+  command
+      .add_option("--guess", arguments.guess, "Relative pose given to registrations: estimate or odometry")
+      ->type_name("WORD");
+  command
+      .add_option("--outcomes", arguments.outcomes,
+                  "Keep outcomes of registrations in this folder, and take from it those that are there")
+      ->type_name("DIR");
+  command
+      .add_option("--outcomes-mb", arguments.outcomes_bound.max_mb,
+                  "Bound of that folder, MB; the oldest outcomes go first (default 4096)")
+      ->type_name("MB");
+  command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
+      ->type_name("LIST");
+  command.add_option("--seed", arguments.seed, "Of everything random (default 1)")->type_name("S");
+}
+
+void apply(const ReplayArguments& a, Config& config) {
+  if (!a.preset.empty()) config.generation = proximity_preset(a.preset);
+  if (a.skip_recent) config.generation.skip_recent = *a.skip_recent;
+  if (!a.robots.empty()) config.mission.robots = a.robots;
+  ReplayOptions& replay = config.replay;
+  if (!a.guess.empty()) replay.guess = parse_enum<GuessSource>("--guess", a.guess);
+  if (!a.registrar.empty()) replay.registrar = parse_enum<RegistrarKind>("--registrar", a.registrar);
+  if (a.batch) replay.batch = *a.batch;
+  if (a.max_registrations) replay.max_registrations = *a.max_registrations;
+  if (a.thin) replay.thin = *a.thin;
+  if (a.registration_time == "measured") {
+    replay.measured_time = true;
+  } else if (!a.registration_time.empty()) {
+    set_config_option("replay.registration_time_s=" + a.registration_time, config);
+    replay.measured_time = false;
+  }
+  if (a.gi_evaluation_time) replay.gi_evaluation_time_s = *a.gi_evaluation_time;
+  if (!a.odometry_noise.empty()) {
+    replay.odometry_noise_m_per_m = a.odometry_noise[0];
+    replay.odometry_noise_rad_per_m = a.odometry_noise[1];
+  }
+  if (a.seed) replay.seed = *a.seed;
+}
+
+void note_outcomes(Console& console, const OutcomeStore& store) {
+  const OutcomeStoreStatistics statistics = store.statistics();
+  console.note(std::to_string(statistics.hits) + " registrations taken from the stored outcomes, " +
+               std::to_string(statistics.computed) + " computed");
+  if (statistics.damaged_bytes > 0) {
+    console.warn(std::to_string(statistics.damaged_bytes) +
+                 " bytes of the stored outcomes were damaged and passed over");
+  }
+  if (!statistics.problem.empty()) console.warn("outcomes are not stored any more: " + statistics.problem);
+}
+
+}  // namespace loopwise::cli

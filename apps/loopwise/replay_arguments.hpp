@@ -1,0 +1,35 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Options on the command line that say how missions are replayed, shared by `replay` and the studies.
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <loopwise/pipeline/outcome_store.hpp>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+
+struct ReplayArguments {
+  std::string preset, robots, guess, registrar, registration_time;
+  std::optional<std::int64_t> batch, max_registrations, skip_recent, thin;
+  std::optional<double> gi_evaluation_time;
+  std::vector<double> odometry_noise;
+  std::optional<std::uint64_t> seed;
+  std::string outcomes;
+  OutcomeStoreOptions outcomes_bound;
+};
+
+void add_replay_arguments(CLI::App& command, ReplayArguments& arguments);
+
+/// Changes what was asked for. \throws OptionError
+void apply(const ReplayArguments& arguments, Config& config);
+
+/// What a store of outcomes did, for people.
+void note_outcomes(Console& console, const OutcomeStore& store);
+
+}  // namespace loopwise::cli

@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "study_tables.hpp"
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+
+#include <loopwise/core/error.hpp>
+
+namespace loopwise::cli {
+
+std::string cell(const Quartiles& q, int decimals) {
+  if (q.count <= 1) return fixed(q.median, decimals);
+  return fixed(q.median, decimals) + " (" + fixed(q.lower, decimals) + "–" + fixed(q.upper, decimals) + ")";
+}
+
+std::string cell(double value, const Interval& interval, int decimals) {
+  return fixed(value, decimals) + " (" + fixed(interval.low, decimals) + " to " +
+         fixed(interval.high, decimals) + ")";
+}
+
+std::string markdown_table(const std::vector<std::vector<std::string>>& rows) {
+  std::string out;
+  for (std::size_t r = 0; r < rows.size(); ++r) {
+    for (const std::string& text : rows[r]) out += "| " + text + " ";
+    out += "|\n";
+    if (r > 0) continue;
+    for (std::size_t c = 0; c < rows[r].size(); ++c) out += "| --- ";
+    out += "|\n";
+  }
+  return out;
+}
+
+std::string csv_line(const std::vector<std::string>& values) {
+  std::string line;
+  for (std::size_t i = 0; i < values.size(); ++i) {
+    if (i > 0) line += ',';
+    if (values[i].find_first_of(",\"\n\r") == std::string::npos) {
+      line += values[i];
+      continue;
+    }
+    line += '"';
+    for (const char c : values[i]) line += c == '"' ? std::string("\"\"") : std::string(1, c);
+    line += '"';
+  }
+  return line + "\n";
+}
+
+std::string number_text(double value) {
+  if (std::isnan(value)) return "";
+  char text[32];
+  return {text, std::to_chars(text, text + sizeof text, value).ptr};
+}
+
+std::vector<std::string> run_columns() {
+  return {"world",  "mission",       "mission_seed",        "parameters_sha256",
+          "method", "seed",          "registration_time_s", "workers",
+          "thin",   "after_mission", "mission_end_s",       "mission_time_s"};
+}
+
+std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit, const UnitResult& result) {
+  const StudyMission& m = study.missions()[unit.mission];
+  const ReplayOptions& r = unit.config.replay;
+  return {m.world,
+          m.name,
+          m.seed,
+          m.parameters_sha256,
+          r.method,
+          std::to_string(r.seed),
+          r.measured_time ? "measured" : number_text(r.registration_time_s),
+          std::to_string(r.workers),
+          std::to_string(r.thin),
+          r.after_mission ? "1" : "0",
+          number_text(figure(result.summary, {"mission_end_s"})),
+          number_text(figure(result.summary, {"mission_time_s"}))};
+}
+
+void require_methods(const std::vector<std::string>& methods) {
+  if (methods.empty()) throw OptionError("--methods names none");
+  for (std::size_t i = 0; i < methods.size(); ++i) {
+    static_cast<void>(method_parts(methods[i]));
+    if (std::find(methods.begin(), methods.begin() + static_cast<std::ptrdiff_t>(i), methods[i]) !=
+        methods.begin() + static_cast<std::ptrdiff_t>(i)) {
+      throw OptionError("--methods names \"" + methods[i] + "\" twice");
+    }
+  }
+}
+
+Json number_json(double value) {
+  return std::isfinite(value) ? Json(value) : Json();
+}
+
+Json quartiles_json(const std::vector<double>& values) {
+  const Quartiles q = quartiles(values);
+  return {{"count", q.count},
+          {"median", number_json(q.median)},
+          {"lower_quartile", number_json(q.lower)},
+          {"upper_quartile", number_json(q.upper)}};
+}
+
+Json interval_json(const Interval& interval) {
+  return {number_json(interval.low), number_json(interval.high)};
+}
+
+Json comparison_json(const PairedComparison& c) {
+  return {{"missions", c.count},
+          {"better", c.better},
+          {"mean_difference_m", number_json(c.mean_difference)},
+          {"difference_interval_95_m", interval_json(c.difference)},
+          {"ratio", number_json(c.ratio)},
+          {"ratio_interval_95", interval_json(c.ratio_interval)}};
+}
+
+std::vector<World> worlds_of(const std::vector<StudyMission>& missions) {
+  std::vector<World> worlds;
+  for (std::size_t m = 0; m < missions.size(); ++m) {
+    auto world = std::find_if(worlds.begin(), worlds.end(),
+                              [&](const World& w) { return w.name == missions[m].world; });
+    if (world == worlds.end()) world = worlds.insert(worlds.end(), {missions[m].world, {}, {}});
+    world->missions.push_back(m);
+    const std::string& parameters = missions[m].parameters_sha256;
+    if (!parameters.empty() && std::find(world->parameters.begin(), world->parameters.end(), parameters) ==
+                                   world->parameters.end()) {
+      world->parameters.push_back(parameters);
+    }
+  }
+  return worlds;
+}
+
+std::string describe(const World& world) {
+  std::string text = world.name + ": " + std::to_string(world.missions.size()) + " mission" +
+                     (world.missions.size() == 1 ? "" : "s");
+  for (const std::string& parameters : world.parameters) text += ", parameters " + parameters.substr(0, 12);
+  return text;
+}
+
+std::string budget_text(const Config& config) {
+  const ReplayOptions& r = config.replay;
+  std::string text = r.measured_time ? "A registration takes what it took here"
+                                     : "A registration takes " + fixed(r.registration_time_s, 3) + " s";
+  text += " of mission time on one of " + std::to_string(r.workers) + " workers; batches of " +
+          std::to_string(r.batch) + "; an evaluation of graph information takes " +
+          fixed(r.gi_evaluation_time_s, 3) + " s.";
+  if (r.thin > 1) {
+    text +=
+        " Candidates are thinned: one in " + std::to_string(r.thin) + ", drawn uniformly by pair and seed.";
+  }
+  if (r.max_registrations > 0)
+    text += " No more than " + std::to_string(r.max_registrations) + " registrations.";
+  return text;
+}
+
+}  // namespace loopwise::cli

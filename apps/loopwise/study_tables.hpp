@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Cells and tables of the studies of replays.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <loopwise/evaluation/sample_statistics.hpp>
+
+#include "study_units.hpp"
+
+namespace loopwise::cli {
+
+/// "0.123 (0.100–0.150)": median and quartiles; without the brackets for one value.
+[[nodiscard]] std::string cell(const Quartiles& q, int decimals);
+[[nodiscard]] std::string cell(double value, const Interval& interval, int decimals);
+
+/// Rows of equal length, the first one the header.
+[[nodiscard]] std::string markdown_table(const std::vector<std::vector<std::string>>& rows);
+
+/// A line of a CSV file, with its end.
+[[nodiscard]] std::string csv_line(const std::vector<std::string>& values);
+/// Shortest text that reads back to the same bits; empty for NaN.
+[[nodiscard]] std::string number_text(double value);
+
+/// The columns that say which run a row is of, and their values.
+[[nodiscard]] std::vector<std::string> run_columns();
+[[nodiscard]] std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit,
+                                                 const UnitResult& result);
+
+/// \throws OptionError if there is none, one is unknown, or one comes twice.
+void require_methods(const std::vector<std::string>& methods);
+
+/// Null unless finite.
+[[nodiscard]] Json number_json(double value);
+[[nodiscard]] Json quartiles_json(const std::vector<double>& values);
+[[nodiscard]] Json interval_json(const Interval& interval);
+[[nodiscard]] Json comparison_json(const PairedComparison& c);
+
+/// The missions of a world, in the order given.
+struct World {
+  std::string name;
+  std::vector<std::size_t> missions;
+  std::vector<std::string> parameters;  ///< Distinct parameters_sha256 of its missions.
+};
+/// In the order of their first missions.
+[[nodiscard]] std::vector<World> worlds_of(const std::vector<StudyMission>& missions);
+
+/// "tunnel: 5 missions, parameters e7c1510012d8".
+[[nodiscard]] std::string describe(const World& world);
+
+/// How missions were replayed, in a sentence.
+[[nodiscard]] std::string budget_text(const Config& config);
+
+}  // namespace loopwise::cli

@@ -1,0 +1,422 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "study_units.hpp"
+
+#include <algorithm>
+#include <exception>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <mutex>
+#include <thread>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/run_folder.hpp>
+#include <loopwise/evaluation/run_history.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
+#include <loopwise/pipeline/code_version.hpp>
+#include <loopwise/pipeline/replay.hpp>
+
+namespace loopwise::cli {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr int kUnitFormat = 1;  // to be raised when what units say changes
+constexpr double kNear_m = 0.5, kNear_rad = 3.0 * 0.017453292519943295;
+constexpr double kMapVoxel_m = 0.2;
+
+ContentHash hash_of_files(const fs::path& path) {
+  std::vector<fs::path> files;
+  if (fs::is_directory(path)) {
+    for (const auto& entry : fs::recursive_directory_iterator(path)) {
+      if (entry.is_regular_file()) files.push_back(entry.path());
+    }
+    std::sort(files.begin(), files.end());
+  } else {
+    files.push_back(path);
+  }
+  ContentHasher hasher;
+  for (const fs::path& file : files) {
+    hasher.text(file == path ? "" : fs::relative(file, path).generic_string());
+    hasher.text(read_file(file));
+  }
+  return hasher.finish();
+}
+
+std::string text_at(const Json& json, const char* key) {
+  if (!json.contains(key)) return {};
+  return json[key].is_string() ? json[key].get<std::string>() : json[key].dump();
+}
+
+StudyMission described(const std::string& path, const Mission& mission) {
+  StudyMission out;
+  out.path = path;
+  out.name = mission.name;
+  const Json provenance = parse_json(mission.provenance_json, path + ": provenance");
+  if (provenance.contains("options")) out.world = text_at(provenance["options"], "world");
+  if (out.world.empty()) out.world = mission.name;
+  out.seed = text_at(provenance, "seed");
+  out.parameters_sha256 = text_at(provenance, "parameters_sha256");
+  out.content = hash_of_files(fs::is_regular_file(path) && fs::path(path).filename() == "mission.json"
+                                  ? fs::path(path).parent_path()
+                                  : fs::path(path));
+  return out;
+}
+
+/// A mission in memory with what its units share.
+struct Loaded {
+  Mission mission;
+  std::shared_ptr<FeatureCache> features;
+  std::shared_ptr<const Registrar> registrar;
+};
+
+std::shared_ptr<const Loaded> load(const std::string& path, const Config& config,
+                                   const std::shared_ptr<OutcomeStore>& store) {
+  auto loaded = std::make_shared<Loaded>();
+  loaded->mission = read_mission(path, config.mission);
+  const ScanLoader scans = loaded->mission.scans->loader();
+  loaded->features = std::make_shared<FeatureCache>(scans, config.features);
+  loaded->registrar =
+      std::make_shared<StoredRegistrar>(make_registrar(config.replay.registrar, config, loaded->features),
+                                        store, scans, registration_context(config.replay.registrar, config));
+  return loaded;
+}
+
+/// Missions while units need them: read by the first, let go after the last.
+class LoadedMissions {
+ public:
+  LoadedMissions(const std::vector<StudyMission>& missions, const Config& config,
+                 std::shared_ptr<OutcomeStore> store)
+      : missions_(missions), config_(config), store_(std::move(store)), slots_(missions.size()) {}
+
+  void expect(std::size_t mission) { ++slots_[mission].expected; }
+  std::shared_ptr<const Loaded> get(std::size_t mission) {
+    Slot& slot = slots_[mission];
+    const std::lock_guard<std::mutex> lock(slot.mutex);
+    if (!slot.loaded) slot.loaded = load(missions_[mission].path, config_, store_);
+    std::shared_ptr<const Loaded> loaded = slot.loaded;
+    if (--slot.expected == 0) slot.loaded.reset();
+    return loaded;
+  }
+
+ private:
+  struct Slot {
+    std::mutex mutex;
+    std::size_t expected = 0;
+    std::shared_ptr<const Loaded> loaded;
+  };
+  const std::vector<StudyMission>& missions_;
+  const Config& config_;
+  std::shared_ptr<OutcomeStore> store_;
+  std::vector<Slot> slots_;
+};
+
+Json rows_json(const std::vector<HistoryRow>& rows) {
+  Json json = Json::array();
+  for (const HistoryRow& r : rows) {
+    json.push_back({r.mission_time_s, r.key_frames, r.generated, r.queued, r.computed, r.verified,
+                    r.gnc_inliers, r.true_inliers, r.right_inliers, r.ate_m, r.odometry_ate_m});
+  }
+  return json;
+}
+
+double number_or_nan(const Json& json) {
+  return json.is_number() ? json.get<double>() : std::numeric_limits<double>::quiet_NaN();
+}
+
+std::vector<HistoryRow> rows_of(const Json& json) {
+  std::vector<HistoryRow> rows;
+  for (const Json& r : json) {
+    const auto count = [&r](std::size_t i) { return r.at(i).get<std::size_t>(); };
+    rows.push_back({number_or_nan(r.at(0)), count(1), count(2), count(3), count(4), count(5), count(6),
+                    count(7), count(8), number_or_nan(r.at(9)), number_or_nan(r.at(10))});
+  }
+  return rows;
+}
+
+Json unit_json(const StudyMission& about, const Mission& mission, const Config& config,
+               const ReplayResult& result, const RunHistory& history) {
+  const RunEvaluation evaluation = evaluate_run(mission, result);
+  Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");
+  summary.erase("seconds");
+  // Scans are read by all units of a mission: which of them meets a flaw first is chance.
+  summary.erase("problems");
+  std::vector<RegistrationResult> results;
+  std::vector<double> weights;
+  for (const ComputedCandidate& computed : result.computed) {
+    results.push_back(computed.result);
+    weights.push_back(computed.weight);
+  }
+  ClosureClassOptions near;
+  near.true_inlier_m = kNear_m;
+  near.true_inlier_rad = kNear_rad;
+  const ClosureStatistics of_near =
+      closure_statistics(results, weights, result.accounting.queued(), mission.ground_truth, near);
+  summary["closures"]["right_inliers"] = evaluation.closures.right_inliers;
+  summary["closures"]["near_inliers"] = of_near.true_inliers;
+  Json unit = Json::object();
+  unit["format"] = kUnitFormat;
+  unit["mission"] = {{"name", about.name},
+                     {"world", about.world},
+                     {"seed", about.seed},
+                     {"parameters_sha256", about.parameters_sha256},
+                     {"content", to_string(about.content)}};
+  unit["summary"] = std::move(summary);
+  unit["history"] = rows_json(history.rows());
+  return unit;
+}
+
+/// A unit's files within the study's folder.
+struct UnitFiles {
+  fs::path result, seconds, run;
+};
+
+/// Nothing if it was not finished, or the file is broken.
+std::optional<UnitResult> finished(const UnitFiles& files, bool with_run) {
+  if (with_run && !fs::exists(files.run / "summary.json")) return std::nullopt;
+  try {
+    const Json unit = read_json_file(files.result);
+    if (unit.at("format") != kUnitFormat) return std::nullopt;
+    return UnitResult{unit.at("summary"), rows_of(unit.at("history"))};
+  } catch (const IoError&) {
+  } catch (const InputError&) {
+  } catch (const Json::exception&) {
+  }
+  return std::nullopt;
+}
+
+std::string plain(std::string text) {
+  for (char& c : text) {
+    const bool fine = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') ||
+                      c == '-' || c == '+' || c == '.';
+    if (!fine) c = '_';
+  }
+  return text;
+}
+
+/// Computes one unit. Nothing if it was stopped.
+std::optional<UnitResult> compute(const Loaded& loaded, const StudyMission& about, const StudyUnit& unit,
+                                  const UnitFiles& files, bool keep_run, const StopToken& stop,
+                                  const ProgressCallback& progress) {
+  const Stopwatch watch;
+  RunHistory history(loaded.mission);
+  ReplayHooks hooks;
+  hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
+  hooks.stop = stop;
+  hooks.progress = progress;
+  std::ofstream journal;
+  if (keep_run) {
+    fs::create_directories(files.run);
+    fs::remove(files.run / "summary.json");
+    journal.open(files.run / "journal.jsonl", std::ios::binary | std::ios::trunc);
+    hooks.journal = [&](const std::string& line) { journal << line << "\n"; };
+  }
+  ThreadPool one(1);
+  const ReplayResult result =
+      MissionReplay(loaded.mission, unit.config, loaded.features, loaded.registrar).run(one, hooks);
+  if (result.interrupted) return std::nullopt;
+  if (keep_run) {
+    journal.close();
+    if (!journal) throw IoError((files.run / "journal.jsonl").string(), "cannot be written");
+    const PointCloud map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop);
+    if (stop.stop_requested()) return std::nullopt;
+    write_run_folder(files.run, loaded.mission, unit.config, result, evaluate_run(loaded.mission, result),
+                     history.rows(), map);
+  }
+  const Json json = unit_json(about, loaded.mission, unit.config, result, history);
+  write_file(files.seconds, Json(watch.seconds()).dump() + "\n");
+  write_file(files.result, json.dump() + "\n");
+  return UnitResult{parse_json(json["summary"].dump(), "unit"), history.rows()};
+}
+
+}  // namespace
+
+void add_study_options(CLI::App& command, StudyOptions& options) {
+  command
+      .add_option("missions", options.missions,
+                  "Missions with ground truth; those of one world are repetitions")
+      ->required()
+      ->type_name("MISSION");
+  command.add_option("-o,--output", options.output, "Folder for the tables, the units and what they share")
+      ->required()
+      ->type_name("DIR");
+  command
+      .add_option("--seeds", options.seeds,
+                  "Replay each mission with this many seeds, from --seed on (default 1)")
+      ->type_name("N")
+      ->check(CLI::Range(1, 100000));
+  add_replay_arguments(command, options.replay);
+  command.add_flag("--keep-runs", options.keep_runs,
+                   "Keep each run's folder, as replay writes it, in DIR/runs");
+  command.add_flag("--resume", options.resume,
+                   "Go on in DIR; what is finished there is never computed again anyway");
+  add_common_options(command, options.common);
+}
+
+Study::Study(std::string name, const StudyOptions& options, Console& console)
+    : name_(std::move(name)),
+      options_(options),
+      console_(console),
+      config_(load_config(options.common)),
+      folder_(options.output) {
+  config_.replay.guess = GuessSource::kOdometry;
+  apply(options.replay, config_);
+  validate_config(config_);
+  std::map<ContentHash, std::string> seen;
+  for (const std::string& path : options.missions) {
+    const Mission mission = read_mission(path, config_.mission);
+    console.warn(mission.problems);
+    if (mission.ground_truth.empty()) throw InputError(path + ": has no ground truth to compare with");
+    missions_.push_back(described(path, mission));
+    const auto [other, first] = seen.emplace(missions_.back().content, path);
+    if (!first) throw OptionError(path + ": the same mission as " + other->second);
+  }
+  prepare_output_folder(folder_, options.resume || fs::is_directory(folder_ / "units"),
+                        ", and no study is in it");
+  for (const char* part : {"units", "runs"}) {
+    std::error_code failure;
+    if (std::string(part) == "runs" && !options.keep_runs) continue;
+    fs::create_directories(folder_ / part, failure);
+    if (failure) throw IoError((folder_ / part).string(), failure.message());
+  }
+}
+
+std::vector<std::uint64_t> Study::seeds() const {
+  std::vector<std::uint64_t> seeds;
+  for (std::int64_t i = 0; i < options_.seeds; ++i) {
+    seeds.push_back(config_.replay.seed + static_cast<std::uint64_t>(i));
+  }
+  return seeds;
+}
+
+std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& units,
+                                                  const StopToken& stop) {
+  std::vector<UnitFiles> files;
+  std::vector<std::optional<UnitResult>> results(units.size());
+  std::vector<std::size_t> open;
+  const std::string code = replay_code_version();
+  for (std::size_t i = 0; i < units.size(); ++i) {
+    const StudyUnit& unit = units[i];
+    validate_config(unit.config);
+    const StudyMission& mission = missions_[unit.mission];
+    const std::string id = to_string(ContentHasher()
+                                         .integer(static_cast<std::uint64_t>(kUnitFormat))
+                                         .integer(mission.content.high)
+                                         .integer(mission.content.low)
+                                         .text(config_json(unit.config))
+                                         .text(code)
+                                         .finish());
+    const std::string name = plain(mission.name) + "-" + plain(unit.label) + "-s" +
+                             std::to_string(unit.config.replay.seed) + "-" + id.substr(0, 8);
+    files.push_back(
+        {folder_ / "units" / (id + ".json"), folder_ / "units" / (id + ".seconds"), folder_ / "runs" / name});
+    results[i] = finished(files[i], options_.keep_runs);
+    if (!results[i]) open.push_back(i);
+  }
+  if (open.size() < units.size()) {
+    console_.note(std::to_string(units.size() - open.size()) + " of " + std::to_string(units.size()) +
+                  " runs are finished already");
+  }
+
+  if (!open.empty()) {
+    // Missions one after the other: two at a time are in memory at most, and units of one share its pairs.
+    std::stable_sort(open.begin(), open.end(),
+                     [&](std::size_t a, std::size_t b) { return units[a].mission < units[b].mission; });
+    const fs::path outcomes =
+        options_.replay.outcomes.empty() ? folder_ / "outcomes" : fs::path(options_.replay.outcomes);
+    const auto store = std::make_shared<OutcomeStore>(outcomes, options_.replay.outcomes_bound);
+    LoadedMissions loaded(missions_, config_, store);
+    for (const std::size_t i : open) loaded.expect(units[i].mission);
+
+    std::mutex mutex;  // of all below
+    std::size_t next = 0, done = units.size() - open.size();
+    std::exception_ptr failure;
+    StopSource failed;
+    const auto show = [&](const std::string& detail) {
+      console_.progress({"runs", done, units.size(), detail});
+    };
+    const auto stopped = [&] { return stop.stop_requested() || failed.stop_requested(); };
+    const auto work = [&] {
+      while (!stopped()) {
+        std::size_t i = 0;
+        {
+          const std::lock_guard<std::mutex> lock(mutex);
+          if (next == open.size()) return;
+          i = open[next++];
+        }
+        const StudyMission& mission = missions_[units[i].mission];
+        const std::string name = mission.name + " " + units[i].label;
+        try {
+          const std::shared_ptr<const Loaded> own = loaded.get(units[i].mission);
+          auto result =
+              compute(*own, mission, units[i], files[i], options_.keep_runs, stop, [&](const Progress& p) {
+                const std::lock_guard<std::mutex> lock(mutex);
+                show(name + ": " + std::to_string(p.done) + " registrations");
+              });
+          const std::lock_guard<std::mutex> lock(mutex);
+          if (!result) return;
+          results[i] = std::move(result);
+          ++done;
+          show(name + " finished");
+        } catch (...) {
+          const std::lock_guard<std::mutex> lock(mutex);
+          if (!failure) failure = std::current_exception();
+          failed.request_stop();
+        }
+      }
+    };
+    std::vector<std::thread> threads;
+    const int count = std::min(thread_count(options_.common), static_cast<int>(open.size()));
+    for (int t = 1; t < count; ++t) threads.emplace_back(work);
+    work();
+    for (std::thread& thread : threads) thread.join();
+    if (failure) std::rethrow_exception(failure);
+    note_outcomes(console_, *store);
+    if (stop.stop_requested()) {
+      console_.note("interrupted: " + std::to_string(done) + " of " + std::to_string(units.size()) +
+                    " runs are kept; the same command goes on");
+      return std::nullopt;
+    }
+  }
+
+  CsvText timings({"mission", "run", "seed", "seconds"});
+  std::vector<UnitResult> all;
+  for (std::size_t i = 0; i < units.size(); ++i) {
+    all.push_back(*std::move(results[i]));
+    const std::string seconds = fs::exists(files[i].seconds) ? read_file(files[i].seconds) : "";
+    timings.row(missions_[units[i].mission].name, units[i].label, units[i].config.replay.seed,
+                seconds.substr(0, seconds.find('\n')));
+  }
+  write_file(folder_ / (name_ + "_timings.csv"), timings.text());
+  return all;
+}
+
+Json study_json(const Study& study) {
+  Json json = Json::object();
+  Json missions = Json::array();
+  for (const StudyMission& m : study.missions()) {
+    missions.push_back({{"name", m.name},
+                        {"world", m.world},
+                        {"seed", m.seed},
+                        {"parameters_sha256", m.parameters_sha256},
+                        {"content", to_string(m.content)}});
+  }
+  json["missions"] = missions;
+  json["seeds"] = study.seeds();
+  json["code"] = replay_code_version();
+  json["options"] = parse_json(config_json(study.config()), "options");
+  return json;
+}
+
+double figure(const Json& summary, const std::vector<std::string>& path) {
+  const Json* at = &summary;
+  for (const std::string& name : path) {
+    if (!at->is_object() || !at->contains(name)) return std::numeric_limits<double>::quiet_NaN();
+    at = &(*at)[name];
+  }
+  return number_or_nan(*at);
+}
+
+}  // namespace loopwise::cli

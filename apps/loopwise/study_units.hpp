@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Replays as the units of a study: each mission under each configuration once, in parallel, kept one by one
+/// so that a study that was ended goes on.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/evaluation/run_history.hpp>
+#include <loopwise/pipeline/config.hpp>
+
+#include "command.hpp"
+#include "replay_arguments.hpp"
+
+namespace loopwise::cli {
+
+/// Options of every study of replays.
+struct StudyOptions {
+  CommonOptions common;
+  ReplayArguments replay;
+  std::vector<std::string> missions;
+  std::string output;
+  std::int64_t seeds = 1;
+  bool keep_runs = false;
+  bool resume = false;
+};
+void add_study_options(CLI::App& command, StudyOptions& options);
+
+/// A mission that a study looks at.
+struct StudyMission {
+  std::string path;
+  std::string name;
+  std::string world;  ///< Missions of one world are repetitions: provenance's options.world, else the name.
+  std::string seed;   ///< That it was made with; empty if not known.
+  std::string parameters_sha256;  ///< Of the world's parameters; empty if not known.
+  ContentHash content;            ///< Of all files.
+};
+
+/// A replay.
+struct StudyUnit {
+  std::size_t mission = 0;  ///< Place in Study::missions().
+  std::string label;        ///< For people and folders: "full", "full-w50".
+  Config config;
+};
+
+/// What came of a unit: its summary without wall times, and the history. See docs/formats.md.
+struct UnitResult {
+  Json summary;
+  std::vector<HistoryRow> history;
+};
+
+/// A study's folder, its missions and the configuration that its units vary.
+class Study {
+ public:
+  /// Reads all missions once and makes the folder. \throws OptionError, InputError (also if a mission has no
+  /// ground truth), IoError
+  Study(std::string name, const StudyOptions& options, Console& console);
+
+  [[nodiscard]] const std::vector<StudyMission>& missions() const { return missions_; }
+  /// Defaults, what was asked for, and the odometry's guess unless another was asked for: outcomes are then
+  /// shared by methods and budgets.
+  [[nodiscard]] const Config& config() const { return config_; }
+  /// Of the replays: --seed and those after it.
+  [[nodiscard]] std::vector<std::uint64_t> seeds() const;
+  [[nodiscard]] const std::filesystem::path& folder() const { return folder_; }
+
+  /// The results of all units, in their order, computed on `--threads` threads unless they are there. A unit
+  /// runs on one thread; its result depends neither on their number nor on what else runs. Nothing if
+  /// interrupted: what was finished is kept.
+  [[nodiscard]] std::optional<std::vector<UnitResult>> run(const std::vector<StudyUnit>& units,
+                                                           const StopToken& stop);
+
+ private:
+  std::string name_;  ///< "ablation"
+  const StudyOptions& options_;
+  Console& console_;
+  Config config_;
+  std::filesystem::path folder_;
+  std::vector<StudyMission> missions_;
+};
+
+/// What the files of a study say about how it was made.
+[[nodiscard]] Json study_json(const Study& study);
+
+/// A number of a unit's summary, by the names that lead to it; NaN where there is none.
+[[nodiscard]] double figure(const Json& summary, const std::vector<std::string>& path);
+
+}  // namespace loopwise::cli

@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What can be said of a few repetitions: medians, their spread, and whether one method beats another.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+
+namespace loopwise {
+
+/// The share `p` of the values lies below, by linear interpolation between order statistics (Hyndman and Fan
+/// 1996, definition 7). NaN of no values. \pre all finite, p in [0, 1]
+[[nodiscard]] double quantile(std::vector<double> values, double p);
+
+struct Quartiles {
+  std::size_t count = 0;
+  double lower = std::numeric_limits<double>::quiet_NaN();
+  double median = std::numeric_limits<double>::quiet_NaN();
+  double upper = std::numeric_limits<double>::quiet_NaN();
+};
+/// Values that are NaN do not count.
+[[nodiscard]] Quartiles quartiles(const std::vector<double>& values);
+
+struct BootstrapOptions {
+  std::int64_t resamples = 10000;
+  double level = 0.95;
+  std::uint64_t seed = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("resamples", self.resamples, at_least(1), "Samples drawn with replacement.");
+    field("level", self.level, between(0.0, 1.0), "Of the intervals.");
+    field("seed", self.seed, at_least(0), "Of the draws.");
+  }
+};
+
+/// NaN where there is nothing to draw from.
+struct Interval {
+  double low = std::numeric_limits<double>::quiet_NaN();
+  double high = std::numeric_limits<double>::quiet_NaN();
+};
+
+/// Percentile bootstrap interval (Efron 1979) of the median. Values that are NaN do not count. With few
+/// values it is no wider than they are: of five, it ends at the smallest and largest at most. \throws
+/// OptionError
+[[nodiscard]] Interval bootstrap_median(const std::vector<double>& values,
+                                        const BootstrapOptions& options = {});
+
+/// One method against another on the same missions.
+struct PairedComparison {
+  std::size_t count = 0;                                              ///< Pairs of which neither is NaN.
+  std::size_t better = 0;                                             ///< Pairs with a < b.
+  double mean_difference = std::numeric_limits<double>::quiet_NaN();  ///< Of a − b.
+  Interval difference;
+  /// Geometric mean of a / b: missions count alike however large their errors are. NaN if any is not > 0.
+  double ratio = std::numeric_limits<double>::quiet_NaN();
+  Interval ratio_interval;
+};
+
+/// Percentile bootstrap over the pairs: each resample draws pairs, not values.
+/// \throws InputError unless both have one length; OptionError
+[[nodiscard]] PairedComparison compare_paired(const std::vector<double>& a, const std::vector<double>& b,
+                                              const BootstrapOptions& options = {});
+
+}  // namespace loopwise

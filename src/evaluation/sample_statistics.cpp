@@ -1,0 +1,99 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/evaluation/sample_statistics.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+
+namespace loopwise {
+namespace {
+
+std::vector<double> known(const std::vector<double>& values) {
+  std::vector<double> out;
+  std::copy_if(values.begin(), values.end(), std::back_inserter(out),
+               [](double v) { return !std::isnan(v); });
+  return out;
+}
+
+double sorted_quantile(const std::vector<double>& sorted, double p) {
+  if (sorted.empty()) return std::numeric_limits<double>::quiet_NaN();
+  const double place = p * static_cast<double>(sorted.size() - 1);
+  const auto below = static_cast<std::size_t>(place);
+  const std::size_t above = std::min(below + 1, sorted.size() - 1);
+  return sorted[below] + (place - static_cast<double>(below)) * (sorted[above] - sorted[below]);
+}
+
+double mean(const std::vector<double>& values) {
+  double sum = 0.0;
+  for (const double v : values) sum += v;
+  return sum / static_cast<double>(values.size());
+}
+
+/// Interval of `statistic` over resamples of `values`.
+template <class Statistic>
+Interval bootstrap(const std::vector<double>& values, const BootstrapOptions& options,
+                   Statistic&& statistic) {
+  validate(options);
+  if (values.empty()) return {};
+  Rng rng(options.seed);
+  std::vector<double> of_resamples, resample(values.size());
+  for (std::int64_t i = 0; i < options.resamples; ++i) {
+    for (double& v : resample) v = values[static_cast<std::size_t>(rng.below(values.size()))];
+    of_resamples.push_back(statistic(resample));
+  }
+  std::sort(of_resamples.begin(), of_resamples.end());
+  const double tail = 0.5 * (1.0 - options.level);
+  return {sorted_quantile(of_resamples, tail), sorted_quantile(of_resamples, 1.0 - tail)};
+}
+
+}  // namespace
+
+double quantile(std::vector<double> values, double p) {
+  std::sort(values.begin(), values.end());
+  return sorted_quantile(values, p);
+}
+
+Quartiles quartiles(const std::vector<double>& values) {
+  std::vector<double> sorted = known(values);
+  std::sort(sorted.begin(), sorted.end());
+  return {sorted.size(), sorted_quantile(sorted, 0.25), sorted_quantile(sorted, 0.5),
+          sorted_quantile(sorted, 0.75)};
+}
+
+Interval bootstrap_median(const std::vector<double>& values, const BootstrapOptions& options) {
+  return bootstrap(known(values), options, [](std::vector<double>& resample) {
+    std::sort(resample.begin(), resample.end());
+    return sorted_quantile(resample, 0.5);
+  });
+}
+
+PairedComparison compare_paired(const std::vector<double>& a, const std::vector<double>& b,
+                                const BootstrapOptions& options) {
+  if (a.size() != b.size()) {
+    throw InputError("paired comparison: " + std::to_string(a.size()) + " values against " +
+                     std::to_string(b.size()));
+  }
+  validate(options);
+  PairedComparison out;
+  std::vector<double> differences, logs;
+  for (std::size_t i = 0; i < a.size(); ++i) {
+    if (std::isnan(a[i]) || std::isnan(b[i])) continue;
+    ++out.count;
+    out.better += a[i] < b[i] ? 1 : 0;
+    differences.push_back(a[i] - b[i]);
+    if (a[i] > 0.0 && b[i] > 0.0) logs.push_back(std::log(a[i] / b[i]));
+  }
+  if (out.count == 0) return out;
+  out.mean_difference = mean(differences);
+  out.difference = bootstrap(differences, options, mean);
+  if (logs.size() < out.count) return out;
+  out.ratio = std::exp(mean(logs));
+  const Interval of_logs = bootstrap(logs, options, mean);
+  out.ratio_interval = {std::exp(of_logs.low), std::exp(of_logs.high)};
+  return out;
+}
+
+}  // namespace loopwise
