@@ -1,15 +1,19 @@
 # Run by the build: bundles WEB into OUT/report_template.cpp with NPM and NODE. Where that fails, MODE=ON fails the
 # build; MODE=AUTO warns and takes ABSENT, with which `loopwise report` says that it has no page.
 
-function(give_up what why)
-  set(text "${what}:\n${why}\n  The page of `loopwise report` cannot be bundled. npm needs the network or its cache once: "
-           "where a registry is reached by other means, set npm's own configuration (npm config set registry ...), "
-           "or do without the page: cmake -DLOOPWISE_WITH_REPORT=OFF.")
-  string(CONCAT text ${text})
+function(give_up what output)
+  # npm says much; the line that names the error is what helps.
+  string(REGEX MATCH "[^\n]*Error: [^\n]*" why "${output}")
+  if(NOT why)
+    string(SUBSTRING "${output}" 0 400 why)
+  endif()
+  string(CONCAT text "the page of `loopwise report` cannot be bundled: ${what}\n  ${why}\n"
+    "npm needs its registry, or once what its cache then keeps (npm config set registry names another registry). "
+    "To do without the page: cmake -DLOOPWISE_WITH_REPORT=OFF.")
   if(MODE STREQUAL "ON")
     message(FATAL_ERROR "${text}")
   endif()
-  message(WARNING "${text}\n  Going on without: to try again, build with -DLOOPWISE_WITH_REPORT=ON.")
+  message(WARNING "${text} Going on without; to try again: cmake -DLOOPWISE_WITH_REPORT=ON.")
   configure_file(${ABSENT} ${OUT}/report_template.cpp COPYONLY)
   file(TOUCH ${OUT}/report_template.cpp)
 endfunction()
@@ -26,10 +30,12 @@ if(EXISTS ${stamp})
   file(READ ${stamp} installed)
 endif()
 if(NOT installed STREQUAL lock)
-  execute_process(COMMAND ${NPM} ci --no-audit --no-fund --prefer-offline --loglevel=error --fetch-retries=1
+  execute_process(
+    COMMAND ${NPM} ci --no-audit --no-fund --prefer-offline --loglevel=error --fetch-retries=1
+            --fetch-retry-mintimeout=1000 --fetch-timeout=60000
     WORKING_DIRECTORY ${work} RESULT_VARIABLE status OUTPUT_QUIET ERROR_VARIABLE errors)
   if(NOT status EQUAL 0)
-    give_up("npm ci failed (${status})" "${errors}")
+    give_up("npm ci failed" "${errors}")
     return()
   endif()
   file(WRITE ${stamp} ${lock})
@@ -37,5 +43,5 @@ endif()
 execute_process(COMMAND ${NODE} build.mjs --out ${OUT}
   WORKING_DIRECTORY ${work} RESULT_VARIABLE status ERROR_VARIABLE errors)
 if(NOT status EQUAL 0)
-  give_up("node build.mjs failed (${status})" "${errors}")
+  give_up("node build.mjs failed" "${errors}")
 endif()

@@ -7,15 +7,19 @@ set_property(CACHE LOOPWISE_WITH_REPORT PROPERTY STRINGS AUTO ON OFF)
 # Sets `result` to the source file that defines report_template().
 function(loopwise_report_source result)
   set(${result} report_absent.cpp PARENT_SCOPE)
-  if(LOOPWISE_WITH_REPORT STREQUAL "OFF")
-    return()
+  set(mode AUTO)
+  if(NOT LOOPWISE_WITH_REPORT STREQUAL "AUTO")
+    if(NOT LOOPWISE_WITH_REPORT)
+      return()
+    endif()
+    set(mode ON)
   endif()
   find_program(LOOPWISE_NPM npm DOC "Bundles the page of `loopwise report`")
   find_program(LOOPWISE_NODE NAMES node nodejs DOC "Runs the bundler of the page of `loopwise report`")
   mark_as_advanced(LOOPWISE_NPM LOOPWISE_NODE)
   if(NOT LOOPWISE_NPM OR NOT LOOPWISE_NODE)
     set(why "npm and node are not installed (Debian: nodejs, npm): `loopwise report` will not be able to write pages")
-    if(LOOPWISE_WITH_REPORT STREQUAL "AUTO")
+    if(mode STREQUAL "AUTO")
       message(STATUS "LOOPWISE_WITH_REPORT: ${why}")
       return()
     endif()
@@ -27,11 +31,11 @@ function(loopwise_report_source result)
   # GLOB: the page's sources are few and flat, and a new one is imported by one that changes.
   file(GLOB sources CONFIGURE_DEPENDS ${web}/src/*)
   # A change of the option alone must bundle again.
-  file(CONFIGURE OUTPUT ${folder}/mode.txt CONTENT "${LOOPWISE_WITH_REPORT}\n")
+  file(CONFIGURE OUTPUT ${folder}/mode.txt CONTENT "${mode}\n")
   add_custom_command(
     OUTPUT ${output}
     COMMAND ${CMAKE_COMMAND} -DWEB=${web} -DOUT=${folder} -DNPM=${LOOPWISE_NPM} -DNODE=${LOOPWISE_NODE}
-            -DMODE=${LOOPWISE_WITH_REPORT} -DABSENT=${PROJECT_SOURCE_DIR}/src/evaluation/report_absent.cpp
+            -DMODE=${mode} -DABSENT=${PROJECT_SOURCE_DIR}/src/evaluation/report_absent.cpp
             -P ${PROJECT_SOURCE_DIR}/cmake/bundle_report.cmake
     DEPENDS ${sources} ${web}/build.mjs ${web}/package.json ${web}/package-lock.json ${web}/.npmrc ${folder}/mode.txt
             ${PROJECT_SOURCE_DIR}/cmake/bundle_report.cmake

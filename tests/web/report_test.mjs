@@ -50,6 +50,19 @@ for (const file of ['map.pcd', 'journal.jsonl', 'history.csv', 'closures.csv']) 
 rmSync(join(inFolder('full'), 'trajectories'), { recursive: true });
 loopwise('report', inFolder('full'), '-o', inFolder('bare.html'), '--quiet');
 
+// A study of names that are markup, alone and beside a run.
+mkdirSync(inFolder('study'));
+const rows = ['world,mission,method,seed,workers,queued,computed,verified,gnc_inliers,true_inliers,ate_m,ate_se3_m,odometry_ate_m'];
+for (const world of ['mine', '<b>urban</b>']) {
+  for (const [method, error] of [['baseline', 4], ['obs', 2], ['full', 1]]) {
+    for (const seed of [1, 2, 3, 4, 5]) rows.push([world, `${world}-${seed}`, method, seed, 10, 1000, 200, 100, 80, seed === 5 ? '' : 60, error + seed / 10, error, 4 + seed / 10].join(','));
+  }
+}
+writeFileSync(inFolder('study/runs.csv'), `${rows.join('\n')}\n`);
+writeFileSync(inFolder('study/ablation.json'), JSON.stringify({ pooled: { full: { baseline: { better: 10, count: 10, mean_difference_m: -3, difference_interval_95_m: [-3.1, -2.9] } } } }));
+loopwise('report', inFolder('study'), '-o', inFolder('study.html'), '--quiet');
+loopwise('report', inFolder('obs'), inFolder('study'), '-o', inFolder('both.html'), '--quiet');
+
 const browser = new Browser(chromium);
 const open = async (name, options) => {
   const page = await browser.open(pathToFileURL(inFolder(name)).href, options);
@@ -150,6 +163,20 @@ try {
   const bare = await state(page);
   assert.deepEqual(Object.keys(bare.layers), ['optimized']);
   assert.ok((await page.value('document.getElementById("notes").textContent')).includes('no map.pcd'));
+
+  // Studies.
+  page = await open('study.html');
+  await clean(page, 'study.html');
+  const study = await state(page);
+  assert.ok(study.charts['boxes-0'] > 20 && study.charts['boxes-1'] > 20, JSON.stringify(study.charts));
+  const text = await page.value('document.getElementById("report").textContent');
+  // Medians: full 1.3, baseline 4.3, odometry 4.3.
+  for (const part of ['<b>urban</b>: 15 runs of 5 missions', '−70 %', '1.300', '8.000', '10 of 10', '-3.000 (-3.100 to -2.900)']) assert.ok(text.includes(part), `no "${part}" in ${text}`);
+  assert.equal(await page.value('document.querySelectorAll("#report b").length'), 0);
+  await page.screenshot(inFolder('study.png'));
+  page = await open('both.html');
+  await clean(page, 'both.html');
+  assert.ok((await state(page)).layers.points.drawn > 0);
   assert.ok(existsSync(inFolder('all.png')));
   console.log('passed');
 } finally {

@@ -25,13 +25,14 @@ function config() {
 /** Minutes where seconds would be large numbers. */
 const timeUnit = (runs) => (Math.max(0, ...runs.map((run) => run.rows.at(-1)?.mission_time_s ?? 0)) > 900 ? { unit: 'min', divide: 60 } : { unit: 's', divide: 1 });
 
-/** Colours by run: its method's, lighter shades for more runs of one method. */
+/** Colours of series: their methods'. */
 function runColours(runs) {
   const others = [];
-  const domain = runs.map((run) => run.name);
-  const range = runs.map((run) => {
-    if (!others.includes(run.method)) others.push(run.method);
-    return methodColour(run.method, others.indexOf(run.method));
+  const domain = [...new Set(runs.map((run) => run.series))];
+  const range = domain.map((series) => {
+    const { method } = runs.find((run) => run.series === series);
+    if (!others.includes(method)) others.push(method);
+    return methodColour(method, others.indexOf(method));
   });
   return { domain, range };
 }
@@ -54,12 +55,12 @@ function overTime(runs, columns, value, yTitle, { kinds = kKinds, colours, forma
     for (const row of run.rows) {
       for (const column of columns) {
         const y = value(row, column);
-        if (isNumber(y) && (!wide || y > 0)) values.push({ run: run.name, kind: kinds[column], t: row.mission_time_s / divide, y });
+        if (isNumber(y) && (!wide || y > 0)) values.push({ run: run.name, series: run.series, kind: kinds[column], t: row.mission_time_s / divide, y });
       }
     }
   }
   if (values.length === 0) return null;
-  const several = runs.length > 1;
+  const several = new Set(runs.map((run) => run.series)).size > 1;
   const present = columns.map((column) => kinds[column]).filter((kind) => values.some((v) => v.kind === kind));
   const dashes = { domain: present, range: [[1, 0], [6, 3], [2, 2]].slice(0, present.length) };
   const kindColours = { domain: present, range: present.map((kind) => colours[kind]) };
@@ -72,7 +73,7 @@ function overTime(runs, columns, value, yTitle, { kinds = kKinds, colours, forma
         encoding: {
           x: { field: 't', type: 'quantitative', title: `mission time (${unit})`, axis: { grid: false }, scale: { nice: false, zero: true } },
           y: { field: 'y', type: 'quantitative', title: yTitle, ...(wide ? { scale: { type: 'log', nice: false }, axis: { format: '~g', values: [-3, -2, -1, 0, 1].flatMap((e) => [1, 2, 5].map((f) => f * 10 ** e)).concat(100) } } : {}) },
-          color: several ? { field: 'run', type: 'nominal', scale: runColours(runs), sort: null } : { field: 'kind', type: 'nominal', scale: kindColours, sort: null },
+          color: several ? { field: 'series', type: 'nominal', scale: runColours(runs), sort: null } : { field: 'kind', type: 'nominal', scale: kindColours, sort: null },
           ...(several && present.length > 1 ? { strokeDash: { field: 'kind', type: 'nominal', scale: dashes, sort: null } } : {}),
           detail: [{ field: 'run' }, { field: 'kind' }],
           tooltip: [

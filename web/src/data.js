@@ -54,15 +54,19 @@ function historyRows(json) {
 export function readData(text) {
   const data = JSON.parse(text);
   if (data.format !== 'loopwise-report') throw new Error('not the data of a report');
-  const methods = data.runs.map((run) => `${run.summary.mission}\n${run.summary.method}`);
+  const several = new Set(data.runs.map((run) => run.summary.mission)).size > 1;
+  const alike = (run) => data.runs.filter((one) => one.summary.mission === run.summary.mission && one.summary.method === run.summary.method);
   data.runs.forEach((run, i) => {
     run.index = i;
     run.rows = historyRows(run.history);
     run.mission = String(run.summary.mission ?? '');
     run.method = String(run.summary.method ?? '');
-    // Runs of one method and mission differ by seed or options: their folders tell them apart.
-    run.name = methods.filter((m) => m === methods[i]).length > 1 ? `${run.method} (${run.label})` : run.method;
-    if (new Set(data.runs.map((r) => r.summary.mission)).size > 1) run.name = `${run.mission} · ${run.name}`;
+    // Runs of one method and mission are repetitions if their seeds differ; else their folders tell them apart.
+    const group = alike(run);
+    const repeated = group.length > 1 && new Set(group.map((one) => one.summary.seed)).size === group.length;
+    const prefix = several ? `${run.mission} · ` : '';
+    run.name = prefix + (group.length === 1 ? run.method : repeated ? `${run.method}, seed ${run.summary.seed}` : `${run.method} (${run.label})`);
+    run.series = repeated ? prefix + run.method : run.name;
     const end = run.summary.mission_end_s;
     run.end_s = isNumber(end) ? end : null;
     let scene;
