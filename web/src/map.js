@@ -248,12 +248,14 @@ export class MissionMap {
     return group;
   }
 
-  /** 'start' looks across the shorter side, 'top' straight down with north up. All nodes are in sight. */
+  /** 'start' looks down at a slant, 'top' straight down with north up. All nodes are in sight. */
   view(which) {
     this.resize(false);
     const { centre, size } = this.box;
     const tilt = which === 'top' ? 0.0001 : 0.65;
-    const turn = which !== 'top' && size.y > 1.15 * size.x ? Math.PI / 2 : 0; // from the east, else from the south
+    // From the south, or from the east if the map fits better so.
+    const long = this.camera.aspect > 1 ? size.y > 1.15 * size.x : size.x > 1.15 * size.y;
+    const turn = which !== 'top' && long ? Math.PI / 2 : 0;
     const back = new Vector3(Math.sin(turn) * Math.sin(tilt), -Math.cos(turn) * Math.sin(tilt), Math.cos(tilt));
     const { optimized, odometry, count } = this.data.nodes;
     const every = Math.max(1, Math.floor(count / 500));
