@@ -77,7 +77,7 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
     const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
     const Eigen::Vector3d m =
         bin == kUnknownNormal ? n : Eigen::Vector3d(T_to_from.linear() * source.normals[i].cast<double>());
-    if (!n.isZero() && std::abs(n.dot(m)) < static_cast<double>(kAgreeing)) continue;
+    if (!n.isZero() && n.dot(m) < static_cast<double>(kAgreeing)) continue;
     ++agreeing[bin];
     if (n.isZero()) continue;
     const double distance = n.dot(y - target.points[nearest->index].cast<double>());
@@ -139,7 +139,7 @@ SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree, const Cl
     if (other.sq_distance_m2 > reach * reach) continue;
     ++near;
     const Eigen::Vector3f& n = cloud.normals[other.index];
-    if (std::abs(n.dot(cloud.normals[i])) < kAgreeing) continue;
+    if (n.dot(cloud.normals[i]) < kAgreeing) continue;
     ++neighbours;
     if (std::abs(n.dot(cloud.points[i] - cloud.points[other.index])) < within) ++on_plane;
   }
@@ -152,7 +152,7 @@ SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree, const Cl
 }
 
 double consistency(const AlignmentFigures& figures) {
-  constexpr double kWeight = 3.0;
+  constexpr double kWeight = 5.0;
   return figures.on_plane / figures.expected_on_plane - kWeight * figures.contradiction;
 }
 

@@ -115,11 +115,12 @@ Eigen::Isometry3d fit_rigid(const std::vector<Match>& matches, const std::vector
   return T;
 }
 
-std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double tolerance_m,
-                                       std::size_t count) {
+Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, std::size_t count,
+                         const PoseFilter& allowed) {
   const std::size_t n = matches.size();
-  std::vector<Hypothesis> hypotheses;
-  if (n < 3 || count == 0) return hypotheses;
+  Consensus consensus;
+  std::vector<Hypothesis>& hypotheses = consensus.hypotheses;
+  if (n < 3 || count == 0) return consensus;
   BitMatrix compatible(n);
   const auto tolerance = static_cast<float>(tolerance_m);
   Columns m(static_cast<Eigen::Index>(n), 12);
@@ -200,12 +201,16 @@ std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double
                     [&](const Hypothesis& h) { return similar(h.T_target_source, T, tolerance_m); })) {
       continue;
     }
+    if (allowed && !allowed(T)) {
+      ++consensus.refused;
+      continue;
+    }
     hypotheses.push_back({T, inliers.size()});
   }
   std::stable_sort(hypotheses.begin(), hypotheses.end(),
                    [](const Hypothesis& a, const Hypothesis& b) { return a.inliers > b.inliers; });
   if (hypotheses.size() > count) hypotheses.resize(count);
-  return hypotheses;
+  return consensus;
 }
 
 }  // namespace loopwise

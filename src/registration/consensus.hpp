@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <functional>
 #include <vector>
 
 #include <Eigen/Geometry>
@@ -22,14 +23,22 @@ struct Hypothesis {
   std::size_t inliers = 0;
 };
 
-/// Poses that sets of pairwise compatible matches agree on, most inliers first; at most `count`, all
-/// different. Two matches are compatible if their source points lie as far apart as their target points,
-/// within `tolerance_m`, and their normals differ by the same angle. A match is judged by how many compatible
-/// matches it shares with its compatible matches (second-order compatibility: Chen et al., SC2-PCR, CVPR
-/// 2022), which separates the few true matches from chance; the best judged ones each span a hypothesis. No
-/// random numbers. O(n²·n/64).
-[[nodiscard]] std::vector<Hypothesis> find_consensus(const std::vector<Match>& matches, double tolerance_m,
-                                                     std::size_t count);
+using PoseFilter = std::function<bool(const Eigen::Isometry3d& T_target_source)>;
+
+/// What the matches agree on.
+struct Consensus {
+  std::vector<Hypothesis> hypotheses;  ///< Most inliers first.
+  std::size_t refused = 0;             ///< Poses that were not allowed.
+};
+
+/// Poses that sets of pairwise compatible matches agree on: at most `count`, all different and all `allowed`
+/// (may be empty: every pose is). Two matches are compatible if their source points lie as far apart as their
+/// target points, within `tolerance_m`, and their normals differ by the same angle. A match is judged by how
+/// many compatible matches it shares with its compatible matches (second-order compatibility: Chen et al.,
+/// SC2-PCR, CVPR 2022), which separates the few true matches from chance; the best judged ones each span a
+/// hypothesis. No random numbers. O(n²·n/64).
+[[nodiscard]] Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m,
+                                       std::size_t count, const PoseFilter& allowed = {});
 
 /// Rigid transform T with the least Σ |T·source − target|² over the chosen matches (Umeyama 1991).
 [[nodiscard]] Eigen::Isometry3d fit_rigid(const std::vector<Match>& matches,

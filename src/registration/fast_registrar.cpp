@@ -109,7 +109,7 @@ void look(const Side& source, std::size_t count, const Side& target, const Eigen
     const auto nearest = target.submap.tree().nearest(y, reach);
     if (!nearest) continue;
     const Eigen::Vector3f& n = to.normals[nearest->index];
-    if (std::abs((R * from.normals[i]).dot(n)) < 0.7F) continue;
+    if ((R * from.normals[i]).dot(n) < 0.7F) continue;
     visit(nearest->sq_distance_m2, std::abs(n.dot(y - to.points[nearest->index])));
   }
 }
@@ -350,16 +350,12 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   }
   const std::vector<Match> matches =
       match(*source_keys, *target_keys, static_cast<std::size_t>(options.max_matches));
-  std::vector<Hypothesis> hypotheses =
-      find_consensus(matches, options.match_tolerance_m, static_cast<std::size_t>(options.hypotheses));
-  const std::size_t found = hypotheses.size();
-  hypotheses.erase(std::remove_if(hypotheses.begin(), hypotheses.end(),
-                                  [&](const Hypothesis& h) { return !allowed(h.T_target_source); }),
-                   hypotheses.end());
+  const Consensus consensus = find_consensus(matches, options.match_tolerance_m,
+                                             static_cast<std::size_t>(options.hypotheses), allowed);
   // A quarter of the points tells which hypotheses are worth all of them.
   std::vector<Scored> scored;
   double most = 0.0;
-  for (const Hypothesis& h : hypotheses) {
+  for (const Hypothesis& h : consensus.hypotheses) {
     scored.push_back({h.T_target_source, score(source, scored_points / 4, target, h.T_target_source, reach)});
     most = std::max(most, scored.back().value);
   }
@@ -384,13 +380,14 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     if (refine_start(s.T_target_source) >= options.sure_share) break;
   }
   if (refined.empty()) {
-    if (found == 0) {
+    if (consensus.hypotheses.empty() && consensus.refused == 0) {
       return reject(RejectionReason::kFewMatches,
                     "no three of " + std::to_string(matches.size()) + " matches agree on a pose");
     }
     if (scored.empty()) {
-      return reject(RejectionReason::kTransformThreshold,
-                    "all of " + std::to_string(found) + " hypotheses are too far from the graph's pose");
+      return reject(
+          RejectionReason::kTransformThreshold,
+          "all of " + std::to_string(consensus.refused) + " hypotheses are too far from the graph's pose");
     }
     return reject(RejectionReason::kLowOverlap, "the best of " + std::to_string(scored.size()) +
                                                     " hypotheses scores " +

@@ -78,6 +78,7 @@ GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t
         last[k] = nearest->index;
         const Eigen::Vector3d m = T.linear() * source.normals[i].cast<double>();
         const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
+        if (n.dot(m) < 0.0) continue;  // the other face of a wall
         const Eigen::Vector3d d = moved - target.points[nearest->index].cast<double>();
         Eigen::Matrix3d M = weight(n, m);
         const double sq_residual = d.dot(M * d);

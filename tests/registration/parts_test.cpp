@@ -122,7 +122,7 @@ TEST_CASE("find_consensus: finds 5 % of true matches among false ones, not what 
     }
     matches.push_back(match);
   }
-  const auto found = find_consensus(matches, 0.6, 10);
+  const auto found = find_consensus(matches, 0.6, 10).hypotheses;
   REQUIRE_FALSE(found.empty());
   REQUIRE(found[0].inliers >= 28);
   const Eigen::Isometry3d d = truth.inverse() * found[0].T_target_source;
@@ -131,12 +131,34 @@ TEST_CASE("find_consensus: finds 5 % of true matches among false ones, not what 
   for (std::size_t i = 1; i < found.size(); ++i) REQUIRE(found[i].inliers < 8);
 }
 
+TEST_CASE("find_consensus: poses that are not allowed leave their place to others", "[parts]") {
+  Rng rng(9);
+  std::vector<Match> matches;
+  const Eigen::Isometry3d strong = testing::random_pose(rng, 10.0, 3.0),
+                          weak = testing::random_pose(rng, 10.0, 3.0);
+  for (int i = 0; i < 60; ++i) {
+    const Eigen::Vector3d p(rng.uniform(-30, 30), rng.uniform(-30, 30), rng.uniform(-3, 3));
+    const Eigen::Isometry3d& T = i < 40 ? strong : weak;
+    Match match{p.cast<float>(), (T * p).cast<float>(), random_direction(rng), Eigen::Vector3f::Zero()};
+    match.target_normal = (T.linear() * match.source_normal.cast<double>()).cast<float>();
+    matches.push_back(match);
+  }
+  REQUIRE(find_consensus(matches, 0.6, 1).hypotheses.at(0).inliers >= 40);
+  const auto allowed = [&](const Eigen::Isometry3d& T) {
+    return (T.translation() - strong.translation()).norm() > 0.5;
+  };
+  const Consensus found = find_consensus(matches, 0.6, 1, allowed);
+  REQUIRE(found.refused >= 1);
+  REQUIRE(found.hypotheses.size() == 1);
+  REQUIRE(testing::difference(found.hypotheses[0].T_target_source, weak) < 1e-3);
+}
+
 TEST_CASE("find_consensus: too few matches or none that agree", "[parts][error]") {
-  REQUIRE(find_consensus({}, 0.6, 10).empty());
+  REQUIRE(find_consensus({}, 0.6, 10).hypotheses.empty());
   Match match;
   match.source = match.target = Eigen::Vector3f::Zero();
   match.source_normal = match.target_normal = Eigen::Vector3f::UnitZ();
-  REQUIRE(find_consensus(std::vector<Match>(50, match), 0.6, 10).empty());
+  REQUIRE(find_consensus(std::vector<Match>(50, match), 0.6, 10).hypotheses.empty());
 }
 
 TEST_CASE("refine_gicp: from 1 m and 10 degrees to the truth", "[parts]") {
@@ -158,6 +180,36 @@ TEST_CASE("refine_gicp: from 1 m and 10 degrees to the truth", "[parts]") {
   REQUIRE(result.converged);
   REQUIRE(d.translation().norm() < 0.015);  // measured at most 0.0035 m
   REQUIRE(se3::rotation_angle(d) < 0.001);  // measured at most 0.0003 rad
+}
+
+TEST_CASE("refine_gicp: a wall seen from its other side does not attract", "[parts]") {
+  // Floor and one side wall fix all but x; the wall across x is 0.4 m thick, and each scan saw one face.
+  PointCloud source;
+  const auto add = [&](PointCloud& cloud, const Eigen::Vector3f& p, const Eigen::Vector3f& n) {
+    cloud.points.push_back(p);
+    cloud.normals.push_back(n);
+  };
+  Rng rng(3);
+  for (int i = 0; i < 400; ++i) {
+    const auto a = static_cast<float>(rng.uniform(-4, 4)), b = static_cast<float>(rng.uniform(0, 3));
+    add(source, {a, b, 0.0F}, Eigen::Vector3f::UnitZ());
+    add(source, {a, 0.0F, b}, Eigen::Vector3f::UnitY());
+  }
+  PointCloud target = source;
+  for (int i = 0; i < 400; ++i) {
+    const auto a = static_cast<float>(rng.uniform(0, 3)), b = static_cast<float>(rng.uniform(0, 3));
+    add(source, {5.0F, a, b}, -Eigen::Vector3f::UnitX());
+    add(target, {5.4F, a, b}, Eigen::Vector3f::UnitX());
+  }
+  const auto aligned = [&]() -> Eigen::Vector3d {
+    const GicpResult result =
+        refine_gicp(source, draw_balanced(source, source.size()), target, KdTree(target.points),
+                    Eigen::Isometry3d::Identity(), {{1.0, 1000, 30}});
+    return result.T_target_source.translation();
+  };
+  REQUIRE(aligned().norm() < 0.01);  // measured 2e-5 m
+  for (std::size_t i = 800; i < target.size(); ++i) target.normals[i] = -target.normals[i];
+  REQUIRE(aligned().x() == Approx(0.4).margin(0.01));
 }
 
 TEST_CASE("refine_gicp: without matches it stays and says so", "[parts][error]") {

@@ -24,7 +24,7 @@ struct ClosureTestOptions {
   double fitness_range_m = 1.5;
   double overlap_distance_m = 0.5;
   double min_overlap = 0.4;
-  double min_balanced_overlap = 0.22;
+  double min_balanced_overlap = 0.25;
   double plane_distance_m = 0.08;
   double min_consistency = 0.0;
   int max_free_directions = 2;
@@ -32,9 +32,9 @@ struct ClosureTestOptions {
   double max_rotation_deg = 50.0;
   double point_sigma_m = 0.05;
   double normal_sigma_rad = 0.05;
-  double points_per_sample = 20.0;
-  double min_sigma_m = 0.02;
-  double min_sigma_rad = 0.002;
+  double points_per_sample = 10.0;
+  double min_sigma_m = 0.01;
+  double min_sigma_rad = 0.003;
   double max_sigma_m = 10.0;
   double max_sigma_rad = 1.0;
 
@@ -59,7 +59,7 @@ struct ClosureTestOptions {
           "A point whose distance along the target's normal is less lies on the same surface, m.");
     field(
         "min_consistency", self.min_consistency, between(0.0, 1.0),
-        "Share of such points among those that overlap, against that within the scans themselves, less three "
+        "Share of such points among those that overlap, against that within the scans themselves, less five "
         "times the share of points in what the other scan saw as free; 0: no test.");
     field("max_free_directions", self.max_free_directions, between(0.0, 6.0),
           "Closures with more directions whose deviation reaches max_sigma are refused; a round tunnel has "
@@ -126,8 +126,8 @@ struct SurfaceShare {
 [[nodiscard]] SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree,
                                          const ClosureTestOptions& options);
 
-/// How well an alignment fits in detail, at most 1: on_plane − 3·contradiction. Corridors that look alike
-/// overlap; their roughness and their openings differ.
+/// How well an alignment fits in detail, at most 1: on_plane/expected_on_plane − 5·contradiction. Corridors
+/// that look alike overlap; their roughness and their openings differ.
 [[nodiscard]] double consistency(const AlignmentFigures& figures);
 
 /// Directions, of six, that the points leave free within the bounds: their standard deviation would exceed

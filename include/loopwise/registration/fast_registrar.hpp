@@ -36,7 +36,7 @@ struct FastRegistrarOptions {
     ClosureTestOptions tests;
     tests.max_fitness_m2 = 2.2;
     tests.measured_points = 2000;
-    tests.min_consistency = 0.8;
+    tests.min_consistency = 0.84;
     return tests;
   }
 
