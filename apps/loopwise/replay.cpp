@@ -2,12 +2,14 @@
 #include <unistd.h>
 
 #include <fstream>
+#include <optional>
 
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/pipeline/live_replay.hpp>
 #include <loopwise/pipeline/outcome_store.hpp>
 #include <loopwise/pipeline/replay.hpp>
 
@@ -26,6 +28,7 @@ struct Options {
   std::string method, clock = "virtual";
   ReplayArguments replay;
   std::optional<std::int64_t> workers;
+  std::optional<double> rate;
   bool after_mission = false;
   bool resume = false;
   bool overwrite = false;
@@ -38,7 +41,10 @@ Config configured(const Options& o) {
   if (!o.method.empty()) config.replay.method = o.method;
   if (o.workers) config.replay.workers = *o.workers;
   if (o.after_mission) config.replay.after_mission = true;
-  if (o.clock != "virtual") throw_unknown_name("clock", o.clock, {"virtual"});
+  if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
+  if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
+  if (o.resume && o.clock == "real")
+    throw OptionError("--resume: what a real clock made cannot be made again");
   validate_config(config);
   return config;
 }
@@ -132,14 +138,19 @@ int run(const Options& options) {
                         "; --resume continues it, --overwrite replaces it");
   std::error_code ignored;
   for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) fs::remove(folder / name, ignored);
-  OutcomeFile outcomes(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
+  const bool live = options.clock == "real";
+  std::optional<OutcomeFile> outcomes;
+  if (live) {
+    fs::remove(folder / "outcomes.jsonl", ignored);  // of another run
+  } else {
+    outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
+  }
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
-  if (!outcomes.known().empty()) {
-    console.note("resuming with " + std::to_string(outcomes.known().size()) +
+  if (outcomes && !outcomes->known().empty()) {
+    console.note("resuming with " + std::to_string(outcomes->known().size()) +
                  " registrations already computed");
   }
 
-  ThreadPool threads(thread_count(options.common));
   const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
   std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
   std::shared_ptr<OutcomeStore> store;
@@ -153,13 +164,19 @@ int run(const Options& options) {
     journal << line + "\n" << std::flush;
     if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
   };
-  hooks.outcome = [&](const RegistrationResult& result) { outcomes.add(result); };
+  if (outcomes) hooks.outcome = [&](const RegistrationResult& result) { outcomes->add(result); };
   RunHistory history(mission);
   hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
   hooks.progress = console.progress_callback();
   hooks.stop = interrupt.token();
-  const ReplayResult result =
-      MissionReplay(mission, config, features, registrar).run(threads, hooks, outcomes.known());
+  const ReplayResult result = [&] {
+    if (live) {
+      RealClock clock(0.0, options.rate.value_or(1.0));
+      return replay_live(mission, config, registrar, clock, thread_count(options.common), hooks);
+    }
+    ThreadPool threads(thread_count(options.common));
+    return MissionReplay(mission, config, features, registrar).run(threads, hooks, outcomes->known());
+  }();
   console.warn(result.problems);
   if (store) note_outcomes(console, *store);
 
@@ -171,7 +188,8 @@ int run(const Options& options) {
   print_results(options.common, parse_json(run_summary_json(mission, config, result, evaluation), "summary"),
                 results_text(config, result, evaluation) + "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
-    console.note("interrupted: the results are those so far; --resume goes on");
+    console.note(std::string("interrupted: the results are those so far") +
+                 (live ? "" : "; --resume goes on"));
     return kInterrupted;
   }
   return kDone;
@@ -203,7 +221,14 @@ void add_replay(CLI::App& app, Action& chosen) {
           "several joined by +")
       ->type_name("M");
   add_replay_arguments(*command, options->replay);
-  command->add_option("--clock", options->clock, "virtual: mission time is modelled")->type_name("WORD");
+  command
+      ->add_option(
+          "--clock", options->clock,
+          "virtual (default): mission time is modelled; real: the online module, fed at the recorded times")
+      ->type_name("WORD");
+  command->add_option("--rate", options->rate, "Real clock: mission seconds a second (default 1)")
+      ->type_name("R")
+      ->check(CLI::PositiveNumber);
   command
       ->add_option("--workers", options->workers,
                    "Registrations at a time on the mission's clock (default 10)")

@@ -235,6 +235,10 @@ int run(const Options& options) {
     if (options.everything != "none") {
       rows = {{"mission durations", "computed", "ATE"}};
       of_world["after_mission"] = Json::array();
+      const std::vector<double> ends = values(runs[everything], world.missions, [](const Run& r) {
+        return figure(r.result->summary, {"mission_time_s"}) / r.mission_end_s;
+      });
+      const double last = ends.empty() ? 0.0 : *std::max_element(ends.begin(), ends.end());
       for (const double factor : kAfter) {
         const auto at = [&](auto&& value) {
           return values(runs[everything], world.missions, [&](const Run& r) {
@@ -248,6 +252,7 @@ int run(const Options& options) {
         rows.push_back({fixed(factor, 2), cell(quartiles(counts), 0), cell(quartiles(errors), 3)});
         of_world["after_mission"].push_back(
             {{"durations", factor}, {"computed", quartiles_json(counts)}, {"ate_m", quartiles_json(errors)}});
+        if (factor >= last) break;
       }
       text += "\nGoing on after the mission (" + title(everything) + "):\n\n" + markdown_table(rows);
     }

@@ -41,13 +41,14 @@ class Program {
   }
   ~Program() {
     if (process_ <= 0) return;
-    kill(process_, SIGKILL);
+    ::kill(process_, SIGKILL);
     waitpid(process_, nullptr, 0);
   }
   Program(const Program&) = delete;
   Program& operator=(const Program&) = delete;
 
-  void interrupt() const { kill(process_, SIGINT); }
+  void interrupt() const { ::kill(process_, SIGINT); }
+  void kill() const { ::kill(process_, SIGKILL); }
 
   [[nodiscard]] bool running() {
     if (process_ <= 0) return false;

@@ -195,6 +195,80 @@ TEST_CASE("replay: the cost model decides how much is computed", "[pipeline][rep
   REQUIRE(all.result.mission_time_s > 78.5);
 }
 
+/// The oracle, with durations by pair: what a machine measured.
+class TimedRegistrar final : public Registrar {
+ public:
+  explicit TimedRegistrar(const Mission& mission) : oracle_(mission.ground_truth) {}
+  std::string_view name() const override { return "timed"; }
+  RegistrationResult compute(const RegistrationTask& task) const override {
+    RegistrationResult result = oracle_.compute(task);
+    result.features_s = 0.5;
+    result.refine_s = Rng(task.seed).uniform(0.0, 3.0);
+    return result;
+  }
+
+ private:
+  OracleRegistrar oracle_;
+};
+
+TEST_CASE("replay: with measured times each worker is busy for as long as it took", "[pipeline][replay]") {
+  const Mission mission = two_circles();
+  Config config = fast_config();
+  config.replay.measured_time = true;
+  config.replay.workers = 3;
+  const auto registrar = std::make_shared<TimedRegistrar>(mission);
+  const Recorded run = replay(mission, config, 2, {}, registrar);
+  REQUIRE(run.result.accounting.balanced());
+  REQUIRE(run.result.accounting.in_flight == 0);
+  REQUIRE(run.result.computed.size() > 60);  // 75 s, 3 workers, 2 s each
+  REQUIRE(run.result.computed.size() < 120);
+  double busy = 0.0;
+  for (const ComputedCandidate& c : run.result.computed) {
+    busy += c.result.seconds();
+    REQUIRE(c.mission_time_s <= 78.5);
+  }
+  REQUIRE(busy <= 3.0 * 78.5);
+  REQUIRE(busy > 0.8 * 3.0 * 76.0);  // measured 0.87: a batch ends with its slowest
+
+  // Another machine's times change the run, recorded ones repeat it.
+  KnownOutcomes known;
+  for (const RegistrationResult& outcome : run.outcomes) {
+    const RegistrationResult copy = parse_outcome_line(outcome_line(outcome));
+    known[{copy.candidate.from, copy.candidate.to}] = copy;
+  }
+  const auto other = std::make_shared<OracleRegistrar>(mission.ground_truth);  // takes no time
+  REQUIRE(replay(mission, config, 1, known, other).lines == run.lines);
+  REQUIRE(replay(mission, config, 1, {}, other).lines != run.lines);
+  config.replay.after_mission = true;
+  const Recorded all = replay(mission, config, 1, {}, other);
+  REQUIRE(all.result.accounting.pending == 0);
+}
+
+TEST_CASE("replay: thinning keeps a uniform share of the pairs, the same for every method",
+          "[pipeline][replay]") {
+  const Mission mission = two_circles();
+  const auto pairs = [&](const char* method, std::int64_t thin, std::uint64_t seed) {
+    Config config = fast_config(method);
+    config.replay.after_mission = true;
+    config.replay.thin = thin;
+    config.replay.seed = seed;
+    std::set<std::pair<Key, Key>> out;
+    for (const ComputedCandidate& c : replay(mission, config).result.computed) {
+      out.emplace(c.result.candidate.from, c.result.candidate.to);
+    }
+    return out;
+  };
+  const auto all = pairs("baseline", 1, 1), kept = pairs("baseline", 4, 1);
+  const double expected = static_cast<double>(all.size()) / 4.0;
+  REQUIRE(std::abs(static_cast<double>(kept.size()) - expected) < 4.0 * std::sqrt(expected));
+  REQUIRE(pairs("baseline", 4, 2) != kept);
+  // By pair, so whoever closes loops in another order draws the same, where it meets the same pairs.
+  const auto at_random = pairs("random", 4, 1);
+  std::size_t common = 0;
+  for (const auto& pair : at_random) common += kept.count(pair);
+  REQUIRE(static_cast<double>(common) > 0.9 * static_cast<double>(kept.size()));
+}
+
 TEST_CASE("replay: key frames of a communication gap arrive at its end, in order", "[pipeline][replay]") {
   Mission mission = two_circles();
   mission.gaps = {{1, 10.0, 50.0}};

@@ -1,0 +1,405 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Studies of replays, and runs that are killed: what scripts may rely on.
+#include <algorithm>
+#include <chrono>
+#include <set>
+#include <thread>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/evaluation/sample_statistics.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/mission.hpp>
+
+#include "program.hpp"
+#include "small_mission.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+using testing::Program;
+using testing::ProgramRun;
+using testing::run_program;
+using testing::small_mission;
+using testing::TemporaryFolder;
+namespace fs = testing::fs;
+
+enum : int { kDone = 0, kBadUsage = 2, kBadInput = 3, kInterrupted = 130, kKilled = 128 + 9 };
+
+/// Rows of a CSV file without quoted values.
+std::vector<std::vector<std::string>> rows_of(const fs::path& path) {
+  std::vector<std::vector<std::string>> rows;
+  std::istringstream lines(testing::read_text(path));
+  for (std::string line; std::getline(lines, line);) {
+    rows.emplace_back();
+    std::istringstream cells(line + ",");
+    for (std::string cell; std::getline(cells, cell, ',');) rows.back().push_back(cell);
+  }
+  return rows;
+}
+
+std::size_t column(const std::vector<std::vector<std::string>>& rows, const std::string& name) {
+  const auto found = std::find(rows[0].begin(), rows[0].end(), name);
+  REQUIRE(found != rows[0].end());
+  return static_cast<std::size_t>(found - rows[0].begin());
+}
+
+/// The contents of all files that must be the same in every run, by name, wall times left out.
+std::map<std::string, std::string> results_of(const fs::path& folder) {
+  std::map<std::string, std::string> all;
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+    if (!entry.is_regular_file()) continue;
+    const std::string name = fs::relative(entry.path(), folder).generic_string();
+    const auto is = [&](const std::string& end) {
+      return name.size() >= end.size() && name.compare(name.size() - end.size(), end.size(), end) == 0;
+    };
+    if (is(".seconds") || is("_timings.csv") || is(".bin") || is("outcomes.jsonl")) continue;
+    std::string text = testing::read_text(entry.path());
+    if (is("closures.csv")) {
+      std::istringstream lines(text);
+      text.clear();
+      for (std::string line; std::getline(lines, line);) text += line.substr(0, line.rfind(',')) + "\n";
+    } else if (is("summary.json")) {
+      Json json = parse_json(text, name);
+      json.erase("seconds");
+      text = json.dump();
+    }
+    all[name] = text;
+  }
+  return all;
+}
+
+void require_same(const std::map<std::string, std::string>& a, const std::map<std::string, std::string>& b) {
+  std::vector<std::string> names, other_names;
+  for (const auto& [name, text] : a) names.push_back(name);
+  for (const auto& [name, text] : b) other_names.push_back(name);
+  REQUIRE(names == other_names);
+  for (const auto& [name, text] : a) {
+    CAPTURE(name);
+    REQUIRE(text == b.at(name));
+  }
+}
+
+/// Three missions of two worlds.
+std::vector<std::string> write_missions(const TemporaryFolder& folder) {
+  std::vector<std::string> paths;
+  for (const char* name : {"a1", "a2", "b1"}) {
+    Mission mission = small_mission(name[0] == 'b' ? 10 : 8, name[1] == '2' ? 17 : 9);
+    mission.name = std::string("yard-") + name;
+    mission.provenance_json = std::string(R"({"seed": ")") + name[1] +
+                              R"(", "parameters_sha256": "0123456789abcdef", "options": {"world": ")" +
+                              name[0] + "\"}}";
+    paths.push_back((folder / name).string());
+    write_mission(paths.back(), mission);
+  }
+  return paths;
+}
+
+std::vector<std::string> with(std::vector<std::string> arguments, const std::vector<std::string>& more) {
+  arguments.insert(arguments.end(), more.begin(), more.end());
+  return arguments;
+}
+
+const std::vector<std::string> kQuick{
+    "--skip-recent", "2",         "--set", "observability.min_sum=0", "--batch", "5", "--registration-time",
+    "2.0",           "--workers", "2"};
+
+}  // namespace
+
+TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[apps][study]") {
+  const TemporaryFolder folder;
+  const std::vector<std::string> missions = write_missions(folder);
+  const auto study = [&](const std::string& out, const std::vector<std::string>& more) {
+    return with(
+        with(with({"study", "ablation"}, missions),
+             {"-o", (folder / out).string(), "--methods", "baseline,random,full", "--seeds", "2", "--quiet"}),
+        with(kQuick, more));
+  };
+  const ProgramRun one = run_program(study("one", {"--threads", "1", "--json", "-"}));
+  INFO(one.err);
+  REQUIRE(one.status == kDone);
+  const Json json = parse_json(one.out, "standard output");
+  REQUIRE(parse_json(testing::read_text(folder / "one" / "ablation.json"), "ablation.json") == json);
+
+  const auto rows = rows_of(folder / "one" / "runs.csv");
+  REQUIRE(rows.size() == 1 + 3 * 2 * 3);
+  const std::size_t world = column(rows, "world"), method = column(rows, "method"),
+                    ate = column(rows, "ate_m"), odometry = column(rows, "odometry_ate_m"),
+                    queued = column(rows, "queued"), computed = column(rows, "computed"),
+                    verified = column(rows, "verified"), share = column(rows, "verified_of_queued"),
+                    of_computed = column(rows, "verified_of_computed"),
+                    parameters = column(rows, "parameters_sha256"), seed = column(rows, "seed");
+  std::map<std::string, std::vector<double>> ates, odometries;
+  std::set<std::string> seeds;
+  for (std::size_t i = 1; i < rows.size(); ++i) {
+    REQUIRE(rows[i].size() == rows[0].size());
+    REQUIRE(rows[i][parameters] == "0123456789abcdef");
+    seeds.insert(rows[i][seed]);
+    REQUIRE(std::stod(rows[i][computed]) > 5.0);
+    REQUIRE(std::stod(rows[i][share]) ==
+            Approx(100.0 * std::stod(rows[i][verified]) / std::stod(rows[i][queued])));
+    REQUIRE(std::stod(rows[i][of_computed]) ==
+            Approx(100.0 * std::stod(rows[i][verified]) / std::stod(rows[i][computed])));
+    ates[rows[i][world] + rows[i][method]].push_back(std::stod(rows[i][ate]));
+    if (rows[i][method] == "full") odometries[rows[i][world]].push_back(std::stod(rows[i][odometry]));
+  }
+  REQUIRE(seeds == std::set<std::string>{"1", "2"});
+  REQUIRE(json.at("worlds").size() == 2);
+  for (const Json& of_world : json.at("worlds")) {
+    const std::string name = of_world.at("world").get<std::string>();
+    REQUIRE(of_world.at("missions") == (name == "a" ? 2 : 1));
+    REQUIRE(of_world.at("parameters_sha256") == Json({"0123456789abcdef"}));
+    for (const char* m : {"baseline", "random", "full"}) {
+      const Json& entry = of_world.at("methods").at(m).at("ate_m");
+      REQUIRE(entry.at("median").get<double>() == quartiles(ates[name + m]).median);
+      REQUIRE(entry.at("upper_quartile").get<double>() == quartiles(ates[name + m]).upper);
+      REQUIRE(entry.at("interval_95").at(0).get<double>() == bootstrap_median(ates[name + m]).low);
+    }
+    REQUIRE(of_world.at("methods").at("odom").at("ate_m").at("median").get<double>() ==
+            quartiles(odometries[name]).median);
+    REQUIRE_FALSE(of_world.at("methods").at("odom").contains("queued"));
+  }
+  // Missions are the pairs: two seeds of one count once.
+  const Json& pooled = json.at("pooled").at("full").at("baseline");
+  REQUIRE(pooled.at("missions") == 3);
+  const double difference = pooled.at("mean_difference_m").get<double>();
+  REQUIRE(pooled.at("difference_interval_95_m").at(0).get<double>() <= difference);
+  REQUIRE(pooled.at("difference_interval_95_m").at(1).get<double>() >= difference);
+  const Json& reductions = json.at("reductions_percent").at("full").at("odom");
+  REQUIRE(reductions.at("mean").get<double>() ==
+          Approx(0.5 * (reductions.at("a").get<double>() + reductions.at("b").get<double>())));
+  const std::string text = testing::read_text(folder / "one" / "ablation.md");
+  REQUIRE_THAT(text, Contains("parameters 0123456789ab") && Contains("true inliers, % of queued"));
+
+  // The same bytes with two threads and outcomes of its own, and from what is there.
+  REQUIRE(run_program(study("two", {"--threads", "2"})).status == kDone);
+  require_same(results_of(folder / "one"), results_of(folder / "two"));
+  const auto before = results_of(folder / "two");
+  const ProgramRun again = run_program(
+      with(with(with({"study", "ablation"}, missions),
+                {"-o", (folder / "two").string(), "--methods", "baseline,random,full", "--seeds", "2"}),
+           kQuick));
+  REQUIRE(again.status == kDone);
+  REQUIRE_THAT(again.err, Contains("18 of 18 runs are finished already"));
+  require_same(results_of(folder / "two"), before);
+
+  // A changed option makes other runs, beside the first.
+  const ProgramRun other = run_program(with(
+      with(with({"study", "ablation"}, missions), {"-o", (folder / "two").string(), "--methods", "full"}),
+      with(kQuick, {"--gi-evaluation-time", "0.05"})));
+  REQUIRE(other.status == kDone);
+  REQUIRE_THAT(other.err, !Contains("finished already"));
+  REQUIRE(rows_of(folder / "two" / "runs.csv").size() == 4);
+
+  // A unit's file that was damaged is computed again.
+  for (const auto& entry : fs::directory_iterator(folder / "one" / "units")) {
+    if (entry.path().extension() != ".json") continue;
+    testing::write_text(entry.path(), testing::read_text(entry.path()).substr(0, 100));
+    break;
+  }
+  REQUIRE(run_program(study("one", {})).status == kDone);
+  auto whole = before;
+  require_same(results_of(folder / "one"), whole);
+}
+
+TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
+  const TemporaryFolder folder;
+  Mission mission = small_mission(4);
+  const std::string path = (folder / "m").string(), out = (folder / "out").string();
+  write_mission(path, mission);
+  mission.ground_truth.clear();
+  write_mission(folder / "untrue", mission);
+  const auto require_failure = [](const std::vector<std::string>& arguments, int status,
+                                  const std::string& why) {
+    const ProgramRun run = run_program(arguments);
+    CAPTURE(arguments);
+    REQUIRE(run.status == status);
+    REQUIRE(run.out.empty());
+    REQUIRE_THAT(run.err, Contains(why));
+  };
+  require_failure({"study", "ablation", path}, kBadUsage, "output");
+  require_failure({"study", "ablation", path, "-o", out, "--methods", "best"}, kBadUsage, "best");
+  require_failure({"study", "ablation", path, "-o", out, "--methods", "full,full"}, kBadUsage, "twice");
+  require_failure({"study", "ablation", path, "-o", out, "--batch", "0"}, kBadUsage, "replay.batch = 0");
+  require_failure({"study", "ablation", path, "-o", out, "--registration-time", "soon"}, kBadUsage,
+                  "registration_time_s");
+  require_failure({"study", "ablation", path, path, "-o", out}, kBadUsage, "same mission");
+  require_failure({"study", "budget", path, "-o", out, "--workers", "2,0"}, kBadUsage, "replay.workers = 0");
+  require_failure({"study", "budget", path, "-o", out, "--everything", "best"}, kBadUsage, "best");
+  require_failure({"study", "rssi", (folder / "untrue").string(), "-o", out}, kBadInput, "ground truth");
+  require_failure({"study", "ablation", (folder / "absent").string(), "-o", out}, kBadInput, "absent");
+  require_failure({"study", "ablation", path, "-o", path}, kBadUsage, "not empty");
+  require_failure({"replay", path, "-o", out, "--clock", "real", "--resume"}, kBadUsage, "--resume");
+  require_failure({"replay", path, "-o", out, "--rate", "2"}, kBadUsage, "--rate");
+}
+
+TEST_CASE("study budget and rssi: tables agree with the curves and robots", "[apps][study]") {
+  const TemporaryFolder folder;
+  const std::vector<std::string> missions = write_missions(folder);
+  const std::vector<std::string> quick{"--skip-recent",           "2",       "--set",
+                                       "observability.min_sum=0", "--batch", "5",
+                                       "--registration-time",     "2.0",     "--quiet"};
+  const ProgramRun budget = run_program(
+      with(with(with({"study", "budget"}, missions),
+                {"-o", (folder / "out").string(), "--workers", "1,3", "--thin", "2", "--json", "-"}),
+           quick));
+  INFO(budget.err);
+  REQUIRE(budget.status == kDone);
+  Json json = parse_json(budget.out, "standard output");
+  const auto rows = rows_of(folder / "out" / "curves.csv");
+  const std::size_t world = column(rows, "world"), method = column(rows, "method"),
+                    workers = column(rows, "workers"), after = column(rows, "after_mission"),
+                    ate = column(rows, "ate_m"), time = column(rows, "time_s"),
+                    end = column(rows, "mission_end_s"), thin = column(rows, "thin"),
+                    computed = column(rows, "computed"), queued = column(rows, "queued");
+  std::map<std::string, std::string> last;  // of each run
+  for (std::size_t i = 1; i < rows.size(); ++i) {
+    REQUIRE(rows[i].size() == rows[0].size());
+    last[rows[i][world] + "-" + rows[i][method] + "-" + rows[i][workers] + "-" + rows[i][after]] =
+        rows[i][ate];
+    REQUIRE(rows[i][thin] == (rows[i][after] == "1" ? "2" : "1"));
+    if (rows[i][after] == "0") REQUIRE(std::stod(rows[i][time]) <= std::stod(rows[i][end]));
+    const bool is_last = i + 1 == rows.size() || std::stod(rows[i + 1][time]) <= std::stod(rows[i][time]);
+    if (rows[i][after] == "1" && is_last) REQUIRE(rows[i][computed] == rows[i][queued]);
+  }
+  REQUIRE(last.size() == 2 * 5);
+  REQUIRE(json.at("everything") == Json({{"method", "baseline"}, {"workers", 1}, {"thin", 2}}));
+  for (const Json& of_world : json.at("worlds")) {
+    REQUIRE(of_world.at("at_end").size() == 5);
+    REQUIRE(of_world.at("over_time").size() == 10);
+    if (of_world.at("world") != "b") continue;  // one mission: its figures are the medians
+    for (const Json& entry : of_world.at("at_end")) {
+      const std::string name = "b-" + entry.at("method").get<std::string>() + "-" +
+                               entry.at("workers").dump() + "-" +
+                               (entry.at("everything").get<bool>() ? "1" : "0");
+      REQUIRE(entry.at("ate_m").at("median").get<double>() ==
+              Approx(std::stod(last.at(name))).epsilon(1e-12));
+    }
+    const Json& whole = of_world.at("over_time").back();
+    for (std::size_t k = 0; k < 4; ++k) {
+      REQUIRE(whole.at("runs").at(k).at("ate_m").at("median").get<double>() ==
+              Approx(of_world.at("at_end").at(k).at("ate_m").at("median").get<double>()).epsilon(1e-12));
+    }
+  }
+  REQUIRE_THAT(testing::read_text(folder / "out" / "budget.md"),
+               Contains("one candidate in 2 drawn uniformly"));
+
+  // In the same folder; its runs leave folders that replay would write.
+  const ProgramRun rssi =
+      run_program(with(with(with({"study", "rssi"}, missions),
+                            {"-o", (folder / "out").string(), "--keep-runs", "--json", "-"}),
+                       quick));
+  INFO(rssi.err);
+  REQUIRE(rssi.status == kDone);
+  json = parse_json(rssi.out, "standard output");
+  const auto robots = rows_of(folder / "out" / "robots.csv");
+  REQUIRE(robots.size() == 1 + 3 * 3 * 2);  // missions, methods, robots
+  for (const Json& of_world : json.at("worlds")) {
+    for (const char* robot : {"a", "b"}) {
+      for (const char* of : {"odom", "rssi", "full"}) {
+        const Json& entry = of_world.at("robots").at(robot).at(of);
+        for (const char* figure : {"translation_percent", "max_m", "rotation_deg_per_m", "max_deg"}) {
+          REQUIRE(entry.at(figure).at("median").get<double>() >= 0.0);
+        }
+      }
+    }
+  }
+  std::size_t folders = 0;
+  for (const auto& entry : fs::directory_iterator(folder / "out" / "runs")) {
+    ++folders;
+    for (const char* file : {"summary.json", "closures.csv", "history.csv", "graph.g2o", "journal.jsonl",
+                             "map.pcd", "trajectories/a.tum"}) {
+      CAPTURE(entry.path(), file);
+      REQUIRE(fs::exists(entry.path() / file));
+    }
+  }
+  REQUIRE(folders == 6);
+}
+
+TEST_CASE("study: an interrupt keeps what is finished, a kill as well", "[apps][study][resume]") {
+  const TemporaryFolder folder;
+  const std::vector<std::string> missions = write_missions(folder);
+  const auto study = [&](const std::string& out) {
+    return with(with(with({"study", "ablation"}, missions),
+                     {"-o", (folder / out).string(), "--methods", "baseline,random,full", "--keep-runs"}),
+                kQuick);
+  };
+  REQUIRE(run_program(study("whole")).status == kDone);
+  const auto units = [&] {
+    std::size_t count = 0;
+    if (!fs::exists(folder / "cut" / "units")) return count;
+    for (const auto& entry : fs::directory_iterator(folder / "cut" / "units")) {
+      count += entry.path().extension() == ".json" ? 1 : 0;
+    }
+    return count;
+  };
+  std::size_t ended = 0;
+  for (const std::size_t at : {std::size_t{1}, std::size_t{3}, std::size_t{6}}) {
+    Program program(with(study("cut"), {"--threads", "1"}));
+    while (units() < at && program.running()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    at == 3 ? program.interrupt() : program.kill();
+    const ProgramRun run = program.finish();
+    REQUIRE((run.status == kDone || run.status == (at == 3 ? kInterrupted : kKilled)));
+    ended += run.status == kDone ? 0 : 1;
+    if (run.status == kInterrupted) REQUIRE_THAT(run.err, Contains("runs are kept"));
+  }
+  REQUIRE(ended > 0);
+  const ProgramRun rest = run_program(with(study("cut"), {"--resume"}));
+  REQUIRE(rest.status == kDone);
+  REQUIRE_THAT(rest.err, Contains("of 9 runs are finished already"));
+  require_same(results_of(folder / "cut"), results_of(folder / "whole"));
+}
+
+TEST_CASE("replay: killed at random moments and resumed, it ends with the same bytes", "[apps][resume]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "mission", small_mission(16));
+  const auto replay = [&](const std::string& out) {
+    return with({"replay", (folder / "mission").string(), "-o", (folder / out).string(), "--method", "full",
+                 "--resume"},
+                with(kQuick, {"--outcomes", (folder / ("store-" + out)).string()}));
+  };
+  REQUIRE(run_program(replay("whole")).status == kDone);
+  const auto outcomes = [&] {
+    const fs::path path = folder / "cut" / "outcomes.jsonl";
+    const std::string text = fs::exists(path) ? testing::read_text(path) : "";
+    return static_cast<std::size_t>(std::count(text.begin(), text.end(), '\n'));
+  };
+  Rng rng(11);
+  std::size_t killed = 0;
+  for (int trial = 0; trial < 5; ++trial) {
+    const std::size_t at = outcomes() + 1 + rng.below(6);
+    Program program(replay("cut"));
+    while (outcomes() < at && program.running()) std::this_thread::yield();
+    std::this_thread::sleep_for(std::chrono::microseconds(rng.below(3000)));
+    program.kill();
+    killed += program.finish().status == kKilled ? 1 : 0;
+  }
+  REQUIRE(killed > 0);
+  REQUIRE(run_program(replay("cut")).status == kDone);
+  require_same(results_of(folder / "cut"), results_of(folder / "whole"));
+}
+
+TEST_CASE("replay: on a real clock the folder is the same in kind", "[apps][live]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "mission", small_mission());
+  const fs::path out = folder / "out";
+  const ProgramRun run = run_program({"replay", (folder / "mission").string(), "-o", out.string(), "--method",
+                                      "random", "--clock", "real", "--rate", "200", "--after-mission",
+                                      "--skip-recent", "2", "--quiet", "--json", "-"});
+  INFO(run.err);
+  REQUIRE(run.status == kDone);
+  const Json summary = parse_json(run.out, "standard output");
+  REQUIRE(summary.at("candidates").at("computed").get<std::size_t>() > 10);
+  REQUIRE(summary.at("candidates").at("pending") == 0);
+  REQUIRE(summary.at("ate_m").at("optimized").get<double>() <
+          summary.at("ate_m").at("odometry").get<double>());
+  for (const char* file : {"summary.json", "closures.csv", "history.csv", "graph.g2o", "journal.jsonl",
+                           "map.pcd", "picture.svg", "trajectories/b.tum"}) {
+    CAPTURE(file);
+    REQUIRE(fs::exists(out / file));
+  }
+  REQUIRE_FALSE(fs::exists(out / "outcomes.jsonl"));
+}
+
+}  // namespace loopwise

@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/pipeline/live_replay.hpp>
+
+#include "testing_mission.hpp"
+
+namespace loopwise {
+namespace {
+
+using testing::OracleRegistrar;
+using testing::two_circles;
+
+Config live_config(const std::string& method) {
+  Config config;
+  config.replay.method = method;
+  config.replay.batch = 20;
+  config.observability.min_sum = 0.0;
+  return config;
+}
+
+double mean_error(const Mission& mission, const PoseGraph& graph,
+                  const std::vector<Eigen::Isometry3d>& poses) {
+  double sum = 0.0;
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    sum += (poses[i].translation() - mission.ground_truth.at(graph.nodes()[i].key).translation()).norm();
+  }
+  return sum / static_cast<double>(poses.size());
+}
+
+}  // namespace
+
+TEST_CASE("live replay: the online module sees the whole mission", "[pipeline][live]") {
+  const Mission mission = two_circles();
+  for (const char* method : {"odom", "random", "full"}) {
+    CAPTURE(method);
+    Config config = live_config(method);
+    config.replay.after_mission = true;
+    RealClock clock(0.0, 1000.0);  // 78.5 s of mission
+    std::size_t moments = 0, outcomes = 0;
+    double time = 0.0;
+    std::vector<std::string> journal;
+    ReplayHooks hooks;
+    hooks.moment = [&](const ReplayMoment& moment) {
+      ++moments;
+      REQUIRE(moment.odometry.size() >= moment.graph.nodes().size());
+      REQUIRE(moment.mission_time_s >= time);
+      time = moment.mission_time_s;
+    };
+    hooks.outcome = [&](const RegistrationResult&) { ++outcomes; };
+    hooks.journal = [&](const std::string& line) { journal.push_back(line); };
+    const ReplayResult result = replay_live(
+        mission, config, std::make_shared<OracleRegistrar>(mission.ground_truth), clock, 2, hooks);
+    REQUIRE_FALSE(result.interrupted);
+    REQUIRE(result.graph.nodes().size() == mission.graph.nodes().size());
+    REQUIRE(result.odometry.size() == result.graph.nodes().size());
+    REQUIRE(result.accounting.balanced());
+    REQUIRE(result.accounting.pending == 0);
+    REQUIRE(result.accounting.in_flight == 0);
+    REQUIRE(result.computed.size() == result.accounting.computed);
+    REQUIRE(outcomes == result.computed.size());
+    REQUIRE(parse_json(journal.front(), "journal").at("event") == "start");
+    REQUIRE(parse_json(journal.back(), "journal").at("event") == "end");
+    REQUIRE(journal.size() == outcomes + 2);
+    REQUIRE(result.mission_end_s == 78.5);
+    REQUIRE(result.mission_time_s >= 78.5);
+    REQUIRE(moments >= 1);
+    const double odometry = mean_error(mission, result.graph, result.odometry),
+                 optimized = mean_error(mission, result.graph, result.graph.poses());
+    if (std::string(method) == "odom") {
+      REQUIRE(result.computed.empty());
+      REQUIRE(optimized == Approx(odometry));
+      continue;
+    }
+    REQUIRE(odometry > 0.4);
+    REQUIRE(optimized < 0.1);  // measured 0.02, as on the virtual clock
+    for (const ComputedCandidate& c : result.computed) {
+      REQUIRE((c.weight == 0.0 || c.result.verified()));
+      REQUIRE(c.mission_time_s > 0.0);
+    }
+    REQUIRE(std::any_of(result.computed.begin(), result.computed.end(),
+                        [](const ComputedCandidate& c) { return c.weight > 0.5; }));
+  }
+}
+
+TEST_CASE("live replay: odometry is that of the virtual clock", "[pipeline][live]") {
+  Mission mission = two_circles();
+  mission.gaps = {{1, 10.0, 50.0}};
+  const Config config = live_config("odom");
+  RealClock clock(0.0, 1000.0);
+  const auto registrar = std::make_shared<OracleRegistrar>(mission.ground_truth);
+  const ReplayResult live = replay_live(mission, config, registrar, clock, 1);
+  ThreadPool pool(1);
+  const ReplayResult modelled =
+      MissionReplay(mission, config, std::make_shared<FeatureCache>(mission.scans->loader(), config.features),
+                    registrar)
+          .run(pool);
+  REQUIRE(live.odometry.size() == modelled.odometry.size());
+  for (std::size_t i = 0; i < live.odometry.size(); ++i) {
+    REQUIRE(live.graph.nodes()[i].key == modelled.graph.nodes()[i].key);
+    REQUIRE(live.odometry[i].matrix() == modelled.odometry[i].matrix());
+  }
+}
+
+TEST_CASE("live replay: a stop request ends it soon, with what there is", "[pipeline][live]") {
+  const Mission mission = two_circles();
+  Config config = live_config("random");
+  config.replay.after_mission = true;
+  RealClock clock(0.0, 1.0);  // 78.5 s: never to be waited for
+  StopSource stop;
+  ReplayHooks hooks;
+  hooks.stop = stop.token();
+  hooks.progress = [&](const Progress& p) {
+    if (p.done == 3) stop.request_stop();
+  };
+  const ReplayResult result =
+      replay_live(mission, config, std::make_shared<OracleRegistrar>(mission.ground_truth), clock, 1, hooks);
+  REQUIRE(result.interrupted);
+  REQUIRE(result.graph.nodes().size() == 3);
+  REQUIRE(result.accounting.balanced());
+}
+
+TEST_CASE("live replay: options of the virtual clock alone are refused", "[pipeline][live][error]") {
+  const Mission mission = two_circles();
+  const auto registrar = std::make_shared<OracleRegistrar>(mission.ground_truth);
+  RealClock clock(0.0, 1000.0);
+  const auto require_refused = [&](auto&& change, const std::string& name) {
+    Config config = live_config("random");
+    change(config.replay);
+    REQUIRE_THROWS_WITH(replay_live(mission, config, registrar, clock, 1), Contains(name));
+  };
+  require_refused([](ReplayOptions& r) { r.max_registrations = 5; }, "max_registrations");
+  require_refused([](ReplayOptions& r) { r.thin = 2; }, "thin");
+  require_refused([](ReplayOptions& r) { r.measured_time = true; }, "measured_time");
+  require_refused([](ReplayOptions& r) { r.guess = GuessSource::kOdometry; }, "guess");
+  REQUIRE_THROWS_AS(replay_live(mission, live_config("random"), nullptr, clock, 1), InputError);
+}
+
+}  // namespace loopwise
