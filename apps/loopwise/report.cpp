@@ -52,7 +52,9 @@ void add_report(CLI::App& app, Action& chosen) {
       "from the network.\n"
       "  loopwise report out -o report.html --mission my_mission\n"
       "  loopwise report out/baseline out/obs out/full -o report.html --mission my_mission");
-  command->add_option("runs", options->runs, "Folders of 'loopwise replay' or 'loopwise study ablation'")
+  command
+      ->add_option("runs", options->runs,
+                   "Folders of 'loopwise replay' or of 'loopwise study ablation' or 'budget'")
       ->required()
       ->type_name("RUN");
   command->add_option("-o,--output", options->output, "The page (default report.html)")->type_name("FILE");

@@ -27,6 +27,7 @@
 #include <loopwise/io/trajectory.hpp>
 #include <loopwise/pipeline/config.hpp>
 
+#include "report_parts.hpp"
 #include "report_template.hpp"
 
 namespace loopwise {
@@ -86,32 +87,6 @@ std::vector<std::size_t> drawn(std::size_t total, std::int64_t limit, std::uint6
     if (rng.below(total - i) < most - chosen.size()) chosen.push_back(i);
   }
   return chosen;
-}
-
-/// Numbers where the text is one, nothing where it is empty.
-Json cell(const std::string& text) {
-  if (text.empty() || text == "nan") return nullptr;
-  char* end = nullptr;
-  const double number = std::strtod(text.c_str(), &end);
-  if (end == text.c_str() + text.size() && std::isfinite(number)) return number;
-  return text;
-}
-
-std::vector<std::string> header_of(const fs::path& path) {
-  std::ifstream in(path);
-  std::string line;
-  if (!std::getline(in, line)) throw ParseError(path.string(), 1, "no header line");
-  std::vector<std::string> columns;
-  std::string name;
-  for (const char c : line + ",") {
-    if (c == ',') {
-      columns.push_back(name);
-      name.clear();
-    } else if (c != '\r' && c != ' ' && c != '"') {
-      name += c;
-    }
-  }
-  return columns;
 }
 
 // One run.
@@ -267,13 +242,13 @@ class RunReader {
     const fs::path path = folder_ / "history.csv";
     Json columns = Json::object();
     if (fs::exists(path)) {
-      const std::vector<std::string> names = header_of(path);
+      const std::vector<std::string> names = csv_header(path);
       const CsvTable table(path, names);
       const std::size_t stride = std::max<std::size_t>(1, (table.size() + kHistoryRows - 1) / kHistoryRows);
       for (std::size_t c = 0; c < names.size(); ++c) {
         Json values = Json::array();
         for (std::size_t r = 0; r < table.size(); ++r) {
-          if (r % stride == 0 || r + 1 == table.size()) values.push_back(cell(table.text(r, c)));
+          if (r % stride == 0 || r + 1 == table.size()) values.push_back(csv_cell(table.text(r, c)));
         }
         columns[names[c]] = values;
       }
@@ -306,7 +281,7 @@ class RunReader {
  private:
   void read_closures() {
     const fs::path path = folder_ / "closures.csv";
-    const std::vector<std::string> names = header_of(path);
+    const std::vector<std::string> names = csv_header(path);
     const CsvTable table(path, names);
     const auto column = [&](const char* name) {
       const auto found = std::find(names.begin(), names.end(), name);
@@ -656,23 +631,6 @@ Json mission_json(const Mission& mission) {
           {"provenance", parse_json(mission.provenance_json, "provenance")}};
 }
 
-Json study_json(const fs::path& folder, const std::string& label) {
-  const fs::path path = folder / "runs.csv";
-  const std::vector<std::string> names = header_of(path);
-  const CsvTable table(path, names);
-  Json rows = Json::array();
-  for (std::size_t r = 0; r < table.size(); ++r) {
-    Json row = Json::object();
-    for (std::size_t c = 0; c < names.size(); ++c) row[names[c]] = cell(table.text(r, c));
-    rows.push_back(row);
-  }
-  return {
-      {"label", label},
-      {"columns", names},
-      {"rows", rows},
-      {"result", fs::exists(folder / "ablation.json") ? read_json_file(folder / "ablation.json") : Json()}};
-}
-
 /// The shortest tails of the paths that differ: "a/run" and "b/run" keep both words.
 std::vector<std::string> labels_of(const std::vector<fs::path>& folders) {
   std::vector<std::vector<std::string>> words;
@@ -712,7 +670,7 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
   for (std::size_t i = 0; i < folders.size(); ++i) {
     const fs::path& folder = folders[i];
     if (progress) progress({"reading runs", i, folders.size(), labels[i]});
-    if (fs::exists(folder / "runs.csv")) {
+    if (fs::exists(folder / "runs.csv") || fs::exists(folder / "curves.csv")) {
       studies.push_back(study_json(folder, labels[i]));
       ++report.studies;
       continue;
@@ -721,7 +679,7 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
       if (!fs::exists(folder)) throw IoError(folder.string(), "no such folder");
       throw InputError(folder.string() +
                        ": neither a run (summary.json, written last: an unfinished one lacks it) nor a study "
-                       "(runs.csv)");
+                       "(runs.csv or curves.csv)");
     }
     RunReader run(folder, options);
     MissionView* view = nullptr;

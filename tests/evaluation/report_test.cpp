@@ -301,6 +301,70 @@ TEST_CASE("report: several runs keep their names apart, maps are bounded", "[eva
   REQUIRE(data.at("runs").at(1).at("scene").is_null());
 }
 
+TEST_CASE("report: studies become medians over mission time", "[evaluation][report]") {
+  const std::string about =
+      "world,mission,mission_seed,parameters_sha256,method,seed,registration_time_s,workers,thin,after_"
+      "mission,"
+      "mission_end_s,mission_time_s";
+  const auto run = [](int mission, const std::string& end) {
+    return "w,m" + std::to_string(mission) + ",1,ab,obs,1,1.3,10,1,0," + end + "," + end;
+  };
+  const testing::TemporaryFolder folder;
+  testing::write_text(
+      folder / "curves.csv",
+      about + ",time_s,computed,queued,verified,gnc_inliers,true_inliers,ate_m,odometry_ate_m\n" +
+          run(1, "100") + ",0,0,0,0,0,0,0,0\n" + run(1, "100") + ",50,10,100,8,5,4,1,3\n" + run(1, "100") +
+          ",100,20,200,9,6,5,2,3\n" + run(2, "200") + ",0,0,0,0,0,0,0,0\n" + run(2, "200") +
+          ",100,10,100,6,3,2,3,3\n" + run(2, "200") + ",200,20,100,7,4,3,,\n");
+  const Json only_curves = made({folder.path()}, {}).at("studies").at(0);
+  REQUIRE(only_curves.at("rows").size() == 2);
+  REQUIRE(only_curves.at("rows").at(0).at("ate_m") == 2.0);
+  const Json& series = only_curves.at("curves").at(0);
+  REQUIRE(only_curves.at("curves").size() == 1);
+  REQUIRE(count(series, "runs") == 2);
+  REQUIRE(series.at("method") == "obs");
+  const auto at = [&](const char* name, double share, const char* which = "median") {
+    const Json& shares = series.at("share");
+    std::size_t i = 0;
+    while (i + 1 < shares.size() && shares.at(i).get<double>() < share - 1e-9) ++i;
+    return series.at(name).at(which).at(i);
+  };
+  REQUIRE(at("gnc_share", 0.2).is_null());  // nothing is queued
+  REQUIRE(at("ate_m", 0.49) == 0.0);
+  REQUIRE(at("ate_m", 0.5) == 2.0);  // of 1 and 3
+  REQUIRE(at("ate_m", 0.5, "lower") == 1.5);
+  REQUIRE(at("gnc_share", 0.5) == 4.0);
+  REQUIRE(at("true_share", 1.0).get<double>() == Approx(2.75));
+  REQUIRE(at("verified", 1.0) == 8.0);
+  REQUIRE(at("ate_m", 1.0) == 2.0);  // the other is not known
+
+  // Without curves.csv, what the study keeps of its runs; files of others are passed over.
+  testing::fs::remove(folder / "curves.csv");
+  testing::write_text(folder / "runs.csv", about + ",ate_m\n" + run(1, "100") + ",2\n");
+  testing::fs::create_directories(folder / "units");
+  const std::string unit =
+      R"({"mission": {"world": "w"}, "summary": {"mission": "m1", "method": "obs", "seed": 1, "mission_end_s": 100,
+          "options": {"replay": {"registration_time_s": 1.3, "workers": 10, "thin": 1, "after_mission": false}}},
+          "history": [[0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0], [50, 9, 9, 100, 10, 8, 5, 4, 4, 1, 3]]})";
+  testing::write_text(folder / "units" / "a.json", unit);
+  std::string other = unit;
+  other.replace(other.find("\"m1\""), 4, "\"m9\"");
+  testing::write_text(folder / "units" / "b.json", other);
+  testing::write_text(folder / "units" / "c.json", "{\"format\": ");
+  testing::write_text(folder / "units" / "d.json", "[]");
+  const Json with_units = made({folder.path()}, {}).at("studies").at(0);
+  REQUIRE(with_units.at("rows").size() == 1);
+  REQUIRE(with_units.at("rows").at(0).at("parameters_sha256") == "ab");
+  REQUIRE(with_units.at("curves").size() == 1);
+  REQUIRE(count(with_units.at("curves").at(0), "runs") == 1);
+  REQUIRE(with_units.at("curves").at(0).at("gnc_share").at("median").back() == 5.0);
+
+  testing::fs::remove_all(folder / "units");
+  REQUIRE(made({folder.path()}, {}).at("studies").at(0).at("curves").empty());
+  testing::write_text(folder / "curves.csv", "world\nw\n");
+  REQUIRE_THROWS_AS(made({folder.path()}, {}), ParseError);
+}
+
 TEST_CASE("report: names of any kind cannot leave the data", "[evaluation][report]") {
   Mission mission = testing::two_circles();
   mission.name = "</script><!--<script> \"x\" & \\";

@@ -171,7 +171,7 @@ try {
   assert.ok(study.charts['boxes-0'] > 20 && study.charts['boxes-1'] > 20, JSON.stringify(study.charts));
   const text = await page.value('document.getElementById("report").textContent');
   // Medians: full 1.3, baseline 4.3, odometry 4.3.
-  for (const part of ['<b>urban</b>: 15 runs of 5 missions', '−70 %', '1.300', '8.000', '10 of 10', '-3.000 (-3.100 to -2.900)']) assert.ok(text.includes(part), `no "${part}" in ${text}`);
+  for (const part of ['<b>urban</b>: 15 runs of 5 missions', '−70 %', '1.300', '8.000', '10 of 10', '−3.000 (−3.100 to −2.900)']) assert.ok(text.includes(part), `no "${part}" in ${text}`);
   assert.equal(await page.value('document.querySelectorAll("#report b").length'), 0);
   await page.screenshot(inFolder('study.png'));
   page = await open('both.html');

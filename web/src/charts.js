@@ -5,6 +5,11 @@ import { h, isNumber } from './dom.js';
 import { ink, methodColour } from './palette.js';
 import { variantOf, worldOf } from './studies.js';
 
+const kMethods = ['odometry', 'odom', 'baseline', 'random', 'obs', 'gi', 'full', 'rssi'];
+/** The order in which methods stand everywhere. */
+const methodOrder = (a, b) => (kMethods.indexOf(a.split(',')[0]) + 99) % 99 - (kMethods.indexOf(b.split(',')[0]) + 99) % 99;
+
+const kLogTicks = [-3, -2, -1, 0, 1].flatMap((e) => [1, 2, 5].map((f) => f * 10 ** e)).concat(100);
 const kKinds = { verified: 'verified', gnc_inliers: 'kept by GNC', true_inliers: 'true' };
 
 function config() {
@@ -72,7 +77,7 @@ function overTime(runs, columns, value, yTitle, { kinds = kKinds, colours, forma
         mark: { type: 'line', interpolate: 'step-after', clip: true },
         encoding: {
           x: { field: 't', type: 'quantitative', title: `mission time (${unit})`, axis: { grid: false }, scale: { nice: false, zero: true } },
-          y: { field: 'y', type: 'quantitative', title: yTitle, ...(wide ? { scale: { type: 'log', nice: false }, axis: { format: '~g', values: [-3, -2, -1, 0, 1].flatMap((e) => [1, 2, 5].map((f) => f * 10 ** e)).concat(100) } } : {}) },
+          y: { field: 'y', type: 'quantitative', title: yTitle, ...(wide ? { scale: { type: 'log', nice: false }, axis: { format: '~g', values: kLogTicks } } : {}) },
           color: several ? { field: 'series', type: 'nominal', scale: runColours(runs), sort: null } : { field: 'kind', type: 'nominal', scale: kindColours, sort: null },
           ...(several && present.length > 1 ? { strokeDash: { field: 'kind', type: 'nominal', scale: dashes, sort: null } } : {}),
           detail: [{ field: 'run' }, { field: 'kind' }],
@@ -90,11 +95,7 @@ function boxes(entries, mission) {
   const values = entries.filter((entry) => entry.mission === mission);
   const methods = [...new Set(values.map((v) => v.method))];
   const range = methods.map((m, i) => methodColour(m, i));
-  const median = (m) => {
-    const all = values.filter((v) => v.method === m).map((v) => v.ate).sort((a, b) => a - b);
-    return all[Math.floor(all.length / 2)];
-  };
-  const sort = [...methods].sort((a, b) => (b === 'odometry') - (a === 'odometry') || median(b) - median(a));
+  const sort = [...methods].sort(methodOrder);
   const y = { field: 'method', type: 'nominal', title: null, sort, axis: { labelFontSize: 13, domain: false, ticks: false } };
   const color = { field: 'method', type: 'nominal', scale: { domain: methods, range }, legend: null };
   return {
@@ -157,6 +158,33 @@ export function errorEntries(data) {
   return entries;
 }
 
+/** Medians of a study's repetitions over the share of mission time, with a band of the quartiles. */
+function studyOverTime(study, world, figure, yTitle, wide) {
+  const variant = variantOf(study);
+  const values = [];
+  for (const series of study.curves.filter((one) => worldOf(study, one) === world)) {
+    series.share.forEach((t, i) => {
+      const [lower, y, upper] = ['lower', 'median', 'upper'].map((name) => series[figure][name][i]);
+      if (isNumber(y) && (!wide || lower > 0)) values.push({ series: variant(series), method: series.method, t: 100 * t, y, lower, upper });
+    });
+  }
+  if (values.length === 0) return null;
+  const domain = [...new Set(values.map((v) => v.series))].sort(methodOrder);
+  const range = domain.map((name, i) => methodColour(values.find((v) => v.series === name).method, i));
+  const x = { field: 't', type: 'quantitative', title: 'mission time (%)', axis: { grid: false }, scale: { nice: false } };
+  const color = { field: 'series', type: 'nominal', scale: { domain, range }, sort: null, legend: { symbolOpacity: 1 } };
+  const scale = wide ? { scale: { type: 'log', nice: false }, axis: { format: '~g', values: kLogTicks } } : {};
+  const over = Math.max(...values.map((v) => v.t)) > 101;
+  return {
+    data: { values },
+    layer: [
+      ...(over ? [{ data: { values: [{ t: 100 }] }, mark: { type: 'rule', strokeDash: [3, 3] }, encoding: { x: { field: 't', type: 'quantitative' } } }] : []),
+      { mark: { type: 'area', opacity: 0.14, clip: true }, encoding: { x, y: { field: 'lower', type: 'quantitative', title: yTitle, ...scale }, y2: { field: 'upper' }, color } },
+      { mark: { type: 'line', clip: true }, encoding: { x, y: { field: 'y', type: 'quantitative', title: yTitle, ...scale }, color, tooltip: [{ field: 'series', title: 'method' }, { field: 't', title: 'time (%)', format: '.0f' }, { field: 'y', title: yTitle, format: ',.3~r' }] } },
+    ],
+  };
+}
+
 /** The charts that the data allow: [{id, title, caption, spec}]. */
 function plan(data, run) {
   const { kept, outlier } = ink();
@@ -178,6 +206,13 @@ function plan(data, run) {
     const own = entries.filter((entry) => entry.mission === mission);
     if (own.length < 3) continue;
     push(`boxes-${charts.filter((c) => c.id.startsWith('boxes')).length}`, `Error by method: ${mission}`, 'Each point is a run; the box holds the middle half, the line is the median.', boxes(own, mission));
+  }
+  for (const study of data.studies) {
+    for (const world of [...new Set(study.rows.map((row) => worldOf(study, row)))]) {
+      const id = charts.filter((c) => c.id.startsWith('study')).length;
+      push(`study-${id}`, `Error over time: ${world}`, 'Median of the runs’ mean position errors; the band holds the middle half.', studyOverTime(study, world, 'ate_m', 'mean position error (m)'));
+      push(`study-${id + 1}`, `Inliers per queued candidate: ${world}`, 'Median share that robust optimisation keeps; the band holds the middle half.', studyOverTime(study, world, 'gnc_share', 'share of queued (%)', true));
+    }
   }
   return charts;
 }

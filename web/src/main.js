@@ -151,7 +151,7 @@ function start(data) {
 
   async function showRest() {
     state.ready = false;
-    origin.replaceChildren(...provenance(data, current).filter(Boolean));
+    origin.replaceChildren(...provenance(data, current).flat().filter(Boolean));
     await drawCharts(charts, data, current, state.charts);
     state.ready = true;
   }

@@ -27,6 +27,7 @@ const kFigures = [
   ['true inliers, % of computed', share('true_inliers', 'computed'), 1], ['mean position error, m', (row) => row.ate_m, 3], ['the same aligned, m', (row) => row.ate_se3_m, 3],
 ];
 
+const minus = (text) => text.replace(/-/g, '−');
 const distinct = (values) => [...new Set(values)];
 
 /** The paper's Table I of one study: a table for each world. */
@@ -76,6 +77,17 @@ export function studyFigures(study) {
   ];
 }
 
+/** How a study was made. */
+export function studyProvenance(study) {
+  const result = study.result ?? {};
+  const hashes = distinct(study.rows.map((row) => `${worldOf(study, row)}: ${row.parameters_sha256 ?? 'not known'}`));
+  const plain = Object.entries(result).filter(([, value]) => ['string', 'number', 'boolean'].includes(typeof value));
+  return h('div', { class: 'card' }, table(study.label, ['', ''], [
+    ...plain.map(([name, value]) => [name.replace(/_/g, ' '), String(value)]),
+    ...(Array.isArray(result.seeds) ? [['seeds', result.seeds.join(', ')]] : []), ['parameters of the worlds', hashes.join(' ')],
+  ], { class: 'left' }));
+}
+
 /** Paired comparisons over all missions, as `loopwise study ablation` gives them. */
 export function pairedTable(study) {
   const pooled = at(study, 'result', 'pooled');
@@ -86,7 +98,7 @@ export function pairedTable(study) {
   };
   const rows = Object.entries(pooled).flatMap(([method, others]) => Object.entries(others ?? {}).map(([other, c]) => [
     method, other, isNumber(at(c, 'better')) ? `${c.better} of ${c.count ?? c.missions ?? '–'}` : '–',
-    fixed(at(c, 'mean_difference_m'), 3) + interval(at(c, 'difference_interval_95_m')), fixed(at(c, 'ratio'), 3) + interval(at(c, 'ratio_interval_95')),
+    minus(fixed(at(c, 'mean_difference_m'), 3) + interval(at(c, 'difference_interval_95_m'))), fixed(at(c, 'ratio'), 3) + interval(at(c, 'ratio_interval_95')),
   ]));
   if (rows.length === 0) return null;
   return h('div', { class: 'card' }, table('All missions, paired: mean position error (95 % intervals)', ['method', 'against', 'lower in', 'mean difference (m)', 'ratio'], rows, { class: 'left2' }));

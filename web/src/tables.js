@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Everything as figures.
+import { studyProvenance } from './studies.js';
 import { at, count, duration, fixed, h, isNumber, metres, percent, table } from './dom.js';
 
 const words = (name) => String(name).replace(/_/g, ' ');
@@ -100,9 +101,11 @@ export function provenance(data, run) {
     parts.push(table('This run', ['', ''], facts, { class: 'left' }));
   }
   if (mission) parts.push(table('Its mission', ['', ''], flat({ ...mission, communication_gaps: mission.communication_gaps.map((g) => `${g.robot} ${duration(g.begin_s)} to ${duration(g.end_s)}`) }), { class: 'left' }));
+  parts.push(...data.studies.map(studyProvenance));
   const options = run?.summary.options;
   return [
-    h('div', { class: 'cards' }, parts.map((part) => h('div', { class: 'card' }, part))),
+    h('div', { class: 'cards' }, parts.map((part) => (part.classList.contains('card') ? part : h('div', { class: 'card' }, part)))),
+    data.studies.map((study) => study.result?.options && h('details', {}, h('summary', {}, `All options of ${study.label}`), table(null, ['option', 'value'], flat(study.result.options), { class: 'left mono' }))),
     options && h('details', {}, h('summary', {}, 'All options of this run'), table(null, ['option', 'value'], flat(options), { class: 'left mono' })),
     run && run.summary.problems?.length > 0 && h('details', {}, h('summary', {}, `Problems found in its files (${run.summary.problems.length})`), h('ul', {}, run.summary.problems.map((text) => h('li', {}, String(text))))),
     run && run.notes.length > 0 && h('details', { open: true, id: 'notes' }, h('summary', {}, 'Not shown'), h('ul', {}, run.notes.map((text) => h('li', {}, text)))),

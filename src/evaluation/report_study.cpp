@@ -1,0 +1,246 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <cmath>
+#include <cstdlib>
+#include <fstream>
+#include <limits>
+#include <map>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/sample_statistics.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
+
+#include "report_parts.hpp"
+
+namespace loopwise {
+
+namespace fs = std::filesystem;
+
+Json csv_cell(const std::string& text) {
+  if (text.empty() || text == "nan") return nullptr;
+  char* end = nullptr;
+  const double number = std::strtod(text.c_str(), &end);
+  if (end == text.c_str() + text.size() && std::isfinite(number)) return number;
+  return text;
+}
+
+std::vector<std::string> csv_header(const fs::path& path) {
+  std::ifstream in(path);
+  std::string line;
+  if (!std::getline(in, line)) throw ParseError(path.string(), 1, "no header line");
+  std::vector<std::string> columns;
+  std::string name;
+  for (const char c : line + ",") {
+    if (c == ',') {
+      columns.push_back(name);
+      name.clear();
+    } else if (c != '\r' && c != ' ' && c != '"') {
+      name += c;
+    }
+  }
+  return columns;
+}
+
+namespace {
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+
+/// Says of what kind a run of a study is: runs that differ in mission and seed alone are repetitions.
+const std::vector<std::string> kVariant{"world",   "method", "registration_time_s",
+                                        "workers", "thin",   "after_mission"};
+
+struct StudyMoment {
+  double share = 0.0;  ///< Of the mission's time; beyond 1 after its end.
+  double queued = 0.0, verified = 0.0, gnc_inliers = 0.0, true_inliers = 0.0, ate_m = kNan;
+};
+
+/// A run of a study over time.
+struct StudyCurve {
+  Json run = Json::object();  ///< The columns of runs.csv that say which it is, as far as known.
+  std::vector<StudyMoment> moments;
+};
+
+std::vector<StudyCurve> read_curves(const fs::path& path) {
+  const std::vector<std::string> names = csv_header(path);
+  const CsvTable table(path, names);
+  const auto column = [&](const std::string& name) {
+    const auto found = std::find(names.begin(), names.end(), name);
+    if (found == names.end()) throw ParseError(path.string(), 1, "no column \"" + name + "\"");
+    return static_cast<std::size_t>(found - names.begin());
+  };
+  std::vector<std::size_t> about;
+  for (const char* name : {"mission", "seed"}) about.push_back(column(name));
+  for (const std::string& name : kVariant) about.push_back(column(name));
+  const std::size_t end = column("mission_end_s"), time = column("time_s");
+  std::map<std::vector<std::string>, std::size_t> places;
+  std::vector<StudyCurve> curves;
+  for (std::size_t r = 0; r < table.size(); ++r) {
+    std::vector<std::string> key;
+    for (const std::size_t c : about) key.push_back(table.text(r, c));
+    const auto [place, is_new] = places.emplace(key, curves.size());
+    if (is_new) {
+      curves.emplace_back();
+      for (std::size_t c = 0; c < names.size() && c < time; ++c)
+        curves.back().run[names[c]] = csv_cell(table.text(r, c));
+    }
+    const auto number = [&](const char* name) { return table.number_or_nan(r, column(name)); };
+    curves[place->second].moments.push_back({table.number(r, time) / table.number(r, end), number("queued"),
+                                             number("verified"), number("gnc_inliers"),
+                                             number("true_inliers"), number("ate_m")});
+  }
+  return curves;
+}
+
+/// From what a study keeps of each run. A file that is not what this version writes is passed over.
+std::vector<StudyCurve> read_units(const fs::path& folder) {
+  std::vector<fs::path> paths;
+  if (fs::is_directory(folder)) {
+    for (const auto& entry : fs::directory_iterator(folder)) {
+      if (entry.path().extension() == ".json") paths.push_back(entry.path());
+    }
+  }
+  std::sort(paths.begin(), paths.end());
+  std::vector<StudyCurve> curves;
+  for (const fs::path& path : paths) {
+    const Json unit = Json::parse(read_file(path), nullptr, false);
+    try {
+      const Json &summary = unit.at("summary"), &replay = summary.at("options").at("replay");
+      StudyCurve curve;
+      curve.run = {{"world", unit.at("mission").at("world")},
+                   {"mission", summary.at("mission")},
+                   {"method", summary.at("method")},
+                   {"seed", summary.at("seed")},
+                   {"registration_time_s", replay.at("registration_time_s")},
+                   {"workers", replay.at("workers")},
+                   {"thin", replay.value("thin", 1)},
+                   {"after_mission", replay.at("after_mission").get<bool>() ? 1 : 0}};
+      if (replay.value("measured_time", false)) curve.run["registration_time_s"] = "measured";
+      const double end_s = summary.at("mission_end_s").get<double>();
+      for (const Json& row : unit.at("history")) {  // the columns of history.csv
+        const auto number = [&row](std::size_t c) {
+          return row.at(c).is_number() ? row[c].get<double>() : kNan;
+        };
+        curve.moments.push_back({number(0) / end_s, number(3), number(5), number(6), number(7), number(9)});
+      }
+      curves.push_back(std::move(curve));
+    } catch (const Json::exception&) {
+    }
+  }
+  return curves;
+}
+
+/// Medians and quartiles of repetitions over the share of mission time.
+Json curves_json(const std::vector<StudyCurve>& curves) {
+  constexpr int kSteps = 100;
+  std::map<std::string, std::vector<const StudyCurve*>> groups;
+  std::vector<std::string> order;
+  for (const StudyCurve& curve : curves) {
+    if (curve.moments.empty() || !std::isfinite(curve.moments.back().share)) continue;
+    Json key = Json::array();
+    for (const std::string& name : kVariant)
+      key.push_back(curve.run.contains(name) ? curve.run[name] : Json());
+    auto& group = groups[key.dump(-1, ' ', true, Json::error_handler_t::replace)];
+    if (group.empty()) order.push_back(key.dump(-1, ' ', true, Json::error_handler_t::replace));
+    group.push_back(&curve);
+  }
+  Json list = Json::array();
+  for (const std::string& key : order) {
+    const auto& group = groups[key];
+    double last = 0.0;
+    for (const StudyCurve* curve : group) last = std::max(last, curve->moments.back().share);
+    Json series = Json::object();
+    for (const std::string& name : kVariant) {
+      if (group.front()->run.contains(name)) series[name] = group.front()->run[name];
+    }
+    series["runs"] = group.size();
+    series["share"] = Json::array();
+    for (int step = 0; step <= kSteps; ++step) {
+      const double share = last * step / kSteps;
+      std::map<std::string, std::vector<double>> values;
+      for (const StudyCurve* curve : group) {
+        const StudyMoment* now = nullptr;
+        for (const StudyMoment& moment : curve->moments) {
+          if (moment.share <= share * (1.0 + 1e-9)) now = &moment;
+        }
+        const bool queued = now != nullptr && now->queued > 0.0;
+        values["ate_m"].push_back(now != nullptr ? now->ate_m : kNan);
+        values["verified"].push_back(now != nullptr ? now->verified : kNan);
+        values["gnc_share"].push_back(queued ? 100.0 * now->gnc_inliers / now->queued : kNan);
+        values["true_share"].push_back(queued ? 100.0 * now->true_inliers / now->queued : kNan);
+      }
+      series["share"].push_back(share);
+      for (const auto& [name, all] : values) {
+        const Quartiles q = quartiles(all);
+        series[name]["lower"].push_back(q.lower);
+        series[name]["median"].push_back(q.median);
+        series[name]["upper"].push_back(q.upper);
+      }
+    }
+    list.push_back(series);
+  }
+  return list;
+}
+
+}  // namespace
+
+Json study_json(const fs::path& folder, const std::string& label) {
+  Json rows = Json::array();
+  std::vector<std::string> names;
+  std::vector<StudyCurve> curves;
+  if (fs::exists(folder / "curves.csv")) curves = read_curves(folder / "curves.csv");
+  if (fs::exists(folder / "runs.csv")) {
+    const fs::path path = folder / "runs.csv";
+    names = csv_header(path);
+    const CsvTable table(path, names);
+    std::set<std::string> known;
+    const auto which = [](const Json& row) {
+      Json key = Json::array();
+      for (const char* name : {"world", "mission", "method", "seed", "workers", "thin", "after_mission"})
+        key.push_back(row.contains(name) ? row[name] : Json());
+      for (Json& value : key) {
+        if (value.is_number()) value = value.get<double>();
+      }
+      return key.dump(-1, ' ', true, Json::error_handler_t::replace);
+    };
+    for (std::size_t r = 0; r < table.size(); ++r) {
+      Json row = Json::object();
+      for (std::size_t c = 0; c < names.size(); ++c) row[names[c]] = csv_cell(table.text(r, c));
+      known.insert(which(row));
+      rows.push_back(row);
+    }
+    if (curves.empty()) {
+      // The folder may hold units of other studies as well.
+      for (StudyCurve& curve : read_units(folder / "units")) {
+        if (known.count(which(curve.run)) != 0) curves.push_back(std::move(curve));
+      }
+    }
+  } else {
+    for (const StudyCurve& curve : curves) {
+      Json row = curve.run;
+      const StudyMoment& end = curve.moments.back();
+      row["queued"] = end.queued;
+      row["verified"] = end.verified;
+      row["gnc_inliers"] = end.gnc_inliers;
+      row["true_inliers"] = end.true_inliers;
+      row["ate_m"] = end.ate_m;
+      rows.push_back(row);
+    }
+    if (!rows.empty()) {
+      for (const auto& [name, value] : rows.front().items()) names.push_back(name);
+    }
+  }
+  Json result;
+  for (const char* name : {"ablation.json", "budget.json"}) {
+    if (result.is_null() && fs::exists(folder / name)) result = read_json_file(folder / name);
+  }
+  return {{"label", label},
+          {"columns", names},
+          {"rows", rows},
+          {"curves", curves_json(curves)},
+          {"result", result}};
+}
+
+}  // namespace loopwise
