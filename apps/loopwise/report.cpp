@@ -17,6 +17,10 @@ struct Options {
   ReportOptions report;
 };
 
+std::string counted(std::size_t count, const char* one, const char* several) {
+  return std::to_string(count) + " " + (count == 1 ? one : several);
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const Config config = load_config(options.common);
@@ -35,8 +39,8 @@ int run(const Options& options) {
   const Json json = {{"report", options.output},  {"bytes", bytes},      {"runs", report.runs},
                      {"studies", report.studies}, {"maps", report.maps}, {"notes", report.notes}};
   print_results(options.common, json,
-                "report " + options.output + ": " + std::to_string(report.runs) + " runs, " +
-                    std::to_string(report.studies) + " studies, " +
+                "report " + options.output + ": " + counted(report.runs, "run", "runs") +
+                    (report.studies > 0 ? ", " + counted(report.studies, "study", "studies") : "") + ", " +
                     fixed(static_cast<double>(bytes) * 1e-6, 1) + " MB. Open it in any browser.\n");
   return kDone;
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Pictures of a report: node screenshot.mjs REPORT.html PREFIX [--dark] [--width N] [--do EXPRESSION]
-// writes PREFIX_map.png, the first screen, and PREFIX_charts.png.
+// Pictures of a report: node screenshot.mjs REPORT.html PREFIX [--dark] [--width N] [--charts N] [--tables] [--do JS]
+// writes PREFIX_map.png, the first screen, PREFIX_charts.png, the first N charts or all, and PREFIX_tables.png. --do runs
+// JavaScript in the page first. Prints the time to the map's first frame and all that the page complained of.
 import { resolve } from 'node:path';
 import { pathToFileURL } from 'node:url';
 import { Browser } from './browser.mjs';
@@ -17,7 +18,8 @@ const box = (selector) => page.value(`(() => { const r = document.querySelector(
 const map = await box('.maprow');
 await page.screenshot(`${prefix}_map.png`, { x: 0, y: 0, width, height: map.y + map.height + 12 });
 const charts = await box('.charts');
-await page.screenshot(`${prefix}_charts.png`, { ...charts, y: charts.y - 6, height: charts.height + 12 });
+const last = await page.value(`[...document.querySelectorAll('.charts > .card')].slice(0, ${Number(option('--charts', 1000))}).pop()?.getBoundingClientRect().bottom + scrollY`);
+await page.screenshot(`${prefix}_charts.png`, { ...charts, y: charts.y - 6, height: last - charts.y + 12 });
 if (rest.includes('--tables')) {
   const top = charts.y + charts.height;
   await page.screenshot(`${prefix}_tables.png`, { x: 0, y: top, width, height: Math.min(2400, (await page.value('document.documentElement.scrollHeight')) - top) });

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // The map of a run: points, paths, candidates and radio in 3D, z up.
 import {
-  BufferAttribute, BufferGeometry, CanvasTexture, Color, Group, LineBasicMaterial, LineSegments, PerspectiveCamera,
-  Points, PointsMaterial, Scene, Vector3, WebGLRenderer,
+  BufferAttribute, BufferGeometry, CanvasTexture, Color, ColorManagement, Group, LineBasicMaterial, LinearSRGBColorSpace,
+  LineSegments, PerspectiveCamera, Points, PointsMaterial, Scene, Vector3, WebGLRenderer,
 } from 'three';
 import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
 import { Line2 } from 'three/addons/lines/Line2.js';
@@ -10,8 +10,11 @@ import { LineGeometry } from 'three/addons/lines/LineGeometry.js';
 import { LineMaterial } from 'three/addons/lines/LineMaterial.js';
 import { LineSegments2 } from 'three/addons/lines/LineSegments2.js';
 import { LineSegmentsGeometry } from 'three/addons/lines/LineSegmentsGeometry.js';
-import { dark, ink, rgb, robotColour, scale } from './palette.js';
+import { ink, rgb, robotColour, scale } from './palette.js';
 import { fixed, h, isNumber, metres } from './dom.js';
+
+// Nothing is lit: colours are shown as they are given, so that the legend shows the same.
+ColorManagement.enabled = false;
 
 const kFat = 4000; // segments up to which lines are drawn with a width
 
@@ -63,6 +66,7 @@ export class MissionMap {
     this.container = container;
     this.onFrame = onFrame;
     this.renderer = new WebGLRenderer({ antialias: true, preserveDrawingBuffer: true, powerPreference: 'low-power' });
+    this.renderer.outputColorSpace = LinearSRGBColorSpace;
     this.renderer.setPixelRatio(Math.min(2, devicePixelRatio));
     this.canvas = this.renderer.domElement;
     this.canvas.tabIndex = 0;
@@ -162,7 +166,7 @@ export class MissionMap {
     geometry.setAttribute('position', new BufferAttribute(positions, 3));
     geometry.setAttribute('color', new BufferAttribute(new Uint8Array(positions.length), 3, true));
     const size = points.drawn > 60000 ? 1.5 : 2.2;
-    const material = new PointsMaterial({ size: size * this.renderer.getPixelRatio(), sizeAttenuation: false, vertexColors: true, transparent: true, opacity: dark() ? 0.6 : 0.55, depthWrite: false });
+    const material = new PointsMaterial({ size: size * this.renderer.getPixelRatio(), sizeAttenuation: false, vertexColors: true, transparent: true, opacity: 0.6, depthWrite: false });
     const group = new Group();
     this.cloud = new Points(geometry, material);
     group.add(this.cloud);
@@ -191,7 +195,7 @@ export class MissionMap {
       colours.setXYZ(i, c[0] / 255, c[1] / 255, c[2] / 255);
     }
     colours.needsUpdate = true;
-    this.cloud.material.opacity = by === 'observability' ? 0.85 : dark() ? 0.6 : 0.55;
+    this.cloud.material.opacity = by === 'observability' ? 0.85 : 0.6;
     this.draw();
   }
 
