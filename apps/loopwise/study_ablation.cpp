@@ -230,7 +230,7 @@ int run(const Options& options) {
                       cell(c.mean_difference, c.difference, 3), cell(c.ratio, c.ratio_interval, 3)});
     }
   }
-  text += "\n## All " + std::to_string(missions) + " missions, paired\n\n" + markdown_table(rows);
+  text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
 
   std::vector<std::vector<std::string>> reductions{{"median ATE lower by, %"}};
   for (const World& world : worlds) reductions.front().push_back(world.name);

@@ -99,6 +99,11 @@ int run(const Options& options) {
   require_methods(options.methods);
   if (options.everything != "none") static_cast<void>(method_parts(options.everything));
   if (options.workers.empty()) throw OptionError("--workers names none");
+  for (std::size_t i = 0; i < options.workers.size(); ++i) {
+    if (std::count(options.workers.begin(), options.workers.end(), options.workers[i]) > 1) {
+      throw OptionError("--workers names " + std::to_string(options.workers[i]) + " twice");
+    }
+  }
   Study study("budget", options.study, console);
   const std::int64_t thin = study.config().replay.thin;
   // The everything-run comes after the mission in any case: the computer decides how soon, not what it finds.
@@ -282,7 +287,7 @@ int run(const Options& options) {
     }
     if (options.everything != "none") compare({method, usual, false}, everything);
   }
-  text += "\n## All " + std::to_string(missions) + " missions, paired\n\n" + markdown_table(rows);
+  text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
 
   write_file(study.folder() / "curves.csv", csv);
   write_file(study.folder() / "budget.json", json.dump(2) + "\n");

@@ -127,9 +127,12 @@ std::vector<World> worlds_of(const std::vector<StudyMission>& missions) {
   return worlds;
 }
 
+std::string counted(std::size_t count, const std::string& what) {
+  return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
+}
+
 std::string describe(const World& world) {
-  std::string text = world.name + ": " + std::to_string(world.missions.size()) + " mission" +
-                     (world.missions.size() == 1 ? "" : "s");
+  std::string text = world.name + ": " + counted(world.missions.size(), "mission");
   for (const std::string& parameters : world.parameters) text += ", parameters " + parameters.substr(0, 12);
   return text;
 }

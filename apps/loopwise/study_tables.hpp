@@ -47,6 +47,9 @@ struct World {
 /// In the order of their first missions.
 [[nodiscard]] std::vector<World> worlds_of(const std::vector<StudyMission>& missions);
 
+/// "1 mission", "5 missions".
+[[nodiscard]] std::string counted(std::size_t count, const std::string& what);
+
 /// "tunnel: 5 missions, parameters e7c1510012d8".
 [[nodiscard]] std::string describe(const World& world);
 

@@ -47,8 +47,8 @@ class Program {
   Program(const Program&) = delete;
   Program& operator=(const Program&) = delete;
 
-  void interrupt() const { ::kill(process_, SIGINT); }
-  void kill() const { ::kill(process_, SIGKILL); }
+  void interrupt() const { send(SIGINT); }
+  void kill() const { send(SIGKILL); }
 
   [[nodiscard]] bool running() {
     if (process_ <= 0) return false;
@@ -68,6 +68,10 @@ class Program {
   }
 
  private:
+  void send(int signal) const {
+    if (process_ > 0) ::kill(process_, signal);  // 0, once it has ended, would mean our own process group
+  }
+
   TemporaryFolder folder_;
   pid_t process_ = -1;
   int wait_status_ = 0;
