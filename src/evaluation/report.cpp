@@ -444,6 +444,7 @@ class RunReader {
     Eigen::Vector3d low = Eigen::Vector3d::Zero(), high = Eigen::Vector3d::Zero();
     for (int axis = 0; axis < 3 && !chosen.empty(); ++axis) {
       std::vector<double> values;
+      values.reserve(chosen.size());
       for (const std::size_t i : chosen) values.push_back(static_cast<double>(map.points[i][axis]));
       std::sort(values.begin(), values.end());
       const auto at = [&](double share) {

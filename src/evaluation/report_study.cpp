@@ -79,6 +79,7 @@ std::vector<StudyCurve> read_curves(const fs::path& path) {
   std::vector<StudyCurve> curves;
   for (std::size_t r = 0; r < table.size(); ++r) {
     std::vector<std::string> key;
+    key.reserve(about.size());
     for (const std::size_t c : about) key.push_back(table.text(r, c));
     const auto [place, is_new] = places.emplace(key, curves.size());
     if (is_new) {

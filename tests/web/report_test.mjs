@@ -50,6 +50,12 @@ for (const file of ['map.pcd', 'journal.jsonl', 'history.csv', 'closures.csv']) 
 rmSync(join(inFolder('full'), 'trajectories'), { recursive: true });
 loopwise('report', inFolder('full'), '-o', inFolder('bare.html'), '--quiet');
 
+// Nothing is known of the truth.
+cpSync(sample, inFolder('untrue'), { recursive: true });
+rmSync(inFolder('untrue/ground_truth.g2o'));
+loopwise('replay', inFolder('untrue'), '-o', inFolder('untrue_run'), '--max-registrations', '40', '--quiet');
+loopwise('report', inFolder('untrue_run'), '-o', inFolder('untrue.html'), '--mission', inFolder('untrue'), '--quiet');
+
 // A study of names that are markup, alone and beside a run.
 mkdirSync(inFolder('study'));
 const rows = ['world,mission,method,seed,workers,queued,computed,verified,gnc_inliers,true_inliers,ate_m,ate_se3_m,odometry_ate_m'];
@@ -163,6 +169,13 @@ try {
   const bare = await state(page);
   assert.deepEqual(Object.keys(bare.layers), ['optimized']);
   assert.ok((await page.value('document.getElementById("notes").textContent')).includes('no map.pcd'));
+  page = await open('untrue.html');
+  await clean(page, 'untrue.html');
+  const untrue = await state(page);
+  assert.ok(!('truth' in untrue.layers) && !('error' in untrue.charts) && !('robots' in untrue.charts));
+  assert.ok(untrue.charts.ratio > 3 && untrue.layers.radio.drawn > 0);
+  assert.ok(!(await page.value('document.querySelector(".charts").textContent')).includes('kept by GNCtrue'));
+  assert.ok((await page.value('document.getElementById("notes").textContent')).includes('no ground truth'));
 
   // Studies.
   page = await open('study.html');

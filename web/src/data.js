@@ -59,6 +59,8 @@ export function readData(text) {
   data.runs.forEach((run, i) => {
     run.index = i;
     run.rows = historyRows(run.history);
+    // Without ground truth the history counts none.
+    if (run.summary.closures?.true_inliers === null) run.rows.forEach((row) => (row.true_inliers = null));
     run.mission = String(run.summary.mission ?? '');
     run.method = String(run.summary.method ?? '');
     // Runs of one method and mission are repetitions if their seeds differ; else their folders tell them apart.

@@ -92,7 +92,7 @@ function legend(scene) {
 
 function start(data) {
   let current = data.runs.find((run) => run.scene) ?? data.runs[0] ?? null;
-  const title = current ? [...new Set(data.runs.map((run) => run.mission))].slice(0, 3).join(', ') : data.studies.map((study) => study.label).join(', ');
+  const title = current ? [...new Set(data.runs.map((run) => run.mission))].filter(Boolean).slice(0, 3).join(', ') : data.studies.map((study) => study.label).join(', ');
   document.title = `${title} · Loopwise report`;
   const chosen = data.runs.length > 1 && h('label', { class: 'chosen' }, 'Run ', h('select', { id: 'run', onchange: (event) => select(Number(event.target.value)) }, data.runs.map((run) => h('option', { value: run.index, selected: run === current }, `${run.name}${run.scene ? '' : ' (no map)'}`))));
   const figures = h('div', { id: 'figures' });
