@@ -23,7 +23,9 @@
 namespace loopwise {
 namespace {
 
-constexpr double kDegree = 3.14159265358979323846 / 180.0;
+constexpr double kPi = 3.14159265358979323846;
+constexpr double kDegree = kPi / 180.0;
+constexpr std::size_t kFewKeys = 200;  // of a scan, whatever the share
 
 /// What the registration needs of one side, apart from descriptors.
 struct Side {
@@ -58,24 +60,32 @@ std::string signature(const std::vector<SubmapMember>& members, std::size_t enou
   return out;
 }
 
-/// Key points of a scan: appended to those of the submap.
-void append_key_points(const Part& part, const FastRegistrarOptions& options, KeyPoints& keys,
-                       std::vector<Descriptors>& descriptors) {
-  const ScanFeatures& scan = *part.features;
-  const auto drawn = draw_balanced(scan.cloud, static_cast<std::size_t>(options.key_points));
-  Descriptors all = compute_fpfh(scan.cloud, scan.tree, drawn, options.fpfh_radius_m,
-                                 static_cast<std::size_t>(options.fpfh_neighbours));
-  Eigen::Index kept = 0;
-  const Eigen::Matrix3f R = part.T_center_part.linear().cast<float>();
-  for (Eigen::Index i = 0; i < all.cols(); ++i) {
-    if (all.col(i).isZero()) continue;
-    all.col(kept++) = all.col(i);
-    const std::uint32_t index = drawn[static_cast<std::size_t>(i)];
-    keys.points.push_back((part.T_center_part * scan.cloud.points[index].cast<double>()).cast<float>());
-    keys.normals.push_back(R * scan.cloud.normals[index]);
+/// Key points of one scan in its own frame; the same for every submap that it is part of.
+struct ScanKeyPoints {
+  std::vector<std::uint32_t> indices;  // into the scan's cloud
+  Descriptors descriptors;             // a column each
+  [[nodiscard]] std::size_t bytes() const {
+    return sizeof(*this) + indices.capacity() * sizeof(std::uint32_t) +
+           static_cast<std::size_t>(descriptors.size()) * sizeof(float);
   }
-  all.conservativeResize(kFpfhSize, kept);
-  descriptors.push_back(std::move(all));
+};
+
+/// Points that have a descriptor, among those drawn.
+ScanKeyPoints describe(const ScanFeatures& scan, const FastRegistrarOptions& options) {
+  const auto share = static_cast<std::size_t>(options.key_share * static_cast<double>(scan.cloud.size()));
+  const auto drawn = draw_balanced(
+      scan.cloud, std::min(static_cast<std::size_t>(options.key_points), std::max(share, kFewKeys)));
+  ScanKeyPoints keys;
+  keys.descriptors = compute_fpfh(scan.cloud, scan.tree, drawn, options.fpfh_radius_m,
+                                  static_cast<std::size_t>(options.fpfh_neighbours));
+  Eigen::Index kept = 0;
+  for (Eigen::Index i = 0; i < keys.descriptors.cols(); ++i) {
+    if (keys.descriptors.col(i).isZero()) continue;
+    keys.descriptors.col(kept++) = keys.descriptors.col(i);
+    keys.indices.push_back(drawn[static_cast<std::size_t>(i)]);
+  }
+  keys.descriptors.conservativeResize(kFpfhSize, kept);
+  return keys;
 }
 
 /// The matches that describe each other best: first those that are mutual, then the others, most similar
@@ -93,6 +103,23 @@ std::vector<Match> match(const KeyPoints& source, const KeyPoints& target, std::
                        target.normals[m.target]});
   }
   return matches;
+}
+
+/// Drops matches that no allowed pose explains: one moves a point no further from where the guess has it than
+/// the bound on the translation and the arc of the bound on the rotation, and turns no normal further.
+void drop_impossible(std::vector<Match>& matches, const Eigen::Isometry3d& guess_target_source,
+                     const FastRegistrarOptions& options) {
+  constexpr double kNormalNoise = 20.0 * kDegree;
+  const double turn = std::min(kPi, options.tests.max_rotation_deg * kDegree);
+  const auto least_cosine = static_cast<float>(std::cos(std::min(kPi, turn + kNormalNoise)));
+  const auto arc = static_cast<float>(2.0 * std::sin(0.5 * turn));
+  const auto slack = static_cast<float>(options.tests.max_translation_m + options.coarse_reach_m);
+  const Eigen::Isometry3f T = guess_target_source.cast<float>();
+  const auto impossible = [&](const Match& m) {
+    return (T.linear() * m.source_normal).dot(m.target_normal) < least_cosine ||
+           (T * m.source - m.target).norm() > slack + arc * m.source.norm();
+  };
+  matches.erase(std::remove_if(matches.begin(), matches.end(), impossible), matches.end());
 }
 
 /// Looks at the first `count` source points of the order under T: visit(distance squared, distance along the
@@ -177,6 +204,7 @@ struct FastRegistrar::Impl {
   FastRegistrarOptions options;
   mutable BoundedCache<std::string, Side> sides;
   mutable BoundedCache<std::string, KeyPoints> keys;
+  mutable BoundedCache<Key, ScanKeyPoints> scan_keys;
 
   /// Null if a scan is missing: then `result` says which.
   [[nodiscard]] std::shared_ptr<const Side> side(const std::string& name,
@@ -201,13 +229,25 @@ struct FastRegistrar::Impl {
   [[nodiscard]] std::shared_ptr<const KeyPoints> key_points(const std::string& name, const Side& side) const {
     return keys.get(name, [&](const std::string&) {
       auto out = std::make_shared<KeyPoints>();
-      std::vector<Descriptors> parts;
-      for (const Part& part : side.submap.parts()) append_key_points(part, options, *out, parts);
-      Descriptors all(kFpfhSize, static_cast<Eigen::Index>(out->points.size()));
+      std::vector<std::shared_ptr<const ScanKeyPoints>> parts;
+      Eigen::Index count = 0;
+      for (const Part& part : side.submap.parts()) {
+        const PointCloud& cloud = part.features->cloud;
+        parts.push_back(scan_keys.get(part.key, [&](Key) {
+          return std::make_shared<ScanKeyPoints>(describe(*part.features, options));
+        }));
+        count += parts.back()->descriptors.cols();
+        const Eigen::Matrix3f R = part.T_center_part.linear().cast<float>();
+        for (const std::uint32_t i : parts.back()->indices) {
+          out->points.push_back((part.T_center_part * cloud.points[i].cast<double>()).cast<float>());
+          out->normals.push_back(R * cloud.normals[i]);
+        }
+      }
+      Descriptors all(kFpfhSize, count);
       Eigen::Index begin = 0;
-      for (const Descriptors& part : parts) {
-        all.middleCols(begin, part.cols()) = part;
-        begin += part.cols();
+      for (const auto& part : parts) {
+        all.middleCols(begin, part->descriptors.cols()) = part->descriptors;
+        begin += part->descriptors.cols();
       }
       out->descriptors = PackedDescriptors(all);
       return out;
@@ -220,7 +260,7 @@ FastRegistrar::FastRegistrar(std::shared_ptr<FeatureCache> features, const FastR
   if (!features) throw InputError("a registrar needs a feature cache");
   const auto bytes = static_cast<std::size_t>(options.max_descriptor_mb * 1e6);
   impl_.reset(new Impl{std::move(features), options, BoundedCache<std::string, Side>(bytes),
-                       BoundedCache<std::string, KeyPoints>(bytes)});
+                       BoundedCache<std::string, KeyPoints>(bytes), BoundedCache<Key, ScanKeyPoints>(bytes)});
 }
 
 FastRegistrar::~FastRegistrar() = default;
@@ -348,8 +388,9 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   if (std::min(source_keys->points.size(), target_keys->points.size()) < 3) {
     return reject(RejectionReason::kTooFewPoints, "fewer than 3 key points with a normal and neighbours");
   }
-  const std::vector<Match> matches =
+  std::vector<Match> matches =
       match(*source_keys, *target_keys, static_cast<std::size_t>(options.max_matches));
+  if (task.guess_from_to) drop_impossible(matches, task.guess_from_to->inverse(), options);
   const Consensus consensus = find_consensus(matches, options.match_tolerance_m,
                                              static_cast<std::size_t>(options.hypotheses), allowed);
   // A quarter of the points tells which hypotheses are worth all of them.

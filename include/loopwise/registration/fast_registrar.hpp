@@ -15,6 +15,7 @@ struct FastRegistrarOptions {
   double fpfh_radius_m = 2.5;
   int fpfh_neighbours = 40;
   int key_points = 1000;
+  double key_share = 0.4;
   int max_matches = 1000;
   double match_tolerance_m = 0.6;
   int hypotheses = 40;
@@ -26,7 +27,7 @@ struct FastRegistrarOptions {
   double free_share = 0.7;
   double coarse_reach_m = 2.0;
   double fine_reach_m = 0.5;
-  int coarse_points = 600;
+  int coarse_points = 300;
   int fine_points = 2000;
   double max_descriptor_mb = 256.0;
   ClosureTestOptions tests = default_tests();
@@ -46,7 +47,9 @@ struct FastRegistrarOptions {
     field("fpfh_neighbours", self.fpfh_neighbours, between(3.0, 1000.0),
           "Neighbours within the radius, evenly taken, that a histogram is made of.");
     field("key_points", self.key_points, between(3.0, 10000.0),
-          "Key points per scan, drawn alike from all directions of surfaces.");
+          "Key points per scan at most, drawn alike from all directions of surfaces.");
+    field("key_share", self.key_share, between(0.0, 1.0),
+          "Share of a scan's points that become key points at most, but 200 may: sparse scans need fewer.");
     field("max_matches", self.max_matches, between(3.0, 10000.0),
           "Matches of key points that consensus is sought among.");
     field("match_tolerance_m", self.match_tolerance_m, above(0.0),
@@ -73,7 +76,8 @@ struct FastRegistrarOptions {
     field("coarse_points", self.coarse_points, at_least(10.0), "Source points in the first passes.");
     field("fine_points", self.fine_points, at_least(10.0), "Source points in the last pass.");
     field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0),
-          "Bound of the submaps kept in memory, and as much again for their descriptors, MB.");
+          "Bound of the submaps kept in memory, and as much again for their descriptors and for the scans', "
+          "MB.");
     ClosureTestOptions::visit(self.tests, field);
   }
 };
