@@ -87,8 +87,8 @@ TEST_CASE("study registration: figures agree with the pairs, whatever the thread
   const std::string mission = (folder / "mission").string(), csv = (folder / "pairs.csv").string();
   write_mission(mission, testing::small_mission());
   const auto study = [&](const std::string& threads, const std::string& seed) {
-    return run_program({"study", "registration", mission, "--registrar", "fast", "--count", "40", "--csv", csv,
-                        "--threads", threads, "--seed", seed, "--json", "-"});
+    return run_program({"study", "registration", mission, "--registrar", "fast", "--count", "40", "--csv",
+                        csv, "--threads", threads, "--seed", seed, "--json", "-"});
   };
   const auto run = study("1", "1");
   CAPTURE(run.err);
@@ -98,7 +98,8 @@ TEST_CASE("study registration: figures agree with the pairs, whatever the thread
   REQUIRE(json.at("sampled") == 40);
   REQUIRE(fast.at("pairs") == 40);
   REQUIRE(fast.at("false_accepts") == 0);
-  REQUIRE(fast.at("error").at("median_m").get<double>() < 0.2);  // measured 0.12: scans of 1200 points to 40 m
+  REQUIRE(fast.at("error").at("median_m").get<double>() <
+          0.2);  // measured 0.12: scans of 1200 points to 40 m
 
   const auto without_times = [&] {
     std::istringstream lines(testing::read_text(csv));
@@ -119,7 +120,8 @@ TEST_CASE("study registration: figures agree with the pairs, whatever the thread
     const bool overlaps = std::stod(cells.at(4)) >= 0.4, verified = cells.at(6).empty();
     ++(verified ? accepted : rejected);
     overlapping += overlaps ? 1 : 0;
-    recalled += overlaps && verified && std::stod(cells.at(7)) <= 0.5 && std::stod(cells.at(8)) <= 0.0524 ? 1 : 0;
+    recalled +=
+        overlaps && verified && std::stod(cells.at(7)) <= 0.5 && std::stod(cells.at(8)) <= 0.0524 ? 1 : 0;
   }
   REQUIRE(fast.at("overlapping") == overlapping);
   REQUIRE(fast.at("recalled") == recalled);
@@ -132,8 +134,8 @@ TEST_CASE("study registration: figures agree with the pairs, whatever the thread
   for (const auto& stratum : fast.at("strata")) {
     by_property[stratum.at("property")] += stratum.at("pairs").get<std::size_t>();
   }
-  REQUIRE(by_property == std::map<std::string, std::size_t>{
-                             {"distance_m", 40}, {"observability", 40}, {"overlap", 40}});
+  REQUIRE(by_property ==
+          std::map<std::string, std::size_t>{{"distance_m", 40}, {"observability", 40}, {"overlap", 40}});
 
   REQUIRE(study("2", "1").status == 0);
   REQUIRE(without_times() == rows);
