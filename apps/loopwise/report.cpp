@@ -58,7 +58,7 @@ void add_report(CLI::App& app, Action& chosen) {
       "  loopwise report out/baseline out/obs out/full -o report.html --mission my_mission");
   command
       ->add_option("runs", options->runs,
-                   "Folders of 'loopwise replay' or of 'loopwise study ablation' or 'budget'")
+                   "Folders of 'loopwise replay' or of 'loopwise study ablation', 'budget' or 'rssi'")
       ->required()
       ->type_name("RUN");
   command->add_option("-o,--output", options->output, "The page (default report.html)")->type_name("FILE");

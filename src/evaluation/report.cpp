@@ -671,16 +671,17 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
   for (std::size_t i = 0; i < folders.size(); ++i) {
     const fs::path& folder = folders[i];
     if (progress) progress({"reading runs", i, folders.size(), labels[i]});
-    if (fs::exists(folder / "runs.csv") || fs::exists(folder / "curves.csv")) {
-      studies.push_back(study_json(folder, labels[i]));
-      ++report.studies;
+    const Json of_folder = studies_json(folder, labels[i]);
+    if (!of_folder.empty()) {
+      studies.insert(studies.end(), of_folder.begin(), of_folder.end());
+      report.studies += of_folder.size();
       continue;
     }
     if (!fs::exists(folder / "summary.json")) {
       if (!fs::exists(folder)) throw IoError(folder.string(), "no such folder");
       throw InputError(folder.string() +
                        ": neither a run (summary.json, written last: an unfinished one lacks it) nor a study "
-                       "(runs.csv or curves.csv)");
+                       "(runs.csv, curves.csv or robots.csv)");
     }
     RunReader run(folder, options);
     MissionView* view = nullptr;

@@ -17,8 +17,9 @@ namespace loopwise {
 /// The names of a CSV file's columns. \throws ParseError if it has no line
 [[nodiscard]] std::vector<std::string> csv_header(const std::filesystem::path& path);
 
-/// A study's folder as the page wants it: rows of runs, medians over mission time, its own JSON.
-/// \throws IoError, ParseError
-[[nodiscard]] Json study_json(const std::filesystem::path& folder, const std::string& label);
+/// The studies that a folder holds, by their files: "ablation" (runs.csv), "budget" (curves.csv) and "rssi"
+/// (robots.csv) may share one. Of each its rows, medians over mission time, and its own JSON. Empty if it
+/// holds none. \throws IoError, ParseError
+[[nodiscard]] Json studies_json(const std::filesystem::path& folder, const std::string& label);
 
 }  // namespace loopwise

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
 #include <cmath>
 #include <cstdlib>
 #include <fstream>
@@ -75,22 +76,25 @@ std::vector<StudyCurve> read_curves(const fs::path& path) {
   for (const char* name : {"mission", "seed"}) about.push_back(column(name));
   for (const std::string& name : kVariant) about.push_back(column(name));
   const std::size_t end = column("mission_end_s"), time = column("time_s");
-  std::map<std::vector<std::string>, std::size_t> places;
+  // The rows of a run stand together, in order of time. Missions of one name are told apart by that alone.
+  std::vector<std::string> last;
+  double last_time_s = 0.0;
   std::vector<StudyCurve> curves;
   for (std::size_t r = 0; r < table.size(); ++r) {
     std::vector<std::string> key;
     key.reserve(about.size());
     for (const std::size_t c : about) key.push_back(table.text(r, c));
-    const auto [place, is_new] = places.emplace(key, curves.size());
-    if (is_new) {
+    const double time_s = table.number(r, time);
+    if (curves.empty() || key != last || time_s <= last_time_s) {
       curves.emplace_back();
       for (std::size_t c = 0; c < names.size() && c < time; ++c)
         curves.back().run[names[c]] = csv_cell(table.text(r, c));
     }
+    last = std::move(key);
+    last_time_s = time_s;
     const auto number = [&](const char* name) { return table.number_or_nan(r, column(name)); };
-    curves[place->second].moments.push_back({table.number(r, time) / table.number(r, end), number("queued"),
-                                             number("verified"), number("gnc_inliers"),
-                                             number("true_inliers"), number("ate_m")});
+    curves.back().moments.push_back({time_s / table.number(r, end), number("queued"), number("verified"),
+                                     number("gnc_inliers"), number("true_inliers"), number("ate_m")});
   }
   return curves;
 }
@@ -119,6 +123,8 @@ std::vector<StudyCurve> read_units(const fs::path& folder) {
                    {"thin", replay.value("thin", 1)},
                    {"after_mission", replay.at("after_mission").get<bool>() ? 1 : 0}};
       if (replay.value("measured_time", false)) curve.run["registration_time_s"] = "measured";
+      if (summary.contains("ate_m") && summary["ate_m"].is_object())
+        curve.run["ate_m"] = summary["ate_m"].value("optimized", Json());
       const double end_s = summary.at("mission_end_s").get<double>();
       for (const Json& row : unit.at("history")) {  // the columns of history.csv
         const auto number = [&row](std::size_t c) {
@@ -185,63 +191,95 @@ Json curves_json(const std::vector<StudyCurve>& curves) {
   return list;
 }
 
+/// All rows of a CSV file; `names` become its columns.
+Json rows_of(const fs::path& path, std::vector<std::string>& names) {
+  names = csv_header(path);
+  const CsvTable table(path, names);
+  Json rows = Json::array();
+  for (std::size_t r = 0; r < table.size(); ++r) {
+    Json row = Json::object();
+    for (std::size_t c = 0; c < names.size(); ++c) row[names[c]] = csv_cell(table.text(r, c));
+    rows.push_back(row);
+  }
+  return rows;
+}
+
+/// Of the units in the folder, which may be of other studies or of earlier options, those that the rows are
+/// of: the same run with the same error, each once.
+std::vector<StudyCurve> units_of(const Json& rows, const fs::path& folder) {
+  const auto which = [](const Json& row) {
+    Json key = Json::array();
+    for (const char* name :
+         {"world", "mission", "method", "seed", "workers", "thin", "after_mission", "ate_m"}) {
+      const Json value = row.contains(name) ? row[name] : Json();
+      key.push_back(value.is_number() ? Json(value.get<double>()) : value);
+    }
+    return key.dump(-1, ' ', true, Json::error_handler_t::replace);
+  };
+  std::multiset<std::string> wanted;
+  for (const Json& row : rows) wanted.insert(which(row));
+  std::vector<StudyCurve> curves;
+  for (StudyCurve& curve : read_units(folder)) {
+    const auto found = wanted.find(which(curve.run));
+    if (found == wanted.end()) continue;
+    wanted.erase(found);
+    curves.push_back(std::move(curve));
+  }
+  return curves;
+}
+
+/// Where each run ended.
+Json rows_of(const std::vector<StudyCurve>& curves, std::vector<std::string>& names) {
+  Json rows = Json::array();
+  for (const StudyCurve& curve : curves) {
+    Json row = curve.run;
+    const StudyMoment& end = curve.moments.back();
+    row["queued"] = end.queued;
+    row["verified"] = end.verified;
+    row["gnc_inliers"] = end.gnc_inliers;
+    row["true_inliers"] = end.true_inliers;
+    row["ate_m"] = end.ate_m;
+    rows.push_back(row);
+  }
+  names.clear();
+  if (!rows.empty()) {
+    for (const auto& [name, value] : rows.front().items()) names.push_back(name);
+  }
+  return rows;
+}
+
 }  // namespace
 
-Json study_json(const fs::path& folder, const std::string& label) {
-  Json rows = Json::array();
+Json studies_json(const fs::path& folder, const std::string& label) {
+  Json studies = Json::array();
+  const auto add = [&](const char* kind, const std::vector<std::string>& names, Json rows,
+                       const std::vector<StudyCurve>& curves) {
+    const fs::path result = folder / (std::string(kind) + ".json");
+    studies.push_back({{"kind", kind},
+                       {"label", label},
+                       {"columns", names},
+                       {"rows", std::move(rows)},
+                       {"curves", curves_json(curves)},
+                       {"result", fs::exists(result) ? read_json_file(result) : Json()}});
+  };
   std::vector<std::string> names;
-  std::vector<StudyCurve> curves;
-  if (fs::exists(folder / "curves.csv")) curves = read_curves(folder / "curves.csv");
   if (fs::exists(folder / "runs.csv")) {
-    const fs::path path = folder / "runs.csv";
-    names = csv_header(path);
-    const CsvTable table(path, names);
-    std::set<std::string> known;
-    const auto which = [](const Json& row) {
-      Json key = Json::array();
-      for (const char* name : {"world", "mission", "method", "seed", "workers", "thin", "after_mission"})
-        key.push_back(row.contains(name) ? row[name] : Json());
-      for (Json& value : key) {
-        if (value.is_number()) value = value.get<double>();
-      }
-      return key.dump(-1, ' ', true, Json::error_handler_t::replace);
-    };
-    for (std::size_t r = 0; r < table.size(); ++r) {
-      Json row = Json::object();
-      for (std::size_t c = 0; c < names.size(); ++c) row[names[c]] = csv_cell(table.text(r, c));
-      known.insert(which(row));
-      rows.push_back(row);
-    }
-    if (curves.empty()) {
-      // The folder may hold units of other studies as well.
-      for (StudyCurve& curve : read_units(folder / "units")) {
-        if (known.count(which(curve.run)) != 0) curves.push_back(std::move(curve));
-      }
-    }
-  } else {
-    for (const StudyCurve& curve : curves) {
-      Json row = curve.run;
-      const StudyMoment& end = curve.moments.back();
-      row["queued"] = end.queued;
-      row["verified"] = end.verified;
-      row["gnc_inliers"] = end.gnc_inliers;
-      row["true_inliers"] = end.true_inliers;
-      row["ate_m"] = end.ate_m;
-      rows.push_back(row);
-    }
-    if (!rows.empty()) {
-      for (const auto& [name, value] : rows.front().items()) names.push_back(name);
-    }
+    const Json rows = rows_of(folder / "runs.csv", names);
+    add("ablation", names, rows, units_of(rows, folder / "units"));
   }
-  Json result;
-  for (const char* name : {"ablation.json", "budget.json"}) {
-    if (result.is_null() && fs::exists(folder / name)) result = read_json_file(folder / name);
+  if (fs::exists(folder / "curves.csv")) {
+    const std::vector<StudyCurve> curves = read_curves(folder / "curves.csv");
+    const Json rows = rows_of(curves, names);
+    add("budget", names, rows, curves);
   }
-  return {{"label", label},
-          {"columns", names},
-          {"rows", rows},
-          {"curves", curves_json(curves)},
-          {"result", result}};
+  if (fs::exists(folder / "robots.csv")) {
+    const Json rows = rows_of(folder / "robots.csv", names);
+    add("rssi", names, rows, {});
+  }
+  if (studies.size() > 1) {
+    for (Json& study : studies) study["label"] = label + ", " + study["kind"].get<std::string>();
+  }
+  return studies;
 }
 
 }  // namespace loopwise

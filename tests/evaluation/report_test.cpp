@@ -344,12 +344,16 @@ TEST_CASE("report: studies become medians over mission time", "[evaluation][repo
   testing::fs::create_directories(folder / "units");
   const std::string unit =
       R"({"mission": {"world": "w"}, "summary": {"mission": "m1", "method": "obs", "seed": 1, "mission_end_s": 100,
+          "ate_m": {"optimized": 2.0},
           "options": {"replay": {"registration_time_s": 1.3, "workers": 10, "thin": 1, "after_mission": false}}},
           "history": [[0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0], [50, 9, 9, 100, 10, 8, 5, 4, 4, 1, 3]]})";
   testing::write_text(folder / "units" / "a.json", unit);
   std::string other = unit;
   other.replace(other.find("\"m1\""), 4, "\"m9\"");
   testing::write_text(folder / "units" / "b.json", other);
+  std::string before = unit;  // of other options, or of earlier code
+  before.replace(before.find("2.0"), 3, "2.5");
+  testing::write_text(folder / "units" / "0.json", before);
   testing::write_text(folder / "units" / "c.json", "{\"format\": ");
   testing::write_text(folder / "units" / "d.json", "[]");
   const Json with_units = made({folder.path()}, {}).at("studies").at(0);
@@ -363,6 +367,45 @@ TEST_CASE("report: studies become medians over mission time", "[evaluation][repo
   REQUIRE(made({folder.path()}, {}).at("studies").at(0).at("curves").empty());
   testing::write_text(folder / "curves.csv", "world\nw\n");
   REQUIRE_THROWS_AS(made({folder.path()}, {}), ParseError);
+}
+
+TEST_CASE("report: studies that share a folder, missions that share a name", "[evaluation][report]") {
+  const std::string about =
+      "world,mission,mission_seed,parameters_sha256,method,seed,registration_time_s,workers,thin,after_"
+      "mission,mission_end_s,mission_time_s";
+  const std::string run = "w,m,1,ab,obs,1,1.3,10,1,0,100,100";
+  const testing::TemporaryFolder folder;
+  testing::write_text(folder / "curves.csv",
+                      about +
+                          ",time_s,computed,queued,verified,gnc_inliers,true_inliers,ate_m,odometry_ate_m\n" +
+                          run + ",0,0,0,0,0,0,0,0\n" + run + ",100,20,200,9,6,5,2,3\n" + run +
+                          ",0,0,0,0,0,0,0,0\n" + run + ",100,20,200,9,6,5,4,3\n");
+  testing::write_text(folder / "budget.json", R"({"of": "budget"})");
+  Json studies = made({folder.path()}, {}).at("studies");
+  REQUIRE(studies.size() == 1);
+  REQUIRE(studies.at(0).at("kind") == "budget");
+  REQUIRE(studies.at(0).at("label") == folder.path().filename().string());
+  REQUIRE(studies.at(0).at("rows").size() == 2);
+  REQUIRE(count(studies.at(0).at("curves").at(0), "runs") == 2);
+  REQUIRE(studies.at(0).at("curves").at(0).at("ate_m").at("median").back() == 3.0);
+
+  testing::write_text(folder / "runs.csv", about + ",ate_m\n" + run + ",7\n");
+  testing::write_text(folder / "ablation.json", R"({"of": "ablation"})");
+  testing::write_text(folder / "robots.csv",
+                      about + ",robot,path_length_m,translation_percent,max_m,rotation_deg_per_m,max_deg\n" +
+                          run + ",husky,80,0.5,2,0.01,3\n");
+  studies = made({folder.path()}, {}).at("studies");
+  REQUIRE(studies.size() == 3);
+  for (const Json& study : studies) {
+    const std::string kind = study.at("kind").get<std::string>();
+    REQUIRE(study.at("label") == folder.path().filename().string() + ", " + kind);
+    if (kind != "rssi") REQUIRE(study.at("result") == Json({{"of", kind}}));
+  }
+  REQUIRE(studies.at(0).at("rows").at(0).at("ate_m") == 7.0);
+  REQUIRE(studies.at(0).at("curves").empty());  // those of the other study are not its own
+  REQUIRE(studies.at(2).at("rows").at(0).at("robot") == "husky");
+  REQUIRE(studies.at(2).at("rows").at(0).at("max_m") == 2.0);
+  REQUIRE(studies.at(2).at("result").is_null());
 }
 
 TEST_CASE("report: names of any kind cannot leave the data", "[evaluation][report]") {

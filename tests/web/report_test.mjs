@@ -67,6 +67,22 @@ for (const world of ['mine', '<b>urban</b>']) {
 writeFileSync(inFolder('study/runs.csv'), `${rows.join('\n')}\n`);
 writeFileSync(inFolder('study/ablation.json'), JSON.stringify({ pooled: { full: { baseline: { better: 10, count: 10, mean_difference_m: -3, difference_interval_95_m: [-3.1, -2.9] } } } }));
 loopwise('report', inFolder('study'), '-o', inFolder('study.html'), '--quiet');
+
+// Studies of computers and of robots, in one folder.
+mkdirSync(inFolder('others'));
+const kRun = 'world,mission,mission_seed,parameters_sha256,method,seed,registration_time_s,workers,thin,after_mission,mission_end_s,mission_time_s';
+const curves = [`${kRun},time_s,computed,queued,verified,gnc_inliers,true_inliers,ate_m,odometry_ate_m`];
+const robots = [`${kRun},robot,path_length_m,translation_percent,max_m,rotation_deg_per_m,max_deg`];
+for (const seed of [1, 2, 3]) {
+  for (const workers of [10, 50]) {
+    for (const time of [0, 50, 100]) curves.push(`w,w-1,1,ab,full,${seed},1.3,${workers},1,0,100,100,${time},${time},100,${time},${time},${time / 2},${3 - seed / 10 - workers / 50},3`);
+  }
+  for (const [method, percent] of [['odom', 4], ['rssi', 2]]) robots.push(`w,w-1,1,ab,${method},${seed},1.3,10,1,0,100,100,<i>husky</i>,90,${percent + seed / 10},${percent},0.0125,1.5`);
+}
+writeFileSync(inFolder('others/curves.csv'), `${curves.join('\n')}\n`);
+writeFileSync(inFolder('others/robots.csv'), `${robots.join('\n')}\n`);
+writeFileSync(inFolder('others/budget.json'), JSON.stringify({ pooled: [{ run: 'full-w50', against: 'full-w10', better: 3, missions: 3, mean_difference_m: -0.8, difference_interval_95_m: [-0.9, -0.7], ratio: 0.5, ratio_interval_95: [0.4, 0.6] }] }));
+loopwise('report', inFolder('others'), '-o', inFolder('others.html'), '--quiet');
 loopwise('report', inFolder('obs'), inFolder('study'), '-o', inFolder('both.html'), '--quiet');
 
 const browser = new Browser(chromium);
@@ -187,6 +203,12 @@ try {
   for (const part of ['<b>urban</b>: 15 runs of 5 missions', '−70 %', '1.300', '8.000', '10 of 10', '−3.000 (−3.100 to −2.900)']) assert.ok(text.includes(part), `no "${part}" in ${text}`);
   assert.equal(await page.value('document.querySelectorAll("#report b").length'), 0);
   await page.screenshot(inFolder('study.png'));
+  page = await open('others.html');
+  await clean(page, 'others.html');
+  assert.ok((await state(page)).charts['study-0'] > 3);
+  const others = await page.value('document.getElementById("report").textContent');
+  for (const part of ['full, workers 50', 'full-w50full-w103 of 3−0.800 (−0.900 to −0.700)0.500 (0.400 to 0.600)', '<i>husky</i>transl., % (largest, m)4.200 (4.00)2.200 (2.00)rot., °/m (largest, °)0.0125 (1.50)', '2 studies, 9 runs']) assert.ok(others.includes(part), `no "${part}" in ${others}`);
+  assert.equal(await page.value('document.querySelectorAll("#report i.husky, #report td i, #report th i").length'), 0);
   page = await open('both.html');
   await clean(page, 'both.html');
   assert.ok((await state(page)).layers.points.drawn > 0);

@@ -4,7 +4,7 @@ import { at, count, duration, fixed, h, isNumber, metres, percent } from './dom.
 import { readData } from './data.js';
 import { layersOf, MissionMap } from './map.js';
 import { drawCharts } from './charts.js';
-import { pairedTable, studyFigures, studyTables } from './studies.js';
+import { pairedTable, runCount, studyFigures, studyTables } from './studies.js';
 import { allRuns, comparison, provenance, runTables } from './tables.js';
 import { robotColour, scaleGradient } from './palette.js';
 
@@ -133,7 +133,7 @@ function start(data) {
   function showText() {
     if (!current) {
       const studies = `${data.studies.length} stud${data.studies.length === 1 ? 'y' : 'ies'}`;
-      subtitle.textContent = `${studies}, ${count(data.studies.reduce((sum, study) => sum + study.rows.length, 0))} runs`;
+      subtitle.textContent = `${studies}, ${count(data.studies.reduce((sum, study) => sum + runCount(study), 0))} runs`;
       if (data.studies.length > 0) figures.replaceChildren(h('dl', { class: 'figures' }, studyFigures(data.studies[0]).map((one) => figure(...one))));
       return;
     }

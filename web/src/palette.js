@@ -19,7 +19,8 @@ const kMethods = {
 };
 const kOthers = [['#a0522d', '#d9a07a'], ['#4b5563', '#c3cad2'], ['#cc79a7', '#e39cc4']];
 export function methodColour(method, others = 0) {
-  return (kMethods[method] ?? kOthers[others % kOthers.length])[dark() ? 1 : 0];
+  const own = Object.hasOwn(kMethods, method) ? kMethods[method] : kOthers[others % kOthers.length];
+  return own[dark() ? 1 : 0];
 }
 
 export function ink() {

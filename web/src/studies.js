@@ -30,8 +30,35 @@ const kFigures = [
 const minus = (text) => text.replace(/-/g, '−');
 const distinct = (values) => [...new Set(values)];
 
-/** The paper's Table I of one study: a table for each world. */
+const isOfRobots = (study) => study.kind === 'rssi';
+
+/** Runs of a study. Where its rows are of robots, those of odometry alone belong to other runs. */
+export function runCount(study) {
+  if (!isOfRobots(study)) return study.rows.length;
+  return distinct(study.rows.filter((row) => row.method !== 'odom').map((row) => JSON.stringify([row.mission, row.mission_seed, row.method, row.seed]))).length;
+}
+
+/** The paper's Table II: for each world, the errors of each robot by method. */
+function robotTables(study) {
+  return distinct(study.rows.map((row) => worldOf(study, row))).map((world) => {
+    const rows = study.rows.filter((row) => worldOf(study, row) === world);
+    const methods = distinct(rows.map((row) => String(row.method)));
+    const line = (robot, mean, digits, most) => methods.map((method) => {
+      const own = rows.filter((row) => String(row.robot) === robot && String(row.method) === method);
+      return `${fixed(median(own.map((row) => row[mean])), digits)} (${fixed(median(own.map((row) => row[most])), 2)})`;
+    });
+    const body = distinct(rows.map((row) => String(row.robot))).flatMap((robot) => [
+      [robot, 'transl., % (largest, m)', ...line(robot, 'translation_percent', 3, 'max_m')],
+      ['', 'rot., °/m (largest, °)', ...line(robot, 'rotation_deg_per_m', 4, 'max_deg')],
+    ]);
+    const missions = distinct(rows.map((row) => row.mission)).length;
+    return h('div', { class: 'card study' }, table(`${world}: errors of each robot, medians over ${missions} mission${missions === 1 ? '' : 's'}`, ['', '', ...methods], body, { class: 'left2' }));
+  });
+}
+
+/** The paper's tables of one study: one for each world. */
 export function studyTables(study) {
+  if (isOfRobots(study)) return robotTables(study);
   const variant = variantOf(study);
   return distinct(study.rows.map((row) => worldOf(study, row))).map((world) => {
     const rows = study.rows.filter((row) => worldOf(study, row) === world);
@@ -71,7 +98,7 @@ export function studyFigures(study) {
   const missions = distinct(study.rows.map((row) => row.mission)).length;
   const change = (value) => `${value >= 0 ? '−' : '+'}${Math.abs(value).toFixed(0)} %`;
   return [
-    ['Runs', count(study.rows.length), `${missions} mission${missions === 1 ? '' : 's'} of ${worlds.length} world${worlds.length === 1 ? '' : 's'}, ${methods.length} methods`],
+    ['Runs', count(runCount(study)), `${missions} mission${missions === 1 ? '' : 's'} of ${worlds.length} world${worlds.length === 1 ? '' : 's'}, ${methods.length} methods`],
     ...['odometry', 'baseline'].filter((other) => other !== method).map((other) => [other, reduction(study, method, other)])
       .filter(([, value]) => isNumber(value)).map(([other, value]) => [`Error of ${method} against ${other}`, change(value), 'median error, mean over the worlds']),
   ];
@@ -88,7 +115,7 @@ export function studyProvenance(study) {
   ], { class: 'left' }));
 }
 
-/** Paired comparisons over all missions, as `loopwise study ablation` gives them. */
+/** Paired comparisons over all missions: by method and other from `loopwise study ablation`, a list from `budget`. */
 export function pairedTable(study) {
   const pooled = at(study, 'result', 'pooled');
   if (!pooled || typeof pooled !== 'object') return null;
@@ -96,10 +123,13 @@ export function pairedTable(study) {
     const [low, high] = Array.isArray(value) ? value : [at(value, 'low'), at(value, 'high')];
     return isNumber(low) && isNumber(high) ? ` (${fixed(low, 3)} to ${fixed(high, 3)})` : '';
   };
-  const rows = Object.entries(pooled).flatMap(([method, others]) => Object.entries(others ?? {}).map(([other, c]) => [
+  const comparisons = Array.isArray(pooled)
+    ? pooled.map((c) => [String(at(c, 'run')), String(at(c, 'against')), c])
+    : Object.entries(pooled).flatMap(([method, others]) => Object.entries(others ?? {}).map(([other, c]) => [method, other, c]));
+  const rows = comparisons.map(([method, other, c]) => [
     method, other, isNumber(at(c, 'better')) ? `${c.better} of ${c.count ?? c.missions ?? '–'}` : '–',
     minus(fixed(at(c, 'mean_difference_m'), 3) + interval(at(c, 'difference_interval_95_m'))), fixed(at(c, 'ratio'), 3) + interval(at(c, 'ratio_interval_95')),
-  ]));
+  ]);
   if (rows.length === 0) return null;
   return h('div', { class: 'card' }, table('All missions, paired: mean position error (95 % intervals)', ['method', 'against', 'lower in', 'mean difference (m)', 'ratio'], rows, { class: 'left2' }));
 }

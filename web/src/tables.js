@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Everything as figures.
-import { studyProvenance } from './studies.js';
+import { runCount, studyProvenance } from './studies.js';
 import { at, count, duration, fixed, h, isNumber, metres, percent, table } from './dom.js';
 
 const words = (name) => String(name).replace(/_/g, ' ');
@@ -76,7 +76,7 @@ export function allRuns(study) {
     if (!isNumber(value)) return value === null ? '–' : String(value).length > 40 ? h('span', { title: String(value) }, `${String(value).slice(0, 12)}…`) : String(value);
     return Number.isInteger(value) ? count(value) : fixed(value, Math.abs(value) < 10 ? 4 : 2);
   });
-  return h('details', {}, h('summary', {}, `All ${study.rows.length} runs of ${study.label}`), table(null, study.columns.map(words), study.rows.map(cells)));
+  return h('details', {}, h('summary', {}, `All ${study.rows.length} ${runCount(study) === study.rows.length ? 'runs' : 'rows'} of ${study.label}`), table(null, study.columns.map(words), study.rows.map(cells)));
 }
 
 export function runTables(run) {

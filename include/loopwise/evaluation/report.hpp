@@ -42,11 +42,11 @@ struct Report {
   std::vector<std::string> notes;  ///< What could not be shown, and why; the page shows them as well.
 };
 
-/// Reads folders of `loopwise replay` and of `loopwise study ablation` or `budget`, told apart by their
-/// files, in the order given. All but summary.json may be missing from a run: what it would show is then left
-/// out and noted. A run takes from the mission of its name what its folder does not hold: true poses, beacons
-/// and radio, the scans' observability. Scans are read on `threads`; the result does not depend on their
-/// number.
+/// Reads folders of `loopwise replay` and of `loopwise study ablation`, `budget` or `rssi`, told apart by
+/// their files, in the order given. All but summary.json may be missing from a run: what it would show is
+/// then left out and noted. A run takes from the mission of its name what its folder does not hold: true
+/// poses, beacons and radio, the scans' observability. Scans are read on `threads`; the result does not
+/// depend on their number.
 ///
 /// The data hold, per run, summary.json as it stands, its history over mission time, and the scene: nodes by
 /// robot with poses by the estimate, by odometry and in truth, points of the map, candidates by outcome. A
