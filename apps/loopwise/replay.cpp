@@ -9,6 +9,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/pipeline/code_version.hpp>
 #include <loopwise/pipeline/live_replay.hpp>
 #include <loopwise/pipeline/outcome_store.hpp>
 #include <loopwise/pipeline/replay.hpp>
@@ -56,6 +57,7 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   json["key_frames"] = mission.graph.nodes().size();
   json["scans"] = mission.scans->size();
   json["options"] = parse_json(config_json(config), "options");
+  json["code"] = replay_code_version();
   return json.dump();
 }
 
@@ -69,7 +71,9 @@ class OutcomeFile {
       std::istringstream lines(read_file(path_));
       std::string line;
       if (std::getline(lines, line) && line != fingerprint && !lines.eof()) {
-        throw OptionError(path_.string() + ": the run to resume had other options or another mission");
+        throw OptionError(
+            path_.string() +
+            ": the run to resume had other options, another mission or another version of the program");
       }
       while (std::getline(lines, line)) {
         if (lines.eof()) break;  // cut short by a kill

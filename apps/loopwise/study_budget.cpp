@@ -106,6 +106,8 @@ int run(const Options& options) {
   }
   Study study("budget", options.study, console);
   const std::int64_t thin = study.config().replay.thin;
+  if (thin > 1 && options.everything == "none")
+    throw OptionError("--thin thins what is computed after the mission, which --everything none leaves out");
   // The everything-run comes after the mission in any case: the computer decides how soon, not what it finds.
   const bool has_usual = std::find(options.workers.begin(), options.workers.end(),
                                    study.config().replay.workers) != options.workers.end();

@@ -39,18 +39,10 @@ int run(const Options& options) {
   const InterruptGuard interrupt;
   require_methods(options.methods);
   Study study("rssi", options.study, console);
-  std::vector<StudyUnit> units;
-  for (std::size_t m = 0; m < study.missions().size(); ++m) {
-    for (const std::uint64_t seed : study.seeds()) {
-      for (const std::string& method : options.methods) {
-        StudyUnit unit{m, method, study.config()};
-        unit.config.replay.method = method;
-        unit.config.replay.seed = seed;
-        if (options.workers) unit.config.replay.workers = *options.workers;
-        units.push_back(unit);
-      }
-    }
+  for (const StudyMission& mission : study.missions()) {
+    if (!mission.has_radio) console.warn(mission.path + ": has no radio readings, so rssi finds nothing");
   }
+  const std::vector<StudyUnit> units = units_by_method(study, options.methods, options.workers);
   const auto results = study.run(units, interrupt.token());
   if (!results) return kInterrupted;
 

@@ -22,7 +22,11 @@ std::string cell(double value, const Interval& interval, int decimals) {
 std::string markdown_table(const std::vector<std::vector<std::string>>& rows) {
   std::string out;
   for (std::size_t r = 0; r < rows.size(); ++r) {
-    for (const std::string& text : rows[r]) out += "| " + text + " ";
+    for (const std::string& text : rows[r]) {
+      out += "| ";
+      for (const char c : text) out += c == '|' ? std::string("\\|") : std::string(1, c == '\n' ? ' ' : c);
+      out += " ";
+    }
     out += "|\n";
     if (r > 0) continue;
     for (std::size_t c = 0; c < rows[r].size(); ++c) out += "| --- ";

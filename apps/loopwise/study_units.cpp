@@ -30,7 +30,9 @@ constexpr double kMapVoxel_m = 0.2;
 ContentHash hash_of_files(const fs::path& path) {
   std::vector<fs::path> files;
   if (fs::is_directory(path)) {
-    for (const auto& entry : fs::recursive_directory_iterator(path)) {
+    // Scans are often a link to another disk.
+    for (const auto& entry :
+         fs::recursive_directory_iterator(path, fs::directory_options::follow_directory_symlink)) {
       if (entry.is_regular_file()) files.push_back(entry.path());
     }
     std::sort(files.begin(), files.end());
@@ -58,6 +60,7 @@ StudyMission described(const std::string& path, const Mission& mission) {
   if (provenance.contains("options")) out.world = text_at(provenance["options"], "world");
   if (out.world.empty()) out.world = mission.name;
   out.seed = text_at(provenance, "seed");
+  out.has_radio = !mission.radio.empty();
   out.parameters_sha256 = text_at(provenance, "parameters_sha256");
   out.content = hash_of_files(fs::is_regular_file(path) && fs::path(path).filename() == "mission.json"
                                   ? fs::path(path).parent_path()
@@ -321,7 +324,7 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
   }
 
   if (!open.empty()) {
-    // Missions one after the other: two at a time are in memory at most, and units of one share its pairs.
+    // Missions one after the other: no more than needed are in memory, and units of one share its pairs.
     std::stable_sort(open.begin(), open.end(),
                      [&](std::size_t a, std::size_t b) { return units[a].mission < units[b].mission; });
     const fs::path outcomes =
@@ -330,7 +333,8 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
     LoadedMissions loaded(missions_, config_, store);
     for (const std::size_t i : open) loaded.expect(units[i].mission);
 
-    std::mutex mutex;  // of all below
+    std::mutex mutex;                       // of all below
+    std::map<std::size_t, Problems> flaws;  // of each mission's scans, by now
     std::size_t next = 0, done = units.size() - open.size();
     std::exception_ptr failure;
     StopSource failed;
@@ -358,11 +362,15 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
           const std::lock_guard<std::mutex> lock(mutex);
           if (!result) return;
           results[i] = std::move(result);
+          flaws[units[i].mission] = own->mission.scans->problems();
           ++done;
           show(name + " finished");
         } catch (...) {
           const std::lock_guard<std::mutex> lock(mutex);
-          if (!failure) failure = std::current_exception();
+          if (!failure) {
+            failure = std::current_exception();
+            console_.note(name + " failed: no more runs are begun");
+          }
           failed.request_stop();
         }
       }
@@ -372,6 +380,10 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
     for (int t = 1; t < count; ++t) threads.emplace_back(work);
     work();
     for (std::thread& thread : threads) thread.join();
+    for (const auto& [mission, problems] : flaws) {
+      for (const Problem& problem : problems.all())
+        console_.warn(missions_[mission].name + ": " + to_string(problem));
+    }
     if (failure) std::rethrow_exception(failure);
     note_outcomes(console_, *store);
     if (stop.stop_requested()) {
@@ -391,6 +403,23 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
   }
   write_file(folder_ / (name_ + "_timings.csv"), timings.text());
   return all;
+}
+
+std::vector<StudyUnit> units_by_method(const Study& study, const std::vector<std::string>& methods,
+                                       std::optional<std::int64_t> workers) {
+  std::vector<StudyUnit> units;
+  for (std::size_t m = 0; m < study.missions().size(); ++m) {
+    for (const std::uint64_t seed : study.seeds()) {
+      for (const std::string& method : methods) {
+        StudyUnit unit{m, method, study.config()};
+        unit.config.replay.method = method;
+        unit.config.replay.seed = seed;
+        if (workers) unit.config.replay.workers = *workers;
+        units.push_back(unit);
+      }
+    }
+  }
+  return units;
 }
 
 Json study_json(const Study& study) {

@@ -41,7 +41,8 @@ struct StudyMission {
   std::string world;  ///< Missions of one world are repetitions: provenance's options.world, else the name.
   std::string seed;   ///< That it was made with; empty if not known.
   std::string parameters_sha256;  ///< Of the world's parameters; empty if not known.
-  ContentHash content;            ///< Of all files.
+  bool has_radio = false;
+  ContentHash content;  ///< Of all files.
 };
 
 /// A replay.
@@ -86,6 +87,11 @@ class Study {
   std::filesystem::path folder_;
   std::vector<StudyMission> missions_;
 };
+
+/// A unit for each mission, seed and method, in this order; on `workers` if given.
+[[nodiscard]] std::vector<StudyUnit> units_by_method(const Study& study,
+                                                     const std::vector<std::string>& methods,
+                                                     std::optional<std::int64_t> workers);
 
 /// What the files of a study say about how it was made.
 [[nodiscard]] Json study_json(const Study& study);

@@ -228,11 +228,41 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   require_failure({"study", "ablation", path, path, "-o", out}, kBadUsage, "same mission");
   require_failure({"study", "budget", path, "-o", out, "--workers", "2,0"}, kBadUsage, "replay.workers = 0");
   require_failure({"study", "budget", path, "-o", out, "--everything", "best"}, kBadUsage, "best");
+  require_failure({"study", "budget", path, "-o", out, "--thin", "2", "--everything", "none"}, kBadUsage,
+                  "--thin");
+  require_failure({"study", "ablation", path, "-o", out, "--workers", "0"}, kBadUsage, "replay.workers = 0");
   require_failure({"study", "rssi", (folder / "untrue").string(), "-o", out}, kBadInput, "ground truth");
   require_failure({"study", "ablation", (folder / "absent").string(), "-o", out}, kBadInput, "absent");
   require_failure({"study", "ablation", path, "-o", path}, kBadUsage, "not empty");
   require_failure({"replay", path, "-o", out, "--clock", "real", "--resume"}, kBadUsage, "--resume");
   require_failure({"replay", path, "-o", out, "--rate", "2"}, kBadUsage, "--rate");
+}
+
+TEST_CASE("study: scans behind a link count, and what is wrong with them is said", "[apps][study]") {
+  const TemporaryFolder folder;
+  Mission mission = small_mission(4);
+  mission.name = "yard|1";
+  write_mission(folder / "m", mission);
+  fs::rename(folder / "m" / "scans", folder / "scans");
+  fs::create_directory_symlink(folder / "scans", folder / "m" / "scans");
+  const auto study = [&](const std::string& kind) {
+    return run_program({"study", kind, (folder / "m").string(), "-o", (folder / "out").string(), "--methods",
+                        "rssi", "--skip-recent", "2"});
+  };
+  const ProgramRun first = study("rssi");
+  REQUIRE(first.status == kDone);
+  REQUIRE_THAT(first.err, Contains("warning") && Contains("no radio readings"));
+  REQUIRE_THAT(study("rssi").err, Contains("1 of 1 runs are finished already"));
+  REQUIRE(study("ablation").status == kDone);
+  REQUIRE_THAT(testing::read_text(folder / "out" / "ablation.md"), Contains("| yard\\|1 |"));
+
+  const fs::path scan = fs::directory_iterator(folder / "scans")->path();
+  testing::write_text(scan, "not a scan");
+  const ProgramRun changed = study("rssi");
+  INFO(changed.err);
+  REQUIRE(changed.status == kDone);
+  REQUIRE_THAT(changed.err, !Contains("finished already"));
+  REQUIRE_THAT(changed.err, Contains("warning: yard|1: scan cannot be read"));
 }
 
 TEST_CASE("study budget and rssi: tables agree with the curves and robots", "[apps][study]") {
