@@ -44,8 +44,15 @@ Config configured(const Options& o) {
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
   if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
-  if (o.resume && o.clock == "real")
-    throw OptionError("--resume: what a real clock made cannot be made again");
+  if (o.clock == "real") {
+    if (o.resume) throw OptionError("--resume: what a real clock made cannot be made again");
+    for (const auto& [given, name] :
+         {std::pair(o.workers.has_value(), "--workers"),
+          std::pair(!o.replay.registration_time.empty(), "--registration-time"),
+          std::pair(o.replay.gi_evaluation_time.has_value(), "--gi-evaluation-time")}) {
+      if (given) throw OptionError(std::string(name) + ": on a real clock things take what they take");
+    }
+  }
   validate_config(config);
   return config;
 }

@@ -46,7 +46,8 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command
       .add_option("--outcomes-mb", arguments.outcomes_bound.max_mb,
                   "Bound of that folder, MB; the oldest outcomes go first (default 4096)")
-      ->type_name("MB");
+      ->type_name("MB")
+      ->check(CLI::Range(1.0, 1e9));
   command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   command.add_option("--seed", arguments.seed, "Of everything random (default 1)")->type_name("S");

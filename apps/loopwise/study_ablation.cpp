@@ -219,7 +219,8 @@ int run(const Options& options) {
                       cell(c.mean_difference, c.difference, 3), cell(c.ratio, c.ratio_interval, 3)});
     }
   }
-  text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
+  if (rows.size() > 1)
+    text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
 
   std::vector<std::vector<std::string>> reductions{{"median ATE lower by, %"}};
   for (const World& world : worlds) reductions.front().push_back(world.name);
@@ -246,10 +247,12 @@ int run(const Options& options) {
       reductions.push_back(row);
     }
   }
-  text +=
-      "\n## Reductions\n\nThe paper reports 51 % against odometry and 75 % against baseline (full, mean over "
-      "its data sets).\n\n" +
-      markdown_table(reductions);
+  if (reductions.size() > 1)
+    text +=
+        "\n## Reductions\n\nThe paper reports 51 % against odometry and 75 % against baseline (full, mean "
+        "over "
+        "its data sets).\n\n" +
+        markdown_table(reductions);
 
   write_file(study.folder() / "runs.csv", runs_csv(study, units, *results, all));
   write_file(study.folder() / "ablation.json", json.dump(2) + "\n");

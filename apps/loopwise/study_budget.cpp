@@ -289,7 +289,8 @@ int run(const Options& options) {
     }
     if (options.everything != "none") compare({method, usual, false}, everything);
   }
-  text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
+  if (rows.size() > 1)
+    text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
 
   write_file(study.folder() / "curves.csv", csv);
   write_file(study.folder() / "budget.json", json.dump(2) + "\n");

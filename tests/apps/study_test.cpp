@@ -236,6 +236,10 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   require_failure({"study", "ablation", path, "-o", path}, kBadUsage, "not empty");
   require_failure({"replay", path, "-o", out, "--clock", "real", "--resume"}, kBadUsage, "--resume");
   require_failure({"replay", path, "-o", out, "--rate", "2"}, kBadUsage, "--rate");
+  for (const char* modelled : {"--workers", "--registration-time", "--gi-evaluation-time"}) {
+    require_failure({"replay", path, "-o", out, "--clock", "real", modelled, "2"}, kBadUsage, modelled);
+  }
+  require_failure({"study", "rssi", path, "-o", out, "--outcomes-mb", "0"}, kBadUsage, "--outcomes-mb");
 }
 
 TEST_CASE("study: scans behind a link count, and what is wrong with them is said", "[apps][study]") {
@@ -255,6 +259,10 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
   REQUIRE_THAT(study("rssi").err, Contains("1 of 1 runs are finished already"));
   REQUIRE(study("ablation").status == kDone);
   REQUIRE_THAT(testing::read_text(folder / "out" / "ablation.md"), Contains("| yard\\|1 |"));
+  const ProgramRun odometry = run_program(
+      {"study", "ablation", (folder / "m").string(), "-o", (folder / "out").string(), "--methods", "odom"});
+  REQUIRE(odometry.status == kDone);
+  REQUIRE_THAT(odometry.out, !Contains("paired") && !Contains("Reductions"));  // nothing to set beside it
 
   const fs::path scan = fs::directory_iterator(folder / "scans")->path();
   testing::write_text(scan, "not a scan");
