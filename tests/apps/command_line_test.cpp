@@ -440,7 +440,9 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   require_failure(replay("one", {}), kBadUsage, "not empty");
   require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options");
   std::string of_earlier_code = outcomes;
-  of_earlier_code.replace(of_earlier_code.find("\"code\":\"") + 8, 1, "x");
+  const std::size_t code = of_earlier_code.find("\"code\":\"");
+  REQUIRE(code < of_earlier_code.find('\n'));
+  of_earlier_code.replace(code + 8, 1, "x");
   testing::write_text(folder / "two" / "outcomes.jsonl", of_earlier_code);
   require_failure(replay("two", {"--resume"}), kBadUsage, "another version");
   require_failure(
