@@ -32,7 +32,8 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
       .add_option("--odometry-noise", arguments.odometry_noise,
                   "Make the odometry worse: sigma after 1 m, in m and rad")
       ->type_name("M_PER_M RAD_PER_M")
-      ->expected(2);
+      ->expected(2)
+      ->allow_extra_args(false);
   command
       .add_option("--registrar", arguments.registrar, "What computes the candidates: fast (default) or pcl")
       ->type_name("WORD");

@@ -276,6 +276,7 @@ void add_ablation_study(CLI::App& study, Action& chosen) {
   command
       ->add_option("--methods", options->methods, "Methods, by commas (default baseline,obs,random,gi,full)")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->type_name("LIST");
   command
       ->add_option("--workers", options->workers,

@@ -45,7 +45,7 @@ std::string label(const Role& role) {
 }
 
 std::string title(const Role& role) {
-  return role.method + ", " + std::to_string(role.workers) + " workers";
+  return role.method + ", " + counted(static_cast<std::size_t>(role.workers), "worker");
 }
 
 /// The last row at or before a time; null before the first.
@@ -313,11 +313,13 @@ void add_budget_study(CLI::App& study, Action& chosen) {
       "shared with it if DIR is the same.");
   command->add_option("--methods", options->methods, "Methods, by commas (default baseline,full)")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->type_name("LIST");
   command
       ->add_option("--workers", options->workers,
                    "Computers, by their registrations at a time, by commas (default 2,10,50)")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->type_name("LIST");
   command
       ->add_option(

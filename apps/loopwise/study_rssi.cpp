@@ -142,6 +142,7 @@ void add_rssi_study(CLI::App& study, Action& chosen) {
       "with it if DIR is the same.");
   command->add_option("--methods", options->methods, "Methods beside odometry, by commas (default rssi,full)")
       ->delimiter(',')
+      ->allow_extra_args(false)
       ->type_name("LIST");
   command
       ->add_option("--workers", options->workers,

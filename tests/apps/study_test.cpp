@@ -259,10 +259,16 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
   REQUIRE_THAT(study("rssi").err, Contains("1 of 1 runs are finished already"));
   REQUIRE(study("ablation").status == kDone);
   REQUIRE_THAT(testing::read_text(folder / "out" / "ablation.md"), Contains("| yard\\|1 |"));
-  const ProgramRun odometry = run_program(
-      {"study", "ablation", (folder / "m").string(), "-o", (folder / "out").string(), "--methods", "odom"});
+  write_mission(folder / "n", small_mission(3));
+  const ProgramRun odometry = run_program(  // no mission is taken for a value of an option before it
+      {"study", "ablation", "-o", (folder / "out").string(), "--odometry-noise", "0.01", "0.001", "--methods",
+       "odom", (folder / "m").string(), (folder / "n").string()});
+  INFO(odometry.err);
   REQUIRE(odometry.status == kDone);
   REQUIRE_THAT(odometry.out, !Contains("paired") && !Contains("Reductions"));  // nothing to set beside it
+  REQUIRE(run_program({"replay", "-o", (folder / "run").string(), "--method", "odom", "--odometry-noise",
+                       "0.01", "0.001", (folder / "m").string()})
+              .status == kDone);
 
   const fs::path scan = fs::directory_iterator(folder / "scans")->path();
   testing::write_text(scan, "not a scan");
