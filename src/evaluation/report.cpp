@@ -325,17 +325,23 @@ class RunReader {
     std::vector<Moment> moments;
     std::uint64_t inliers = 0;
     journal({"batch", "estimate", "end"}, [&](const Json& event) {
+      // Counts that are no numbers, as those that are absent, are 0.
+      const auto count = [](const Json& in, const char* name) {
+        const auto found = in.find(name);
+        return found != in.end() && found->is_number_unsigned() ? found->get<std::uint64_t>() : 0;
+      };
       if (!event.contains("account") || !event.contains("time_s")) return;
       const Json& account = event["account"];
-      if (event["event"] == "estimate") inliers = event.value("inliers", std::uint64_t{0});
+      if (!account.is_object() || !event["time_s"].is_number()) return;
+      if (event["event"] == "estimate") inliers = count(event, "inliers");
       const double time_s = event["time_s"].get<double>();
       const auto seen = static_cast<std::uint64_t>(
           std::upper_bound(verified.begin(), verified.end(), time_s) - verified.begin());
-      const auto generated = account.value("generated", std::uint64_t{0});
+      const std::uint64_t generated = count(account, "generated");
       const Moment moment{time_s,
                           generated,
-                          generated - account.value("pruned", std::uint64_t{0}),
-                          account.value("computed", std::uint64_t{0}),
+                          generated - std::min(generated, count(account, "pruned")),
+                          count(account, "computed"),
                           seen,
                           std::min(inliers, seen)};
       if (!moments.empty() && moments.back().time_s == time_s) {

@@ -231,6 +231,19 @@ TEST_CASE("report: what a run lacks is left out and said", "[evaluation][report]
     REQUIRE(Contains(part).match(notes(shown)));
   }
 
+  // A journal that was tampered with.
+  const std::string journal = testing::read_text(run.folder / "journal.jsonl");
+  testing::write_text(
+      run.folder / "journal.jsonl",
+      journal + R"({"event":"batch","time_s":"late","account":{}})" + "\n" +
+          R"({"event":"batch","time_s":90,"account":[1]})" + "\n" +
+          R"({"event":"end","time_s":99,"account":{"generated":1,"pruned":"x","computed":-1}})");
+  const Json odd = made({run.folder.path()}, {mission}).at("runs").at(0).at("history").at("columns");
+  REQUIRE(odd.at("mission_time_s").size() ==
+          shown.at("history").at("columns").at("mission_time_s").size() + 1);
+  REQUIRE(odd.at("queued").back() == 1);
+  REQUIRE(odd.at("computed").back() == 0);
+
   for (const char* name : {"closures.csv", "journal.jsonl", "graph.g2o"})
     testing::fs::remove(run.folder / name);
   const Json least = made({run.folder.path()}, {});
