@@ -325,7 +325,7 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
     for (int i = 0; i < 3; ++i) {
       const double begin = thread_seconds();
       result = refine_gicp(source.cloud, order, target.cloud, target.tree, start,
-                           gicp_passes(4.0, 0.5, 1000, 4000));
+                           gicp_passes(4.0, 0.5, 1000, 6000));
       best = std::min(best, 1e3 * (thread_seconds() - begin));
     }
     fast.add(0.0, best);
