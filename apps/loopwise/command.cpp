@@ -34,8 +34,8 @@ void add_common_options(CLI::App& command, CommonOptions& options) {
   command.add_flag("--quiet", options.quiet, "No progress and no notes; warnings and errors remain");
 }
 
-Config load_config(const CommonOptions& options) {
-  Config config;
+Config load_config(const CommonOptions& options, const Config& defaults) {
+  Config config = defaults;
   if (!options.config.empty()) read_config(options.config, config);
   for (const std::string& assignment : options.set) set_config_option(assignment, config);
   validate_config(config);

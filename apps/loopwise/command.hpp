@@ -40,7 +40,7 @@ using Action = std::function<int()>;
 void add_common_options(CLI::App& command, CommonOptions& options);
 
 /// Defaults, then the file of --config, then --set. \throws OptionError, IoError, ParseError
-[[nodiscard]] Config load_config(const CommonOptions& options);
+[[nodiscard]] Config load_config(const CommonOptions& options, const Config& defaults = {});
 
 /// Number of threads asked for; all processors if 0.
 [[nodiscard]] int thread_count(const CommonOptions& options);

@@ -171,6 +171,12 @@ Json unit_json(const StudyMission& about, const Mission& mission, const Config& 
   return unit;
 }
 
+Config study_defaults() {
+  Config config;
+  config.replay.guess = GuessSource::kOdometry;
+  return config;
+}
+
 /// A unit's files within the study's folder.
 struct UnitFiles {
   fs::path result, seconds, run;
@@ -262,9 +268,8 @@ Study::Study(std::string name, const StudyOptions& options, Console& console)
     : name_(std::move(name)),
       options_(options),
       console_(console),
-      config_(load_config(options.common)),
+      config_(load_config(options.common, study_defaults())),
       folder_(options.output) {
-  config_.replay.guess = GuessSource::kOdometry;
   apply(options.replay, config_);
   validate_config(config_);
   std::map<ContentHash, std::string> seen;

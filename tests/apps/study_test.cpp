@@ -266,6 +266,16 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
   INFO(odometry.err);
   REQUIRE(odometry.status == kDone);
   REQUIRE_THAT(odometry.out, !Contains("paired") && !Contains("Reductions"));  // nothing to set beside it
+  const auto guess = [&](const std::vector<std::string>& more) {
+    const ProgramRun run =
+        run_program(with({"study", "ablation", (folder / "m").string(), "-o", (folder / "out").string(),
+                          "--methods", "odom", "--quiet", "--json", "-"},
+                         more));
+    return parse_json(run.out, "standard output").at("options").at("replay").at("guess");
+  };
+  REQUIRE(guess({}) == "odometry");
+  REQUIRE(guess({"--set", "replay.guess=estimate"}) == "estimate");
+  REQUIRE(guess({"--guess", "estimate"}) == "estimate");
   REQUIRE(run_program({"replay", "-o", (folder / "run").string(), "--method", "odom", "--odometry-noise",
                        "0.01", "0.001", (folder / "m").string()})
               .status == kDone);
