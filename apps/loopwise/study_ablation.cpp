@@ -194,7 +194,7 @@ int run(const Options& options) {
       for (const std::string& method : methods) {
         const std::vector<double> values = figures.of(method, column.name, world.missions);
         const Interval interval = bootstrap_median(values);
-        rows.back().push_back(fixed(interval.low, 3) + " to " + fixed(interval.high, 3));
+        rows.back().push_back(text_of(interval, 3));
         of_world["methods"][method][column.name]["interval_95"] = interval_json(interval);
       }
     }

@@ -14,9 +14,13 @@ std::string cell(const Quartiles& q, int decimals) {
   return fixed(q.median, decimals) + " (" + fixed(q.lower, decimals) + "–" + fixed(q.upper, decimals) + ")";
 }
 
+std::string text_of(const Interval& interval, int decimals) {
+  if (std::isnan(interval.low)) return "-";
+  return fixed(interval.low, decimals) + " to " + fixed(interval.high, decimals);
+}
+
 std::string cell(double value, const Interval& interval, int decimals) {
-  return fixed(value, decimals) + " (" + fixed(interval.low, decimals) + " to " +
-         fixed(interval.high, decimals) + ")";
+  return fixed(value, decimals) + (std::isnan(interval.low) ? "" : " (" + text_of(interval, decimals) + ")");
 }
 
 std::string markdown_table(const std::vector<std::vector<std::string>>& rows) {

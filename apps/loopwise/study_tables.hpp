@@ -14,7 +14,10 @@ namespace loopwise::cli {
 
 /// "0.123 (0.100–0.150)": median and quartiles; without the brackets for one value.
 [[nodiscard]] std::string cell(const Quartiles& q, int decimals);
+/// "0.123 (0.100 to 0.150)", without the brackets where nothing is known of the interval; that itself, or
+/// "-".
 [[nodiscard]] std::string cell(double value, const Interval& interval, int decimals);
+[[nodiscard]] std::string text_of(const Interval& interval, int decimals);
 
 /// Rows of equal length, the first one the header.
 [[nodiscard]] std::string markdown_table(const std::vector<std::vector<std::string>>& rows);

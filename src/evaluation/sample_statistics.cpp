@@ -37,7 +37,7 @@ template <class Statistic>
 Interval bootstrap(const std::vector<double>& values, const BootstrapOptions& options,
                    Statistic&& statistic) {
   validate(options);
-  if (values.empty()) return {};
+  if (values.size() < 2) return {};
   Rng rng(options.seed);
   std::vector<double> of_resamples, resample(values.size());
   for (std::int64_t i = 0; i < options.resamples; ++i) {

@@ -38,7 +38,7 @@ struct BootstrapOptions {
   }
 };
 
-/// NaN where there is nothing to draw from.
+/// NaN of fewer than two values: one does not tell how far others would be.
 struct Interval {
   double low = std::numeric_limits<double>::quiet_NaN();
   double high = std::numeric_limits<double>::quiet_NaN();
