@@ -19,5 +19,6 @@ function(hash_components result)
 endfunction()
 
 hash_components(registration core features registration)
-hash_components(replay core features registration io generation optimization prioritization pipeline)
+# Finished runs of studies hold figures that evaluation makes.
+hash_components(replay core features registration io generation optimization prioritization pipeline evaluation)
 file(WRITE ${OUTPUT} "#define LOOPWISE_REGISTRATION_CODE \"${registration}\"\n#define LOOPWISE_REPLAY_CODE \"${replay}\"\n")

@@ -7,6 +7,7 @@
 #include <loopwise/core/error.hpp>
 
 #include "gnc_solver.hpp"
+#include "initialization.hpp"
 #include "innovation.hpp"
 #include "minimize.hpp"
 
@@ -101,24 +102,25 @@ constexpr int kTruncatedRounds = 20;
 
 class RobustSolver {
  public:
-  RobustSolver(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
-               std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
-               ThreadPool& pool, const StopToken& stop)
+  RobustSolver(const PoseGraph& graph, const std::vector<char>& gross, PoseProblem& problem,
+               NormalEquations& equations, const std::vector<Pose>& start, std::vector<Pose>& poses,
+               const OptimizerOptions& options, const GncOptions& gnc, ThreadPool& pool,
+               const StopToken& stop)
       : problem_(problem),
         equations_(equations),
         poses_(poses),
-        start_(poses),
+        start_(start),
         options_(options),
         gnc_(gnc),
         pool_(pool),
         stop_(stop),
+        gross_(gross),
         c2_(chi_squared_quantile(gnc.inlier_probability, 6)) {
     for (std::size_t k = 0; k < problem.edges(); ++k) {
       problem.weight[k] = 1.0;
       if (!known_inlier(graph.edges()[k])) closures_.push_back(k);
     }
     r2_.resize(closures_.size());
-    gross_ = find_gross(graph);
     std::vector<Vector6d> residuals;
     total_.cost_initial = problem.cost(poses, pool, residuals);
     if (!std::isfinite(total_.cost_initial)) throw InputError("the cost of the first estimate is not finite");
@@ -280,25 +282,65 @@ class RobustSolver {
   PoseProblem& problem_;
   NormalEquations& equations_;
   std::vector<Pose>& poses_;
-  const std::vector<Pose> start_;
+  const std::vector<Pose>& start_;  // where what nothing holds stays
   const OptimizerOptions& options_;
   const GncOptions& gnc_;
   ThreadPool& pool_;
   const StopToken& stop_;
+  const std::vector<char>& gross_;  // by edge
   const double c2_;
   std::vector<std::size_t> closures_;  // factors in doubt
   std::vector<double> r2_;             // by closure
-  std::vector<char> gross_;            // by edge
   OptimizationResult total_;
   int outer_ = 0;
 };
 
 }  // namespace
 
-void solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
-               std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
-               ThreadPool& pool, const StopToken& stop, GncResult& result) {
-  RobustSolver(graph, problem, equations, poses, options, gnc, pool, stop).solve(result);
+namespace {
+
+/// Takes the result of a second start if it is better; what both took is counted. \returns whether it is.
+bool keep_better(GncResult& first, GncResult&& second) {
+  const bool better = second.truncated_cost < first.truncated_cost;
+  second.outer_iterations += first.outer_iterations;
+  second.optimization.iterations += first.optimization.iterations;
+  second.optimization.factorizations += first.optimization.factorizations;
+  second.optimization.cost_initial = first.optimization.cost_initial;
+  if (better) {
+    first = std::move(second);
+  } else {
+    first.outer_iterations = second.outer_iterations;
+    first.optimization.iterations = second.optimization.iterations;
+    first.optimization.factorizations = second.optimization.factorizations;
+  }
+  return better;
+}
+
+}  // namespace
+
+Freedom solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
+                  std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
+                  ThreadPool& pool, const StopToken& stop, GncResult& result) {
+  const std::vector<char> gross = find_gross(graph);
+  const std::vector<Pose> start = poses;
+  RobustSolver(graph, gross, problem, equations, start, poses, options, gnc, pool, stop).solve(result);
+  const bool graduated = gnc.kernel == RobustKernel::kGncTls || gnc.kernel == RobustKernel::kTls;
+  if (!gnc.second_start || !graduated || result.outliers == 0 || stop.stop_requested() ||
+      options.initialization == Initialization::kChordal) {
+    return equations.freedom();
+  }
+  PoseProblem again(graph);
+  for (std::size_t k = 0; k < again.edges(); ++k) again.weight[k] = gross[k] != 0 ? 0.0 : 1.0;
+  OptimizerOptions chordal = options;
+  chordal.initialization = Initialization::kChordal;
+  GncResult second;
+  std::vector<Pose> others =
+      again.poses_of(first_estimate(graph, again, chordal, second.optimization.factorizations));
+  NormalEquations equations_again(options.factorization);
+  RobustSolver(graph, gross, again, equations_again, start, others, options, gnc, pool, stop).solve(second);
+  if (!keep_better(result, std::move(second))) return equations.freedom();
+  poses = std::move(others);
+  return equations_again.freedom();
 }
 
 }  // namespace detail

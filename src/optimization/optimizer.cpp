@@ -92,10 +92,10 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
   detail::PoseProblem problem(graph);
   auto poses = problem.poses_of(
       detail::first_estimate(graph, problem, impl_->options, result.optimization.factorizations));
-  detail::solve_gnc(graph, problem, impl_->equations, poses, impl_->options, options, impl_->pool, stop,
-                    result);
+  const detail::Freedom freedom = detail::solve_gnc(graph, problem, impl_->equations, poses, impl_->options,
+                                                    options, impl_->pool, stop, result);
   result.optimization.poses = problem.isometries(poses);
-  describe_graph(graph, impl_->equations.freedom(), result.optimization);
+  describe_graph(graph, freedom, result.optimization);
   result.optimization.seconds = watch.seconds();
   return result;
 }

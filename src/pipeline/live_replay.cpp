@@ -197,8 +197,8 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
     if (!idle) module.stop();  // ends the wait as well
     waiting.join();
   }
+  module.stop();  // what is being computed still counts
   result.mission_time_s = clock.now();
-  module.stop();
 
   result.interrupted = hooks.stop.stop_requested();
   result.graph = module.graph();

@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <mutex>
 #include <numeric>
 #include <optional>
 #include <set>
@@ -38,28 +37,6 @@ struct Event {
   }
 };
 
-/// Tells of every outcome as soon as it is there, so that a process that is killed loses what it was
-/// computing and no more.
-class RecordingRegistrar final : public Registrar {
- public:
-  RecordingRegistrar(const Registrar& registrar, const ReplayHooks::OutcomeSink& sink)
-      : registrar_(registrar), sink_(sink) {}
-  [[nodiscard]] std::string_view name() const override { return registrar_.name(); }
-  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
-    RegistrationResult result = registrar_.compute(task);
-    if (sink_) {
-      const std::lock_guard<std::mutex> lock(mutex_);
-      sink_(result);
-    }
-    return result;
-  }
-
- private:
-  const Registrar& registrar_;
-  const ReplayHooks::OutcomeSink& sink_;
-  mutable std::mutex mutex_;
-};
-
 OptimizerOptions with_threads(OptimizerOptions options, int num_threads) {
   options.num_threads = num_threads;
   return options;
@@ -73,7 +50,7 @@ class Run {
       : mission_(mission),
         config_(config),
         features_(features),
-        registrar_(registrar, hooks.outcome),
+        registrar_(registrar),
         threads_(threads),
         hooks_(hooks),
         known_(known),
@@ -293,11 +270,11 @@ class Run {
       if (!results_[i]) continue;  // a stop request came first
       const auto worker = std::min_element(free_s.begin(), free_s.end());
       const double finish_s = *worker + results_[i]->seconds();
+      *worker = finish_s;
       if (finish_s > end_s_) {
         results_[i].reset();
         continue;
       }
-      *worker = finish_s;
       events_.insert({finish_s, EventKind::kResult, next_result_ + i, i});
       ++outstanding_;
     }
@@ -319,8 +296,9 @@ class Run {
       places.push_back(i);
     }
     const std::size_t before = pool_.accounting().computed;
-    const auto computed = compute_batch(registrar_, tasks, threads_, hooks_.stop,
-                                        [&](const Progress& p) { report(before + p.done); });
+    const auto computed = compute_batch(
+        registrar_, tasks, threads_, hooks_.stop, [&](const Progress& p) { report(before + p.done); },
+        hooks_.outcome);
     for (std::size_t k = 0; k < places.size(); ++k) results_[places[k]] = computed[k];
     result_.registration_s += watch.seconds();
   }
@@ -441,7 +419,7 @@ class Run {
   const Mission& mission_;
   const Config& config_;
   FeatureCache& features_;
-  RecordingRegistrar registrar_;
+  const Registrar& registrar_;
   ThreadPool& threads_;
   const ReplayHooks& hooks_;
   const KnownOutcomes& known_;

@@ -2,8 +2,8 @@
 /// \file
 /// A batch on two threads beside two processes of one thread that share the same pairs:
 ///   loopwise_registration_scaling MISSION [PAIRS] [ROUNDS]
-/// Both run the same tasks with warm caches, each thread or process pinned to a processor of its own, in turns.
-/// 1 is what two machines would reach; memory bandwidth and shared locks take from it.
+/// Both run the same tasks with warm caches, each thread or process pinned to a processor of its own, in
+/// turns. 1 is what two machines would reach; memory bandwidth and shared locks take from it.
 #include <pthread.h>
 #include <sched.h>
 #include <sys/wait.h>
@@ -80,8 +80,8 @@ std::vector<RegistrationTask> draw_tasks(const Mission& mission, std::size_t cou
   if (near.size() > count) near.resize(count);
   std::vector<RegistrationTask> tasks;
   for (const LoopCandidate& c : near) {
-    tasks.push_back(make_task(mission.graph, mission.robots, c, {}, 1,
-                              [&](Key key) { return mission.scans->has(key); }));
+    tasks.push_back(
+        make_task(mission.graph, mission.robots, c, {}, 1, [&](Key key) { return mission.scans->has(key); }));
   }
   return tasks;
 }
@@ -90,13 +90,14 @@ std::shared_ptr<FeatureCache> features_of(const Mission& mission) {
   return std::make_shared<FeatureCache>(mission.scans->loader(), FeatureOptions());
 }
 
-/// Registrations per second of one process that takes every kProcessors-th task; written to `out` as text once
-/// `go` says that all are warm.
-[[noreturn]] void child(const Mission& mission, const std::vector<RegistrationTask>& tasks, int rank, int ready,
-                        int go, int out) {
+/// Registrations per second of one process that takes every kProcessors-th task; written to `out` as text
+/// once `go` says that all are warm.
+[[noreturn]] void child(const Mission& mission, const std::vector<RegistrationTask>& tasks, int rank,
+                        int ready, int go, int out) {
   pin(rank);
   std::vector<RegistrationTask> own;
-  for (std::size_t i = static_cast<std::size_t>(rank); i < tasks.size(); i += kProcessors) own.push_back(tasks[i]);
+  for (std::size_t i = static_cast<std::size_t>(rank); i < tasks.size(); i += kProcessors)
+    own.push_back(tasks[i]);
   const FastRegistrar registrar(features_of(mission));
   ThreadPool one(1);
   static_cast<void>(compute_batch(registrar, own, one));

@@ -115,6 +115,25 @@ TEST_CASE("replay: the account balances at every event of the journal, for every
   }
 }
 
+TEST_CASE("replay: an outcome that cannot be kept ends the run, it does not become a rejection",
+          "[pipeline][replay][error]") {
+  const Mission mission = two_circles();
+  const Config config = fast_config("baseline");
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  ReplayHooks hooks;
+  std::size_t kept = 0;
+  hooks.outcome = [&](const RegistrationResult&) {
+    if (++kept == 3) throw InputError("outcomes.jsonl: cannot be written");
+  };
+  for (const int threads : {1, 2}) {
+    kept = 0;
+    ThreadPool pool(threads);
+    const MissionReplay replay(mission, config, features,
+                               std::make_shared<OracleRegistrar>(mission.ground_truth));
+    REQUIRE_THROWS_WITH(replay.run(pool, hooks), Contains("cannot be written"));
+  }
+}
+
 TEST_CASE("replay: the same bits for any number of threads", "[pipeline][replay][threads]") {
   const Mission mission = with_radio(two_circles());
   for (const char* method : {"obs", "random", "gi", "full", "obs+gi+rssi"}) {

@@ -26,6 +26,7 @@ struct GncOptions {
   int max_outer_iterations = 100;
   int steps_per_iteration = 1;
   double weight_tolerance = 1e-4;
+  bool second_start = true;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -40,6 +41,9 @@ struct GncOptions {
           "Gauss-Newton steps for each value of mu.");
     field("weight_tolerance", self.weight_tolerance, between(0.0, 0.5),
           "Weights count as settled within this of 0 or 1.");
+    field("second_start", self.second_start, any_value(),
+          "Where closures are left out, start again from the chordal estimate, and keep what costs less: "
+          "graduation from an estimate that is far off can lose closures that all agree.");
   }
 };
 
@@ -58,8 +62,10 @@ struct GncResult {
 /// Optimisation that finds out which loop closures are false. Odometry, priors and trusted edges are known
 /// inliers; every other edge gets a weight in [0, 1] from its residual. The weights that the graph's edges
 /// carry are not used. A closure whose weight has vanished leaves the sparsity structure, and returns when
-/// the estimate makes it fit again. If all closures turn out false the result is the odometry's, each loose
-/// component held at its first node. \throws OptionError, InputError as optimize() does.
+/// the estimate makes it fit again. With second_start the result of lower truncated cost of two starts is
+/// taken: the options' first estimate, and the chordal one of the closures that odometry does not rule out.
+/// If all closures turn out false the result is the odometry's, each loose component held at its first node.
+/// \throws OptionError, InputError as optimize() does.
 [[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const OptimizerOptions& options = {},
                                      const GncOptions& gnc = {}, const StopToken& stop = {});
 
