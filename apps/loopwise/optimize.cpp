@@ -177,7 +177,9 @@ int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
-  Config config = load_config(options.common);
+  Config defaults;
+  defaults.gnc = GncOptions();  // a file has no earlier estimates to suffer from
+  Config config = load_config(options.common, defaults);
   config.optimization.num_threads = thread_count(options.common);
   if (!options.initialization.empty()) {
     config.optimization.initialization =

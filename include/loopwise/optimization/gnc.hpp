@@ -26,7 +26,7 @@ struct GncOptions {
   int max_outer_iterations = 100;
   int steps_per_iteration = 1;
   double weight_tolerance = 1e-4;
-  bool second_start = true;
+  bool second_start = false;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -43,7 +43,9 @@ struct GncOptions {
           "Weights count as settled within this of 0 or 1.");
     field("second_start", self.second_start, any_value(),
           "Where closures are left out, start again from the chordal estimate, and keep what costs less: "
-          "graduation from an estimate that is far off can lose closures that all agree.");
+          "graduation from an estimate that is far off can lose closures that all agree. Takes up to three "
+          "times as "
+          "long; replays and the live module do it.");
   }
 };
 

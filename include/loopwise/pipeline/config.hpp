@@ -91,6 +91,13 @@ struct ReplayOptions {
   }
 };
 
+/// What a back end needs that goes on from its own estimates, of which an early one may have been wrong.
+[[nodiscard]] inline GncOptions from_running_estimates() {
+  GncOptions gnc;
+  gnc.second_start = true;
+  return gnc;
+}
+
 /// All options of a run: the sections of a configuration file.
 struct Config {
   MissionOptions mission;
@@ -107,7 +114,7 @@ struct Config {
   FastRegistrarOptions fast_registrar;
   PclRegistrarOptions pcl_registrar;
   OptimizerOptions optimization;
-  GncOptions gnc;
+  GncOptions gnc = from_running_estimates();
   ReplayOptions replay;
 
   /// Calls visitor(name, section) for each, as core/options.hpp does for fields.
