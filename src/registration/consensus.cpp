@@ -8,6 +8,8 @@
 
 #include <Eigen/SVD>
 
+#include "sort_falling.hpp"
+
 namespace loopwise {
 namespace {
 
@@ -207,8 +209,7 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
     }
     hypotheses.push_back({T, inliers.size()});
   }
-  std::stable_sort(hypotheses.begin(), hypotheses.end(),
-                   [](const Hypothesis& a, const Hypothesis& b) { return a.inliers > b.inliers; });
+  sort_falling(hypotheses, [](const Hypothesis& h) { return h.inliers; });
   if (hypotheses.size() > count) hypotheses.resize(count);
   return consensus;
 }

@@ -18,6 +18,7 @@
 #include "matching.hpp"
 #include "normal_bins.hpp"
 #include "range_image.hpp"
+#include "sort_falling.hpp"
 #include "submap.hpp"
 
 namespace loopwise {
@@ -403,8 +404,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   for (Scored& s : scored) {
     s.value = s.value < 0.6 * most ? 0.0 : score(source, scored_points, target, s.T_target_source, reach);
   }
-  std::stable_sort(scored.begin(), scored.end(),
-                   [](const Scored& a, const Scored& b) { return a.value > b.value; });
+  sort_falling(scored, [](const Scored& s) { return s.value; });
   result.global_s += global_watch.seconds();
   if (!scored.empty()) result.T_from_to = scored.front().T_target_source.inverse();
   std::vector<Eigen::Isometry3d> starts;
