@@ -48,9 +48,9 @@ namespace detail {
 
 ClosureTerms::ClosureTerms(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                            const ClosureModel& model) {
-  if (!model.p_accept.empty() && model.p_accept.size() != candidates.size()) {
-    throw InputError("p_accept has " + std::to_string(model.p_accept.size()) + " values, expected " +
-                     std::to_string(candidates.size()) + " or none");
+  if (!model.information_factors.empty() && model.information_factors.size() != candidates.size()) {
+    throw InputError("information_factors has " + std::to_string(model.information_factors.size()) +
+                     " values, expected " + std::to_string(candidates.size()) + " or none");
   }
   const GraphComponents parts(graph);
   terms_.reserve(candidates.size());
@@ -61,9 +61,9 @@ ClosureTerms::ClosureTerms(const PoseGraph& graph, const std::vector<LoopCandida
     ClosureTerm term;
     term.from = static_cast<std::uint32_t>(from);
     term.to = static_cast<std::uint32_t>(to);
-    term.scale = model.p_accept.empty() ? 1.0 : model.p_accept[i];
+    term.scale = model.information_factors.empty() ? 1.0 : model.information_factors[i];
     if (!(term.scale >= 0.0 && term.scale <= 1.0)) {
-      throw InputError("p_accept of candidate " + std::to_string(i) + " is not in [0, 1]");
+      throw InputError("information factor of candidate " + std::to_string(i) + " is not in [0, 1]");
     }
     term.adjoint = se3::adjoint(graph.nodes()[to].pose.inverse() * graph.nodes()[from].pose);
     terms_.push_back(term);

@@ -16,7 +16,7 @@
 namespace loopwise::detail {
 
 /// Hypothetical closures of candidates at the graph's estimate. \throws UnknownKeyError naming a candidate's
-/// missing node; InputError on a candidate from a node to itself or a p_accept out of [0, 1].
+/// missing node; InputError on a candidate from a node to itself or an information factor out of [0, 1].
 class ClosureTerms {
  public:
   ClosureTerms(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,

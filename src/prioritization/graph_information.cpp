@@ -3,11 +3,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
 #include <optional>
+#include <set>
+#include <utility>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/optimization/marginals.hpp>
+#include <loopwise/prioritization/acceptance.hpp>
 
 #include "closure_factor.hpp"
 
@@ -19,6 +23,12 @@ std::vector<LoopCandidate> at(const std::vector<LoopCandidate>& all, const std::
   out.reserve(places.size());
   for (const std::size_t i : places) out.push_back(all[i]);
   return out;
+}
+
+/// By the estimate, where that knows both nodes.
+double distance_of(const PoseGraph& graph, const LoopCandidate& candidate) {
+  if (!graph.contains(candidate.from) || !graph.contains(candidate.to)) return candidate.distance_m;
+  return (graph.node(candidate.from).pose.translation() - graph.node(candidate.to).pose.translation()).norm();
 }
 
 }  // namespace
@@ -78,6 +88,8 @@ void GraphInformationPrioritizer::on_graph(const PoseGraph& graph) {
 }
 
 void GraphInformationPrioritizer::on_result(const RegistrationResult& result) {
+  const LoopCandidate& candidate = result.candidate;
+  computed_.push_back({candidate.from, candidate.to, distance_of(graph_, candidate), result.verified()});
   if (!result.closure) return;
   const Vector6d variances = result.closure->covariance.diagonal();
   if (variances.allFinite() && variances.minCoeff() > 0.0) accepted_.push_back(variances);
@@ -112,6 +124,29 @@ ClosureModel GraphInformationPrioritizer::model() const {
   return model;
 }
 
+/// That each becomes a closure which holds; empty where that is not asked for.
+std::vector<double> GraphInformationPrioritizer::chances(const std::vector<LoopCandidate>& candidates) const {
+  if (options_.acceptance == Acceptance::kSure) return {};
+  std::set<std::pair<Key, Key>> refuted;
+  for (const Edge& edge : graph_.edges()) {
+    if (edge.weight < 0.5) refuted.emplace(edge.from, edge.to);
+  }
+  AcceptanceModel model(options_.cell_m);
+  for (const Computed& c : computed_) {
+    if (!graph_.contains(c.from) || !graph_.contains(c.to)) continue;
+    const bool holds = c.verified && refuted.count({c.from, c.to}) == 0 && refuted.count({c.to, c.from}) == 0;
+    model.add(c.distance_m, graph_.node(c.from).pose.translation(), graph_.node(c.to).pose.translation(),
+              holds);
+  }
+  std::vector<double> out;
+  out.reserve(candidates.size());
+  for (const LoopCandidate& c : candidates) {
+    out.push_back(model.probability(distance_of(graph_, c), graph_.node(c.from).pose.translation(),
+                                    graph_.node(c.to).pose.translation()));
+  }
+  return out;
+}
+
 std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
   std::vector<LoopCandidate> known;
   std::map<CandidateId, double> out;
@@ -120,10 +155,10 @@ std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
     if (graph_.contains(c.from) && graph_.contains(c.to)) known.push_back(c);
   }
   if (known.empty()) return out;
-  const std::vector<double> gains =
-      sketched_gains(graph_, known, closure_options_, model(), static_cast<std::size_t>(options_.probes),
-                     combine_seeds(options_.seed, 0));
-  for (std::size_t i = 0; i < known.size(); ++i) out[known[i].id] = gains[i];
+  const ExpectedGains expected =
+      expected_gains(graph_, known, closure_options_, model(), chances(known),
+                     static_cast<std::size_t>(options_.probes), combine_seeds(options_.seed, 0));
+  for (std::size_t i = 0; i < known.size(); ++i) out[known[i].id] = expected.gains[i];
   return out;
 }
 
@@ -173,22 +208,29 @@ void GraphInformationPrioritizer::prepare(std::size_t count, const StopToken& st
       p.set = largest_covariance(graph_, others, marginals(graph_).covariances, count);
       return;
     }
-    const ClosureModel closures = model();
+    ClosureModel closures = model();
     const auto longest = static_cast<std::size_t>(
         std::ceil(options_.shortlist * static_cast<double>(std::max<std::size_t>(count, 1))));
+    const std::vector<double> chance = chances(others);
+    ExpectedGains expected;
+    if (others.size() > longest || !chance.empty()) {
+      expected = expected_gains(graph_, others, closure_options_, closures, chance,
+                                static_cast<std::size_t>(options_.probes), seed);
+    }
+    std::vector<std::size_t> shortlist(others.size());
+    std::iota(shortlist.begin(), shortlist.end(), std::size_t{0});
     if (others.size() > longest) {
-      const std::vector<double> gains = sketched_gains(graph_, others, closure_options_, closures,
-                                                       static_cast<std::size_t>(options_.probes), seed);
-      const std::vector<std::size_t> shortlist =
-          spread_shortlist(graph_, others, gains, longest, options_.cell_m);
-      p.list = at(others, shortlist);
+      shortlist = spread_shortlist(graph_, others, expected.gains, longest, options_.cell_m);
       std::vector<bool> listed(others.size(), false);
       for (const std::size_t i : shortlist) listed[i] = true;
       for (std::size_t i = 0; i < others.size(); ++i) {
         if (!listed[i]) p.rest.push_back(others[i]);
       }
-    } else {
-      p.list = others;
+    }
+    p.list = at(others, shortlist);
+    if (!chance.empty()) {
+      for (const std::size_t i : shortlist)
+        closures.information_factors.push_back(expected.information_factors[i]);
     }
     status_.shortlist = p.list.size();
     switch (options_.objective) {

@@ -5,6 +5,7 @@
 #include <unordered_map>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
@@ -22,17 +23,14 @@ constexpr std::size_t kChunk = 4096;
 
 using Probes = Eigen::Matrix<double, 6, kWidth, Eigen::RowMajor>;
 
-}  // namespace
-
-std::vector<double> sketched_gains(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
-                                   const ClosureModelOptions& options, const ClosureModel& model,
-                                   std::size_t probes, std::uint64_t seed) {
+/// Calls visit(i, blocks) for every candidate that does not connect, with S and M of its closure at full
+/// information on the bare graph, from random probes. Several threads call at a time.
+template <class Visit>
+void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                     const ClosureModelOptions& options, const ClosureModel& model, std::size_t probes,
+                     std::uint64_t seed, const Visit& visit) {
   validate(options);
   if (probes == 0) throw OptionError("probes = 0, must be >= 1");
-  if (!model.p_accept.empty() && model.p_accept.size() != candidates.size()) {
-    throw InputError("p_accept has " + std::to_string(model.p_accept.size()) + " values, expected " +
-                     std::to_string(candidates.size()) + " or none");
-  }
   const detail::Whitening whitening(model.covariance);
   const detail::GraphComponents parts(graph);
   detail::ClosureFactor factor(graph);
@@ -62,13 +60,11 @@ std::vector<double> sketched_gains(const PoseGraph& graph, const std::vector<Loo
     counted ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
   });
 
-  std::vector<double> gains(candidates.size(), 0.0);
   pool.for_each((candidates.size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
     const std::size_t end = std::min(candidates.size(), (chunk + 1) * kChunk);
     for (std::size_t i = chunk * kChunk; i < end; ++i) {
       const std::size_t from = graph.index_of(candidates[i].from), to = graph.index_of(candidates[i].to);
-      const double p = model.p_accept.empty() ? 1.0 : model.p_accept[i];
-      if (parts.connecting(from, to) || !(p > 0.0)) continue;
+      if (parts.connecting(from, to)) continue;
       detail::ClosureTerm term;
       term.from = static_cast<std::uint32_t>(from);
       term.to = static_cast<std::uint32_t>(to);
@@ -81,13 +77,77 @@ std::vector<double> sketched_gains(const PoseGraph& graph, const std::vector<Loo
         blocks.S.noalias() += u.lazyProduct(u.transpose());
         blocks.M.noalias() += v.lazyProduct(v.transpose());
       }
-      const Matrix6d W = std::sqrt(p) * whitening.root;
-      blocks.S = (W * blocks.S * W.transpose()).eval();
-      blocks.M = (W * blocks.M * W.transpose()).eval();
-      gains[i] = blocks.gain();
+      blocks.S = (whitening.root * blocks.S * whitening.root.transpose()).eval();
+      blocks.M = (whitening.root * blocks.M * whitening.root.transpose()).eval();
+      visit(i, blocks);
     }
   });
+}
+
+void check_count(const char* what, std::size_t count, std::size_t candidates) {
+  if (count == 0 || count == candidates) return;
+  throw InputError(std::string(what) + " has " + std::to_string(count) + " values, expected " +
+                   std::to_string(candidates) + " or none");
+}
+
+/// The factor of the information with which the gain is `p` times that of all of it. Along the eigenvectors
+/// of S the gain is the sum of f·m/(1 + f·λ): rising and concave, so that Newton's method from 0, below the
+/// root, climbs to it without passing it.
+double expected_information(const detail::GainBlocks& blocks, double p) {
+  if (p >= 1.0) return 1.0;
+  if (!(p > 0.0)) return 0.0;
+  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(blocks.S);
+  const Vector6d lambda = eigen.eigenvalues().cwiseMax(0.0);
+  const Vector6d m =
+      (eigen.eigenvectors().transpose() * blocks.M * eigen.eigenvectors()).diagonal().cwiseMax(0.0);
+  const auto gain = [&](double f) { return (f * m.array() / (1.0 + f * lambda.array())).sum(); };
+  const double wanted = p * gain(1.0);
+  double f = 0.0;
+  for (int k = 0; k < 100; ++k) {
+    const double slope = (m.array() / (1.0 + f * lambda.array()).square()).sum();
+    if (!(slope > 0.0)) return p;  // gains nothing, whatever it is
+    const double step = (wanted - gain(f)) / slope;
+    f = std::clamp(f + step, 0.0, p);
+    if (!(std::abs(step) > 1e-9 * f)) break;
+  }
+  return f;
+}
+
+}  // namespace
+
+std::vector<double> sketched_gains(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                                   const ClosureModelOptions& options, const ClosureModel& model,
+                                   std::size_t probes, std::uint64_t seed) {
+  check_count("information_factors", model.information_factors.size(), candidates.size());
+  std::vector<double> gains(candidates.size(), 0.0);
+  for_each_sketch(
+      graph, candidates, options, model, probes, seed, [&](std::size_t i, detail::GainBlocks& blocks) {
+        const double factor = model.information_factors.empty() ? 1.0 : model.information_factors[i];
+        blocks.S *= factor;
+        blocks.M *= factor;
+        gains[i] = blocks.gain();
+      });
   return gains;
+}
+
+ExpectedGains expected_gains(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                             const ClosureModelOptions& options, const ClosureModel& model,
+                             const std::vector<double>& p_accept, std::size_t probes, std::uint64_t seed) {
+  check_count("p_accept", p_accept.size(), candidates.size());
+  for (std::size_t i = 0; i < p_accept.size(); ++i) {
+    if (p_accept[i] >= 0.0 && p_accept[i] <= 1.0) continue;
+    throw InputError("p_accept of candidate " + std::to_string(i) + " is not in [0, 1]");
+  }
+  ExpectedGains out;
+  out.gains.assign(candidates.size(), 0.0);
+  out.information_factors = p_accept.empty() ? std::vector<double>(candidates.size(), 1.0) : p_accept;
+  for_each_sketch(graph, candidates, options, model, probes, seed,
+                  [&](std::size_t i, const detail::GainBlocks& blocks) {
+                    const double p = out.information_factors[i];
+                    out.gains[i] = p * blocks.gain();
+                    out.information_factors[i] = expected_information(blocks, p);
+                  });
+  return out;
 }
 
 std::vector<std::size_t> spread_shortlist(const PoseGraph& graph,

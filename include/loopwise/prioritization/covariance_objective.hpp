@@ -58,8 +58,10 @@ struct ClosureModelOptions {
 /// Hypothetical closures of a list of candidates at a graph's estimate: Z = T_from⁻¹·T_to, information from
 /// the sigmas or a covariance.
 struct ClosureModel {
-  Matrix6d covariance;           ///< Of every candidate, [translation, rotation], m² and rad².
-  std::vector<double> p_accept;  ///< Probability that the candidate, once computed, is accepted; empty: 1.
+  Matrix6d covariance;  ///< Of every candidate, [translation, rotation], m² and rad².
+  /// Factor of each candidate's information, in [0, 1]; empty: 1. Below 1 for candidates that may fail, see
+  /// expected_gains().
+  std::vector<double> information_factors;
 };
 
 /// Σ⁻¹ = diag(sigma_m², sigma_rad²). \throws OptionError
@@ -71,8 +73,7 @@ struct ClosureModel {
 ///
 /// With J, W the stacked Jacobians and information of a change (W negative for closures that leave), the
 /// trace changes by −tr((W⁻¹ + JΣJᵀ)⁻¹ · JΣPᵀPΣJᵀ), Σ being that of the current set and P choosing what
-/// counts: for one closure a 6×6 problem, for a swap one of 12×12. `p_accept` scales a candidate's
-/// information, and with it, to first order, its gain.
+/// counts: for one closure a 6×6 problem, for a swap one of 12×12.
 ///
 /// Poses of a component without a prior count relative to its first node; connecting candidates change
 /// nothing.
@@ -150,6 +151,23 @@ class LogDetObjective final : public GraphObjective {
                                                  const ClosureModelOptions& options,
                                                  const ClosureModel& model, std::size_t probes = 64,
                                                  std::uint64_t seed = 1);
+
+/// What candidates that may fail promise.
+struct ExpectedGains {
+  std::vector<double> gains;  ///< p · gain of the closure
+  /// Factor of each one's information with which an objective gives it that gain on the bare graph: sets of
+  /// them have a value, less than that of sure closures, and what repeats a doubtful closure keeps some of
+  /// its own. p itself where the closure gains little, far less where it gains much.
+  std::vector<double> information_factors;
+};
+
+/// As sketched_gains(), of candidates that are accepted with the probabilities `p_accept`, once computed;
+/// empty: 1. The model's own factors are not looked at. \throws InputError on a probability out of [0, 1].
+[[nodiscard]] ExpectedGains expected_gains(const PoseGraph& graph,
+                                           const std::vector<LoopCandidate>& candidates,
+                                           const ClosureModelOptions& options, const ClosureModel& model,
+                                           const std::vector<double>& p_accept, std::size_t probes = 64,
+                                           std::uint64_t seed = 1);
 
 /// Up to `count` candidates that promise most and lie spread over the graph: within each pair of cells of
 /// `cell_m` that candidates join the best by gain, then the second best of each, and so on, each round by
