@@ -71,9 +71,9 @@ void print_results(const CommonOptions& options, const Json& json, const std::st
   std::cout << text << std::flush;
 }
 
-int run_action(const Action& action) {
-  const auto complain = [](const std::exception& error) {
-    std::cerr << "loopwise: " << error.what() << "\n";
+int run_action(const Action& action, const std::string& program) {
+  const auto complain = [&program](const std::exception& error) {
+    std::cerr << program << ": " << error.what() << "\n";
   };
   try {
     return action();

@@ -54,7 +54,7 @@ void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, 
 void print_results(const CommonOptions& options, const Json& json, const std::string& text);
 
 /// Runs an action and turns what it throws into a line on standard error and an exit status.
-[[nodiscard]] int run_action(const Action& action);
+[[nodiscard]] int run_action(const Action& action, const std::string& program = "loopwise");
 
 /// "12.3" with the given number of decimals; "-" for NaN.
 [[nodiscard]] std::string fixed(double value, int decimals);

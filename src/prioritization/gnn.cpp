@@ -3,78 +3,18 @@
 
 #include <algorithm>
 #include <cmath>
-#include <fstream>
 #include <map>
-
-#include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
 
 #include "closure_factor.hpp"
+#include "tensor_file.hpp"
 
 namespace loopwise {
 namespace {
 
-using Json = nlohmann::json;
+using detail::TensorFile;
 using Eigen::Index;
-
-/// Reads tensors of a weights file and holds them to their shapes.
-class TensorFile {
- public:
-  explicit TensorFile(const std::filesystem::path& path) : path_(path.string()) {
-    std::ifstream in(path);
-    if (!in) throw IoError(path_, "cannot be opened");
-    try {
-      json_ = Json::parse(in);
-    } catch (const Json::exception& error) {
-      throw InputError(path_ + ": " + error.what());
-    }
-    if (!json_.is_object()) throw InputError(path_ + ": expected an object of tensors");
-  }
-
-  [[nodiscard]] bool has(const std::string& name) const { return json_.contains(name); }
-
-  /// Sizes of 0 are taken from the file and returned through the matrix.
-  [[nodiscard]] Eigen::MatrixXd matrix(const std::string& name, Index rows, Index columns) const {
-    const auto found = json_.find(name);
-    const auto fail = [&](const std::string& why) { throw InputError(path_ + ": " + name + ": " + why); };
-    if (found == json_.end()) fail("missing");
-    std::vector<Index> shape;
-    std::vector<double> data;
-    try {
-      shape = found->at("shape").get<std::vector<Index>>();
-      data = found->at("data").get<std::vector<double>>();
-    } catch (const Json::exception&) {
-      fail("expected {\"shape\": [integers], \"data\": [numbers]}");
-    }
-    if (shape.size() == 1) shape.insert(shape.begin(), 1);
-    if (shape.size() != 2 || shape[0] < 1 || shape[1] < 1 || (rows > 0 && shape[0] != rows) ||
-        (columns > 0 && shape[1] != columns)) {
-      std::string text;
-      for (const Index s : shape) text += (text.empty() ? "" : "x") + std::to_string(s);
-      fail("shape " + text + ", expected " + (rows > 0 ? std::to_string(rows) : "any") + "x" +
-           (columns > 0 ? std::to_string(columns) : "any"));
-    }
-    if (static_cast<Index>(data.size()) != shape[0] * shape[1]) {
-      fail(std::to_string(data.size()) + " values, expected " + std::to_string(shape[0] * shape[1]));
-    }
-    for (const double value : data) {
-      if (!std::isfinite(value)) fail("a value is not finite");
-    }
-    return Eigen::Map<const Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>>(
-        data.data(), shape[0], shape[1]);
-  }
-
-  [[nodiscard]] Eigen::RowVectorXd row(const std::string& name, Index size) const {
-    return matrix(name, 1, size);
-  }
-
-  [[noreturn]] void fail(const std::string& why) const { throw InputError(path_ + ": " + why); }
-
- private:
-  std::string path_;
-  Json json_;
-};
 
 struct Convolution {
   Eigen::MatrixXd g;  // H × K·H
@@ -119,6 +59,7 @@ struct GraphNetwork::Impl {
   Linear last;
   Eigen::RowVectorXd input_mean, input_std;
   double output_mean = 0.0, output_std = 1.0;
+  bool logarithm = false;  // what is put out so far is a logarithm
 
   /// The summed-up kernels for edges of these attributes, a row each.
   template <class Scalar>
@@ -167,7 +108,8 @@ struct GraphNetwork::Impl {
     }
     normalize(norms.back());
     const Scalar y = p.dot(last.weight.row(0).cast<Scalar>()) + static_cast<Scalar>(last.bias[0]);
-    return static_cast<double>(y) * output_std + output_mean;
+    const double out = static_cast<double>(y) * output_std + output_mean;
+    return logarithm ? std::exp(out) : out;
   }
 
   template <class Scalar>
@@ -230,6 +172,7 @@ struct GraphNetwork::Impl {
 
 GraphNetwork::GraphNetwork(const std::filesystem::path& weights) {
   const TensorFile file(weights);
+  if (file.kind() != "paper") file.fail("a network of kind " + file.kind() + ", expected paper");
   auto impl = std::make_unique<Impl>();
   Impl& m = *impl;
   m.encoder.weight = file.matrix("node_encoder.weight", 0, 0);
@@ -271,6 +214,7 @@ GraphNetwork::GraphNetwork(const std::filesystem::path& weights) {
     m.output_mean = file.row("output.mean", 1)[0];
     m.output_std = file.row("output.std", 1)[0];
   }
+  if (file.has("output.log")) m.logarithm = file.row("output.log", 1)[0] != 0.0;
   impl_ = std::move(impl);
 }
 
@@ -486,26 +430,15 @@ struct GnnObjective::Impl {
   }
 };
 
-GnnObjective::GnnObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
-                           std::shared_ptr<const GraphNetwork> network, GnnFeatures features,
-                           const std::vector<Matrix6d>& covariances) {
-  if (!network) throw InputError("GnnObjective needs a network");
-  if (network->node_features() != kNodeFeatures || network->edge_features() != kEdgeTypes) {
-    throw InputError("the network takes " + std::to_string(network->node_features()) + " node and " +
-                     std::to_string(network->edge_features()) + " edge features, expected 7 and 4");
-  }
+GraphNetwork::Input graph_input(const PoseGraph& graph, GnnFeatures features,
+                                const std::vector<Matrix6d>& covariances) {
   const std::size_t n = graph.nodes().size();
   if (!covariances.empty() && covariances.size() != n) {
     throw InputError(std::to_string(covariances.size()) + " covariances, expected one for each of " +
                      std::to_string(n) + " nodes");
   }
-  impl_ = std::make_unique<Impl>(graph, candidates);
-  Impl& m = *impl_;
-  m.network = std::move(network);
-  m.layers = m.network->impl_->layers<double>(Eigen::MatrixXd::Identity(kEdgeTypes, kEdgeTypes));
-  m.candidate_type = features == GnnFeatures::kLamp ? kOdometry : kClosure;
-
-  m.features.resize(static_cast<Index>(n), kNodeFeatures);
+  GraphNetwork::Input out;
+  out.nodes.resize(static_cast<Index>(n), kNodeFeatures);
   for (std::size_t i = 0; i < n; ++i) {
     const Eigen::Isometry3d& pose = graph.nodes()[i].pose;
     Eigen::Vector3d variance = Eigen::Vector3d::Zero();
@@ -519,16 +452,12 @@ GnnObjective::GnnObjective(const PoseGraph& graph, const std::vector<LoopCandida
     Eigen::Matrix<double, 1, kNodeFeatures> row;
     row << variance.transpose(), pose.translation().transpose(), 1.0;
     if (features == GnnFeatures::kLamp) row = row.cast<float>().cast<double>().eval();
-    m.features.row(static_cast<Index>(i)) = row;
+    out.nodes.row(static_cast<Index>(i)) = row;
   }
-
-  m.incoming.resize(n);
-  m.outgoing.resize(n);
-  m.set_in.resize(n);
-  m.set_out.resize(n);
+  std::vector<std::uint8_t> types;
   const auto connect = [&](std::size_t from, std::size_t to, std::uint8_t type) {
-    m.incoming[to].push_back({static_cast<std::uint32_t>(from), type});
-    m.outgoing[from].push_back({static_cast<std::uint32_t>(to), type});
+    out.edges.emplace_back(static_cast<std::uint32_t>(from), static_cast<std::uint32_t>(to));
+    types.push_back(type);
   };
   for (const PriorFactor& prior : graph.priors()) {
     const std::size_t node = graph.index_of(prior.key);
@@ -538,6 +467,39 @@ GnnObjective::GnnObjective(const PoseGraph& graph, const std::vector<LoopCandida
     const ::loopwise::Edge& edge = graph.edges()[e];
     if (edge.weight <= 0.5) continue;  // what the back end holds to be false is no edge
     connect(graph.ends(e).from, graph.ends(e).to, edge.kind == EdgeKind::kOdometry ? kOdometry : kClosure);
+  }
+  out.edge_attributes = Eigen::MatrixXd::Zero(static_cast<Index>(types.size()), kEdgeTypes);
+  for (std::size_t e = 0; e < types.size(); ++e) out.edge_attributes(static_cast<Index>(e), types[e]) = 1.0;
+  return out;
+}
+
+GnnObjective::GnnObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                           std::shared_ptr<const GraphNetwork> network, GnnFeatures features,
+                           const std::vector<Matrix6d>& covariances) {
+  if (!network) throw InputError("GnnObjective needs a network");
+  if (network->node_features() != kNodeFeatures || network->edge_features() != kEdgeTypes) {
+    throw InputError("the network takes " + std::to_string(network->node_features()) + " node and " +
+                     std::to_string(network->edge_features()) + " edge features, expected 7 and 4");
+  }
+  const std::size_t n = graph.nodes().size();
+  impl_ = std::make_unique<Impl>(graph, candidates);
+  Impl& m = *impl_;
+  m.network = std::move(network);
+  m.layers = m.network->impl_->layers<double>(Eigen::MatrixXd::Identity(kEdgeTypes, kEdgeTypes));
+  m.candidate_type = features == GnnFeatures::kLamp ? kOdometry : kClosure;
+
+  const GraphNetwork::Input bare = graph_input(graph, features, covariances);
+  m.features = bare.nodes;
+  m.incoming.resize(n);
+  m.outgoing.resize(n);
+  m.set_in.resize(n);
+  m.set_out.resize(n);
+  for (std::size_t e = 0; e < bare.edges.size(); ++e) {
+    const auto [from, to] = bare.edges[e];
+    Index type = 0;
+    bare.edge_attributes.row(static_cast<Index>(e)).maxCoeff(&type);
+    m.incoming[to].push_back({from, static_cast<std::uint8_t>(type)});
+    m.outgoing[from].push_back({to, static_cast<std::uint8_t>(type)});
   }
   for (const LoopCandidate& c : candidates) {
     m.ends.emplace_back(static_cast<std::uint32_t>(graph.index_of(c.from)),

@@ -59,7 +59,11 @@ GraphInformationPrioritizer::GraphInformationPrioritizer(const GraphInformationO
   validate(greedy_options_);
   if (options_.objective == ObjectiveKind::kGnn) {
     if (options_.gnn_weights.empty()) throw OptionError("gnn_weights is empty, objective gnn needs a file");
-    network_ = std::make_shared<const GraphNetwork>(options_.gnn_weights);
+    if (network_kind(options_.gnn_weights) == "loopwise") {
+      effect_network_ = std::make_shared<const EffectNetwork>(options_.gnn_weights);
+    } else {
+      network_ = std::make_shared<const GraphNetwork>(options_.gnn_weights);
+    }
   }
 }
 
@@ -241,6 +245,11 @@ void GraphInformationPrioritizer::prepare(std::size_t count, const StopToken& st
         p.objective = std::make_unique<LogDetObjective>(graph_, p.list, closure_options_, closures);
         break;
       case ObjectiveKind::kGnn:
+        if (effect_network_) {
+          p.objective =
+              std::make_unique<EffectObjective>(graph_, p.list, effect_network_, closure_options_, closures);
+          break;
+        }
         p.objective = std::make_unique<GnnObjective>(graph_, p.list, network_, options_.gnn_features,
                                                      marginals(graph_).covariances);
     }

@@ -41,12 +41,13 @@ enum class GnnFeatures {
 /// tensors node_encoder.{weight H×F, bias H}; conv1 and gcs.0, gcs.1, ... each with {g H×(K·H), mu K×D, sigma
 /// K×D, root H×H, bias H}; lins.0, ... {weight H×H, bias H}; batch_norms.1, ... one more than lins, {weight,
 /// bias, running_mean, running_var: H}; lin {weight 1×H, bias 1}. Optional: input.mean and input.std (F) with
-/// which features are normalised, output.mean and output.std (1) which y is taken back from. Others are
-/// ignored.
+/// which features are normalised, output.mean and output.std (1) which y is taken back from; output.log (1),
+/// if not 0: that is a logarithm, and the network puts out its exponential. Others are ignored. `kind` of
+/// `__meta__`, where it stands, is "paper".
 class GraphNetwork {
  public:
-  /// \throws IoError; InputError naming file and tensor on JSON that is none, a tensor that is missing, has
-  /// another shape or a value that is not finite.
+  /// \throws IoError; InputError naming file and tensor on JSON that is none, a network of another kind, a
+  /// tensor that is missing, has another shape or a value that is not finite.
   explicit GraphNetwork(const std::filesystem::path& weights);
   ~GraphNetwork();
   GraphNetwork(GraphNetwork&&) noexcept;
@@ -72,6 +73,12 @@ class GraphNetwork {
   struct Impl;
   std::unique_ptr<const Impl> impl_;
 };
+
+/// What the network gets of a graph without a set: features of the nodes, a self loop for each prior, an edge
+/// one way for each odometry and closure that the back end holds to be true; types one-hot. `covariances` as
+/// GnnObjective takes them. \throws InputError on another number of covariances
+[[nodiscard]] GraphNetwork::Input graph_input(const PoseGraph& graph, GnnFeatures features,
+                                              const std::vector<Matrix6d>& covariances);
 
 /// What the network says of the graph with a set of closures. One direction, from → to, as it was trained. A
 /// swap is evaluated on the nodes downstream of the two `to` nodes alone.

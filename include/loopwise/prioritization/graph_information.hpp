@@ -13,6 +13,7 @@
 
 #include <loopwise/core/options.hpp>
 #include <loopwise/prioritization/covariance_objective.hpp>
+#include <loopwise/prioritization/effect_network.hpp>
 #include <loopwise/prioritization/gnn.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/prioritization/selection.hpp>
@@ -90,8 +91,10 @@ struct GraphInformationOptions {
           "Cells that the shortlist is spread over, and places of acceptance, m.");
     field("max_wait_s", self.max_wait_s, at_least(0.0),
           "Candidates to nodes that the graph does not have are given up after this, s; 0: never.");
-    field("gnn_weights", self.gnn_weights, any_value(), "Objective gnn: file with the network's weights.");
-    field("gnn_features", self.gnn_features, any_value(), "Objective gnn: features, world or lamp.");
+    field("gnn_weights", self.gnn_weights, any_value(),
+          "Objective gnn: file with the network's weights, the paper's kind or Loopwise's.");
+    field("gnn_features", self.gnn_features, any_value(),
+          "Objective gnn, the paper's kind: features, world or lamp.");
     field("seed", self.seed, at_least(0), "Of annealing and probes.");
   }
 };
@@ -156,6 +159,7 @@ class GraphInformationPrioritizer final : public Prioritizer {
   AnnealingOptions annealing_options_;
   GreedyOptions greedy_options_;
   std::shared_ptr<const GraphNetwork> network_;
+  std::shared_ptr<const EffectNetwork> effect_network_;
   PoseGraph graph_;
   std::map<CandidateId, LoopCandidate> held_;  // in order of generation
   std::vector<Vector6d> accepted_;             // diagonals of the covariances of verified closures

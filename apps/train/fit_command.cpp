@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
+
+#include "commands.hpp"
+#include "trainer.hpp"
+
+namespace loopwise::training {
+namespace {
+
+struct Options {
+  CommonOptions common;
+  std::string data, output, network, target;
+  std::optional<std::int64_t> epochs, patience;
+  std::optional<std::uint64_t> seed;
+  bool resume = false;
+};
+
+int run(const Options& options) {
+  cli::Console console(options.common.quiet);
+  const cli::InterruptGuard interrupt;
+  FitOptions fit;
+  load_section(options.common, "fit", fit);
+  if (!options.network.empty()) fit.network = parse_enum<NetworkKind>("network", options.network);
+  if (!options.target.empty()) fit.target = parse_enum<Target>("target", options.target);
+  if (options.epochs) fit.epochs = *options.epochs;
+  if (options.patience) fit.patience = *options.patience;
+  if (options.seed) fit.seed = *options.seed;
+  validate(fit);
+  if (fit.network == NetworkKind::kLoopwise && fit.target == Target::kTrace) {
+    throw OptionError("target = trace is for the paper's network");
+  }
+
+  const DataSet data = read_data_set(options.data);
+  const std::vector<Role> roles = split_by_mission(data.entries, fit.split_seed);
+  std::vector<MissionData> training, validation;
+  Json missions = {{"train", Json::array()}, {"validation", Json::array()}};
+  for (std::size_t i = 0; i < roles.size(); ++i) {
+    if (roles[i] == Role::kTest) continue;
+    (roles[i] == Role::kTrain ? training : validation).push_back(data.read(i));
+    missions[enum_name(roles[i])].push_back(data.entries[i].name);
+    console.progress({"reading", i + 1, roles.size(), ""});
+  }
+  const std::filesystem::path folder = options.output;
+  cli::prepare_output_folder(folder, options.resume,
+                             "; --resume goes on with a training that was interrupted");
+  const std::filesystem::path checkpoint = folder / "checkpoint.cbor";
+  Trainer trainer(training, validation, fit);
+  if (options.resume && std::filesystem::exists(checkpoint)) trainer.load(checkpoint);
+
+  const auto write = [&] {
+    double best = 0.0;
+    std::int64_t best_epoch = 0;
+    CsvText csv({"epoch", "training_loss", "validation_loss", "best"});
+    for (const EpochResult& epoch : trainer.history()) {
+      csv.row(epoch.epoch, epoch.training_loss, epoch.validation_loss, epoch.best ? 1 : 0);
+      if (epoch.best) {
+        best = epoch.validation_loss;
+        best_epoch = epoch.epoch;
+      }
+    }
+    const Json meta = {{"source", "loopwise-train fit"},
+                       {"options", to_json(fit)},
+                       {"data", to_json(data.options)},
+                       {"missions", missions},
+                       {"epochs", trainer.history().size()},
+                       {"best_epoch", best_epoch},
+                       {"validation_loss", best}};
+    write_weights(folder / "weights.json", fit.network, trainer.weights(), meta.dump());
+    write_file(folder / "history.csv", csv.text());
+  };
+  while (!trainer.done()) {
+    const auto epoch = trainer.run_epoch(interrupt.token(), console.progress_callback());
+    if (!epoch) {
+      console.warn("interrupted: " + std::to_string(trainer.history().size()) +
+                   " epochs are kept, --resume goes on");
+      return cli::kInterrupted;
+    }
+    trainer.save(checkpoint);
+    write();
+    char text[160];
+    std::snprintf(text, sizeof text, "epoch %3lld  training %.6f  validation %.6f%s",
+                  static_cast<long long>(epoch->epoch), epoch->training_loss, epoch->validation_loss,
+                  epoch->best ? "  best" : "");
+    console.note(text);
+  }
+  write();
+  double best = 0.0;
+  for (const EpochResult& epoch : trainer.history()) {
+    if (epoch.best) best = epoch.validation_loss;
+  }
+  const Json json = {{"weights", (folder / "weights.json").string()},
+                     {"network", enum_name(fit.network)},
+                     {"epochs", trainer.history().size()},
+                     {"validation_loss", best},
+                     {"missions", missions}};
+  cli::print_results(options.common, json,
+                     (folder / "weights.json").string() + ": " + std::to_string(trainer.history().size()) +
+                         " epochs, best validation loss " + cli::fixed(best, 6) + "\n");
+  return cli::kDone;
+}
+
+}  // namespace
+
+void add_fit(CLI::App& app, Action& chosen) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("fit", "Train a network; the result is a weights file");
+  command->footer(
+      "Writes weights.json (the epoch that validated best), history.csv and checkpoint.cbor after each "
+      "epoch.\n"
+      "  loopwise-train fit data -o run\n"
+      "  loopwise-train fit data -o paper --network paper --seed 2\n"
+      "Options of --set and --config: section fit, fields network, target, epochs, patience, learning_rate,\n"
+      "hidden, channels, kernels, seed, split_seed.");
+  command->add_option("data", options->data, "Folder that 'loopwise-train data' made")
+      ->required()
+      ->type_name("DATA");
+  command->add_option("-o,--output", options->output, "Folder for the results: a new one, or empty")
+      ->required()
+      ->type_name("DIR");
+  command->add_option("--network", options->network, "loopwise (default) or paper")->type_name("WORD");
+  command->add_option("--target", options->target, "Network paper: log (default) or trace")
+      ->type_name("WORD");
+  command->add_option("--epochs", options->epochs, "At most (default 40)")->type_name("N");
+  command->add_option("--patience", options->patience, "Epochs without a better validation (default 10)")
+      ->type_name("N");
+  command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
+  command->add_flag("--resume", options->resume, "Go on with a training that was interrupted");
+  cli::add_common_options(*command, options->common);
+  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+}
+
+}  // namespace loopwise::training

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "commands.hpp"
+
+int main(int argc, char** argv) {
+  using namespace loopwise;
+  CLI::App app{
+      "Trains the networks that guess how uncertain a pose graph is with a set of loop closures, and judges\n"
+      "what they are worth.",
+      "loopwise-train"};
+  app.set_version_flag("--version", std::string("loopwise-train ") + LOOPWISE_VERSION);
+  app.require_subcommand(1);
+  app.failure_message(CLI::FailureMessage::simple);
+  app.footer(
+      "Examples:\n"
+      "  loopwise-train data -o data                            simulate missions, solve sets exactly\n"
+      "  loopwise-train fit data -o run                         train; run/weights.json is the network\n"
+      "  loopwise-train evaluate data run/weights.json          on missions never trained on\n\n"
+      "Exit status: 0 done, 2 bad usage, 3 bad input, 130 interrupted, 1 anything else.\n"
+      "Results go to standard output, everything else to standard error.");
+  cli::Action chosen;
+  training::add_data(app, chosen);
+  training::add_fit(app, chosen);
+  training::add_evaluate(app, chosen);
+  try {
+    app.parse(argc, argv);
+  } catch (const CLI::ParseError& error) {
+    return app.exit(error) == 0 ? cli::kDone : cli::kBadUsage;
+  }
+  return cli::run_action(chosen, "loopwise-train");
+}

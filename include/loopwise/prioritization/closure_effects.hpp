@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/se3.hpp>
+#include <loopwise/prioritization/covariance_objective.hpp>
+
+namespace loopwise {
+
+/// What each candidate, added alone, does to the positions of a sample of nodes: the input of EffectNetwork.
+///
+/// Nodes are laid out along their robots' chains of odometry and cut into strata of equal measure, half by
+/// count and half by variance. The middle node of a stratum, the *anchor*, stands for it. The principal axes
+/// of an anchor's positional covariance are three *units*, each with one variance v. One closure lowers it to
+/// v', exactly: v − v' = yᵀ(W⁻¹ + JΣJᵀ)⁻¹y, y = JΣn for the axis n. Poses, variances and closures are those
+/// that CovarianceObjective counts.
+struct ClosureEffects {
+  struct Anchor {
+    std::size_t node = 0;
+    std::uint32_t chain = 0;  ///< Anchors of one chain stand in its order, one after the other.
+    Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();         ///< Columns, world frame; variance falling.
+    Eigen::Vector3d variance = Eigen::Vector3d::Constant(0.0);  ///< Along them, m².
+  };
+  /// Where the ends of a closure lie on the chain of an anchor.
+  enum Side : std::uint8_t { kBefore = 0, kAfter = 1, kAround = 2, kElsewhere = 3 };
+
+  double trace_m2 = 0.0;  ///< e(PG): sum of the variances of all positions.
+  std::vector<Anchor> anchors;
+  Eigen::VectorXd share;   ///< By unit: its stratum's part of the trace along that axis. Sums to 1.
+  Eigen::MatrixXd units;   ///< A row of kUnitFeatures for each unit.
+  Eigen::MatrixXf relief;  ///< Units × candidates: log(v / v'), in [0, kMaxRelief].
+  Eigen::Matrix<std::uint8_t, Eigen::Dynamic, Eigen::Dynamic> side;  ///< Anchors × candidates: Side.
+  Eigen::MatrixXf gap;  ///< Anchors × candidates: log(1 + nodes to the nearest end); 0 if elsewhere.
+  Eigen::MatrixXf far;  ///< The same to the other end; 0 unless both lie on the anchor's chain.
+  /// Anchors × candidates: log((v_end + σ²) / (v_anchor + σ²)) of mean positional variances, for the end that
+  /// is known better: whether there is something to hold on to.
+  Eigen::MatrixXf reference;
+  Eigen::VectorXd gain;          ///< By candidate: what it alone takes off the trace, as a share of it.
+  std::vector<bool> connecting;  ///< By candidate, as GraphObjective::connecting.
+
+  /// log(v / σ²) for the closures' σ, log(v / mean variance of the graph), 1 on the first and on the second
+  /// axis, log(number of nodes).
+  static constexpr Eigen::Index kUnitFeatures = 5;
+  /// relief; before, after, around, elsewhere (one of them 1); gap; log(1e-6 + gain); far; reference
+  static constexpr Eigen::Index kEdgeFeatures = 9;
+  static constexpr double kMaxRelief = 9.0;
+
+  [[nodiscard]] Eigen::Index unit_count() const { return share.size(); }
+  [[nodiscard]] Eigen::Index candidates() const { return relief.cols(); }
+  /// A row of kEdgeFeatures for each unit: what the closure of a candidate brings there.
+  [[nodiscard]] Eigen::MatrixXd edge_features(Eigen::Index candidate) const;
+};
+
+inline constexpr std::size_t kEffectAnchors = 64;
+
+/// Effects of all candidates: a sparse solve for each. `count` is the number of strata.
+/// \throws as CovarianceObjective
+[[nodiscard]] ClosureEffects closure_effects(const PoseGraph& graph,
+                                             const std::vector<LoopCandidate>& candidates,
+                                             const ClosureModelOptions& options, const ClosureModel& model,
+                                             std::size_t count = kEffectAnchors);
+
+/// log(v / v'), not bounded, of each unit for covariances of the same nodes after some change, as Marginals
+/// holds them: what EffectNetwork is taught.
+[[nodiscard]] Eigen::VectorXd unit_reliefs(const ClosureEffects& effects, const PoseGraph& graph,
+                                           const std::vector<Matrix6d>& covariances);
+
+}  // namespace loopwise

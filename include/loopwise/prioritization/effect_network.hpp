@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <Eigen/Core>
+
+#include <loopwise/prioritization/closure_effects.hpp>
+#include <loopwise/prioritization/graph_objective.hpp>
+
+namespace loopwise {
+
+/// The Loopwise network: guesses e(PG ∪ l) from what each closure does alone (ClosureEffects). A graph
+/// network on the bipartite graph of the set's closures c and the units u:
+///
+///     m_cu = exp(W₂ s(W₁ a_cu + b₁) + b₂ + W₀ a_cu)     a_cu the normalised edge features, s(x) = x / (1 +
+///     |x|) P_u  = log(1 + Σ_{c∈l} m_cu)                      K channels: between the largest and the sum p_u
+///     = log(1 + Σ_c (e^r − 1)), q_u = ⅙ log(1 + Σ_c (e^6r − 1)),  r = relief of c at u g    = Σ_u share_u ·
+///     [P_u, p_u, q_u]              what the whole graph got n_u  = mean of [P, p, q] over the anchors next
+///     to u's on its chain of odometry (α, β) = V₃ s(V₂ s(V₁ [P_u, p_u, q_u, n_u, g, f_u] + c₁) + c₂) + c₃
+///     f_u the normalised unit features y_u  = q_u + σ(α)(p_u − q_u) + β (1 − e^−p_u)     log(v / v'), 0 for
+///     no closures e    = e(PG) · Σ_u share_u · e^−y_u
+///
+/// p is what closures that know nothing of each other would bring, q nearly what the best alone brings. It
+/// differs from the paper's network in all of this: exact single effects on the edges, aggregation that is
+/// neither sum nor mean, a logarithm relative to no closures put out.
+///
+/// **File**: JSON as GraphNetwork's, `kind` of `__meta__` "loopwise"; tensors edge.mean, edge.std (9),
+/// unit.mean, unit.std (5), message.0.{weight M×9, bias M}, message.1.{weight K×M, bias K},
+/// message.skip.weight K×9, readout.0.{weight H×(3(K+2)+5), bias H}, readout.1.{weight H×H, bias H},
+/// readout.2.{weight 2×H, bias 2}.
+class EffectNetwork {
+ public:
+  /// \throws IoError; InputError naming file and tensor on a file that is no such network
+  explicit EffectNetwork(const std::filesystem::path& weights);
+  ~EffectNetwork();
+  EffectNetwork(EffectNetwork&&) noexcept;
+  EffectNetwork& operator=(EffectNetwork&&) noexcept;
+
+  /// e(PG ∪ set), m². \throws InputError on a candidate that does not exist
+  [[nodiscard]] double evaluate(const ClosureEffects& effects, const std::vector<std::size_t>& set) const;
+
+ private:
+  friend class EffectObjective;
+  struct Impl;
+  std::unique_ptr<const Impl> impl_;
+};
+
+/// What the Loopwise network says of the graph with a set of closures. A swap changes two messages of each
+/// unit: its cost does not depend on the size of the graph, and hardly on that of the set.
+class EffectObjective final : public GraphObjective {
+ public:
+  /// \throws as CovarianceObjective; InputError on a null network
+  EffectObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+                  std::shared_ptr<const EffectNetwork> network, const ClosureModelOptions& options,
+                  const ClosureModel& model);
+  EffectObjective(ClosureEffects effects, std::shared_ptr<const EffectNetwork> network);
+  ~EffectObjective() override;
+
+  [[nodiscard]] std::string_view name() const override { return "gnn"; }
+  [[nodiscard]] std::size_t size() const override;
+  [[nodiscard]] const std::vector<std::size_t>& selected() const override;
+  [[nodiscard]] bool contains(std::size_t candidate) const override;
+  [[nodiscard]] double value() override;
+  [[nodiscard]] double add_change(std::size_t candidate) override;
+  [[nodiscard]] double remove_change(std::size_t candidate) override;
+  [[nodiscard]] double swap_change(std::size_t out, std::size_t in) override;
+  [[nodiscard]] std::vector<double> add_changes() override;
+  void assign(const std::vector<std::size_t>& set) override;
+  void add(std::size_t candidate) override;
+  void remove(std::size_t candidate) override;
+  void swap(std::size_t out, std::size_t in) override;
+  [[nodiscard]] bool connecting(std::size_t candidate) const override;
+
+  [[nodiscard]] const ClosureEffects& effects() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// Which network a weights file holds: "paper" (GraphNetwork) or "loopwise" (EffectNetwork).
+/// \throws IoError; InputError on a file that is no weights file, or of another kind
+[[nodiscard]] std::string network_kind(const std::filesystem::path& weights);
+
+}  // namespace loopwise
