@@ -176,8 +176,11 @@ int run(const Options& options) {
                       {"last_key", to}});
     rows.push_back({mission.robots[r].name, std::to_string(own.size()), fixed(lengths[r], 1), from, to});
   }
-  std::size_t odometry = 0;
-  for (const Edge& edge : mission.graph.edges()) odometry += edge.kind == EdgeKind::kOdometry ? 1 : 0;
+  std::size_t odometry = 0, sightings = 0;
+  for (const Edge& edge : mission.graph.edges()) {
+    odometry += edge.kind == EdgeKind::kOdometry ? 1 : 0;
+    sightings += edge.kind == EdgeKind::kLandmark ? 1 : 0;
+  }
   const auto components = connected_components(mission.graph);
   const std::size_t component_count =
       components.empty() ? 0 : 1 + *std::max_element(components.begin(), components.end());
@@ -193,6 +196,9 @@ int run(const Options& options) {
       {"edges", mission.graph.edges().size()},
       {"odometry_edges", odometry},
       {"priors", mission.graph.priors().size()},
+      {"sightings", sightings},
+      {"ranges", mission.graph.ranges().size()},
+      {"gravity", mission.graph.gravities().size()},
       {"components", component_count},
       {"scans", mission.scans->size()},
       {"points", {{"total", points.total}, {"min", points.fewest}, {"mean", mean}, {"max", points.most}}},
@@ -207,8 +213,13 @@ int run(const Options& options) {
   text += "\ngraph        " + std::to_string(mission.graph.nodes().size()) + " nodes, " +
           std::to_string(mission.graph.edges().size()) + " edges (" + std::to_string(odometry) +
           " odometry), " + std::to_string(mission.graph.priors().size()) + " priors, " +
-          std::to_string(component_count) + " components\nscans        " +
-          std::to_string(mission.scans->size());
+          std::to_string(component_count) + " components";
+  if (sightings + mission.graph.ranges().size() + mission.graph.gravities().size() > 0) {
+    text += "\nother        " + std::to_string(sightings) + " sightings of landmarks, " +
+            std::to_string(mission.graph.ranges().size()) + " ranges, gravity at " +
+            std::to_string(mission.graph.gravities().size()) + " nodes";
+  }
+  text += "\nscans        " + std::to_string(mission.scans->size());
   if (points.scans > 0) {
     text += ", " + std::to_string(points.fewest) + " to " + std::to_string(points.most) + " points, mean " +
             fixed(mean, 0);

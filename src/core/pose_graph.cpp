@@ -30,6 +30,11 @@ void require_information(const Matrix6d& information, const std::string& what) {
   if (const char* why = check_information(information)) throw InputError(what + ": information is " + why);
 }
 
+/// A weight 1/sigma² must be a number as well.
+void require_sigma(double sigma, const std::string& what) {
+  if (!(sigma >= 1e-12 && sigma <= 1e12)) throw InputError(what + ": sigma " + std::to_string(sigma) + " is not positive");
+}
+
 }  // namespace
 
 const char* check_information(const Matrix6d& information) {
@@ -80,6 +85,31 @@ std::size_t PoseGraph::add_edge(const Edge& edge) {
   adjacency_[ends.from].push_back(number);
   adjacency_[ends.to].push_back(number);
   return number;
+}
+
+std::size_t PoseGraph::add_range(const RangeFactor& range) {
+  const std::string what = "range " + describe(range.from) + " to " + describe(range.to);
+  if (index_of(range.from) == index_of(range.to)) throw InputError(what + ": both ends are the same node");
+  if (!(range.range_m >= 0.0) || !std::isfinite(range.range_m)) {
+    throw InputError(what + ": " + std::to_string(range.range_m) + " m is no distance");
+  }
+  require_sigma(range.sigma_m, what);
+  ranges_.push_back(range);
+  return ranges_.size() - 1;
+}
+
+std::size_t PoseGraph::add_gravity(const GravityFactor& gravity) {
+  static_cast<void>(index_of(gravity.key));
+  const std::string what = "gravity at " + describe(gravity.key);
+  GravityFactor unit = gravity;
+  for (Eigen::Vector3d* direction : {&unit.direction, &unit.reference}) {
+    const double length = direction->norm();
+    if (!std::isfinite(length) || !(length > 0.0)) throw InputError(what + ": direction has no length");
+    *direction /= length;
+  }
+  require_sigma(gravity.sigma_rad, what);
+  gravities_.push_back(unit);
+  return gravities_.size() - 1;
 }
 
 std::size_t PoseGraph::add_closure(const LoopClosure& closure) {
@@ -187,7 +217,10 @@ std::vector<std::size_t> connected_components(const PoseGraph& graph) {
 void classify_edges(PoseGraph& graph, const Robots& robots) {
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
     const Edge& edge = graph.edges()[e];
-    graph.set_kind(e, robots.consecutive(edge.from, edge.to) ? EdgeKind::kOdometry : EdgeKind::kLoopClosure);
+    const bool sighting = robots.is_landmark(edge.from) || robots.is_landmark(edge.to);
+    graph.set_kind(e, sighting                                   ? EdgeKind::kLandmark
+                      : robots.consecutive(edge.from, edge.to) ? EdgeKind::kOdometry
+                                                               : EdgeKind::kLoopClosure);
   }
 }
 

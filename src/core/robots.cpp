@@ -61,6 +61,11 @@ std::uint64_t Robots::node_index(Key key) const {
   return key - robots_[of(key)].first;
 }
 
+bool Robots::is_landmark(Key key) const {
+  const auto robot = find(key);
+  return robot && robots_[*robot].landmarks;
+}
+
 bool Robots::consecutive(Key from, Key to) const {
   if (from == ~Key{0} || to != from + 1) return false;
   const auto robot = find(from);

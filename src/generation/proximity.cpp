@@ -96,6 +96,7 @@ void ProximityGenerator::collect(const Entry& entry, const std::vector<std::size
 }
 
 std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
+  if (robots_.is_landmark(key)) return {};
   const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
 
   // The largest radius that any older node could get bounds the cells to visit. Within the robot the index

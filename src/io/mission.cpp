@@ -65,6 +65,8 @@ PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps, const std::vect
   }
   for (const PriorFactor& prior : priors) out.add_prior(prior);
   for (const Edge& edge : graph.edges()) out.add_edge(edge);
+  for (const RangeFactor& range : graph.ranges()) out.add_range(range);
+  for (const GravityFactor& gravity : graph.gravities()) out.add_gravity(gravity);
   classify_edges(out, robots);
   return out;
 }
@@ -84,6 +86,7 @@ Stamps regular_stamps(const PoseGraph& graph, const Robots& robots, const Missio
 std::vector<Key> first_nodes(const PoseGraph& graph, const Robots& robots) {
   std::map<std::size_t, Key> first;
   for (const Node& node : graph.nodes()) {
+    if (robots.is_landmark(node.key)) continue;
     const auto [entry, is_new] = first.emplace(robots.of(node.key), node.key);
     if (!is_new) entry->second = std::min(entry->second, node.key);
   }
@@ -129,7 +132,8 @@ void set_scans(Mission& mission, std::map<Key, fs::path> files, const MissionOpt
     mission.problems.add("node without scan", "no scans at all", mission.graph.nodes().size());
   } else {
     for (const Node& node : mission.graph.nodes()) {
-      if (files.count(node.key) == 0) mission.problems.add("node without scan", "node " + key_name(node.key));
+      if (files.count(node.key) == 0 && !mission.robots.is_landmark(node.key))
+        mission.problems.add("node without scan", "node " + key_name(node.key));
     }
   }
   for (const auto& [key, file] : files) {
@@ -149,7 +153,7 @@ void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth) 
     }
   }
   for (const Node& node : mission.graph.nodes()) {
-    if (truth.count(node.key) == 0)
+    if (truth.count(node.key) == 0 && !mission.robots.is_landmark(node.key))
       mission.problems.add("node without ground truth", "node " + key_name(node.key));
   }
   mission.ground_truth = std::move(truth);
@@ -157,7 +161,9 @@ void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth) 
 
 void check_stamps(Mission& mission) {
   std::map<Key, std::int64_t> stamps;
-  for (const Node& node : mission.graph.nodes()) stamps.emplace(node.key, node.stamp_ns);
+  for (const Node& node : mission.graph.nodes()) {
+    if (!mission.robots.is_landmark(node.key)) stamps.emplace(node.key, node.stamp_ns);
+  }
   if (stamps.empty()) return;
   mission.start_ns = stamps.begin()->second;
   for (const auto& [key, stamp] : stamps) mission.start_ns = std::min(mission.start_ns, stamp);

@@ -28,6 +28,8 @@ const std::vector<std::string> kStampColumns = {"key", "stamp_ns"};
 const std::vector<std::string> kPriorColumns = {"key", "x",  "y",  "z",  "qx",  "qy",  "qz",
                                                 "qw",  "sx", "sy", "sz", "srx", "sry", "srz"};
 const std::vector<std::string> kRadioColumns = {"key", "beacon", "transmit_dbm", "receiver", "receive_dbm"};
+const std::vector<std::string> kRangeColumns = {"from", "to", "range_m", "sigma_m"};
+const std::vector<std::string> kGravityColumns = {"key", "x", "y", "z", "sigma_rad"};
 const std::vector<std::string> kBeaconColumns = {"beacon", "robot", "drop_key", "stamp_ns"};
 
 /// Where the parts of a mission lie in its folder.
@@ -38,6 +40,8 @@ struct Files {
   fs::path scans = "scans";
   fs::path radio = "radio.csv";
   fs::path beacons = "beacons.csv";
+  fs::path ranges = "ranges.csv";
+  fs::path gravity = "gravity.csv";
   fs::path ground_truth = "ground_truth.g2o";
 };
 
@@ -64,8 +68,13 @@ class Description {
     if (!json_.contains("robots")) return std::nullopt;
     std::vector<Robot> robots;
     for_each("robots", [&](const Json& item, const std::string& at) {
-      only(item, at, {"name", "first", "last"});
-      robots.push_back({text(item, at, "name"), key(item, at, "first"), key(item, at, "last")});
+      only(item, at, {"name", "first", "last", "landmarks"});
+      Robot robot{text(item, at, "name"), key(item, at, "first"), key(item, at, "last")};
+      if (item.contains("landmarks")) {
+        if (!item.at("landmarks").is_boolean()) fail(at + ".landmarks", "must be true or false");
+        robot.landmarks = item.at("landmarks").get<bool>();
+      }
+      robots.push_back(std::move(robot));
     });
     try {
       return Robots(std::move(robots));
@@ -121,7 +130,7 @@ class Description {
     Files files;
     if (!json_.contains("files")) return files;
     const Json& names = json_["files"];
-    only(names, "files", {"graph", "stamps", "priors", "scans", "radio", "beacons", "ground_truth"});
+    only(names, "files", {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "ground_truth"});
     const auto set = [&](const char* key, fs::path& file) {
       if (!names.contains(key)) return;
       file = fs::path(text(names, "files", key)).lexically_normal();
@@ -135,6 +144,8 @@ class Description {
     set("scans", files.scans);
     set("radio", files.radio);
     set("beacons", files.beacons);
+    set("ranges", files.ranges);
+    set("gravity", files.gravity);
     set("ground_truth", files.ground_truth);
     return files;
   }
@@ -302,6 +313,38 @@ std::vector<BeaconDrop> read_beacons(const fs::path& file, const PoseGraph& grap
   return drops;
 }
 
+/// Adds what `make` builds of each row; what the graph refuses is an error of that row.
+template <class Add>
+void add_rows(const CsvTable& table, Add&& add) {
+  for (std::size_t row = 0; row < table.size(); ++row) {
+    try {
+      add(row);
+    } catch (const ParseError&) {
+      throw;
+    } catch (const InputError& error) {
+      table.fail(row, 0, error.what());
+    }
+  }
+}
+
+void read_ranges(const fs::path& file, PoseGraph& graph) {
+  const CsvTable table(file, kRangeColumns);
+  add_rows(table, [&](std::size_t row) {
+    graph.add_range({table.key(row, 0), table.key(row, 1), table.number(row, 2), table.number(row, 3)});
+  });
+}
+
+void read_gravity(const fs::path& file, PoseGraph& graph) {
+  const CsvTable table(file, kGravityColumns);
+  add_rows(table, [&](std::size_t row) {
+    GravityFactor gravity;
+    gravity.key = table.key(row, 0);
+    gravity.direction = {table.number(row, 1), table.number(row, 2), table.number(row, 3)};
+    gravity.sigma_rad = table.number(row, 4);
+    graph.add_gravity(gravity);
+  });
+}
+
 std::map<Key, Eigen::Isometry3d> read_truth(const fs::path& file, Problems& problems) {
   const G2oFile g2o = read_g2o(file);
   problems.add(g2o.problems);
@@ -369,6 +412,8 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
     }
   }
   mission.graph = assemble(g2o.graph, stamps, priors, mission.robots);
+  if (present(files.ranges)) read_ranges(folder / files.ranges, mission.graph);
+  if (present(files.gravity)) read_gravity(folder / files.gravity, mission.graph);
   check_stamps(mission);
   if (const auto start = description.start_ns()) {
     if (*start > mission.start_ns) {
@@ -432,6 +477,14 @@ void MissionWriter::finish(const Mission& mission) const {
     priors.row(prior.key, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w(), s[0], s[1], s[2], s[3], s[4],
                s[5]);
   }
+  CsvText ranges(kRangeColumns), gravity(kGravityColumns);
+  for (const RangeFactor& r : graph.ranges()) ranges.row(r.from, r.to, r.range_m, r.sigma_m);
+  for (const GravityFactor& g : graph.gravities()) {
+    if (g.reference != -Eigen::Vector3d::UnitZ()) {
+      throw InputError("gravity at node " + key_name(g.key) + ": its reference is not -z, which no file can hold");
+    }
+    gravity.row(g.key, g.direction.x(), g.direction.y(), g.direction.z(), g.sigma_rad);
+  }
   CsvText radio(kRadioColumns), beacons(kBeaconColumns);
   for (const RadioReading& r : mission.radio)
     radio.row(r.key, r.beacon, r.transmit_dbm, r.receiver, r.receive_dbm);
@@ -446,8 +499,9 @@ void MissionWriter::finish(const Mission& mission) const {
   json["clock"]["start_ns"] = std::to_string(mission.start_ns);
   json["robots"] = Json::array();
   for (const Robot& robot : mission.robots.all()) {
-    json["robots"].push_back(
-        {{"name", robot.name}, {"first", std::to_string(robot.first)}, {"last", std::to_string(robot.last)}});
+    Json& item = json["robots"].emplace_back();
+    item = {{"name", robot.name}, {"first", std::to_string(robot.first)}, {"last", std::to_string(robot.last)}};
+    if (robot.landmarks) item["landmarks"] = true;
   }
   json["communication_gaps"] = Json::array();
   for (const CommunicationGap& gap : mission.gaps) {
@@ -460,6 +514,8 @@ void MissionWriter::finish(const Mission& mission) const {
   write_file(folder_ / files.graph, g2o_text(graph, correlated));
   write_file(folder_ / files.stamps, stamps.text());
   write_file(folder_ / files.priors, priors.text());
+  if (!graph.ranges().empty()) write_file(folder_ / files.ranges, ranges.text());
+  if (!graph.gravities().empty()) write_file(folder_ / files.gravity, gravity.text());
   if (!mission.radio.empty()) write_file(folder_ / files.radio, radio.text());
   if (!mission.beacons.empty()) write_file(folder_ / files.beacons, beacons.text());
   if (!mission.ground_truth.empty()) {

@@ -25,7 +25,7 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
                                const Robots& otherwise);
 
 /// The graph with these stamps (0 where none), priors and robots: edges between consecutive nodes become
-/// odometry.
+/// odometry, those to landmarks sightings.
 [[nodiscard]] PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps,
                                  const std::vector<PriorFactor>& priors, const Robots& robots);
 
@@ -33,7 +33,8 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
 [[nodiscard]] Stamps regular_stamps(const PoseGraph& graph, const Robots& robots,
                                     const MissionOptions& options);
 
-/// Nodes with the smallest key of each robot, in the order of the robots; robots without nodes have none.
+/// Nodes with the smallest key of each robot, in the order of the robots; robots without nodes, and landmarks, have
+/// none.
 [[nodiscard]] std::vector<Key> first_nodes(const PoseGraph& graph, const Robots& robots);
 
 /// A prior with the options' sigmas where the node stands.

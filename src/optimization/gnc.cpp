@@ -270,7 +270,7 @@ class RobustSolver {
     result.outer_iterations = outer_;
     result.weights.assign(problem_.weight.begin(),
                           problem_.weight.begin() + static_cast<std::ptrdiff_t>(problem_.edges()));
-    double cost = 0.0;
+    double cost = problem_.auxiliary_cost(poses_);
     for (std::size_t k = 0; k < problem_.factors(); ++k) cost += 0.5 * problem_.squared_residual(k, poses_);
     for (std::size_t i = 0; i < closures_.size(); ++i) {
       cost += 0.5 * (std::min(r2_[i], c2_) - r2_[i]);

@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include <loopwise/core/se3.hpp>
+#include <loopwise/optimization/auxiliary_factors.hpp>
 
 namespace loopwise::detail {
 namespace {
@@ -23,6 +24,13 @@ Pose inverse(const Eigen::Isometry3d& T) {
   out.R = T.linear().transpose();
   out.t = -(out.R * T.translation());
   return out;
+}
+
+Eigen::Isometry3d isometry(const Pose& pose) {
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  T.linear() = pose.R;
+  T.translation() = pose.t;
+  return T;
 }
 
 /// T_a⁻¹ T_b
@@ -189,6 +197,13 @@ PoseProblem::PoseProblem(const PoseGraph& graph)
     information_.push_back(prior.information);
     weight.push_back(1.0);
   }
+  for (const RangeFactor& range : graph.ranges()) {
+    ranges_.push_back({static_cast<std::uint32_t>(graph.index_of(range.from)),
+                       static_cast<std::uint32_t>(graph.index_of(range.to)), range});
+  }
+  for (const GravityFactor& gravity : graph.gravities()) {
+    gravities_.push_back({static_cast<std::uint32_t>(graph.index_of(gravity.key)), gravity});
+  }
 }
 
 std::vector<Pose> PoseProblem::poses_of(const std::vector<Eigen::Isometry3d>& poses) const {
@@ -205,10 +220,7 @@ std::vector<Pose> PoseProblem::poses_of(const std::vector<Eigen::Isometry3d>& po
 
 std::vector<Eigen::Isometry3d> PoseProblem::isometries(const std::vector<Pose>& poses) const {
   std::vector<Eigen::Isometry3d> out(nodes_, Eigen::Isometry3d::Identity());
-  for (std::size_t i = 0; i < nodes_; ++i) {
-    out[i].linear() = poses[i].R;
-    out[i].translation() = poses[i].t;
-  }
+  for (std::size_t i = 0; i < nodes_; ++i) out[i] = isometry(poses[i]);
   return out;
 }
 
@@ -219,6 +231,18 @@ Vector6d PoseProblem::residual(std::size_t k, const std::vector<Pose>& poses) co
 double PoseProblem::squared_residual(std::size_t k, const std::vector<Pose>& poses) const {
   const Vector6d r = residual(k, poses);
   return r.dot(information_[k] * r);
+}
+
+double PoseProblem::auxiliary_cost(const std::vector<Pose>& poses) const {
+  double sum = 0.0;
+  for (const Ranging& range : ranges_) {
+    const double r = linearize(range.factor, isometry(poses[range.from]), isometry(poses[range.to])).r;
+    sum += r * r;
+  }
+  for (const Levelling& gravity : gravities_) {
+    sum += linearize(gravity.factor, isometry(poses[gravity.node])).r.squaredNorm();
+  }
+  return 0.5 * sum;
 }
 
 double PoseProblem::cost(const std::vector<Pose>& poses, ThreadPool& pool,
@@ -236,7 +260,7 @@ double PoseProblem::cost(const std::vector<Pose>& poses, ThreadPool& pool,
     }
     sums[task] = sum;
   });
-  return 0.5 * std::accumulate(sums.begin(), sums.end(), 0.0);
+  return 0.5 * std::accumulate(sums.begin(), sums.end(), 0.0) + auxiliary_cost(poses);
 }
 
 Freedom find_freedom(const PoseProblem& problem) {
@@ -291,6 +315,11 @@ void NormalEquations::set_structure(const PoseProblem& problem) {
       pair_of_.push_back(static_cast<std::uint32_t>(pairs.size()));
       pairs.emplace_back(b, a);
     }
+  }
+  first_range_pair_ = pairs.size();
+  for (const PoseProblem::Ranging& range : problem.ranges()) {
+    const std::uint32_t a = freedom.variable[range.from], b = freedom.variable[range.to];
+    if (a != Freedom::kFixed && b != Freedom::kFixed) pairs.emplace_back(b, a);
   }
   const bool same = analyses_ > 0 && pairs == pairs_ && freedom.nodes.size() == cholesky_.variables();
   freedom_ = std::move(freedom);
@@ -347,6 +376,32 @@ void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Po
       }
     });
   }
+  linearize_auxiliary(problem, poses, true);
+}
+
+void NormalEquations::linearize_auxiliary(const PoseProblem& problem, const std::vector<Pose>& poses,
+                                          bool hessian) {
+  double* values = cholesky_.values().data();
+  const auto add = [&](std::uint32_t variable, const Matrix6d& H, const Vector6d& g) {
+    if (hessian) add_block(values, cholesky_.diagonal_slot(variable), H);
+    gradient_.segment<6>(6 * static_cast<Eigen::Index>(variable)) += g;
+  };
+  std::size_t pair = first_range_pair_;
+  for (const PoseProblem::Ranging& range : problem.ranges()) {
+    const std::uint32_t a = freedom_.variable[range.from], b = freedom_.variable[range.to];
+    const LinearizedRange l = loopwise::linearize(range.factor, isometry(poses[range.from]), isometry(poses[range.to]));
+    if (a != Freedom::kFixed) add(a, l.J_from.transpose() * l.J_from, l.J_from.transpose() * l.r);
+    if (b != Freedom::kFixed) add(b, l.J_to.transpose() * l.J_to, l.J_to.transpose() * l.r);
+    if (a == Freedom::kFixed || b == Freedom::kFixed) continue;
+    if (hessian) add_block(values, cholesky_.pair_slot(pair), l.J_to.transpose() * l.J_from);
+    ++pair;
+  }
+  for (const PoseProblem::Levelling& gravity : problem.gravities()) {
+    const std::uint32_t variable = freedom_.variable[gravity.node];
+    if (variable == Freedom::kFixed) continue;
+    const LinearizedGravity l = loopwise::linearize(gravity.factor, isometry(poses[gravity.node]));
+    add(variable, l.J.transpose() * l.J, l.J.transpose() * l.r);
+  }
 }
 
 void NormalEquations::linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses,
@@ -368,6 +423,7 @@ void NormalEquations::linearize_gradient(const PoseProblem& problem, const std::
     gradient_.segment<3>(6 * static_cast<Eigen::Index>(from)) -= e.R.transpose() * g_t;
     gradient_.segment<3>(6 * static_cast<Eigen::Index>(from) + 3) -= e.R.transpose() * (g_r - e.t.cross(g_t));
   }
+  linearize_auxiliary(problem, poses, false);
 }
 
 std::vector<Pose> NormalEquations::moved(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const {

@@ -21,7 +21,8 @@ struct Pose {
 };
 
 /// A pose graph laid out for solving. Factor k is edge k of the graph, then come the priors: a prior is an
-/// edge from a last, fixed node at the origin. A factor of weight 0 does not take part.
+/// edge from a last, fixed node at the origin. A factor of weight 0 does not take part. Ranges and gravity, the
+/// auxiliary factors, are few and are kept apart: they are not among factors().
 class PoseProblem {
  public:
   explicit PoseProblem(const PoseGraph& graph);
@@ -32,6 +33,19 @@ class PoseProblem {
   [[nodiscard]] std::uint32_t from(std::size_t k) const { return from_[k]; }
   [[nodiscard]] std::uint32_t to(std::size_t k) const { return to_[k]; }
   [[nodiscard]] const Matrix6d& information(std::size_t k) const { return information_[k]; }
+  /// A range between two node numbers.
+  struct Ranging {
+    std::uint32_t from;
+    std::uint32_t to;
+    RangeFactor factor;
+  };
+  /// Gravity at a node number.
+  struct Levelling {
+    std::uint32_t node;
+    GravityFactor factor;
+  };
+  [[nodiscard]] const std::vector<Ranging>& ranges() const { return ranges_; }
+  [[nodiscard]] const std::vector<Levelling>& gravities() const { return gravities_; }
   [[nodiscard]] const Pose& inverse_measurement(std::size_t k) const { return inverse_[k]; }
 
   /// Weights of all factors; priors have 1.
@@ -44,7 +58,9 @@ class PoseProblem {
   [[nodiscard]] Vector6d residual(std::size_t k, const std::vector<Pose>& poses) const;
   /// rᵀΩr of a factor, whatever its weight.
   [[nodiscard]] double squared_residual(std::size_t k, const std::vector<Pose>& poses) const;
-  /// ½ Σ w rᵀΩr, summed in an order that does not depend on the threads; keeps the residuals of the active
+  /// ½ Σ ‖r‖² over the auxiliary factors.
+  [[nodiscard]] double auxiliary_cost(const std::vector<Pose>& poses) const;
+  /// ½ Σ w rᵀΩr and auxiliary_cost(), summed in an order that does not depend on the threads; keeps the residuals of the active
   /// factors.
   double cost(const std::vector<Pose>& poses, ThreadPool& pool, std::vector<Vector6d>& residuals) const;
 
@@ -54,6 +70,8 @@ class PoseProblem {
   std::vector<std::uint32_t> from_, to_;
   std::vector<Pose> inverse_;
   std::vector<Matrix6d> information_;
+  std::vector<Ranging> ranges_;
+  std::vector<Levelling> gravities_;
 };
 
 /// Which nodes of a problem move, given its weights.
@@ -94,11 +112,14 @@ class NormalEquations {
   [[nodiscard]] std::vector<Pose> moved(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const;
 
  private:
+  void linearize_auxiliary(const PoseProblem& problem, const std::vector<Pose>& poses, bool hessian);
+
   BlockCholesky cholesky_;
   Freedom freedom_;
   std::vector<std::uint32_t> active_;   // factors with a free end, of non-zero weight
   std::vector<std::uint32_t> pair_of_;  // by active factor: its pair in the analysis, or kFixed
   std::vector<BlockCholesky::Pair> pairs_;
+  std::size_t first_range_pair_ = 0;  // pairs of ranges with two free ends come last, in their order
   Eigen::VectorXd gradient_;
   std::size_t analyses_ = 0;
 };

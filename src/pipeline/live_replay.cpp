@@ -41,7 +41,7 @@ Feed feed_of(const Mission& mission, const Config& config) {
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
     return std::pair(times[a], nodes[a].key) < std::pair(times[b], nodes[b].key);
   });
-  const std::vector<Edge> edges = replay_odometry(mission, config.replay);
+  const std::vector<Edge> edges = replay_edges(mission, config.replay);
   std::unordered_map<Key, std::vector<std::size_t>> edges_at;
   for (std::size_t e = 0; e < edges.size(); ++e) {
     edges_at[edges[e].from].push_back(e);
@@ -49,6 +49,13 @@ Feed feed_of(const Mission& mission, const Config& config) {
   }
   std::unordered_map<Key, std::vector<PriorFactor>> priors_at;
   for (const PriorFactor& prior : mission.graph.priors()) priors_at[prior.key].push_back(prior);
+  std::unordered_map<Key, std::vector<RangeFactor>> ranges_at;
+  for (const RangeFactor& range : mission.graph.ranges()) {
+    ranges_at[range.from].push_back(range);
+    ranges_at[range.to].push_back(range);
+  }
+  std::unordered_map<Key, std::vector<GravityFactor>> gravities_at;
+  for (const GravityFactor& gravity : mission.graph.gravities()) gravities_at[gravity.key].push_back(gravity);
   const std::vector<std::string> parts = method_parts(config.replay.method);
   const bool with_radio = std::find(parts.begin(), parts.end(), "rssi") != parts.end();
   std::unordered_map<Key, std::map<std::string, std::vector<RadioReading>>> readings_at;
@@ -82,6 +89,10 @@ Feed feed_of(const Mission& mission, const Config& config) {
       arrival.frame.priors = priors->second;
       pose = priors->second.front().pose;
     }
+    for (const RangeFactor& range : ranges_at[key]) {
+      if (place.count(range.from == key ? range.to : range.from) != 0) arrival.frame.ranges.push_back(range);
+    }
+    arrival.frame.gravities = gravities_at[key];
     if (const auto drops = drops_at.find(key); drops != drops_at.end()) arrival.drops = drops->second;
     if (const auto heard = readings_at.find(key); heard != readings_at.end()) {
       for (const auto& [beacon, readings] : heard->second) arrival.readings.push_back(readings);

@@ -35,9 +35,9 @@ using SharedGraph = std::shared_ptr<const PoseGraph>;
 struct ScanEvent {
   KeyedScan scan;
 };
+using Factor = std::variant<Edge, PriorFactor, RangeFactor, GravityFactor>;
 struct FactorEvent {
-  std::vector<Edge> edges;
-  std::vector<PriorFactor> priors;
+  std::vector<Factor> factors;
 };
 struct RadioEvent {
   std::vector<RadioReading> readings;
@@ -101,25 +101,45 @@ struct Overloaded : Functions... {
 template <class... Functions>
 Overloaded(Functions...) -> Overloaded<Functions...>;
 
-void check_edge(const Edge& edge) {
-  if (edge.from == edge.to) throw InputError("edge from node " + key_name(edge.from) + " to itself");
+std::vector<Key> keys_of(const Factor& factor) {
+  return std::visit(Overloaded{[](const PriorFactor& prior) { return std::vector<Key>{prior.key}; },
+                               [](const GravityFactor& gravity) { return std::vector<Key>{gravity.key}; },
+                               [](const auto& between) { return std::vector<Key>{between.from, between.to}; }},
+                    factor);
+}
+
+void add(PoseGraph& graph, const Factor& factor) {
+  std::visit(Overloaded{[&](const Edge& edge) { graph.add_edge(edge); },
+                        [&](const PriorFactor& prior) { graph.add_prior(prior); },
+                        [&](const RangeFactor& range) { graph.add_range(range); },
+                        [&](const GravityFactor& gravity) { graph.add_gravity(gravity); }},
+             factor);
+}
+
+/// Throws what the graph would.
+void check(const Factor& factor) {
   PoseGraph scratch;
-  for (const Key key : {edge.from, edge.to}) {
+  for (const Key key : keys_of(factor)) {
     Node node;
     node.key = key;
-    scratch.add_node(node);
+    if (!scratch.contains(key)) scratch.add_node(node);
   }
-  scratch.add_edge(edge);
+  add(scratch, factor);
 }
 
-void check_prior(const PriorFactor& prior) {
-  PoseGraph scratch;
-  Node node;
-  node.key = prior.key;
-  scratch.add_node(node);
-  scratch.add_prior(prior);
+std::vector<Factor> factors_of(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors,
+                               const std::vector<RangeFactor>& ranges,
+                               const std::vector<GravityFactor>& gravities) {
+  std::vector<Factor> factors(edges.begin(), edges.end());
+  factors.insert(factors.end(), priors.begin(), priors.end());
+  factors.insert(factors.end(), ranges.begin(), ranges.end());
+  factors.insert(factors.end(), gravities.begin(), gravities.end());
+  return factors;
 }
 
+std::vector<Factor> factors_of(const KeyFrame& frame) {
+  return factors_of(frame.factors, frame.priors, frame.ranges, frame.gravities);
+}
 void check_cloud(Key key, const PointCloud& cloud) {
   for (const Eigen::Vector3f& p : cloud.points) {
     if (!p.allFinite()) throw InputError("scan of node " + key_name(key) + ": a point is not finite");
@@ -185,8 +205,7 @@ class LoopClosureModule::Impl {
     static_cast<void>(robots_.of(key));
     PoseGraph scratch;
     scratch.add_node(frame.node);
-    for (const Edge& edge : frame.factors) check_edge(edge);
-    for (const PriorFactor& prior : frame.priors) check_prior(prior);
+    for (const Factor& factor : factors_of(frame)) check(factor);
     if (frame.cloud) check_cloud(key, *frame.cloud);
     {
       const std::lock_guard<std::mutex> lock(entry_mutex_);
@@ -208,17 +227,12 @@ class LoopClosureModule::Impl {
     return post(ScanEvent{{key, 0, std::move(cloud)}});
   }
 
-  bool add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors) {
-    for (const Edge& edge : edges) {
-      check_edge(edge);
-      static_cast<void>(robots_.of(edge.from));
-      static_cast<void>(robots_.of(edge.to));
+  bool add_factors(std::vector<Factor> factors) {
+    for (const Factor& factor : factors) {
+      check(factor);
+      for (const Key key : keys_of(factor)) static_cast<void>(robots_.of(key));
     }
-    for (const PriorFactor& prior : priors) {
-      check_prior(prior);
-      static_cast<void>(robots_.of(prior.key));
-    }
-    return post(FactorEvent{edges, priors});
+    return post(FactorEvent{std::move(factors)});
   }
 
   bool add_radio(const std::vector<RadioReading>& readings) {
@@ -398,7 +412,7 @@ class LoopClosureModule::Impl {
       {
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
         ++statistics_.events;
-        statistics_.factors_waiting = waiting_edges_.size() + waiting_priors_.size();
+        statistics_.factors_waiting = waiting_factors_.size();
         statistics_.factors_dropped = factors_dropped_;
       }
       end_work();
@@ -460,7 +474,7 @@ class LoopClosureModule::Impl {
     now_s_ = std::max(now_s_, static_cast<double>(node.stamp_ns - first_stamp_ns_) * 1e-9);
     change_graph([&] { graph_.add_node(node); });
     graph_is_new_ = true;
-    add_factors_now(frame.factors, frame.priors);
+    add_factors_now(factors_of(frame));
     retry_factors(node.key);
 
     propose(radio_.on_node(graph_, node.key, now_s_));
@@ -489,53 +503,43 @@ class LoopClosureModule::Impl {
     if (prioritizes_) tell(ScanCommand{scan});
   }
 
-  void on(const FactorEvent& event) { add_factors_now(event.edges, event.priors); }
+  void on(const FactorEvent& event) { add_factors_now(event.factors); }
 
-  void add_factors_now(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors) {
-    for (const Edge& edge : edges) {
-      if (!graph_.contains(edge.from) || !graph_.contains(edge.to)) {
-        waiting_edges_.emplace(graph_.contains(edge.from) ? edge.to : edge.from, std::pair(now_s_, edge));
+  void add_factors_now(const std::vector<Factor>& factors) {
+    for (const Factor& factor : factors) {
+      const std::vector<Key> keys = keys_of(factor);
+      const auto missing =
+          std::find_if(keys.begin(), keys.end(), [this](Key key) { return !graph_.contains(key); });
+      if (missing != keys.end()) {
+        waiting_factors_.emplace(*missing, std::pair(now_s_, factor));
         continue;
       }
-      change_graph([&] { graph_.add_edge(edge); });
-      if (edge.kind == EdgeKind::kLoopClosure) wants_estimate_ = true;
-    }
-    for (const PriorFactor& prior : priors) {
-      if (graph_.contains(prior.key)) {
-        change_graph([&] { graph_.add_prior(prior); });
-      } else {
-        waiting_priors_.emplace(prior.key, std::pair(now_s_, prior));
-      }
+      change_graph([&] { add(graph_, factor); });
+      const Edge* edge = std::get_if<Edge>(&factor);
+      if (edge != nullptr && edge->kind != EdgeKind::kOdometry) wants_estimate_ = true;
     }
   }
 
   void retry_factors(Key key) {
-    std::vector<Edge> edges;
-    std::vector<PriorFactor> priors;
-    for (auto [i, end] = waiting_edges_.equal_range(key); i != end; ++i) edges.push_back(i->second.second);
-    for (auto [i, end] = waiting_priors_.equal_range(key); i != end; ++i) priors.push_back(i->second.second);
-    waiting_edges_.erase(key);
-    waiting_priors_.erase(key);
-    add_factors_now(edges, priors);
+    std::vector<Factor> factors;
+    for (auto [i, end] = waiting_factors_.equal_range(key); i != end; ++i) factors.push_back(i->second.second);
+    waiting_factors_.erase(key);
+    add_factors_now(factors);
   }
 
   void drop_old_factors() {
     constexpr double kCheckEvery = 1.0;  // s; a check looks at all that wait
     if (options_.max_factor_wait_s <= 0.0 || now_s_ < next_factor_check_s_) return;
     next_factor_check_s_ = now_s_ + kCheckEvery;
-    const auto drop = [this](auto& waiting) {
-      for (auto i = waiting.begin(); i != waiting.end();) {
-        if (now_s_ - i->second.first <= options_.max_factor_wait_s) {
-          ++i;
-          continue;
-        }
-        problem("a factor of node " + key_name(i->first) + " was dropped: the node did not come");
-        i = waiting.erase(i);
-        ++factors_dropped_;
+    for (auto i = waiting_factors_.begin(); i != waiting_factors_.end();) {
+      if (now_s_ - i->second.first <= options_.max_factor_wait_s) {
+        ++i;
+        continue;
       }
-    };
-    drop(waiting_edges_);
-    drop(waiting_priors_);
+      problem("a factor of node " + key_name(i->first) + " was dropped: the node did not come");
+      i = waiting_factors_.erase(i);
+      ++factors_dropped_;
+    }
   }
 
   void on(const RadioEvent& event) { propose(radio_.on_radio(graph_, event.readings, now_s_)); }
@@ -875,8 +879,7 @@ class LoopClosureModule::Impl {
   std::uint64_t removals_ = 0;
   std::int64_t first_stamp_ns_ = 0;
   double now_s_ = 0.0, next_factor_check_s_ = 0.0;
-  std::multimap<Key, std::pair<double, Edge>> waiting_edges_;  // by a missing node; with the time of arrival
-  std::multimap<Key, std::pair<double, PriorFactor>> waiting_priors_;
+  std::multimap<Key, std::pair<double, Factor>> waiting_factors_;  // by a missing node; with the time of arrival
   std::size_t factors_dropped_ = 0;
   std::unordered_map<Key, std::shared_ptr<const PointCloud>> early_scans_;  // before their nodes
   std::set<std::pair<Key, Key>> vetoed_;
@@ -912,8 +915,10 @@ bool LoopClosureModule::add_key_frame(const KeyFrame& frame) {
 bool LoopClosureModule::add_scan(Key key, std::shared_ptr<const PointCloud> cloud) {
   return impl_->add_scan(key, std::move(cloud));
 }
-bool LoopClosureModule::add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors) {
-  return impl_->add_factors(edges, priors);
+bool LoopClosureModule::add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors,
+                                    const std::vector<RangeFactor>& ranges,
+                                    const std::vector<GravityFactor>& gravities) {
+  return impl_->add_factors(factors_of(edges, priors, ranges, gravities));
 }
 bool LoopClosureModule::add_radio(const std::vector<RadioReading>& readings) {
   return impl_->add_radio(readings);

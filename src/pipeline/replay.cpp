@@ -54,7 +54,7 @@ class Run {
         threads_(threads),
         hooks_(hooks),
         known_(known),
-        odometry_edges_(replay_odometry(mission, config.replay)),
+        edges_(replay_edges(mission, config.replay)),
         generator_(config.generation, mission.robots),
         radio_(config.radio, mission.robots),
         pool_(config.pool,
@@ -62,9 +62,16 @@ class Run {
                          [this](const KeyedScan& scan) { return eigenvalue(scan.key); }),
               mission.robots),
         optimizer_(with_threads(config.optimization, threads.num_threads())) {
-    for (std::size_t e = 0; e < odometry_edges_.size(); ++e) {
-      edges_at_[odometry_edges_[e].from].push_back(e);
-      edges_at_[odometry_edges_[e].to].push_back(e);
+    for (std::size_t e = 0; e < edges_.size(); ++e) {
+      edges_at_[edges_[e].from].push_back(e);
+      edges_at_[edges_[e].to].push_back(e);
+    }
+    for (std::size_t r = 0; r < mission.graph.ranges().size(); ++r) {
+      ranges_at_[mission.graph.ranges()[r].from].push_back(r);
+      ranges_at_[mission.graph.ranges()[r].to].push_back(r);
+    }
+    for (std::size_t g = 0; g < mission.graph.gravities().size(); ++g) {
+      gravities_at_[mission.graph.gravities()[g].key].push_back(g);
     }
     for (std::size_t p = 0; p < mission.graph.priors().size(); ++p) {
       priors_at_[mission.graph.priors()[p].key].push_back(p);
@@ -121,7 +128,7 @@ class Run {
     if (const auto priors = priors_at_.find(node.key); priors != priors_at_.end()) {
       node.pose = odometry = mission_.graph.priors()[priors->second.front()].pose;
     } else if (const auto previous = edge_to_known(node.key)) {
-      const Eigen::Isometry3d& T = odometry_edges_[previous->edge].T_from_to;
+      const Eigen::Isometry3d& T = edges_[previous->edge].T_from_to;
       const Eigen::Isometry3d step = previous->forward ? T : T.inverse();
       node.pose = se3::normalized(graph_.nodes()[previous->node].pose * step);
       odometry = se3::normalized(result_.odometry[previous->node] * step);
@@ -133,10 +140,11 @@ class Run {
     }
     if (const auto edges = edges_at_.find(node.key); edges != edges_at_.end()) {
       for (const std::size_t e : edges->second) {
-        const Edge& edge = odometry_edges_[e];
+        const Edge& edge = edges_[e];
         if (graph_.contains(edge.from) && graph_.contains(edge.to)) graph_.add_edge(edge);
       }
     }
+    add_auxiliary_factors(node.key);
 
     // Generation sees each new node before its scan is announced, so that what waits for the scan is found at
     // once.
@@ -156,6 +164,19 @@ class Run {
     write(journal::key_frame_line(now_s_, node.key, added, pool_.accounting()));
     ++key_frames_;
     report();
+  }
+
+  /// Gravity at the node, and ranges whose other end has come.
+  void add_auxiliary_factors(Key key) {
+    if (const auto gravities = gravities_at_.find(key); gravities != gravities_at_.end()) {
+      for (const std::size_t g : gravities->second) graph_.add_gravity(mission_.graph.gravities()[g]);
+    }
+    if (const auto ranges = ranges_at_.find(key); ranges != ranges_at_.end()) {
+      for (const std::size_t r : ranges->second) {
+        const RangeFactor& range = mission_.graph.ranges()[r];
+        if (graph_.contains(range.from) && graph_.contains(range.to)) graph_.add_range(range);
+      }
+    }
   }
 
   /// Whether a candidate is among those that ReplayOptions::thin leaves.
@@ -193,7 +214,7 @@ class Run {
     const auto edges = edges_at_.find(key);
     if (edges == edges_at_.end()) return std::nullopt;
     for (const std::size_t e : edges->second) {
-      const Edge& edge = odometry_edges_[e];
+      const Edge& edge = edges_[e];
       const bool forward = edge.to == key;
       if (const auto node = graph_.find(forward ? edge.from : edge.to))
         return KnownNeighbour{e, *node, forward};
@@ -424,9 +445,11 @@ class Run {
   const ReplayHooks& hooks_;
   const KnownOutcomes& known_;
 
-  std::vector<Edge> odometry_edges_;
+  std::vector<Edge> edges_;
   std::unordered_map<Key, std::vector<std::size_t>> edges_at_;
   std::unordered_map<Key, std::vector<std::size_t>> priors_at_;
+  std::unordered_map<Key, std::vector<std::size_t>> ranges_at_;
+  std::unordered_map<Key, std::vector<std::size_t>> gravities_at_;
   ProximityGenerator generator_;
   RadioGenerator radio_;
   bool with_radio_ = false;
@@ -454,11 +477,12 @@ class Run {
 
 }  // namespace
 
-std::vector<Edge> replay_odometry(const Mission& mission, const ReplayOptions& options) {
+std::vector<Edge> replay_edges(const Mission& mission, const ReplayOptions& options) {
   constexpr std::uint64_t kStream =
       0x6f646f6d65747279;  // keeps this noise apart from the registrations' seeds
-  std::vector<Edge> edges;
+  std::vector<Edge> edges, sightings;
   for (Edge edge : mission.graph.edges()) {
+    if (edge.kind == EdgeKind::kLandmark) sightings.push_back(edge);
     if (edge.kind != EdgeKind::kOdometry) continue;
     const double root = std::sqrt(edge.T_from_to.translation().norm());
     const double sigma_m = options.odometry_noise_m_per_m * root,
@@ -478,6 +502,7 @@ std::vector<Edge> replay_odometry(const Mission& mission, const ReplayOptions& o
     }
     edges.push_back(edge);
   }
+  edges.insert(edges.end(), sightings.begin(), sightings.end());
   return edges;
 }
 

@@ -7,6 +7,7 @@
 #include <numeric>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/optimization/auxiliary_factors.hpp>
 #include <loopwise/optimization/optimizer.hpp>
 #include <loopwise/optimization/ordering.hpp>
 
@@ -182,6 +183,20 @@ ClosureFactor::ClosureFactor(const PoseGraph& graph) {
     if (a != kHeld) diagonal_[a] += J_from.transpose() * information * J_from;
     if (b != kHeld) diagonal_[b] += J_to.transpose() * information * J_to;
     if (a != kHeld && b != kHeld) pairs_.push_back({a, b, J_from.transpose() * information * J_to});
+  }
+  for (const RangeFactor& range : graph.ranges()) {
+    const std::size_t from = graph.index_of(range.from), to = graph.index_of(range.to);
+    const LinearizedRange l = linearize(range, graph.nodes()[from].pose, graph.nodes()[to].pose);
+    const std::uint32_t a = variable_[from], b = variable_[to];
+    if (a != kHeld) diagonal_[a] += l.J_from.transpose() * l.J_from;
+    if (b != kHeld) diagonal_[b] += l.J_to.transpose() * l.J_to;
+    if (a != kHeld && b != kHeld) pairs_.push_back({a, b, l.J_from.transpose() * l.J_to});
+  }
+  for (const GravityFactor& gravity : graph.gravities()) {
+    const std::size_t node = graph.index_of(gravity.key);
+    if (held(node)) continue;
+    const LinearizedGravity l = linearize(gravity, graph.nodes()[node].pose);
+    diagonal_[variable_[node]] += l.J.transpose() * l.J;
   }
   for (const Matrix6d& block : diagonal_) {
     if (!block.allFinite()) throw InputError("the Hessian at the poses is not finite");

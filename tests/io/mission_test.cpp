@@ -135,6 +135,55 @@ TEST_CASE("mission: a folder comes back as it was written", "[io][mission]") {
   CHECK(read_file(folder / "again" / "mission.json") == read_file(folder / "m" / "mission.json"));
 }
 
+TEST_CASE("mission: landmarks, ranges and gravity come back", "[io][mission]") {
+  const TemporaryFolder folder;
+  Mission a = make_mission();
+  std::vector<Robot> robots = a.robots.all();
+  robots.push_back(robot_of_character('A', "artifacts"));
+  robots.back().landmarks = true;
+  a.robots = Robots(std::move(robots));
+  Node artifact;
+  artifact.key = make_key('A', 7);
+  artifact.stamp_ns = a.start_ns + 9;
+  a.graph.add_node(artifact);
+  Edge sighting{make_key('b', 2), artifact.key, Eigen::Isometry3d::Identity(), Matrix6d::Identity()};
+  sighting.kind = EdgeKind::kLandmark;
+  a.graph.add_edge(sighting);
+  a.graph.add_range({make_key('a', 1), make_key('b', 3), 12.25, 0.1});
+  GravityFactor gravity;
+  gravity.key = make_key('a', 2);
+  gravity.direction = Eigen::Vector3d(0.1, 0.0, -3.0);
+  gravity.sigma_rad = 0.02;
+  a.graph.add_gravity(gravity);
+  MissionWriter(folder / "m").finish(a);
+
+  const Mission b = read_mission(folder / "m");
+  CHECK(b.robots.is_landmark(artifact.key));
+  CHECK_FALSE(b.robots.is_landmark(make_key('a', 2)));
+  CHECK(b.graph.edges().back().kind == EdgeKind::kLandmark);
+  REQUIRE(b.graph.ranges().size() == 1);
+  CHECK(b.graph.ranges()[0].to == make_key('b', 3));
+  CHECK(b.graph.ranges()[0].range_m == 12.25);
+  REQUIRE(b.graph.gravities().size() == 1);
+  CHECK((b.graph.gravities()[0].direction - a.graph.gravities()[0].direction).norm() < 1e-15);
+  CHECK(b.problems.count("node without ground truth") == 0);
+  CHECK(b.graph.priors().size() == 2);
+
+  gravity.reference = Eigen::Vector3d::UnitX();
+  a.graph.add_gravity(gravity);
+  CHECK_THROWS_WITH(MissionWriter(folder / "other").finish(a), Contains("gravity at node a2"));
+  CHECK_FALSE(fs::exists(folder / "other" / "mission.json"));
+  const auto refused = [&](const char* file, const std::string& text, const std::string& why) {
+    testing::write_text(folder / "m" / file, text);
+    CHECK_THROWS_WITH(read_mission(folder / "m"), Contains(std::string(file) + ":3") && Contains(why));
+  };
+  refused("gravity.csv", "key,x,y,z,sigma_rad\na1,0,0,-1,0.1\na1,0,0,0,0.1\n", "no length");
+  testing::write_text(folder / "m" / "gravity.csv", "key,x,y,z,sigma_rad\n");
+  refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b9,1,1\n", "not in the graph");
+  refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b1,-2,1\n", "no distance");
+  refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b1,2,0\n", "not positive");
+}
+
 TEST_CASE("mission: a folder is no mission before it is finished", "[io][mission][error]") {
   const TemporaryFolder folder;
   const MissionWriter writer(folder / "m");

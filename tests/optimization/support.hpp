@@ -98,6 +98,23 @@ inline RandomGraph random_graph(Rng& rng, const RandomGraphOptions& options = {}
   return out;
 }
 
+/// Ranges between nodes, and gravity at every third: free of noise.
+inline void add_auxiliary_factors(RandomGraph& random, Rng& rng) {
+  const std::size_t n = random.truth.size();
+  for (int i = 0; i < 12; ++i) {
+    const std::size_t a = rng.below(n), b = (a + 1 + rng.below(n - 1)) % n;
+    random.graph.add_range(
+        {a, b, (random.truth[a].translation() - random.truth[b].translation()).norm(), 0.1});
+  }
+  for (std::size_t i = 0; i < n; i += 3) {
+    GravityFactor gravity;
+    gravity.key = i;
+    gravity.direction = -random.truth[i].linear().transpose() * Eigen::Vector3d::UnitZ();
+    gravity.sigma_rad = 0.02;
+    random.graph.add_gravity(gravity);
+  }
+}
+
 /// Plain reader of the shared 3D g2o files; consecutive ids are odometry.
 inline PoseGraph read_graph(const fs::path& path, const std::vector<Key>& priors) {
   PoseGraph graph;

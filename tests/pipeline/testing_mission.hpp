@@ -74,6 +74,41 @@ inline Mission two_circles(std::uint64_t seed = 1, std::size_t nodes_per_robot =
   return mission;
 }
 
+/// Adds a landmark "L0" that robot a sees at the start and the end of its path and robot b in the middle, a range
+/// between the robots' last nodes, and gravity at every fourth node: all as the truth has them.
+inline Mission with_landmark(Mission mission) {
+  std::vector<Robot> robots = mission.robots.all();
+  robots.push_back(robot_of_character('L', "artifacts"));
+  robots.back().landmarks = true;
+  mission.robots = Robots(std::move(robots));
+  const std::uint64_t last = mission.graph.nodes().size() / 2 - 1;
+  Node landmark;
+  landmark.key = make_key('L', 0);
+  landmark.pose.translation() = Eigen::Vector3d(3.0, -6.0, 1.0);
+  landmark.stamp_ns = mission.graph.nodes().front().stamp_ns;
+  const Eigen::Isometry3d truth = landmark.pose;
+  landmark.pose.translation().x() += 1.0;
+  mission.graph.add_node(landmark);
+  for (const Key seen_from : {make_key('a', 0), make_key('b', last / 2), make_key('a', last)}) {
+    Edge edge{seen_from, landmark.key, mission.ground_truth.at(seen_from).inverse() * truth,
+              1e4 * Matrix6d::Identity()};
+    edge.kind = EdgeKind::kLandmark;
+    mission.graph.add_edge(edge);
+  }
+  const Key a = make_key('a', last), b = make_key('b', last);
+  mission.graph.add_range(
+      {a, b, (mission.ground_truth.at(a).translation() - mission.ground_truth.at(b).translation()).norm(), 0.05});
+  for (const auto& [key, pose] : mission.ground_truth) {
+    if (key % 4 != 0) continue;
+    GravityFactor gravity;
+    gravity.key = key;
+    gravity.direction = -pose.linear().transpose() * Eigen::Vector3d::UnitZ();
+    gravity.sigma_rad = 0.01;
+    mission.graph.add_gravity(gravity);
+  }
+  return mission;
+}
+
 /// Gives the true relative pose with a little noise, a wrong one for a seeded share of the pairs, and rejects
 /// another share. The outcome of a pair depends on its task alone.
 class OracleRegistrar final : public Registrar {

@@ -76,7 +76,9 @@ TEST_CASE("covariance objective: equals adding, refactorising and inverting", "[
   testing::RandomGraphOptions shape;
   shape.nodes = 20 + 2 * seed;
   shape.closures = seed % 3 == 0 ? 0 : seed;  // some with odometry alone
-  const PoseGraph graph = testing::random_graph(rng, shape).graph;
+  testing::RandomGraph random = testing::random_graph(rng, shape);
+  if (seed % 2 == 0) testing::add_auxiliary_factors(random, rng);
+  const PoseGraph& graph = random.graph;
   const auto candidates = random_candidates(graph, 40, rng);
   ClosureModelOptions options;
   options.holding = holding;

@@ -32,7 +32,30 @@ struct PriorFactor {
   Matrix6d information = Matrix6d::Identity();
 };
 
-enum class EdgeKind { kOdometry, kLoopClosure };
+/// A measured distance between the origins of two nodes, as of ultra-wideband radios:
+/// r = (‖t_to − t_from‖ − range_m) / sigma_m, cost ½ r².
+struct RangeFactor {
+  Key from = 0;
+  Key to = 0;
+  double range_m = 0.0;
+  double sigma_m = 1.0;
+};
+
+/// The direction of gravity as an accelerometer at rest measures it. With R the node's rotation
+/// r = (R · direction − reference) / sigma_rad, cost ½ ‖r‖²; ‖R · direction − reference‖ = 2 sin(θ/2) for an angle
+/// θ between the two. Says nothing about yaw and place.
+struct GravityFactor {
+  Key key = 0;
+  Eigen::Vector3d direction = -Eigen::Vector3d::UnitZ();  ///< Body frame; any length but 0.
+  double sigma_rad = 1.0;
+  Eigen::Vector3d reference = -Eigen::Vector3d::UnitZ();  ///< Common frame; any length but 0.
+};
+
+enum class EdgeKind {
+  kOdometry,
+  kLoopClosure,
+  kLandmark,  ///< From a key frame to a landmark that it saw. Robust optimisation may doubt it.
+};
 
 /// A measured relative pose: r = Log(T_from_to⁻¹ · T_from⁻¹ · T_to), cost ½·weight·rᵀΩr.
 struct Edge {
@@ -57,6 +80,12 @@ class PoseGraph {
   std::size_t add_prior(const PriorFactor& prior);
   /// \throws UnknownKeyError; InputError on bad numbers or an edge from a node to itself.
   std::size_t add_edge(const Edge& edge);
+  /// \throws UnknownKeyError; InputError on a negative range, a sigma that is not positive, or a range from a
+  /// node to itself.
+  std::size_t add_range(const RangeFactor& range);
+  /// Makes both directions unit vectors. \throws UnknownKeyError; InputError on a direction of no length or a
+  /// sigma that is not positive.
+  std::size_t add_gravity(const GravityFactor& gravity);
   /// The edge of a verified closure: information is the inverse of its covariance.
   std::size_t add_closure(const LoopClosure& closure);
   /// Takes out the edges for which `drop(edge)` holds; those left move up, in order. \returns how many went.
@@ -80,6 +109,8 @@ class PoseGraph {
   [[nodiscard]] const std::vector<Node>& nodes() const { return nodes_; }
   [[nodiscard]] const std::vector<PriorFactor>& priors() const { return priors_; }
   [[nodiscard]] const std::vector<Edge>& edges() const { return edges_; }
+  [[nodiscard]] const std::vector<RangeFactor>& ranges() const { return ranges_; }
+  [[nodiscard]] const std::vector<GravityFactor>& gravities() const { return gravities_; }
   [[nodiscard]] bool empty() const { return nodes_.empty(); }
   [[nodiscard]] std::vector<Key> keys() const;
 
@@ -108,15 +139,18 @@ class PoseGraph {
   std::vector<Node> nodes_;
   std::vector<PriorFactor> priors_;
   std::vector<Edge> edges_;
+  std::vector<RangeFactor> ranges_;
+  std::vector<GravityFactor> gravities_;
   std::vector<Ends> ends_;
   std::vector<std::vector<std::size_t>> adjacency_;
   std::unordered_map<Key, std::size_t> index_;
 };
 
-/// Connected components by edges. \returns for each node the number of its component, from 0 in node order.
+/// Connected components by edges; ranges alone leave a component loose. \returns for each node the number of its component, from 0 in node order.
 [[nodiscard]] std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
-/// Marks edges between consecutive nodes of one robot as odometry and all others as loop closures.
+/// Marks edges between consecutive nodes of one robot as odometry, those that end at a landmark as sightings of it,
+/// and all others as loop closures.
 void classify_edges(PoseGraph& graph, const Robots& robots);
 
 /// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.

@@ -17,6 +17,9 @@ struct Robot {
   std::string name;
   Key first = 0;
   Key last = 0;
+  /// Its nodes are landmarks (artifacts, radio anchors) that robots saw, not key frames: they take part in the
+  /// optimisation, have no scans and no odometry, and are never candidates.
+  bool landmarks = false;
 };
 
 /// The robot whose nodes carry this character.
@@ -46,6 +49,9 @@ class Robots {
 
   /// Index of the node among its robot's own, from 0. \throws UnknownKeyError if no robot owns the key.
   [[nodiscard]] std::uint64_t node_index(Key key) const;
+
+  /// True if the key's owner is a group of landmarks.
+  [[nodiscard]] bool is_landmark(Key key) const;
 
   /// True if `to` follows `from` directly on one robot's path: the form of an odometry edge.
   [[nodiscard]] bool consecutive(Key from, Key to) const;

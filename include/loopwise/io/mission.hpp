@@ -109,9 +109,9 @@ struct MissionOptions {
 /// bits (or a letter and an index), in JSON as text.
 ///
 /// - mission.json: `{"format": "loopwise-mission", "version": 1, "name", "frame", "clock": {"start_ns"},
-///   "robots": [{"name", "first", "last"}], "communication_gaps": [{"robot", "begin_s", "end_s"}],
+///   "robots": [{"name", "first", "last", "landmarks"}], "communication_gaps": [{"robot", "begin_s", "end_s"}],
 ///   "provenance": {...}, "files": {"graph", "stamps", "priors", "scans", "radio", "beacons",
-///   "ground_truth"}}`; only format and version must be there, other keys are errors, and `files` may not
+///   "ranges", "gravity", "ground_truth"}}`; only format and version must be there, other keys are errors, and `files` may not
 ///   lead out of the folder
 /// - graph.g2o
 /// - stamps.csv: `key,stamp_ns`, a row for every node
@@ -119,6 +119,8 @@ struct MissionOptions {
 /// - scans/KEY.pcd, or another form of read_cloud()
 /// - radio.csv: `key,beacon,transmit_dbm,receiver,receive_dbm`, an empty power was not received
 /// - beacons.csv: `beacon,robot,drop_key,stamp_ns`
+/// - ranges.csv: `from,to,range_m,sigma_m`
+/// - gravity.csv: `key,x,y,z,sigma_rad`, the direction of gravity (-z of the common frame) in the body frame
 /// - ground_truth.g2o: vertices alone
 ///
 /// A mission without priors gets one at the first node of each robot, where it stands: the robots started

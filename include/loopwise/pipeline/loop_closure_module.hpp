@@ -63,6 +63,8 @@ struct KeyFrame {
   std::vector<Edge> factors;  ///< Odometry from the previous node, by kind; other edges are closures.
   std::vector<PriorFactor> priors;
   std::shared_ptr<const PointCloud> cloud;  ///< Null: add_scan() brings it later, or nobody does.
+  std::vector<RangeFactor> ranges;
+  std::vector<GravityFactor> gravities;
 };
 
 /// Poses and, where known, marginal covariances from a back end other than ours.
@@ -147,8 +149,11 @@ class LoopClosureModule {
   /// The cloud of a node, before or after the node itself. \throws InputError if it has one already or a
   /// point is not finite; UnknownKeyError if no robot owns the key.
   bool add_scan(Key key, std::shared_ptr<const PointCloud> cloud);
-  /// Edges and priors of nodes that have come or will. \throws InputError as PoseGraph does.
-  bool add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors = {});
+  /// Factors of nodes that have come or will. \throws InputError as PoseGraph does; UnknownKeyError if no robot
+  /// owns a key.
+  bool add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors = {},
+                   const std::vector<RangeFactor>& ranges = {},
+                   const std::vector<GravityFactor>& gravities = {});
   /// Received powers, all of one node and beacon together, in any order with nodes and drops. Readings of
   /// unknown nodes or beacons wait within RadioOptions' bound. \throws UnknownKeyError if no robot owns a
   /// key.

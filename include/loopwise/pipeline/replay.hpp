@@ -109,9 +109,10 @@ class MissionReplay {
   std::shared_ptr<const Registrar> registrar_;
 };
 
-/// The odometry edges that a replay uses: those of the mission, made worse by `options.odometry_noise_*` (a
-/// random walk whose steps depend on (seed, from, to) alone), their information lowered accordingly.
-[[nodiscard]] std::vector<Edge> replay_odometry(const Mission& mission, const ReplayOptions& options);
+/// The edges that a replay begins with: the odometry of the mission, made worse by `options.odometry_noise_*` (a
+/// random walk whose steps depend on (seed, from, to) alone), its information lowered accordingly; then the
+/// sightings of landmarks. Closures that the mission's files hold are left out.
+[[nodiscard]] std::vector<Edge> replay_edges(const Mission& mission, const ReplayOptions& options);
 
 /// Mission time at which each node of the graph arrives at the base station, in graph order: its stamp, or
 /// the end of the communication gap that it lies in, and never before an earlier node of its robot.

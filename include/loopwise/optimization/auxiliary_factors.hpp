@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+
+#include <loopwise/core/pose_graph.hpp>
+
+namespace loopwise {
+
+/// A range at two poses: whitened residual r (without unit) and its derivatives by T ⊕ [translation, rotation].
+struct LinearizedRange {
+  double r = 0.0;
+  Eigen::Matrix<double, 1, 6> J_from;
+  Eigen::Matrix<double, 1, 6> J_to;
+};
+
+/// Where the two nodes coincide the direction of the range is not defined: both Jacobians are zero there.
+[[nodiscard]] LinearizedRange linearize(const RangeFactor& range, const Eigen::Isometry3d& T_w_from,
+                                        const Eigen::Isometry3d& T_w_to);
+
+/// Gravity at a pose: whitened residual and its derivative.
+struct LinearizedGravity {
+  Eigen::Vector3d r = Eigen::Vector3d::Zero();
+  Eigen::Matrix<double, 3, 6> J;
+};
+
+[[nodiscard]] LinearizedGravity linearize(const GravityFactor& gravity, const Eigen::Isometry3d& T_w_node);
+
+}  // namespace loopwise
