@@ -59,8 +59,9 @@ void validate_config(const Config& config) {
   (void)method_parts(config.replay.method);
 }
 
-void read_config(const std::filesystem::path& path, Config& config) {
-  const Json file = read_json_file(path);
+namespace {
+
+void apply_file(const Json& file, const std::string& source, Config& config) {
   Config changed = config;
   try {
     if (!file.is_object()) throw OptionError("expected an object of sections");
@@ -75,9 +76,19 @@ void read_config(const std::filesystem::path& path, Config& config) {
     }
     validate_config(changed);
   } catch (const OptionError& error) {
-    throw OptionError(path.string() + ": " + error.what());
+    throw OptionError(source + ": " + error.what());
   }
   config = changed;
+}
+
+}  // namespace
+
+void read_config(const std::filesystem::path& path, Config& config) {
+  apply_file(read_json_file(path), path.string(), config);
+}
+
+void parse_config(std::string_view json, const std::string& source, Config& config) {
+  apply_file(parse_json(json, source), source, config);
 }
 
 void set_config_option(const std::string& assignment, Config& config) {

@@ -46,7 +46,7 @@ OptimizerOptions with_threads(OptimizerOptions options, int num_threads) {
 class Run {
  public:
   Run(const Mission& mission, const Config& config, FeatureCache& features, const Registrar& registrar,
-      ThreadPool& threads, const ReplayHooks& hooks, const KnownOutcomes& known)
+      const PrioritizerFactory& prioritizers, ThreadPool& threads, const ReplayHooks& hooks, const KnownOutcomes& known)
       : mission_(mission),
         config_(config),
         features_(features),
@@ -58,8 +58,9 @@ class Run {
         generator_(config.generation, mission.robots),
         radio_(config.radio, mission.robots),
         pool_(config.pool,
-              make_queue(config, mission.robots,
-                         [this](const KeyedScan& scan) { return eigenvalue(scan.key); }),
+              prioritizers ? RoundRobinQueue(prioritizers())
+                           : make_queue(config, mission.robots,
+                                        [this](const KeyedScan& scan) { return eigenvalue(scan.key); }),
               mission.robots),
         optimizer_(with_threads(config.optimization, threads.num_threads())) {
     for (std::size_t e = 0; e < edges_.size(); ++e) {
@@ -527,8 +528,12 @@ std::vector<double> arrival_times(const Mission& mission) {
 
 MissionReplay::MissionReplay(const Mission& mission, const Config& config,
                              std::shared_ptr<FeatureCache> features,
-                             std::shared_ptr<const Registrar> registrar)
-    : mission_(mission), config_(config), features_(std::move(features)), registrar_(std::move(registrar)) {
+                             std::shared_ptr<const Registrar> registrar, PrioritizerFactory prioritizers)
+    : mission_(mission),
+      config_(config),
+      features_(std::move(features)),
+      registrar_(std::move(registrar)),
+      prioritizers_(std::move(prioritizers)) {
   validate_config(config_);
   if (!features_) throw InputError("MissionReplay needs a feature cache");
   if (!registrar_) throw InputError("MissionReplay needs a registrar");
@@ -536,7 +541,7 @@ MissionReplay::MissionReplay(const Mission& mission, const Config& config,
 
 ReplayResult MissionReplay::run(ThreadPool& threads, const ReplayHooks& hooks,
                                 const KnownOutcomes& known) const {
-  return Run(mission_, config_, *features_, *registrar_, threads, hooks, known).execute();
+  return Run(mission_, config_, *features_, *registrar_, prioritizers_, threads, hooks, known).execute();
 }
 
 }  // namespace loopwise

@@ -21,6 +21,7 @@
 #include <loopwise/io/mission.hpp>
 #include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/pipeline/config.hpp>
+#include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/registration/registrar.hpp>
 
 namespace loopwise {
@@ -84,6 +85,9 @@ struct ReplayResult {
   double total_s = 0.0;
 };
 
+/// Makes the prioritisers of one run, in the order of their turns.
+using PrioritizerFactory = std::function<std::vector<std::unique_ptr<Prioritizer>>()>;
+
 /// Replays a recorded mission on a virtual clock (paper §IV): key frames arrive at their stamps or, after a
 /// communication gap, at its end; candidates are generated and prioritised as they come; whenever the
 /// computation runs dry it takes the next batch, and each registration occupies one of `workers` for
@@ -92,10 +96,11 @@ struct ReplayResult {
 /// changes the outcome.
 class MissionReplay {
  public:
-  /// `mission` must outlive the replay; `features` serve the observability score.
+  /// `mission` must outlive the replay; `features` serve the observability score. `prioritizers`, where given, take
+  /// the place of those of `config.replay.method`.
   /// \throws OptionError naming the option; InputError on a null pointer.
   MissionReplay(const Mission& mission, const Config& config, std::shared_ptr<FeatureCache> features,
-                std::shared_ptr<const Registrar> registrar);
+                std::shared_ptr<const Registrar> registrar, PrioritizerFactory prioritizers = {});
 
   /// Runs until the last key frame has come (or, by option, until nothing is pending) or a stop is requested.
   /// `threads` compute the registrations, but for those in `known`.
@@ -107,6 +112,7 @@ class MissionReplay {
   Config config_;
   std::shared_ptr<FeatureCache> features_;
   std::shared_ptr<const Registrar> registrar_;
+  PrioritizerFactory prioritizers_;
 };
 
 /// The edges that a replay begins with: the odometry of the mission, made worse by `options.odometry_noise_*` (a

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What the sources of the Python module share: conversions between the library's types and NumPy's.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include <Eigen/Core>
+#include <Eigen/Geometry>
+#include <pybind11/eigen.h>
+#include <pybind11/numpy.h>
+#include <pybind11/pybind11.h>
+#include <pybind11/stl.h>
+#include <pybind11/stl/filesystem.h>
+
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/problems.hpp>
+#include <loopwise/core/se3.hpp>
+#include <loopwise/pipeline/config.hpp>
+
+namespace loopwise::python {
+
+namespace py = pybind11;
+
+using RowMatrix4d = Eigen::Matrix<double, 4, 4, Eigen::RowMajor>;
+using RowMatrix6d = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
+using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
+
+/// A (4, 4) array. \throws InputError naming `what` unless its last row is 0 0 0 1.
+[[nodiscard]] Eigen::Isometry3d pose_from(const RowMatrix4d& matrix, const std::string& what);
+[[nodiscard]] inline RowMatrix4d matrix_from(const Eigen::Isometry3d& pose) { return pose.matrix(); }
+
+/// (n, 4, 4)
+[[nodiscard]] py::array poses_array(const std::vector<Eigen::Isometry3d>& poses);
+[[nodiscard]] std::vector<Eigen::Isometry3d> poses_from(const Doubles& array);
+/// (n, 6, 6)
+[[nodiscard]] py::array matrices_array(const std::vector<Matrix6d>& matrices);
+/// (n,) of unsigned 64-bit keys
+[[nodiscard]] py::array keys_array(const std::vector<Key>& keys);
+
+/// (n, 3) points, and optionally (n, 3) normals and (n,) intensities. \throws InputError on another shape or a point
+/// that is not finite
+[[nodiscard]] PointCloud cloud_from(const Floats& points, const py::object& normals, const py::object& intensities);
+[[nodiscard]] py::array points_array(const std::vector<Eigen::Vector3f>& points);
+
+/// Lines as to_string(Problem) makes them.
+[[nodiscard]] std::vector<std::string> problem_lines(const Problems& problems);
+
+/// A Config from a dictionary of sections, a JSON text or a Config; None gives the defaults. \throws OptionError
+[[nodiscard]] Config config_from(const py::object& value);
+/// Applies a dictionary to the options of one section of a Config. \throws OptionError
+void apply_section(Config& config, const char* section, const py::object& values);
+
+void bind_core(py::module_& module);
+void bind_io(py::module_& module);
+void bind_optimization(py::module_& module);
+void bind_prioritization(py::module_& module);
+void bind_registration(py::module_& module);
+void bind_pipeline(py::module_& module);
+
+}  // namespace loopwise::python

@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include "bindings.hpp"
+
+#include <loopwise/prioritization/prioritizer.hpp>
+
+namespace loopwise::python {
+
+/// A prioritiser written in Python: each call takes the interpreter's lock by itself.
+class PythonPrioritizer final : public Prioritizer {
+ public:
+  using Prioritizer::Prioritizer;
+
+  [[nodiscard]] std::string_view name() const override {
+    if (name_.empty()) {
+      const py::gil_scoped_acquire acquire;
+      const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "name");
+      name_ = own ? own().cast<std::string>() : "python";
+    }
+    return name_;
+  }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
+    const py::gil_scoped_acquire acquire;
+    const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "add");
+    if (!own) missing("add");
+    const py::object refused = own(candidates);
+    if (refused.is_none()) return {};
+    return refused.cast<std::vector<Refusal>>();
+  }
+  void remove(const std::vector<CandidateId>& ids) override {
+    PYBIND11_OVERRIDE_PURE(void, Prioritizer, remove, ids);
+  }
+  void on_graph(const PoseGraph& graph) override { PYBIND11_OVERRIDE(void, Prioritizer, on_graph, &graph); }
+  void on_scan(const KeyedScan& scan) override {
+    const py::gil_scoped_acquire acquire;
+    const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "on_scan");
+    if (own) own(scan.key, points_array(scan.cloud->points));
+  }
+  void on_result(const RegistrationResult& result) override {
+    PYBIND11_OVERRIDE(void, Prioritizer, on_result, result);
+  }
+  void improve(std::size_t count, const StopToken&, std::uint64_t max_evaluations) override {
+    const py::gil_scoped_acquire acquire;
+    const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "improve");
+    if (own) own(count, max_evaluations);
+  }
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override {
+    PYBIND11_OVERRIDE_PURE(std::vector<LoopCandidate>, Prioritizer, take, count);
+  }
+  [[nodiscard]] std::size_t size() const override { PYBIND11_OVERRIDE_PURE(std::size_t, Prioritizer, size); }
+
+ private:
+  [[noreturn]] static void missing(const char* function) {
+    throw py::type_error(std::string("a Prioritizer must have the function ") + function);
+  }
+  mutable std::string name_;
+};
+
+/// Hands a Python object to the library, which owns prioritisers alone: calls go on to the object.
+class SharedPrioritizer final : public Prioritizer {
+ public:
+  explicit SharedPrioritizer(std::shared_ptr<Prioritizer> inner) : inner_(std::move(inner)) {}
+  [[nodiscard]] std::string_view name() const override { return inner_->name(); }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& c) override { return inner_->add(c); }
+  void remove(const std::vector<CandidateId>& ids) override { inner_->remove(ids); }
+  void on_graph(const PoseGraph& graph) override { inner_->on_graph(graph); }
+  void on_scan(const KeyedScan& scan) override { inner_->on_scan(scan); }
+  void on_result(const RegistrationResult& result) override { inner_->on_result(result); }
+  void improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) override {
+    inner_->improve(count, stop, max_evaluations);
+  }
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return inner_->take(count); }
+  [[nodiscard]] std::vector<Refusal> give_up(double now_s) override { return inner_->give_up(now_s); }
+  [[nodiscard]] std::size_t size() const override { return inner_->size(); }
+
+ private:
+  std::shared_ptr<Prioritizer> inner_;
+};
+
+}  // namespace loopwise::python

@@ -1,0 +1,270 @@
+# SPDX-License-Identifier: BSD-3-Clause
+"""The Python package: each part against what NumPy says or against the library's own results."""
+
+import json
+import os
+import pathlib
+import subprocess
+import sys
+import tempfile
+import unittest
+
+import numpy as np
+
+import loopwise as lw
+
+SOURCE = pathlib.Path(os.environ["LOOPWISE_SOURCE_DIR"])
+SAMPLE = SOURCE / "data" / "sample_mission"
+
+
+def pose(x=0.0, y=0.0, z=0.0, yaw=0.0):
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]
+    T[:3, 3] = [x, y, z]
+    return T
+
+
+def square(steps=8, drift=0.02):
+    """A square path that comes back to where it began, with odometry that turns too far."""
+    graph = lw.PoseGraph()
+    step = pose(2.0, yaw=2.0 * np.pi / steps + drift)
+    T = np.eye(4)
+    for i in range(steps + 1):
+        graph.add_node(lw.make_key("a", i), T, stamp_ns=2_000_000_000 * i)
+        if i:
+            graph.add_edge(lw.make_key("a", i - 1), lw.make_key("a", i), step, sigmas=[0.1] * 3 + [0.02] * 3,
+                           kind=lw.EdgeKind.ODOMETRY)
+        T = T @ step
+    graph.add_prior("a0", np.eye(4), sigmas=[1e-3] * 6)
+    return graph
+
+
+class Keys(unittest.TestCase):
+    def test_names(self):
+        self.assertEqual(lw.key("a12"), 6989586621679009792 + 12)
+        self.assertEqual(lw.key_name(lw.make_key("b", 3)), "b3")
+        with self.assertRaisesRegex(lw.InputError, "12x"):
+            lw.key("12x")
+
+
+class Graph(unittest.TestCase):
+    def test_arrays(self):
+        graph = square()
+        self.assertEqual(len(graph), 9)
+        self.assertEqual(graph.keys.dtype, np.uint64)
+        self.assertEqual(graph.poses.shape, (9, 4, 4))
+        edges = graph.edges
+        self.assertEqual(edges["T_from_to"].shape, (8, 4, 4))
+        np.testing.assert_allclose(edges["information"][3], np.diag([100.0] * 3 + [2500.0] * 3))
+        moved = graph.copy()
+        moved.poses = graph.poses + 0.0
+        np.testing.assert_array_equal(moved.poses, graph.poses)
+
+    def test_errors_name_the_key(self):
+        graph = square()
+        with self.assertRaisesRegex(lw.InputError, "a3"):
+            graph.add_node("a3", np.eye(4))
+        with self.assertRaisesRegex(lw.UnknownKeyError, "a77"):
+            graph.index_of("a77")
+        with self.assertRaisesRegex(lw.InputError, "indefinite"):
+            graph.add_edge("a0", "a5", np.eye(4), information=-np.eye(6))
+        with self.assertRaisesRegex(lw.InputError, "last row"):
+            graph.add_node("a50", np.full((4, 4), 2.0))
+        with self.assertRaisesRegex(lw.InputError, "either information or sigmas"):
+            graph.add_edge("a0", "a5", np.eye(4))
+
+    def test_files(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "graph.g2o"
+            graph = square()
+            lw.write_g2o(path, graph)
+            again, problems = lw.read_g2o(path)
+            self.assertEqual(problems, [])
+            np.testing.assert_allclose(again.poses, graph.poses, atol=1e-14)
+            with self.assertRaises(lw.IoError):
+                lw.read_g2o(path.with_name("absent.g2o"))
+
+
+class Optimization(unittest.TestCase):
+    def test_closure_closes(self):
+        graph = square()
+        graph.add_edge("a8", "a0", np.eye(4), sigmas=[0.01] * 3 + [0.002] * 3)
+        before = np.linalg.norm(graph.poses[8, :3, 3])
+        result = lw.optimize(graph)
+        self.assertTrue(result.converged)
+        self.assertLess(np.linalg.norm(result.poses[8, :3, 3]), 0.1 * before)
+        self.assertLess(result.cost, result.cost_initial)
+
+    def test_gnc_finds_the_false_closure(self):
+        graph = square(drift=0.0)
+        graph.add_edge("a8", "a0", np.eye(4), sigmas=[0.1] * 3 + [0.02] * 3)
+        graph.add_edge("a4", "a1", pose(30.0), sigmas=[0.1] * 3 + [0.02] * 3)
+        result = lw.optimize_gnc(graph)
+        np.testing.assert_array_equal(result.weights > 0.5, [True] * 9 + [False])
+        self.assertEqual((result.inliers, result.outliers), (1, 1))
+
+    def test_marginals(self):
+        result = lw.marginals(square())
+        self.assertEqual(result.covariances.shape, (9, 6, 6))
+        np.testing.assert_allclose(np.trace(result.covariances[:, :3, :3], axis1=1, axis2=2).sum(),
+                                   result.trace_translation)
+        np.testing.assert_allclose(result.covariances[0], 1e-6 * np.eye(6), rtol=1e-6)
+
+    def test_options_are_checked(self):
+        with self.assertRaisesRegex(lw.OptionError, "max_iterations"):
+            lw.optimize(square(), {"max_iteration": 3})
+
+
+class Registration(unittest.TestCase):
+    def room(self, seed):
+        rng = np.random.default_rng(seed)
+        points = rng.uniform([-6, -4, -1], [6, 4, 2], (4000, 3))
+        wall = rng.integers(0, 5, len(points))
+        for k, (axis, value) in enumerate([(0, -6), (0, 6), (1, -4), (1, 4), (2, -1)]):
+            points[wall == k, axis] = value
+        box = rng.uniform([1, 0, -1], [3, 1.5, 0.5], (1500, 3))
+        side = rng.integers(0, 4, len(box))
+        for k, (axis, value) in enumerate([(0, 1), (0, 3), (1, 0), (1, 1.5)]):
+            box[side == k, axis] = value
+        return np.vstack([points, box]).astype(np.float32)
+
+    def test_a_known_motion(self):
+        truth = pose(0.8, -0.4, 0.0, 0.3)  # T_target_source
+        target, world = self.room(1), self.room(2)
+        source = (world - truth[:3, 3]) @ truth[:3, :3]
+        result = lw.register(source, target)
+        self.assertTrue(result["verified"], result["message"])
+        np.testing.assert_allclose(result["T_target_source"], truth, atol=0.05)
+        self.assertEqual(result["covariance"].shape, (6, 6))
+        with self.assertRaisesRegex(lw.InputError, "row 7 is not finite"):
+            source[7, 1] = np.nan
+            lw.register(source, target)
+        with self.assertRaisesRegex(lw.InputError, "shape"):
+            lw.register(source[:, :2], target)
+
+
+class Prioritization(unittest.TestCase):
+    def setUp(self):
+        self.graph = square(40)
+        self.candidates = lw.propose(self.graph, options={"skip_recent": 5, "radius_min_m": 8.0, "radius_max_m": 8.0})
+
+    def test_gains_are_those_of_adding_the_closure(self):
+        self.assertGreater(len(self.candidates), 20)
+        gains = lw.exact_gains(self.graph, self.candidates)
+        base = lw.marginals(self.graph).trace_translation
+        for candidate, gain in list(zip(self.candidates, gains))[::7]:
+            graph = self.graph.copy()
+            i, j = graph.index_of(candidate.from_key), graph.index_of(candidate.to_key)
+            graph.add_edge(candidate.from_key, candidate.to_key, np.linalg.inv(graph.poses[i]) @ graph.poses[j],
+                           sigmas=[0.1] * 3 + [0.02] * 3)
+            self.assertAlmostEqual(base - lw.marginals(graph).trace_translation, gain, delta=1e-6 * base)
+
+    def test_methods(self):
+        for method in ("baseline", "random", "gi"):
+            prioritizer = lw.make_prioritizer(method, lw.Robots("a"))
+            prioritizer.on_graph(self.graph)
+            self.assertEqual(prioritizer.add(self.candidates), [])
+            prioritizer.improve(5, 200)
+            taken = prioritizer.take(5)
+            self.assertEqual(len(taken), 5)
+            self.assertEqual(len(prioritizer), len(self.candidates) - 5)
+        self.assertEqual([c.id for c in lw.make_prioritizer("baseline", lw.Robots("a")).take(1)], [])
+        with self.assertRaisesRegex(lw.OptionError, "full"):
+            lw.make_prioritizer("best", lw.Robots("a"))
+
+
+class Newest(lw.Prioritizer):
+    """Last generated, first computed."""
+
+    def __init__(self):
+        super().__init__()
+        self.held = {}
+        self.results = 0
+
+    def name(self):
+        return "newest"
+
+    def add(self, candidates):
+        self.held.update({c.id: c for c in candidates})
+
+    def remove(self, ids):
+        for i in ids:
+            self.held.pop(i, None)
+
+    def on_result(self, result):
+        self.results += 1
+
+    def take(self, count):
+        return [self.held.pop(i) for i in sorted(self.held, reverse=True)[:count]]
+
+    def size(self):
+        return len(self.held)
+
+
+class Replay(unittest.TestCase):
+    CONFIG = {"replay": {"registration_time_s": 13.0, "batch": 20}}
+
+    def setUp(self):
+        self.mission = lw.read_mission(SAMPLE)
+
+    def test_a_mission(self):
+        self.assertEqual(len(self.mission.robots), 2)
+        scan = self.mission.scan(int(self.mission.scan_keys[0]))
+        self.assertEqual(scan["points"].shape[1], 3)
+        stages = []
+        run = lw.replay(self.mission, method="random", config=self.CONFIG, progress=lambda *p: stages.append(p[0]))
+        self.assertTrue(stages)
+        closures = run.closures
+        self.assertEqual(closures["T_from_to"].shape, (len(closures["from"]), 4, 4))
+        self.assertEqual(run.summary["closures"]["verified"], int(closures["verified"].sum()))
+        errors = lw.trajectory_errors(run.graph, self.mission.ground_truth)
+        self.assertAlmostEqual(errors["ate_m"]["mean"], run.summary["ate_m"]["optimized"], places=12)
+        again = lw.replay(self.mission, method="random", config=self.CONFIG, threads=2)
+        np.testing.assert_array_equal(again.graph.poses, run.graph.poses)
+        with tempfile.TemporaryDirectory() as folder:
+            run.write(pathlib.Path(folder) / "out", map_voxel_m=0)
+            summary = json.loads((pathlib.Path(folder) / "out" / "summary.json").read_text())
+            self.assertEqual(summary["closures"], run.summary["closures"])
+
+    def test_a_prioritizer_in_python(self):
+        own = Newest()
+        run = lw.replay(self.mission, config=self.CONFIG, prioritizers=[own])
+        times = run.closures["mission_time_s"]
+        self.assertEqual(own.results, len(times))
+        self.assertGreater(own.results, 0)
+        baseline = lw.replay(self.mission, method="baseline", config=self.CONFIG)
+        self.assertNotEqual(run.closures["from"].tolist(), baseline.closures["from"].tolist())
+
+    def test_exceptions_of_python_come_through(self):
+        class Broken(Newest):
+            def take(self, count):
+                raise ValueError("no candidates today")
+
+        with self.assertRaisesRegex(ValueError, "no candidates today"):
+            lw.replay(self.mission, config=self.CONFIG, prioritizers=[Broken()])
+        with self.assertRaisesRegex(KeyError, "stop here"):
+            def progress(*_):
+                raise KeyError("stop here")
+            lw.replay(self.mission, method="baseline", config=self.CONFIG, progress=progress)
+
+
+class Documentation(unittest.TestCase):
+    def test_the_quickstart_runs(self):
+        text = (SOURCE / "docs" / "python.md").read_text()
+        program = text.split("```python\n", 1)[1].split("```", 1)[0]
+        subprocess.run([sys.executable, "-c", program], cwd=SOURCE, check=True, stdout=subprocess.DEVNULL)
+
+    def test_the_stubs_name_everything(self):
+        stubs = (pathlib.Path(lw.__file__).parent / "_loopwise.pyi").read_text()
+        for name in dir(lw):
+            if not name.startswith("_"):
+                self.assertRegex(stubs, rf"(?m)^(def|class) {name}\b", name)
+        for cls in (lw.PoseGraph, lw.Mission, lw.Run, lw.Prioritizer, lw.LoopCandidate, lw.RegistrationResult):
+            body = stubs.split(f"class {cls.__name__}", 1)[1].split("\nclass ", 1)[0]
+            for name in dir(cls):
+                if not name.startswith("_"):
+                    self.assertRegex(body, rf"\b{name}\b", f"{cls.__name__}.{name}")
+
+
+if __name__ == "__main__":
+    unittest.main()
