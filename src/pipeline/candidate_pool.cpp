@@ -2,6 +2,7 @@
 #include <loopwise/pipeline/candidate_pool.hpp>
 
 #include <algorithm>
+#include <exception>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
@@ -66,12 +67,30 @@ void CandidatePool::on_scan(const KeyedScan& scan) {
 void CandidatePool::enqueue(const std::vector<LoopCandidate>& candidates) {
   if (candidates.empty()) return;
   for (const LoopCandidate& candidate : candidates) pending_.emplace(candidate.id, candidate);
-  for (const Refusal& refusal : queue_.add(candidates)) {
+  std::vector<Refusal> refused;
+  std::exception_ptr failure;
+  try {
+    refused = queue_.add(candidates);
+  } catch (...) {
+    // Nobody knows who holds them: all must let go, or they would be pending for ever.
+    failure = std::current_exception();
+    std::vector<CandidateId> ids;
+    for (const LoopCandidate& candidate : candidates) {
+      refused.push_back({candidate.id, "prioritizer_failed"});
+      ids.push_back(candidate.id);
+    }
+    try {
+      queue_.remove(ids);
+    } catch (...) {  // the first failure says more
+    }
+  }
+  for (const Refusal& refusal : refused) {
     pending_.erase(refusal.id);
     ++accounting_.pruned;
     ++pruned_reasons_[refusal.reason];
   }
   accounting_.pending = pending_.size();
+  if (failure) std::rethrow_exception(failure);
 }
 
 void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, const std::string& reason) {
@@ -160,9 +179,16 @@ bool CandidatePool::redundant(const LoopCandidate& candidate) const {
 std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
   std::vector<LoopCandidate> batch;
   while (batch.size() < count) {
-    const std::vector<LoopCandidate> taken = queue_.take(count - batch.size());
+    std::vector<LoopCandidate> taken;
+    try {
+      taken = queue_.take(count - batch.size());
+    } catch (...) {
+      enqueue(batch);  // its own failure would say the same
+      throw;
+    }
     if (taken.empty()) break;
-    for (const LoopCandidate& candidate : taken) {
+    for (const LoopCandidate& handed : taken) {
+      const LoopCandidate candidate = pending_.at(handed.id);  // whatever a prioritiser made of its copy
       if (options_.redundant_m > 0.0 && redundant(candidate)) {
         redundant_.push_back(candidate);
       } else {

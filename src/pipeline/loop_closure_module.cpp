@@ -800,6 +800,8 @@ class LoopClosureModule::Impl {
       function();
     } catch (const std::exception& error) {
       post_inside(ProblemEvent{std::string("prioritisation: ") + error.what()});
+    } catch (...) {
+      post_inside(ProblemEvent{"prioritisation: something that is not a std::exception was thrown"});
     }
   }
 

@@ -2,6 +2,7 @@
 #include <loopwise/prioritization/round_robin_queue.hpp>
 
 #include <algorithm>
+#include <exception>
 
 #include <loopwise/core/error.hpp>
 
@@ -37,8 +38,16 @@ std::vector<Refusal> RoundRobinQueue::add(const std::vector<LoopCandidate>& cand
 }
 
 void RoundRobinQueue::remove(const std::vector<CandidateId>& ids) {
-  for (const auto& prioritizer : prioritizers_) prioritizer->remove(ids);
   for (const CandidateId id : ids) holders_.erase(id);
+  std::exception_ptr failure;
+  for (const auto& prioritizer : prioritizers_) {
+    try {
+      prioritizer->remove(ids);
+    } catch (...) {
+      if (!failure) failure = std::current_exception();
+    }
+  }
+  if (failure) std::rethrow_exception(failure);
 }
 
 void RoundRobinQueue::on_graph(const PoseGraph& graph) {
@@ -77,8 +86,40 @@ std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
 }
 
 std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
+  const std::vector<std::size_t> handed_out = handed_out_;
+  std::vector<LoopCandidate> taken;
+  try {
+    return take_in_turns(std::min(count, size()), taken);
+  } catch (...) {
+    handed_out_ = handed_out;
+    try {
+      static_cast<void>(add(taken));
+    } catch (...) {  // the first failure says more
+    }
+    throw;
+  }
+}
+
+std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, std::size_t count,
+                                                     std::vector<LoopCandidate>& taken) {
+  std::vector<LoopCandidate> share = prioritizer.take(count);
+  std::vector<CandidateId> ids;
+  for (const LoopCandidate& candidate : share) {
+    if (ids.size() == count || holders_.erase(candidate.id) == 0) {
+      throw Error("prioritizer \"" + std::string(prioritizer.name()) + "\" handed out candidate " +
+                  std::to_string(candidate.id) +
+                  (ids.size() == count ? ", which was not asked for" : ", which is not pending"));
+    }
+    ids.push_back(candidate.id);
+    taken.push_back(candidate);
+  }
+  remove(ids);
+  return share;
+}
+
+std::vector<LoopCandidate> RoundRobinQueue::take_in_turns(std::size_t count,
+                                                          std::vector<LoopCandidate>& taken) {
   const std::size_t n = prioritizers_.size();
-  count = std::min(count, size());
   std::vector<LoopCandidate> batch;
   batch.reserve(count);
   // Rounds of equal shares: who is empty gives less than its share, and what is missing goes round again.
@@ -92,12 +133,9 @@ std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
       const std::size_t i = (first + k) % n;
       const std::size_t share = left / n + (k < left % n ? 1 : 0);
       if (share == 0) continue;
-      shares[k] = prioritizers_[i]->take(share);
+      shares[k] = share_of(*prioritizers_[i], share, taken);
       found += shares[k].size();
       handed_out_[i] += shares[k].size();
-      std::vector<CandidateId> ids;
-      for (const LoopCandidate& candidate : shares[k]) ids.push_back(candidate.id);
-      remove(ids);
     }
     turn_ = (first + left) % n;
     empty_rounds = found > 0 ? 0 : empty_rounds + 1;

@@ -95,6 +95,64 @@ TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason",
   REQUIRE_THROWS_WITH(arrival_pool(options), "max_age_s = -1, must be >= 0");
 }
 
+TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pending for ever",
+          "[pipeline][pool][error]") {
+  /// As arrival, but for a function that throws when it is told to.
+  class Fragile final : public Prioritizer {
+   public:
+    std::string_view name() const override { return "fragile"; }
+    std::vector<Refusal> add(const std::vector<LoopCandidate>& c) override {
+      const std::vector<Refusal> refused = inner_.add(c);
+      if (throws_in_add) throw Error("add");
+      return refused;
+    }
+    void remove(const std::vector<CandidateId>& ids) override {
+      inner_.remove(ids);
+      if (throws_in_remove) throw Error("remove");
+    }
+    std::vector<LoopCandidate> take(std::size_t count) override {
+      if (throws_in_take) throw Error("take");
+      std::vector<LoopCandidate> taken = inner_.take(count);
+      for (LoopCandidate& c : taken) c.from = 99;  // of no consequence
+      return taken;
+    }
+    std::size_t size() const override { return inner_.size(); }
+    bool throws_in_add = false, throws_in_remove = false, throws_in_take = false;
+
+   private:
+    ArrivalPrioritizer inner_;
+  };
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+  auto fragile = std::make_unique<Fragile>();
+  Fragile& control = *fragile;
+  prioritizers.push_back(std::move(fragile));
+  CandidatePool pool({}, RoundRobinQueue(std::move(prioritizers)));
+  for (Key key = 1; key <= 9; ++key) pool.on_scan(scan_of(key));
+
+  pool.add({pair(5, 1), pair(5, 2), pair(5, 3)});
+  control.throws_in_add = control.throws_in_remove = true;
+  REQUIRE_THROWS_WITH(pool.add({pair(6, 1), pair(6, 2)}), "add");
+  control.throws_in_add = control.throws_in_remove = false;
+  REQUIRE(pool.accounting().balanced());
+  REQUIRE(pool.accounting().pending == 3);
+  REQUIRE(pool.pruned_reasons().at("prioritizer_failed") == 2);
+
+  control.throws_in_take = true;
+  REQUIRE_THROWS_WITH(pool.take(3), "take");
+  control.throws_in_take = false;
+  REQUIRE(pool.accounting().pending == 3);
+  REQUIRE(pool.accounting().in_flight == 0);
+  const auto batch = pool.take(9);
+  REQUIRE(batch.size() == 3);
+  for (const LoopCandidate& candidate : batch) {
+    REQUIRE(candidate.from == 5);
+    pool.complete(result_of(candidate));
+  }
+  REQUIRE(pool.accounting().computed == 3);
+  REQUIRE(pool.accounting().balanced());
+}
+
 TEST_CASE("pool: what is given back is pending again", "[pipeline][pool]") {
   CandidatePool pool = arrival_pool();
   for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));

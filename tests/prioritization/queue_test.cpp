@@ -153,6 +153,45 @@ TEST_CASE("queue: pruned means refused by every prioritiser", "[prioritization][
   REQUIRE(queue.take(100).size() == 6);
 }
 
+TEST_CASE("queue: a prioritiser that hands out what is not its own is told so, and nothing is lost",
+          "[prioritization][queue][error]") {
+  /// Hands out `extra` besides.
+  class Wrong final : public Prioritizer {
+   public:
+    std::string_view name() const override { return "wrong"; }
+    std::vector<Refusal> add(const std::vector<LoopCandidate>&) override { return {}; }
+    void remove(const std::vector<CandidateId>&) override {}
+    std::vector<LoopCandidate> take(std::size_t count) override {
+      std::vector<LoopCandidate> out = extra;
+      out.resize(std::min(out.size(), at_most == 0 ? count : at_most));
+      return out;
+    }
+    std::size_t size() const override { return extra.size(); }
+    std::vector<LoopCandidate> extra;
+    std::size_t at_most = 0;
+  };
+  auto wrong = std::make_unique<Wrong>();
+  Wrong& control = *wrong;
+  RoundRobinQueue queue = queue_of(picky("all", [](CandidateId) { return true; }), std::move(wrong));
+  REQUIRE(queue.add(candidates(0, 10)).empty());
+
+  control.extra = candidates(77, 1);
+  REQUIRE_THROWS_WITH(queue.take(4), "prioritizer \"wrong\" handed out candidate 77, which is not pending");
+  control.extra = candidates(3, 1);
+  control.extra.push_back(control.extra.front());
+  REQUIRE_THROWS_WITH(queue.take(4), "prioritizer \"wrong\" handed out candidate 3, which is not pending");
+  control.extra = candidates(0, 5);
+  control.at_most = 5;
+  REQUIRE_THROWS_WITH(queue.take(4), Contains("which was not asked for"));
+  REQUIRE(queue.size() == 10);
+  REQUIRE(queue.handed_out() == std::vector<std::size_t>{0, 0});
+
+  control.extra.clear();
+  std::vector<CandidateId> taken = ids(queue.take(10));
+  std::sort(taken.begin(), taken.end());
+  REQUIRE(taken == ids(candidates(0, 10)));
+}
+
 TEST_CASE("queue: without prioritisers every candidate is refused", "[prioritization][queue]") {
   RoundRobinQueue queue{{}};
   const auto refused = queue.add(candidates(0, 3));

@@ -20,8 +20,10 @@ class RoundRobinQueue {
   /// May be empty: then every candidate is refused ("no_prioritizer"). \throws InputError on a null pointer.
   explicit RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers);
 
-  /// \returns the candidates that every prioritiser refused, with their reasons joined.
+  /// \returns the candidates that every prioritiser refused, with their reasons joined. \throws what a
+  /// prioritiser throws: then call remove(), or some may still hold them
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
+  /// All prioritisers are told, also if one throws.
   void remove(const std::vector<CandidateId>& ids);
   void on_graph(const PoseGraph& graph);
   void on_scan(const KeyedScan& scan);
@@ -37,7 +39,8 @@ class RoundRobinQueue {
 
   /// Up to `count` candidates. Turns pass from one prioritiser to the next; whoever is empty is passed over,
   /// and the next batch begins after the one that had the last turn, so shares stay equal over time.
-  /// Fewer than size() if prioritisers hold candidates back.
+  /// Fewer than size() if prioritisers hold candidates back. If a prioritiser throws, what others had given
+  /// goes back to them. \throws Error if one hands out what it was not asked for or what is not pending
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
 
   /// Candidates that at least one prioritiser holds.
@@ -49,6 +52,12 @@ class RoundRobinQueue {
   [[nodiscard]] const std::vector<std::size_t>& handed_out() const { return handed_out_; }
 
  private:
+  /// All that is taken on the way stands in `taken`, also if it throws.
+  [[nodiscard]] std::vector<LoopCandidate> take_in_turns(std::size_t count,
+                                                         std::vector<LoopCandidate>& taken);
+  [[nodiscard]] std::vector<LoopCandidate> share_of(Prioritizer& prioritizer, std::size_t count,
+                                                    std::vector<LoopCandidate>& taken);
+
   std::vector<std::unique_ptr<Prioritizer>> prioritizers_;
   std::vector<std::size_t> handed_out_;
   std::unordered_map<CandidateId, std::size_t>
