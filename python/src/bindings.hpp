@@ -8,13 +8,13 @@
 #include <string>
 #include <vector>
 
-#include <Eigen/Core>
-#include <Eigen/Geometry>
 #include <pybind11/eigen.h>
 #include <pybind11/numpy.h>
 #include <pybind11/pybind11.h>
 #include <pybind11/stl.h>
 #include <pybind11/stl/filesystem.h>
+#include <Eigen/Core>
+#include <Eigen/Geometry>
 
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -33,7 +33,9 @@ using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
 
 /// A (4, 4) array. \throws InputError naming `what` unless its last row is 0 0 0 1.
 [[nodiscard]] Eigen::Isometry3d pose_from(const RowMatrix4d& matrix, const std::string& what);
-[[nodiscard]] inline RowMatrix4d matrix_from(const Eigen::Isometry3d& pose) { return pose.matrix(); }
+[[nodiscard]] inline RowMatrix4d matrix_from(const Eigen::Isometry3d& pose) {
+  return pose.matrix();
+}
 
 /// (n, 4, 4)
 [[nodiscard]] py::array poses_array(const std::vector<Eigen::Isometry3d>& poses);
@@ -43,15 +45,17 @@ using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
 /// (n,) of unsigned 64-bit keys
 [[nodiscard]] py::array keys_array(const std::vector<Key>& keys);
 
-/// (n, 3) points, and optionally (n, 3) normals and (n,) intensities. \throws InputError on another shape or a point
-/// that is not finite
-[[nodiscard]] PointCloud cloud_from(const Floats& points, const py::object& normals, const py::object& intensities);
+/// (n, 3) points, and optionally (n, 3) normals and (n,) intensities. \throws InputError on another shape or
+/// a point that is not finite
+[[nodiscard]] PointCloud cloud_from(const Floats& points, const py::object& normals,
+                                    const py::object& intensities);
 [[nodiscard]] py::array points_array(const std::vector<Eigen::Vector3f>& points);
 
 /// Lines as to_string(Problem) makes them.
 [[nodiscard]] std::vector<std::string> problem_lines(const Problems& problems);
 
-/// A Config from a dictionary of sections, a JSON text or a Config; None gives the defaults. \throws OptionError
+/// A Config from a dictionary of sections, a JSON text or a Config; None gives the defaults. \throws
+/// OptionError
 [[nodiscard]] Config config_from(const py::object& value);
 /// Applies a dictionary to the options of one section of a Config. \throws OptionError
 void apply_section(Config& config, const char* section, const py::object& values);

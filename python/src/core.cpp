@@ -84,12 +84,14 @@ void bind_core(py::module_& module) {
                              })
       .def("of", &Robots::of, py::arg("key"), "Number of the robot that owns the key.");
 
-  py::class_<PoseGraph>(module, "PoseGraph",
-                        "Poses and the measurements between them. Poses are (4, 4), T_world_body; covariances and "
-                        "information have the order translation, rotation.")
+  py::class_<PoseGraph>(
+      module, "PoseGraph",
+      "Poses and the measurements between them. Poses are (4, 4), T_world_body; covariances and "
+      "information have the order translation, rotation.")
       .def(py::init<>())
       .def("__len__", [](const PoseGraph& graph) { return graph.nodes().size(); })
-      .def("__contains__", [](const PoseGraph& graph, const py::object& key) { return graph.contains(key_from(key)); })
+      .def("__contains__",
+           [](const PoseGraph& graph, const py::object& key) { return graph.contains(key_from(key)); })
       .def("copy", [](const PoseGraph& graph) { return PoseGraph(graph); })
       .def(
           "add_node",
@@ -109,7 +111,8 @@ void bind_core(py::module_& module) {
             const std::string what = "prior of " + key_name(k);
             return graph.add_prior({k, pose_from(pose, what), information_from(information, sigmas, what)});
           },
-          py::arg("key"), py::arg("pose"), py::arg("information") = py::none(), py::arg("sigmas") = py::none())
+          py::arg("key"), py::arg("pose"), py::arg("information") = py::none(),
+          py::arg("sigmas") = py::none())
       .def(
           "add_edge",
           [](PoseGraph& graph, const py::object& from, const py::object& to, const RowMatrix4d& T_from_to,
@@ -144,11 +147,14 @@ void bind_core(py::module_& module) {
       .def("add_closure", &PoseGraph::add_closure, py::arg("closure"))
       .def(
           "classify_edges",
-          [](PoseGraph& graph, const py::object& robots) { classify_edges(graph, robots_from(robots, graph)); },
+          [](PoseGraph& graph, const py::object& robots) {
+            classify_edges(graph, robots_from(robots, graph));
+          },
           py::arg("robots") = py::none(),
           "Edges between consecutive nodes of one robot become odometry, all others loop closures.")
       .def(
-          "index_of", [](const PoseGraph& graph, const py::object& key) { return graph.index_of(key_from(key)); },
+          "index_of",
+          [](const PoseGraph& graph, const py::object& key) { return graph.index_of(key_from(key)); },
           py::arg("key"), "Number of a node: its row in poses and covariances.")
       .def_property_readonly("keys", [](const PoseGraph& graph) { return keys_array(graph.keys()); })
       .def_property(
@@ -162,9 +168,10 @@ void bind_core(py::module_& module) {
                                }
                                return out;
                              })
-      .def_property_readonly("edges", &edges_dict,
-                             "Arrays over the edges: from, to, T_from_to (m, 4, 4), information (m, 6, 6), weight; "
-                             "and the list kind.")
+      .def_property_readonly(
+          "edges", &edges_dict,
+          "Arrays over the edges: from, to, T_from_to (m, 4, 4), information (m, 6, 6), weight; "
+          "and the list kind.")
       .def_property_readonly("priors", [](const PoseGraph& graph) { return graph.priors().size(); })
       .def(
           "set_weights",
@@ -198,21 +205,24 @@ void bind_core(py::module_& module) {
       .def_readwrite("time_s", &LoopCandidate::time_s)
       .def_readwrite("distance_m", &LoopCandidate::distance_m)
       .def("__repr__", [](const LoopCandidate& c) {
-        return "<LoopCandidate " + std::to_string(c.id) + ": " + key_name(c.from) + " to " + key_name(c.to) + ">";
+        return "<LoopCandidate " + std::to_string(c.id) + ": " + key_name(c.from) + " to " + key_name(c.to) +
+               ">";
       });
 
   py::class_<LoopClosure>(module, "LoopClosure", "A computed candidate that passed all tests.")
       .def_readonly("from_key", &LoopClosure::from)
       .def_readonly("to_key", &LoopClosure::to)
       .def_property_readonly("T_from_to", [](const LoopClosure& c) { return matrix_from(c.T_from_to); })
-      .def_property_readonly("covariance", [](const LoopClosure& c) { return RowMatrix6d(c.covariance); },
-                             "(6, 6), order translation, rotation");
+      .def_property_readonly(
+          "covariance", [](const LoopClosure& c) { return RowMatrix6d(c.covariance); },
+          "(6, 6), order translation, rotation");
 
   py::class_<RegistrationResult>(module, "RegistrationResult", "What came of one candidate.")
       .def_readonly("candidate", &RegistrationResult::candidate)
       .def_property_readonly("verified", &RegistrationResult::verified)
-      .def_property_readonly("reason", [](const RegistrationResult& r) { return enum_name(r.reason); },
-                             "\"none\", or why it was rejected")
+      .def_property_readonly(
+          "reason", [](const RegistrationResult& r) { return enum_name(r.reason); },
+          "\"none\", or why it was rejected")
       .def_readonly("message", &RegistrationResult::message)
       .def_readonly("closure", &RegistrationResult::closure, "None unless verified")
       .def_property_readonly("T_from_to",

@@ -17,7 +17,8 @@ py::dict cloud_dict(const PointCloud& cloud) {
   out["normals"] = cloud.has_normals() ? py::object(points_array(cloud.normals)) : py::none();
   out["intensities"] = py::none();
   if (!cloud.intensities.empty()) {
-    out["intensities"] = py::array_t<float>(static_cast<py::ssize_t>(cloud.intensities.size()), cloud.intensities.data());
+    out["intensities"] =
+        py::array_t<float>(static_cast<py::ssize_t>(cloud.intensities.size()), cloud.intensities.data());
   }
   return out;
 }
@@ -54,7 +55,8 @@ PosesByKey poses_by_key(const py::object& value) {
 }  // namespace
 
 void bind_io(py::module_& module) {
-  py::class_<Mission>(module, "Mission", "Everything recorded of a run of a team of robots, in one common frame.")
+  py::class_<Mission>(module, "Mission",
+                      "Everything recorded of a run of a team of robots, in one common frame.")
       .def(py::init<>())
       .def_readwrite("name", &Mission::name)
       .def_readwrite("robots", &Mission::robots)
@@ -64,10 +66,13 @@ void bind_io(py::module_& module) {
           py::return_value_policy::reference_internal)
       .def_readonly("start_ns", &Mission::start_ns)
       .def_property_readonly("kind", [](const Mission& mission) { return enum_name(mission.kind); })
-      .def_property_readonly("ground_truth", [](const Mission& mission) { return poses_dict(mission.ground_truth); },
-                             "key: (4, 4); empty if not known")
-      .def_property_readonly("scan_keys", [](const Mission& mission) { return keys_array(mission.scans->keys()); })
-      .def_property_readonly("problems", [](const Mission& mission) { return problem_lines(mission.problems); })
+      .def_property_readonly(
+          "ground_truth", [](const Mission& mission) { return poses_dict(mission.ground_truth); },
+          "key: (4, 4); empty if not known")
+      .def_property_readonly("scan_keys",
+                             [](const Mission& mission) { return keys_array(mission.scans->keys()); })
+      .def_property_readonly("problems",
+                             [](const Mission& mission) { return problem_lines(mission.problems); })
       .def(
           "scan",
           [](const Mission& mission, Key key) {
@@ -90,7 +95,8 @@ void bind_io(py::module_& module) {
         return read_mission(path, config.mission);
       },
       py::arg("path"), py::arg("options") = py::none(),
-      "Reads whatever `loopwise info` knows: a mission folder, a session folder, a g2o file. Options are those of the "
+      "Reads whatever `loopwise info` knows: a mission folder, a session folder, a g2o file. Options are "
+      "those of the "
       "section \"mission\" of a configuration.");
   module.def(
       "write_mission",
@@ -114,13 +120,16 @@ void bind_io(py::module_& module) {
       "write_pcd",
       [](const std::filesystem::path& path, const Floats& points, const py::object& normals,
          const py::object& intensities) { write_pcd(path, cloud_from(points, normals, intensities)); },
-      py::arg("path"), py::arg("points"), py::arg("normals") = py::none(), py::arg("intensities") = py::none());
+      py::arg("path"), py::arg("points"), py::arg("normals") = py::none(),
+      py::arg("intensities") = py::none());
   module.def(
       "write_tum",
-      [](const std::filesystem::path& path, const std::vector<std::int64_t>& stamps_ns, const Doubles& poses) {
+      [](const std::filesystem::path& path, const std::vector<std::int64_t>& stamps_ns,
+         const Doubles& poses) {
         const std::vector<Eigen::Isometry3d> all = poses_from(poses);
         if (all.size() != stamps_ns.size()) {
-          throw InputError(std::to_string(stamps_ns.size()) + " stamps for " + std::to_string(all.size()) + " poses");
+          throw InputError(std::to_string(stamps_ns.size()) + " stamps for " + std::to_string(all.size()) +
+                           " poses");
         }
         std::vector<StampedPose> stamped;
         for (std::size_t i = 0; i < all.size(); ++i) stamped.push_back({stamps_ns[i], all[i]});

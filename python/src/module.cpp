@@ -33,7 +33,8 @@ std::vector<Eigen::Isometry3d> poses_from(const Doubles& array) {
   }
   std::vector<Eigen::Isometry3d> poses;
   for (py::ssize_t i = 0; i < array.shape(0); ++i) {
-    poses.push_back(pose_from(Eigen::Map<const RowMatrix4d>(array.data() + 16 * i), "pose " + std::to_string(i)));
+    poses.push_back(
+        pose_from(Eigen::Map<const RowMatrix4d>(array.data() + 16 * i), "pose " + std::to_string(i)));
   }
   return poses;
 }
@@ -65,7 +66,8 @@ std::vector<Eigen::Vector3f> vectors_from(const Floats& array, const char* what)
   const float* from = array.data();
   for (Eigen::Vector3f& v : out) {
     v = Eigen::Vector3f(from[0], from[1], from[2]);
-    if (!v.allFinite()) throw InputError(std::string(what) + ": row " + std::to_string(&v - out.data()) + " is not finite");
+    if (!v.allFinite())
+      throw InputError(std::string(what) + ": row " + std::to_string(&v - out.data()) + " is not finite");
     from += 3;
   }
   return out;

@@ -9,31 +9,35 @@ namespace loopwise::python {
 
 void bind_optimization(py::module_& module) {
   py::class_<OptimizationResult>(module, "OptimizationResult")
-      .def_property_readonly("poses", [](const OptimizationResult& r) { return poses_array(r.poses); },
-                             "(n, 4, 4), in the order of the graph")
+      .def_property_readonly(
+          "poses", [](const OptimizationResult& r) { return poses_array(r.poses); },
+          "(n, 4, 4), in the order of the graph")
       .def_readonly("cost_initial", &OptimizationResult::cost_initial)
       .def_readonly("cost", &OptimizationResult::cost)
       .def_readonly("iterations", &OptimizationResult::iterations)
       .def_readonly("converged", &OptimizationResult::converged)
       .def_readonly("message", &OptimizationResult::message)
       .def_readonly("components", &OptimizationResult::components)
-      .def_property_readonly("held", [](const OptimizationResult& r) { return keys_array(r.held); },
-                             "nodes that hold a component without a prior")
+      .def_property_readonly(
+          "held", [](const OptimizationResult& r) { return keys_array(r.held); },
+          "nodes that hold a component without a prior")
       .def_readonly("seconds", &OptimizationResult::seconds);
   py::class_<GncResult>(module, "GncResult")
       .def_readonly("optimization", &GncResult::optimization)
       .def_property_readonly("poses", [](const GncResult& r) { return poses_array(r.optimization.poses); })
-      .def_property_readonly("weights",
-                             [](const GncResult& r) {
-                               return py::array_t<double>(static_cast<py::ssize_t>(r.weights.size()), r.weights.data());
-                             },
-                             "one for each edge, in the order of the graph")
+      .def_property_readonly(
+          "weights",
+          [](const GncResult& r) {
+            return py::array_t<double>(static_cast<py::ssize_t>(r.weights.size()), r.weights.data());
+          },
+          "one for each edge, in the order of the graph")
       .def_readonly("inliers", &GncResult::inliers)
       .def_readonly("outliers", &GncResult::outliers)
       .def_readonly("truncated_cost", &GncResult::truncated_cost);
   py::class_<Marginals>(module, "Marginals")
-      .def_property_readonly("covariances", [](const Marginals& m) { return matrices_array(m.covariances); },
-                             "(n, 6, 6), order translation, rotation, body frame")
+      .def_property_readonly(
+          "covariances", [](const Marginals& m) { return matrices_array(m.covariances); },
+          "(n, 6, 6), order translation, rotation, body frame")
       .def_readonly("trace_translation", &Marginals::trace_translation)
       .def_readonly("trace_full", &Marginals::trace_full);
 
@@ -46,7 +50,8 @@ void bind_optimization(py::module_& module) {
         return optimize(graph, config.optimization);
       },
       py::arg("graph"), py::arg("options") = py::none(),
-      "Least squares over the poses. The graph is not changed: graph.poses = result.poses. Options are those of the "
+      "Least squares over the poses. The graph is not changed: graph.poses = result.poses. Options are those "
+      "of the "
       "section \"optimization\".");
   module.def(
       "optimize_gnc",
@@ -59,7 +64,8 @@ void bind_optimization(py::module_& module) {
         return optimize_gnc(graph, config.optimization, config.gnc);
       },
       py::arg("graph"), py::arg("options") = py::none(), py::arg("gnc") = py::none(),
-      "Robust: finds out which loop closures are false. Options of the sections \"optimization\" and \"gnc\".");
+      "Robust: finds out which loop closures are false. Options of the sections \"optimization\" and "
+      "\"gnc\".");
   module.def(
       "marginals",
       [](const PoseGraph& graph) {

@@ -95,32 +95,40 @@ py::dict closures_dict(const ReplayResult& result) {
 
 void bind_pipeline(py::module_& module) {
   py::class_<Config>(module, "Config", "All options of a run, by sections.")
-      .def(py::init(&config_from), py::arg("values") = py::none(), "{\"replay\": {\"method\": \"full\"}, ...} or JSON")
+      .def(py::init(&config_from), py::arg("values") = py::none(),
+           "{\"replay\": {\"method\": \"full\"}, ...} or JSON")
       .def("to_json", &config_json)
-      .def("to_dict",
-           [](const Config& config) { return py::module_::import("json").attr("loads")(config_json(config)); });
+      .def("to_dict", [](const Config& config) {
+        return py::module_::import("json").attr("loads")(config_json(config));
+      });
 
   py::class_<PythonRun>(module, "Run", "What came of a replay.")
-      .def_property_readonly("graph", [](const PythonRun& run) { return run.result.graph; },
-                             "Last estimate: priors, odometry, verified closures with their weights.")
-      .def_property_readonly("odometry", [](const PythonRun& run) { return poses_array(run.result.odometry); },
-                             "(n, 4, 4), poses by odometry alone, in the order of the graph")
-      .def_property_readonly("closures", [](const PythonRun& run) { return closures_dict(run.result); },
-                             "Arrays over the computed candidates, in the order of their results.")
+      .def_property_readonly(
+          "graph", [](const PythonRun& run) { return run.result.graph; },
+          "Last estimate: priors, odometry, verified closures with their weights.")
+      .def_property_readonly(
+          "odometry", [](const PythonRun& run) { return poses_array(run.result.odometry); },
+          "(n, 4, 4), poses by odometry alone, in the order of the graph")
+      .def_property_readonly(
+          "closures", [](const PythonRun& run) { return closures_dict(run.result); },
+          "Arrays over the computed candidates, in the order of their results.")
       .def_property_readonly("results",
                              [](const PythonRun& run) {
                                std::vector<RegistrationResult> results;
-                               for (const ComputedCandidate& c : run.result.computed) results.push_back(c.result);
+                               for (const ComputedCandidate& c : run.result.computed)
+                                 results.push_back(c.result);
                                return results;
                              })
-      .def_property_readonly("summary",
-                             [](const PythonRun& run) {
-                               const std::string json = run_summary_json(*run.mission, run.config, run.result,
-                                                                         evaluate_run(*run.mission, run.result));
-                               return py::module_::import("json").attr("loads")(json);
-                             },
-                             "What summary.json holds: candidates, closures, ate_m, ...")
-      .def_property_readonly("problems", [](const PythonRun& run) { return problem_lines(run.result.problems); })
+      .def_property_readonly(
+          "summary",
+          [](const PythonRun& run) {
+            const std::string json = run_summary_json(*run.mission, run.config, run.result,
+                                                      evaluate_run(*run.mission, run.result));
+            return py::module_::import("json").attr("loads")(json);
+          },
+          "What summary.json holds: candidates, closures, ate_m, ...")
+      .def_property_readonly("problems",
+                             [](const PythonRun& run) { return problem_lines(run.result.problems); })
       .def(
           "write",
           [](const PythonRun& run, const std::filesystem::path& folder, double map_voxel_m) {
@@ -129,13 +137,14 @@ void bind_pipeline(py::module_& module) {
             const PointCloud map = map_voxel_m > 0.0
                                        ? stitch_map(run.result.graph, *run.mission->scans, map_voxel_m)
                                        : PointCloud();
-            write_run_folder(folder, *run.mission, run.config, run.result, evaluate_run(*run.mission, run.result),
-                             run.history, map);
+            write_run_folder(folder, *run.mission, run.config, run.result,
+                             evaluate_run(*run.mission, run.result), run.history, map);
           },
           py::arg("folder"), py::arg("map_voxel_m") = 0.5, "Writes what `loopwise replay` does.");
 
-  module.def("replay", &run_replay, py::arg("mission"), py::arg("method") = py::none(), py::arg("config") = py::none(),
-             py::arg("prioritizers") = py::none(), py::arg("threads") = 0, py::arg("progress") = py::none(),
+  module.def("replay", &run_replay, py::arg("mission"), py::arg("method") = py::none(),
+             py::arg("config") = py::none(), py::arg("prioritizers") = py::none(), py::arg("threads") = 0,
+             py::arg("progress") = py::none(),
              "Replays a mission on a virtual clock. `prioritizers`, a list, take the place of the method's. "
              "`progress(stage, done, total, detail)` is called now and then.");
 }

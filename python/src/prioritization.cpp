@@ -13,9 +13,12 @@ namespace {
 /// The prioritisers of a method as one, for use without a pipeline.
 class QueuePrioritizer final : public Prioritizer {
  public:
-  QueuePrioritizer(std::string name, RoundRobinQueue queue) : name_(std::move(name)), queue_(std::move(queue)) {}
+  QueuePrioritizer(std::string name, RoundRobinQueue queue)
+      : name_(std::move(name)), queue_(std::move(queue)) {}
   [[nodiscard]] std::string_view name() const override { return name_; }
-  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override { return queue_.add(candidates); }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
+    return queue_.add(candidates);
+  }
   void remove(const std::vector<CandidateId>& ids) override { queue_.remove(ids); }
   void on_graph(const PoseGraph& graph) override { queue_.on_graph(graph); }
   void on_scan(const KeyedScan& scan) override { queue_.on_scan(scan); }
@@ -56,16 +59,19 @@ void bind_prioritization(py::module_& module) {
 
   py::class_<Prioritizer, PythonPrioritizer, std::shared_ptr<Prioritizer>>(
       module, "Prioritizer",
-      "Orders pending candidates. Derive from it for a method of your own: name, add, remove, take and size must be "
+      "Orders pending candidates. Derive from it for a method of your own: name, add, remove, take and size "
+      "must be "
       "there, the on_* functions and improve may.")
       .def(py::init<>())
       .def("name", [](const Prioritizer& p) { return std::string(p.name()); })
-      .def("add", &Prioritizer::add, py::arg("candidates"), "New candidates; returns those it will never hand out.")
+      .def("add", &Prioritizer::add, py::arg("candidates"),
+           "New candidates; returns those it will never hand out.")
       .def("remove", &Prioritizer::remove, py::arg("ids"))
       .def("on_graph", &Prioritizer::on_graph, py::arg("graph"))
       .def(
           "on_scan",
-          [](Prioritizer& prioritizer, Key key, const Floats& points, const py::object& normals, std::int64_t stamp_ns) {
+          [](Prioritizer& prioritizer, Key key, const Floats& points, const py::object& normals,
+             std::int64_t stamp_ns) {
             prioritizer.on_scan(
                 {key, stamp_ns, std::make_shared<const PointCloud>(cloud_from(points, normals, py::none()))});
           },
@@ -84,7 +90,8 @@ void bind_prioritization(py::module_& module) {
       .def("__len__", &Prioritizer::size)
       .def("size", &Prioritizer::size);
 
-  module.def("make_prioritizer", &prioritizer_of, py::arg("method"), py::arg("robots"), py::arg("config") = py::none(),
+  module.def("make_prioritizer", &prioritizer_of, py::arg("method"), py::arg("robots"),
+             py::arg("config") = py::none(),
              "One of the library's: baseline, random, obs, gi, full, or several joined by +.");
   module.def("method_names", &method_names);
 
@@ -100,7 +107,8 @@ void bind_prioritization(py::module_& module) {
         ProximityGenerator generator(config.generation, owners);
         std::vector<LoopCandidate> all;
         for (const Node& node : graph.nodes()) {
-          for (LoopCandidate candidate : generator.on_node(graph, node.key, static_cast<double>(node.stamp_ns) * 1e-9)) {
+          for (LoopCandidate candidate :
+               generator.on_node(graph, node.key, static_cast<double>(node.stamp_ns) * 1e-9)) {
             candidate.id = all.size();
             all.push_back(candidate);
           }
@@ -108,11 +116,13 @@ void bind_prioritization(py::module_& module) {
         return all;
       },
       py::arg("graph"), py::arg("robots") = py::none(), py::arg("options") = py::none(),
-      "Candidates by proximity, node by node in the order of the graph. Options of the section \"generation\".");
+      "Candidates by proximity, node by node in the order of the graph. Options of the section "
+      "\"generation\".");
 
   module.def(
       "exact_gains",
-      [](const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const py::object& closure_model) {
+      [](const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+         const py::object& closure_model) {
         Config config;
         apply_section(config, "closure_model", closure_model);
         std::vector<double> gains;

@@ -47,7 +47,8 @@ void bind_registration(py::module_& module) {
       py::arg("source"), py::arg("target"), py::arg("guess") = py::none(), py::arg("registrar") = "fast",
       py::arg("seed") = 1, py::arg("source_normals") = py::none(), py::arg("target_normals") = py::none(),
       py::arg("config") = py::none(),
-      "Aligns two clouds, (n, 3) in m. Finds T_target_source, which maps points of the source into the frame of the "
+      "Aligns two clouds, (n, 3) in m. Finds T_target_source, which maps points of the source into the frame "
+      "of the "
       "target; a pair that cannot be aligned is a result with a reason, not an exception.");
 }
 

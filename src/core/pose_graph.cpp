@@ -32,7 +32,8 @@ void require_information(const Matrix6d& information, const std::string& what) {
 
 /// A weight 1/sigma² must be a number as well.
 void require_sigma(double sigma, const std::string& what) {
-  if (!(sigma >= 1e-12 && sigma <= 1e12)) throw InputError(what + ": sigma " + std::to_string(sigma) + " is not positive");
+  if (!(sigma >= 1e-12 && sigma <= 1e12))
+    throw InputError(what + ": sigma " + std::to_string(sigma) + " is not positive");
 }
 
 }  // namespace
@@ -218,7 +219,7 @@ void classify_edges(PoseGraph& graph, const Robots& robots) {
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
     const Edge& edge = graph.edges()[e];
     const bool sighting = robots.is_landmark(edge.from) || robots.is_landmark(edge.to);
-    graph.set_kind(e, sighting                                   ? EdgeKind::kLandmark
+    graph.set_kind(e, sighting                                 ? EdgeKind::kLandmark
                       : robots.consecutive(edge.from, edge.to) ? EdgeKind::kOdometry
                                                                : EdgeKind::kLoopClosure);
   }

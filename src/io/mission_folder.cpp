@@ -130,7 +130,8 @@ class Description {
     Files files;
     if (!json_.contains("files")) return files;
     const Json& names = json_["files"];
-    only(names, "files", {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "ground_truth"});
+    only(names, "files",
+         {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "ground_truth"});
     const auto set = [&](const char* key, fs::path& file) {
       if (!names.contains(key)) return;
       file = fs::path(text(names, "files", key)).lexically_normal();
@@ -481,7 +482,8 @@ void MissionWriter::finish(const Mission& mission) const {
   for (const RangeFactor& r : graph.ranges()) ranges.row(r.from, r.to, r.range_m, r.sigma_m);
   for (const GravityFactor& g : graph.gravities()) {
     if (g.reference != -Eigen::Vector3d::UnitZ()) {
-      throw InputError("gravity at node " + key_name(g.key) + ": its reference is not -z, which no file can hold");
+      throw InputError("gravity at node " + key_name(g.key) +
+                       ": its reference is not -z, which no file can hold");
     }
     gravity.row(g.key, g.direction.x(), g.direction.y(), g.direction.z(), g.sigma_rad);
   }
@@ -500,7 +502,8 @@ void MissionWriter::finish(const Mission& mission) const {
   json["robots"] = Json::array();
   for (const Robot& robot : mission.robots.all()) {
     Json& item = json["robots"].emplace_back();
-    item = {{"name", robot.name}, {"first", std::to_string(robot.first)}, {"last", std::to_string(robot.last)}};
+    item = {
+        {"name", robot.name}, {"first", std::to_string(robot.first)}, {"last", std::to_string(robot.last)}};
     if (robot.landmarks) item["landmarks"] = true;
   }
   json["communication_gaps"] = Json::array();

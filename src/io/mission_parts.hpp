@@ -33,8 +33,8 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
 [[nodiscard]] Stamps regular_stamps(const PoseGraph& graph, const Robots& robots,
                                     const MissionOptions& options);
 
-/// Nodes with the smallest key of each robot, in the order of the robots; robots without nodes, and landmarks, have
-/// none.
+/// Nodes with the smallest key of each robot, in the order of the robots; robots without nodes, and
+/// landmarks, have none.
 [[nodiscard]] std::vector<Key> first_nodes(const PoseGraph& graph, const Robots& robots);
 
 /// A prior with the options' sigmas where the node stands.

@@ -389,7 +389,8 @@ void NormalEquations::linearize_auxiliary(const PoseProblem& problem, const std:
   std::size_t pair = first_range_pair_;
   for (const PoseProblem::Ranging& range : problem.ranges()) {
     const std::uint32_t a = freedom_.variable[range.from], b = freedom_.variable[range.to];
-    const LinearizedRange l = loopwise::linearize(range.factor, isometry(poses[range.from]), isometry(poses[range.to]));
+    const LinearizedRange l =
+        loopwise::linearize(range.factor, isometry(poses[range.from]), isometry(poses[range.to]));
     if (a != Freedom::kFixed) add(a, l.J_from.transpose() * l.J_from, l.J_from.transpose() * l.r);
     if (b != Freedom::kFixed) add(b, l.J_to.transpose() * l.J_to, l.J_to.transpose() * l.r);
     if (a == Freedom::kFixed || b == Freedom::kFixed) continue;

@@ -21,8 +21,8 @@ struct Pose {
 };
 
 /// A pose graph laid out for solving. Factor k is edge k of the graph, then come the priors: a prior is an
-/// edge from a last, fixed node at the origin. A factor of weight 0 does not take part. Ranges and gravity, the
-/// auxiliary factors, are few and are kept apart: they are not among factors().
+/// edge from a last, fixed node at the origin. A factor of weight 0 does not take part. Ranges and gravity,
+/// the auxiliary factors, are few and are kept apart: they are not among factors().
 class PoseProblem {
  public:
   explicit PoseProblem(const PoseGraph& graph);
@@ -60,8 +60,8 @@ class PoseProblem {
   [[nodiscard]] double squared_residual(std::size_t k, const std::vector<Pose>& poses) const;
   /// ½ Σ ‖r‖² over the auxiliary factors.
   [[nodiscard]] double auxiliary_cost(const std::vector<Pose>& poses) const;
-  /// ½ Σ w rᵀΩr and auxiliary_cost(), summed in an order that does not depend on the threads; keeps the residuals of the active
-  /// factors.
+  /// ½ Σ w rᵀΩr and auxiliary_cost(), summed in an order that does not depend on the threads; keeps the
+  /// residuals of the active factors.
   double cost(const std::vector<Pose>& poses, ThreadPool& pool, std::vector<Vector6d>& residuals) const;
 
  private:

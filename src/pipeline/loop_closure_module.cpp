@@ -104,7 +104,9 @@ Overloaded(Functions...) -> Overloaded<Functions...>;
 std::vector<Key> keys_of(const Factor& factor) {
   return std::visit(Overloaded{[](const PriorFactor& prior) { return std::vector<Key>{prior.key}; },
                                [](const GravityFactor& gravity) { return std::vector<Key>{gravity.key}; },
-                               [](const auto& between) { return std::vector<Key>{between.from, between.to}; }},
+                               [](const auto& between) {
+                                 return std::vector<Key>{between.from, between.to};
+                               }},
                     factor);
 }
 
@@ -522,7 +524,8 @@ class LoopClosureModule::Impl {
 
   void retry_factors(Key key) {
     std::vector<Factor> factors;
-    for (auto [i, end] = waiting_factors_.equal_range(key); i != end; ++i) factors.push_back(i->second.second);
+    for (auto [i, end] = waiting_factors_.equal_range(key); i != end; ++i)
+      factors.push_back(i->second.second);
     waiting_factors_.erase(key);
     add_factors_now(factors);
   }
@@ -881,7 +884,8 @@ class LoopClosureModule::Impl {
   std::uint64_t removals_ = 0;
   std::int64_t first_stamp_ns_ = 0;
   double now_s_ = 0.0, next_factor_check_s_ = 0.0;
-  std::multimap<Key, std::pair<double, Factor>> waiting_factors_;  // by a missing node; with the time of arrival
+  std::multimap<Key, std::pair<double, Factor>>
+      waiting_factors_;  // by a missing node; with the time of arrival
   std::size_t factors_dropped_ = 0;
   std::unordered_map<Key, std::shared_ptr<const PointCloud>> early_scans_;  // before their nodes
   std::set<std::pair<Key, Key>> vetoed_;

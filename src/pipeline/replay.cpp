@@ -46,7 +46,8 @@ OptimizerOptions with_threads(OptimizerOptions options, int num_threads) {
 class Run {
  public:
   Run(const Mission& mission, const Config& config, FeatureCache& features, const Registrar& registrar,
-      const PrioritizerFactory& prioritizers, ThreadPool& threads, const ReplayHooks& hooks, const KnownOutcomes& known)
+      const PrioritizerFactory& prioritizers, ThreadPool& threads, const ReplayHooks& hooks,
+      const KnownOutcomes& known)
       : mission_(mission),
         config_(config),
         features_(features),

@@ -89,8 +89,8 @@ TEST_CASE("auxiliary factors: residuals and Jacobians", "[optimization][property
       const Eigen::Isometry3d plus = se3::exp(xi), minus = se3::exp(-xi);
       const auto slope = [&](const auto& high, const auto& low) { return (high - low) / (2.0 * h); };
       // Measured 4e-9; the Jacobians are of size 1 to 10.
-      REQUIRE(std::abs(l.J_from[k] - slope(linearize(range, a * plus, b).r, linearize(range, a * minus, b).r)) <
-              1e-7);
+      REQUIRE(std::abs(l.J_from[k] -
+                       slope(linearize(range, a * plus, b).r, linearize(range, a * minus, b).r)) < 1e-7);
       REQUIRE(std::abs(l.J_to[k] - slope(linearize(range, a, b * plus).r, linearize(range, a, b * minus).r)) <
               1e-7);
       const Eigen::Vector3d numeric = slope(linearize(gravity, a * plus).r, linearize(gravity, a * minus).r);
@@ -113,7 +113,8 @@ TEST_CASE("auxiliary factors: covariances equal dense inversion", "[optimization
     for (std::size_t i = 0; i < graph.nodes().size(); ++i) {
       const auto at = 6 * static_cast<Eigen::Index>(i);
       const Matrix6d expected = dense.block<6, 6>(at, at);
-      REQUIRE((result.covariances[i] - expected).cwiseAbs().maxCoeff() < 1e-6 * expected.cwiseAbs().maxCoeff());
+      REQUIRE((result.covariances[i] - expected).cwiseAbs().maxCoeff() <
+              1e-6 * expected.cwiseAbs().maxCoeff());
     }
   }
 }

@@ -89,8 +89,8 @@ TEST_CASE("live replay: the online module sees the whole mission", "[pipeline][l
 TEST_CASE("live replay: landmarks, ranges and gravity take part", "[pipeline][live]") {
   const Mission mission = with_landmark(two_circles());
   RealClock clock(0.0, 1000.0);
-  const ReplayResult result = replay_live(mission, live_config("odom"),
-                                          std::make_shared<OracleRegistrar>(mission.ground_truth), clock, 2, {});
+  const ReplayResult result = replay_live(
+      mission, live_config("odom"), std::make_shared<OracleRegistrar>(mission.ground_truth), clock, 2, {});
   REQUIRE(result.graph.nodes().size() == mission.graph.nodes().size());
   REQUIRE(result.graph.edges().size() == mission.graph.edges().size());
   REQUIRE(result.graph.ranges().size() == mission.graph.ranges().size());

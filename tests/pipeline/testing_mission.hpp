@@ -74,8 +74,8 @@ inline Mission two_circles(std::uint64_t seed = 1, std::size_t nodes_per_robot =
   return mission;
 }
 
-/// Adds a landmark "L0" that robot a sees at the start and the end of its path and robot b in the middle, a range
-/// between the robots' last nodes, and gravity at every fourth node: all as the truth has them.
+/// Adds a landmark "L0" that robot a sees at the start and the end of its path and robot b in the middle, a
+/// range between the robots' last nodes, and gravity at every fourth node: all as the truth has them.
 inline Mission with_landmark(Mission mission) {
   std::vector<Robot> robots = mission.robots.all();
   robots.push_back(robot_of_character('L', "artifacts"));
@@ -97,7 +97,8 @@ inline Mission with_landmark(Mission mission) {
   }
   const Key a = make_key('a', last), b = make_key('b', last);
   mission.graph.add_range(
-      {a, b, (mission.ground_truth.at(a).translation() - mission.ground_truth.at(b).translation()).norm(), 0.05});
+      {a, b, (mission.ground_truth.at(a).translation() - mission.ground_truth.at(b).translation()).norm(),
+       0.05});
   for (const auto& [key, pose] : mission.ground_truth) {
     if (key % 4 != 0) continue;
     GravityFactor gravity;

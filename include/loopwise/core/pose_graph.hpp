@@ -42,8 +42,8 @@ struct RangeFactor {
 };
 
 /// The direction of gravity as an accelerometer at rest measures it. With R the node's rotation
-/// r = (R · direction − reference) / sigma_rad, cost ½ ‖r‖²; ‖R · direction − reference‖ = 2 sin(θ/2) for an angle
-/// θ between the two. Says nothing about yaw and place.
+/// r = (R · direction − reference) / sigma_rad, cost ½ ‖r‖²; ‖R · direction − reference‖ = 2 sin(θ/2) for an
+/// angle θ between the two. Says nothing about yaw and place.
 struct GravityFactor {
   Key key = 0;
   Eigen::Vector3d direction = -Eigen::Vector3d::UnitZ();  ///< Body frame; any length but 0.
@@ -146,11 +146,12 @@ class PoseGraph {
   std::unordered_map<Key, std::size_t> index_;
 };
 
-/// Connected components by edges; ranges alone leave a component loose. \returns for each node the number of its component, from 0 in node order.
+/// Connected components by edges; ranges alone leave a component loose. \returns for each node the number of
+/// its component, from 0 in node order.
 [[nodiscard]] std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
-/// Marks edges between consecutive nodes of one robot as odometry, those that end at a landmark as sightings of it,
-/// and all others as loop closures.
+/// Marks edges between consecutive nodes of one robot as odometry, those that end at a landmark as sightings
+/// of it, and all others as loop closures.
 void classify_edges(PoseGraph& graph, const Robots& robots);
 
 /// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.

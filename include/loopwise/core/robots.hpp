@@ -17,8 +17,8 @@ struct Robot {
   std::string name;
   Key first = 0;
   Key last = 0;
-  /// Its nodes are landmarks (artifacts, radio anchors) that robots saw, not key frames: they take part in the
-  /// optimisation, have no scans and no odometry, and are never candidates.
+  /// Its nodes are landmarks (artifacts, radio anchors) that robots saw, not key frames: they take part in
+  /// the optimisation, have no scans and no odometry, and are never candidates.
   bool landmarks = false;
 };
 

@@ -109,10 +109,10 @@ struct MissionOptions {
 /// bits (or a letter and an index), in JSON as text.
 ///
 /// - mission.json: `{"format": "loopwise-mission", "version": 1, "name", "frame", "clock": {"start_ns"},
-///   "robots": [{"name", "first", "last", "landmarks"}], "communication_gaps": [{"robot", "begin_s", "end_s"}],
-///   "provenance": {...}, "files": {"graph", "stamps", "priors", "scans", "radio", "beacons",
-///   "ranges", "gravity", "ground_truth"}}`; only format and version must be there, other keys are errors, and `files` may not
-///   lead out of the folder
+///   "robots": [{"name", "first", "last", "landmarks"}], "communication_gaps": [{"robot", "begin_s",
+///   "end_s"}], "provenance": {...}, "files": {"graph", "stamps", "priors", "scans", "radio", "beacons",
+///   "ranges", "gravity", "ground_truth"}}`; only format and version must be there, other keys are errors,
+///   and `files` may not lead out of the folder
 /// - graph.g2o
 /// - stamps.csv: `key,stamp_ns`, a row for every node
 /// - priors.csv: `key,x,y,z,qx,qy,qz,qw,sx,sy,sz,srx,sry,srz`, sigmas in m, rad

@@ -8,7 +8,8 @@
 
 namespace loopwise {
 
-/// A range at two poses: whitened residual r (without unit) and its derivatives by T ⊕ [translation, rotation].
+/// A range at two poses: whitened residual r (without unit) and its derivatives by T ⊕ [translation,
+/// rotation].
 struct LinearizedRange {
   double r = 0.0;
   Eigen::Matrix<double, 1, 6> J_from;

@@ -149,8 +149,8 @@ class LoopClosureModule {
   /// The cloud of a node, before or after the node itself. \throws InputError if it has one already or a
   /// point is not finite; UnknownKeyError if no robot owns the key.
   bool add_scan(Key key, std::shared_ptr<const PointCloud> cloud);
-  /// Factors of nodes that have come or will. \throws InputError as PoseGraph does; UnknownKeyError if no robot
-  /// owns a key.
+  /// Factors of nodes that have come or will. \throws InputError as PoseGraph does; UnknownKeyError if no
+  /// robot owns a key.
   bool add_factors(const std::vector<Edge>& edges, const std::vector<PriorFactor>& priors = {},
                    const std::vector<RangeFactor>& ranges = {},
                    const std::vector<GravityFactor>& gravities = {});

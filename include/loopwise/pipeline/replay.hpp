@@ -96,9 +96,9 @@ using PrioritizerFactory = std::function<std::vector<std::unique_ptr<Prioritizer
 /// changes the outcome.
 class MissionReplay {
  public:
-  /// `mission` must outlive the replay; `features` serve the observability score. `prioritizers`, where given, take
-  /// the place of those of `config.replay.method`.
-  /// \throws OptionError naming the option; InputError on a null pointer.
+  /// `mission` must outlive the replay; `features` serve the observability score. `prioritizers`, where
+  /// given, take the place of those of `config.replay.method`. \throws OptionError naming the option;
+  /// InputError on a null pointer.
   MissionReplay(const Mission& mission, const Config& config, std::shared_ptr<FeatureCache> features,
                 std::shared_ptr<const Registrar> registrar, PrioritizerFactory prioritizers = {});
 
@@ -115,9 +115,9 @@ class MissionReplay {
   PrioritizerFactory prioritizers_;
 };
 
-/// The edges that a replay begins with: the odometry of the mission, made worse by `options.odometry_noise_*` (a
-/// random walk whose steps depend on (seed, from, to) alone), its information lowered accordingly; then the
-/// sightings of landmarks. Closures that the mission's files hold are left out.
+/// The edges that a replay begins with: the odometry of the mission, made worse by `options.odometry_noise_*`
+/// (a random walk whose steps depend on (seed, from, to) alone), its information lowered accordingly; then
+/// the sightings of landmarks. Closures that the mission's files hold are left out.
 [[nodiscard]] std::vector<Edge> replay_edges(const Mission& mission, const ReplayOptions& options);
 
 /// Mission time at which each node of the graph arrives at the base station, in graph order: its stamp, or
