@@ -6,6 +6,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
@@ -57,11 +58,28 @@ Config configured(const Options& o) {
   return config;
 }
 
-/// What the outcomes of a run depend on; a run is resumed only under the same.
+ContentHash hash_of(const PoseGraph& graph) {
+  ContentHasher hasher;
+  const auto add_pose = [&hasher](const Eigen::Isometry3d& pose) {
+    for (const double value : pose.matrix().reshaped()) hasher.number(value);
+  };
+  for (const Node& node : graph.nodes()) {
+    hasher.integer(node.key).integer(static_cast<std::uint64_t>(node.stamp_ns));
+    add_pose(node.pose);
+  }
+  for (const Edge& edge : graph.edges()) {
+    hasher.integer(edge.from).integer(edge.to);
+    add_pose(edge.T_from_to);
+  }
+  return hasher.finish();
+}
+
+/// What the outcomes of a run depend on, but for the contents of the scans; a run is resumed only under the
+/// same.
 std::string fingerprint(const Mission& mission, const Config& config) {
   Json json = Json::object();
   json["mission"] = mission.name;
-  json["key_frames"] = mission.graph.nodes().size();
+  json["graph"] = to_string(hash_of(mission.graph));
   json["scans"] = mission.scans->size();
   json["options"] = parse_json(config_json(config), "options");
   json["code"] = replay_code_version();

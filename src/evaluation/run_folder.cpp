@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <optional>
+#include <set>
 
 #include <nlohmann/json.hpp>
 
@@ -212,7 +213,9 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
   std::error_code failure;
   std::filesystem::create_directories(folder / "trajectories", failure);
   if (failure) throw IoError((folder / "trajectories").string(), failure.message());
+  std::set<std::string> names;
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    if (mission.robots[robot].landmarks) continue;
     std::vector<std::pair<Key, std::size_t>> own;
     for (std::size_t i = 0; i < result.graph.nodes().size(); ++i) {
       if (mission.robots.of(result.graph.nodes()[i].key) == robot)
@@ -225,7 +228,9 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
       optimized.push_back({node.stamp_ns, node.pose});
       odometry.push_back({node.stamp_ns, result.odometry[i]});
     }
-    const std::string name = file_name(mission.robots[robot].name);
+    std::string name = file_name(mission.robots[robot].name);
+    while (names.count(name) + names.count(name + "_odometry") > 0) name += "_" + std::to_string(robot);
+    names.insert({name, name + "_odometry"});
     write_tum(folder / "trajectories" / (name + ".tum"), optimized);
     write_tum(folder / "trajectories" / (name + "_odometry.tum"), odometry);
   }

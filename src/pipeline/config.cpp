@@ -136,6 +136,7 @@ std::vector<std::string> method_parts(const std::string& method) {
     const std::size_t end = std::min(method.find('+', begin), method.size());
     const std::string word = method.substr(begin, end - begin);
     const std::vector<std::string> names = method_names();
+    if (word.empty()) throw OptionError("method \"" + method + "\": a name is missing");
     if (word == "odom" || std::find(names.begin(), names.end(), word) == names.end()) {
       throw_unknown_name("method", method, names);
     }

@@ -445,6 +445,15 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   of_earlier_code.replace(code + 8, 1, "x");
   testing::write_text(folder / "two" / "outcomes.jsonl", of_earlier_code);
   require_failure(replay("two", {"--resume"}), kBadUsage, "another version");
+  // A mission of the same name and size whose contents have changed.
+  testing::write_text(folder / "two" / "outcomes.jsonl", outcomes);
+  const auto stamps = folder / "mission" / "stamps.csv";
+  const std::string recorded = testing::read_text(stamps);
+  testing::write_text(stamps, recorded.substr(0, recorded.size() - 2) +
+                                  (recorded[recorded.size() - 2] == '9' ? "8\n" : "9\n"));
+  require_failure(replay("two", {"--resume"}), kBadUsage, "another mission");
+  testing::write_text(stamps, recorded);
+  require_failure(replay("three", {"--method", ""}), kBadUsage, "a name is missing");
   require_failure(
       {"replay", (folder / "mission").string(), "-o", (folder / "three").string(), "--method", "best"},
       kBadUsage, "best");

@@ -95,6 +95,22 @@ TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evalua
   REQUIRE(testing::fs::exists(folder / "picture.svg"));
 }
 
+TEST_CASE("run results: robots whose names make one file name keep files of their own", "[evaluation][run]") {
+  const testing::TemporaryFolder folder;
+  Mission mission = testing::two_circles();
+  mission.robots = Robots({robot_of_character('a', "spot/1"), robot_of_character('b', "spot 1")});
+  ReplayResult result;
+  result.graph = mission.graph;
+  result.odometry = mission.graph.poses();
+  write_run_folder(folder.path(), mission, Config(), result, evaluate_run(mission, result), {}, {});
+  std::size_t files = 0;
+  for (const auto& entry : testing::fs::directory_iterator(folder / "trajectories")) {
+    REQUIRE(read_tum(entry.path()).size() == 40);
+    ++files;
+  }
+  REQUIRE(files == 4);
+}
+
 TEST_CASE("run history: counts never fall, the rows are dense, the last one is the result",
           "[evaluation][run]") {
   const Mission mission = testing::two_circles();
