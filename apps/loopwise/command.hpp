@@ -20,6 +20,10 @@
 
 #include "console.hpp"
 
+namespace loopwise {
+class Transport;
+}
+
 namespace loopwise::cli {
 
 enum ExitStatus : int { kDone = 0, kFailed = 1, kBadUsage = 2, kBadInput = 3, kInterrupted = 130 };
@@ -68,9 +72,10 @@ void add_info(CLI::App& app, Action& chosen);
 void add_optimize(CLI::App& app, Action& chosen);
 void add_rank(CLI::App& app, Action& chosen);
 void add_register(CLI::App& app, Action& chosen);
-void add_replay(CLI::App& app, Action& chosen);
+/// `job`: the ranks that this process is one of, or null if it is alone. Ranks but the first print nothing.
+void add_replay(CLI::App& app, Action& chosen, Transport* job);
 void add_report(CLI::App& app, Action& chosen);
-void add_study(CLI::App& app, Action& chosen);
+void add_study(CLI::App& app, Action& chosen, Transport* job);
 #ifdef LOOPWISE_HAS_SIMULATION
 void add_simulate(CLI::App& app, Action& chosen);
 #endif

@@ -1,7 +1,29 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <iostream>
+#include <optional>
+#include <sstream>
+
+#ifdef LOOPWISE_HAS_MPI
+#include <loopwise/core/error.hpp>
+#include <loopwise/distributed/mpi_session.hpp>
+#endif
+
 #include "command.hpp"
 
+namespace {
+
+bool is_first([[maybe_unused]] const loopwise::Transport& job) {
+#ifdef LOOPWISE_HAS_MPI
+  return job.rank() == 0;
+#else
+  return true;
+#endif
+}
+
+}  // namespace
+
 int main(int argc, char** argv) {
+  using namespace loopwise;
   using namespace loopwise::cli;
   CLI::App app{
       "Decides which loop closures of a multi-robot lidar SLAM system are worth computing, computes them,\n"
@@ -21,9 +43,23 @@ int main(int argc, char** argv) {
       "Exit status: 0 done, 2 bad usage, 3 bad input, 130 interrupted, 1 anything else.\n"
       "Results go to standard output, everything else to standard error.");
 
+  Transport* job = nullptr;
+#ifdef LOOPWISE_HAS_MPI
+  std::optional<MpiSession> session;
+  if (started_by_mpi()) {
+    try {
+      session.emplace();
+    } catch (const Error& error) {
+      std::cerr << "loopwise: " << error.what() << "\n";
+      return kFailed;
+    }
+    if (session->transport().size() > 1) job = &session->transport();
+  }
+#endif
+
   Action chosen;
   add_info(app, chosen);
-  add_replay(app, chosen);
+  add_replay(app, chosen, job);
   add_optimize(app, chosen);
   add_rank(app, chosen);
   add_register(app, chosen);
@@ -32,13 +68,25 @@ int main(int argc, char** argv) {
 #ifdef LOOPWISE_HAS_SIMULATION
   add_simulate(app, chosen);
 #endif
-  add_study(app, chosen);
+  add_study(app, chosen, job);
   add_config(app, chosen);
 
+  const bool first = job == nullptr || is_first(*job);
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? kDone : kBadUsage;
+    std::ostringstream nowhere;
+    const int code = first ? app.exit(error) : app.exit(error, nowhere, nowhere);
+    return code == 0 ? kDone : kBadUsage;
   }
-  return run_action(chosen);
+  if (job != nullptr && !app.got_subcommand("replay") && !app.got_subcommand("study")) {
+    if (first) std::cerr << "loopwise: only replay and study spread over ranks\n";
+    return kBadUsage;
+  }
+  const int status = run_action(chosen);
+#ifdef LOOPWISE_HAS_MPI
+  // The others wait for this one, or one of them hangs: they cannot end by themselves.
+  if (job != nullptr && status != kDone && status != kInterrupted) session->abort(status);
+#endif
+  return status;
 }

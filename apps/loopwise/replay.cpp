@@ -15,6 +15,10 @@
 #include <loopwise/pipeline/outcome_store.hpp>
 #include <loopwise/pipeline/replay.hpp>
 
+#ifdef LOOPWISE_HAS_MPI
+#include <loopwise/distributed/registration.hpp>
+#endif
+
 #include "command.hpp"
 #include "replay_arguments.hpp"
 
@@ -35,6 +39,7 @@ struct Options {
   bool resume = false;
   bool overwrite = false;
   double map_voxel_m = 0.2;
+  Transport* job = nullptr;
 };
 
 Config configured(const Options& o) {
@@ -44,6 +49,7 @@ Config configured(const Options& o) {
   if (o.workers) config.replay.workers = *o.workers;
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
+  if (o.clock == "real" && o.job != nullptr) throw OptionError("--clock real: one process alone has a real clock");
   if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
   if (o.clock == "real") {
     if (o.resume) throw OptionError("--resume: what a real clock made cannot be made again");
@@ -152,7 +158,32 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   return text;
 }
 
+#ifdef LOOPWISE_HAS_MPI
+/// A rank but the first of a job: computes registrations for it.
+int serve(const Options& options) {
+  try {
+    const Config config = configured(options);
+    const Mission mission = read_mission(options.mission, config.mission);
+    const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+    std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
+    if (!options.replay.outcomes.empty()) {
+      const auto store = std::make_shared<OutcomeStore>(options.replay.outcomes, options.replay.outcomes_bound);
+      registrar = std::make_shared<StoredRegistrar>(registrar, store, mission.scans->loader(),
+                                                    registration_context(config.replay.registrar, config));
+    }
+    serve_registrations(*options.job, replay_greeting(mission, config), *registrar);
+    return kDone;
+  } catch (const Error& error) {
+    report_failure(*options.job, error.what());
+    return kDone;  // the first rank says it, and ends the job
+  }
+}
+#endif
+
 int run(const Options& options) {
+#ifdef LOOPWISE_HAS_MPI
+  if (options.job != nullptr && options.job->rank() > 0) return serve(options);
+#endif
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   const Config config = configured(options);
@@ -203,7 +234,13 @@ int run(const Options& options) {
       RealClock clock(0.0, options.rate.value_or(1.0));
       return replay_live(mission, config, registrar, clock, thread_count(options.common), hooks);
     }
-    ThreadPool threads(thread_count(options.common));
+    ThreadPool threads(options.job == nullptr ? thread_count(options.common) : 1);
+#ifdef LOOPWISE_HAS_MPI
+    if (options.job != nullptr) {
+      const auto server = std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config));
+      hooks.compute = distributed_batches(server, registrar, std::max(1, options.common.threads));
+    }
+#endif
     return MissionReplay(mission, config, features, registrar).run(threads, hooks, outcomes->known());
   }();
   console.warn(result.problems);
@@ -226,8 +263,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_replay(CLI::App& app, Action& chosen) {
+void add_replay(CLI::App& app, Action& chosen, Transport* job) {
   const auto options = std::make_shared<Options>();
+  options->job = job;
   CLI::App* command = app.add_subcommand("replay", "Replay a recorded mission and find its loop closures");
   command->footer(
       "Key frames arrive at their recorded times; each registration takes --registration-time of mission "

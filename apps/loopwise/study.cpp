@@ -3,13 +3,13 @@
 
 namespace loopwise::cli {
 
-void add_study(CLI::App& app, Action& chosen) {
+void add_study(CLI::App& app, Action& chosen, Transport* job) {
   CLI::App* command =
       app.add_subcommand("study", "Measure the system, or a part of it, against ground truth");
   command->require_subcommand(1);
-  add_ablation_study(*command, chosen);
-  add_budget_study(*command, chosen);
-  add_rssi_study(*command, chosen);
+  add_ablation_study(*command, chosen, job);
+  add_budget_study(*command, chosen, job);
+  add_rssi_study(*command, chosen, job);
   add_registration_study(*command, chosen);
 }
 

@@ -9,8 +9,8 @@ namespace loopwise::cli {
 void add_registration_study(CLI::App& study, Action& chosen);
 
 /// Adds `study ablation`, `study budget` and `study rssi`: replays as units, see study_units.hpp.
-void add_ablation_study(CLI::App& study, Action& chosen);
-void add_budget_study(CLI::App& study, Action& chosen);
-void add_rssi_study(CLI::App& study, Action& chosen);
+void add_ablation_study(CLI::App& study, Action& chosen, Transport* job);
+void add_budget_study(CLI::App& study, Action& chosen, Transport* job);
+void add_rssi_study(CLI::App& study, Action& chosen, Transport* job);
 
 }  // namespace loopwise::cli

@@ -152,7 +152,7 @@ int run(const Options& options) {
   Study study("ablation", options.study, console);
   const std::vector<StudyUnit> units = units_by_method(study, options.methods, options.workers);
   const auto results = study.run(units, interrupt.token());
-  if (!results) return kInterrupted;
+  if (!results) return study.status_without_results();
 
   const std::vector<Column> all = columns();
   const Figures figures(units, *results, all);
@@ -263,8 +263,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_ablation_study(CLI::App& study, Action& chosen) {
+void add_ablation_study(CLI::App& study, Action& chosen, Transport* job) {
   const auto options = std::make_shared<Options>();
+  options->study.job = job;
   CLI::App* command =
       study.add_subcommand("ablation", "Methods side by side over missions and seeds: the paper's Table I");
   command->footer(

@@ -136,7 +136,7 @@ int run(const Options& options) {
     }
   }
   const auto results = study.run(units, interrupt.token());
-  if (!results) return kInterrupted;
+  if (!results) return study.status_without_results();
 
   std::map<Role, std::vector<Run>> runs;
   std::vector<std::string> header = run_columns();
@@ -301,8 +301,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_budget_study(CLI::App& study, Action& chosen) {
+void add_budget_study(CLI::App& study, Action& chosen, Transport* job) {
   const auto options = std::make_shared<Options>();
+  options->study.job = job;
   CLI::App* command = study.add_subcommand(
       "budget", "Errors against computation: computers, mission time, everything computed");
   command->footer(

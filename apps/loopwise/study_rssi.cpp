@@ -44,7 +44,7 @@ int run(const Options& options) {
   }
   const std::vector<StudyUnit> units = units_by_method(study, options.methods, options.workers);
   const auto results = study.run(units, interrupt.token());
-  if (!results) return kInterrupted;
+  if (!results) return study.status_without_results();
 
   std::vector<std::string> methods = options.methods;
   methods.erase(std::remove(methods.begin(), methods.end(), "odom"), methods.end());
@@ -131,8 +131,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_rssi_study(CLI::App& study, Action& chosen) {
+void add_rssi_study(CLI::App& study, Action& chosen, Transport* job) {
   const auto options = std::make_shared<Options>();
+  options->study.job = job;
   CLI::App* command = study.add_subcommand(
       "rssi", "Errors of each robot with closures at radio beacons: the paper's Table II");
   command->footer(

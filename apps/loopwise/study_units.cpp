@@ -9,10 +9,15 @@
 #include <mutex>
 #include <thread>
 
+#include <nlohmann/json.hpp>
+
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/evaluation/run_history.hpp>
+#ifdef LOOPWISE_HAS_MPI
+#include <loopwise/distributed/work.hpp>
+#endif
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
 #include <loopwise/pipeline/code_version.hpp>
@@ -177,11 +182,6 @@ Config study_defaults() {
   return config;
 }
 
-/// A unit's files within the study's folder.
-struct UnitFiles {
-  fs::path result, seconds, run;
-};
-
 /// Nothing if it was not finished, or the file is broken.
 std::optional<UnitResult> finished(const UnitFiles& files, bool with_run) {
   if (with_run && !fs::exists(files.run / "summary.json")) return std::nullopt;
@@ -205,8 +205,23 @@ std::string plain(std::string text) {
   return text;
 }
 
+/// A unit that was computed, as it is kept and sent.
+struct ComputedUnit {
+  Json json;
+  double seconds = 0.0;
+};
+
+UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
+  write_file(files.seconds, Json(unit.seconds).dump() + "\n");
+  const std::string text = unit.json.dump();
+  write_file(files.result, text + "\n");
+  // As it will be read the next time.
+  const Json again = parse_json(text, files.result.string());
+  return {again.at("summary"), rows_of(again.at("history"))};
+}
+
 /// Computes one unit. Nothing if it was stopped.
-std::optional<UnitResult> compute(const Loaded& loaded, const StudyMission& about, const StudyUnit& unit,
+std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& about, const StudyUnit& unit,
                                   const UnitFiles& files, bool keep_run, const StopToken& stop,
                                   const ProgressCallback& progress) {
   const Stopwatch watch;
@@ -234,10 +249,7 @@ std::optional<UnitResult> compute(const Loaded& loaded, const StudyMission& abou
     write_run_folder(files.run, loaded.mission, unit.config, result, evaluate_run(loaded.mission, result),
                      history.rows(), map);
   }
-  const Json json = unit_json(about, loaded.mission, unit.config, result, history);
-  write_file(files.seconds, Json(watch.seconds()).dump() + "\n");
-  write_file(files.result, json.dump() + "\n");
-  return UnitResult{parse_json(json["summary"].dump(), "unit"), history.rows()};
+  return ComputedUnit{unit_json(about, loaded.mission, unit.config, result, history), watch.seconds()};
 }
 
 }  // namespace
@@ -281,6 +293,7 @@ Study::Study(std::string name, const StudyOptions& options, Console& console)
     const auto [other, first] = seen.emplace(missions_.back().content, path);
     if (!first) throw OptionError(path + ": the same mission as " + other->second);
   }
+  if (serves()) return;  // the first rank makes the folder
   prepare_output_folder(folder_, options.resume || fs::is_directory(folder_ / "units"),
                         ", and no study is in it");
   for (const char* part : {"units", "runs"}) {
@@ -299,27 +312,181 @@ std::vector<std::uint64_t> Study::seeds() const {
   return seeds;
 }
 
+/// What is left to compute, and where it goes.
+struct Study::Open {
+  const std::vector<StudyUnit>& units;
+  const std::vector<std::size_t>& numbers;  ///< Of the units that are not finished, mission by mission.
+  const std::vector<UnitFiles>& files;      ///< Of all units.
+  std::vector<std::optional<UnitResult>>& results;
+  std::shared_ptr<OutcomeStore> store;
+};
+
+std::shared_ptr<OutcomeStore> Study::open_outcomes() const {
+  const fs::path outcomes =
+      options_.replay.outcomes.empty() ? folder_ / "outcomes" : fs::path(options_.replay.outcomes);
+  return std::make_shared<OutcomeStore>(outcomes, options_.replay.outcomes_bound);
+}
+
+void Study::run_here(const Open& open, const StopToken& stop) {
+  LoadedMissions loaded(missions_, config_, open.store);
+  for (const std::size_t i : open.numbers) loaded.expect(open.units[i].mission);
+  std::mutex mutex;                       // of all below
+  std::map<std::size_t, Problems> flaws;  // of each mission's scans, by now
+  std::size_t next = 0, done = open.units.size() - open.numbers.size();
+  std::exception_ptr failure;
+  StopSource failed;
+  const auto show = [&](const std::string& detail) {
+    console_.progress({"runs", done, open.units.size(), detail});
+  };
+  const auto stopped = [&] { return stop.stop_requested() || failed.stop_requested(); };
+  const auto work = [&] {
+    while (!stopped()) {
+      std::size_t i = 0;
+      {
+        const std::lock_guard<std::mutex> lock(mutex);
+        if (next == open.numbers.size()) return;
+        i = open.numbers[next++];
+      }
+      const StudyUnit& unit = open.units[i];
+      const StudyMission& mission = missions_[unit.mission];
+      const std::string name = mission.name + " " + unit.label;
+      try {
+        const std::shared_ptr<const Loaded> own = loaded.get(unit.mission);
+        const auto computed =
+            compute(*own, mission, unit, open.files[i], options_.keep_runs, stop, [&](const Progress& p) {
+              const std::lock_guard<std::mutex> lock(mutex);
+              show(name + ": " + std::to_string(p.done) + " registrations");
+            });
+        const std::lock_guard<std::mutex> lock(mutex);
+        if (!computed) return;
+        open.results[i] = keep(*computed, open.files[i]);
+        flaws[unit.mission] = own->mission.scans->problems();
+        ++done;
+        show(name + " finished");
+      } catch (...) {
+        const std::lock_guard<std::mutex> lock(mutex);
+        if (!failure) {
+          failure = std::current_exception();
+          console_.note(name + " failed: no more runs are begun");
+        }
+        failed.request_stop();
+      }
+    }
+  };
+  std::vector<std::thread> threads;
+  const int count = std::min(thread_count(options_.common), static_cast<int>(open.numbers.size()));
+  for (int t = 1; t < count; ++t) threads.emplace_back(work);
+  work();
+  for (std::thread& thread : threads) thread.join();
+  for (const auto& [mission, problems] : flaws) {
+    for (const Problem& problem : problems.all())
+      console_.warn(missions_[mission].name + ": " + to_string(problem));
+  }
+  if (failure) std::rethrow_exception(failure);
+}
+
+UnitFiles Study::files_of(const StudyUnit& unit) const {
+  const StudyMission& mission = missions_[unit.mission];
+  const std::string id = to_string(ContentHasher()
+                                       .integer(static_cast<std::uint64_t>(kUnitFormat))
+                                       .integer(mission.content.high)
+                                       .integer(mission.content.low)
+                                       .text(config_json(unit.config))
+                                       .text(replay_code_version())
+                                       .finish());
+  const std::string name = plain(mission.name) + "-" + plain(unit.label) + "-s" +
+                           std::to_string(unit.config.replay.seed) + "-" + id.substr(0, 8);
+  return {folder_ / "units" / (id + ".json"), folder_ / "units" / (id + ".seconds"), folder_ / "runs" / name};
+}
+
+bool Study::serves() const {
+#ifdef LOOPWISE_HAS_MPI
+  return options_.job != nullptr && options_.job->rank() > 0;
+#else
+  return false;
+#endif
+}
+
+int Study::status_without_results() const {
+  return serves() ? kDone : kInterrupted;
+}
+
+#ifdef LOOPWISE_HAS_MPI
+std::string Study::greeting(const std::vector<StudyUnit>& units) const {
+  ContentHasher hasher;
+  for (const StudyMission& mission : missions_) hasher.integer(mission.content.high).integer(mission.content.low);
+  for (const StudyUnit& unit : units) hasher.integer(unit.mission).text(config_json(unit.config));
+  return "study " + replay_code_version() + " " + to_string(hasher.finish());
+}
+
+void Study::run_on_ranks(const Open& open, const StopToken& stop) {
+  std::vector<Work> work;
+  for (const std::size_t i : open.numbers) {
+    work.push_back({std::to_string(i), open.units[i].mission});
+  }
+  WorkServer server(*options_.job, greeting(open.units));
+  std::mutex mutex;  // of all below
+  std::map<std::size_t, std::shared_ptr<const Loaded>> loaded;
+  std::size_t done = open.units.size() - open.numbers.size();
+  const auto take = [&](std::size_t i, const ComputedUnit& computed, int rank) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    open.results[i] = keep(computed, open.files[i]);
+    ++done;
+    console_.progress({"runs", done, open.units.size(),
+                       missions_[open.units[i].mission].name + " " + open.units[i].label + " finished by rank " +
+                           std::to_string(rank)});
+  };
+  const auto here = [&](std::size_t k) {
+    const std::size_t i = open.numbers[k], m = open.units[i].mission;
+    std::shared_ptr<const Loaded> own;
+    {
+      const std::lock_guard<std::mutex> lock(mutex);
+      if (loaded.count(m) == 0) loaded = {{m, load(missions_[m].path, config_, open.store)}};
+      own = loaded.at(m);
+    }
+    const auto computed = compute(*own, missions_[m], open.units[i], open.files[i], options_.keep_runs, stop, {});
+    if (computed) take(i, *computed, 0);
+  };
+  const auto there = [&](int rank, std::size_t k, std::string_view answer) {
+    if (answer.empty()) return;  // interrupted
+    const Json json = parse_json(answer, "answer of rank " + std::to_string(rank));
+    take(open.numbers[k], {json.at("unit"), json.at("seconds").get<double>()}, rank);
+  };
+  const int threads = options_.common.threads > 0 ? options_.common.threads : 1;
+  server.run(work, threads, here, there, stop);
+}
+
+void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
+  std::pair<std::size_t, std::shared_ptr<const Loaded>> last;
+  const std::shared_ptr<OutcomeStore> store = open_outcomes();
+  serve_work(*options_.job, greeting(units), [&](std::string_view request) {
+    const std::size_t i = std::stoul(std::string(request));
+    const StudyUnit& unit = units.at(i);
+    if (!last.second || last.first != unit.mission) {
+      last = {unit.mission, load(missions_[unit.mission].path, config_, store)};
+    }
+    const auto computed = compute(*last.second, missions_[unit.mission], unit, files_of(unit), options_.keep_runs, stop, {});
+    if (!computed) return std::string();  // interrupted
+    Json answer = Json::object();
+    answer["seconds"] = computed->seconds;
+    answer["unit"] = computed->json;
+    return answer.dump();
+  });
+}
+#else
+void Study::run_on_ranks(const Open&, const StopToken&) {}
+void Study::serve(const std::vector<StudyUnit>&, const StopToken&) {}
+#endif
+
 std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& units,
                                                   const StopToken& stop) {
   std::vector<UnitFiles> files;
   std::vector<std::optional<UnitResult>> results(units.size());
   std::vector<std::size_t> open;
-  const std::string code = replay_code_version();
   for (std::size_t i = 0; i < units.size(); ++i) {
     const StudyUnit& unit = units[i];
     validate_config(unit.config);
-    const StudyMission& mission = missions_[unit.mission];
-    const std::string id = to_string(ContentHasher()
-                                         .integer(static_cast<std::uint64_t>(kUnitFormat))
-                                         .integer(mission.content.high)
-                                         .integer(mission.content.low)
-                                         .text(config_json(unit.config))
-                                         .text(code)
-                                         .finish());
-    const std::string name = plain(mission.name) + "-" + plain(unit.label) + "-s" +
-                             std::to_string(unit.config.replay.seed) + "-" + id.substr(0, 8);
-    files.push_back(
-        {folder_ / "units" / (id + ".json"), folder_ / "units" / (id + ".seconds"), folder_ / "runs" / name});
+    files.push_back(files_of(unit));
     results[i] = finished(files[i], options_.keep_runs);
     if (!results[i]) open.push_back(i);
   }
@@ -328,70 +495,19 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
                   " runs are finished already");
   }
 
+  if (serves()) {
+    serve(units, stop);
+    return std::nullopt;
+  }
   if (!open.empty()) {
     // Missions one after the other: no more than needed are in memory, and units of one share its pairs.
     std::stable_sort(open.begin(), open.end(),
                      [&](std::size_t a, std::size_t b) { return units[a].mission < units[b].mission; });
-    const fs::path outcomes =
-        options_.replay.outcomes.empty() ? folder_ / "outcomes" : fs::path(options_.replay.outcomes);
-    const auto store = std::make_shared<OutcomeStore>(outcomes, options_.replay.outcomes_bound);
-    LoadedMissions loaded(missions_, config_, store);
-    for (const std::size_t i : open) loaded.expect(units[i].mission);
-
-    std::mutex mutex;                       // of all below
-    std::map<std::size_t, Problems> flaws;  // of each mission's scans, by now
-    std::size_t next = 0, done = units.size() - open.size();
-    std::exception_ptr failure;
-    StopSource failed;
-    const auto show = [&](const std::string& detail) {
-      console_.progress({"runs", done, units.size(), detail});
-    };
-    const auto stopped = [&] { return stop.stop_requested() || failed.stop_requested(); };
-    const auto work = [&] {
-      while (!stopped()) {
-        std::size_t i = 0;
-        {
-          const std::lock_guard<std::mutex> lock(mutex);
-          if (next == open.size()) return;
-          i = open[next++];
-        }
-        const StudyMission& mission = missions_[units[i].mission];
-        const std::string name = mission.name + " " + units[i].label;
-        try {
-          const std::shared_ptr<const Loaded> own = loaded.get(units[i].mission);
-          auto result =
-              compute(*own, mission, units[i], files[i], options_.keep_runs, stop, [&](const Progress& p) {
-                const std::lock_guard<std::mutex> lock(mutex);
-                show(name + ": " + std::to_string(p.done) + " registrations");
-              });
-          const std::lock_guard<std::mutex> lock(mutex);
-          if (!result) return;
-          results[i] = std::move(result);
-          flaws[units[i].mission] = own->mission.scans->problems();
-          ++done;
-          show(name + " finished");
-        } catch (...) {
-          const std::lock_guard<std::mutex> lock(mutex);
-          if (!failure) {
-            failure = std::current_exception();
-            console_.note(name + " failed: no more runs are begun");
-          }
-          failed.request_stop();
-        }
-      }
-    };
-    std::vector<std::thread> threads;
-    const int count = std::min(thread_count(options_.common), static_cast<int>(open.size()));
-    for (int t = 1; t < count; ++t) threads.emplace_back(work);
-    work();
-    for (std::thread& thread : threads) thread.join();
-    for (const auto& [mission, problems] : flaws) {
-      for (const Problem& problem : problems.all())
-        console_.warn(missions_[mission].name + ": " + to_string(problem));
-    }
-    if (failure) std::rethrow_exception(failure);
-    note_outcomes(console_, *store);
+    const Open work{units, open, files, results, open_outcomes()};
+    options_.job != nullptr ? run_on_ranks(work, stop) : run_here(work, stop);
+    note_outcomes(console_, *work.store);
     if (stop.stop_requested()) {
+      const auto done = std::count_if(results.begin(), results.end(), [](const auto& r) { return r.has_value(); });
       console_.note("interrupted: " + std::to_string(done) + " of " + std::to_string(units.size()) +
                     " runs are kept; the same command goes on");
       return std::nullopt;

@@ -16,6 +16,7 @@
 #include <loopwise/core/stop_token.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/pipeline/config.hpp>
+#include <loopwise/pipeline/outcome_store.hpp>
 
 #include "command.hpp"
 #include "replay_arguments.hpp"
@@ -31,6 +32,7 @@ struct StudyOptions {
   std::int64_t seeds = 1;
   bool keep_runs = false;
   bool resume = false;
+  Transport* job = nullptr;  ///< Ranks to spread the units over; null: this process alone.
 };
 void add_study_options(CLI::App& command, StudyOptions& options);
 
@@ -58,6 +60,11 @@ struct UnitResult {
   std::vector<HistoryRow> history;
 };
 
+/// A unit's files within the study's folder.
+struct UnitFiles {
+  std::filesystem::path result, seconds, run;
+};
+
 /// A study's folder, its missions and the configuration that its units vary.
 class Study {
  public:
@@ -75,11 +82,23 @@ class Study {
 
   /// The results of all units, in their order, computed on `--threads` threads unless they are there. A unit
   /// runs on one thread; its result depends neither on their number nor on what else runs. Nothing if
-  /// interrupted: what was finished is kept.
+  /// interrupted: what was finished is kept. Nothing either on ranks but the first of a job: they compute for it.
   [[nodiscard]] std::optional<std::vector<UnitResult>> run(const std::vector<StudyUnit>& units,
                                                            const StopToken& stop);
 
+  /// Exit status where run() gave nothing.
+  [[nodiscard]] int status_without_results() const;
+
  private:
+  struct Open;
+  [[nodiscard]] std::shared_ptr<OutcomeStore> open_outcomes() const;
+  void run_here(const Open& open, const StopToken& stop);
+  void run_on_ranks(const Open& open, const StopToken& stop);
+  void serve(const std::vector<StudyUnit>& units, const StopToken& stop);
+  [[nodiscard]] bool serves() const;
+  [[nodiscard]] UnitFiles files_of(const StudyUnit& unit) const;
+  [[nodiscard]] std::string greeting(const std::vector<StudyUnit>& units) const;
+
   std::string name_;  ///< "ablation"
   const StudyOptions& options_;
   Console& console_;

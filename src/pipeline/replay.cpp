@@ -319,9 +319,10 @@ class Run {
       places.push_back(i);
     }
     const std::size_t before = pool_.accounting().computed;
-    const auto computed = compute_batch(
-        registrar_, tasks, threads_, hooks_.stop, [&](const Progress& p) { report(before + p.done); },
-        hooks_.outcome);
+    const auto progress = [&](const Progress& p) { report(before + p.done); };
+    const auto computed =
+        hooks_.compute ? hooks_.compute(tasks, hooks_.stop, progress, hooks_.outcome)
+                       : compute_batch(registrar_, tasks, threads_, hooks_.stop, progress, hooks_.outcome);
     for (std::size_t k = 0; k < places.size(); ++k) results_[places[k]] = computed[k];
     result_.registration_s += watch.seconds();
   }

@@ -9,7 +9,6 @@
 #include <tuple>
 
 namespace loopwise {
-namespace {
 
 RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task) {
   const auto failed = [&](const std::string& message) {
@@ -27,8 +26,6 @@ RegistrationResult compute_or_fail(const Registrar& registrar, const Registratio
     return failed("the registrar threw something that is not a std::exception");
   }
 }
-
-}  // namespace
 
 std::vector<std::optional<RegistrationResult>> compute_batch(
     const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,

@@ -6,6 +6,7 @@
 #include <functional>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -52,6 +53,12 @@ struct ReplayMoment {
   const CandidateAccounting& accounting;
 };
 
+/// Computes the tasks of a batch elsewhere than on a pool of this process, as compute_batch() does: results in the
+/// order of the tasks, none for those not begun after a stop request, `on_result` told of each, one at a time.
+using BatchComputer = std::function<std::vector<std::optional<RegistrationResult>>(
+    const std::vector<RegistrationTask>& tasks, const StopToken& stop, const ProgressCallback& progress,
+    const std::function<void(const RegistrationResult&)>& on_result)>;
+
 /// What a run tells while it goes on. Any may be empty.
 struct ReplayHooks {
   /// Takes one line of JSON, without its line end, per event: in the order of mission time, the same in every
@@ -64,6 +71,8 @@ struct ReplayHooks {
   std::function<void(const ReplayMoment& moment)> moment;
   ProgressCallback progress;
   StopToken stop;
+  /// Where given, computes the registrations in place of the registrar and the threads.
+  BatchComputer compute;
 };
 
 struct ReplayResult {

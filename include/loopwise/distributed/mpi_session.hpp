@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include <loopwise/distributed/transport.hpp>
+
+namespace loopwise {
+
+/// Whether a launcher (mpirun, srun) has started this process as one of several: asks the environment alone, and starts
+/// nothing.
+[[nodiscard]] bool started_by_mpi();
+
+/// This process as a rank of an MPI job, from construction to destruction. At most one in the life of a process.
+class MpiSession {
+ public:
+  /// \throws Error if MPI cannot be started, or offers less than calls from one thread after the other
+  MpiSession();
+  /// Ends MPI, which waits for all ranks.
+  ~MpiSession();
+  /// Ends the whole job, also ranks that hang, with this exit status. Does not return.
+  [[noreturn]] void abort(int status);
+  MpiSession(const MpiSession&) = delete;
+  MpiSession& operator=(const MpiSession&) = delete;
+
+  [[nodiscard]] Transport& transport() { return *transport_; }
+  /// Of this rank, for messages to people.
+  [[nodiscard]] const std::string& host() const { return host_; }
+
+ private:
+  std::unique_ptr<Transport> transport_;
+  std::string host_;
+};
+
+}  // namespace loopwise

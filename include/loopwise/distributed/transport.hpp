@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace loopwise {
+
+/// A message between two ranks. Bytes are the sender's: all ranks must be of one architecture.
+struct Message {
+  int from = 0;
+  int tag = 0;
+  std::string bytes;
+};
+
+/// Messages between the ranks of a job, numbered from 0. Messages from one rank to another arrive in the order in which
+/// they were sent. Used by one thread at a time.
+class Transport {
+ public:
+  virtual ~Transport() = default;
+  [[nodiscard]] virtual int rank() const = 0;
+  [[nodiscard]] virtual int size() const = 0;
+  /// Returns soon; the message may still be on its way. \throws Error if the rank cannot be reached any more
+  virtual void send(int to, int tag, std::string_view bytes) = 0;
+  /// The next message, or nothing if none has come: never waits. \throws Error
+  [[nodiscard]] virtual std::optional<Message> receive() = 0;
+};
+
+/// Ranks that are threads of this process: for tests, and for measuring what a server does between messages. Each may
+/// be used from a thread of its own.
+[[nodiscard]] std::vector<std::unique_ptr<Transport>> local_transports(int size);
+
+}  // namespace loopwise

@@ -1,0 +1,235 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/distributed/registration.hpp>
+
+#include <algorithm>
+#include <cstring>
+#include <mutex>
+#include <numeric>
+#include <tuple>
+#include <type_traits>
+
+#include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/error.hpp>
+#include <loopwise/pipeline/code_version.hpp>
+#include <loopwise/registration/batch.hpp>
+
+namespace loopwise {
+namespace {
+
+class Writer {
+ public:
+  template <class T>
+  Writer& put(const T& value) {
+    static_assert(std::is_arithmetic_v<T> || std::is_enum_v<T>);
+    bytes_.append(reinterpret_cast<const char*>(&value), sizeof value);
+    return *this;
+  }
+  Writer& put(const Eigen::Isometry3d& pose) {
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 4; ++c) put(pose(r, c));
+    }
+    return *this;
+  }
+  /// The upper triangle.
+  Writer& put(const Matrix6d& symmetric) {
+    for (int r = 0; r < 6; ++r) {
+      for (int c = r; c < 6; ++c) put(symmetric(r, c));
+    }
+    return *this;
+  }
+  Writer& put(const std::string& text) {
+    put(static_cast<std::uint32_t>(text.size()));
+    bytes_ += text;
+    return *this;
+  }
+  [[nodiscard]] std::string take() { return std::move(bytes_); }
+
+ private:
+  std::string bytes_;
+};
+
+class Reader {
+ public:
+  explicit Reader(std::string_view bytes) : bytes_(bytes) {}
+
+  template <class T>
+  [[nodiscard]] T get() {
+    T value;
+    std::memcpy(&value, take(sizeof value).data(), sizeof value);
+    return value;
+  }
+  [[nodiscard]] bool flag() { return get<std::uint8_t>() != 0; }
+  [[nodiscard]] Eigen::Isometry3d pose() {
+    Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+    for (int r = 0; r < 3; ++r) {
+      for (int c = 0; c < 4; ++c) pose(r, c) = get<double>();
+    }
+    return pose;
+  }
+  [[nodiscard]] Matrix6d symmetric() {
+    Matrix6d m;
+    for (int r = 0; r < 6; ++r) {
+      for (int c = r; c < 6; ++c) m(r, c) = m(c, r) = get<double>();
+    }
+    return m;
+  }
+  [[nodiscard]] std::string text() { return std::string(take(get<std::uint32_t>())); }
+  void end() const {
+    if (!bytes_.empty()) throw InputError("a message is too long");
+  }
+
+ private:
+  std::string_view take(std::size_t size) {
+    if (bytes_.size() < size) throw InputError("a message was cut short");
+    const std::string_view out = bytes_.substr(0, size);
+    bytes_.remove_prefix(size);
+    return out;
+  }
+  std::string_view bytes_;
+};
+
+void put(Writer& out, const std::vector<SubmapMember>& members) {
+  out.put(static_cast<std::uint8_t>(members.size()));
+  for (const SubmapMember& member : members) {
+    const bool identity = member.T_center_member.matrix() == Eigen::Matrix4d::Identity();
+    out.put(member.key).put(static_cast<std::uint8_t>(identity));
+    if (!identity) out.put(member.T_center_member);
+  }
+}
+
+std::vector<SubmapMember> get_members(Reader& in) {
+  std::vector<SubmapMember> members(in.get<std::uint8_t>());
+  for (SubmapMember& member : members) {
+    member.key = in.get<Key>();
+    if (!in.flag()) member.T_center_member = in.pose();
+  }
+  return members;
+}
+
+}  // namespace
+
+std::string pack_task(const RegistrationTask& task) {
+  if (task.source.size() > 255 || task.target.size() > 255) {
+    throw InputError("a submap of more than 255 scans cannot be sent");
+  }
+  const LoopCandidate& c = task.candidate;
+  Writer out;
+  out.put(c.id).put(c.from).put(c.to).put(static_cast<std::uint8_t>(c.source)).put(c.time_s).put(c.distance_m);
+  out.put(task.seed).put(static_cast<std::uint64_t>(task.enough_points));
+  out.put(static_cast<std::uint8_t>(task.guess_from_to.has_value()));
+  if (task.guess_from_to) out.put(*task.guess_from_to);
+  put(out, task.source);
+  put(out, task.target);
+  return out.take();
+}
+
+RegistrationTask unpack_task(std::string_view bytes) {
+  Reader in(bytes);
+  RegistrationTask task;
+  LoopCandidate& c = task.candidate;
+  c.id = in.get<CandidateId>();
+  c.from = in.get<Key>();
+  c.to = in.get<Key>();
+  c.source = static_cast<CandidateSource>(in.get<std::uint8_t>());
+  c.time_s = in.get<double>();
+  c.distance_m = in.get<double>();
+  task.seed = in.get<std::uint64_t>();
+  task.enough_points = static_cast<std::size_t>(in.get<std::uint64_t>());
+  if (in.flag()) task.guess_from_to = in.pose();
+  task.source = get_members(in);
+  task.target = get_members(in);
+  in.end();
+  return task;
+}
+
+std::string pack_result(const RegistrationResult& result) {
+  Writer out;
+  out.put(static_cast<std::uint8_t>(result.reason)).put(result.message);
+  out.put(result.sac_fitness_m2).put(result.gicp_fitness_m2).put(result.overlap);
+  out.put(result.features_s).put(result.global_s).put(result.refine_s);
+  out.put(static_cast<std::uint8_t>(result.T_from_to.has_value()));
+  if (result.T_from_to) out.put(*result.T_from_to);
+  out.put(static_cast<std::uint8_t>(result.closure.has_value()));
+  if (result.closure) out.put(result.closure->T_from_to).put(result.closure->covariance);
+  return out.take();
+}
+
+RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& candidate) {
+  Reader in(bytes);
+  RegistrationResult result;
+  result.candidate = candidate;
+  result.reason = static_cast<RejectionReason>(in.get<std::uint8_t>());
+  result.message = in.text();
+  result.sac_fitness_m2 = in.get<double>();
+  result.gicp_fitness_m2 = in.get<double>();
+  result.overlap = in.get<double>();
+  result.features_s = in.get<double>();
+  result.global_s = in.get<double>();
+  result.refine_s = in.get<double>();
+  if (in.flag()) result.T_from_to = in.pose();
+  if (in.flag()) {
+    LoopClosure closure;
+    closure.from = candidate.from;
+    closure.to = candidate.to;
+    closure.T_from_to = in.pose();
+    closure.covariance = in.symmetric();
+    result.closure = closure;
+  }
+  in.end();
+  return result;
+}
+
+std::string replay_greeting(const Mission& mission, const Config& config) {
+  ContentHasher hasher;
+  for (const Node& node : mission.graph.nodes()) {
+    hasher.integer(node.key).integer(static_cast<std::uint64_t>(node.stamp_ns));
+  }
+  for (const Key key : mission.scans->keys()) hasher.integer(key);
+  return "replay " + replay_code_version() + " " + to_string(hasher.finish()) + " " +
+         to_string(ContentHasher().text(config_json(config)).finish());
+}
+
+BatchComputer distributed_batches(std::shared_ptr<WorkServer> server, std::shared_ptr<const Registrar> registrar,
+                                  int threads) {
+  return [server, registrar, threads](const std::vector<RegistrationTask>& tasks, const StopToken& stop,
+                                      const ProgressCallback& progress,
+                                      const std::function<void(const RegistrationResult&)>& on_result) {
+    // By target, then source: pairs that share scans go to one rank one after the other.
+    std::vector<std::size_t> order(tasks.size());
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+      const LoopCandidate &x = tasks[a].candidate, &y = tasks[b].candidate;
+      return std::tie(x.to, x.from, a) < std::tie(y.to, y.from, b);
+    });
+    std::vector<Work> work;
+    for (const std::size_t i : order) work.push_back({pack_task(tasks[i]), tasks[i].candidate.to});
+    std::vector<std::optional<RegistrationResult>> results(tasks.size());
+    std::mutex mutex;
+    std::size_t accepted = 0, rejected = 0;
+    const auto take = [&](std::size_t i, RegistrationResult result) {
+      const std::lock_guard<std::mutex> lock(mutex);
+      results[i] = std::move(result);
+      if (on_result) on_result(*results[i]);
+      ++(results[i]->verified() ? accepted : rejected);
+      if (progress) {
+        progress({"registering", accepted + rejected, tasks.size(),
+                  std::to_string(accepted) + " accepted, " + std::to_string(rejected) + " rejected"});
+      }
+    };
+    server->run(
+        work, threads, [&](std::size_t k) { take(order[k], compute_or_fail(*registrar, tasks[order[k]])); },
+        [&](int, std::size_t k, std::string_view answer) {
+          take(order[k], unpack_result(answer, tasks[order[k]].candidate));
+        },
+        stop);
+    return results;
+  };
+}
+
+void serve_registrations(Transport& transport, std::string_view greeting, const Registrar& registrar) {
+  serve_work(transport, greeting, [&](std::string_view request) {
+    return pack_result(compute_or_fail(registrar, unpack_task(request)));
+  });
+}
+
+}  // namespace loopwise

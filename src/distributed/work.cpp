@@ -1,0 +1,301 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/distributed/work.hpp>
+
+#include <algorithm>
+#include <chrono>
+#include <cstring>
+#include <deque>
+#include <exception>
+#include <mutex>
+#include <optional>
+#include <set>
+#include <thread>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/error.hpp>
+
+namespace loopwise {
+namespace {
+
+enum Tag : int { kGreeting = 1, kFailure, kRequest, kAnswer, kEnd };
+
+/// Rests between looks for messages: short at first, then longer. A thread that waits must leave its processor to those
+/// that compute, and MPI's own waiting does not.
+class Patience {
+ public:
+  void reset() { next_ = kShortest; }
+  void rest() {
+    std::this_thread::sleep_for(next_);
+    next_ = std::min(next_ * 2, kLongest);
+  }
+
+ private:
+  using Time = std::chrono::microseconds;
+  static constexpr Time kShortest{20}, kLongest{1000};
+  Time next_ = kShortest;
+};
+
+std::string with_number(std::size_t number, std::string_view bytes) {
+  const auto n = static_cast<std::uint64_t>(number);
+  std::string out(sizeof n, '\0');
+  std::memcpy(out.data(), &n, sizeof n);
+  out += bytes;
+  return out;
+}
+
+std::size_t take_number(std::string_view& bytes, int from) {
+  std::uint64_t n = 0;
+  if (bytes.size() < sizeof n) throw Error("rank " + std::to_string(from) + ": a message was cut short");
+  std::memcpy(&n, bytes.data(), sizeof n);
+  bytes.remove_prefix(sizeof n);
+  return static_cast<std::size_t>(n);
+}
+
+[[noreturn]] void throw_failure(const Message& message) {
+  throw Error("rank " + std::to_string(message.from) + ": " + message.bytes);
+}
+
+}  // namespace
+
+/// One call of run(): who has which piece.
+class WorkServer::Round {
+ public:
+  Round(WorkServer& server, const std::vector<Work>& work, bool here)
+      : server_(server), work_(work), queues_(static_cast<std::size_t>(server.transport_.size())) {
+    // Affinities in order of first appearance: to their last rank, new ones to the shortest queue.
+    std::map<std::uint64_t, std::vector<std::size_t>> groups;
+    std::vector<std::uint64_t> order;
+    for (std::size_t i = 0; i < work.size(); ++i) {
+      const auto [group, fresh] = groups.try_emplace(work[i].affinity);
+      if (fresh) order.push_back(work[i].affinity);
+      group->second.push_back(i);
+    }
+    const std::size_t first = here || queues_.size() == 1 ? 0 : 1;
+    const std::size_t fair = (work.size() + queues_.size() - first - 1) / (queues_.size() - first);
+    for (const std::uint64_t affinity : order) {
+      const std::vector<std::size_t>& pieces = groups.at(affinity);
+      const auto owner = server.owner_.find(affinity);
+      auto rank = owner == server.owner_.end() ? queues_.size() : static_cast<std::size_t>(owner->second);
+      if (rank < first || rank >= queues_.size() || queues_[rank].size() + pieces.size() > 2 * fair) {
+        rank = first;
+        for (std::size_t r = first + 1; r < queues_.size(); ++r) {
+          if (queues_[r].size() < queues_[rank].size()) rank = r;
+        }
+      }
+      queues_[rank].insert(queues_[rank].end(), pieces.begin(), pieces.end());
+    }
+    left_ = work.size();
+  }
+
+  /// The next piece for a rank: of its own, or else the last of the longest queue.
+  std::optional<std::size_t> next(int rank) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    if (left_ == 0 || closed_) return std::nullopt;
+    auto* queue = &queues_[static_cast<std::size_t>(rank)];
+    const bool own = !queue->empty();
+    if (!own) {
+      queue = &*std::max_element(queues_.begin(), queues_.end(),
+                                 [](const auto& a, const auto& b) { return a.size() < b.size(); });
+    }
+    const std::size_t i = own ? queue->front() : queue->back();
+    own ? queue->pop_front() : queue->pop_back();
+    server_.owner_[work_[i].affinity] = rank;
+    --left_;
+    return i;
+  }
+
+  /// Nothing more is begun.
+  void close() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    closed_ = true;
+  }
+  [[nodiscard]] bool exhausted() {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    return left_ == 0 || closed_;
+  }
+
+ private:
+  WorkServer& server_;
+  const std::vector<Work>& work_;
+  std::mutex mutex_;
+  std::vector<std::deque<std::size_t>> queues_;  // by rank
+  std::size_t left_ = 0;
+  bool closed_ = false;
+};
+
+WorkServer::WorkServer(Transport& transport, std::string_view greeting, const WorkOptions& options)
+    : transport_(transport), options_(options) {
+  validate(options_);
+  const auto ranks = static_cast<std::size_t>(transport.size());
+  statistics_.done.assign(ranks, 0);
+  std::set<int> silent;
+  for (int rank = 1; rank < transport.size(); ++rank) silent.insert(rank);
+  const Stopwatch watch;
+  Patience patience;
+  std::exception_ptr failure;
+  while (!silent.empty()) {
+    const std::optional<Message> message = transport_.receive();
+    if (!message) {
+      if (watch.seconds() > options_.start_limit_s) {
+        throw Error("rank " + std::to_string(*silent.begin()) + " has not answered within " +
+                    std::to_string(options_.start_limit_s) + " s");
+      }
+      patience.rest();
+      continue;
+    }
+    patience.reset();
+    silent.erase(message->from);
+    if (failure) continue;  // but hear all: who has spoken waits for an end
+    try {
+      if (message->tag == kFailure) throw_failure(*message);
+      if (message->tag != kGreeting || message->bytes != greeting) {
+        throw Error("rank " + std::to_string(message->from) +
+                    " does not agree with rank 0: another version of the program, other options or another mission");
+      }
+    } catch (const Error&) {
+      failure = std::current_exception();
+    }
+  }
+  if (!failure) return;
+  for (int rank = 1; rank < transport.size(); ++rank) transport_.send(rank, kEnd, {});
+  std::rethrow_exception(failure);
+}
+
+WorkServer::~WorkServer() {
+  for (int rank = 1; rank < transport_.size(); ++rank) {
+    try {
+      transport_.send(rank, kEnd, {});
+    } catch (const Error&) {  // it has gone already
+    }
+  }
+}
+
+void WorkServer::run(const std::vector<Work>& work, int threads, const std::function<void(std::size_t)>& here,
+                     const std::function<void(int, std::size_t, std::string_view)>& there, const StopToken& stop) {
+  if (transport_.size() == 1) threads = std::max(threads, 1);
+  Round round(*this, work, threads > 0);
+  std::mutex mutex;
+  std::exception_ptr failure;
+  const auto fail = [&] {
+    const std::lock_guard<std::mutex> lock(mutex);
+    if (!failure) failure = std::current_exception();
+    round.close();
+  };
+
+  const auto serve = [&] {
+    const auto ranks = static_cast<std::size_t>(transport_.size());
+    std::vector<std::set<std::size_t>> owed(ranks);
+    std::vector<double> heard(ranks, 0.0);
+    const Stopwatch watch;
+    Patience patience;
+    const auto give = [&](int rank) {
+      auto& own = owed[static_cast<std::size_t>(rank)];
+      while (own.size() < static_cast<std::size_t>(options_.ahead)) {
+        const auto i = round.next(rank);
+        if (!i) return;
+        if (own.empty()) heard[static_cast<std::size_t>(rank)] = watch.seconds();
+        own.insert(*i);
+        const std::string message = with_number(*i, work[*i].request);
+        transport_.send(rank, kRequest, message);
+        ++statistics_.requests;
+        statistics_.request_bytes += message.size();
+      }
+    };
+    const auto take = [&](const Message& message) {
+      if (message.tag == kFailure) throw_failure(message);
+      std::string_view bytes = message.bytes;
+      const std::size_t i = take_number(bytes, message.from);
+      if (message.tag != kAnswer || owed[static_cast<std::size_t>(message.from)].erase(i) == 0) {
+        throw Error("rank " + std::to_string(message.from) + " sent what it was not asked for");
+      }
+      heard[static_cast<std::size_t>(message.from)] = watch.seconds();
+      ++statistics_.done[static_cast<std::size_t>(message.from)];
+      ++statistics_.answers;
+      statistics_.answer_bytes += message.bytes.size();
+      there(message.from, i, bytes);
+    };
+    try {
+      for (int rank = 1; rank < transport_.size(); ++rank) give(rank);
+      while (true) {
+        if (stop.stop_requested()) round.close();
+        const bool waits = std::any_of(owed.begin(), owed.end(), [](const auto& own) { return !own.empty(); });
+        if (!waits && round.exhausted()) return;
+        bool any = false;
+        while (const std::optional<Message> message = transport_.receive()) {
+          any = true;
+          take(*message);
+          give(message->from);
+        }
+        if (any) {
+          patience.reset();
+          continue;
+        }
+        {
+          const std::lock_guard<std::mutex> lock(mutex);
+          if (failure) return;  // of this rank's own work: no need to wait for the others
+        }
+        for (std::size_t rank = 1; rank < ranks; ++rank) {
+          if (!owed[rank].empty() && watch.seconds() - heard[rank] > options_.time_limit_s) {
+            throw Error("rank " + std::to_string(rank) + " owes " + std::to_string(owed[rank].size()) +
+                        " answers and has sent none for " + std::to_string(options_.time_limit_s) +
+                        " s: it is dead or hangs");
+          }
+        }
+        patience.rest();
+      }
+    } catch (...) {
+      fail();
+    }
+  };
+
+  const auto compute = [&] {
+    try {
+      while (!stop.stop_requested()) {
+        const auto i = round.next(0);
+        if (!i) return;
+        here(*i);
+        const std::lock_guard<std::mutex> lock(mutex);
+        ++statistics_.done[0];
+      }
+    } catch (...) {
+      fail();
+    }
+  };
+
+  std::vector<std::thread> all;
+  if (transport_.size() > 1) all.emplace_back(serve);
+  for (int t = 1; t < threads; ++t) all.emplace_back(compute);
+  if (threads > 0) compute();
+  for (std::thread& thread : all) thread.join();
+  if (failure) std::rethrow_exception(failure);
+}
+
+void serve_work(Transport& transport, std::string_view greeting,
+                const std::function<std::string(std::string_view request)>& answer) {
+  transport.send(0, kGreeting, greeting);
+  Patience patience;
+  while (true) {
+    const std::optional<Message> message = transport.receive();
+    if (!message) {
+      patience.rest();
+      continue;
+    }
+    patience.reset();
+    if (message->tag == kEnd) return;
+    if (message->tag != kRequest) throw Error("rank 0 sent a message that is no request");
+    std::string_view request = message->bytes;
+    const std::size_t i = take_number(request, message->from);
+    try {
+      transport.send(0, kAnswer, with_number(i, answer(request)));
+    } catch (const std::exception& error) {
+      report_failure(transport, error.what());
+      throw;
+    }
+  }
+}
+
+void report_failure(Transport& transport, std::string_view why) {
+  transport.send(0, kFailure, why);
+}
+
+}  // namespace loopwise
