@@ -49,7 +49,8 @@ Config configured(const Options& o) {
   if (o.workers) config.replay.workers = *o.workers;
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
-  if (o.clock == "real" && o.job != nullptr) throw OptionError("--clock real: one process alone has a real clock");
+  if (o.clock == "real" && o.job != nullptr)
+    throw OptionError("--clock real: one process alone has a real clock");
   if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
   if (o.clock == "real") {
     if (o.resume) throw OptionError("--resume: what a real clock made cannot be made again");
@@ -167,7 +168,8 @@ int serve(const Options& options) {
     const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
     std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
     if (!options.replay.outcomes.empty()) {
-      const auto store = std::make_shared<OutcomeStore>(options.replay.outcomes, options.replay.outcomes_bound);
+      const auto store =
+          std::make_shared<OutcomeStore>(options.replay.outcomes, options.replay.outcomes_bound);
       registrar = std::make_shared<StoredRegistrar>(registrar, store, mission.scans->loader(),
                                                     registration_context(config.replay.registrar, config));
     }

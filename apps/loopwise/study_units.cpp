@@ -222,8 +222,8 @@ UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
 
 /// Computes one unit. Nothing if it was stopped.
 std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& about, const StudyUnit& unit,
-                                  const UnitFiles& files, bool keep_run, const StopToken& stop,
-                                  const ProgressCallback& progress) {
+                                    const UnitFiles& files, bool keep_run, const StopToken& stop,
+                                    const ProgressCallback& progress) {
   const Stopwatch watch;
   RunHistory history(loaded.mission);
   ReplayHooks hooks;
@@ -414,7 +414,8 @@ int Study::status_without_results() const {
 #ifdef LOOPWISE_HAS_MPI
 std::string Study::greeting(const std::vector<StudyUnit>& units) const {
   ContentHasher hasher;
-  for (const StudyMission& mission : missions_) hasher.integer(mission.content.high).integer(mission.content.low);
+  for (const StudyMission& mission : missions_)
+    hasher.integer(mission.content.high).integer(mission.content.low);
   for (const StudyUnit& unit : units) hasher.integer(unit.mission).text(config_json(unit.config));
   return "study " + replay_code_version() + " " + to_string(hasher.finish());
 }
@@ -433,8 +434,8 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
     open.results[i] = keep(computed, open.files[i]);
     ++done;
     console_.progress({"runs", done, open.units.size(),
-                       missions_[open.units[i].mission].name + " " + open.units[i].label + " finished by rank " +
-                           std::to_string(rank)});
+                       missions_[open.units[i].mission].name + " " + open.units[i].label +
+                           " finished by rank " + std::to_string(rank)});
   };
   const auto here = [&](std::size_t k) {
     const std::size_t i = open.numbers[k], m = open.units[i].mission;
@@ -444,7 +445,8 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
       if (loaded.count(m) == 0) loaded = {{m, load(missions_[m].path, config_, open.store)}};
       own = loaded.at(m);
     }
-    const auto computed = compute(*own, missions_[m], open.units[i], open.files[i], options_.keep_runs, stop, {});
+    const auto computed =
+        compute(*own, missions_[m], open.units[i], open.files[i], options_.keep_runs, stop, {});
     if (computed) take(i, *computed, 0);
   };
   const auto there = [&](int rank, std::size_t k, std::string_view answer) {
@@ -465,7 +467,8 @@ void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
     if (!last.second || last.first != unit.mission) {
       last = {unit.mission, load(missions_[unit.mission].path, config_, store)};
     }
-    const auto computed = compute(*last.second, missions_[unit.mission], unit, files_of(unit), options_.keep_runs, stop, {});
+    const auto computed =
+        compute(*last.second, missions_[unit.mission], unit, files_of(unit), options_.keep_runs, stop, {});
     if (!computed) return std::string();  // interrupted
     Json answer = Json::object();
     answer["seconds"] = computed->seconds;
@@ -507,7 +510,8 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
     options_.job != nullptr ? run_on_ranks(work, stop) : run_here(work, stop);
     note_outcomes(console_, *work.store);
     if (stop.stop_requested()) {
-      const auto done = std::count_if(results.begin(), results.end(), [](const auto& r) { return r.has_value(); });
+      const auto done =
+          std::count_if(results.begin(), results.end(), [](const auto& r) { return r.has_value(); });
       console_.note("interrupted: " + std::to_string(done) + " of " + std::to_string(units.size()) +
                     " runs are kept; the same command goes on");
       return std::nullopt;

@@ -82,7 +82,8 @@ class Study {
 
   /// The results of all units, in their order, computed on `--threads` threads unless they are there. A unit
   /// runs on one thread; its result depends neither on their number nor on what else runs. Nothing if
-  /// interrupted: what was finished is kept. Nothing either on ranks but the first of a job: they compute for it.
+  /// interrupted: what was finished is kept. Nothing either on ranks but the first of a job: they compute for
+  /// it.
   [[nodiscard]] std::optional<std::vector<UnitResult>> run(const std::vector<StudyUnit>& units,
                                                            const StopToken& stop);
 

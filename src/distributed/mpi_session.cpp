@@ -39,7 +39,8 @@ class MpiTransport final : public Transport {
   [[nodiscard]] int size() const override { return size_; }
 
   void send(int to, int tag, std::string_view bytes) override {
-    if (bytes.size() > INT_MAX) throw Error("MPI: a message of " + std::to_string(bytes.size()) + " bytes is too long");
+    if (bytes.size() > INT_MAX)
+      throw Error("MPI: a message of " + std::to_string(bytes.size()) + " bytes is too long");
     forget_sent();
     Sending& sending = sending_.emplace_back();
     sending.bytes = bytes;
@@ -97,7 +98,8 @@ bool started_by_mpi() {
 MpiSession::MpiSession() {
   int provided = 0;
   check(MPI_Init_thread(nullptr, nullptr, MPI_THREAD_SERIALIZED, &provided), "MPI_Init_thread");
-  if (provided < MPI_THREAD_SERIALIZED) throw Error("MPI: this library allows calls from the main thread alone");
+  if (provided < MPI_THREAD_SERIALIZED)
+    throw Error("MPI: this library allows calls from the main thread alone");
   transport_ = std::make_unique<MpiTransport>();
   char name[MPI_MAX_PROCESSOR_NAME];
   int length = 0;

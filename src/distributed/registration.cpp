@@ -114,7 +114,12 @@ std::string pack_task(const RegistrationTask& task) {
   }
   const LoopCandidate& c = task.candidate;
   Writer out;
-  out.put(c.id).put(c.from).put(c.to).put(static_cast<std::uint8_t>(c.source)).put(c.time_s).put(c.distance_m);
+  out.put(c.id)
+      .put(c.from)
+      .put(c.to)
+      .put(static_cast<std::uint8_t>(c.source))
+      .put(c.time_s)
+      .put(c.distance_m);
   out.put(task.seed).put(static_cast<std::uint64_t>(task.enough_points));
   out.put(static_cast<std::uint8_t>(task.guess_from_to.has_value()));
   if (task.guess_from_to) out.put(*task.guess_from_to);
@@ -189,8 +194,8 @@ std::string replay_greeting(const Mission& mission, const Config& config) {
          to_string(ContentHasher().text(config_json(config)).finish());
 }
 
-BatchComputer distributed_batches(std::shared_ptr<WorkServer> server, std::shared_ptr<const Registrar> registrar,
-                                  int threads) {
+BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
+                                  std::shared_ptr<const Registrar> registrar, int threads) {
   return [server, registrar, threads](const std::vector<RegistrationTask>& tasks, const StopToken& stop,
                                       const ProgressCallback& progress,
                                       const std::function<void(const RegistrationResult&)>& on_result) {

@@ -19,8 +19,8 @@ namespace {
 
 enum Tag : int { kGreeting = 1, kFailure, kRequest, kAnswer, kEnd };
 
-/// Rests between looks for messages: short at first, then longer. A thread that waits must leave its processor to those
-/// that compute, and MPI's own waiting does not.
+/// Rests between looks for messages: short at first, then longer. A thread that waits must leave its
+/// processor to those that compute, and MPI's own waiting does not.
 class Patience {
  public:
   void reset() { next_ = kShortest; }
@@ -149,8 +149,9 @@ WorkServer::WorkServer(Transport& transport, std::string_view greeting, const Wo
     try {
       if (message->tag == kFailure) throw_failure(*message);
       if (message->tag != kGreeting || message->bytes != greeting) {
-        throw Error("rank " + std::to_string(message->from) +
-                    " does not agree with rank 0: another version of the program, other options or another mission");
+        throw Error(
+            "rank " + std::to_string(message->from) +
+            " does not agree with rank 0: another version of the program, other options or another mission");
       }
     } catch (const Error&) {
       failure = std::current_exception();
@@ -171,7 +172,8 @@ WorkServer::~WorkServer() {
 }
 
 void WorkServer::run(const std::vector<Work>& work, int threads, const std::function<void(std::size_t)>& here,
-                     const std::function<void(int, std::size_t, std::string_view)>& there, const StopToken& stop) {
+                     const std::function<void(int, std::size_t, std::string_view)>& there,
+                     const StopToken& stop) {
   if (transport_.size() == 1) threads = std::max(threads, 1);
   Round round(*this, work, threads > 0);
   std::mutex mutex;
@@ -218,7 +220,8 @@ void WorkServer::run(const std::vector<Work>& work, int threads, const std::func
       for (int rank = 1; rank < transport_.size(); ++rank) give(rank);
       while (true) {
         if (stop.stop_requested()) round.close();
-        const bool waits = std::any_of(owed.begin(), owed.end(), [](const auto& own) { return !own.empty(); });
+        const bool waits =
+            std::any_of(owed.begin(), owed.end(), [](const auto& own) { return !own.empty(); });
         if (!waits && round.exhausted()) return;
         bool any = false;
         while (const std::optional<Message> message = transport_.receive()) {

@@ -8,11 +8,12 @@
 
 namespace loopwise {
 
-/// Whether a launcher (mpirun, srun) has started this process as one of several: asks the environment alone, and starts
-/// nothing.
+/// Whether a launcher (mpirun, srun) has started this process as one of several: asks the environment alone,
+/// and starts nothing.
 [[nodiscard]] bool started_by_mpi();
 
-/// This process as a rank of an MPI job, from construction to destruction. At most one in the life of a process.
+/// This process as a rank of an MPI job, from construction to destruction. At most one in the life of a
+/// process.
 class MpiSession {
  public:
   /// \throws Error if MPI cannot be started, or offers less than calls from one thread after the other

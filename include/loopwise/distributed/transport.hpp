@@ -16,8 +16,8 @@ struct Message {
   std::string bytes;
 };
 
-/// Messages between the ranks of a job, numbered from 0. Messages from one rank to another arrive in the order in which
-/// they were sent. Used by one thread at a time.
+/// Messages between the ranks of a job, numbered from 0. Messages from one rank to another arrive in the
+/// order in which they were sent. Used by one thread at a time.
 class Transport {
  public:
   virtual ~Transport() = default;
@@ -29,8 +29,8 @@ class Transport {
   [[nodiscard]] virtual std::optional<Message> receive() = 0;
 };
 
-/// Ranks that are threads of this process: for tests, and for measuring what a server does between messages. Each may
-/// be used from a thread of its own.
+/// Ranks that are threads of this process: for tests, and for measuring what a server does between messages.
+/// Each may be used from a thread of its own.
 [[nodiscard]] std::vector<std::unique_ptr<Transport>> local_transports(int size);
 
 }  // namespace loopwise

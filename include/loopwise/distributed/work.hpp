@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Independent pieces of work spread over ranks: rank 0 serves the others from a thread while it computes as well.
+/// Independent pieces of work spread over ranks: rank 0 serves the others from a thread while it computes as
+/// well.
 #pragma once
 
 #include <cstddef>
@@ -48,19 +49,20 @@ struct WorkStatistics {
 /// Rank 0. Ends the other ranks' serving when it goes.
 class WorkServer {
  public:
-  /// Waits for the first word of every rank, which must be `greeting` (what all must agree on: version, inputs).
-  /// \throws OptionError; Error naming the rank that says something else, reports a failure or stays silent
+  /// Waits for the first word of every rank, which must be `greeting` (what all must agree on: version,
+  /// inputs). \throws OptionError; Error naming the rank that says something else, reports a failure or stays
+  /// silent
   WorkServer(Transport& transport, std::string_view greeting, const WorkOptions& options = {});
   ~WorkServer();
   WorkServer(const WorkServer&) = delete;
   WorkServer& operator=(const WorkServer&) = delete;
 
-  /// Does all of the work, here by `here(i)` on `threads` threads (0: all goes to the others, if there are any) and
-  /// elsewhere by messages, whose answers `there(rank, i, answer)` takes. Both are called from several threads, `there`
-  /// by one at a time. After a stop request nothing more is begun; what was begun is finished. Who does what depends on
-  /// timing.
-  /// \throws what `here` or `there` throws; Error naming a rank that reports a failure or stays silent for too long. What
-  /// had been begun elsewhere is then not waited for.
+  /// Does all of the work, here by `here(i)` on `threads` threads (0: all goes to the others, if there are
+  /// any) and elsewhere by messages, whose answers `there(rank, i, answer)` takes. Both are called from
+  /// several threads, `there` by one at a time. After a stop request nothing more is begun; what was begun is
+  /// finished. Who does what depends on timing. \throws what `here` or `there` throws; Error naming a rank
+  /// that reports a failure or stays silent for too long. What had been begun elsewhere is then not waited
+  /// for.
   void run(const std::vector<Work>& work, int threads, const std::function<void(std::size_t)>& here,
            const std::function<void(int, std::size_t, std::string_view)>& there, const StopToken& stop = {});
 
@@ -75,8 +77,8 @@ class WorkServer {
   WorkStatistics statistics_;
 };
 
-/// Every other rank: says `greeting`, then answers requests until rank 0 ends it. What `answer` throws is reported to
-/// rank 0 as this rank's failure, and thrown on.
+/// Every other rank: says `greeting`, then answers requests until rank 0 ends it. What `answer` throws is
+/// reported to rank 0 as this rank's failure, and thrown on.
 void serve_work(Transport& transport, std::string_view greeting,
                 const std::function<std::string(std::string_view request)>& answer);
 

@@ -53,8 +53,9 @@ struct ReplayMoment {
   const CandidateAccounting& accounting;
 };
 
-/// Computes the tasks of a batch elsewhere than on a pool of this process, as compute_batch() does: results in the
-/// order of the tasks, none for those not begun after a stop request, `on_result` told of each, one at a time.
+/// Computes the tasks of a batch elsewhere than on a pool of this process, as compute_batch() does: results
+/// in the order of the tasks, none for those not begun after a stop request, `on_result` told of each, one at
+/// a time.
 using BatchComputer = std::function<std::vector<std::optional<RegistrationResult>>(
     const std::vector<RegistrationTask>& tasks, const StopToken& stop, const ProgressCallback& progress,
     const std::function<void(const RegistrationResult&)>& on_result)>;

@@ -16,9 +16,9 @@ namespace loopwise {
 [[nodiscard]] RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task);
 
 /// Computes tasks on the pool, one task a thread. Results stand in the order of the tasks and do not depend
-/// on the number of threads. After a stop request no further task is begun; tasks that were not begun have no result.
-/// `on_result` is told of each result as soon as it is there: in any order, one at a time, from any thread of
-/// the pool.
+/// on the number of threads. After a stop request no further task is begun; tasks that were not begun have no
+/// result. `on_result` is told of each result as soon as it is there: in any order, one at a time, from any
+/// thread of the pool.
 [[nodiscard]] std::vector<std::optional<RegistrationResult>> compute_batch(
     const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,
     const StopToken& stop = {}, const ProgressCallback& progress = {},
