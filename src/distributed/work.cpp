@@ -14,10 +14,16 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 
+#include "tags.hpp"
+
 namespace loopwise {
 namespace {
 
-enum Tag : int { kGreeting = 1, kFailure, kRequest, kAnswer, kEnd };
+using detail::kAnswer;
+using detail::kEnd;
+using detail::kFailure;
+using detail::kGreeting;
+using detail::kRequest;
 
 /// Rests between looks for messages: short at first, then longer. A thread that waits must leave its
 /// processor to those that compute, and MPI's own waiting does not.

@@ -20,7 +20,8 @@ RegistrationTask random_task(Rng& rng) {
   task.candidate.distance_m = rng.uniform(0.0, 30.0);
   task.enough_points = rng.below(5000);
   if (rng.uniform() < 0.7) task.guess_from_to = testing::random_pose(rng, 10.0);
-  for (std::uint64_t k = rng.below(5); k > 0; --k) task.target.push_back({rng.next(), testing::random_pose(rng, 2.0)});
+  for (std::uint64_t k = rng.below(5); k > 0; --k)
+    task.target.push_back({rng.next(), testing::random_pose(rng, 2.0)});
   return task;
 }
 
@@ -48,7 +49,8 @@ void require_same(const RegistrationResult& a, const RegistrationResult& b) {
 
 }  // namespace
 
-TEST_CASE("messages: tasks and results come through to the bit; cut ones are refused", "[distributed][property]") {
+TEST_CASE("messages: tasks and results come through to the bit; cut ones are refused",
+          "[distributed][property]") {
   Rng rng(1);
   for (int trial = 0; trial < 200; ++trial) {
     const RegistrationTask task = random_task(rng);

@@ -85,7 +85,8 @@ TEST_CASE("work: every piece is done once, by any number of ranks and threads", 
         for (const std::size_t of_rank : server.statistics().done) done += of_rank;
         REQUIRE(done == 1000);
         REQUIRE(server.statistics().requests == server.statistics().answers);
-        server.run({}, threads, [](std::size_t) {}, [](int, std::size_t, std::string_view) {});
+        server.run(
+            {}, threads, [](std::size_t) {}, [](int, std::size_t, std::string_view) {});
       }
       ranks.join();
       REQUIRE(ranks.failed() == 0);
@@ -139,7 +140,8 @@ TEST_CASE("work: who does not agree, fails to begin or stays silent is named", "
   }
 }
 
-TEST_CASE("work: what fails ends the round with its reason, and nobody waits for ever", "[distributed][error]") {
+TEST_CASE("work: what fails ends the round with its reason, and nobody waits for ever",
+          "[distributed][error]") {
   const auto nothing = [](int, std::size_t, std::string_view) {};
   SECTION("elsewhere") {
     Ranks ranks(3);
@@ -156,7 +158,9 @@ TEST_CASE("work: what fails ends the round with its reason, and nobody waits for
       // Whoever gets it: rank 1 doubles it, rank 2 fails; again and again until rank 2 had it.
       REQUIRE_THROWS_WITH(
           [&] {
-            while (true) server.run(work, 0, [](std::size_t) {}, nothing);
+            while (true)
+              server.run(
+                  work, 0, [](std::size_t) {}, nothing);
           }(),
           "rank 2: thirteen");
     }
@@ -195,7 +199,8 @@ TEST_CASE("work: what fails ends the round with its reason, and nobody waits for
       WorkOptions options;
       options.time_limit_s = 0.05;
       WorkServer server(ranks.of(0), "", options);
-      REQUIRE_THROWS_WITH(server.run(numbers(5), 0, [](std::size_t) {}, nothing),
+      REQUIRE_THROWS_WITH(server.run(
+                              numbers(5), 0, [](std::size_t) {}, nothing),
                           Contains("rank 1 owes 2 answers"));
       wake = true;
     }
