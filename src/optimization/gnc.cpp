@@ -22,10 +22,20 @@ EnumNames<RobustKernel> enum_names(RobustKernel) {
 
 namespace {
 
-/// Regularised lower incomplete gamma function P(a, x): series below a + 1, continued fraction above.
-double gamma_p(double a, double x) {
+/// log Γ(n/2), by Γ(x + 1) = x Γ(x) from 1 or Γ(½) = √π. std::lgamma() writes to a variable that all threads
+/// share.
+double log_gamma_of_half(int n) {
+  constexpr double kHalfLogPi = 0.57236494292470008707;
+  double sum = n % 2 == 0 ? 0.0 : kHalfLogPi;
+  for (int k = n % 2 == 0 ? 2 : 1; k < n; k += 2) sum += std::log(0.5 * k);
+  return sum;
+}
+
+/// Regularised lower incomplete gamma function P(n/2, x): series below n/2 + 1, continued fraction above.
+double gamma_p(int n_halves, double x) {
   if (x <= 0.0) return 0.0;
-  const double front = std::exp(a * std::log(x) - x - std::lgamma(a));
+  const double a = 0.5 * n_halves;
+  const double front = std::exp(a * std::log(x) - x - log_gamma_of_half(n_halves));
   if (x < a + 1.0) {
     double term = 1.0 / a, sum = term;
     for (int n = 1; n < 10000 && term > 1e-17 * sum; ++n) {
@@ -54,12 +64,11 @@ double gamma_p(double a, double x) {
 double chi_squared_quantile(double probability, int degrees_of_freedom) {
   if (!(probability > 0.0 && probability < 1.0)) throw OptionError("probability must lie in (0, 1)");
   if (degrees_of_freedom < 1) throw OptionError("degrees of freedom must be positive");
-  const double a = 0.5 * degrees_of_freedom;
   double low = 0.0, high = 1.0;
-  while (gamma_p(a, 0.5 * high) < probability) high *= 2.0;
+  while (gamma_p(degrees_of_freedom, 0.5 * high) < probability) high *= 2.0;
   for (int i = 0; i < 200 && high - low > 1e-15 * high; ++i) {
     const double middle = 0.5 * (low + high);
-    (gamma_p(a, 0.5 * middle) < probability ? low : high) = middle;
+    (gamma_p(degrees_of_freedom, 0.5 * middle) < probability ? low : high) = middle;
   }
   return 0.5 * (low + high);
 }
