@@ -3,13 +3,14 @@
 
 #include <chrono>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/stop_token.hpp>
 
 namespace loopwise {
 
 /// Mission time in seconds since the start of the mission. The library reads time through this interface
 /// only.
-class Clock {
+class LOOPWISE_EXPORT Clock {
  public:
   virtual ~Clock() = default;
   [[nodiscard]] virtual double now() const = 0;
@@ -18,7 +19,7 @@ class Clock {
 };
 
 /// Jumps to the time that is waited for: a replay takes as long as its computations, never longer.
-class VirtualClock final : public Clock {
+class LOOPWISE_EXPORT VirtualClock final : public Clock {
  public:
   explicit VirtualClock(double start = 0.0) : now_(start) {}
   [[nodiscard]] double now() const override { return now_; }
@@ -29,7 +30,7 @@ class VirtualClock final : public Clock {
 };
 
 /// Follows the steady wall clock, `rate` mission seconds a second.
-class RealClock final : public Clock {
+class LOOPWISE_EXPORT RealClock final : public Clock {
  public:
   /// \throws OptionError unless rate > 0.
   explicit RealClock(double start = 0.0, double rate = 1.0);

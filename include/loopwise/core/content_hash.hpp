@@ -8,6 +8,8 @@
 #include <string_view>
 #include <tuple>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// 128 bits that stand for some content. Equal content has equal hashes; that two different contents have is
@@ -26,11 +28,11 @@ struct ContentHash {
 };
 
 /// 32 hexadecimal digits.
-[[nodiscard]] std::string to_string(const ContentHash& hash);
+[[nodiscard]] LOOPWISE_EXPORT std::string to_string(const ContentHash& hash);
 
 /// MurmurHash3 (x64, 128 bits, seed 0; Appleby 2011) of all that it is given, in pieces of any size. The
 /// pieces' borders do not count: put a length before what varies in length, as text() does.
-class ContentHasher {
+class LOOPWISE_EXPORT ContentHasher {
  public:
   ContentHasher& bytes(const void* data, std::size_t size);
   ContentHasher& text(std::string_view value);

@@ -5,6 +5,8 @@
 #include <string>
 #include <string_view>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// Node id. The top 8 bits hold a robot character, the low 56 bits the index of the node: the layout of
@@ -28,10 +30,10 @@ inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;
 }
 
 /// For people: "a12" if the character is a letter, otherwise the plain number. Files hold the number.
-[[nodiscard]] std::string key_name(Key key);
+[[nodiscard]] LOOPWISE_EXPORT std::string key_name(Key key);
 
 /// Reads a decimal number of up to 64 bits or a letter followed by an index ("a12").
 /// \throws InputError naming the text if it is neither.
-[[nodiscard]] Key parse_key(std::string_view text);
+[[nodiscard]] LOOPWISE_EXPORT Key parse_key(std::string_view text);
 
 }  // namespace loopwise

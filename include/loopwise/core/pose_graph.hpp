@@ -9,6 +9,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/registration_result.hpp>
 #include <loopwise/core/robots.hpp>
@@ -49,7 +50,7 @@ struct Edge {
 /// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, every
 /// factor's nodes exist, poses and information are finite, information is symmetric and not indefinite. Nodes
 /// and edges are numbered in the order of arrival; the numbers are what solvers work with.
-class PoseGraph {
+class LOOPWISE_EXPORT PoseGraph {
  public:
   /// \returns its number. \throws InputError on a repeated key or a pose that is not finite.
   std::size_t add_node(const Node& node);
@@ -114,13 +115,13 @@ class PoseGraph {
 };
 
 /// Connected components by edges. \returns for each node the number of its component, from 0 in node order.
-[[nodiscard]] std::vector<std::size_t> connected_components(const PoseGraph& graph);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
 /// Marks edges between consecutive nodes of one robot as odometry and all others as loop closures.
-void classify_edges(PoseGraph& graph, const Robots& robots);
+LOOPWISE_EXPORT void classify_edges(PoseGraph& graph, const Robots& robots);
 
 /// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.
 /// Positive semi-definite matrices pass, with a tolerance of 1e-9 of the largest element.
-[[nodiscard]] const char* check_information(const Matrix6d& information);
+[[nodiscard]] LOOPWISE_EXPORT const char* check_information(const Matrix6d& information);
 
 }  // namespace loopwise

@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// One kind of flaw that a reader met and could live with, how often, and where it first stood.
@@ -15,7 +17,7 @@ struct Problem {
 };
 
 /// Counted warnings of a reader: nothing is printed by the library and nothing is lost silently.
-class Problems {
+class LOOPWISE_EXPORT Problems {
  public:
   void add(const std::string& kind, const std::string& example, std::size_t count = 1);
   void add(const Problems& others);
@@ -31,6 +33,6 @@ class Problems {
 };
 
 /// One line a problem: "non-unit quaternion (3 times, first: run.g2o:41)".
-[[nodiscard]] std::string to_string(const Problem& problem);
+[[nodiscard]] LOOPWISE_EXPORT std::string to_string(const Problem& problem);
 
 }  // namespace loopwise

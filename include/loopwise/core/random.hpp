@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <utility>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 
 namespace loopwise {
@@ -32,7 +33,7 @@ namespace loopwise {
 
 /// xoshiro256** (Blackman, Vigna 2018), seeded through SplitMix64, with distributions of its own.
 /// Satisfies UniformRandomBitGenerator. Cheap to copy; not shared between threads.
-class Rng {
+class LOOPWISE_EXPORT Rng {
  public:
   using result_type = std::uint64_t;
 

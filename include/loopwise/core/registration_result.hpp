@@ -8,6 +8,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/se3.hpp>
 
@@ -41,7 +42,7 @@ enum class RejectionReason {
   kNotConverged,        ///< Refinement did not converge, or left the finite numbers.
   kFailed,              ///< The registrar threw; the message says what.
 };
-[[nodiscard]] EnumNames<RejectionReason> enum_names(RejectionReason);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<RejectionReason> enum_names(RejectionReason);
 
 /// What came of one candidate. A candidate that cannot be computed is not an error but a result with a
 /// reason.

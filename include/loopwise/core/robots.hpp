@@ -8,6 +8,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 
 namespace loopwise {
@@ -20,10 +21,10 @@ struct Robot {
 };
 
 /// The robot whose nodes carry this character.
-[[nodiscard]] Robot robot_of_character(char character, std::string name);
+[[nodiscard]] LOOPWISE_EXPORT Robot robot_of_character(char character, std::string name);
 
 /// Which key belongs to which robot. Robots are numbered from 0 in the order of their key ranges.
-class Robots {
+class LOOPWISE_EXPORT Robots {
  public:
   Robots() = default;
 
@@ -56,6 +57,6 @@ class Robots {
 
 /// Reads "0-624,625-1249" (robots named "0", "1", ...) or "husky=0-624,spot=625-1249" or "a,b" (characters).
 /// \throws OptionError naming the part that cannot be read.
-[[nodiscard]] Robots parse_robots(std::string_view text);
+[[nodiscard]] LOOPWISE_EXPORT Robots parse_robots(std::string_view text);
 
 }  // namespace loopwise

@@ -9,6 +9,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/registration_result.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
@@ -22,7 +23,8 @@ struct ClosureError {
 };
 
 /// Nothing if the truth lacks one of the two nodes.
-[[nodiscard]] std::optional<ClosureError> closure_error(const LoopClosure& closure, const PosesByKey& truth);
+[[nodiscard]] LOOPWISE_EXPORT std::optional<ClosureError> closure_error(const LoopClosure& closure,
+                                                                        const PosesByKey& truth);
 
 /// Bounds of the classes. The defaults are the paper's.
 struct ClosureClassOptions {
@@ -55,14 +57,13 @@ struct ClosureStatistics {
 };
 
 /// Share of `count` in `total` in percent; 0 of 0 is 0.
-[[nodiscard]] double percent(std::size_t count, std::size_t total);
+[[nodiscard]] LOOPWISE_EXPORT double percent(std::size_t count, std::size_t total);
 
 /// `weights[i]` is the last weight that the back end gave to `results[i]`; not read if that is not verified,
 /// and NaN where the back end never saw it, which is no inlier. `queued` counts the computed ones too.
 /// \throws InputError unless there are as many weights as results and at most `queued` of them; OptionError.
-[[nodiscard]] ClosureStatistics closure_statistics(const std::vector<RegistrationResult>& results,
-                                                   const std::vector<double>& weights, std::size_t queued,
-                                                   const PosesByKey& truth,
-                                                   const ClosureClassOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT ClosureStatistics
+closure_statistics(const std::vector<RegistrationResult>& results, const std::vector<double>& weights,
+                   std::size_t queued, const PosesByKey& truth, const ClosureClassOptions& options = {});
 
 }  // namespace loopwise

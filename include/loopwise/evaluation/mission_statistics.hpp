@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/io/mission.hpp>
 
@@ -23,7 +24,7 @@ struct RobotDrift {
 };
 
 /// One per robot that has at least two nodes with ground truth, in the order of the robots.
-[[nodiscard]] std::vector<RobotDrift> odometry_drift(const Mission& mission);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<RobotDrift> odometry_drift(const Mission& mission);
 
 struct CandidateStatisticsOptions {
   double radius_m = 30.0;
@@ -54,7 +55,7 @@ struct CandidateStatistics {
 
 /// Candidates by proximity as LAMP's base station generates them. The draw depends on the mission alone.
 /// \throws OptionError; what reading the scans throws.
-[[nodiscard]] CandidateStatistics candidate_statistics(const Mission& mission,
-                                                       const CandidateStatisticsOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT CandidateStatistics
+candidate_statistics(const Mission& mission, const CandidateStatisticsOptions& options = {});
 
 }  // namespace loopwise

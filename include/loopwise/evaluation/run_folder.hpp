@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/evaluation/closure_statistics.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
@@ -26,24 +27,27 @@ struct RunEvaluation {
   TrajectoryErrors optimized_aligned;
 };
 
-[[nodiscard]] RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
+[[nodiscard]] LOOPWISE_EXPORT RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
 
 /// What summary.json holds, as indented JSON: candidates, closures, reasons, errors, times, options.
-[[nodiscard]] std::string run_summary_json(const Mission& mission, const Config& config,
-                                           const ReplayResult& result, const RunEvaluation& evaluation);
+[[nodiscard]] LOOPWISE_EXPORT std::string run_summary_json(const Mission& mission, const Config& config,
+                                                           const ReplayResult& result,
+                                                           const RunEvaluation& evaluation);
 
 /// The header and rows of closures.csv.
-[[nodiscard]] std::string closures_csv(const ReplayResult& result);
+[[nodiscard]] LOOPWISE_EXPORT std::string closures_csv(const ReplayResult& result);
 
 /// The scans of the graph's nodes at its poses, thinned to one point per voxel. Scans are read one at a time.
-[[nodiscard]] PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double voxel_m,
-                                    const StopToken& stop = {}, const ProgressCallback& progress = {});
+[[nodiscard]] LOOPWISE_EXPORT PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans,
+                                                    double voxel_m, const StopToken& stop = {},
+                                                    const ProgressCallback& progress = {});
 
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
 /// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
 /// and, last, summary.json: where that is missing the folder is not whole. \throws IoError
-void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
-                      const ReplayResult& result, const RunEvaluation& evaluation,
-                      const std::vector<HistoryRow>& history, const PointCloud& map);
+LOOPWISE_EXPORT void write_run_folder(const std::filesystem::path& folder, const Mission& mission,
+                                      const Config& config, const ReplayResult& result,
+                                      const RunEvaluation& evaluation, const std::vector<HistoryRow>& history,
+                                      const PointCloud& map);
 
 }  // namespace loopwise

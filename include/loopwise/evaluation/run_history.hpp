@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/evaluation/closure_statistics.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/pipeline/replay.hpp>
@@ -33,7 +34,7 @@ struct HistoryRow {
 
 /// Collects the rows: one after each batch, and every 10 s of mission time where no batch ends. Hand add() to
 /// ReplayHooks::moment.
-class RunHistory {
+class LOOPWISE_EXPORT RunHistory {
  public:
   /// `mission` must outlive it. \throws OptionError
   explicit RunHistory(const Mission& mission, const ClosureClassOptions& options = {});
@@ -57,6 +58,6 @@ class RunHistory {
 };
 
 /// The header and rows of history.csv.
-[[nodiscard]] std::string history_csv(const std::vector<HistoryRow>& rows);
+[[nodiscard]] LOOPWISE_EXPORT std::string history_csv(const std::vector<HistoryRow>& rows);
 
 }  // namespace loopwise

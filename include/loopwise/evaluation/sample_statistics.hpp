@@ -8,13 +8,14 @@
 #include <limits>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 
 namespace loopwise {
 
 /// The share `p` of the values lies below, by linear interpolation between order statistics (Hyndman and Fan
 /// 1996, definition 7). NaN of no values. \pre all finite, p in [0, 1]
-[[nodiscard]] double quantile(std::vector<double> values, double p);
+[[nodiscard]] LOOPWISE_EXPORT double quantile(std::vector<double> values, double p);
 
 struct Quartiles {
   std::size_t count = 0;
@@ -23,7 +24,7 @@ struct Quartiles {
   double upper = std::numeric_limits<double>::quiet_NaN();
 };
 /// Values that are NaN do not count.
-[[nodiscard]] Quartiles quartiles(const std::vector<double>& values);
+[[nodiscard]] LOOPWISE_EXPORT Quartiles quartiles(const std::vector<double>& values);
 
 struct BootstrapOptions {
   std::int64_t resamples = 10000;
@@ -47,8 +48,8 @@ struct Interval {
 /// Percentile bootstrap interval (Efron 1979) of the median. Values that are NaN do not count. With few
 /// values it is no wider than they are: of five, it ends at the smallest and largest at most. \throws
 /// OptionError
-[[nodiscard]] Interval bootstrap_median(const std::vector<double>& values,
-                                        const BootstrapOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT Interval bootstrap_median(const std::vector<double>& values,
+                                                        const BootstrapOptions& options = {});
 
 /// One method against another on the same missions.
 struct PairedComparison {
@@ -63,7 +64,8 @@ struct PairedComparison {
 
 /// Percentile bootstrap over the pairs: each resample draws pairs, not values.
 /// \throws InputError unless both have one length; OptionError
-[[nodiscard]] PairedComparison compare_paired(const std::vector<double>& a, const std::vector<double>& b,
-                                              const BootstrapOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT PairedComparison compare_paired(const std::vector<double>& a,
+                                                              const std::vector<double>& b,
+                                                              const BootstrapOptions& options = {});
 
 }  // namespace loopwise

@@ -35,6 +35,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -45,7 +46,7 @@ namespace loopwise {
 /// Poses of the body in the common frame by node.
 using PosesByKey = std::map<Key, Eigen::Isometry3d>;
 
-[[nodiscard]] PosesByKey poses_by_key(const PoseGraph& graph);
+[[nodiscard]] LOOPWISE_EXPORT PosesByKey poses_by_key(const PoseGraph& graph);
 
 /// The rigid motion S of the whole team that is applied to the estimate before the comparison. Never a scale.
 enum class Alignment {
@@ -53,20 +54,21 @@ enum class Alignment {
   kFirst,  ///< S = Y_k X_k⁻¹ for the smallest common key: the first pose of the first robot is right.
   kSe3,    ///< S minimises Σ |trans(Y_k) − S·trans(X_k)|² (Umeyama 1991, without scale).
 };
-[[nodiscard]] EnumNames<Alignment> enum_names(Alignment);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Alignment> enum_names(Alignment);
 
 /// What determined the rotation of Alignment::kSe3. Positions on one line leave the rotation about it free,
 /// and positions in one point leave all of it free: what is free then minimises Σ ‖R_Y,k − R_S R_X,k‖² over
 /// the orientations.
 enum class AlignmentSupport { kPositions, kLine, kPoint };
-[[nodiscard]] EnumNames<AlignmentSupport> enum_names(AlignmentSupport);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<AlignmentSupport> enum_names(AlignmentSupport);
 
 /// S of the header's text over the common keys. \throws InputError as evaluate_trajectory.
 struct AlignmentResult {
   Eigen::Isometry3d T_truth_estimate = Eigen::Isometry3d::Identity();  ///< S.
   AlignmentSupport support = AlignmentSupport::kPositions;             ///< kPositions unless kSe3.
 };
-[[nodiscard]] AlignmentResult align(const PosesByKey& estimate, const PosesByKey& truth, Alignment alignment);
+[[nodiscard]] LOOPWISE_EXPORT AlignmentResult align(const PosesByKey& estimate, const PosesByKey& truth,
+                                                    Alignment alignment);
 
 /// Of a set of errors. Without any, count is 0 and the rest NaN.
 struct Statistics {
@@ -77,7 +79,7 @@ struct Statistics {
   double max = std::numeric_limits<double>::quiet_NaN();
 };
 /// \pre all finite and ≥ 0
-[[nodiscard]] Statistics statistics(std::vector<double> errors);
+[[nodiscard]] LOOPWISE_EXPORT Statistics statistics(std::vector<double> errors);
 
 struct RelativeErrors {
   double distance_m = 0.0;  ///< d; 0 for the steps between consecutive nodes.
@@ -130,8 +132,8 @@ struct TrajectoryEvaluationOptions {
 /// If `robots` is empty, robots are told apart by the characters of the keys.
 /// \throws InputError if the two share no key, or a pose is not finite or its rotation none (names the key);
 ///         UnknownKeyError if a common key belongs to none of the robots; OptionError on bad options.
-[[nodiscard]] TrajectoryErrors evaluate_trajectory(const PosesByKey& estimate, const PosesByKey& truth,
-                                                   Alignment alignment, const Robots& robots = {},
-                                                   const TrajectoryEvaluationOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT TrajectoryErrors
+evaluate_trajectory(const PosesByKey& estimate, const PosesByKey& truth, Alignment alignment,
+                    const Robots& robots = {}, const TrajectoryEvaluationOptions& options = {});
 
 }  // namespace loopwise

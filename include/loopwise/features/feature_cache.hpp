@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <memory>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
@@ -45,10 +46,11 @@ struct ScanFeatures {
 };
 
 /// Features of a cloud. Empty or degenerate clouds give empty or degenerate features, never NaN.
-[[nodiscard]] ScanFeatures compute_features(const PointCloud& cloud, const FeatureOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT ScanFeatures compute_features(const PointCloud& cloud,
+                                                            const FeatureOptions& options);
 
 /// Features of the scans by key, computed on first use and kept within a bound. Thread-safe.
-class FeatureCache {
+class LOOPWISE_EXPORT FeatureCache {
  public:
   /// \throws OptionError; InputError if `scans` is empty.
   explicit FeatureCache(ScanLoader scans, const FeatureOptions& options = {});

@@ -9,6 +9,8 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// A point found by a KdTree.
@@ -20,7 +22,7 @@ struct Neighbour {
 /// Exact nearest-neighbour search over points in 3D. Immutable: any number of threads may search at once.
 /// Points lie in leaves of a few, one array per coordinate, so that a leaf is scanned with SIMD.
 /// Equal distances are ordered by index: results depend on the points alone.
-class KdTree {
+class LOOPWISE_EXPORT KdTree {
  public:
   KdTree() = default;
   /// O(n log n). Points must be finite; equal points are fine. The points are copied.

@@ -4,13 +4,14 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
 namespace loopwise {
 
 /// Proposes loop candidates as the graph grows. Called from one thread at a time.
-class CandidateGenerator {
+class LOOPWISE_EXPORT CandidateGenerator {
  public:
   virtual ~CandidateGenerator() = default;
 

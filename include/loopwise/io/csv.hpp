@@ -11,12 +11,13 @@
 #include <type_traits>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 
 namespace loopwise {
 
 /// A CSV file with a known header. Values are converted when asked for; errors name file, line and column.
-class CsvTable {
+class LOOPWISE_EXPORT CsvTable {
  public:
   /// Blank lines are skipped, blanks around values ignored.
   /// \throws IoError; ParseError if the header differs from `columns` or a row has another number of values.
@@ -48,7 +49,7 @@ class CsvTable {
 
 /// Builds the text of a CSV file; write it with write_file(csv.text()). Numbers are written so that they read
 /// back to the same bits; NaN is written as an empty value.
-class CsvText {
+class LOOPWISE_EXPORT CsvText {
  public:
   explicit CsvText(const std::vector<std::string>& columns);
 

@@ -11,6 +11,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -97,11 +98,12 @@ struct MissionOptions {
 };
 
 /// Information of an odometry edge over a step T, by the session sigmas of the options.
-[[nodiscard]] Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
+                                                            const MissionOptions& options = {});
 
 /// What lies at the path. \throws InputError saying what was looked for if it is nothing that read_mission()
 /// reads; IoError if it does not exist.
-[[nodiscard]] MissionKind mission_kind(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT MissionKind mission_kind(const std::filesystem::path& path);
 
 /// Reads a mission folder (or its mission.json), a session folder or a g2o file. Scans are found, not read.
 ///
@@ -136,11 +138,12 @@ struct MissionOptions {
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "radio reading without
 /// node", "stamp without node", "foreign file in scans", and what the readers of the parts count.
 /// \throws IoError; ParseError or InputError naming file and line or key; OptionError
-[[nodiscard]] Mission read_mission(const std::filesystem::path& path, const MissionOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
+                                                   const MissionOptions& options = {});
 
 /// Writes a mission folder scan by scan. mission.json comes last: a folder without it is no mission, so that
 /// one whose making was interrupted is never taken for whole.
-class MissionWriter {
+class LOOPWISE_EXPORT MissionWriter {
  public:
   /// Makes the folder. \throws IoError if it exists and is not empty, or cannot be made.
   explicit MissionWriter(std::filesystem::path folder, PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
@@ -159,7 +162,7 @@ class MissionWriter {
 };
 
 /// A whole mission with the scans of `mission.scans`, one at a time in memory.
-void write_mission(const std::filesystem::path& folder, const Mission& mission,
-                   PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
+LOOPWISE_EXPORT void write_mission(const std::filesystem::path& folder, const Mission& mission,
+                                   PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
 
 }  // namespace loopwise

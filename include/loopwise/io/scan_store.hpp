@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/problems.hpp>
@@ -16,7 +17,7 @@ namespace loopwise {
 /// The scans of a mission, read when they are asked for and kept, least recently used out first, within a
 /// bound of memory. Safe to use from any number of threads; threads that ask for one scan at once have it
 /// read once. Copies share the same scans and memory.
-class ScanStore {
+class LOOPWISE_EXPORT ScanStore {
  public:
   static constexpr std::size_t kDefaultMaxBytes = std::size_t{512} << 20;
 

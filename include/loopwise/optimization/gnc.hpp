@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -17,7 +18,7 @@ enum class RobustKernel {
   kCauchy,  ///< w = 1 / (1 + r²/c²)
   kGemanMcClure,  ///< w = 1 / (1 + r²/c²)²
 };
-[[nodiscard]] EnumNames<RobustKernel> enum_names(RobustKernel);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<RobustKernel> enum_names(RobustKernel);
 
 struct GncOptions {
   RobustKernel kernel = RobustKernel::kGncTls;
@@ -68,8 +69,9 @@ struct GncResult {
 /// taken: the options' first estimate, and the chordal one of the closures that odometry does not rule out.
 /// If all closures turn out false the result is the odometry's, each loose component held at its first node.
 /// \throws OptionError, InputError as optimize() does.
-[[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const OptimizerOptions& options = {},
-                                     const GncOptions& gnc = {}, const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT GncResult optimize_gnc(const PoseGraph& graph,
+                                                     const OptimizerOptions& options = {},
+                                                     const GncOptions& gnc = {}, const StopToken& stop = {});
 
 /// True for edges that robust optimisation never doubts: odometry and trusted ones.
 [[nodiscard]] inline bool known_inlier(const Edge& edge) {
@@ -78,6 +80,6 @@ struct GncResult {
 
 /// Quantile of the chi-squared distribution: P(χ² ≤ result) = probability. \throws OptionError outside (0,
 /// 1).
-[[nodiscard]] double chi_squared_quantile(double probability, int degrees_of_freedom);
+[[nodiscard]] LOOPWISE_EXPORT double chi_squared_quantile(double probability, int degrees_of_freedom);
 
 }  // namespace loopwise

@@ -8,6 +8,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/stop_token.hpp>
@@ -22,7 +23,7 @@ enum class Initialization {
   kChordal,   ///< Rotations from the chordal relaxation, then translations: one linear solve each. For bad
               ///< values.
 };
-[[nodiscard]] EnumNames<Initialization> enum_names(Initialization);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Initialization> enum_names(Initialization);
 
 /// Which sparse Cholesky factorisation.
 enum class Factorization {
@@ -31,7 +32,7 @@ enum class Factorization {
   kSimplicial,    ///< CHOLMOD's, column by column.
   kSupernodal,    ///< CHOLMOD's, by panels of columns; needs a build with LOOPWISE_WITH_GPL.
 };
-[[nodiscard]] EnumNames<Factorization> enum_names(Factorization);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Factorization> enum_names(Factorization);
 
 /// Why an optimisation ended.
 enum class Termination {
@@ -41,7 +42,7 @@ enum class Termination {
   kNoProgress,     ///< No step lowers the cost, however short; the poses are the best seen.
   kStopped,        ///< Asked to stop; the poses are the best seen.
 };
-[[nodiscard]] EnumNames<Termination> enum_names(Termination);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Termination> enum_names(Termination);
 
 struct OptimizerOptions {
   int max_iterations = 1000;
@@ -112,19 +113,20 @@ struct OptimizationResult {
 /// Gauss-Newton, damped by Levenberg-Marquardt when a step does not lower the cost; the cost never rises.
 /// The components of a disconnected graph are solved in one go and do not influence each other's minimum.
 /// \throws OptionError on options out of range; InputError if the cost of the first estimate is not finite.
-[[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const OptimizerOptions& options = {},
-                                          const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT OptimizationResult optimize(const PoseGraph& graph,
+                                                          const OptimizerOptions& options = {},
+                                                          const StopToken& stop = {});
 
 /// ½ Σ w rᵀΩr over edges and priors at the graph's poses.
-[[nodiscard]] double graph_cost(const PoseGraph& graph);
+[[nodiscard]] LOOPWISE_EXPORT double graph_cost(const PoseGraph& graph);
 
 /// Residual r = Log(Z⁻¹ T_from⁻¹ T_to) of an edge, [translation, rotation].
-[[nodiscard]] Vector6d edge_residual(const Edge& edge, const Eigen::Isometry3d& T_w_from,
-                                     const Eigen::Isometry3d& T_w_to);
+[[nodiscard]] LOOPWISE_EXPORT Vector6d edge_residual(const Edge& edge, const Eigen::Isometry3d& T_w_from,
+                                                     const Eigen::Isometry3d& T_w_to);
 
 /// First estimates as OptimizerOptions::initialization names them; kFile returns the graph's poses.
-[[nodiscard]] std::vector<Eigen::Isometry3d> initial_poses(const PoseGraph& graph,
-                                                           Initialization initialization);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Isometry3d> initial_poses(const PoseGraph& graph,
+                                                                           Initialization initialization);
 
 struct GncOptions;
 struct GncResult;
@@ -132,7 +134,7 @@ struct GncResult;
 /// The same with the symbolic analysis kept between calls: for a graph whose estimate or weights change, or
 /// that grows. The ordering is kept while it serves and made anew when it pays; results are those of the free
 /// functions up to rounding. Not for several threads at a time.
-class PoseGraphOptimizer {
+class LOOPWISE_EXPORT PoseGraphOptimizer {
  public:
   /// \throws OptionError
   explicit PoseGraphOptimizer(OptimizerOptions options = {});

@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
@@ -36,6 +37,7 @@ struct PcmResult {
 /// to first order. A filter to put before optimize_gnc(), for false closures that come in groups of a few
 /// that agree. Quadratic in the closures. \throws OptionError; InputError if a group is larger than max_group
 /// or a closure's information is singular.
-[[nodiscard]] PcmResult pairwise_consistent(const PoseGraph& graph, const PcmOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT PcmResult pairwise_consistent(const PoseGraph& graph,
+                                                            const PcmOptions& options = {});
 
 }  // namespace loopwise

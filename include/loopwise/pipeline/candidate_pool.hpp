@@ -15,6 +15,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/prioritization/round_robin_queue.hpp>
@@ -63,7 +64,7 @@ struct CandidatePoolOptions {
 
 /// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans
 /// are not here yet, feeds the queue and keeps the account. For one thread at a time.
-class CandidatePool {
+class LOOPWISE_EXPORT CandidatePool {
  public:
   /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});

@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/generation/proximity.hpp>
@@ -140,39 +141,39 @@ struct Config {
 };
 
 /// \throws OptionError naming "section.field".
-void validate_config(const Config& config);
+LOOPWISE_EXPORT void validate_config(const Config& config);
 
 /// Reads {"generation": {"rate_m": 0.3}, ...} over `config`; what it leaves out stays. In the section
 /// "generation" the key "preset" names a proximity preset that the other keys then change. \throws IoError;
 /// ParseError naming the line; OptionError naming "section.field".
-void read_config(const std::filesystem::path& path, Config& config);
+LOOPWISE_EXPORT void read_config(const std::filesystem::path& path, Config& config);
 
 /// Sets one field, as `--set generation.rate_m=0.3` does. \throws OptionError
-void set_config_option(const std::string& assignment, Config& config);
+LOOPWISE_EXPORT void set_config_option(const std::string& assignment, Config& config);
 
 /// The whole configuration as indented JSON that read_config() takes.
-[[nodiscard]] std::string config_json(const Config& config);
+[[nodiscard]] LOOPWISE_EXPORT std::string config_json(const Config& config);
 
 /// One option for people: "generation.rate_m", its value, bounds and meaning.
 struct ConfigEntry {
   std::string name, type, value, bounds, doc;
 };
-[[nodiscard]] std::vector<ConfigEntry> describe_config(const Config& config);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<ConfigEntry> describe_config(const Config& config);
 
 /// The methods that ReplayOptions::method names.
-[[nodiscard]] std::vector<std::string> method_names();
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> method_names();
 
 /// The prioritisers of a method by name, in the order of their turns: "full" and "gi+obs" are obs and gi,
 /// "odom" is none. \throws OptionError naming the methods there are.
-[[nodiscard]] std::vector<std::string> method_parts(const std::string& method);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> method_parts(const std::string& method);
 
 /// The registrar of a kind over these features. \throws OptionError if this build has it not.
-[[nodiscard]] std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config& config,
-                                                              std::shared_ptr<FeatureCache> features);
+[[nodiscard]] LOOPWISE_EXPORT std::shared_ptr<const Registrar> make_registrar(
+    RegistrarKind kind, const Config& config, std::shared_ptr<FeatureCache> features);
 
 /// The prioritisers of a method, joined in a queue. `eigenvalue` serves the observability score.
 /// \throws OptionError naming the methods there are.
-[[nodiscard]] RoundRobinQueue make_queue(const Config& config, const Robots& robots,
-                                         const ObservabilityPrioritizer::Eigenvalue& eigenvalue);
+[[nodiscard]] LOOPWISE_EXPORT RoundRobinQueue make_queue(
+    const Config& config, const Robots& robots, const ObservabilityPrioritizer::Eigenvalue& eigenvalue);
 
 }  // namespace loopwise

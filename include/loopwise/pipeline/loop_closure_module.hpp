@@ -15,6 +15,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/options.hpp>
@@ -127,7 +128,7 @@ struct ModuleStatistics {
 /// the outcome depends on when things arrive and on how fast the machine is.
 ///
 /// Bad input throws where it is handed over and leaves the module as it was.
-class LoopClosureModule {
+class LOOPWISE_EXPORT LoopClosureModule {
  public:
   /// `config.replay` is not used: its place is taken by `options`.
   /// \throws OptionError, also on options of parts that are made from `config`.

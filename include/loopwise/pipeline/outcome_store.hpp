@@ -20,6 +20,7 @@
 #include <vector>
 
 #include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/pipeline/config.hpp>
@@ -53,7 +54,7 @@ struct OutcomeStoreStatistics {
 /// each appends to a file that it has locked, and reads what the others had written when it opened the store.
 /// The folder, or any file of it, may be deleted at any moment: what was open stays readable, the rest is
 /// computed again. Thread-safe.
-class OutcomeStore {
+class LOOPWISE_EXPORT OutcomeStore {
  public:
   /// Makes the folder if it does not exist. \throws OptionError; IoError if it cannot be made or read.
   explicit OutcomeStore(std::filesystem::path folder, const OutcomeStoreOptions& options = {});
@@ -97,7 +98,7 @@ class OutcomeStore {
 
 /// A registrar that takes from a store what is there. Its results are those of the registrar that it stands
 /// before, wall times apart: a kept outcome has the times of its computation.
-class StoredRegistrar final : public Registrar {
+class LOOPWISE_EXPORT StoredRegistrar final : public Registrar {
  public:
   /// `context` names all that outcomes depend on besides tasks and scans, see registration_context().
   /// \throws InputError on a null pointer or an empty loader.
@@ -123,6 +124,6 @@ class StoredRegistrar final : public Registrar {
 };
 
 /// The registrar's kind with all its options, those of the features, and the version of the code.
-[[nodiscard]] std::string registration_context(RegistrarKind kind, const Config& config);
+[[nodiscard]] LOOPWISE_EXPORT std::string registration_context(RegistrarKind kind, const Config& config);
 
 }  // namespace loopwise

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/progress.hpp>
 #include <loopwise/core/stop_token.hpp>
@@ -50,8 +51,10 @@ struct Ranking {
 /// The candidates of a mission's graph as it stands, at its poses, with its closures (whose pairs are left
 /// out), and the order in which the method would compute them. Nothing is computed. `features` may be null:
 /// then nothing is known of observability.
-[[nodiscard]] Ranking rank_candidates(const Mission& mission, const Config& config,
-                                      std::shared_ptr<FeatureCache> features, const RankOptions& options = {},
-                                      const ProgressCallback& progress = {}, const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT Ranking rank_candidates(const Mission& mission, const Config& config,
+                                                      std::shared_ptr<FeatureCache> features,
+                                                      const RankOptions& options = {},
+                                                      const ProgressCallback& progress = {},
+                                                      const StopToken& stop = {});
 
 }  // namespace loopwise

@@ -12,6 +12,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/problems.hpp>
@@ -90,7 +91,7 @@ struct ReplayResult {
 /// `registration_time_s` of mission time; after each batch with a new closure the graph is optimised
 /// robustly. Events are ordered by (time, kind, key): neither the wall clock nor the number of threads
 /// changes the outcome.
-class MissionReplay {
+class LOOPWISE_EXPORT MissionReplay {
  public:
   /// `mission` must outlive the replay; `features` serve the observability score.
   /// \throws OptionError naming the option; InputError on a null pointer.
@@ -111,14 +112,15 @@ class MissionReplay {
 
 /// The odometry edges that a replay uses: those of the mission, made worse by `options.odometry_noise_*` (a
 /// random walk whose steps depend on (seed, from, to) alone), their information lowered accordingly.
-[[nodiscard]] std::vector<Edge> replay_odometry(const Mission& mission, const ReplayOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Edge> replay_odometry(const Mission& mission,
+                                                                const ReplayOptions& options);
 
 /// Mission time at which each node of the graph arrives at the base station, in graph order: its stamp, or
 /// the end of the communication gap that it lies in, and never before an earlier node of its robot.
-[[nodiscard]] std::vector<double> arrival_times(const Mission& mission);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<double> arrival_times(const Mission& mission);
 
 /// A registration as one line of JSON, timings included, and back. \throws InputError
-[[nodiscard]] std::string outcome_line(const RegistrationResult& result);
-[[nodiscard]] RegistrationResult parse_outcome_line(const std::string& line);
+[[nodiscard]] LOOPWISE_EXPORT std::string outcome_line(const RegistrationResult& result);
+[[nodiscard]] LOOPWISE_EXPORT RegistrationResult parse_outcome_line(const std::string& line);
 
 }  // namespace loopwise

@@ -7,6 +7,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/se3.hpp>
@@ -21,7 +22,7 @@ namespace loopwise {
 /// of an anchor's positional covariance are three *units*, each with one variance v. One closure lowers it to
 /// v', exactly: v − v' = yᵀ(W⁻¹ + JΣJᵀ)⁻¹y, y = JΣn for the axis n. Poses, variances and closures are those
 /// that CovarianceObjective counts.
-struct ClosureEffects {
+struct LOOPWISE_EXPORT ClosureEffects {
   struct Anchor {
     std::size_t node = 0;
     std::uint32_t chain = 0;  ///< Anchors of one chain stand in its order, one after the other.
@@ -62,14 +63,16 @@ inline constexpr std::size_t kEffectAnchors = 64;
 
 /// Effects of all candidates: a sparse solve for each. `count` is the number of strata.
 /// \throws as CovarianceObjective
-[[nodiscard]] ClosureEffects closure_effects(const PoseGraph& graph,
-                                             const std::vector<LoopCandidate>& candidates,
-                                             const ClosureModelOptions& options, const ClosureModel& model,
-                                             std::size_t count = kEffectAnchors);
+[[nodiscard]] LOOPWISE_EXPORT ClosureEffects closure_effects(const PoseGraph& graph,
+                                                             const std::vector<LoopCandidate>& candidates,
+                                                             const ClosureModelOptions& options,
+                                                             const ClosureModel& model,
+                                                             std::size_t count = kEffectAnchors);
 
 /// log(v / v'), not bounded, of each unit for covariances of the same nodes after some change, as Marginals
 /// holds them: what EffectNetwork is taught.
-[[nodiscard]] Eigen::VectorXd unit_reliefs(const ClosureEffects& effects, const PoseGraph& graph,
-                                           const std::vector<Matrix6d>& covariances);
+[[nodiscard]] LOOPWISE_EXPORT Eigen::VectorXd unit_reliefs(const ClosureEffects& effects,
+                                                           const PoseGraph& graph,
+                                                           const std::vector<Matrix6d>& covariances);
 
 }  // namespace loopwise

@@ -10,6 +10,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/prioritization/closure_effects.hpp>
 #include <loopwise/prioritization/graph_objective.hpp>
 
@@ -34,7 +35,7 @@ namespace loopwise {
 /// unit.mean, unit.std (5), message.0.{weight M×9, bias M}, message.1.{weight K×M, bias K},
 /// message.skip.weight K×9, readout.0.{weight H×(3(K+2)+5), bias H}, readout.1.{weight H×H, bias H},
 /// readout.2.{weight 2×H, bias 2}.
-class EffectNetwork {
+class LOOPWISE_EXPORT EffectNetwork {
  public:
   /// \throws IoError; InputError naming file and tensor on a file that is no such network
   explicit EffectNetwork(const std::filesystem::path& weights);
@@ -53,7 +54,7 @@ class EffectNetwork {
 
 /// What the Loopwise network says of the graph with a set of closures. A swap changes two messages of each
 /// unit: its cost does not depend on the size of the graph, and hardly on that of the set.
-class EffectObjective final : public GraphObjective {
+class LOOPWISE_EXPORT EffectObjective final : public GraphObjective {
  public:
   /// \throws as CovarianceObjective; InputError on a null network
   EffectObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
@@ -86,6 +87,6 @@ class EffectObjective final : public GraphObjective {
 
 /// Which network a weights file holds: "paper" (GraphNetwork) or "loopwise" (EffectNetwork).
 /// \throws IoError; InputError on a file that is no weights file, or of another kind
-[[nodiscard]] std::string network_kind(const std::filesystem::path& weights);
+[[nodiscard]] LOOPWISE_EXPORT std::string network_kind(const std::filesystem::path& weights);
 
 }  // namespace loopwise

@@ -11,6 +11,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/prioritization/covariance_objective.hpp>
 #include <loopwise/prioritization/effect_network.hpp>
@@ -109,7 +110,7 @@ struct GraphInformationOptions {
 /// changed, the next improve() or take() starts anew.
 ///
 /// Candidates whose nodes the graph does not have yet are kept until it does; take() holds them back.
-class GraphInformationPrioritizer final : public Prioritizer {
+class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
  public:
   /// \throws OptionError; IoError or InputError if the objective's weights cannot be read.
   GraphInformationPrioritizer(const GraphInformationOptions& options, const ClosureModelOptions& closures,

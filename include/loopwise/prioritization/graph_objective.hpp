@@ -7,6 +7,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
@@ -17,7 +18,7 @@ namespace loopwise {
 /// list. An objective holds one current set; what it costs to change it is asked without changing it.
 ///
 /// Not for several threads at a time: evaluating uses scratch space.
-class GraphObjective {
+class LOOPWISE_EXPORT GraphObjective {
  public:
   virtual ~GraphObjective() = default;
 
@@ -55,7 +56,7 @@ class GraphObjective {
 };
 
 /// Members of a set of candidates, in order, with their places: what implementations keep.
-class CandidateSet {
+class LOOPWISE_EXPORT CandidateSet {
  public:
   explicit CandidateSet(std::size_t size) : place_(size, kAbsent) {}
   [[nodiscard]] const std::vector<std::size_t>& members() const { return members_; }
@@ -88,7 +89,7 @@ class CandidateSet {
 
 /// Midpoints of the candidates' nodes at the graph's poses, one each: where a closure stands for the spread
 /// of a set. \throws UnknownKeyError
-[[nodiscard]] std::vector<Eigen::Vector3d> candidate_midpoints(const PoseGraph& graph,
-                                                               const std::vector<LoopCandidate>& candidates);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Vector3d> candidate_midpoints(
+    const PoseGraph& graph, const std::vector<LoopCandidate>& candidates);
 
 }  // namespace loopwise

@@ -8,6 +8,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -23,7 +24,7 @@ struct Refusal {
 
 /// Orders pending candidates: the one interface to implement for a method of your own. Called from one thread
 /// at a time. Nodes and scans of a candidate are announced before the candidate itself.
-class Prioritizer {
+class LOOPWISE_EXPORT Prioritizer {
  public:
   virtual ~Prioritizer() = default;
 

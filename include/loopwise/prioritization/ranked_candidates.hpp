@@ -7,12 +7,13 @@
 #include <utility>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 
 namespace loopwise {
 
 /// Candidates by falling score, equal scores by rising id: what most prioritisers need. O(log n) a change.
-class RankedCandidates {
+class LOOPWISE_EXPORT RankedCandidates {
  public:
   /// \pre the id is not held yet and the score is not NaN.
   void insert(const LoopCandidate& candidate, double score);

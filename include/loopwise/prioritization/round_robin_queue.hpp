@@ -9,13 +9,14 @@
 #include <unordered_map>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 
 namespace loopwise {
 
 /// Joins the prioritisers of a method: batches take equal shares from each, best first, in turns (paper
 /// §III-E). A candidate taken from one leaves the others; one that is refused by some stays with the rest.
-class RoundRobinQueue {
+class LOOPWISE_EXPORT RoundRobinQueue {
  public:
   /// May be empty: then every candidate is refused ("no_prioritizer"). \throws InputError on a null pointer.
   explicit RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers);

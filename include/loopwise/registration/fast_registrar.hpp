@@ -4,6 +4,7 @@
 #include <memory>
 #include <string_view>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/registration/closure_tests.hpp>
@@ -87,7 +88,7 @@ struct FastRegistrarOptions {
 /// the hypotheses that the guess allows compared on the scans. The best are refined by generalized ICP
 /// (Gauss-Newton, from coarse to fine) and compared by the share of points on the target's surfaces. Hopeless
 /// pairs end before that. Thread-safe; what belongs to a scan or a submap is computed once.
-class FastRegistrar final : public Registrar {
+class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
   explicit FastRegistrar(std::shared_ptr<FeatureCache> features, const FastRegistrarOptions& options = {});

@@ -5,6 +5,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/registration/closure_tests.hpp>
@@ -59,7 +60,7 @@ struct PclRegistrarOptions {
 /// best. Refinement: pcl::GeneralizedIterativeClosestPoint with covariances from the normals. Thread-safe;
 /// descriptors are computed once a scan. PCL's console messages for invalid input are avoided by checking
 /// first; its verbosity is left alone.
-class PclRegistrar final : public Registrar {
+class LOOPWISE_EXPORT PclRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
   explicit PclRegistrar(std::shared_ptr<FeatureCache> features, const PclRegistrarOptions& options = {});

@@ -8,6 +8,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/registration_result.hpp>
@@ -49,7 +50,7 @@ struct RegistrationTask {
 
 /// Turns a candidate into a closure or a stated rejection. Thread-safe, no hidden state: the result depends
 /// on the task and its scans alone, wall times apart.
-class Registrar {
+class LOOPWISE_EXPORT Registrar {
  public:
   virtual ~Registrar() = default;
   [[nodiscard]] virtual std::string_view name() const = 0;

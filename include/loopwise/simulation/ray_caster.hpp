@@ -6,6 +6,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/simulation/world.hpp>
 
 namespace loopwise {
@@ -18,7 +19,7 @@ struct RayHit {
 
 /// Rays against a mesh, by Embree with a fixed instruction set and in its robust mode, so that the hits do
 /// not depend on the processor. Thread-safe. Takes a copy of the mesh.
-class RayCaster {
+class LOOPWISE_EXPORT RayCaster {
  public:
   /// \throws Error if Embree cannot build the scene.
   explicit RayCaster(const TriangleMesh& mesh);

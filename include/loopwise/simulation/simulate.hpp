@@ -11,6 +11,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/progress.hpp>
@@ -78,10 +79,10 @@ struct SimulationOptions {
 
 /// Bounds of the fields, and that each robot drives at least 20 m (and 10 nodes).
 /// \throws OptionError naming the field.
-void validate_simulation(const SimulationOptions& options);
+LOOPWISE_EXPORT void validate_simulation(const SimulationOptions& options);
 
 /// The options with 0 replaced by the world's own figures. \throws OptionError as validate_simulation.
-[[nodiscard]] SimulationOptions resolved(SimulationOptions options);
+[[nodiscard]] LOOPWISE_EXPORT SimulationOptions resolved(SimulationOptions options);
 
 /// Truth of one beacon, in the order of Mission::beacons.
 struct BeaconTruth {
@@ -118,23 +119,25 @@ using ScanSink = std::function<void(Key, const PointCloud&)>;
 /// Makes a mission: builds the world, plans the routes, drives, casts, drifts. A function of (options, seed)
 /// alone. \param sink if given takes the scans, so that memory stays small; then `mission.scans` is empty.
 /// \throws OptionError on bad options; SimulationStopped if a stop is requested; what the sink throws.
-[[nodiscard]] SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
-                                        const ProgressCallback& progress = {}, const StopToken& stop = {},
-                                        const ScanSink& sink = {});
+[[nodiscard]] LOOPWISE_EXPORT SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
+                                                        const ProgressCallback& progress = {},
+                                                        const StopToken& stop = {},
+                                                        const ScanSink& sink = {});
 
 /// The same into a mission folder, scan by scan. After an exception what was written is gone again.
 /// \returns the mission; its scans are those in the folder.
 /// \throws also IoError if the folder exists and is not empty, or cannot be written.
-SimulatedMission simulate_to_folder(const std::filesystem::path& folder, const SimulationOptions& options,
-                                    std::uint64_t seed, const ProgressCallback& progress = {},
-                                    const StopToken& stop = {});
+LOOPWISE_EXPORT SimulatedMission simulate_to_folder(const std::filesystem::path& folder,
+                                                    const SimulationOptions& options, std::uint64_t seed,
+                                                    const ProgressCallback& progress = {},
+                                                    const StopToken& stop = {});
 
 /// SHA-256 of the file that fixes the parameters of worlds, sensors and robots; in every mission's
 /// provenance.
-[[nodiscard]] std::string_view simulation_parameters_hash();
+[[nodiscard]] LOOPWISE_EXPORT std::string_view simulation_parameters_hash();
 
 /// Thrown when a stop was requested before a whole mission existed.
-struct SimulationStopped : Error {
+struct LOOPWISE_EXPORT SimulationStopped : Error {
   using Error::Error;
 };
 

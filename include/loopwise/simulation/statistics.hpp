@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/simulation/simulate.hpp>
 
 namespace loopwise {
@@ -39,6 +40,7 @@ struct SensorStatistics {
 };
 
 /// \throws what reading the scans throws.
-[[nodiscard]] SensorStatistics sensor_statistics(const SimulatedMission& made, int threads = 0);
+[[nodiscard]] LOOPWISE_EXPORT SensorStatistics sensor_statistics(const SimulatedMission& made,
+                                                                 int threads = 0);
 
 }  // namespace loopwise

@@ -9,6 +9,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/stop_token.hpp>
 
@@ -54,7 +55,7 @@ struct RouteGraph {
 };
 
 /// A world: its surfaces, and the ways through it. The gate lies at the origin, x leads in, z is up.
-struct World {
+struct LOOPWISE_EXPORT World {
   WorldKind kind = WorldKind::kTunnel;
   TriangleMesh mesh;
   RouteGraph routes;
@@ -67,7 +68,7 @@ struct World {
 /// \param num_threads 0 takes the number of processors.
 /// \throws OptionError unless 60 <= length_m <= 60000.
 /// \returns an unfinished mesh if a stop is requested; whoever asks for it throws the result away.
-[[nodiscard]] World make_world(WorldKind kind, double length_m, std::uint64_t seed, int num_threads = 0,
-                               const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT World make_world(WorldKind kind, double length_m, std::uint64_t seed,
+                                               int num_threads = 0, const StopToken& stop = {});
 
 }  // namespace loopwise
