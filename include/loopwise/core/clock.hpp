@@ -13,6 +13,7 @@ namespace loopwise {
 class LOOPWISE_EXPORT Clock {
  public:
   virtual ~Clock() = default;
+  /// Mission time, s.
   [[nodiscard]] virtual double now() const = 0;
   /// Returns at `time` or soon after a stop request, whichever is first; at once if `time` has passed.
   virtual void wait_until(double time, const StopToken& stop) = 0;
@@ -21,6 +22,7 @@ class LOOPWISE_EXPORT Clock {
 /// Jumps to the time that is waited for: a replay takes as long as its computations, never longer.
 class LOOPWISE_EXPORT VirtualClock final : public Clock {
  public:
+  /// Stands at `start` seconds of mission time.
   explicit VirtualClock(double start = 0.0) : now_(start) {}
   [[nodiscard]] double now() const override { return now_; }
   void wait_until(double time, const StopToken& stop) override;
@@ -47,6 +49,7 @@ class LOOPWISE_EXPORT RealClock final : public Clock {
 class Stopwatch {
  public:
   Stopwatch() : start_(std::chrono::steady_clock::now()) {}
+  /// Since construction, s.
   [[nodiscard]] double seconds() const {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   }

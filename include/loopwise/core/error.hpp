@@ -26,12 +26,14 @@ struct LOOPWISE_EXPORT InputError : Error {
 
 /// A line of a text file that cannot be read. what(): "run.g2o:41: VERTEX_SE3:QUAT needs 8 values, found 7".
 struct LOOPWISE_EXPORT ParseError : InputError {
+  /// Puts file and line before the reason.
   ParseError(const std::string& file, std::size_t line, const std::string& why)
       : InputError(file + ":" + std::to_string(line) + ": " + why) {}
 };
 
 /// A file or folder that cannot be opened, read or written. what() names the path and the system's reason.
 struct LOOPWISE_EXPORT IoError : Error {
+  /// Puts the path before the reason.
   IoError(const std::string& path, const std::string& why) : Error(path + ": " + why) {}
 };
 

@@ -14,17 +14,19 @@ namespace loopwise {
 /// Keys exceed 2^53: never hold one in a double.
 using Key = std::uint64_t;
 
-inline constexpr int kKeyIndexBits = 56;
-inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;
+inline constexpr int kKeyIndexBits = 56;  ///< Low bits of a key that hold the index.
+inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;  ///< These bits, all set.
 
 /// Key of node `index` of the robot with this character; character 0 gives the plain integer.
 [[nodiscard]] constexpr Key make_key(char character, std::uint64_t index) {
   return (static_cast<Key>(static_cast<unsigned char>(character)) << kKeyIndexBits) | (index & kKeyIndexMask);
 }
 
+/// The robot character of a key; 0 of a plain integer.
 [[nodiscard]] constexpr char key_character(Key key) {
   return static_cast<char>(key >> kKeyIndexBits);
 }
+/// The index of a key, without the robot character.
 [[nodiscard]] constexpr std::uint64_t key_index(Key key) {
   return key & kKeyIndexMask;
 }

@@ -19,30 +19,36 @@ namespace loopwise {
 
 /// A key frame: pose of the body in the common frame, p_world = pose · p_body.
 struct Node {
-  Key key = 0;
-  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-  std::int64_t stamp_ns = 0;
+  Key key = 0;  ///< Unique in its graph.
+  Eigen::Isometry3d pose =
+      Eigen::Isometry3d::Identity();  ///< T_world_body, the present estimate; translation in metres.
+  std::int64_t stamp_ns = 0;          ///< Of its scan, ns since the epoch of the recording.
   /// Marginal covariance, right perturbation [translation, rotation], when the back end computed it.
   std::optional<Matrix6d> covariance;
 };
 
 /// What is known of one node's pose beforehand: r = Log(pose⁻¹ · T_node), cost ½ rᵀΩr.
 struct PriorFactor {
-  Key key = 0;
-  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-  Matrix6d information = Matrix6d::Identity();
+  Key key = 0;  ///< The node that it holds.
+  Eigen::Isometry3d pose =
+      Eigen::Isometry3d::Identity();            ///< T_world_body, where the node is believed to be.
+  Matrix6d information = Matrix6d::Identity();  ///< Ω, order [translation, rotation], 1/m² and 1/rad².
 };
 
-enum class EdgeKind { kOdometry, kLoopClosure };
+/// What an edge comes from, which decides whether robust optimisation may doubt it.
+enum class EdgeKind {
+  kOdometry,     ///< From one node of a robot to its next: never doubted.
+  kLoopClosure,  ///< All other.
+};
 
 /// A measured relative pose: r = Log(T_from_to⁻¹ · T_from⁻¹ · T_to), cost ½·weight·rᵀΩr.
 struct Edge {
-  Key from = 0;
-  Key to = 0;
-  Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
+  Key from = 0;  ///< Node whose frame the measurement is given in.
+  Key to = 0;    ///< Node that was measured.
+  Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();  ///< Pose of `to` in the frame of `from`.
   Matrix6d information =
-      Matrix6d::Identity();  ///< Ω, order [translation, rotation], symmetric, not indefinite.
-  EdgeKind kind = EdgeKind::kLoopClosure;
+      Matrix6d::Identity();                ///< Ω, order [translation, rotation], symmetric, not indefinite.
+  EdgeKind kind = EdgeKind::kLoopClosure;  ///< Odometry or closure.
   bool trusted = false;  ///< A known inlier: robust optimisation keeps its weight at 1. Odometry always is.
   double weight = 1.0;   ///< Of the last robust optimisation, in [0, 1].
 };
@@ -71,24 +77,32 @@ class LOOPWISE_EXPORT PoseGraph {
     return replace_edges(std::move(kept));
   }
 
+  /// Whether there is a node of this key.
   [[nodiscard]] bool contains(Key key) const { return index_.count(key) != 0; }
+  /// Number of the node, if there is one of this key.
   [[nodiscard]] std::optional<std::size_t> find(Key key) const;
   /// \throws UnknownKeyError
   [[nodiscard]] std::size_t index_of(Key key) const;
   /// \throws UnknownKeyError
   [[nodiscard]] const Node& node(Key key) const { return nodes_[index_of(key)]; }
 
+  /// In order of arrival, which is their number.
   [[nodiscard]] const std::vector<Node>& nodes() const { return nodes_; }
+  /// In order of arrival.
   [[nodiscard]] const std::vector<PriorFactor>& priors() const { return priors_; }
+  /// In order of arrival, which is their number.
   [[nodiscard]] const std::vector<Edge>& edges() const { return edges_; }
+  /// Whether there is no node.
   [[nodiscard]] bool empty() const { return nodes_.empty(); }
+  /// Keys of all nodes by their number.
   [[nodiscard]] std::vector<Key> keys() const;
 
   /// Node numbers of an edge's two ends.
   struct Ends {
-    std::size_t from;
-    std::size_t to;
+    std::size_t from;  ///< Number of Edge::from.
+    std::size_t to;    ///< Number of Edge::to.
   };
+  /// Numbers of the two nodes that edge number `edge` joins.
   [[nodiscard]] Ends ends(std::size_t edge) const { return ends_[edge]; }
   /// Numbers of the edges at a node, in order of arrival.
   [[nodiscard]] const std::vector<std::size_t>& edges_of(std::size_t node) const { return adjacency_[node]; }
@@ -97,10 +111,13 @@ class LOOPWISE_EXPORT PoseGraph {
   void set_pose(Key key, const Eigen::Isometry3d& pose);
   /// One pose per node, by number. \throws InputError on another count or a pose that is not finite.
   void set_poses(const std::vector<Eigen::Isometry3d>& poses);
+  /// Poses of all nodes by their number.
   [[nodiscard]] std::vector<Eigen::Isometry3d> poses() const;
+  /// Sets or clears the marginal covariance of node number `node`; it is not checked.
   void set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance);
   /// \throws InputError unless the weight lies in [0, 1].
   void set_weight(std::size_t edge, double weight);
+  /// Sets the kind of edge number `edge`.
   void set_kind(std::size_t edge, EdgeKind kind) { edges_[edge].kind = kind; }
 
  private:

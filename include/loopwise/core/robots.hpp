@@ -15,9 +15,9 @@ namespace loopwise {
 
 /// A robot of the team and the range of keys that are its nodes, both ends included.
 struct Robot {
-  std::string name;
-  Key first = 0;
-  Key last = 0;
+  std::string name;  ///< Unique in the team, not empty.
+  Key first = 0;     ///< Least key of its nodes.
+  Key last = 0;      ///< Largest key of its nodes; it belongs to the range.
 };
 
 /// The robot whose nodes carry this character.
@@ -34,9 +34,13 @@ class LOOPWISE_EXPORT Robots {
   /// One robot per character found, named after it; all plain integers together form the robot "0".
   [[nodiscard]] static Robots from_keys(const std::vector<Key>& keys);
 
+  /// Number of robots.
   [[nodiscard]] std::size_t size() const { return robots_.size(); }
+  /// Whether there is no robot.
   [[nodiscard]] bool empty() const { return robots_.empty(); }
+  /// The robot of this number. \pre robot < size()
   [[nodiscard]] const Robot& operator[](std::size_t robot) const { return robots_[robot]; }
+  /// By number.
   [[nodiscard]] const std::vector<Robot>& all() const { return robots_; }
 
   /// The robot that owns the key, if any.

@@ -19,6 +19,7 @@ class LOOPWISE_EXPORT ThreadPool {
   ThreadPool(const ThreadPool&) = delete;
   ThreadPool& operator=(const ThreadPool&) = delete;
 
+  /// How many threads work at once.
   [[nodiscard]] int num_threads() const;
   /// Takes effect from the next for_each; must not be called while one runs.
   void resize(int num_threads);

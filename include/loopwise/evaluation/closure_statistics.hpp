@@ -18,8 +18,8 @@ namespace loopwise {
 
 /// Distance of a measured relative pose from the true one: of Y⁻¹·T with Y = Y_from⁻¹ Y_to.
 struct ClosureError {
-  double translation_m = std::numeric_limits<double>::quiet_NaN();
-  double rotation_rad = std::numeric_limits<double>::quiet_NaN();
+  double translation_m = std::numeric_limits<double>::quiet_NaN();  ///< Length of the translation.
+  double rotation_rad = std::numeric_limits<double>::quiet_NaN();   ///< Angle of the rotation, in [0, π].
 };
 
 /// Nothing if the truth lacks one of the two nodes.

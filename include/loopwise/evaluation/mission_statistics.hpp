@@ -16,7 +16,7 @@ namespace loopwise {
 
 /// Error of one robot's odometry once its first pose lies on the truth's.
 struct RobotDrift {
-  std::string robot;
+  std::string robot;         ///< Its name.
   double length_m = 0.0;     ///< True path over the nodes.
   double largest_m = 0.0;    ///< Largest error of a position.
   double largest_rad = 0.0;  ///< Largest error of an attitude.
@@ -26,6 +26,7 @@ struct RobotDrift {
 /// One per robot that has at least two nodes with ground truth, in the order of the robots.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<RobotDrift> odometry_drift(const Mission& mission);
 
+/// Which candidates are counted, and when two scans saw the same place.
 struct CandidateStatisticsOptions {
   double radius_m = 30.0;
   int skip_recent = 10;
@@ -45,6 +46,7 @@ struct CandidateStatisticsOptions {
   }
 };
 
+/// How many candidates proximity finds, and what they are worth by the truth.
 struct CandidateStatistics {
   std::size_t candidates = 0;  ///< All within the radius, by the odometry's poses.
   std::size_t looked_at = 0;   ///< Of them, with two scans and ground truth.

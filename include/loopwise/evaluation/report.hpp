@@ -18,6 +18,7 @@
 
 namespace loopwise {
 
+/// How much of its runs a page shows.
 struct ReportOptions {
   std::int64_t map_points = 20000;
   std::int64_t layer_items = 20000;
@@ -36,10 +37,10 @@ struct ReportOptions {
 
 /// What was found in the folders.
 struct Report {
-  std::string data;  ///< JSON, the page's only input.
-  std::size_t runs = 0;
-  std::size_t studies = 0;
-  std::size_t maps = 0;
+  std::string data;                ///< JSON, the page's only input.
+  std::size_t runs = 0;            ///< Runs that it shows.
+  std::size_t studies = 0;         ///< Studies that it shows.
+  std::size_t maps = 0;            ///< Runs with a map.
   std::vector<std::string> notes;  ///< What could not be shown, and why; the page shows them as well.
 };
 

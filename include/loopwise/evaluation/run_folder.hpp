@@ -19,14 +19,15 @@ namespace loopwise {
 
 /// A replay judged against the mission's ground truth.
 struct RunEvaluation {
-  ClosureStatistics closures;
-  bool has_truth = false;     ///< The rest stays empty without.
-  TrajectoryErrors odometry;  ///< In the common frame, no alignment, as the paper.
-  TrajectoryErrors optimized;
-  TrajectoryErrors odometry_aligned;  ///< After the best rigid motion.
-  TrajectoryErrors optimized_aligned;
+  ClosureStatistics closures;          ///< In the classes of the paper's Table I.
+  bool has_truth = false;              ///< The rest stays empty without.
+  TrajectoryErrors odometry;           ///< In the common frame, no alignment, as the paper.
+  TrajectoryErrors optimized;          ///< The same of the optimised estimate.
+  TrajectoryErrors odometry_aligned;   ///< After the best rigid motion.
+  TrajectoryErrors optimized_aligned;  ///< The same of the optimised estimate.
 };
 
+/// Judges a replay: closures against the truth, poses by odometry and by the estimate.
 [[nodiscard]] LOOPWISE_EXPORT RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
 
 /// What summary.json holds, as indented JSON: candidates, closures, reasons, errors, times, options.

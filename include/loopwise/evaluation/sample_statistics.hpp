@@ -17,15 +17,17 @@ namespace loopwise {
 /// 1996, definition 7). NaN of no values. \pre all finite, p in [0, 1]
 [[nodiscard]] LOOPWISE_EXPORT double quantile(std::vector<double> values, double p);
 
+/// The middle half of a sample; NaN if it is empty.
 struct Quartiles {
-  std::size_t count = 0;
-  double lower = std::numeric_limits<double>::quiet_NaN();
-  double median = std::numeric_limits<double>::quiet_NaN();
-  double upper = std::numeric_limits<double>::quiet_NaN();
+  std::size_t count = 0;                                     ///< Values, NaN left out.
+  double lower = std::numeric_limits<double>::quiet_NaN();   ///< A quarter lies below.
+  double median = std::numeric_limits<double>::quiet_NaN();  ///< Half lies below.
+  double upper = std::numeric_limits<double>::quiet_NaN();   ///< Three quarters lie below.
 };
 /// Values that are NaN do not count.
 [[nodiscard]] LOOPWISE_EXPORT Quartiles quartiles(const std::vector<double>& values);
 
+/// How intervals are drawn.
 struct BootstrapOptions {
   std::int64_t resamples = 10000;
   double level = 0.95;
@@ -41,8 +43,8 @@ struct BootstrapOptions {
 
 /// NaN of fewer than two values: one does not tell how far others would be.
 struct Interval {
-  double low = std::numeric_limits<double>::quiet_NaN();
-  double high = std::numeric_limits<double>::quiet_NaN();
+  double low = std::numeric_limits<double>::quiet_NaN();   ///< Lower end.
+  double high = std::numeric_limits<double>::quiet_NaN();  ///< Upper end.
 };
 
 /// Percentile bootstrap interval (Efron 1979) of the median. Values that are NaN do not count. With few
@@ -56,10 +58,10 @@ struct PairedComparison {
   std::size_t count = 0;                                              ///< Pairs of which neither is NaN.
   std::size_t better = 0;                                             ///< Pairs with a < b.
   double mean_difference = std::numeric_limits<double>::quiet_NaN();  ///< Of a − b.
-  Interval difference;
+  Interval difference;                                                ///< Of the mean difference.
   /// Geometric mean of a / b: missions count alike however large their errors are. NaN if any is not > 0.
   double ratio = std::numeric_limits<double>::quiet_NaN();
-  Interval ratio_interval;
+  Interval ratio_interval;  ///< Of that ratio.
 };
 
 /// Percentile bootstrap over the pairs: each resample draws pairs, not values.

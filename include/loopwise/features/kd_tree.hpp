@@ -29,7 +29,9 @@ class LOOPWISE_EXPORT KdTree {
   /// \throws InputError if there are 2^31 points or more.
   explicit KdTree(const std::vector<Eigen::Vector3f>& points);
 
+  /// Number of points.
   [[nodiscard]] std::size_t size() const { return size_; }
+  /// Whether there is no point.
   [[nodiscard]] bool empty() const { return size_ == 0; }
 
   /// The nearest point that lies closer than `max_distance_m`, if there is one.
@@ -44,6 +46,7 @@ class LOOPWISE_EXPORT KdTree {
   /// The same in the order of the tree, which costs less.
   void within_unordered(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const;
 
+  /// Memory that the tree holds, for bounded caches.
   [[nodiscard]] std::size_t bytes() const;
 
  private:

@@ -15,6 +15,7 @@ class LOOPWISE_EXPORT CandidateGenerator {
  public:
   virtual ~CandidateGenerator() = default;
 
+  /// Short and stable, for tables and logs.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
   /// The graph gained the node `key` at mission time `time_s`: proposes it against nodes that came before. A

@@ -46,6 +46,7 @@ LOOPWISE_EXPORT void validate_proximity(const ProximityOptions& options);
 /// "lamp_2022_01" (the same up to 30 m, 10 closest, skip 10), "lamp_base" (flat 30 m, skip 10; the default),
 /// "lamp_robot" (5 to 80 m, skip 15, 3 closest). \throws OptionError naming the known presets.
 [[nodiscard]] LOOPWISE_EXPORT ProximityOptions proximity_preset(std::string_view name);
+/// The presets' names.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> proximity_preset_names();
 
 /// Proposes older nodes within a radius of the current estimate, ordered by their arrival. Positions are kept

@@ -20,6 +20,7 @@
 
 namespace loopwise {
 
+/// When a node counts as near a beacon, and what makes one fly-by.
 struct RadioOptions {
   double max_loss_db = 60.0;
   std::int64_t max_gap_nodes = 20;
@@ -71,6 +72,7 @@ class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
 
   /// Nodes with readings that wait for their node or their beacon.
   [[nodiscard]] std::size_t waiting() const { return waiting_.size(); }
+  /// Flaws of the readings so far.
   [[nodiscard]] const Problems& problems() const { return problems_; }
 
  private:

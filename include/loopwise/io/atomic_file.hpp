@@ -14,8 +14,7 @@ namespace loopwise {
 
 /// Replaces or makes the file in one step: whoever opens the path finds the old contents or the new, never a
 /// part. The new contents are written beside it under another name first. A path that exists and is no
-/// regular file
-/// (/dev/stdout, a pipe) is written to directly. \throws IoError with the system's reason
+/// regular file (/dev/stdout, a pipe) is written to directly. \throws IoError with the system's reason
 LOOPWISE_EXPORT void write_file(const std::filesystem::path& path, std::string_view contents);
 
 }  // namespace loopwise

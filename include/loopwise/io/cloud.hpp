@@ -10,9 +10,10 @@
 
 namespace loopwise {
 
+/// A cloud as it was read.
 struct CloudFile {
-  PointCloud cloud;
-  Problems problems;
+  PointCloud cloud;   ///< Its points.
+  Problems problems;  ///< Flaws that the reader could live with.
 };
 
 /// Reads .pcd (ascii, binary, binary_compressed), .ply (ascii, binary of either byte order) or KITTI .bin, by
@@ -32,7 +33,12 @@ struct CloudFile {
 /// Whether read_cloud() knows the extension.
 [[nodiscard]] LOOPWISE_EXPORT bool is_cloud_file(const std::filesystem::path& path);
 
-enum class PcdEncoding { kAscii, kBinary, kBinaryCompressed };
+/// How the points stand in a PCD file.
+enum class PcdEncoding {
+  kAscii,             ///< Numbers as text, a point a line.
+  kBinary,            ///< Point by point as in memory.
+  kBinaryCompressed,  ///< Field by field, compressed by LZF.
+};
 [[nodiscard]] inline EnumNames<PcdEncoding> enum_names(PcdEncoding) {
   return {{PcdEncoding::kAscii, "ascii"},
           {PcdEncoding::kBinary, "binary"},

@@ -23,8 +23,11 @@ class LOOPWISE_EXPORT CsvTable {
   /// \throws IoError; ParseError if the header differs from `columns` or a row has another number of values.
   CsvTable(const std::filesystem::path& path, std::vector<std::string> columns);
 
+  /// Number of rows.
   [[nodiscard]] std::size_t size() const { return lines_.size(); }
+  /// Line of the file that a row stands on, from 1.
   [[nodiscard]] std::size_t line(std::size_t row) const { return lines_[row]; }
+  /// A value as it stands in the file, without quotes and blanks around it.
   [[nodiscard]] const std::string& text(std::size_t row, std::size_t column) const {
     return values_[row * columns_.size() + column];
   }
@@ -51,6 +54,7 @@ class LOOPWISE_EXPORT CsvTable {
 /// back to the same bits; NaN is written as an empty value.
 class LOOPWISE_EXPORT CsvText {
  public:
+  /// Begins with the header line.
   explicit CsvText(const std::vector<std::string>& columns);
 
   /// One value per column: text, integers (keys among them) or floating point. \throws InputError on another
@@ -63,6 +67,7 @@ class LOOPWISE_EXPORT CsvText {
     return *this;
   }
 
+  /// The whole file so far.
   [[nodiscard]] const std::string& text() const { return text_; }
 
  private:

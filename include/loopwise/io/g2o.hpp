@@ -9,9 +9,10 @@
 
 namespace loopwise {
 
+/// A graph as it was read.
 struct G2oFile {
-  PoseGraph graph;
-  Problems problems;
+  PoseGraph graph;    ///< Nodes, priors and edges in the order of the file.
+  Problems problems;  ///< Flaws that the reader could live with.
 };
 
 /// Reads a 3D pose graph. Ids are full 64-bit keys; nodes, priors and edges keep the order of the file; an

@@ -36,11 +36,11 @@ using Json = nlohmann::ordered_json;
 
 /// One option, for people.
 struct OptionDescription {
-  std::string name;
+  std::string name;           ///< Of the field, and the key in JSON.
   std::string type;           ///< "bool", "integer", "number", "text", "word", "numbers"
   std::string default_value;  ///< As JSON.
   std::string bounds;         ///< "> 0", "one of: fast, pcl"; empty if any value will do.
-  std::string doc;
+  std::string doc;            ///< Meaning and unit.
 };
 
 /// Throws an OptionError that lists what is allowed and puts the nearest first, if it is near:

@@ -35,23 +35,23 @@ enum class MissionKind {
 
 /// A robot is out of range in [begin_s, end_s) of mission time: what it makes inside arrives at end_s.
 struct CommunicationGap {
-  std::size_t robot = 0;
-  double begin_s = 0.0;
-  double end_s = 0.0;
+  std::size_t robot = 0;  ///< Number of the robot.
+  double begin_s = 0.0;   ///< Out of range from here, s.
+  double end_s = 0.0;     ///< Back in range, s.
 };
 
 /// Everything recorded of a run of a team of robots, in one common frame.
 struct Mission {
-  std::string name;
-  std::filesystem::path path;  ///< Where it was read from.
-  MissionKind kind = MissionKind::kMission;
-  Robots robots;    ///< Own every node of the graph.
+  std::string name;                          ///< Of the folder or as mission.json says.
+  std::filesystem::path path;                ///< Where it was read from.
+  MissionKind kind = MissionKind::kMission;  ///< What it was read from.
+  Robots robots;                             ///< Own every node of the graph.
   PoseGraph graph;  ///< Nodes with stamps, priors, odometry; closures only if the files hold some.
   std::shared_ptr<const ScanStore> scans = std::make_shared<ScanStore>();  ///< Never null.
   std::map<Key, Eigen::Isometry3d> ground_truth;                           ///< Empty if not known.
   std::vector<CommunicationGap> gaps;                                      ///< By robot, then begin.
-  std::vector<RadioReading> radio;
-  std::vector<BeaconDrop> beacons;
+  std::vector<RadioReading> radio;                                         ///< In the order of the file.
+  std::vector<BeaconDrop> beacons;                                         ///< In the order of the file.
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json says otherwise.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
@@ -63,6 +63,7 @@ struct Mission {
   }
 };
 
+/// How a mission is read, and what is put in where its files say nothing.
 struct MissionOptions {
   /// As parse_robots() takes it. Empty: as mission.json says, or one robot per character of the keys.
   std::string robots;

@@ -19,7 +19,7 @@ namespace loopwise {
 /// read once. Copies share the same scans and memory.
 class LOOPWISE_EXPORT ScanStore {
  public:
-  static constexpr std::size_t kDefaultMaxBytes = std::size_t{512} << 20;
+  static constexpr std::size_t kDefaultMaxBytes = std::size_t{512} << 20;  ///< 512 MiB.
 
   /// No scans.
   ScanStore() : ScanStore(std::map<Key, std::filesystem::path>{}) {}
@@ -30,10 +30,13 @@ class LOOPWISE_EXPORT ScanStore {
   /// Scans from elsewhere: `source` is asked for one of `keys` when it is needed and not in memory.
   ScanStore(const std::vector<Key>& keys, ScanLoader source, std::size_t max_bytes = kDefaultMaxBytes);
 
+  /// Whether the node has a scan.
   [[nodiscard]] bool has(Key key) const;
   /// Ascending.
   [[nodiscard]] std::vector<Key> keys() const;
+  /// Number of scans.
   [[nodiscard]] std::size_t size() const;
+  /// Whether there is no scan.
   [[nodiscard]] bool empty() const { return size() == 0; }
 
   /// The scan of the node, or null if it has none. A scan larger than the bound is handed out but not kept.

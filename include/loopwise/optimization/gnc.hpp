@@ -20,6 +20,7 @@ enum class RobustKernel {
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<RobustKernel> enum_names(RobustKernel);
 
+/// Robust optimisation: kernel, threshold and schedule.
 struct GncOptions {
   RobustKernel kernel = RobustKernel::kGncTls;
   double inlier_probability = 0.99;
@@ -50,14 +51,15 @@ struct GncOptions {
   }
 };
 
+/// What robust optimisation came to.
 struct GncResult {
   /// Poses, cost with the final weights; cost_initial is the plain cost, all weights 1, at the first
   /// estimate.
   OptimizationResult optimization;
   std::vector<double> weights;  ///< One per edge, in graph order. Odometry and trusted edges have 1.
-  int outer_iterations = 0;
-  std::size_t inliers = 0;   ///< Closures (edges that are not known inliers) of weight > 0.5.
-  std::size_t outliers = 0;  ///< The other closures.
+  int outer_iterations = 0;     ///< Of all starts.
+  std::size_t inliers = 0;      ///< Closures (edges that are not known inliers) of weight > 0.5.
+  std::size_t outliers = 0;     ///< The other closures.
   /// ½ Σ rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures, at the poses.
   double truncated_cost = 0.0;
 };

@@ -14,7 +14,8 @@
 
 namespace loopwise {
 
-using Matrix12d = Eigen::Matrix<double, 12, 12>;
+using Matrix12d =
+    Eigen::Matrix<double, 12, 12>;  ///< A covariance over two poses, each [translation, rotation].
 
 /// Marginal covariances of the poses: right perturbation, order [translation, rotation], m and rad, body
 /// frame.
@@ -46,6 +47,7 @@ class LOOPWISE_EXPORT HessianFactor {
 
   /// 6 times the number of nodes.
   [[nodiscard]] Eigen::Index dimension() const;
+  /// Whether the node is held in place, and so counts as known exactly.
   [[nodiscard]] bool held(std::size_t node) const;
 
   /// Σ · rhs. rhs has dimension() rows.

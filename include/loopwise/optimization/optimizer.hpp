@@ -44,6 +44,7 @@ enum class Termination {
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<Termination> enum_names(Termination);
 
+/// Optimisation: when to stop, where to start, and how to factorise.
 struct OptimizerOptions {
   int max_iterations = 1000;
   double cost_tolerance = 1e-11;
@@ -76,16 +77,17 @@ struct OptimizerOptions {
 
 /// One step of an optimisation, taken or not.
 struct IterationRecord {
-  int iteration = 0;
+  int iteration = 0;       ///< From 1.
   double cost = 0.0;       ///< After the step, also if it was refused.
   double decrease = 0.0;   ///< Cost before minus after.
   double predicted = 0.0;  ///< What the linear model promised.
   double gradient = 0.0;   ///< Largest element of the gradient before the step.
   double step = 0.0;       ///< Largest element of the step, m or rad.
-  double damping = 0.0;
-  bool accepted = false;
+  double damping = 0.0;    ///< Of the step, relative to the Hessian's diagonal; 0: Gauss-Newton.
+  bool accepted = false;   ///< Whether the step was taken.
 };
 
+/// What an optimisation came to.
 struct OptimizationResult {
   std::vector<Eigen::Isometry3d> poses;  ///< One per node, in graph order.
   double cost_initial = 0.0;             ///< ½ Σ w rᵀΩr over edges and priors at the first estimate.
@@ -94,9 +96,9 @@ struct OptimizationResult {
   double gradient = 0.0;          ///< The same at `poses`.
   int iterations = 0;             ///< Steps tried.
   int factorizations = 0;         ///< Numeric factorisations, refused steps and initialisation included.
-  bool converged = false;
-  Termination termination = Termination::kNothingToDo;
-  std::string message;         ///< For people; never parse it.
+  bool converged = false;         ///< Ended by the tolerances, or had nothing to do.
+  Termination termination = Termination::kNothingToDo;  ///< Why it ended.
+  std::string message;                                  ///< For people; never parse it.
   std::size_t components = 0;  ///< Connected components of the graph, lone nodes included.
   /// Nodes held in place because nothing anchors their component: no prior acts in it. Nodes without any
   /// factor stay in place as well and are not listed.
@@ -104,8 +106,8 @@ struct OptimizationResult {
   /// True if the factors leave some direction undetermined (semi-definite information): along it the poses
   /// stay near the first estimate, and there are no marginal covariances.
   bool underdetermined = false;
-  std::vector<IterationRecord> trace;
-  double seconds = 0.0;  ///< Wall time. For reports only.
+  std::vector<IterationRecord> trace;  ///< Every step that was tried.
+  double seconds = 0.0;                ///< Wall time. For reports only.
 };
 
 /// Minimises ½ Σ w rᵀΩr over the poses: edges r = Log(Z⁻¹ T_i⁻¹ T_j), priors r = Log(Z⁻¹ T_i), full SE(3)
@@ -142,7 +144,9 @@ class LOOPWISE_EXPORT PoseGraphOptimizer {
   PoseGraphOptimizer(PoseGraphOptimizer&&) noexcept;
   PoseGraphOptimizer& operator=(PoseGraphOptimizer&&) noexcept;
 
+  /// As the free function optimize().
   [[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const StopToken& stop = {});
+  /// As the free function optimize_gnc(). \throws OptionError
   [[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const GncOptions& options,
                                        const StopToken& stop = {});
 

@@ -10,6 +10,7 @@
 
 namespace loopwise {
 
+/// When two closures agree.
 struct PcmOptions {
   double inlier_probability = 0.99;
   std::size_t max_group = 5000;
@@ -25,10 +26,11 @@ struct PcmOptions {
   }
 };
 
+/// Which closures are left.
 struct PcmResult {
-  std::vector<bool> kept;  ///< One per edge, in graph order. Known inliers are always kept.
-  std::size_t inliers = 0;
-  std::size_t outliers = 0;
+  std::vector<bool> kept;    ///< One per edge, in graph order. Known inliers are always kept.
+  std::size_t inliers = 0;   ///< Closures that are kept.
+  std::size_t outliers = 0;  ///< The other closures.
 };
 
 /// Pairwise consistency maximisation (Mangelson et al., ICRA 2018): keeps, for each pair of odometry chains

@@ -36,11 +36,13 @@ struct CandidateAccounting {
 
   /// Generated and not pruned: the denominator of the paper's Table I.
   [[nodiscard]] std::size_t queued() const { return generated - pruned; }
+  /// Whether the invariant holds.
   [[nodiscard]] bool balanced() const {
     return generated == pruned + expired + waiting + pending + in_flight + computed;
   }
 };
 
+/// When candidates expire, and which come last.
 struct CandidatePoolOptions {
   double max_age_s = 0.0;
   double max_wait_s = 600.0;
@@ -76,6 +78,7 @@ class LOOPWISE_EXPORT CandidatePool {
   /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
   /// pending.
   void on_scan(const KeyedScan& scan);
+  /// A new estimate is here: the prioritisers learn of it.
   void on_graph(const PoseGraph& graph);
 
   /// Expires what is too old, waits too long, or exceeds the cap at mission time `now_s`.
@@ -98,10 +101,13 @@ class LOOPWISE_EXPORT CandidatePool {
 
   /// Mission time at which the oldest pending candidate was generated, if any is.
   [[nodiscard]] std::optional<double> oldest_pending_s() const;
+  /// Where every candidate is.
   [[nodiscard]] const CandidateAccounting& accounting() const { return accounting_; }
   /// How many were pruned or expired, by reason.
   [[nodiscard]] const std::map<std::string, std::size_t>& pruned_reasons() const { return pruned_reasons_; }
+  /// See pruned_reasons().
   [[nodiscard]] const std::map<std::string, std::size_t>& expired_reasons() const { return expired_reasons_; }
+  /// The prioritisers, in turns.
   [[nodiscard]] const RoundRobinQueue& queue() const { return queue_; }
 
  private:

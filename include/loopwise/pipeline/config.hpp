@@ -35,6 +35,7 @@ enum class GuessSource {
   return {{GuessSource::kEstimate, "estimate"}, {GuessSource::kOdometry, "odometry"}};
 }
 
+/// Which implementation computes the candidates.
 enum class RegistrarKind {
   kFast,  ///< FastRegistrar
   kPcl,   ///< PclRegistrar, the reference
@@ -43,6 +44,7 @@ enum class RegistrarKind {
   return {{RegistrarKind::kFast, "fast"}, {RegistrarKind::kPcl, "pcl"}};
 }
 
+/// A replay: method, model of time, disturbances of the odometry.
 struct ReplayOptions {
   std::string method = "obs";
   std::int64_t batch = 100;
@@ -101,22 +103,22 @@ struct ReplayOptions {
 
 /// All options of a run: the sections of a configuration file.
 struct Config {
-  MissionOptions mission;
-  ProximityOptions generation;
-  RadioOptions radio;
-  FeatureOptions features;
-  CandidatePoolOptions pool;
-  ObservabilityPriorityOptions observability;
-  GraphInformationOptions graph_information;
-  ClosureModelOptions closure_model;
-  AnnealingOptions annealing;
-  GreedyOptions greedy;
-  TaskOptions task;
-  FastRegistrarOptions fast_registrar;
-  PclRegistrarOptions pcl_registrar;
-  OptimizerOptions optimization;
-  GncOptions gnc = from_running_estimates();
-  ReplayOptions replay;
+  MissionOptions mission;                      ///< Reading of missions.
+  ProximityOptions generation;                 ///< Candidates by proximity.
+  RadioOptions radio;                          ///< Candidates by radio beacons.
+  FeatureOptions features;                     ///< Scans made ready: voxels, normals, cache.
+  CandidatePoolOptions pool;                   ///< Expiry of candidates.
+  ObservabilityPriorityOptions observability;  ///< Prioritiser `obs`.
+  GraphInformationOptions graph_information;   ///< Prioritiser `gi`.
+  ClosureModelOptions closure_model;           ///< What `gi` takes a candidate's closure for.
+  AnnealingOptions annealing;                  ///< Simulated annealing of `gi`.
+  GreedyOptions greedy;                        ///< Greedy choice of `gi`.
+  TaskOptions task;                            ///< Scans and guesses that a registration is given.
+  FastRegistrarOptions fast_registrar;         ///< Registration `fast`.
+  PclRegistrarOptions pcl_registrar;           ///< Registration `pcl`, the reference.
+  OptimizerOptions optimization;               ///< The back end.
+  GncOptions gnc = from_running_estimates();   ///< Its robust weights.
+  ReplayOptions replay;                        ///< The replay itself.
 
   /// Calls visitor(name, section) for each, as core/options.hpp does for fields.
   template <class Self, class Visitor>
@@ -156,8 +158,13 @@ LOOPWISE_EXPORT void set_config_option(const std::string& assignment, Config& co
 
 /// One option for people: "generation.rate_m", its value, bounds and meaning.
 struct ConfigEntry {
-  std::string name, type, value, bounds, doc;
+  std::string name;    ///< "section.field"
+  std::string type;    ///< As OptionDescription::type.
+  std::string value;   ///< As JSON.
+  std::string bounds;  ///< As OptionDescription::bounds.
+  std::string doc;     ///< Meaning and unit.
 };
+/// Every option with its present value, by section.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<ConfigEntry> describe_config(const Config& config);
 
 /// The methods that ReplayOptions::method names.

@@ -28,6 +28,7 @@
 
 namespace loopwise {
 
+/// Bound of a store.
 struct OutcomeStoreOptions {
   double max_mb = 4096.0;
 
@@ -42,9 +43,9 @@ struct OutcomeStoreOptions {
 struct OutcomeStoreStatistics {
   std::size_t found_at_start = 0;  ///< Outcomes on disk when it was opened.
   std::size_t damaged_bytes = 0;   ///< Of its files, that hold no outcome: cut short or changed. Never used.
-  std::size_t hits = 0;
-  std::size_t computed = 0;
-  std::string problem;  ///< Why nothing is kept any more (a full disk); empty while all is well.
+  std::size_t hits = 0;            ///< Outcomes that were there when they were asked for.
+  std::size_t computed = 0;        ///< Outcomes that were not.
+  std::string problem;             ///< Why nothing is kept any more (a full disk); empty while all is well.
 };
 
 /// A folder of outcomes by the hash of all that they depend on.
@@ -67,6 +68,7 @@ class LOOPWISE_EXPORT OutcomeStore {
   [[nodiscard]] RegistrationResult get(const ContentHash& key, const LoopCandidate& candidate,
                                        const std::function<RegistrationResult()>& compute);
 
+  /// What it has done since it was opened.
   [[nodiscard]] OutcomeStoreStatistics statistics() const;
 
  private:

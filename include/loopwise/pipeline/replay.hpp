@@ -31,25 +31,26 @@ using KnownOutcomes = std::map<std::pair<Key, Key>, RegistrationResult>;
 
 /// A candidate that was computed, when, and what the back end made of it.
 struct ComputedCandidate {
-  RegistrationResult result;
+  RegistrationResult result;    ///< What the registration came to.
   double mission_time_s = 0.0;  ///< When the result came.
   double weight = 0.0;          ///< Last weight of the robust optimisation; 0 if rejected.
 };
 
 /// A run at one moment of mission time. The references hold during the call alone.
 struct ReplayMoment {
+  /// What has just happened.
   enum class Kind {
     kKeyFrame,    ///< Key frames have arrived.
     kBatch,       ///< A batch is done, and the graph optimised if it brought a closure.
     kMissionEnd,  ///< The last key frame has arrived.
     kEnd,         ///< The run is over.
   };
-  Kind kind = Kind::kKeyFrame;
-  double mission_time_s = 0.0;
-  const PoseGraph& graph;
+  Kind kind = Kind::kKeyFrame;                     ///< What has just happened.
+  double mission_time_s = 0.0;                     ///< When.
+  const PoseGraph& graph;                          ///< Of the nodes that have arrived, at the last estimate.
   const std::vector<Eigen::Isometry3d>& odometry;  ///< In the order of graph.nodes().
-  const std::vector<ComputedCandidate>& computed;
-  const CandidateAccounting& accounting;
+  const std::vector<ComputedCandidate>& computed;  ///< In the order of their results.
+  const CandidateAccounting& accounting;           ///< Where every candidate is.
 };
 
 /// What a run tells while it goes on. Any may be empty.
@@ -57,32 +58,33 @@ struct ReplayHooks {
   /// Takes one line of JSON, without its line end, per event: in the order of mission time, the same in every
   /// run.
   std::function<void(const std::string& line)> journal;
-  using OutcomeSink = std::function<void(const RegistrationResult& result)>;
+  using OutcomeSink = std::function<void(const RegistrationResult& result)>;  ///< See `outcome`.
   /// Takes every registration as soon as it is computed, in any order, one at a time from any thread.
   OutcomeSink outcome;
   /// Is shown the run after key frames and batches, in the order of mission time, the same in every run.
   std::function<void(const ReplayMoment& moment)> moment;
-  ProgressCallback progress;
-  StopToken stop;
+  ProgressCallback progress;  ///< Is told how far the run is.
+  StopToken stop;             ///< Ends the run early; it then returns what there is.
 };
 
+/// What a run came to.
 struct ReplayResult {
   PoseGraph graph;  ///< Last estimate: priors, odometry, verified closures with weights.
-  std::vector<Eigen::Isometry3d> odometry;    ///< Poses by odometry alone, in the order of graph.nodes().
-  std::vector<ComputedCandidate> computed;    ///< In the order of their results.
-  CandidateAccounting accounting;             ///< At the end nothing waits or is in flight.
-  std::map<std::string, std::size_t> pruned;  ///< By reason.
-  std::map<std::string, std::size_t> expired;
+  std::vector<Eigen::Isometry3d> odometry;     ///< Poses by odometry alone, in the order of graph.nodes().
+  std::vector<ComputedCandidate> computed;     ///< In the order of their results.
+  CandidateAccounting accounting;              ///< At the end nothing waits or is in flight.
+  std::map<std::string, std::size_t> pruned;   ///< By reason.
+  std::map<std::string, std::size_t> expired;  ///< By reason.
   std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
   double mission_time_s = 0.0;                                  ///< When the run ended.
   double mission_end_s = 0.0;                                   ///< When the last key frame arrives.
-  std::size_t batches = 0;
-  std::size_t optimizations = 0;
-  bool interrupted = false;  ///< A stop was requested: the result is what there was until then.
-  Problems problems;
+  std::size_t batches = 0;                                      ///< Handed to the computation.
+  std::size_t optimizations = 0;                                ///< Estimates made by the back end.
+  bool interrupted = false;     ///< A stop was requested: the result is what there was until then.
+  Problems problems;            ///< Flaws of the mission that the run met.
   double registration_s = 0.0;  ///< Wall time by stage. For reports only.
-  double optimization_s = 0.0;
-  double total_s = 0.0;
+  double optimization_s = 0.0;  ///< Of the back end.
+  double total_s = 0.0;         ///< Of the whole run.
 };
 
 /// Replays a recorded mission on a virtual clock (paper §IV): key frames arrive at their stamps or, after a
@@ -121,6 +123,7 @@ class LOOPWISE_EXPORT MissionReplay {
 
 /// A registration as one line of JSON, timings included, and back. \throws InputError
 [[nodiscard]] LOOPWISE_EXPORT std::string outcome_line(const RegistrationResult& result);
+/// Reads what outcome_line() wrote. \throws InputError
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult parse_outcome_line(const std::string& line);
 
 }  // namespace loopwise

@@ -28,6 +28,7 @@ class LOOPWISE_EXPORT ArrivalPrioritizer final : public Prioritizer {
 /// every set is as likely as any other and the order of arrival never shows.
 class LOOPWISE_EXPORT RandomPrioritizer final : public Prioritizer {
  public:
+  /// Equal seeds give equal orders.
   explicit RandomPrioritizer(std::uint64_t seed) : seed_(seed) {}
   [[nodiscard]] std::string_view name() const override { return "random"; }
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override;

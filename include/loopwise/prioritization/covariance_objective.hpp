@@ -35,6 +35,7 @@ enum class Holding {
   return {{Holding::kAutomatic, "automatic"}, {Holding::kColumns, "columns"}, {Holding::kDense, "dense"}};
 }
 
+/// What a candidate's closure is taken for, and how its effect is computed.
 struct ClosureModelOptions {
   double sigma_m = 0.1;
   double sigma_rad = 0.02;
@@ -84,6 +85,7 @@ class LOOPWISE_EXPORT CovarianceObjective final : public GraphObjective {
   /// that is not finite, and naming a node if the graph's factors do not determine its pose.
   CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                       const ClosureModelOptions& options = {});
+  /// With a model of one's own.
   CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                       const ClosureModelOptions& options, const ClosureModel& model);
   ~CovarianceObjective() override;
@@ -117,8 +119,10 @@ class LOOPWISE_EXPORT CovarianceObjective final : public GraphObjective {
 /// (Khosoussi et al., IJRR 2019). Submodular, so lazy greedy choice is exact. Other things as above.
 class LOOPWISE_EXPORT LogDetObjective final : public GraphObjective {
  public:
+  /// \throws as CovarianceObjective
   LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   const ClosureModelOptions& options = {});
+  /// With a model of one's own.
   LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   const ClosureModelOptions& options, const ClosureModel& model);
   ~LogDetObjective() override;

@@ -54,11 +54,16 @@ class LOOPWISE_EXPORT GraphNetwork {
   GraphNetwork(GraphNetwork&&) noexcept;
   GraphNetwork& operator=(GraphNetwork&&) noexcept;
 
+  /// Features of a node: F.
   [[nodiscard]] Eigen::Index node_features() const;
+  /// Features of an edge: D.
   [[nodiscard]] Eigen::Index edge_features() const;
+  /// Width of the hidden layers: H.
   [[nodiscard]] Eigen::Index hidden() const;
+  /// Number of graph convolutions.
   [[nodiscard]] std::size_t convolutions() const;
 
+  /// A graph as the network sees it.
   struct Input {
     Eigen::MatrixXd nodes;                                       ///< A row of features for each node.
     std::vector<std::pair<std::uint32_t, std::uint32_t>> edges;  ///< Messages go from first to second.
@@ -85,8 +90,8 @@ class LOOPWISE_EXPORT GraphNetwork {
 /// swap is evaluated on the nodes downstream of the two `to` nodes alone.
 class LOOPWISE_EXPORT GnnObjective final : public GraphObjective {
  public:
-  /// \param covariances marginal covariances of the graph's nodes, as Marginals holds them; where they are
-  /// not finite or missing (an empty list) features are 0.
+  /// `covariances` are the marginal ones of the graph's nodes, as Marginals holds them; where they are not
+  /// finite or missing (an empty list) features are 0.
   /// \throws UnknownKeyError; InputError on another number of covariances or a null or unfit network
   GnnObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                std::shared_ptr<const GraphNetwork> network, GnnFeatures features,

@@ -25,6 +25,7 @@ enum class ObservabilityVariant {
   return {{ObservabilityVariant::kPaper, "paper"}, {ObservabilityVariant::kLamp, "lamp"}};
 }
 
+/// Which score, and from where on candidates are refused.
 struct ObservabilityPriorityOptions {
   ObservabilityVariant variant = ObservabilityVariant::kPaper;
   double min_sum = 0.1;

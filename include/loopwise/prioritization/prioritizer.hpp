@@ -18,7 +18,7 @@ namespace loopwise {
 
 /// A candidate that a prioritiser does not want.
 struct Refusal {
-  CandidateId id = 0;
+  CandidateId id = 0;  ///< The candidate.
   std::string reason;  ///< Short and stable, for example "low_observability".
 };
 
@@ -28,6 +28,7 @@ class LOOPWISE_EXPORT Prioritizer {
  public:
   virtual ~Prioritizer() = default;
 
+  /// Short and stable: stands in options, tables and journals.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
   /// New candidates, in order of generation. \returns those it will never hand out.

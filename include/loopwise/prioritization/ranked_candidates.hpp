@@ -19,7 +19,9 @@ class LOOPWISE_EXPORT RankedCandidates {
   void insert(const LoopCandidate& candidate, double score);
   /// Ids that are not held are ignored.
   void erase(const std::vector<CandidateId>& ids);
+  /// Removes and returns the first `count`, or all if there are fewer.
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
+  /// How many are held.
   [[nodiscard]] std::size_t size() const { return held_.size(); }
 
  private:

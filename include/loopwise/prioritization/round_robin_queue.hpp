@@ -23,9 +23,13 @@ class LOOPWISE_EXPORT RoundRobinQueue {
 
   /// \returns the candidates that every prioritiser refused, with their reasons joined.
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
+  /// Expired or withdrawn: all prioritisers forget them.
   void remove(const std::vector<CandidateId>& ids);
+  /// Hands on to all prioritisers.
   void on_graph(const PoseGraph& graph);
+  /// Hands on to all prioritisers.
   void on_scan(const KeyedScan& scan);
+  /// Hands on to all prioritisers.
   void on_result(const RegistrationResult& result);
 
   /// Lets every prioritiser prepare its share of a batch of `count`.
@@ -43,6 +47,7 @@ class LOOPWISE_EXPORT RoundRobinQueue {
 
   /// Candidates that at least one prioritiser holds.
   [[nodiscard]] std::size_t size() const { return holders_.size(); }
+  /// In the order of their turns.
   [[nodiscard]] const std::vector<std::unique_ptr<Prioritizer>>& prioritizers() const {
     return prioritizers_;
   }

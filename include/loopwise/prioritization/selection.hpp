@@ -19,13 +19,14 @@ namespace loopwise {
 
 /// A chosen set of candidates and what choosing it took.
 struct Selection {
-  std::vector<std::size_t> set;  ///< Most valuable first where the selector knows.
-  double value = 0.0;            ///< The objective of the set.
-  std::uint64_t evaluations = 0;
-  std::uint64_t accepted = 0;  ///< Swaps made by annealing.
-  bool stopped = false;        ///< A stop was requested before the end; the set is full nevertheless.
+  std::vector<std::size_t> set;   ///< Most valuable first where the selector knows.
+  double value = 0.0;             ///< The objective of the set.
+  std::uint64_t evaluations = 0;  ///< Of the objective, or of changes of it.
+  std::uint64_t accepted = 0;     ///< Swaps made by annealing.
+  bool stopped = false;           ///< A stop was requested before the end; the set is full nevertheless.
 };
 
+/// Greedy choice.
 struct GreedyOptions {
   bool lazy = false;
   double connecting_share = 0.5;
@@ -43,12 +44,13 @@ struct GreedyOptions {
 /// Takes the candidate that lowers the objective most, again and again; connecting candidates first, spread
 /// over their midpoints. Ties go to the lower number. Leaves the set in the objective. After a stop request
 /// the rest follows by the gains known last.
-/// \param midpoints one for each candidate. \throws InputError on another number of them.
+/// `midpoints` has one for each candidate. \throws InputError on another number of them.
 [[nodiscard]] LOOPWISE_EXPORT Selection greedy(GraphObjective& objective,
                                                const std::vector<Eigen::Vector3d>& midpoints,
                                                std::size_t count, const GreedyOptions& options = {},
                                                const StopToken& stop = {});
 
+/// Simulated annealing: temperatures and partners.
 struct AnnealingOptions {
   double temperature_max = 1.0;
   double temperature_min = 1e-4;
@@ -106,9 +108,13 @@ class LOOPWISE_EXPORT SimulatedAnnealing {
   /// run.
   [[nodiscard]] Selection best();
 
+  /// Swaps tried so far.
   [[nodiscard]] std::uint64_t steps() const { return steps_; }
+  /// Swaps made so far.
   [[nodiscard]] std::uint64_t accepted() const { return accepted_; }
+  /// Evaluations used so far, those for the scale included.
   [[nodiscard]] std::uint64_t evaluations() const { return evaluations_; }
+  /// The objective of the set that it started from.
   [[nodiscard]] double start_value() const { return start_value_; }
 
  private:

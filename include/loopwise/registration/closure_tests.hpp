@@ -18,6 +18,7 @@
 
 namespace loopwise {
 
+/// Bounds of the tests that a closure must pass, and what its covariance allows for.
 struct ClosureTestOptions {
   int min_points = 20;
   int measured_points = 4000;

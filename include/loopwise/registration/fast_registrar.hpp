@@ -12,6 +12,7 @@
 
 namespace loopwise {
 
+/// Registration `fast`: descriptors, consensus, refinement, tests.
 struct FastRegistrarOptions {
   double fpfh_radius_m = 2.5;
   int fpfh_neighbours = 40;
@@ -31,7 +32,7 @@ struct FastRegistrarOptions {
   int coarse_points = 300;
   int fine_points = 2000;
   double max_descriptor_mb = 256.0;
-  ClosureTestOptions tests = default_tests();
+  ClosureTestOptions tests = default_tests();  ///< Fields of the same section.
 
   /// Unlike the reference's: detail decides, so scans may reach further beyond each other.
   [[nodiscard]] static ClosureTestOptions default_tests() {

@@ -13,6 +13,7 @@
 
 namespace loopwise {
 
+/// Registration `pcl`: descriptors, SAC-IA, GICP, tests.
 struct PclRegistrarOptions {
   double fpfh_radius_m = 2.0;
   int key_points = 1000;
@@ -25,7 +26,7 @@ struct PclRegistrarOptions {
   double gicp_translation_epsilon_m = 5e-4;
   double gicp_rotation_epsilon = 5e-4;
   double max_descriptor_mb = 256.0;
-  ClosureTestOptions tests;
+  ClosureTestOptions tests;  ///< Fields of the same section.
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {

@@ -14,6 +14,7 @@
 
 namespace loopwise {
 
+/// Which scans a registration is given.
 struct TaskOptions {
   int source_neighbours = 0;
   int target_neighbours = 2;
