@@ -30,8 +30,8 @@ set(CPACK_DEBIAN_LOOPWISE_RUNTIME_PACKAGE_SECTION libs)
 set(CPACK_DEBIAN_LOOPWISE_RUNTIME_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_LOOPWISE_RUNTIME_PACKAGE_GENERATE_SHLIBS ON)
 set(CPACK_COMPONENT_LOOPWISE_RUNTIME_DESCRIPTION "${PROJECT_DESCRIPTION} (shared libraries)
- Loopwise decides which loop closures of a multi-robot lidar SLAM system are worth computing, computes them, and
- keeps the map consistent.")
+Loopwise decides which loop closures of a multi-robot lidar SLAM system are worth computing, computes them, and
+keeps the map consistent.")
 
 set(CPACK_DEBIAN_LOOPWISE_DEVELOPMENT_PACKAGE_NAME libloopwise-dev)
 set(CPACK_DEBIAN_LOOPWISE_DEVELOPMENT_PACKAGE_SECTION libdevel)
@@ -51,7 +51,7 @@ endif()
 set(CPACK_DEBIAN_LOOPWISE_DEVELOPMENT_PACKAGE_DEPENDS "${depends}")
 set(CPACK_DEBIAN_LOOPWISE_DEVELOPMENT_PACKAGE_SUGGESTS "cmake, pkg-config, loopwise")
 set(CPACK_COMPONENT_LOOPWISE_DEVELOPMENT_DESCRIPTION "${PROJECT_DESCRIPTION} (development)
- Headers, CMake packages and pkg-config files of Loopwise, one component for each stage.")
+Headers, CMake packages and pkg-config files of Loopwise, one component for each stage.")
 
 set(CPACK_DEBIAN_LOOPWISE_TOOLS_PACKAGE_NAME loopwise)
 set(CPACK_DEBIAN_LOOPWISE_TOOLS_PACKAGE_SECTION science)
@@ -60,19 +60,15 @@ if(BUILD_SHARED_LIBS)
   set(CPACK_DEBIAN_LOOPWISE_TOOLS_PACKAGE_DEPENDS "libloopwise${so_version} (= ${CPACK_PACKAGE_VERSION})")
 endif()
 set(CPACK_COMPONENT_LOOPWISE_TOOLS_DESCRIPTION "${PROJECT_DESCRIPTION}
- Replays recorded missions of teams of robots, finds their loop closures in the order of their worth, optimises
- pose graphs robustly, aligns scans, and judges and shows the results. With manual pages, completion for shells,
- weights of networks and a sample mission.")
+Replays recorded missions of teams of robots, finds their loop closures in the order of their worth, optimises
+pose graphs robustly, aligns scans, and judges and shows the results. With manual pages, completion for shells,
+weights of networks and a sample mission.")
 
 # The programs are linked to libraries of this very build, which no installed package holds.
-foreach(component runtime tools)
-  string(TOUPPER ${component} name)
-  get_property(names GLOBAL PROPERTY LOOPWISE_COMPONENTS)
-  foreach(library IN LISTS names)
-    list(APPEND CPACK_DEBIAN_LOOPWISE_${name}_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${PROJECT_BINARY_DIR}/src/${library})
-  endforeach()
+get_property(names GLOBAL PROPERTY LOOPWISE_COMPONENTS)
+foreach(library IN LISTS names)
+  list(APPEND CPACK_DEBIAN_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${PROJECT_BINARY_DIR}/src/${library})
 endforeach()
-set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${CPACK_DEBIAN_LOOPWISE_TOOLS_PACKAGE_SHLIBDEPS_PRIVATE_DIRS})
 
 # Each package says whose the code is and under which terms; so does the source that was compiled in from headers of others.
 if(LOOPWISE_WITH_GPL)

@@ -143,7 +143,7 @@ std::string roff_notes(const std::string& notes) {
       out += ".PP\n";
     } else {
       set_example(begin > 0);
-      out += roff(line.substr(example ? 2 : 0)) + "\n";
+      out += roff(line.substr(std::min<std::size_t>(begin, 2))) + "\n";
     }
   }
   set_example(false);
@@ -207,11 +207,11 @@ std::string manual(const CommandPage& page, const std::vector<std::string>& see_
       "out of bounds, an output folder that is not empty\n.TP\n3\nbad input: a file that is absent or "
       "broken\n.TP\n130\n"
       "interrupted\n";
-  out += ".SH SEE ALSO\n";
+  std::string others;
   for (const std::string& other : see_also) {
-    if (other == name) continue;
-    out += ".BR " + roff(other) + " (1)" + (other == see_also.back() ? "\n" : ",\n");
+    if (other != name) others += (others.empty() ? ".BR " : " (1),\n.BR ") + roff(other);
   }
+  if (!others.empty()) out += ".SH SEE ALSO\n" + others + " (1)\n";
   return out;
 }
 
