@@ -15,9 +15,9 @@ namespace loopwise {
 /// Of a sample; NaN if it is empty.
 struct ScoreQuartiles {
   std::size_t count = 0;  ///< Scans.
-  double low = 0.0;  ///< A quarter lies below.
-  double median = 0.0;  ///< Half lies below.
-  double high = 0.0;  ///< Three quarters lie below.
+  double low = 0.0;       ///< A quarter lies below.
+  double median = 0.0;    ///< Half lies below.
+  double high = 0.0;      ///< Three quarters lie below.
 };
 
 /// Received power by distance, walls apart.
