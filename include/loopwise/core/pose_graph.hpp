@@ -20,9 +20,9 @@ namespace loopwise {
 /// A key frame: pose of the body in the common frame, p_world = pose · p_body.
 struct Node {
   Key key = 0;  ///< Unique in its graph.
-  Eigen::Isometry3d pose =
-      Eigen::Isometry3d::Identity();  ///< T_world_body, the present estimate; translation in metres.
-  std::int64_t stamp_ns = 0;          ///< Of its scan, ns since the epoch of the recording.
+  /// T_world_body, the present estimate; translation in metres.
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  std::int64_t stamp_ns = 0;  ///< Of its scan, ns since the epoch of the recording.
   /// Marginal covariance, right perturbation [translation, rotation], when the back end computed it.
   std::optional<Matrix6d> covariance;
 };
@@ -30,8 +30,8 @@ struct Node {
 /// What is known of one node's pose beforehand: r = Log(pose⁻¹ · T_node), cost ½ rᵀΩr.
 struct PriorFactor {
   Key key = 0;  ///< The node that it holds.
-  Eigen::Isometry3d pose =
-      Eigen::Isometry3d::Identity();            ///< T_world_body, where the node is believed to be.
+  /// T_world_body, where the node is believed to be.
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
   Matrix6d information = Matrix6d::Identity();  ///< Ω, order [translation, rotation], 1/m² and 1/rad².
 };
 
@@ -46,8 +46,8 @@ struct Edge {
   Key from = 0;  ///< Node whose frame the measurement is given in.
   Key to = 0;    ///< Node that was measured.
   Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();  ///< Pose of `to` in the frame of `from`.
-  Matrix6d information =
-      Matrix6d::Identity();                ///< Ω, order [translation, rotation], symmetric, not indefinite.
+  /// Ω, order [translation, rotation], symmetric, not indefinite.
+  Matrix6d information = Matrix6d::Identity();
   EdgeKind kind = EdgeKind::kLoopClosure;  ///< Odometry or closure.
   bool trusted = false;  ///< A known inlier: robust optimisation keeps its weight at 1. Odometry always is.
   double weight = 1.0;   ///< Of the last robust optimisation, in [0, 1].

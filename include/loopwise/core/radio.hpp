@@ -14,9 +14,9 @@ namespace loopwise {
 struct RadioReading {
   Key key = 0;         ///< The node that the power was measured at.
   std::string beacon;  ///< Name of the beacon.
-  double transmit_dbm =
-      std::numeric_limits<double>::quiet_NaN();  ///< What the beacon sends with; NaN if not known.
-  std::string receiver;                          ///< Antenna or channel: a node has one reading for each.
+  /// What the beacon sends with; NaN if not known.
+  double transmit_dbm = std::numeric_limits<double>::quiet_NaN();
+  std::string receiver;  ///< Antenna or channel: a node has one reading for each.
   double receive_dbm = std::numeric_limits<double>::quiet_NaN();  ///< NaN: nothing received.
 };
 

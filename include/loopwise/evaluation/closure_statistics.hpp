@@ -48,8 +48,8 @@ struct ClosureStatistics {
   std::size_t computed = 0;     ///< verified + Σ rejected
   std::size_t verified = 0;     ///< Passed all tests of the computation.
   std::size_t gnc_inliers = 0;  ///< Verified, and kept by the back end.
-  std::size_t true_inliers =
-      0;  ///< Verified, and within the bounds of the truth, whatever the back end thought.
+  /// Verified, and within the bounds of the truth, whatever the back end thought.
+  std::size_t true_inliers = 0;
   std::size_t right_inliers = 0;  ///< Both of these.
   std::size_t without_truth = 0;  ///< Verified, but the truth lacks a node: never a true inlier.
   /// Computed candidates that were refused, by reason; reasons that did not occur are absent.

@@ -14,8 +14,8 @@
 
 namespace loopwise {
 
-using Matrix12d =
-    Eigen::Matrix<double, 12, 12>;  ///< A covariance over two poses, each [translation, rotation].
+/// A covariance over two poses, each [translation, rotation].
+using Matrix12d = Eigen::Matrix<double, 12, 12>;
 
 /// Marginal covariances of the poses: right perturbation, order [translation, rotation], m and rad, body
 /// frame.

@@ -87,8 +87,8 @@ struct ClosureTestOptions {
 
 /// Figures of an alignment.
 struct AlignmentFigures {
-  double fitness_m2 =
-      0.0;               ///< Mean squared distance to the target of all source points, see fitness_range_m.
+  /// Mean squared distance to the target of all source points, see fitness_range_m.
+  double fitness_m2 = 0.0;
   double overlap = 0.0;  ///< Share of source points with a target point within overlap_distance_m.
   /// The same with agreeing normals (within 45°), as a mean over directions of the source's surfaces;
   /// directions with less than 5 % of the points count in proportion.
