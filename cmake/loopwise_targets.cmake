@@ -24,15 +24,35 @@ if(LOOPWISE_SANITIZE)
   endif()
 endif()
 
+# Shared libraries show what public headers declare (LOOPWISE_EXPORT) and nothing of the libraries that are compiled in.
+set(LOOPWISE_VERSION_SCRIPT "")
+if(BUILD_SHARED_LIBS)
+  include(CheckLinkerFlag)
+  set(script ${PROJECT_SOURCE_DIR}/cmake/loopwise.map)
+  check_linker_flag(CXX "LINKER:--version-script=${script}" LOOPWISE_LINKER_TAKES_VERSION_SCRIPT)
+  if(LOOPWISE_LINKER_TAKES_VERSION_SCRIPT)
+    set(LOOPWISE_VERSION_SCRIPT ${script})
+  endif()
+  if(NOT DEFINED CMAKE_INSTALL_RPATH)
+    # Programs and libraries find the libraries beside which they were installed, wherever that is.
+    file(RELATIVE_PATH to_libraries /${CMAKE_INSTALL_BINDIR} /${CMAKE_INSTALL_LIBDIR})
+    set(CMAKE_INSTALL_RPATH "$ORIGIN;$ORIGIN/${to_libraries}")
+  endif()
+endif()
+
 # loopwise_add_component(NAME SOURCES a.cpp b.cpp
 #   [PUBLIC targets...]    Loopwise components and libraries that its headers need
 #   [PRIVATE targets...]   libraries that only its sources need
-#   [PACKAGES call...]     find_dependency argument lists that a user of the installed component needs, one string each)
+#   [PACKAGES call...]     find_dependency argument lists that a user of the installed component needs, one string each
+#   [STATIC_PACKAGES call...]     the same, needed only to link a static component
+#   [MODULES name...] [STATIC_MODULES name...] [STATIC_LIBRARIES name-or-file...]  these things for pkg-config)
 function(loopwise_add_component name)
-  cmake_parse_arguments(ARG "" "" "SOURCES;PUBLIC;PRIVATE;PACKAGES" ${ARGN})
+  set(lists SOURCES PUBLIC PRIVATE PACKAGES STATIC_PACKAGES MODULES STATIC_MODULES STATIC_LIBRARIES)
+  cmake_parse_arguments(ARG "" "" "${lists}" ${ARGN})
   set(target loopwise_${name})
   add_library(${target} ${ARG_SOURCES})
   add_library(loopwise::${name} ALIAS ${target})
+  # Compatible within one minor version before 1.0, see docs/building.md.
   set_target_properties(${target} PROPERTIES EXPORT_NAME ${name} POSITION_INDEPENDENT_CODE ON
                         VERSION ${PROJECT_VERSION} SOVERSION ${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR})
   target_compile_features(${target} PUBLIC cxx_std_17)
@@ -40,12 +60,24 @@ function(loopwise_add_component name)
     $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/include> $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
   target_link_libraries(${target} PUBLIC ${ARG_PUBLIC}
                         PRIVATE ${ARG_PRIVATE} $<BUILD_INTERFACE:loopwise_build_flags>)
+  if(BUILD_SHARED_LIBS)
+    set_target_properties(${target} PROPERTIES CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON)
+    target_compile_definitions(${target} PUBLIC LOOPWISE_SHARED)
+    if(LOOPWISE_VERSION_SCRIPT)
+      target_link_options(${target} PRIVATE "LINKER:--version-script=${LOOPWISE_VERSION_SCRIPT}")
+      set_property(TARGET ${target} APPEND PROPERTY LINK_DEPENDS ${LOOPWISE_VERSION_SCRIPT})
+    endif()
+  endif()
 
-  install(TARGETS ${target} EXPORT loopwise-${name} ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR}
-          LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR})
-  install(EXPORT loopwise-${name} NAMESPACE loopwise:: FILE loopwise-${name}.cmake DESTINATION ${LOOPWISE_CMAKE_DIR})
+  install(TARGETS ${target} EXPORT loopwise-${name}
+          ARCHIVE DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT loopwise_development
+          LIBRARY DESTINATION ${CMAKE_INSTALL_LIBDIR} COMPONENT loopwise_runtime
+                  NAMELINK_COMPONENT loopwise_development)
+  install(EXPORT loopwise-${name} NAMESPACE loopwise:: FILE loopwise-${name}.cmake DESTINATION ${LOOPWISE_CMAKE_DIR}
+          COMPONENT loopwise_development)
   if(EXISTS ${PROJECT_SOURCE_DIR}/include/loopwise/${name})
-    install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/loopwise/${name} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/loopwise)
+    install(DIRECTORY ${PROJECT_SOURCE_DIR}/include/loopwise/${name} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/loopwise
+            COMPONENT loopwise_development FILES_MATCHING PATTERN "*.hpp")
   endif()
 
   # What the package configuration needs to bring the component back: its packages, then its Loopwise parts.
@@ -55,17 +87,91 @@ function(loopwise_add_component name)
       list(APPEND parts ${CMAKE_MATCH_1})
     endif()
   endforeach()
+  set(packages ${ARG_PACKAGES})
+  if(NOT BUILD_SHARED_LIBS)
+    list(APPEND packages ${ARG_STATIC_PACKAGES})
+  endif()
   set_property(GLOBAL APPEND PROPERTY LOOPWISE_COMPONENTS ${name})
   set_property(GLOBAL PROPERTY LOOPWISE_${name}_PARTS "${parts}")
-  set_property(GLOBAL PROPERTY LOOPWISE_${name}_PACKAGES "${ARG_PACKAGES}")
+  set_property(GLOBAL PROPERTY LOOPWISE_${name}_PACKAGES "${packages}")
+  loopwise_add_pkg_config(${name} "${ARG_PUBLIC}" "${ARG_PRIVATE}" "${ARG_MODULES}" "${ARG_STATIC_MODULES}"
+                          "${ARG_STATIC_LIBRARIES}")
+endfunction()
+
+# Installs loopwise-NAME.pc. What is private is asked for by `pkg-config --static`, which static libraries need; shared
+# ones know for themselves, and pkg-config would ask for the development files of it even so.
+function(loopwise_add_pkg_config name public private modules static_modules libraries)
+  set(PC_NAME loopwise-${name})
+  set(PC_DESCRIPTION "${PROJECT_DESCRIPTION}: ${name}")
+  set(PC_LIBS "-L\${libdir} -lloopwise_${name}")
+  set(public_modules)
+  set(private_modules)
+  foreach(visibility public private)
+    foreach(dependency IN LISTS ${visibility})
+      if(dependency MATCHES "^loopwise::(.+)$")
+        list(APPEND ${visibility}_modules "loopwise-${CMAKE_MATCH_1} = ${PROJECT_VERSION}")
+      endif()
+    endforeach()
+  endforeach()
+  string(JOIN ", " PC_REQUIRES ${public_modules} ${modules})
+  if(BUILD_SHARED_LIBS)
+    loopwise_install_pkg_config()
+    return()
+  endif()
+  string(JOIN ", " PC_REQUIRES_PRIVATE ${private_modules} ${static_modules})
+  set(flags)
+  foreach(library IN LISTS libraries)
+    if(IS_ABSOLUTE "${library}")
+      get_filename_component(folder ${library} DIRECTORY)
+      get_filename_component(library ${library} NAME_WE)
+      string(REGEX REPLACE "^lib" "" library ${library})
+      if(NOT folder IN_LIST CMAKE_CXX_IMPLICIT_LINK_DIRECTORIES)
+        list(APPEND flags -L${folder})
+      endif()
+    endif()
+    if(NOT library MATCHES "^-")
+      set(library -l${library})
+    endif()
+    list(APPEND flags ${library})
+  endforeach()
+  list(REMOVE_DUPLICATES flags)
+  string(JOIN " " PC_LIBS_PRIVATE ${flags})
+  loopwise_install_pkg_config()
+endfunction()
+
+# From the caller's PC_* variables.
+function(loopwise_install_pkg_config)
+  set(folder ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
+  if(IS_ABSOLUTE "${folder}")
+    set(PC_PREFIX ${CMAKE_INSTALL_PREFIX})
+  else()
+    # Right wherever the tree is installed, or moved to.
+    file(RELATIVE_PATH up /${folder} /)
+    string(REGEX REPLACE "/$" "" up "${up}")
+    set(PC_PREFIX "\${pcfiledir}/${up}")
+  endif()
+  foreach(kind INCLUDEDIR LIBDIR)
+    if(IS_ABSOLUTE "${CMAKE_INSTALL_${kind}}")
+      set(PC_${kind} ${CMAKE_INSTALL_${kind}})
+    else()
+      set(PC_${kind} "\${prefix}/${CMAKE_INSTALL_${kind}}")
+    endif()
+  endforeach()
+  set(PC_CFLAGS "-I\${includedir}")
+  if(BUILD_SHARED_LIBS)
+    string(APPEND PC_CFLAGS " -DLOOPWISE_SHARED")
+  endif()
+  configure_file(${PROJECT_SOURCE_DIR}/cmake/loopwise.pc.in ${PROJECT_BINARY_DIR}/pkgconfig/${PC_NAME}.pc @ONLY)
+  install(FILES ${PROJECT_BINARY_DIR}/pkgconfig/${PC_NAME}.pc DESTINATION ${folder} COMPONENT loopwise_development)
 endfunction()
 
 # Installs loopwiseConfig.cmake: find_package(loopwise CONFIG COMPONENTS optimization) brings one component and
-# what it stands on; without COMPONENTS all that were built, and loopwise::loopwise.
+# what it stands on; without COMPONENTS all that were built, and loopwise::loopwise. loopwise.pc is all of them too.
 function(loopwise_install_package)
   include(CMakePackageConfigHelpers)
   get_property(components GLOBAL PROPERTY LOOPWISE_COMPONENTS)
   set(LOOPWISE_COMPONENT_TABLE "")
+  set(requires)
   foreach(component IN LISTS components)
     get_property(parts GLOBAL PROPERTY LOOPWISE_${component}_PARTS)
     get_property(packages GLOBAL PROPERTY LOOPWISE_${component}_PACKAGES)
@@ -75,12 +181,20 @@ function(loopwise_install_package)
       string(APPEND quoted " \"${package}\"")
     endforeach()
     string(APPEND LOOPWISE_COMPONENT_TABLE "set(_loopwise_${component}_packages${quoted})\n")
+    list(PREPEND requires "loopwise-${component} = ${PROJECT_VERSION}")
   endforeach()
   string(REPLACE ";" " " LOOPWISE_COMPONENT_NAMES "${components}")
+  set(LOOPWISE_DATA_DIR ${CMAKE_INSTALL_DATADIR}/loopwise)
   configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/loopwiseConfig.cmake.in
-    ${PROJECT_BINARY_DIR}/loopwiseConfig.cmake INSTALL_DESTINATION ${LOOPWISE_CMAKE_DIR})
+    ${PROJECT_BINARY_DIR}/loopwiseConfig.cmake INSTALL_DESTINATION ${LOOPWISE_CMAKE_DIR}
+    PATH_VARS LOOPWISE_DATA_DIR)
   write_basic_package_version_file(${PROJECT_BINARY_DIR}/loopwiseConfigVersion.cmake COMPATIBILITY SameMinorVersion)
   install(FILES ${PROJECT_BINARY_DIR}/loopwiseConfig.cmake ${PROJECT_BINARY_DIR}/loopwiseConfigVersion.cmake
                 ${PROJECT_SOURCE_DIR}/cmake/FindCHOLMOD.cmake ${PROJECT_SOURCE_DIR}/cmake/FindPCLFeatures.cmake
-          DESTINATION ${LOOPWISE_CMAKE_DIR})
+          DESTINATION ${LOOPWISE_CMAKE_DIR} COMPONENT loopwise_development)
+
+  set(PC_NAME loopwise)
+  set(PC_DESCRIPTION "${PROJECT_DESCRIPTION}")
+  string(JOIN ", " PC_REQUIRES ${requires})
+  loopwise_install_pkg_config()
 endfunction()

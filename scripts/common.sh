@@ -22,3 +22,8 @@ configure() {
   command -v ccache >/dev/null && launcher=(-DCMAKE_CXX_COMPILER_LAUNCHER=ccache)
   cmake --preset "$preset" "${launcher[@]}" "$@"
 }
+
+# The version of project() in CMakeLists.txt, the one place where it stands.
+project_version() {
+  sed -n 's/^project(loopwise VERSION \([0-9.]*\).*/\1/p' "$root/CMakeLists.txt"
+}

@@ -3,12 +3,51 @@
 #include <optional>
 #include <sstream>
 
+#include <loopwise/core/version.hpp>
+#include <loopwise/evaluation/trajectory_errors.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+#ifdef LOOPWISE_HAS_SIMULATION
+#include <loopwise/simulation/simulate.hpp>
+#endif
 #ifdef LOOPWISE_HAS_MPI
 #include <loopwise/core/error.hpp>
 #include <loopwise/distributed/mpi_session.hpp>
 #endif
 
 #include "command.hpp"
+#include "reference.hpp"
+
+namespace loopwise::cli {
+namespace {
+
+template <class E>
+std::vector<std::string> words_of() {
+  std::vector<std::string> words;
+  for (const auto& [enumerator, word] : enum_names(E{})) words.emplace_back(word);
+  return words;
+}
+
+/// What completion offers for values.
+ValueWords value_words() {
+  ValueWords words;
+  words["--method"] = words["--methods"] = method_names();
+  words["--preset"] = proximity_preset_names();
+  words["--registrar"] = words_of<RegistrarKind>();
+  words["--guess"] = words_of<GuessSource>();
+  words["--initialization"] = words_of<Initialization>();
+  words["--alignment"] = words_of<Alignment>();
+  words["--clock"] = {"virtual", "real"};
+#ifdef LOOPWISE_HAS_SIMULATION
+  words["--lidar"] = words_of<LidarKind>();
+  words["--scans"] = words_of<ScanKind>();
+  words["world"] = words_of<WorldKind>();
+#endif
+  for (const ConfigEntry& entry : describe_config(Config())) words["--set"].push_back(entry.name + "=");
+  return words;
+}
+
+}  // namespace
+}  // namespace loopwise::cli
 
 namespace {
 
@@ -29,7 +68,7 @@ int main(int argc, char** argv) {
       "Decides which loop closures of a multi-robot lidar SLAM system are worth computing, computes them,\n"
       "and keeps the map consistent.",
       "loopwise"};
-  app.set_version_flag("--version", std::string("loopwise ") + LOOPWISE_VERSION);
+  app.set_version_flag("--version", "loopwise " + std::string(loopwise::version()));
   app.require_subcommand(1);
   app.failure_message(CLI::FailureMessage::simple);
   app.footer(
@@ -70,6 +109,7 @@ int main(int argc, char** argv) {
 #endif
   add_study(app, chosen, job);
   add_config(app, chosen);
+  add_reference(app, chosen, value_words());
 
   const bool first = job == nullptr || is_first(*job);
   try {

@@ -34,7 +34,7 @@ Json number(double value) {
   return std::isnan(value) ? Json() : Json(value);
 }
 
-Json quartiles(const Quartiles& q) {
+Json quartiles(const ScoreQuartiles& q) {
   return {{"count", q.count}, {"low", number(q.low)}, {"median", number(q.median)}, {"high", number(q.high)}};
 }
 

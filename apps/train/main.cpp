@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/core/version.hpp>
+
 #include "commands.hpp"
+#include "loopwise/reference.hpp"
 
 int main(int argc, char** argv) {
   using namespace loopwise;
@@ -7,7 +10,7 @@ int main(int argc, char** argv) {
       "Trains the networks that guess how uncertain a pose graph is with a set of loop closures, and judges\n"
       "what they are worth.",
       "loopwise-train"};
-  app.set_version_flag("--version", std::string("loopwise-train ") + LOOPWISE_VERSION);
+  app.set_version_flag("--version", "loopwise-train " + std::string(version()));
   app.require_subcommand(1);
   app.failure_message(CLI::FailureMessage::simple);
   app.footer(
@@ -21,6 +24,7 @@ int main(int argc, char** argv) {
   training::add_data(app, chosen);
   training::add_fit(app, chosen);
   training::add_evaluate(app, chosen);
+  cli::add_reference(app, chosen, {});
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -17,6 +17,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/version.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/features/kd_tree.hpp>
 #include <loopwise/generation/radio.hpp>
@@ -722,7 +723,7 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
   }
   const Json data = {{"format", "loopwise-report"},
                      {"version", 1},
-                     {"generator", "loopwise " LOOPWISE_VERSION},
+                     {"generator", "loopwise " + std::string(version())},
                      {"runs", runs},
                      {"studies", studies},
                      {"missions", mission_list}};

@@ -17,6 +17,7 @@
 
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/thread_pool.hpp>
+#include <loopwise/core/version.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/simulation/ray_caster.hpp>
 
@@ -293,7 +294,7 @@ SimulatedMission simulate(const SimulationOptions& given, std::uint64_t seed,
   told.threads = 0;  // how many threads made the mission is nowhere to be seen
   Json provenance;
   provenance["generator"] = "loopwise simulate";
-  provenance["version"] = LOOPWISE_VERSION;
+  provenance["version"] = std::string(version());
   provenance["seed"] = std::to_string(seed);
   provenance["options"] = to_json(told);
   provenance["options"].erase("threads");

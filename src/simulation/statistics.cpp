@@ -17,7 +17,7 @@ namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
-Quartiles quartiles(std::vector<double> values) {
+ScoreQuartiles quartiles(std::vector<double> values) {
   std::sort(values.begin(), values.end());
   const auto at = [&values](double share) {
     if (values.empty()) return kNan;

@@ -351,6 +351,19 @@ TEST_CASE("rank: every candidate with its scores, the ranked first", "[apps]") {
   require_failure({"rank", (folder / "absent").string()}, kBadInput, "absent");
 }
 
+TEST_CASE("config: docs/configuration.md is what --markdown prints", "[apps]") {
+  const ProgramRun run = run_program({"config", "--markdown"});
+  REQUIRE(run.status == kDone);
+  INFO("build/release/apps/loopwise config --markdown > docs/configuration.md");
+  REQUIRE(run.out == testing::read_text(std::string(LOOPWISE_SOURCE_DIR) + "/docs/configuration.md"));
+  const Json options = json_of({"config"});
+  for (const auto& [section, fields] : options.items()) {
+    REQUIRE_THAT(run.out, Contains("\n## " + section + "\n"));
+    for (const auto& field : fields.items()) REQUIRE_THAT(run.out, Contains("\n| `" + field.key() + "` | "));
+  }
+  require_failure({"config", "--markdown", "--describe"}, kBadUsage, "--describe");
+}
+
 TEST_CASE("config: what it prints is what --config takes", "[apps]") {
   const TemporaryFolder folder;
   const ProgramRun defaults = run_program({"config"});

@@ -3,23 +3,26 @@
 
 #include <chrono>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/stop_token.hpp>
 
 namespace loopwise {
 
 /// Mission time in seconds since the start of the mission. The library reads time through this interface
 /// only.
-class Clock {
+class LOOPWISE_EXPORT Clock {
  public:
   virtual ~Clock() = default;
+  /// Mission time, s.
   [[nodiscard]] virtual double now() const = 0;
   /// Returns at `time` or soon after a stop request, whichever is first; at once if `time` has passed.
   virtual void wait_until(double time, const StopToken& stop) = 0;
 };
 
 /// Jumps to the time that is waited for: a replay takes as long as its computations, never longer.
-class VirtualClock final : public Clock {
+class LOOPWISE_EXPORT VirtualClock final : public Clock {
  public:
+  /// Stands at `start` seconds of mission time.
   explicit VirtualClock(double start = 0.0) : now_(start) {}
   [[nodiscard]] double now() const override { return now_; }
   void wait_until(double time, const StopToken& stop) override;
@@ -29,7 +32,7 @@ class VirtualClock final : public Clock {
 };
 
 /// Follows the steady wall clock, `rate` mission seconds a second.
-class RealClock final : public Clock {
+class LOOPWISE_EXPORT RealClock final : public Clock {
  public:
   /// \throws OptionError unless rate > 0.
   explicit RealClock(double start = 0.0, double rate = 1.0);
@@ -46,6 +49,7 @@ class RealClock final : public Clock {
 class Stopwatch {
  public:
   Stopwatch() : start_(std::chrono::steady_clock::now()) {}
+  /// Since construction, s.
   [[nodiscard]] double seconds() const {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start_).count();
   }

@@ -5,6 +5,8 @@
 #include <string>
 #include <string_view>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// Node id. The top 8 bits hold a robot character, the low 56 bits the index of the node: the layout of
@@ -12,26 +14,28 @@ namespace loopwise {
 /// Keys exceed 2^53: never hold one in a double.
 using Key = std::uint64_t;
 
-inline constexpr int kKeyIndexBits = 56;
-inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;
+inline constexpr int kKeyIndexBits = 56;  ///< Low bits of a key that hold the index.
+inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;  ///< These bits, all set.
 
 /// Key of node `index` of the robot with this character; character 0 gives the plain integer.
 [[nodiscard]] constexpr Key make_key(char character, std::uint64_t index) {
   return (static_cast<Key>(static_cast<unsigned char>(character)) << kKeyIndexBits) | (index & kKeyIndexMask);
 }
 
+/// The robot character of a key; 0 of a plain integer.
 [[nodiscard]] constexpr char key_character(Key key) {
   return static_cast<char>(key >> kKeyIndexBits);
 }
+/// The index of a key, without the robot character.
 [[nodiscard]] constexpr std::uint64_t key_index(Key key) {
   return key & kKeyIndexMask;
 }
 
 /// For people: "a12" if the character is a letter, otherwise the plain number. Files hold the number.
-[[nodiscard]] std::string key_name(Key key);
+[[nodiscard]] LOOPWISE_EXPORT std::string key_name(Key key);
 
 /// Reads a decimal number of up to 64 bits or a letter followed by an index ("a12").
 /// \throws InputError naming the text if it is neither.
-[[nodiscard]] Key parse_key(std::string_view text);
+[[nodiscard]] LOOPWISE_EXPORT Key parse_key(std::string_view text);
 
 }  // namespace loopwise

@@ -15,12 +15,15 @@ namespace loopwise {
 
 /// Points of a lidar scan in the body frame of its node, metres. All finite.
 struct PointCloud {
-  std::vector<Eigen::Vector3f> points;
+  std::vector<Eigen::Vector3f> points;   ///< Coordinates, m.
   std::vector<Eigen::Vector3f> normals;  ///< Unit length, towards the sensor. Empty, or one per point.
   std::vector<float> intensities;        ///< Empty, or one per point.
 
+  /// Number of points.
   [[nodiscard]] std::size_t size() const { return points.size(); }
+  /// Whether there is no point.
   [[nodiscard]] bool empty() const { return points.empty(); }
+  /// Whether every point has a normal.
   [[nodiscard]] bool has_normals() const { return !points.empty() && normals.size() == points.size(); }
   /// Memory that the points hold, for bounded caches.
   [[nodiscard]] std::size_t bytes() const {
@@ -31,9 +34,9 @@ struct PointCloud {
 
 /// The cloud of a key frame. Cheap to copy: the points are shared and never change.
 struct KeyedScan {
-  Key key = 0;
-  std::int64_t stamp_ns = 0;
-  std::shared_ptr<const PointCloud> cloud;
+  Key key = 0;                ///< The node.
+  std::int64_t stamp_ns = 0;  ///< When the sweep was taken, ns since the epoch of the recording.
+  std::shared_ptr<const PointCloud> cloud;  ///< In the body frame of the node; null if it was not kept.
 };
 
 /// Hands out the scan of a node, or null if there is none. Must be safe to call from several threads;

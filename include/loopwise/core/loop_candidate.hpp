@@ -12,7 +12,11 @@ namespace loopwise {
 using CandidateId = std::uint64_t;
 
 /// Who proposed a candidate.
-enum class CandidateSource { kProximity, kRadio, kUser };
+enum class CandidateSource {
+  kProximity,  ///< ProximityGenerator
+  kRadio,      ///< RadioGenerator
+  kUser,       ///< A place recognition of the stack's own.
+};
 [[nodiscard]] inline EnumNames<CandidateSource> enum_names(CandidateSource) {
   return {{CandidateSource::kProximity, "proximity"},
           {CandidateSource::kRadio, "radio"},
@@ -22,11 +26,11 @@ enum class CandidateSource { kProximity, kRadio, kUser };
 /// A hypothesis that two nodes saw the same place. It carries no transform: finding one is the costly part.
 /// (a, b) and (b, a) are one candidate.
 struct LoopCandidate {
-  CandidateId id = 0;
-  Key from = 0;  ///< The newer node.
-  Key to = 0;    ///< The older node.
-  CandidateSource source = CandidateSource::kProximity;
-  double time_s = 0.0;      ///< Mission time of its generation.
+  CandidateId id = 0;                                    ///< Given by the pool that takes it in.
+  Key from = 0;                                          ///< The newer node.
+  Key to = 0;                                            ///< The older node.
+  CandidateSource source = CandidateSource::kProximity;  ///< Who proposed it.
+  double time_s = 0.0;                                   ///< Mission time of its generation.
   double distance_m = 0.0;  ///< Between the two nodes, by the estimate at that time.
 };
 

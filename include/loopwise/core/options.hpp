@@ -27,24 +27,29 @@ namespace loopwise {
 
 /// Range that a number must lie in; for a vector each of its elements. Ignored for text, bool and enums.
 struct Bounds {
-  double min = -std::numeric_limits<double>::infinity();
-  double max = std::numeric_limits<double>::infinity();
-  bool open_min = false;  ///< min itself is not allowed.
+  double min = -std::numeric_limits<double>::infinity();  ///< Least value.
+  double max = std::numeric_limits<double>::infinity();   ///< Largest value; it is allowed.
+  bool open_min = false;                                  ///< min itself is not allowed.
 
+  /// Whether the value is allowed; NaN never is.
   [[nodiscard]] bool contains(double value) const {
     return (open_min ? value > min : value >= min) && value <= max;  // false for NaN
   }
 };
 
+/// No bounds.
 [[nodiscard]] constexpr Bounds any_value() {
   return {};
 }
+/// ≥ min.
 [[nodiscard]] constexpr Bounds at_least(double min) {
   return {min, std::numeric_limits<double>::infinity(), false};
 }
+/// > min.
 [[nodiscard]] constexpr Bounds above(double min) {
   return {min, std::numeric_limits<double>::infinity(), true};
 }
+/// In [min, max].
 [[nodiscard]] constexpr Bounds between(double min, double max) {
   return {min, max, false};
 }

@@ -9,6 +9,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/registration_result.hpp>
 #include <loopwise/core/robots.hpp>
@@ -18,53 +19,56 @@ namespace loopwise {
 
 /// A key frame: pose of the body in the common frame, p_world = pose · p_body.
 struct Node {
-  Key key = 0;
+  Key key = 0;  ///< Unique in its graph.
+  /// T_world_body, the present estimate; translation in metres.
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-  std::int64_t stamp_ns = 0;
+  std::int64_t stamp_ns = 0;  ///< Of its scan, ns since the epoch of the recording.
   /// Marginal covariance, right perturbation [translation, rotation], when the back end computed it.
   std::optional<Matrix6d> covariance;
 };
 
 /// What is known of one node's pose beforehand: r = Log(pose⁻¹ · T_node), cost ½ rᵀΩr.
 struct PriorFactor {
-  Key key = 0;
+  Key key = 0;  ///< The node that it holds.
+  /// T_world_body, where the node is believed to be.
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-  Matrix6d information = Matrix6d::Identity();
+  Matrix6d information = Matrix6d::Identity();  ///< Ω, order [translation, rotation], 1/m² and 1/rad².
 };
 
 /// A measured distance between the origins of two nodes, as of ultra-wideband radios:
 /// r = (‖t_to − t_from‖ − range_m) / sigma_m, cost ½ r².
 struct RangeFactor {
-  Key from = 0;
-  Key to = 0;
-  double range_m = 0.0;
-  double sigma_m = 1.0;
+  Key from = 0;          ///< One of the two nodes.
+  Key to = 0;            ///< The other.
+  double range_m = 0.0;  ///< As measured.
+  double sigma_m = 1.0;  ///< Standard deviation.
 };
 
 /// The direction of gravity as an accelerometer at rest measures it. With R the node's rotation
 /// r = (R · direction − reference) / sigma_rad, cost ½ ‖r‖²; ‖R · direction − reference‖ = 2 sin(θ/2) for an
 /// angle θ between the two. Says nothing about yaw and place.
 struct GravityFactor {
-  Key key = 0;
+  Key key = 0;                                               ///< The node that felt it.
   Eigen::Vector3d direction = -Eigen::Vector3d::UnitZ();  ///< Body frame; any length but 0.
-  double sigma_rad = 1.0;
+  double sigma_rad = 1.0;                                    ///< Standard deviation.
   Eigen::Vector3d reference = -Eigen::Vector3d::UnitZ();  ///< Common frame; any length but 0.
 };
 
+/// What an edge comes from, which decides whether robust optimisation may doubt it.
 enum class EdgeKind {
-  kOdometry,
-  kLoopClosure,
-  kLandmark,  ///< From a key frame to a landmark that it saw. Robust optimisation may doubt it.
+  kOdometry,     ///< From one node of a robot to its next: never doubted.
+  kLoopClosure,  ///< All other between key frames.
+  kLandmark,     ///< From a key frame to a landmark that it saw. Robust optimisation may doubt it.
 };
 
 /// A measured relative pose: r = Log(T_from_to⁻¹ · T_from⁻¹ · T_to), cost ½·weight·rᵀΩr.
 struct Edge {
-  Key from = 0;
-  Key to = 0;
-  Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
-  Matrix6d information =
-      Matrix6d::Identity();  ///< Ω, order [translation, rotation], symmetric, not indefinite.
-  EdgeKind kind = EdgeKind::kLoopClosure;
+  Key from = 0;  ///< Node whose frame the measurement is given in.
+  Key to = 0;    ///< Node that was measured.
+  Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();  ///< Pose of `to` in the frame of `from`.
+  /// Ω, order [translation, rotation], symmetric, not indefinite.
+  Matrix6d information = Matrix6d::Identity();
+  EdgeKind kind = EdgeKind::kLoopClosure;  ///< Odometry or closure.
   bool trusted = false;  ///< A known inlier: robust optimisation keeps its weight at 1. Odometry always is.
   double weight = 1.0;   ///< Of the last robust optimisation, in [0, 1].
 };
@@ -72,7 +76,7 @@ struct Edge {
 /// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, every
 /// factor's nodes exist, poses and information are finite, information is symmetric and not indefinite. Nodes
 /// and edges are numbered in the order of arrival; the numbers are what solvers work with.
-class PoseGraph {
+class LOOPWISE_EXPORT PoseGraph {
  public:
   /// \returns its number. \throws InputError on a repeated key or a pose that is not finite.
   std::size_t add_node(const Node& node);
@@ -99,26 +103,36 @@ class PoseGraph {
     return replace_edges(std::move(kept));
   }
 
+  /// Whether there is a node of this key.
   [[nodiscard]] bool contains(Key key) const { return index_.count(key) != 0; }
+  /// Number of the node, if there is one of this key.
   [[nodiscard]] std::optional<std::size_t> find(Key key) const;
   /// \throws UnknownKeyError
   [[nodiscard]] std::size_t index_of(Key key) const;
   /// \throws UnknownKeyError
   [[nodiscard]] const Node& node(Key key) const { return nodes_[index_of(key)]; }
 
+  /// In order of arrival, which is their number.
   [[nodiscard]] const std::vector<Node>& nodes() const { return nodes_; }
+  /// In order of arrival.
   [[nodiscard]] const std::vector<PriorFactor>& priors() const { return priors_; }
+  /// In order of arrival, which is their number.
   [[nodiscard]] const std::vector<Edge>& edges() const { return edges_; }
+  /// In order of arrival.
   [[nodiscard]] const std::vector<RangeFactor>& ranges() const { return ranges_; }
+  /// In order of arrival.
   [[nodiscard]] const std::vector<GravityFactor>& gravities() const { return gravities_; }
+  /// Whether there is no node.
   [[nodiscard]] bool empty() const { return nodes_.empty(); }
+  /// Keys of all nodes by their number.
   [[nodiscard]] std::vector<Key> keys() const;
 
   /// Node numbers of an edge's two ends.
   struct Ends {
-    std::size_t from;
-    std::size_t to;
+    std::size_t from;  ///< Number of Edge::from.
+    std::size_t to;    ///< Number of Edge::to.
   };
+  /// Numbers of the two nodes that edge number `edge` joins.
   [[nodiscard]] Ends ends(std::size_t edge) const { return ends_[edge]; }
   /// Numbers of the edges at a node, in order of arrival.
   [[nodiscard]] const std::vector<std::size_t>& edges_of(std::size_t node) const { return adjacency_[node]; }
@@ -127,10 +141,13 @@ class PoseGraph {
   void set_pose(Key key, const Eigen::Isometry3d& pose);
   /// One pose per node, by number. \throws InputError on another count or a pose that is not finite.
   void set_poses(const std::vector<Eigen::Isometry3d>& poses);
+  /// Poses of all nodes by their number.
   [[nodiscard]] std::vector<Eigen::Isometry3d> poses() const;
+  /// Sets or clears the marginal covariance of node number `node`; it is not checked.
   void set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance);
   /// \throws InputError unless the weight lies in [0, 1].
   void set_weight(std::size_t edge, double weight);
+  /// Sets the kind of edge number `edge`.
   void set_kind(std::size_t edge, EdgeKind kind) { edges_[edge].kind = kind; }
 
  private:
@@ -148,14 +165,14 @@ class PoseGraph {
 
 /// Connected components by edges; ranges alone leave a component loose. \returns for each node the number of
 /// its component, from 0 in node order.
-[[nodiscard]] std::vector<std::size_t> connected_components(const PoseGraph& graph);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
 /// Marks edges between consecutive nodes of one robot as odometry, those that end at a landmark as sightings
 /// of it, and all others as loop closures.
-void classify_edges(PoseGraph& graph, const Robots& robots);
+LOOPWISE_EXPORT void classify_edges(PoseGraph& graph, const Robots& robots);
 
 /// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.
 /// Positive semi-definite matrices pass, with a tolerance of 1e-9 of the largest element.
-[[nodiscard]] const char* check_information(const Matrix6d& information);
+[[nodiscard]] LOOPWISE_EXPORT const char* check_information(const Matrix6d& information);
 
 }  // namespace loopwise

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <utility>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 
 namespace loopwise {
@@ -32,25 +33,32 @@ namespace loopwise {
 
 /// xoshiro256** (Blackman, Vigna 2018), seeded through SplitMix64, with distributions of its own.
 /// Satisfies UniformRandomBitGenerator. Cheap to copy; not shared between threads.
-class Rng {
+class LOOPWISE_EXPORT Rng {
  public:
-  using result_type = std::uint64_t;
+  using result_type = std::uint64_t;  ///< 64 random bits.
 
+  /// Equal seeds give equal sequences on every machine.
   explicit Rng(std::uint64_t seed);
 
+  /// Smallest number that operator() returns.
   static constexpr result_type min() { return 0; }
+  /// Largest number that operator() returns.
   static constexpr result_type max() { return ~result_type{0}; }
+  /// The next 64 random bits.
   result_type operator()();
 
   /// In [0, 1), 53 random bits.
   double uniform();
+  /// In [low, high).
   double uniform(double low, double high) { return low + (high - low) * uniform(); }
   /// In [0, count), unbiased. \pre count > 0
   std::uint64_t below(std::uint64_t count);
   /// Standard normal by the polar method.
   double normal();
+  /// Normal with this mean and standard deviation.
   double normal(double mean, double sigma) { return mean + sigma * normal(); }
 
+  /// Every order is as likely (Fisher and Yates).
   template <class Container>
   void shuffle(Container& items) {
     for (std::size_t i = items.size(); i > 1; --i) {

@@ -8,6 +8,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/se3.hpp>
 
@@ -15,8 +16,8 @@ namespace loopwise {
 
 /// A computed candidate that passed all tests of the computation: *verified*.
 struct LoopClosure {
-  Key from = 0;
-  Key to = 0;
+  Key from = 0;  ///< The newer node, as of the candidate.
+  Key to = 0;    ///< The older node.
   /// Pose of `to` in the frame of `from`: p_from = T_from_to · p_to.
   Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
   /// Of T_from_to, right perturbation, order [translation, rotation], m² and rad². Symmetric positive
@@ -41,13 +42,13 @@ enum class RejectionReason {
   kNotConverged,        ///< Refinement did not converge, or left the finite numbers.
   kFailed,              ///< The registrar threw; the message says what.
 };
-[[nodiscard]] EnumNames<RejectionReason> enum_names(RejectionReason);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<RejectionReason> enum_names(RejectionReason);
 
 /// What came of one candidate. A candidate that cannot be computed is not an error but a result with a
 /// reason.
 struct RegistrationResult {
-  LoopCandidate candidate;
-  RejectionReason reason = RejectionReason::kNone;
+  LoopCandidate candidate;                          ///< What was computed.
+  RejectionReason reason = RejectionReason::kNone;  ///< kNone if it was verified.
   std::string message;                 ///< For people: figures against bounds. Empty if verified.
   std::optional<LoopClosure> closure;  ///< Present exactly if reason is kNone.
 
@@ -60,10 +61,13 @@ struct RegistrationResult {
   double gicp_fitness_m2 = std::numeric_limits<double>::quiet_NaN();
   /// Share of source points with a target point nearby after refinement, [0, 1]. NaN if not measured.
   double overlap = std::numeric_limits<double>::quiet_NaN();
-  /// Wall time by stage, s. For reports only.
-  double features_s = 0.0, global_s = 0.0, refine_s = 0.0;
+  double features_s = 0.0;  ///< Wall time of features and submaps, s. For reports only, as the next two.
+  double global_s = 0.0;    ///< Of the feature-based stage, s.
+  double refine_s = 0.0;    ///< Of refinement and tests, s.
 
+  /// Whether it passed all tests of the computation.
   [[nodiscard]] bool verified() const { return reason == RejectionReason::kNone && closure.has_value(); }
+  /// Wall time of all stages, s.
   [[nodiscard]] double seconds() const { return features_s + global_s + refine_s; }
 };
 

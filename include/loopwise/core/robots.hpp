@@ -8,25 +8,26 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 
 namespace loopwise {
 
 /// A robot of the team and the range of keys that are its nodes, both ends included.
 struct Robot {
-  std::string name;
-  Key first = 0;
-  Key last = 0;
+  std::string name;  ///< Unique in the team, not empty.
+  Key first = 0;     ///< Least key of its nodes.
+  Key last = 0;      ///< Largest key of its nodes; it belongs to the range.
   /// Its nodes are landmarks (artifacts, radio anchors) that robots saw, not key frames: they take part in
   /// the optimisation, have no scans and no odometry, and are never candidates.
   bool landmarks = false;
 };
 
 /// The robot whose nodes carry this character.
-[[nodiscard]] Robot robot_of_character(char character, std::string name);
+[[nodiscard]] LOOPWISE_EXPORT Robot robot_of_character(char character, std::string name);
 
 /// Which key belongs to which robot. Robots are numbered from 0 in the order of their key ranges.
-class Robots {
+class LOOPWISE_EXPORT Robots {
  public:
   Robots() = default;
 
@@ -36,9 +37,13 @@ class Robots {
   /// One robot per character found, named after it; all plain integers together form the robot "0".
   [[nodiscard]] static Robots from_keys(const std::vector<Key>& keys);
 
+  /// Number of robots.
   [[nodiscard]] std::size_t size() const { return robots_.size(); }
+  /// Whether there is no robot.
   [[nodiscard]] bool empty() const { return robots_.empty(); }
+  /// The robot of this number. \pre robot < size()
   [[nodiscard]] const Robot& operator[](std::size_t robot) const { return robots_[robot]; }
+  /// By number.
   [[nodiscard]] const std::vector<Robot>& all() const { return robots_; }
 
   /// The robot that owns the key, if any.
@@ -62,6 +67,6 @@ class Robots {
 
 /// Reads "0-624,625-1249" (robots named "0", "1", ...) or "husky=0-624,spot=625-1249" or "a,b" (characters).
 /// \throws OptionError naming the part that cannot be read.
-[[nodiscard]] Robots parse_robots(std::string_view text);
+[[nodiscard]] LOOPWISE_EXPORT Robots parse_robots(std::string_view text);
 
 }  // namespace loopwise

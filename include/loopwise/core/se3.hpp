@@ -12,8 +12,8 @@
 
 namespace loopwise {
 
-using Vector6d = Eigen::Matrix<double, 6, 1>;
-using Matrix6d = Eigen::Matrix<double, 6, 6>;
+using Vector6d = Eigen::Matrix<double, 6, 1>;  ///< A tangent vector [translation, rotation], m and rad.
+using Matrix6d = Eigen::Matrix<double, 6, 6>;  ///< A covariance or information over it.
 
 namespace se3 {
 
@@ -83,12 +83,14 @@ struct ExpCoefficients {
   return Eigen::Matrix3d::Identity() + k.b * w + k.c * (w * w);
 }
 
+/// Its inverse. Finite for angles of less than 2π.
 [[nodiscard]] inline Eigen::Matrix3d so3_left_jacobian_inverse(const Eigen::Vector3d& phi) {
   const Eigen::Matrix3d w = skew(phi);
   return Eigen::Matrix3d::Identity() - 0.5 * w +
          detail::inverse_jacobian_coefficient(phi.squaredNorm()) * (w * w);
 }
 
+/// Rigid motion of the tangent vector [ρ, φ]: rotation Exp(φ), translation J_l(φ)·ρ.
 [[nodiscard]] inline Eigen::Isometry3d exp(const Vector6d& xi) {
   const Eigen::Vector3d phi = xi.tail<3>();
   Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
@@ -97,6 +99,7 @@ struct ExpCoefficients {
   return T;
 }
 
+/// Tangent vector of a rigid motion, rotation of length ≤ π; exp(log(T)) = T.
 [[nodiscard]] inline Vector6d log(const Eigen::Isometry3d& T) {
   Vector6d xi;
   xi.tail<3>() = so3_log(T.linear());
@@ -150,6 +153,7 @@ namespace detail {
 
 }  // namespace detail
 
+/// Left Jacobian: Exp(ξ + δ) ≈ Exp(J_l(ξ) δ)·Exp(ξ).
 [[nodiscard]] inline Matrix6d left_jacobian(const Vector6d& xi) {
   const Eigen::Vector3d rho = xi.head<3>(), phi = xi.tail<3>();
   Matrix6d J = Matrix6d::Zero();
@@ -158,6 +162,7 @@ namespace detail {
   return J;
 }
 
+/// Its inverse. Finite for rotations of less than 2π.
 [[nodiscard]] inline Matrix6d left_jacobian_inverse(const Vector6d& xi) {
   const Eigen::Vector3d rho = xi.head<3>(), phi = xi.tail<3>();
   const Eigen::Matrix3d j = so3_left_jacobian_inverse(phi);

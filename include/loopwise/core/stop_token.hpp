@@ -10,6 +10,7 @@ namespace loopwise {
 class StopToken {
  public:
   StopToken() = default;
+  /// Whether to end early.
   [[nodiscard]] bool stop_requested() const { return flag_ && flag_->load(std::memory_order_relaxed); }
 
  private:
@@ -22,8 +23,11 @@ class StopToken {
 class StopSource {
  public:
   StopSource() : flag_(std::make_shared<std::atomic<bool>>(false)) {}
+  /// Asks all holders of a token to end early; cannot be taken back.
   void request_stop() const noexcept { flag_->store(true, std::memory_order_relaxed); }
+  /// Whether the request was made.
   [[nodiscard]] bool stop_requested() const { return flag_->load(std::memory_order_relaxed); }
+  /// For those who shall be asked.
   [[nodiscard]] StopToken token() const { return StopToken(flag_); }
 
  private:

@@ -5,11 +5,13 @@
 #include <functional>
 #include <memory>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// Threads for coarse tasks. Work is never split further inside a task, and what a task computes must not
 /// depend on the thread that runs it: then the number of threads changes the run time and nothing else.
-class ThreadPool {
+class LOOPWISE_EXPORT ThreadPool {
  public:
   /// `num_threads` = 0 takes the number of processors. With 1 all work runs in the calling thread.
   explicit ThreadPool(int num_threads = 0);
@@ -17,6 +19,7 @@ class ThreadPool {
   ThreadPool(const ThreadPool&) = delete;
   ThreadPool& operator=(const ThreadPool&) = delete;
 
+  /// How many threads work at once.
   [[nodiscard]] int num_threads() const;
   /// Takes effect from the next for_each; must not be called while one runs.
   void resize(int num_threads);

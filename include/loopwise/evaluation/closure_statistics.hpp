@@ -9,6 +9,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/registration_result.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
@@ -17,12 +18,13 @@ namespace loopwise {
 
 /// Distance of a measured relative pose from the true one: of Y⁻¹·T with Y = Y_from⁻¹ Y_to.
 struct ClosureError {
-  double translation_m = std::numeric_limits<double>::quiet_NaN();
-  double rotation_rad = std::numeric_limits<double>::quiet_NaN();
+  double translation_m = std::numeric_limits<double>::quiet_NaN();  ///< Length of the translation.
+  double rotation_rad = std::numeric_limits<double>::quiet_NaN();   ///< Angle of the rotation, in [0, π].
 };
 
 /// Nothing if the truth lacks one of the two nodes.
-[[nodiscard]] std::optional<ClosureError> closure_error(const LoopClosure& closure, const PosesByKey& truth);
+[[nodiscard]] LOOPWISE_EXPORT std::optional<ClosureError> closure_error(const LoopClosure& closure,
+                                                                        const PosesByKey& truth);
 
 /// Bounds of the classes. The defaults are the paper's.
 struct ClosureClassOptions {
@@ -46,8 +48,8 @@ struct ClosureStatistics {
   std::size_t computed = 0;     ///< verified + Σ rejected
   std::size_t verified = 0;     ///< Passed all tests of the computation.
   std::size_t gnc_inliers = 0;  ///< Verified, and kept by the back end.
-  std::size_t true_inliers =
-      0;  ///< Verified, and within the bounds of the truth, whatever the back end thought.
+  /// Verified, and within the bounds of the truth, whatever the back end thought.
+  std::size_t true_inliers = 0;
   std::size_t right_inliers = 0;  ///< Both of these.
   std::size_t without_truth = 0;  ///< Verified, but the truth lacks a node: never a true inlier.
   /// Computed candidates that were refused, by reason; reasons that did not occur are absent.
@@ -55,14 +57,13 @@ struct ClosureStatistics {
 };
 
 /// Share of `count` in `total` in percent; 0 of 0 is 0.
-[[nodiscard]] double percent(std::size_t count, std::size_t total);
+[[nodiscard]] LOOPWISE_EXPORT double percent(std::size_t count, std::size_t total);
 
 /// `weights[i]` is the last weight that the back end gave to `results[i]`; not read if that is not verified,
 /// and NaN where the back end never saw it, which is no inlier. `queued` counts the computed ones too.
 /// \throws InputError unless there are as many weights as results and at most `queued` of them; OptionError.
-[[nodiscard]] ClosureStatistics closure_statistics(const std::vector<RegistrationResult>& results,
-                                                   const std::vector<double>& weights, std::size_t queued,
-                                                   const PosesByKey& truth,
-                                                   const ClosureClassOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT ClosureStatistics
+closure_statistics(const std::vector<RegistrationResult>& results, const std::vector<double>& weights,
+                   std::size_t queued, const PosesByKey& truth, const ClosureClassOptions& options = {});
 
 }  // namespace loopwise

@@ -3,6 +3,7 @@
 
 #include <string>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/io/mission.hpp>
 
 namespace loopwise {
@@ -10,6 +11,6 @@ namespace loopwise {
 /// A mission from above as an SVG: each robot's path by odometry (dashed) and in truth where known (solid),
 /// beacons (triangles), where priors hold (squares), and in grey what was driven out of range. North (y) is
 /// up.
-[[nodiscard]] std::string mission_picture_svg(const Mission& mission);
+[[nodiscard]] LOOPWISE_EXPORT std::string mission_picture_svg(const Mission& mission);
 
 }  // namespace loopwise

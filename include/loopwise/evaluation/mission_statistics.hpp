@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/io/mission.hpp>
 
@@ -15,7 +16,7 @@ namespace loopwise {
 
 /// Error of one robot's odometry once its first pose lies on the truth's.
 struct RobotDrift {
-  std::string robot;
+  std::string robot;         ///< Its name.
   double length_m = 0.0;     ///< True path over the nodes.
   double largest_m = 0.0;    ///< Largest error of a position.
   double largest_rad = 0.0;  ///< Largest error of an attitude.
@@ -23,8 +24,9 @@ struct RobotDrift {
 };
 
 /// One per robot that has at least two nodes with ground truth, in the order of the robots.
-[[nodiscard]] std::vector<RobotDrift> odometry_drift(const Mission& mission);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<RobotDrift> odometry_drift(const Mission& mission);
 
+/// Which candidates are counted, and when two scans saw the same place.
 struct CandidateStatisticsOptions {
   double radius_m = 30.0;
   int skip_recent = 10;
@@ -44,6 +46,7 @@ struct CandidateStatisticsOptions {
   }
 };
 
+/// How many candidates proximity finds, and what they are worth by the truth.
 struct CandidateStatistics {
   std::size_t candidates = 0;  ///< All within the radius, by the odometry's poses.
   std::size_t looked_at = 0;   ///< Of them, with two scans and ground truth.
@@ -54,7 +57,7 @@ struct CandidateStatistics {
 
 /// Candidates by proximity as LAMP's base station generates them. The draw depends on the mission alone.
 /// \throws OptionError; what reading the scans throws.
-[[nodiscard]] CandidateStatistics candidate_statistics(const Mission& mission,
-                                                       const CandidateStatisticsOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT CandidateStatistics
+candidate_statistics(const Mission& mission, const CandidateStatisticsOptions& options = {});
 
 }  // namespace loopwise

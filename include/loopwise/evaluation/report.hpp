@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/progress.hpp>
 #include <loopwise/core/thread_pool.hpp>
@@ -17,6 +18,7 @@
 
 namespace loopwise {
 
+/// How much of its runs a page shows.
 struct ReportOptions {
   std::int64_t map_points = 20000;
   std::int64_t layer_items = 20000;
@@ -35,10 +37,10 @@ struct ReportOptions {
 
 /// What was found in the folders.
 struct Report {
-  std::string data;  ///< JSON, the page's only input.
-  std::size_t runs = 0;
-  std::size_t studies = 0;
-  std::size_t maps = 0;
+  std::string data;                ///< JSON, the page's only input.
+  std::size_t runs = 0;            ///< Runs that it shows.
+  std::size_t studies = 0;         ///< Studies that it shows.
+  std::size_t maps = 0;            ///< Runs with a map.
   std::vector<std::string> notes;  ///< What could not be shown, and why; the page shows them as well.
 };
 
@@ -56,20 +58,22 @@ struct Report {
 ///
 /// \throws OptionError; InputError if a folder is neither, or a mission is none of the runs'; IoError;
 ///         ParseError.
-[[nodiscard]] Report make_report(const std::vector<std::filesystem::path>& folders,
-                                 const std::vector<Mission>& missions, const ReportOptions& options,
-                                 ThreadPool& threads, const ProgressCallback& progress = {});
+[[nodiscard]] LOOPWISE_EXPORT Report make_report(const std::vector<std::filesystem::path>& folders,
+                                                 const std::vector<Mission>& missions,
+                                                 const ReportOptions& options, ThreadPool& threads,
+                                                 const ProgressCallback& progress = {});
 
 /// Whether this build can write pages: they are bundled by npm, an optional part of the build.
-[[nodiscard]] bool report_pages_built();
+[[nodiscard]] LOOPWISE_EXPORT bool report_pages_built();
 
 /// The page around the data: HTML that loads nothing from elsewhere. The data stand in it as text that no
 /// browser takes for markup, whatever the names in it. \throws Error unless report_pages_built().
-[[nodiscard]] std::string report_page(std::string_view data);
+[[nodiscard]] LOOPWISE_EXPORT std::string report_page(std::string_view data);
 
 /// make_report() and report_page() in one file. \throws as both; IoError
-Report write_report(const std::filesystem::path& file, const std::vector<std::filesystem::path>& folders,
-                    const std::vector<Mission>& missions, const ReportOptions& options, ThreadPool& threads,
-                    const ProgressCallback& progress = {});
+LOOPWISE_EXPORT Report write_report(const std::filesystem::path& file,
+                                    const std::vector<std::filesystem::path>& folders,
+                                    const std::vector<Mission>& missions, const ReportOptions& options,
+                                    ThreadPool& threads, const ProgressCallback& progress = {});
 
 }  // namespace loopwise

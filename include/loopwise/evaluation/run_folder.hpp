@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/evaluation/closure_statistics.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
@@ -18,32 +19,36 @@ namespace loopwise {
 
 /// A replay judged against the mission's ground truth.
 struct RunEvaluation {
-  ClosureStatistics closures;
-  bool has_truth = false;     ///< The rest stays empty without.
-  TrajectoryErrors odometry;  ///< In the common frame, no alignment, as the paper.
-  TrajectoryErrors optimized;
-  TrajectoryErrors odometry_aligned;  ///< After the best rigid motion.
-  TrajectoryErrors optimized_aligned;
+  ClosureStatistics closures;          ///< In the classes of the paper's Table I.
+  bool has_truth = false;              ///< The rest stays empty without.
+  TrajectoryErrors odometry;           ///< In the common frame, no alignment, as the paper.
+  TrajectoryErrors optimized;          ///< The same of the optimised estimate.
+  TrajectoryErrors odometry_aligned;   ///< After the best rigid motion.
+  TrajectoryErrors optimized_aligned;  ///< The same of the optimised estimate.
 };
 
-[[nodiscard]] RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
+/// Judges a replay: closures against the truth, poses by odometry and by the estimate.
+[[nodiscard]] LOOPWISE_EXPORT RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
 
 /// What summary.json holds, as indented JSON: candidates, closures, reasons, errors, times, options.
-[[nodiscard]] std::string run_summary_json(const Mission& mission, const Config& config,
-                                           const ReplayResult& result, const RunEvaluation& evaluation);
+[[nodiscard]] LOOPWISE_EXPORT std::string run_summary_json(const Mission& mission, const Config& config,
+                                                           const ReplayResult& result,
+                                                           const RunEvaluation& evaluation);
 
 /// The header and rows of closures.csv.
-[[nodiscard]] std::string closures_csv(const ReplayResult& result);
+[[nodiscard]] LOOPWISE_EXPORT std::string closures_csv(const ReplayResult& result);
 
 /// The scans of the graph's nodes at its poses, thinned to one point per voxel. Scans are read one at a time.
-[[nodiscard]] PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double voxel_m,
-                                    const StopToken& stop = {}, const ProgressCallback& progress = {});
+[[nodiscard]] LOOPWISE_EXPORT PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans,
+                                                    double voxel_m, const StopToken& stop = {},
+                                                    const ProgressCallback& progress = {});
 
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
 /// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
 /// and, last, summary.json: where that is missing the folder is not whole. \throws IoError
-void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
-                      const ReplayResult& result, const RunEvaluation& evaluation,
-                      const std::vector<HistoryRow>& history, const PointCloud& map);
+LOOPWISE_EXPORT void write_run_folder(const std::filesystem::path& folder, const Mission& mission,
+                                      const Config& config, const ReplayResult& result,
+                                      const RunEvaluation& evaluation, const std::vector<HistoryRow>& history,
+                                      const PointCloud& map);
 
 }  // namespace loopwise

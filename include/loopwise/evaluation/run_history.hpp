@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/evaluation/closure_statistics.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/pipeline/replay.hpp>
@@ -16,28 +17,29 @@ namespace loopwise {
 
 /// A run at one moment of mission time. Counts are since the start.
 struct HistoryRow {
-  double mission_time_s = 0.0;
-  std::size_t key_frames = 0;  ///< Arrived.
-  std::size_t generated = 0;
-  std::size_t queued = 0;
-  std::size_t computed = 0;
-  std::size_t verified = 0;
+  double mission_time_s = 0.0;    ///< When the row was taken.
+  std::size_t key_frames = 0;     ///< Arrived.
+  std::size_t generated = 0;      ///< Candidates proposed.
+  std::size_t queued = 0;         ///< Of them, not pruned.
+  std::size_t computed = 0;       ///< Candidates with a result.
+  std::size_t verified = 0;       ///< Of them, closures.
   std::size_t gnc_inliers = 0;    ///< Verified, and kept by the last optimisation.
   std::size_t true_inliers = 0;   ///< Verified, and within the bounds of the truth.
   std::size_t right_inliers = 0;  ///< Both of these.
   /// Mean error of the positions of all nodes that have arrived, common frame, no alignment, m: by the
   /// estimate, and by odometry alone. NaN without ground truth.
   double ate_m = std::numeric_limits<double>::quiet_NaN();
-  double odometry_ate_m = std::numeric_limits<double>::quiet_NaN();
+  double odometry_ate_m = std::numeric_limits<double>::quiet_NaN();  ///< The same by odometry.
 };
 
 /// Collects the rows: one after each batch, and every 10 s of mission time where no batch ends. Hand add() to
 /// ReplayHooks::moment.
-class RunHistory {
+class LOOPWISE_EXPORT RunHistory {
  public:
   /// `mission` must outlive it. \throws OptionError
   explicit RunHistory(const Mission& mission, const ClosureClassOptions& options = {});
 
+  /// Takes in a moment; those between two rows cost little.
   void add(const ReplayMoment& moment);
 
   /// In order of time, at most one of any time.
@@ -57,6 +59,6 @@ class RunHistory {
 };
 
 /// The header and rows of history.csv.
-[[nodiscard]] std::string history_csv(const std::vector<HistoryRow>& rows);
+[[nodiscard]] LOOPWISE_EXPORT std::string history_csv(const std::vector<HistoryRow>& rows);
 
 }  // namespace loopwise

@@ -8,23 +8,26 @@
 #include <limits>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 
 namespace loopwise {
 
 /// The share `p` of the values lies below, by linear interpolation between order statistics (Hyndman and Fan
 /// 1996, definition 7). NaN of no values. \pre all finite, p in [0, 1]
-[[nodiscard]] double quantile(std::vector<double> values, double p);
+[[nodiscard]] LOOPWISE_EXPORT double quantile(std::vector<double> values, double p);
 
+/// The middle half of a sample; NaN if it is empty.
 struct Quartiles {
-  std::size_t count = 0;
-  double lower = std::numeric_limits<double>::quiet_NaN();
-  double median = std::numeric_limits<double>::quiet_NaN();
-  double upper = std::numeric_limits<double>::quiet_NaN();
+  std::size_t count = 0;                                     ///< Values, NaN left out.
+  double lower = std::numeric_limits<double>::quiet_NaN();   ///< A quarter lies below.
+  double median = std::numeric_limits<double>::quiet_NaN();  ///< Half lies below.
+  double upper = std::numeric_limits<double>::quiet_NaN();   ///< Three quarters lie below.
 };
 /// Values that are NaN do not count.
-[[nodiscard]] Quartiles quartiles(const std::vector<double>& values);
+[[nodiscard]] LOOPWISE_EXPORT Quartiles quartiles(const std::vector<double>& values);
 
+/// How intervals are drawn.
 struct BootstrapOptions {
   std::int64_t resamples = 10000;
   double level = 0.95;
@@ -40,30 +43,31 @@ struct BootstrapOptions {
 
 /// NaN of fewer than two values: one does not tell how far others would be.
 struct Interval {
-  double low = std::numeric_limits<double>::quiet_NaN();
-  double high = std::numeric_limits<double>::quiet_NaN();
+  double low = std::numeric_limits<double>::quiet_NaN();   ///< Lower end.
+  double high = std::numeric_limits<double>::quiet_NaN();  ///< Upper end.
 };
 
 /// Percentile bootstrap interval (Efron 1979) of the median. Values that are NaN do not count. With few
 /// values it is no wider than they are: of five, it ends at the smallest and largest at most. \throws
 /// OptionError
-[[nodiscard]] Interval bootstrap_median(const std::vector<double>& values,
-                                        const BootstrapOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT Interval bootstrap_median(const std::vector<double>& values,
+                                                        const BootstrapOptions& options = {});
 
 /// One method against another on the same missions.
 struct PairedComparison {
   std::size_t count = 0;                                              ///< Pairs of which neither is NaN.
   std::size_t better = 0;                                             ///< Pairs with a < b.
   double mean_difference = std::numeric_limits<double>::quiet_NaN();  ///< Of a − b.
-  Interval difference;
+  Interval difference;                                                ///< Of the mean difference.
   /// Geometric mean of a / b: missions count alike however large their errors are. NaN if any is not > 0.
   double ratio = std::numeric_limits<double>::quiet_NaN();
-  Interval ratio_interval;
+  Interval ratio_interval;  ///< Of that ratio.
 };
 
 /// Percentile bootstrap over the pairs: each resample draws pairs, not values.
 /// \throws InputError unless both have one length; OptionError
-[[nodiscard]] PairedComparison compare_paired(const std::vector<double>& a, const std::vector<double>& b,
-                                              const BootstrapOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT PairedComparison compare_paired(const std::vector<double>& a,
+                                                              const std::vector<double>& b,
+                                                              const BootstrapOptions& options = {});
 
 }  // namespace loopwise

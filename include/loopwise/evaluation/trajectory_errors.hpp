@@ -35,6 +35,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -45,7 +46,8 @@ namespace loopwise {
 /// Poses of the body in the common frame by node.
 using PosesByKey = std::map<Key, Eigen::Isometry3d>;
 
-[[nodiscard]] PosesByKey poses_by_key(const PoseGraph& graph);
+/// The poses of a graph's nodes.
+[[nodiscard]] LOOPWISE_EXPORT PosesByKey poses_by_key(const PoseGraph& graph);
 
 /// The rigid motion S of the whole team that is applied to the estimate before the comparison. Never a scale.
 enum class Alignment {
@@ -53,68 +55,78 @@ enum class Alignment {
   kFirst,  ///< S = Y_k X_k⁻¹ for the smallest common key: the first pose of the first robot is right.
   kSe3,    ///< S minimises Σ |trans(Y_k) − S·trans(X_k)|² (Umeyama 1991, without scale).
 };
-[[nodiscard]] EnumNames<Alignment> enum_names(Alignment);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Alignment> enum_names(Alignment);
 
 /// What determined the rotation of Alignment::kSe3. Positions on one line leave the rotation about it free,
 /// and positions in one point leave all of it free: what is free then minimises Σ ‖R_Y,k − R_S R_X,k‖² over
 /// the orientations.
-enum class AlignmentSupport { kPositions, kLine, kPoint };
-[[nodiscard]] EnumNames<AlignmentSupport> enum_names(AlignmentSupport);
+enum class AlignmentSupport {
+  kPositions,  ///< Positions alone.
+  kLine,       ///< Positions, and orientations for the rotation about their line.
+  kPoint,      ///< Orientations alone.
+};
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<AlignmentSupport> enum_names(AlignmentSupport);
 
 /// S of the header's text over the common keys. \throws InputError as evaluate_trajectory.
 struct AlignmentResult {
   Eigen::Isometry3d T_truth_estimate = Eigen::Isometry3d::Identity();  ///< S.
   AlignmentSupport support = AlignmentSupport::kPositions;             ///< kPositions unless kSe3.
 };
-[[nodiscard]] AlignmentResult align(const PosesByKey& estimate, const PosesByKey& truth, Alignment alignment);
+/// The alignment of an estimate with the truth, over their common keys.
+[[nodiscard]] LOOPWISE_EXPORT AlignmentResult align(const PosesByKey& estimate, const PosesByKey& truth,
+                                                    Alignment alignment);
 
 /// Of a set of errors. Without any, count is 0 and the rest NaN.
 struct Statistics {
-  std::size_t count = 0;
-  double rmse = std::numeric_limits<double>::quiet_NaN();
-  double mean = std::numeric_limits<double>::quiet_NaN();
+  std::size_t count = 0;                                     ///< Errors in the set.
+  double rmse = std::numeric_limits<double>::quiet_NaN();    ///< Root of the mean square.
+  double mean = std::numeric_limits<double>::quiet_NaN();    ///< Arithmetic mean.
   double median = std::numeric_limits<double>::quiet_NaN();  ///< Mean of the middle two if count is even.
-  double max = std::numeric_limits<double>::quiet_NaN();
+  double max = std::numeric_limits<double>::quiet_NaN();     ///< The largest.
 };
 /// \pre all finite and ≥ 0
-[[nodiscard]] Statistics statistics(std::vector<double> errors);
+[[nodiscard]] LOOPWISE_EXPORT Statistics statistics(std::vector<double> errors);
 
+/// RPE over one distance, see the head of the file.
 struct RelativeErrors {
-  double distance_m = 0.0;  ///< d; 0 for the steps between consecutive nodes.
-  Statistics translation_m;
-  Statistics rotation_rad;
+  double distance_m = 0.0;   ///< d; 0 for the steps between consecutive nodes.
+  Statistics translation_m;  ///< Of |trans(R_ij)|, m.
+  Statistics rotation_rad;   ///< Of angle(R_ij), rad.
   /// 100 · mean of |trans(R_ij)| / s_ij and (180/π) · mean of angle(R_ij) / s_ij, s_ij the length of the true
   /// path. Pairs with s_ij < min_path_m do not count; NaN if none is left.
   double translation_percent = std::numeric_limits<double>::quiet_NaN();
-  double rotation_deg_per_m = std::numeric_limits<double>::quiet_NaN();
+  double rotation_deg_per_m = std::numeric_limits<double>::quiet_NaN();  ///< °/m, see translation_percent.
 };
 
+/// Errors of one robot.
 struct RobotErrors {
-  std::string name;
-  std::size_t poses = 0;
+  std::string name;                     ///< Of the robot.
+  std::size_t poses = 0;                ///< Common to estimate and truth.
   double path_length_m = 0.0;           ///< Of the true path over the common nodes.
   double path_length_estimate_m = 0.0;  ///< Of the estimated one.
-  Statistics ate_m;
-  Statistics ate_rad;
-  RelativeErrors step;
+  Statistics ate_m;                     ///< Of e_k, m.
+  Statistics ate_rad;                   ///< Of θ_k, rad.
+  RelativeErrors step;                  ///< RPE between nodes that follow each other.
   /// The paper's Table II; NaN if no node has s_k ≥ min_path_m.
   double translation_percent = std::numeric_limits<double>::quiet_NaN();
-  double rotation_deg_per_m = std::numeric_limits<double>::quiet_NaN();
+  double rotation_deg_per_m = std::numeric_limits<double>::quiet_NaN();  ///< °/m, as above.
 };
 
+/// Errors of a whole team, see the head of the file.
 struct TrajectoryErrors {
-  Alignment alignment = Alignment::kNone;
-  AlignmentResult applied;
-  std::size_t poses = 0;             ///< Common to both.
-  std::size_t only_in_estimate = 0;  ///< Left out.
-  std::size_t only_in_truth = 0;     ///< Left out.
-  Statistics ate_m;
-  Statistics ate_rad;
+  Alignment alignment = Alignment::kNone;   ///< As asked for.
+  AlignmentResult applied;                  ///< What it came to.
+  std::size_t poses = 0;                    ///< Common to both.
+  std::size_t only_in_estimate = 0;         ///< Left out.
+  std::size_t only_in_truth = 0;            ///< Left out.
+  Statistics ate_m;                         ///< Of e_k over all poses, m.
+  Statistics ate_rad;                       ///< Of θ_k over all poses, rad.
   RelativeErrors step;                      ///< All robots' steps.
   std::vector<RelativeErrors> by_distance;  ///< One per asked distance, in that order.
   std::vector<RobotErrors> robots;          ///< Those with a common pose, in the order of Robots.
 };
 
+/// Distances of relative errors.
 struct TrajectoryEvaluationOptions {
   std::vector<double> distances_m = {10.0, 50.0, 100.0};
   double min_path_m = 1.0;
@@ -130,8 +142,8 @@ struct TrajectoryEvaluationOptions {
 /// If `robots` is empty, robots are told apart by the characters of the keys.
 /// \throws InputError if the two share no key, or a pose is not finite or its rotation none (names the key);
 ///         UnknownKeyError if a common key belongs to none of the robots; OptionError on bad options.
-[[nodiscard]] TrajectoryErrors evaluate_trajectory(const PosesByKey& estimate, const PosesByKey& truth,
-                                                   Alignment alignment, const Robots& robots = {},
-                                                   const TrajectoryEvaluationOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT TrajectoryErrors
+evaluate_trajectory(const PosesByKey& estimate, const PosesByKey& truth, Alignment alignment,
+                    const Robots& robots = {}, const TrajectoryEvaluationOptions& options = {});
 
 }  // namespace loopwise

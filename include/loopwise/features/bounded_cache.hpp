@@ -19,7 +19,7 @@ namespace loopwise {
 template <class K, class Value, class Hash = std::hash<K>>
 class BoundedCache {
  public:
-  using Pointer = std::shared_ptr<const Value>;
+  using Pointer = std::shared_ptr<const Value>;  ///< An entry; it outlives its place in the cache.
 
   /// `max_bytes` bounds the sum over the entries; the newest stays even where it alone exceeds the bound.
   explicit BoundedCache(std::size_t max_bytes) : max_bytes_(max_bytes) {}
@@ -73,10 +73,13 @@ class BoundedCache {
     return value;
   }
 
+  /// Sum over the entries that are kept now.
   [[nodiscard]] std::size_t bytes() const { return locked(bytes_); }
+  /// How often an entry was there when it was asked for.
   [[nodiscard]] std::size_t hits() const { return locked(hits_); }
   /// How often `make` ran and returned.
   [[nodiscard]] std::size_t misses() const { return locked(misses_); }
+  /// Entries kept now.
   [[nodiscard]] std::size_t size() const {
     const std::lock_guard<std::mutex> lock(mutex_);
     return order_.size();

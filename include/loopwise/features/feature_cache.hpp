@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <memory>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
@@ -13,6 +14,7 @@
 
 namespace loopwise {
 
+/// How a scan is made ready for all stages.
 struct FeatureOptions {
   double voxel_m = 0.5;
   int min_points = 1000;
@@ -36,19 +38,21 @@ struct FeatureOptions {
 
 /// What every stage needs of a scan, computed once: all of it is derived from the downsampled cloud.
 struct ScanFeatures {
-  PointCloud cloud;  ///< Downsampled, with normals (zero where unknown), body frame.
-  KdTree tree;       ///< Over cloud.points.
-  Observability observability;
-  std::size_t raw_points = 0;  ///< Of the scan before downsampling.
+  PointCloud cloud;             ///< Downsampled, with normals (zero where unknown), body frame.
+  KdTree tree;                  ///< Over cloud.points.
+  Observability observability;  ///< How well the scan constrains a registration.
+  std::size_t raw_points = 0;   ///< Of the scan before downsampling.
 
+  /// Memory that the features hold, for bounded caches.
   [[nodiscard]] std::size_t bytes() const { return sizeof(*this) + cloud.bytes() + tree.bytes(); }
 };
 
 /// Features of a cloud. Empty or degenerate clouds give empty or degenerate features, never NaN.
-[[nodiscard]] ScanFeatures compute_features(const PointCloud& cloud, const FeatureOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT ScanFeatures compute_features(const PointCloud& cloud,
+                                                            const FeatureOptions& options);
 
 /// Features of the scans by key, computed on first use and kept within a bound. Thread-safe.
-class FeatureCache {
+class LOOPWISE_EXPORT FeatureCache {
  public:
   /// \throws OptionError; InputError if `scans` is empty.
   explicit FeatureCache(ScanLoader scans, const FeatureOptions& options = {});
@@ -59,6 +63,7 @@ class FeatureCache {
   /// The scan itself, as the loader hands it out. \throws what the loader throws.
   [[nodiscard]] std::shared_ptr<const PointCloud> scan(Key key) const { return scans_(key); }
 
+  /// As given.
   [[nodiscard]] const FeatureOptions& options() const { return options_; }
   /// How many times features were computed.
   [[nodiscard]] std::size_t computed() const { return cache_.misses(); }

@@ -9,6 +9,8 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// A point found by a KdTree.
@@ -20,14 +22,16 @@ struct Neighbour {
 /// Exact nearest-neighbour search over points in 3D. Immutable: any number of threads may search at once.
 /// Points lie in leaves of a few, one array per coordinate, so that a leaf is scanned with SIMD.
 /// Equal distances are ordered by index: results depend on the points alone.
-class KdTree {
+class LOOPWISE_EXPORT KdTree {
  public:
   KdTree() = default;
   /// O(n log n). Points must be finite; equal points are fine. The points are copied.
   /// \throws InputError if there are 2^31 points or more.
   explicit KdTree(const std::vector<Eigen::Vector3f>& points);
 
+  /// Number of points.
   [[nodiscard]] std::size_t size() const { return size_; }
+  /// Whether there is no point.
   [[nodiscard]] bool empty() const { return size_ == 0; }
 
   /// The nearest point that lies closer than `max_distance_m`, if there is one.
@@ -42,6 +46,7 @@ class KdTree {
   /// The same in the order of the tree, which costs less.
   void within_unordered(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const;
 
+  /// Memory that the tree holds, for bounded caches.
   [[nodiscard]] std::size_t bytes() const;
 
  private:

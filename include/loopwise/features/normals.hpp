@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/features/kd_tree.hpp>
 
 namespace loopwise {
@@ -13,7 +14,7 @@ namespace loopwise {
 /// spread least, of unit length and turned towards the sensor at the origin. Where that direction is not
 /// defined (fewer than three points, all equal, or on one line) the normal is zero; the zero normal stands
 /// for "unknown" everywhere. `tree` holds `points`. \throws OptionError unless neighbours >= 3.
-[[nodiscard]] std::vector<Eigen::Vector3f> estimate_normals(const std::vector<Eigen::Vector3f>& points,
-                                                            const KdTree& tree, int neighbours);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Vector3f> estimate_normals(
+    const std::vector<Eigen::Vector3f>& points, const KdTree& tree, int neighbours);
 
 }  // namespace loopwise

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/se3.hpp>
 
@@ -17,10 +18,10 @@ struct Observability {
 
 /// A of the paper, order [rotation, translation], about the sensor's origin, metres. Points without a normal
 /// (zero) count nothing. One pass, in order, in double.
-[[nodiscard]] Matrix6d observability_matrix(const PointCloud& cloud);
+[[nodiscard]] LOOPWISE_EXPORT Matrix6d observability_matrix(const PointCloud& cloud);
 
 /// Both figures; 0 for a cloud without normals. O(n): a scan's downsampled cloud takes well under a
 /// millisecond.
-[[nodiscard]] Observability observability(const PointCloud& cloud);
+[[nodiscard]] LOOPWISE_EXPORT Observability observability(const PointCloud& cloud);
 
 }  // namespace loopwise

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 
 namespace loopwise {
@@ -11,11 +12,12 @@ namespace loopwise {
 /// averaged and normalised again). Cubes come in the order of their first point, so the result depends on the
 /// input alone, and a cloud with no two points in one cube comes back as it is. Points that are not finite
 /// are left out. O(n). \throws OptionError unless voxel_m > 0.
-[[nodiscard]] PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m);
+[[nodiscard]] LOOPWISE_EXPORT PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m);
 
 /// voxel_downsample that does no harm to sparse scans: a cloud of at most `min_points` points keeps all of
 /// them, and where the grid would leave fewer, its edge is halved, up to three times, until it leaves as
 /// many.
-[[nodiscard]] PointCloud adaptive_downsample(const PointCloud& cloud, double voxel_m, std::size_t min_points);
+[[nodiscard]] LOOPWISE_EXPORT PointCloud adaptive_downsample(const PointCloud& cloud, double voxel_m,
+                                                             std::size_t min_points);
 
 }  // namespace loopwise

@@ -4,16 +4,18 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
 namespace loopwise {
 
 /// Proposes loop candidates as the graph grows. Called from one thread at a time.
-class CandidateGenerator {
+class LOOPWISE_EXPORT CandidateGenerator {
  public:
   virtual ~CandidateGenerator() = default;
 
+  /// Short and stable, for tables and logs.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
   /// The graph gained the node `key` at mission time `time_s`: proposes it against nodes that came before. A

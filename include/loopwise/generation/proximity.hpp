@@ -10,6 +10,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/generation/candidate_generator.hpp>
 
@@ -39,17 +40,18 @@ struct ProximityOptions {
 };
 
 /// \throws OptionError naming the field, also if radius_min_m exceeds a bounded radius_max_m.
-void validate_proximity(const ProximityOptions& options);
+LOOPWISE_EXPORT void validate_proximity(const ProximityOptions& options);
 
 /// Options by name: "paper" (0.2 m per index, not clamped: candidates explode on long missions),
 /// "lamp_2022_01" (the same up to 30 m, 10 closest, skip 10), "lamp_base" (flat 30 m, skip 10; the default),
 /// "lamp_robot" (5 to 80 m, skip 15, 3 closest). \throws OptionError naming the known presets.
-[[nodiscard]] ProximityOptions proximity_preset(std::string_view name);
-[[nodiscard]] std::vector<std::string> proximity_preset_names();
+[[nodiscard]] LOOPWISE_EXPORT ProximityOptions proximity_preset(std::string_view name);
+/// The presets' names.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> proximity_preset_names();
 
 /// Proposes older nodes within a radius of the current estimate, ordered by their arrival. Positions are kept
 /// in a hash grid: a new node costs the nodes near it, not all nodes; a new estimate re-sorts them in O(n).
-class ProximityGenerator final : public CandidateGenerator {
+class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
  public:
   /// \throws OptionError
   ProximityGenerator(const ProximityOptions& options, Robots robots);

@@ -11,6 +11,7 @@
 #include <utility>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/problems.hpp>
 #include <loopwise/core/radio.hpp>
@@ -19,6 +20,7 @@
 
 namespace loopwise {
 
+/// When a node counts as near a beacon, and what makes one fly-by.
 struct RadioOptions {
   double max_loss_db = 60.0;
   std::int64_t max_gap_nodes = 20;
@@ -37,7 +39,7 @@ struct RadioOptions {
 };
 
 /// Mean path loss transmit − receive over the receivers that heard something, dB; NaN if none did.
-[[nodiscard]] double mean_path_loss_db(const std::vector<RadioReading>& readings);
+[[nodiscard]] LOOPWISE_EXPORT double mean_path_loss_db(const std::vector<RadioReading>& readings);
 
 /// Proposes pairs of nodes that passed the same radio beacon (paper §III-D). A node is *near* a beacon if its
 /// mean path loss is positive and less than a threshold. The node where a robot drops the beacon is fly-by 0.
@@ -49,7 +51,7 @@ struct RadioOptions {
 /// Each node of a fly-by is proposed against the nodes of all other fly-bys of that beacon that are known, in
 /// their order and the order of traversal. Nodes, readings and drops may come in any order: what is still
 /// missing is waited for.
-class RadioGenerator final : public CandidateGenerator {
+class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
  public:
   /// \throws OptionError
   RadioGenerator(const RadioOptions& options, Robots robots);
@@ -70,6 +72,7 @@ class RadioGenerator final : public CandidateGenerator {
 
   /// Nodes with readings that wait for their node or their beacon.
   [[nodiscard]] std::size_t waiting() const { return waiting_.size(); }
+  /// Flaws of the readings so far.
   [[nodiscard]] const Problems& problems() const { return problems_; }
 
  private:

@@ -3,15 +3,17 @@
 
 #include <filesystem>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/problems.hpp>
 
 namespace loopwise {
 
+/// A cloud as it was read.
 struct CloudFile {
-  PointCloud cloud;
-  Problems problems;
+  PointCloud cloud;   ///< Its points.
+  Problems problems;  ///< Flaws that the reader could live with.
 };
 
 /// Reads .pcd (ascii, binary, binary_compressed), .ply (ascii, binary of either byte order) or KITTI .bin, by
@@ -26,12 +28,17 @@ struct CloudFile {
 /// The sizes that a header claims are held against the length of the file before any memory is taken.
 /// \throws IoError; InputError naming the file (for the lines of ascii data: ParseError) if it is cut short,
 /// its counts disagree, or its kind is not known.
-[[nodiscard]] CloudFile read_cloud(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT CloudFile read_cloud(const std::filesystem::path& path);
 
 /// Whether read_cloud() knows the extension.
-[[nodiscard]] bool is_cloud_file(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT bool is_cloud_file(const std::filesystem::path& path);
 
-enum class PcdEncoding { kAscii, kBinary, kBinaryCompressed };
+/// How the points stand in a PCD file.
+enum class PcdEncoding {
+  kAscii,             ///< Numbers as text, a point a line.
+  kBinary,            ///< Point by point as in memory.
+  kBinaryCompressed,  ///< Field by field, compressed by LZF.
+};
 [[nodiscard]] inline EnumNames<PcdEncoding> enum_names(PcdEncoding) {
   return {{PcdEncoding::kAscii, "ascii"},
           {PcdEncoding::kBinary, "binary"},
@@ -40,10 +47,10 @@ enum class PcdEncoding { kAscii, kBinary, kBinaryCompressed };
 
 /// PCD 0.7 with the fields that the cloud has; read_cloud() and PCL give back the same floats in every
 /// encoding. Replaces an existing file as a whole or not at all. \throws IoError
-void write_pcd(const std::filesystem::path& path, const PointCloud& cloud,
-               PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
+LOOPWISE_EXPORT void write_pcd(const std::filesystem::path& path, const PointCloud& cloud,
+                               PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
 
 /// Binary little-endian PLY with the fields that the cloud has. \throws IoError
-void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
+LOOPWISE_EXPORT void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
 
 }  // namespace loopwise

@@ -11,19 +11,23 @@
 #include <type_traits>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 
 namespace loopwise {
 
 /// A CSV file with a known header. Values are converted when asked for; errors name file, line and column.
-class CsvTable {
+class LOOPWISE_EXPORT CsvTable {
  public:
   /// Blank lines are skipped, blanks around values ignored.
   /// \throws IoError; ParseError if the header differs from `columns` or a row has another number of values.
   CsvTable(const std::filesystem::path& path, std::vector<std::string> columns);
 
+  /// Number of rows.
   [[nodiscard]] std::size_t size() const { return lines_.size(); }
+  /// Line of the file that a row stands on, from 1.
   [[nodiscard]] std::size_t line(std::size_t row) const { return lines_[row]; }
+  /// A value as it stands in the file, without quotes and blanks around it.
   [[nodiscard]] const std::string& text(std::size_t row, std::size_t column) const {
     return values_[row * columns_.size() + column];
   }
@@ -48,8 +52,9 @@ class CsvTable {
 
 /// Builds the text of a CSV file; write it with write_file(csv.text()). Numbers are written so that they read
 /// back to the same bits; NaN is written as an empty value.
-class CsvText {
+class LOOPWISE_EXPORT CsvText {
  public:
+  /// Begins with the header line.
   explicit CsvText(const std::vector<std::string>& columns);
 
   /// One value per column: text, integers (keys among them) or floating point. \throws InputError on another
@@ -62,6 +67,7 @@ class CsvText {
     return *this;
   }
 
+  /// The whole file so far.
   [[nodiscard]] const std::string& text() const { return text_; }
 
  private:

@@ -3,14 +3,16 @@
 
 #include <filesystem>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/problems.hpp>
 
 namespace loopwise {
 
+/// A graph as it was read.
 struct G2oFile {
-  PoseGraph graph;
-  Problems problems;
+  PoseGraph graph;    ///< Nodes, priors and edges in the order of the file.
+  Problems problems;  ///< Flaws that the reader could live with.
 };
 
 /// Reads a 3D pose graph. Ids are full 64-bit keys; nodes, priors and edges keep the order of the file; an
@@ -36,11 +38,11 @@ struct G2oFile {
 /// number that is not finite, a zero quaternion, an id that is negative or exceeds 64 bits, indefinite
 /// information, a vertex with two different poses, an edge from a vertex to itself or to one that is not in
 /// the file, a 2D graph; InputError if there is no vertex at all.
-[[nodiscard]] G2oFile read_g2o(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT G2oFile read_g2o(const std::filesystem::path& path);
 
 /// Writes nodes, priors and edges so that read_g2o() gives them back: keys and information exactly, poses to
 /// rounding. Stamps, covariances, weights and kinds have no place in the format. An existing file is replaced
 /// as a whole or not at all. \throws IoError
-void write_g2o(const std::filesystem::path& path, const PoseGraph& graph);
+LOOPWISE_EXPORT void write_g2o(const std::filesystem::path& path, const PoseGraph& graph);
 
 }  // namespace loopwise

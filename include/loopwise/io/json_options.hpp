@@ -20,6 +20,7 @@
 #include <nlohmann/json_fwd.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 
 namespace loopwise {
@@ -29,45 +30,49 @@ using Json = nlohmann::ordered_json;
 
 /// Parses a JSON text; // comments are allowed. `name` stands in errors for the file's.
 /// \throws ParseError naming the line, also for a key that is repeated within an object.
-[[nodiscard]] Json parse_json(std::string_view text, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT Json parse_json(std::string_view text, const std::string& name);
 /// \throws IoError; ParseError as parse_json()
-[[nodiscard]] Json read_json_file(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT Json read_json_file(const std::filesystem::path& path);
 
 /// One option, for people.
 struct OptionDescription {
-  std::string name;
+  std::string name;           ///< Of the field, and the key in JSON.
   std::string type;           ///< "bool", "integer", "number", "text", "word", "numbers"
   std::string default_value;  ///< As JSON.
   std::string bounds;         ///< "> 0", "one of: fast, pcl"; empty if any value will do.
-  std::string doc;
+  std::string doc;            ///< Meaning and unit.
 };
 
 /// Throws an OptionError that lists what is allowed and puts the nearest first, if it is near:
 /// "unknown option generation.rate, did you mean generation.rate_m? Known: …".
-[[noreturn]] void throw_unknown_name(std::string_view what, std::string_view name,
-                                     const std::vector<std::string>& known);
+[[noreturn]] LOOPWISE_EXPORT void throw_unknown_name(std::string_view what, std::string_view name,
+                                                     const std::vector<std::string>& known);
 
 namespace detail {
 
 // One JSON value, with the name that errors give it. All throw OptionError on a value of the wrong type.
-[[nodiscard]] bool json_to_bool(const Json& value, const std::string& name);
-[[nodiscard]] std::int64_t json_to_int64(const Json& value, const std::string& name, std::int64_t min,
-                                         std::int64_t max);
-[[nodiscard]] std::uint64_t json_to_uint64(const Json& value, const std::string& name, std::uint64_t max);
-[[nodiscard]] double json_to_double(const Json& value, const std::string& name);  // also "inf", "-inf", "nan"
-[[nodiscard]] std::string json_to_text(const Json& value, const std::string& name);
-[[nodiscard]] std::vector<double> json_to_doubles(const Json& value, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT bool json_to_bool(const Json& value, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT std::int64_t json_to_int64(const Json& value, const std::string& name,
+                                                         std::int64_t min, std::int64_t max);
+[[nodiscard]] LOOPWISE_EXPORT std::uint64_t json_to_uint64(const Json& value, const std::string& name,
+                                                           std::uint64_t max);
+[[nodiscard]] LOOPWISE_EXPORT double json_to_double(const Json& value,
+                                                    const std::string& name);  // also "inf", "-inf", "nan"
+[[nodiscard]] LOOPWISE_EXPORT std::string json_to_text(const Json& value, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<double> json_to_doubles(const Json& value, const std::string& name);
 
-void require_object(const Json& value, const std::string& name);
-[[nodiscard]] std::vector<std::string> json_keys(const Json& object);
-[[nodiscard]] const Json* find_json(const Json& object, std::string_view key);
+LOOPWISE_EXPORT void require_object(const Json& value, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> json_keys(const Json& object);
+[[nodiscard]] LOOPWISE_EXPORT const Json* find_json(const Json& object, std::string_view key);
 // The same from text. Throw OptionError if the text is something else.
-[[nodiscard]] bool text_to_bool(std::string_view text, const std::string& name);
-[[nodiscard]] std::int64_t text_to_int64(std::string_view text, const std::string& name, std::int64_t min,
-                                         std::int64_t max);
-[[nodiscard]] std::uint64_t text_to_uint64(std::string_view text, const std::string& name, std::uint64_t max);
-[[nodiscard]] double text_to_double(std::string_view text, const std::string& name);
-[[nodiscard]] std::vector<double> text_to_doubles(std::string_view text, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT bool text_to_bool(std::string_view text, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT std::int64_t text_to_int64(std::string_view text, const std::string& name,
+                                                         std::int64_t min, std::int64_t max);
+[[nodiscard]] LOOPWISE_EXPORT std::uint64_t text_to_uint64(std::string_view text, const std::string& name,
+                                                           std::uint64_t max);
+[[nodiscard]] LOOPWISE_EXPORT double text_to_double(std::string_view text, const std::string& name);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<double> text_to_doubles(std::string_view text,
+                                                                  const std::string& name);
 
 using OptionValue = std::variant<bool, std::int64_t, std::uint64_t, double, std::string, std::vector<double>>;
 struct OptionField {
@@ -75,10 +80,10 @@ struct OptionField {
   OptionValue value;
   OptionDescription description;
 };
-[[nodiscard]] Json fields_to_json(const std::vector<OptionField>& fields);
-[[nodiscard]] std::string value_text(const OptionValue& value);
-[[noreturn]] void throw_unknown_option(const std::string& section, std::string_view name,
-                                       const std::vector<OptionField>& known);
+[[nodiscard]] LOOPWISE_EXPORT Json fields_to_json(const std::vector<OptionField>& fields);
+[[nodiscard]] LOOPWISE_EXPORT std::string value_text(const OptionValue& value);
+[[noreturn]] LOOPWISE_EXPORT void throw_unknown_option(const std::string& section, std::string_view name,
+                                                       const std::vector<OptionField>& known);
 
 template <class T>
 void from_json_value(const Json& value, const std::string& name, T& field) {

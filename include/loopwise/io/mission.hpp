@@ -11,6 +11,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -34,23 +35,23 @@ enum class MissionKind {
 
 /// A robot is out of range in [begin_s, end_s) of mission time: what it makes inside arrives at end_s.
 struct CommunicationGap {
-  std::size_t robot = 0;
-  double begin_s = 0.0;
-  double end_s = 0.0;
+  std::size_t robot = 0;  ///< Number of the robot.
+  double begin_s = 0.0;   ///< Out of range from here, s.
+  double end_s = 0.0;     ///< Back in range, s.
 };
 
 /// Everything recorded of a run of a team of robots, in one common frame.
 struct Mission {
-  std::string name;
-  std::filesystem::path path;  ///< Where it was read from.
-  MissionKind kind = MissionKind::kMission;
-  Robots robots;    ///< Own every node of the graph.
+  std::string name;                          ///< Of the folder or as mission.json says.
+  std::filesystem::path path;                ///< Where it was read from.
+  MissionKind kind = MissionKind::kMission;  ///< What it was read from.
+  Robots robots;                             ///< Own every node of the graph.
   PoseGraph graph;  ///< Nodes with stamps, priors, odometry; closures only if the files hold some.
   std::shared_ptr<const ScanStore> scans = std::make_shared<ScanStore>();  ///< Never null.
   std::map<Key, Eigen::Isometry3d> ground_truth;                           ///< Empty if not known.
   std::vector<CommunicationGap> gaps;                                      ///< By robot, then begin.
-  std::vector<RadioReading> radio;
-  std::vector<BeaconDrop> beacons;
+  std::vector<RadioReading> radio;                                         ///< In the order of the file.
+  std::vector<BeaconDrop> beacons;                                         ///< In the order of the file.
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json says otherwise.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
@@ -62,6 +63,7 @@ struct Mission {
   }
 };
 
+/// How a mission is read, and what is put in where its files say nothing.
 struct MissionOptions {
   /// As parse_robots() takes it. Empty: as mission.json says, or one robot per character of the keys.
   std::string robots;
@@ -97,11 +99,12 @@ struct MissionOptions {
 };
 
 /// Information of an odometry edge over a step T, by the session sigmas of the options.
-[[nodiscard]] Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
+                                                            const MissionOptions& options = {});
 
 /// What lies at the path. \throws InputError saying what was looked for if it is nothing that read_mission()
 /// reads; IoError if it does not exist.
-[[nodiscard]] MissionKind mission_kind(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT MissionKind mission_kind(const std::filesystem::path& path);
 
 /// Reads a mission folder (or its mission.json), a session folder or a g2o file. Scans are found, not read.
 ///
@@ -138,11 +141,12 @@ struct MissionOptions {
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "radio reading without
 /// node", "stamp without node", "foreign file in scans", and what the readers of the parts count.
 /// \throws IoError; ParseError or InputError naming file and line or key; OptionError
-[[nodiscard]] Mission read_mission(const std::filesystem::path& path, const MissionOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
+                                                   const MissionOptions& options = {});
 
 /// Writes a mission folder scan by scan. mission.json comes last: a folder without it is no mission, so that
 /// one whose making was interrupted is never taken for whole.
-class MissionWriter {
+class LOOPWISE_EXPORT MissionWriter {
  public:
   /// Makes the folder. \throws IoError if it exists and is not empty, or cannot be made.
   explicit MissionWriter(std::filesystem::path folder, PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
@@ -161,7 +165,7 @@ class MissionWriter {
 };
 
 /// A whole mission with the scans of `mission.scans`, one at a time in memory.
-void write_mission(const std::filesystem::path& folder, const Mission& mission,
-                   PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
+LOOPWISE_EXPORT void write_mission(const std::filesystem::path& folder, const Mission& mission,
+                                   PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
 
 }  // namespace loopwise

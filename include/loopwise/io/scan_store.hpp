@@ -7,6 +7,7 @@
 #include <memory>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/problems.hpp>
@@ -16,9 +17,9 @@ namespace loopwise {
 /// The scans of a mission, read when they are asked for and kept, least recently used out first, within a
 /// bound of memory. Safe to use from any number of threads; threads that ask for one scan at once have it
 /// read once. Copies share the same scans and memory.
-class ScanStore {
+class LOOPWISE_EXPORT ScanStore {
  public:
-  static constexpr std::size_t kDefaultMaxBytes = std::size_t{512} << 20;
+  static constexpr std::size_t kDefaultMaxBytes = std::size_t{512} << 20;  ///< 512 MiB.
 
   /// No scans.
   ScanStore() : ScanStore(std::map<Key, std::filesystem::path>{}) {}
@@ -29,10 +30,13 @@ class ScanStore {
   /// Scans from elsewhere: `source` is asked for one of `keys` when it is needed and not in memory.
   ScanStore(const std::vector<Key>& keys, ScanLoader source, std::size_t max_bytes = kDefaultMaxBytes);
 
+  /// Whether the node has a scan.
   [[nodiscard]] bool has(Key key) const;
   /// Ascending.
   [[nodiscard]] std::vector<Key> keys() const;
+  /// Number of scans.
   [[nodiscard]] std::size_t size() const;
+  /// Whether there is no scan.
   [[nodiscard]] bool empty() const { return size() == 0; }
 
   /// The scan of the node, or null if it has none. A scan larger than the bound is handed out but not kept.

@@ -8,15 +8,17 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/problems.hpp>
 
 namespace loopwise {
 
+/// A pose of a trajectory.
 struct StampedPose {
-  std::int64_t stamp_ns = 0;
-  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  std::int64_t stamp_ns = 0;                               ///< ns since the epoch of the recording.
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();  ///< T_world_body; translation in metres.
 };
 
 /// How a trajectory is written, and by what its poses are told apart.
@@ -30,45 +32,51 @@ enum class TrajectoryFormat {
       {TrajectoryFormat::kTum, "tum"}, {TrajectoryFormat::kKitti, "kitti"}, {TrajectoryFormat::kG2o, "g2o"}};
 }
 
+/// Poses as they were read.
 struct Trajectory {
-  TrajectoryFormat format = TrajectoryFormat::kTum;
-  std::vector<Eigen::Isometry3d> poses;  ///< In the order of the file.
-  std::vector<Key> keys;                 ///< One per pose: the key of a g2o vertex, else the row from 0.
-  std::vector<std::int64_t> stamps_ns;   ///< One per pose for TUM, else empty.
-  Problems problems;
+  TrajectoryFormat format = TrajectoryFormat::kTum;  ///< The form that the file had.
+  std::vector<Eigen::Isometry3d> poses;              ///< In the order of the file.
+  std::vector<Key> keys;                ///< One per pose: the key of a g2o vertex, else the row from 0.
+  std::vector<std::int64_t> stamps_ns;  ///< One per pose for TUM, else empty.
+  Problems problems;                    ///< Flaws that the reader could live with.
 };
 
 /// Reads any of the three forms, told apart by what the file holds. A g2o file needs no edges.
 /// Comments start with '#'. Counted: "non-unit quaternion", "rotation not orthonormal" (both put right).
 /// \throws IoError; ParseError naming the line; InputError if there is no pose.
-[[nodiscard]] Trajectory read_trajectory(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT Trajectory read_trajectory(const std::filesystem::path& path);
 /// As read_trajectory(), of this form and no other.
-[[nodiscard]] Trajectory read_trajectory(const std::filesystem::path& path, TrajectoryFormat format);
+[[nodiscard]] LOOPWISE_EXPORT Trajectory read_trajectory(const std::filesystem::path& path,
+                                                         TrajectoryFormat format);
 
-[[nodiscard]] std::vector<StampedPose> read_tum(const std::filesystem::path& path);
-[[nodiscard]] std::vector<Eigen::Isometry3d> read_kitti(const std::filesystem::path& path);
+/// As read_trajectory() of the form TUM, in the order of the file.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<StampedPose> read_tum(const std::filesystem::path& path);
+/// As read_trajectory() of the form KITTI, in the order of the file.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Isometry3d> read_kitti(const std::filesystem::path& path);
 
 /// Stamps in seconds with nine decimals, exactly. Replaces the file as a whole or not at all. \throws IoError
-void write_tum(const std::filesystem::path& path, const std::vector<StampedPose>& poses);
-void write_kitti(const std::filesystem::path& path, const std::vector<Eigen::Isometry3d>& poses);
+LOOPWISE_EXPORT void write_tum(const std::filesystem::path& path, const std::vector<StampedPose>& poses);
+/// Twelve numbers a line. Replaces the file as a whole or not at all. \throws IoError
+LOOPWISE_EXPORT void write_kitti(const std::filesystem::path& path,
+                                 const std::vector<Eigen::Isometry3d>& poses);
 
 /// Poses of two trajectories that belong together.
 struct PosePairs {
-  std::vector<Key> keys;  ///< Of the estimate.
-  std::vector<Eigen::Isometry3d> estimate;
-  std::vector<Eigen::Isometry3d> truth;
-  Problems problems;  ///< "pose without truth", "truth without pose".
+  std::vector<Key> keys;                    ///< Of the estimate.
+  std::vector<Eigen::Isometry3d> estimate;  ///< Estimated poses, one per key.
+  std::vector<Eigen::Isometry3d> truth;     ///< True poses, one per key.
+  Problems problems;                        ///< "pose without truth", "truth without pose".
 };
 
 /// Pairs by key (two g2o files), by nearest stamp within `max_time_difference_s` (two TUM files; each truth
 /// is used once), otherwise by row, which needs as many poses in both: then nothing else tells them apart. A
 /// KITTI file also pairs with a g2o file of another length if the keys are row numbers, that is if the rows
 /// hold every key. \throws InputError if no pose has a partner, or rows would have to be guessed.
-[[nodiscard]] PosePairs associate(const Trajectory& estimate, const Trajectory& truth,
-                                  double max_time_difference_s = 0.02);
+[[nodiscard]] LOOPWISE_EXPORT PosePairs associate(const Trajectory& estimate, const Trajectory& truth,
+                                                  double max_time_difference_s = 0.02);
 
 /// A single rigid transform: 12 or 16 numbers (rows of a 3×4 or 4×4 matrix, on any lines) or 7 (x y z qx qy
 /// qz qw). A rotation off by rounding is put right. \throws IoError; ParseError
-[[nodiscard]] Eigen::Isometry3d read_transform(const std::filesystem::path& path);
+[[nodiscard]] LOOPWISE_EXPORT Eigen::Isometry3d read_transform(const std::filesystem::path& path);
 
 }  // namespace loopwise

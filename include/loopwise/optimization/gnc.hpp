@@ -4,6 +4,7 @@
 #include <cstddef>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -17,8 +18,9 @@ enum class RobustKernel {
   kCauchy,  ///< w = 1 / (1 + r²/c²)
   kGemanMcClure,  ///< w = 1 / (1 + r²/c²)²
 };
-[[nodiscard]] EnumNames<RobustKernel> enum_names(RobustKernel);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<RobustKernel> enum_names(RobustKernel);
 
+/// Robust optimisation: kernel, threshold and schedule.
 struct GncOptions {
   RobustKernel kernel = RobustKernel::kGncTls;
   double inlier_probability = 0.99;
@@ -49,14 +51,15 @@ struct GncOptions {
   }
 };
 
+/// What robust optimisation came to.
 struct GncResult {
   /// Poses, cost with the final weights; cost_initial is the plain cost, all weights 1, at the first
   /// estimate.
   OptimizationResult optimization;
   std::vector<double> weights;  ///< One per edge, in graph order. Odometry and trusted edges have 1.
-  int outer_iterations = 0;
-  std::size_t inliers = 0;   ///< Closures (edges that are not known inliers) of weight > 0.5.
-  std::size_t outliers = 0;  ///< The other closures.
+  int outer_iterations = 0;     ///< Of all starts.
+  std::size_t inliers = 0;      ///< Closures (edges that are not known inliers) of weight > 0.5.
+  std::size_t outliers = 0;     ///< The other closures.
   /// ½ Σ rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures, at the poses.
   double truncated_cost = 0.0;
 };
@@ -68,8 +71,9 @@ struct GncResult {
 /// taken: the options' first estimate, and the chordal one of the closures that odometry does not rule out.
 /// If all closures turn out false the result is the odometry's, each loose component held at its first node.
 /// \throws OptionError, InputError as optimize() does.
-[[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const OptimizerOptions& options = {},
-                                     const GncOptions& gnc = {}, const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT GncResult optimize_gnc(const PoseGraph& graph,
+                                                     const OptimizerOptions& options = {},
+                                                     const GncOptions& gnc = {}, const StopToken& stop = {});
 
 /// True for edges that robust optimisation never doubts: odometry and trusted ones.
 [[nodiscard]] inline bool known_inlier(const Edge& edge) {
@@ -78,6 +82,6 @@ struct GncResult {
 
 /// Quantile of the chi-squared distribution: P(χ² ≤ result) = probability. \throws OptionError outside (0,
 /// 1).
-[[nodiscard]] double chi_squared_quantile(double probability, int degrees_of_freedom);
+[[nodiscard]] LOOPWISE_EXPORT double chi_squared_quantile(double probability, int degrees_of_freedom);
 
 }  // namespace loopwise

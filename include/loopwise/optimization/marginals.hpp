@@ -8,11 +8,13 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/optimization/optimizer.hpp>
 
 namespace loopwise {
 
+/// A covariance over two poses, each [translation, rotation].
 using Matrix12d = Eigen::Matrix<double, 12, 12>;
 
 /// Marginal covariances of the poses: right perturbation, order [translation, rotation], m and rad, body
@@ -28,12 +30,13 @@ struct Marginals {
 /// Gauss-Newton Hessian. A component without a prior is anchored at its first node (covariance zero there):
 /// its covariances are relative to that node. Nodes without any factor have covariance zero too. \throws
 /// InputError naming a node if the factors do not determine its pose.
-[[nodiscard]] Marginals marginals(const PoseGraph& graph, const OptimizerOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT Marginals marginals(const PoseGraph& graph,
+                                                  const OptimizerOptions& options = {});
 
 /// The factorised Gauss-Newton Hessian H = Σ w JᵀΩJ of a graph at its poses, and what follows from Σ = H⁻¹.
 /// Coordinates: node i of the graph owns rows 6i … 6i+5. Nodes that are held (see Marginals) count as known
 /// exactly: their rows and columns of Σ are zero. Immutable; const calls are safe from several threads.
-class HessianFactor {
+class LOOPWISE_EXPORT HessianFactor {
  public:
   /// Linearises, orders and factorises. Of the options, factorization and num_threads are used.
   /// \throws InputError naming a node if H is singular there.
@@ -44,6 +47,7 @@ class HessianFactor {
 
   /// 6 times the number of nodes.
   [[nodiscard]] Eigen::Index dimension() const;
+  /// Whether the node is held in place, and so counts as known exactly.
   [[nodiscard]] bool held(std::size_t node) const;
 
   /// Σ · rhs. rhs has dimension() rows.

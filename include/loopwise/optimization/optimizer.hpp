@@ -8,6 +8,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/stop_token.hpp>
@@ -22,7 +23,7 @@ enum class Initialization {
   kChordal,   ///< Rotations from the chordal relaxation, then translations: one linear solve each. For bad
               ///< values.
 };
-[[nodiscard]] EnumNames<Initialization> enum_names(Initialization);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Initialization> enum_names(Initialization);
 
 /// Which sparse Cholesky factorisation.
 enum class Factorization {
@@ -31,7 +32,7 @@ enum class Factorization {
   kSimplicial,    ///< CHOLMOD's, column by column.
   kSupernodal,    ///< CHOLMOD's, by panels of columns; needs a build with LOOPWISE_WITH_GPL.
 };
-[[nodiscard]] EnumNames<Factorization> enum_names(Factorization);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Factorization> enum_names(Factorization);
 
 /// Why an optimisation ended.
 enum class Termination {
@@ -41,8 +42,9 @@ enum class Termination {
   kNoProgress,     ///< No step lowers the cost, however short; the poses are the best seen.
   kStopped,        ///< Asked to stop; the poses are the best seen.
 };
-[[nodiscard]] EnumNames<Termination> enum_names(Termination);
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<Termination> enum_names(Termination);
 
+/// Optimisation: when to stop, where to start, and how to factorise.
 struct OptimizerOptions {
   int max_iterations = 1000;
   double cost_tolerance = 1e-11;
@@ -75,16 +77,17 @@ struct OptimizerOptions {
 
 /// One step of an optimisation, taken or not.
 struct IterationRecord {
-  int iteration = 0;
+  int iteration = 0;       ///< From 1.
   double cost = 0.0;       ///< After the step, also if it was refused.
   double decrease = 0.0;   ///< Cost before minus after.
   double predicted = 0.0;  ///< What the linear model promised.
   double gradient = 0.0;   ///< Largest element of the gradient before the step.
   double step = 0.0;       ///< Largest element of the step, m or rad.
-  double damping = 0.0;
-  bool accepted = false;
+  double damping = 0.0;    ///< Of the step, relative to the Hessian's diagonal; 0: Gauss-Newton.
+  bool accepted = false;   ///< Whether the step was taken.
 };
 
+/// What an optimisation came to.
 struct OptimizationResult {
   std::vector<Eigen::Isometry3d> poses;  ///< One per node, in graph order.
   double cost_initial = 0.0;             ///< ½ Σ w rᵀΩr over edges and priors at the first estimate.
@@ -93,9 +96,9 @@ struct OptimizationResult {
   double gradient = 0.0;          ///< The same at `poses`.
   int iterations = 0;             ///< Steps tried.
   int factorizations = 0;         ///< Numeric factorisations, refused steps and initialisation included.
-  bool converged = false;
-  Termination termination = Termination::kNothingToDo;
-  std::string message;         ///< For people; never parse it.
+  bool converged = false;         ///< Ended by the tolerances, or had nothing to do.
+  Termination termination = Termination::kNothingToDo;  ///< Why it ended.
+  std::string message;                                  ///< For people; never parse it.
   std::size_t components = 0;  ///< Connected components of the graph, lone nodes included.
   /// Nodes held in place because nothing anchors their component: no prior acts in it. Nodes without any
   /// factor stay in place as well and are not listed.
@@ -103,8 +106,8 @@ struct OptimizationResult {
   /// True if the factors leave some direction undetermined (semi-definite information): along it the poses
   /// stay near the first estimate, and there are no marginal covariances.
   bool underdetermined = false;
-  std::vector<IterationRecord> trace;
-  double seconds = 0.0;  ///< Wall time. For reports only.
+  std::vector<IterationRecord> trace;  ///< Every step that was tried.
+  double seconds = 0.0;                ///< Wall time. For reports only.
 };
 
 /// Minimises ½ Σ w rᵀΩr over the poses: edges r = Log(Z⁻¹ T_i⁻¹ T_j), priors r = Log(Z⁻¹ T_i), full SE(3)
@@ -112,19 +115,20 @@ struct OptimizationResult {
 /// Gauss-Newton, damped by Levenberg-Marquardt when a step does not lower the cost; the cost never rises.
 /// The components of a disconnected graph are solved in one go and do not influence each other's minimum.
 /// \throws OptionError on options out of range; InputError if the cost of the first estimate is not finite.
-[[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const OptimizerOptions& options = {},
-                                          const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT OptimizationResult optimize(const PoseGraph& graph,
+                                                          const OptimizerOptions& options = {},
+                                                          const StopToken& stop = {});
 
 /// ½ Σ w rᵀΩr over edges and priors at the graph's poses.
-[[nodiscard]] double graph_cost(const PoseGraph& graph);
+[[nodiscard]] LOOPWISE_EXPORT double graph_cost(const PoseGraph& graph);
 
 /// Residual r = Log(Z⁻¹ T_from⁻¹ T_to) of an edge, [translation, rotation].
-[[nodiscard]] Vector6d edge_residual(const Edge& edge, const Eigen::Isometry3d& T_w_from,
-                                     const Eigen::Isometry3d& T_w_to);
+[[nodiscard]] LOOPWISE_EXPORT Vector6d edge_residual(const Edge& edge, const Eigen::Isometry3d& T_w_from,
+                                                     const Eigen::Isometry3d& T_w_to);
 
 /// First estimates as OptimizerOptions::initialization names them; kFile returns the graph's poses.
-[[nodiscard]] std::vector<Eigen::Isometry3d> initial_poses(const PoseGraph& graph,
-                                                           Initialization initialization);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Isometry3d> initial_poses(const PoseGraph& graph,
+                                                                           Initialization initialization);
 
 struct GncOptions;
 struct GncResult;
@@ -132,7 +136,7 @@ struct GncResult;
 /// The same with the symbolic analysis kept between calls: for a graph whose estimate or weights change, or
 /// that grows. The ordering is kept while it serves and made anew when it pays; results are those of the free
 /// functions up to rounding. Not for several threads at a time.
-class PoseGraphOptimizer {
+class LOOPWISE_EXPORT PoseGraphOptimizer {
  public:
   /// \throws OptionError
   explicit PoseGraphOptimizer(OptimizerOptions options = {});
@@ -140,7 +144,9 @@ class PoseGraphOptimizer {
   PoseGraphOptimizer(PoseGraphOptimizer&&) noexcept;
   PoseGraphOptimizer& operator=(PoseGraphOptimizer&&) noexcept;
 
+  /// As the free function optimize().
   [[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const StopToken& stop = {});
+  /// As the free function optimize_gnc(). \throws OptionError
   [[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const GncOptions& options,
                                        const StopToken& stop = {});
 

@@ -6,6 +6,8 @@
 #include <utility>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// A fill-reducing order of elimination for a symmetric sparse matrix (or matrix of blocks): approximate
@@ -13,7 +15,7 @@ namespace loopwise {
 /// `pairs` are the off-diagonal entries; they may repeat, in either direction.
 /// \returns the variables in the order in which to eliminate them. \throws InputError if a pair names a
 /// variable that is not there.
-[[nodiscard]] std::vector<std::uint32_t> elimination_order(
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::uint32_t> elimination_order(
     std::size_t variables, const std::vector<std::pair<std::uint32_t, std::uint32_t>>& pairs);
 
 }  // namespace loopwise

@@ -4,11 +4,13 @@
 #include <cstddef>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
 namespace loopwise {
 
+/// When two closures agree.
 struct PcmOptions {
   double inlier_probability = 0.99;
   std::size_t max_group = 5000;
@@ -24,10 +26,11 @@ struct PcmOptions {
   }
 };
 
+/// Which closures are left.
 struct PcmResult {
-  std::vector<bool> kept;  ///< One per edge, in graph order. Known inliers are always kept.
-  std::size_t inliers = 0;
-  std::size_t outliers = 0;
+  std::vector<bool> kept;    ///< One per edge, in graph order. Known inliers are always kept.
+  std::size_t inliers = 0;   ///< Closures that are kept.
+  std::size_t outliers = 0;  ///< The other closures.
 };
 
 /// Pairwise consistency maximisation (Mangelson et al., ICRA 2018): keeps, for each pair of odometry chains
@@ -36,6 +39,7 @@ struct PcmResult {
 /// to first order. A filter to put before optimize_gnc(), for false closures that come in groups of a few
 /// that agree. Quadratic in the closures. \throws OptionError; InputError if a group is larger than max_group
 /// or a closure's information is singular.
-[[nodiscard]] PcmResult pairwise_consistent(const PoseGraph& graph, const PcmOptions& options = {});
+[[nodiscard]] LOOPWISE_EXPORT PcmResult pairwise_consistent(const PoseGraph& graph,
+                                                            const PcmOptions& options = {});
 
 }  // namespace loopwise

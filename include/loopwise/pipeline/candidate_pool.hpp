@@ -15,6 +15,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/prioritization/round_robin_queue.hpp>
@@ -35,11 +36,13 @@ struct CandidateAccounting {
 
   /// Generated and not pruned: the denominator of the paper's Table I.
   [[nodiscard]] std::size_t queued() const { return generated - pruned; }
+  /// Whether the invariant holds.
   [[nodiscard]] bool balanced() const {
     return generated == pruned + expired + waiting + pending + in_flight + computed;
   }
 };
 
+/// When candidates expire, and which come last.
 struct CandidatePoolOptions {
   double max_age_s = 0.0;
   double max_wait_s = 600.0;
@@ -63,7 +66,7 @@ struct CandidatePoolOptions {
 
 /// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans
 /// are not here yet, feeds the queue and keeps the account. For one thread at a time.
-class CandidatePool {
+class LOOPWISE_EXPORT CandidatePool {
  public:
   /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});
@@ -75,6 +78,7 @@ class CandidatePool {
   /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
   /// pending.
   void on_scan(const KeyedScan& scan);
+  /// A new estimate is here: the prioritisers learn of it.
   void on_graph(const PoseGraph& graph);
 
   /// Expires what is too old, waits too long, or exceeds the cap at mission time `now_s`.
@@ -97,10 +101,13 @@ class CandidatePool {
 
   /// Mission time at which the oldest pending candidate was generated, if any is.
   [[nodiscard]] std::optional<double> oldest_pending_s() const;
+  /// Where every candidate is.
   [[nodiscard]] const CandidateAccounting& accounting() const { return accounting_; }
   /// How many were pruned or expired, by reason.
   [[nodiscard]] const std::map<std::string, std::size_t>& pruned_reasons() const { return pruned_reasons_; }
+  /// See pruned_reasons().
   [[nodiscard]] const std::map<std::string, std::size_t>& expired_reasons() const { return expired_reasons_; }
+  /// The prioritisers, in turns.
   [[nodiscard]] const RoundRobinQueue& queue() const { return queue_; }
 
  private:

@@ -3,12 +3,14 @@
 
 #include <string>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// Changes whenever the code that computes registrations does, or the compiler that it was built with.
-[[nodiscard]] std::string registration_code_version();
+[[nodiscard]] LOOPWISE_EXPORT std::string registration_code_version();
 
 /// The same of all that a replay's outcome depends on.
-[[nodiscard]] std::string replay_code_version();
+[[nodiscard]] LOOPWISE_EXPORT std::string replay_code_version();
 
 }  // namespace loopwise

@@ -9,6 +9,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/generation/proximity.hpp>
@@ -34,6 +35,7 @@ enum class GuessSource {
   return {{GuessSource::kEstimate, "estimate"}, {GuessSource::kOdometry, "odometry"}};
 }
 
+/// Which implementation computes the candidates.
 enum class RegistrarKind {
   kFast,  ///< FastRegistrar
   kPcl,   ///< PclRegistrar, the reference
@@ -42,6 +44,7 @@ enum class RegistrarKind {
   return {{RegistrarKind::kFast, "fast"}, {RegistrarKind::kPcl, "pcl"}};
 }
 
+/// A replay: method, model of time, disturbances of the odometry.
 struct ReplayOptions {
   std::string method = "obs";
   std::int64_t batch = 100;
@@ -100,22 +103,22 @@ struct ReplayOptions {
 
 /// All options of a run: the sections of a configuration file.
 struct Config {
-  MissionOptions mission;
-  ProximityOptions generation;
-  RadioOptions radio;
-  FeatureOptions features;
-  CandidatePoolOptions pool;
-  ObservabilityPriorityOptions observability;
-  GraphInformationOptions graph_information;
-  ClosureModelOptions closure_model;
-  AnnealingOptions annealing;
-  GreedyOptions greedy;
-  TaskOptions task;
-  FastRegistrarOptions fast_registrar;
-  PclRegistrarOptions pcl_registrar;
-  OptimizerOptions optimization;
-  GncOptions gnc = from_running_estimates();
-  ReplayOptions replay;
+  MissionOptions mission;                      ///< Reading of missions.
+  ProximityOptions generation;                 ///< Candidates by proximity.
+  RadioOptions radio;                          ///< Candidates by radio beacons.
+  FeatureOptions features;                     ///< Scans made ready: voxels, normals, cache.
+  CandidatePoolOptions pool;                   ///< Expiry of candidates.
+  ObservabilityPriorityOptions observability;  ///< Prioritiser `obs`.
+  GraphInformationOptions graph_information;   ///< Prioritiser `gi`.
+  ClosureModelOptions closure_model;           ///< What `gi` takes a candidate's closure for.
+  AnnealingOptions annealing;                  ///< Simulated annealing of `gi`.
+  GreedyOptions greedy;                        ///< Greedy choice of `gi`.
+  TaskOptions task;                            ///< Scans and guesses that a registration is given.
+  FastRegistrarOptions fast_registrar;         ///< Registration `fast`.
+  PclRegistrarOptions pcl_registrar;           ///< Registration `pcl`, the reference.
+  OptimizerOptions optimization;               ///< The back end.
+  GncOptions gnc = from_running_estimates();   ///< Its robust weights.
+  ReplayOptions replay;                        ///< The replay itself.
 
   /// Calls visitor(name, section) for each, as core/options.hpp does for fields.
   template <class Self, class Visitor>
@@ -140,42 +143,47 @@ struct Config {
 };
 
 /// \throws OptionError naming "section.field".
-void validate_config(const Config& config);
+LOOPWISE_EXPORT void validate_config(const Config& config);
 
 /// Reads {"generation": {"rate_m": 0.3}, ...} over `config`; what it leaves out stays. In the section
 /// "generation" the key "preset" names a proximity preset that the other keys then change. \throws IoError;
 /// ParseError naming the line; OptionError naming "section.field".
-void read_config(const std::filesystem::path& path, Config& config);
+LOOPWISE_EXPORT void read_config(const std::filesystem::path& path, Config& config);
 
 /// The same from a JSON text; `source` stands in errors for the file's name.
 void parse_config(std::string_view json, const std::string& source, Config& config);
 
 /// Sets one field, as `--set generation.rate_m=0.3` does. \throws OptionError
-void set_config_option(const std::string& assignment, Config& config);
+LOOPWISE_EXPORT void set_config_option(const std::string& assignment, Config& config);
 
 /// The whole configuration as indented JSON that read_config() takes.
-[[nodiscard]] std::string config_json(const Config& config);
+[[nodiscard]] LOOPWISE_EXPORT std::string config_json(const Config& config);
 
 /// One option for people: "generation.rate_m", its value, bounds and meaning.
 struct ConfigEntry {
-  std::string name, type, value, bounds, doc;
+  std::string name;    ///< "section.field"
+  std::string type;    ///< As OptionDescription::type.
+  std::string value;   ///< As JSON.
+  std::string bounds;  ///< As OptionDescription::bounds.
+  std::string doc;     ///< Meaning and unit.
 };
-[[nodiscard]] std::vector<ConfigEntry> describe_config(const Config& config);
+/// Every option with its present value, by section.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<ConfigEntry> describe_config(const Config& config);
 
 /// The methods that ReplayOptions::method names.
-[[nodiscard]] std::vector<std::string> method_names();
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> method_names();
 
 /// The prioritisers of a method by name, in the order of their turns: "full" and "gi+obs" are obs and gi,
 /// "odom" is none. \throws OptionError naming the methods there are.
-[[nodiscard]] std::vector<std::string> method_parts(const std::string& method);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> method_parts(const std::string& method);
 
 /// The registrar of a kind over these features. \throws OptionError if this build has it not.
-[[nodiscard]] std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config& config,
-                                                              std::shared_ptr<FeatureCache> features);
+[[nodiscard]] LOOPWISE_EXPORT std::shared_ptr<const Registrar> make_registrar(
+    RegistrarKind kind, const Config& config, std::shared_ptr<FeatureCache> features);
 
 /// The prioritisers of a method, joined in a queue. `eigenvalue` serves the observability score.
 /// \throws OptionError naming the methods there are.
-[[nodiscard]] RoundRobinQueue make_queue(const Config& config, const Robots& robots,
-                                         const ObservabilityPrioritizer::Eigenvalue& eigenvalue);
+[[nodiscard]] LOOPWISE_EXPORT RoundRobinQueue make_queue(
+    const Config& config, const Robots& robots, const ObservabilityPrioritizer::Eigenvalue& eigenvalue);
 
 }  // namespace loopwise

@@ -4,6 +4,7 @@
 #include <memory>
 
 #include <loopwise/core/clock.hpp>
+#include <loopwise/core/export.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/pipeline/config.hpp>
 #include <loopwise/pipeline/replay.hpp>
@@ -24,8 +25,9 @@ namespace loopwise {
 /// `clock` must allow now() from several threads, as RealClock does.
 /// \throws OptionError on options that only a virtual clock knows (`max_registrations`, `thin`,
 /// `measured_time`, a guess by odometry); InputError on a null pointer.
-[[nodiscard]] ReplayResult replay_live(const Mission& mission, const Config& config,
-                                       std::shared_ptr<const Registrar> registrar, Clock& clock,
-                                       int num_threads = 0, const ReplayHooks& hooks = {});
+[[nodiscard]] LOOPWISE_EXPORT ReplayResult replay_live(const Mission& mission, const Config& config,
+                                                       std::shared_ptr<const Registrar> registrar,
+                                                       Clock& clock, int num_threads = 0,
+                                                       const ReplayHooks& hooks = {});
 
 }  // namespace loopwise

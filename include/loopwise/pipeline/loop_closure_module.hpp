@@ -15,6 +15,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/options.hpp>
@@ -29,6 +30,7 @@
 
 namespace loopwise {
 
+/// How the module works beside a stack.
 struct ModuleOptions {
   std::string method = "full";
   std::int64_t batch = 50;
@@ -60,8 +62,8 @@ struct ModuleOptions {
 struct KeyFrame {
   /// The pose counts for a robot's first node only, and where no odometry leads to the node.
   Node node;
-  std::vector<Edge> factors;  ///< Odometry from the previous node, by kind; other edges are closures.
-  std::vector<PriorFactor> priors;
+  std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
+  std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
   std::shared_ptr<const PointCloud> cloud;  ///< Null: add_scan() brings it later, or nobody does.
   std::vector<RangeFactor> ranges;
   std::vector<GravityFactor> gravities;
@@ -69,8 +71,8 @@ struct KeyFrame {
 
 /// Poses and, where known, marginal covariances from a back end other than ours.
 struct ExternalEstimate {
-  std::map<Key, Eigen::Isometry3d> poses;
-  std::map<Key, Matrix6d> covariances;  ///< Right perturbation, [translation, rotation].
+  std::map<Key, Eigen::Isometry3d> poses;  ///< T_world_body by node, in the common frame of the priors.
+  std::map<Key, Matrix6d> covariances;     ///< Right perturbation, [translation, rotation].
 };
 
 /// What the back end, ours or another, made of the graph. Shared: it never changes.
@@ -87,7 +89,7 @@ struct Estimate {
 struct ModuleCallbacks {
   std::function<void(const LoopClosure& closure)> closure;       ///< A verified closure, not yet optimised.
   std::function<void(const RegistrationResult& result)> result;  ///< Every computed candidate.
-  std::function<void(const std::shared_ptr<const Estimate>& estimate)> estimate;
+  std::function<void(const std::shared_ptr<const Estimate>& estimate)> estimate;  ///< A new estimate.
   std::function<void(const std::string& problem)> problem;  ///< Something was left out, and why.
 };
 
@@ -95,8 +97,8 @@ struct ModuleCallbacks {
 struct ModuleParts {
   /// Where scans are read from. Empty: the module keeps the clouds that it is given in memory.
   ScanLoader scans;
-  std::shared_ptr<const Registrar> registrar;
-  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  std::shared_ptr<const Registrar> registrar;              ///< Computes the candidates; must be thread-safe.
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;  ///< Order the candidates; several take turns.
 };
 
 /// How busy each stage is. Counts are since the start.
@@ -105,16 +107,16 @@ struct ModuleStatistics {
   std::size_t commands_waiting = 0;  ///< Between the graph and prioritisation.
   std::size_t events = 0;            ///< Handled.
   std::size_t producer_waits = 0;    ///< Times that a producer was held because of a full queue.
-  std::size_t batches = 0;
-  std::size_t optimizations = 0;
-  std::size_t improvements = 0;     ///< Times that prioritisation improved its next set meanwhile.
-  std::size_t factors_waiting = 0;  ///< For their nodes.
-  std::size_t factors_dropped = 0;
-  double computing_s = 0.0;                       ///< Wall time with a batch in computation, ...
-  double idle_s = 0.0;                            ///< ... and without, since the start.
-  double oldest_pending_s = 0.0;                  ///< Age of the oldest pending candidate by the stamps, s.
+  std::size_t batches = 0;           ///< Batches handed to the computation.
+  std::size_t optimizations = 0;     ///< Estimates made by the back end.
+  std::size_t improvements = 0;      ///< Times that prioritisation improved its next set meanwhile.
+  std::size_t factors_waiting = 0;   ///< For their nodes.
+  std::size_t factors_dropped = 0;   ///< Waited too long for their nodes.
+  double computing_s = 0.0;          ///< Wall time with a batch in computation, ...
+  double idle_s = 0.0;               ///< ... and without, since the start.
+  double oldest_pending_s = 0.0;     ///< Age of the oldest pending candidate by the stamps, s.
   std::map<std::string, std::size_t> handed_out;  ///< By prioritiser.
-  CandidateAccounting candidates;
+  CandidateAccounting candidates;                 ///< Where every candidate is.
 };
 
 /// Generation, prioritisation, computation and back end in parallel:
@@ -129,7 +131,7 @@ struct ModuleStatistics {
 /// the outcome depends on when things arrive and on how fast the machine is.
 ///
 /// Bad input throws where it is handed over and leaves the module as it was.
-class LoopClosureModule {
+class LOOPWISE_EXPORT LoopClosureModule {
  public:
   /// `config.replay` is not used: its place is taken by `options`.
   /// \throws OptionError, also on options of parts that are made from `config`.
@@ -182,6 +184,7 @@ class LoopClosureModule {
   [[nodiscard]] std::shared_ptr<const Estimate> estimate() const;
   /// The graph as it is now: all nodes, factors and verified closures with their last weights.
   [[nodiscard]] PoseGraph graph() const;
+  /// How busy each stage is, now and since the start.
   [[nodiscard]] ModuleStatistics statistics() const;
 
  private:

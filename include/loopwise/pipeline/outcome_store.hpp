@@ -20,6 +20,7 @@
 #include <vector>
 
 #include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/pipeline/config.hpp>
@@ -27,6 +28,7 @@
 
 namespace loopwise {
 
+/// Bound of a store.
 struct OutcomeStoreOptions {
   double max_mb = 4096.0;
 
@@ -41,9 +43,9 @@ struct OutcomeStoreOptions {
 struct OutcomeStoreStatistics {
   std::size_t found_at_start = 0;  ///< Outcomes on disk when it was opened.
   std::size_t damaged_bytes = 0;   ///< Of its files, that hold no outcome: cut short or changed. Never used.
-  std::size_t hits = 0;
-  std::size_t computed = 0;
-  std::string problem;  ///< Why nothing is kept any more (a full disk); empty while all is well.
+  std::size_t hits = 0;            ///< Outcomes that were there when they were asked for.
+  std::size_t computed = 0;        ///< Outcomes that were not.
+  std::string problem;             ///< Why nothing is kept any more (a full disk); empty while all is well.
 };
 
 /// A folder of outcomes by the hash of all that they depend on.
@@ -53,7 +55,7 @@ struct OutcomeStoreStatistics {
 /// each appends to a file that it has locked, and reads what the others had written when it opened the store.
 /// The folder, or any file of it, may be deleted at any moment: what was open stays readable, the rest is
 /// computed again. Thread-safe.
-class OutcomeStore {
+class LOOPWISE_EXPORT OutcomeStore {
  public:
   /// Makes the folder if it does not exist. \throws OptionError; IoError if it cannot be made or read.
   explicit OutcomeStore(std::filesystem::path folder, const OutcomeStoreOptions& options = {});
@@ -66,6 +68,7 @@ class OutcomeStore {
   [[nodiscard]] RegistrationResult get(const ContentHash& key, const LoopCandidate& candidate,
                                        const std::function<RegistrationResult()>& compute);
 
+  /// What it has done since it was opened.
   [[nodiscard]] OutcomeStoreStatistics statistics() const;
 
  private:
@@ -97,7 +100,7 @@ class OutcomeStore {
 
 /// A registrar that takes from a store what is there. Its results are those of the registrar that it stands
 /// before, wall times apart: a kept outcome has the times of its computation.
-class StoredRegistrar final : public Registrar {
+class LOOPWISE_EXPORT StoredRegistrar final : public Registrar {
  public:
   /// `context` names all that outcomes depend on besides tasks and scans, see registration_context().
   /// \throws InputError on a null pointer or an empty loader.
@@ -123,6 +126,6 @@ class StoredRegistrar final : public Registrar {
 };
 
 /// The registrar's kind with all its options, those of the features, and the version of the code.
-[[nodiscard]] std::string registration_context(RegistrarKind kind, const Config& config);
+[[nodiscard]] LOOPWISE_EXPORT std::string registration_context(RegistrarKind kind, const Config& config);
 
 }  // namespace loopwise

@@ -13,6 +13,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/problems.hpp>
@@ -32,25 +33,26 @@ using KnownOutcomes = std::map<std::pair<Key, Key>, RegistrationResult>;
 
 /// A candidate that was computed, when, and what the back end made of it.
 struct ComputedCandidate {
-  RegistrationResult result;
+  RegistrationResult result;    ///< What the registration came to.
   double mission_time_s = 0.0;  ///< When the result came.
   double weight = 0.0;          ///< Last weight of the robust optimisation; 0 if rejected.
 };
 
 /// A run at one moment of mission time. The references hold during the call alone.
 struct ReplayMoment {
+  /// What has just happened.
   enum class Kind {
     kKeyFrame,    ///< Key frames have arrived.
     kBatch,       ///< A batch is done, and the graph optimised if it brought a closure.
     kMissionEnd,  ///< The last key frame has arrived.
     kEnd,         ///< The run is over.
   };
-  Kind kind = Kind::kKeyFrame;
-  double mission_time_s = 0.0;
-  const PoseGraph& graph;
+  Kind kind = Kind::kKeyFrame;                     ///< What has just happened.
+  double mission_time_s = 0.0;                     ///< When.
+  const PoseGraph& graph;                          ///< Of the nodes that have arrived, at the last estimate.
   const std::vector<Eigen::Isometry3d>& odometry;  ///< In the order of graph.nodes().
-  const std::vector<ComputedCandidate>& computed;
-  const CandidateAccounting& accounting;
+  const std::vector<ComputedCandidate>& computed;  ///< In the order of their results.
+  const CandidateAccounting& accounting;           ///< Where every candidate is.
 };
 
 /// Computes the tasks of a batch elsewhere than on a pool of this process, as compute_batch() does: results
@@ -65,34 +67,35 @@ struct ReplayHooks {
   /// Takes one line of JSON, without its line end, per event: in the order of mission time, the same in every
   /// run.
   std::function<void(const std::string& line)> journal;
-  using OutcomeSink = std::function<void(const RegistrationResult& result)>;
+  using OutcomeSink = std::function<void(const RegistrationResult& result)>;  ///< See `outcome`.
   /// Takes every registration as soon as it is computed, in any order, one at a time from any thread.
   OutcomeSink outcome;
   /// Is shown the run after key frames and batches, in the order of mission time, the same in every run.
   std::function<void(const ReplayMoment& moment)> moment;
-  ProgressCallback progress;
-  StopToken stop;
+  ProgressCallback progress;  ///< Is told how far the run is.
+  StopToken stop;             ///< Ends the run early; it then returns what there is.
   /// Where given, computes the registrations in place of the registrar and the threads.
   BatchComputer compute;
 };
 
+/// What a run came to.
 struct ReplayResult {
   PoseGraph graph;  ///< Last estimate: priors, odometry, verified closures with weights.
-  std::vector<Eigen::Isometry3d> odometry;    ///< Poses by odometry alone, in the order of graph.nodes().
-  std::vector<ComputedCandidate> computed;    ///< In the order of their results.
-  CandidateAccounting accounting;             ///< At the end nothing waits or is in flight.
-  std::map<std::string, std::size_t> pruned;  ///< By reason.
-  std::map<std::string, std::size_t> expired;
+  std::vector<Eigen::Isometry3d> odometry;     ///< Poses by odometry alone, in the order of graph.nodes().
+  std::vector<ComputedCandidate> computed;     ///< In the order of their results.
+  CandidateAccounting accounting;              ///< At the end nothing waits or is in flight.
+  std::map<std::string, std::size_t> pruned;   ///< By reason.
+  std::map<std::string, std::size_t> expired;  ///< By reason.
   std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
   double mission_time_s = 0.0;                                  ///< When the run ended.
   double mission_end_s = 0.0;                                   ///< When the last key frame arrives.
-  std::size_t batches = 0;
-  std::size_t optimizations = 0;
-  bool interrupted = false;  ///< A stop was requested: the result is what there was until then.
-  Problems problems;
+  std::size_t batches = 0;                                      ///< Handed to the computation.
+  std::size_t optimizations = 0;                                ///< Estimates made by the back end.
+  bool interrupted = false;     ///< A stop was requested: the result is what there was until then.
+  Problems problems;            ///< Flaws of the mission that the run met.
   double registration_s = 0.0;  ///< Wall time by stage. For reports only.
-  double optimization_s = 0.0;
-  double total_s = 0.0;
+  double optimization_s = 0.0;  ///< Of the back end.
+  double total_s = 0.0;         ///< Of the whole run.
 };
 
 /// Makes the prioritisers of one run, in the order of their turns.
@@ -104,7 +107,7 @@ using PrioritizerFactory = std::function<std::vector<std::unique_ptr<Prioritizer
 /// `registration_time_s` of mission time; after each batch with a new closure the graph is optimised
 /// robustly. Events are ordered by (time, kind, key): neither the wall clock nor the number of threads
 /// changes the outcome.
-class MissionReplay {
+class LOOPWISE_EXPORT MissionReplay {
  public:
   /// `mission` must outlive the replay; `features` serve the observability score. `prioritizers`, where
   /// given, take the place of those of `config.replay.method`. \throws OptionError naming the option;
@@ -128,14 +131,16 @@ class MissionReplay {
 /// The edges that a replay begins with: the odometry of the mission, made worse by `options.odometry_noise_*`
 /// (a random walk whose steps depend on (seed, from, to) alone), its information lowered accordingly; then
 /// the sightings of landmarks. Closures that the mission's files hold are left out.
-[[nodiscard]] std::vector<Edge> replay_edges(const Mission& mission, const ReplayOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Edge> replay_edges(const Mission& mission,
+                                                             const ReplayOptions& options);
 
 /// Mission time at which each node of the graph arrives at the base station, in graph order: its stamp, or
 /// the end of the communication gap that it lies in, and never before an earlier node of its robot.
-[[nodiscard]] std::vector<double> arrival_times(const Mission& mission);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<double> arrival_times(const Mission& mission);
 
 /// A registration as one line of JSON, timings included, and back. \throws InputError
-[[nodiscard]] std::string outcome_line(const RegistrationResult& result);
-[[nodiscard]] RegistrationResult parse_outcome_line(const std::string& line);
+[[nodiscard]] LOOPWISE_EXPORT std::string outcome_line(const RegistrationResult& result);
+/// Reads what outcome_line() wrote. \throws InputError
+[[nodiscard]] LOOPWISE_EXPORT RegistrationResult parse_outcome_line(const std::string& line);
 
 }  // namespace loopwise

@@ -8,6 +8,8 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// How likely a candidate becomes a closure once it is computed, learned from what came of others: from those
@@ -15,7 +17,7 @@ namespace loopwise {
 /// the wider group, which is the mean of a beta-binomial model: between two places p = (s + a·p_d)/(n + a),
 /// with s of n accepted there and p_d that of the distance, itself drawn towards a first guess that falls
 /// with it.
-class AcceptanceModel {
+class LOOPWISE_EXPORT AcceptanceModel {
  public:
   /// \throws OptionError unless `cell_m`, the size of a place, is finite and > 0.
   explicit AcceptanceModel(double cell_m);

@@ -5,13 +5,14 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/prioritization/ranked_candidates.hpp>
 
 namespace loopwise {
 
 /// First generated, first computed: the paper's *Bsln*.
-class ArrivalPrioritizer final : public Prioritizer {
+class LOOPWISE_EXPORT ArrivalPrioritizer final : public Prioritizer {
  public:
   [[nodiscard]] std::string_view name() const override { return "arrival"; }
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override;
@@ -25,8 +26,9 @@ class ArrivalPrioritizer final : public Prioritizer {
 
 /// Uniformly random order: the paper's *Rand*. A candidate's place depends on (seed, from, to) alone, so
 /// every set is as likely as any other and the order of arrival never shows.
-class RandomPrioritizer final : public Prioritizer {
+class LOOPWISE_EXPORT RandomPrioritizer final : public Prioritizer {
  public:
+  /// Equal seeds give equal orders.
   explicit RandomPrioritizer(std::uint64_t seed) : seed_(seed) {}
   [[nodiscard]] std::string_view name() const override { return "random"; }
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override;

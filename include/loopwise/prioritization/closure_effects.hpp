@@ -7,6 +7,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/se3.hpp>
@@ -21,9 +22,10 @@ namespace loopwise {
 /// of an anchor's positional covariance are three *units*, each with one variance v. One closure lowers it to
 /// v', exactly: v − v' = yᵀ(W⁻¹ + JΣJᵀ)⁻¹y, y = JΣn for the axis n. Poses, variances and closures are those
 /// that CovarianceObjective counts.
-struct ClosureEffects {
+struct LOOPWISE_EXPORT ClosureEffects {
+  /// The node that stands for a stratum, and how its position is known.
   struct Anchor {
-    std::size_t node = 0;
+    std::size_t node = 0;     ///< Its number in the graph.
     std::uint32_t chain = 0;  ///< Anchors of one chain stand in its order, one after the other.
     Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();         ///< Columns, world frame; variance falling.
     Eigen::Vector3d variance = Eigen::Vector3d::Constant(0.0);  ///< Along them, m².
@@ -31,11 +33,11 @@ struct ClosureEffects {
   /// Where the ends of a closure lie on the chain of an anchor.
   enum Side : std::uint8_t { kBefore = 0, kAfter = 1, kAround = 2, kElsewhere = 3 };
 
-  double trace_m2 = 0.0;  ///< e(PG): sum of the variances of all positions.
-  std::vector<Anchor> anchors;
-  Eigen::VectorXd share;   ///< By unit: its stratum's part of the trace along that axis. Sums to 1.
-  Eigen::MatrixXd units;   ///< A row of kUnitFeatures for each unit.
-  Eigen::MatrixXf relief;  ///< Units × candidates: log(v / v'), in [0, kMaxRelief].
+  double trace_m2 = 0.0;        ///< e(PG): sum of the variances of all positions.
+  std::vector<Anchor> anchors;  ///< Chain by chain, in their order along it.
+  Eigen::VectorXd share;        ///< By unit: its stratum's part of the trace along that axis. Sums to 1.
+  Eigen::MatrixXd units;        ///< A row of kUnitFeatures for each unit.
+  Eigen::MatrixXf relief;       ///< Units × candidates: log(v / v'), in [0, kMaxRelief].
   Eigen::Matrix<std::uint8_t, Eigen::Dynamic, Eigen::Dynamic> side;  ///< Anchors × candidates: Side.
   Eigen::MatrixXf gap;  ///< Anchors × candidates: log(1 + nodes to the nearest end); 0 if elsewhere.
   Eigen::MatrixXf far;  ///< The same to the other end; 0 unless both lie on the anchor's chain.
@@ -50,26 +52,30 @@ struct ClosureEffects {
   static constexpr Eigen::Index kUnitFeatures = 5;
   /// relief; before, after, around, elsewhere (one of them 1); gap; log(1e-6 + gain); far; reference
   static constexpr Eigen::Index kEdgeFeatures = 9;
-  static constexpr double kMaxRelief = 9.0;
+  static constexpr double kMaxRelief = 9.0;  ///< Bound of `relief`.
 
+  /// Units: three for each anchor.
   [[nodiscard]] Eigen::Index unit_count() const { return share.size(); }
+  /// Number of candidates.
   [[nodiscard]] Eigen::Index candidates() const { return relief.cols(); }
   /// A row of kEdgeFeatures for each unit: what the closure of a candidate brings there.
   [[nodiscard]] Eigen::MatrixXd edge_features(Eigen::Index candidate) const;
 };
 
-inline constexpr std::size_t kEffectAnchors = 64;
+inline constexpr std::size_t kEffectAnchors = 64;  ///< Strata unless asked for otherwise.
 
 /// Effects of all candidates: a sparse solve for each. `count` is the number of strata.
 /// \throws as CovarianceObjective
-[[nodiscard]] ClosureEffects closure_effects(const PoseGraph& graph,
-                                             const std::vector<LoopCandidate>& candidates,
-                                             const ClosureModelOptions& options, const ClosureModel& model,
-                                             std::size_t count = kEffectAnchors);
+[[nodiscard]] LOOPWISE_EXPORT ClosureEffects closure_effects(const PoseGraph& graph,
+                                                             const std::vector<LoopCandidate>& candidates,
+                                                             const ClosureModelOptions& options,
+                                                             const ClosureModel& model,
+                                                             std::size_t count = kEffectAnchors);
 
 /// log(v / v'), not bounded, of each unit for covariances of the same nodes after some change, as Marginals
 /// holds them: what EffectNetwork is taught.
-[[nodiscard]] Eigen::VectorXd unit_reliefs(const ClosureEffects& effects, const PoseGraph& graph,
-                                           const std::vector<Matrix6d>& covariances);
+[[nodiscard]] LOOPWISE_EXPORT Eigen::VectorXd unit_reliefs(const ClosureEffects& effects,
+                                                           const PoseGraph& graph,
+                                                           const std::vector<Matrix6d>& covariances);
 
 }  // namespace loopwise

@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/prioritization/graph_objective.hpp>
@@ -34,6 +35,7 @@ enum class Holding {
   return {{Holding::kAutomatic, "automatic"}, {Holding::kColumns, "columns"}, {Holding::kDense, "dense"}};
 }
 
+/// What a candidate's closure is taken for, and how its effect is computed.
 struct ClosureModelOptions {
   double sigma_m = 0.1;
   double sigma_rad = 0.02;
@@ -65,7 +67,7 @@ struct ClosureModel {
 };
 
 /// Σ⁻¹ = diag(sigma_m², sigma_rad²). \throws OptionError
-[[nodiscard]] ClosureModel closure_model(const ClosureModelOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT ClosureModel closure_model(const ClosureModelOptions& options);
 
 /// e(PG ∪ l), exact: the trace of the poses' marginal covariances with the set's closures added, Σ = H⁻¹ of
 /// the Gauss-Newton Hessian at the graph's poses and weights. The paper trains a network to guess this
@@ -77,12 +79,13 @@ struct ClosureModel {
 ///
 /// Poses of a component without a prior count relative to its first node; connecting candidates change
 /// nothing.
-class CovarianceObjective final : public GraphObjective {
+class LOOPWISE_EXPORT CovarianceObjective final : public GraphObjective {
  public:
   /// \throws OptionError; UnknownKeyError if a candidate's node is not in the graph; InputError on a model
   /// that is not finite, and naming a node if the graph's factors do not determine its pose.
   CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                       const ClosureModelOptions& options = {});
+  /// With a model of one's own.
   CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                       const ClosureModelOptions& options, const ClosureModel& model);
   ~CovarianceObjective() override;
@@ -114,10 +117,12 @@ class CovarianceObjective final : public GraphObjective {
 
 /// log det Σ of the graph with the set's closures: D-optimality, for pose graphs the count of spanning trees
 /// (Khosoussi et al., IJRR 2019). Submodular, so lazy greedy choice is exact. Other things as above.
-class LogDetObjective final : public GraphObjective {
+class LOOPWISE_EXPORT LogDetObjective final : public GraphObjective {
  public:
+  /// \throws as CovarianceObjective
   LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   const ClosureModelOptions& options = {});
+  /// With a model of one's own.
   LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   const ClosureModelOptions& options, const ClosureModel& model);
   ~LogDetObjective() override;
@@ -146,11 +151,9 @@ class LogDetObjective final : public GraphObjective {
 /// V = ΣPᵀz for `probes` random sign vectors z, S ≈ JUUᵀJᵀ and M ≈ JVVᵀJᵀ. The error of an entry is about
 /// √(2/probes) of it; what it costs does not depend on the graph's size but for the solves. 0 for connecting
 /// candidates. \throws as CovarianceObjective.
-[[nodiscard]] std::vector<double> sketched_gains(const PoseGraph& graph,
-                                                 const std::vector<LoopCandidate>& candidates,
-                                                 const ClosureModelOptions& options,
-                                                 const ClosureModel& model, std::size_t probes = 64,
-                                                 std::uint64_t seed = 1);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<double> sketched_gains(
+    const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const ClosureModelOptions& options,
+    const ClosureModel& model, std::size_t probes = 64, std::uint64_t seed = 1);
 
 /// What candidates that may fail promise.
 struct ExpectedGains {
@@ -163,18 +166,18 @@ struct ExpectedGains {
 
 /// As sketched_gains(), of candidates that are accepted with the probabilities `p_accept`, once computed;
 /// empty: 1. The model's own factors are not looked at. \throws InputError on a probability out of [0, 1].
-[[nodiscard]] ExpectedGains expected_gains(const PoseGraph& graph,
-                                           const std::vector<LoopCandidate>& candidates,
-                                           const ClosureModelOptions& options, const ClosureModel& model,
-                                           const std::vector<double>& p_accept, std::size_t probes = 64,
-                                           std::uint64_t seed = 1);
+[[nodiscard]] LOOPWISE_EXPORT ExpectedGains expected_gains(const PoseGraph& graph,
+                                                           const std::vector<LoopCandidate>& candidates,
+                                                           const ClosureModelOptions& options,
+                                                           const ClosureModel& model,
+                                                           const std::vector<double>& p_accept,
+                                                           std::size_t probes = 64, std::uint64_t seed = 1);
 
 /// Up to `count` candidates that promise most and lie spread over the graph: within each pair of cells of
 /// `cell_m` that candidates join the best by gain, then the second best of each, and so on, each round by
 /// falling gain. \returns places in the list, ascending.
-[[nodiscard]] std::vector<std::size_t> spread_shortlist(const PoseGraph& graph,
-                                                        const std::vector<LoopCandidate>& candidates,
-                                                        const std::vector<double>& gains, std::size_t count,
-                                                        double cell_m = 10.0);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> spread_shortlist(
+    const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const std::vector<double>& gains,
+    std::size_t count, double cell_m = 10.0);
 
 }  // namespace loopwise

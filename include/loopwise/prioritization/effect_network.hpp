@@ -10,6 +10,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/prioritization/closure_effects.hpp>
 #include <loopwise/prioritization/graph_objective.hpp>
 
@@ -18,13 +19,20 @@ namespace loopwise {
 /// The Loopwise network: guesses e(PG ∪ l) from what each closure does alone (ClosureEffects). A graph
 /// network on the bipartite graph of the set's closures c and the units u:
 ///
-///     m_cu = exp(W₂ s(W₁ a_cu + b₁) + b₂ + W₀ a_cu)     a_cu the normalised edge features, s(x) = x / (1 +
-///     |x|) P_u  = log(1 + Σ_{c∈l} m_cu)                      K channels: between the largest and the sum p_u
-///     = log(1 + Σ_c (e^r − 1)), q_u = ⅙ log(1 + Σ_c (e^6r − 1)),  r = relief of c at u g    = Σ_u share_u ·
-///     [P_u, p_u, q_u]              what the whole graph got n_u  = mean of [P, p, q] over the anchors next
-///     to u's on its chain of odometry (α, β) = V₃ s(V₂ s(V₁ [P_u, p_u, q_u, n_u, g, f_u] + c₁) + c₂) + c₃
-///     f_u the normalised unit features y_u  = q_u + σ(α)(p_u − q_u) + β (1 − e^−p_u)     log(v / v'), 0 for
-///     no closures e    = e(PG) · Σ_u share_u · e^−y_u
+///     m_cu   = exp(W₂ s(W₁ a_cu + b₁) + b₂ + W₀ a_cu)
+///     P_u    = log(1 + Σ_{c∈l} m_cu)
+///     p_u    = log(1 + Σ_c (e^r_cu − 1))
+///     q_u    = ⅙ log(1 + Σ_c (e^(6 r_cu) − 1))
+///     g      = Σ_u share_u · [P_u, p_u, q_u]
+///     n_u    = mean of [P, p, q] over the anchors next to u's on its chain of odometry
+///     (α, β) = V₃ s(V₂ s(V₁ [P_u, p_u, q_u, n_u, g, f_u] + c₁) + c₂) + c₃
+///     y_u    = q_u + σ(α)(p_u − q_u) + β (1 − e^−p_u)
+///     e      = e(PG) · Σ_u share_u · e^−y_u
+///
+/// with a_cu the normalised edge features, f_u the normalised unit features, r_cu the relief of c at u,
+/// s(x) = x / (1 + |x|) and σ the logistic function. m and P have K channels, with which P can stand
+/// for anything between the largest message and the sum of all; g is what the whole graph got; y_u stands for
+/// log(v / v'), 0 for no closures.
 ///
 /// p is what closures that know nothing of each other would bring, q nearly what the best alone brings. It
 /// differs from the paper's network in all of this: exact single effects on the edges, aggregation that is
@@ -34,7 +42,7 @@ namespace loopwise {
 /// unit.mean, unit.std (5), message.0.{weight M×9, bias M}, message.1.{weight K×M, bias K},
 /// message.skip.weight K×9, readout.0.{weight H×(3(K+2)+5), bias H}, readout.1.{weight H×H, bias H},
 /// readout.2.{weight 2×H, bias 2}.
-class EffectNetwork {
+class LOOPWISE_EXPORT EffectNetwork {
  public:
   /// \throws IoError; InputError naming file and tensor on a file that is no such network
   explicit EffectNetwork(const std::filesystem::path& weights);
@@ -53,12 +61,13 @@ class EffectNetwork {
 
 /// What the Loopwise network says of the graph with a set of closures. A swap changes two messages of each
 /// unit: its cost does not depend on the size of the graph, and hardly on that of the set.
-class EffectObjective final : public GraphObjective {
+class LOOPWISE_EXPORT EffectObjective final : public GraphObjective {
  public:
   /// \throws as CovarianceObjective; InputError on a null network
   EffectObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   std::shared_ptr<const EffectNetwork> network, const ClosureModelOptions& options,
                   const ClosureModel& model);
+  /// With effects that are known already.
   EffectObjective(ClosureEffects effects, std::shared_ptr<const EffectNetwork> network);
   ~EffectObjective() override;
 
@@ -77,6 +86,7 @@ class EffectObjective final : public GraphObjective {
   void swap(std::size_t out, std::size_t in) override;
   [[nodiscard]] bool connecting(std::size_t candidate) const override;
 
+  /// The network's input.
   [[nodiscard]] const ClosureEffects& effects() const;
 
  private:
@@ -86,6 +96,6 @@ class EffectObjective final : public GraphObjective {
 
 /// Which network a weights file holds: "paper" (GraphNetwork) or "loopwise" (EffectNetwork).
 /// \throws IoError; InputError on a file that is no weights file, or of another kind
-[[nodiscard]] std::string network_kind(const std::filesystem::path& weights);
+[[nodiscard]] LOOPWISE_EXPORT std::string network_kind(const std::filesystem::path& weights);
 
 }  // namespace loopwise

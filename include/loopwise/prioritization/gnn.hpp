@@ -14,6 +14,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/prioritization/graph_objective.hpp>
 
@@ -44,7 +45,7 @@ enum class GnnFeatures {
 /// which features are normalised, output.mean and output.std (1) which y is taken back from; output.log (1),
 /// if not 0: that is a logarithm, and the network puts out its exponential. Others are ignored. `kind` of
 /// `__meta__`, where it stands, is "paper".
-class GraphNetwork {
+class LOOPWISE_EXPORT GraphNetwork {
  public:
   /// \throws IoError; InputError naming file and tensor on JSON that is none, a network of another kind, a
   /// tensor that is missing, has another shape or a value that is not finite.
@@ -53,11 +54,16 @@ class GraphNetwork {
   GraphNetwork(GraphNetwork&&) noexcept;
   GraphNetwork& operator=(GraphNetwork&&) noexcept;
 
+  /// Features of a node: F.
   [[nodiscard]] Eigen::Index node_features() const;
+  /// Features of an edge: D.
   [[nodiscard]] Eigen::Index edge_features() const;
+  /// Width of the hidden layers: H.
   [[nodiscard]] Eigen::Index hidden() const;
+  /// Number of graph convolutions.
   [[nodiscard]] std::size_t convolutions() const;
 
+  /// A graph as the network sees it.
   struct Input {
     Eigen::MatrixXd nodes;                                       ///< A row of features for each node.
     std::vector<std::pair<std::uint32_t, std::uint32_t>> edges;  ///< Messages go from first to second.
@@ -77,15 +83,15 @@ class GraphNetwork {
 /// What the network gets of a graph without a set: features of the nodes, a self loop for each prior, an edge
 /// one way for each odometry and closure that the back end holds to be true; types one-hot. `covariances` as
 /// GnnObjective takes them. \throws InputError on another number of covariances
-[[nodiscard]] GraphNetwork::Input graph_input(const PoseGraph& graph, GnnFeatures features,
-                                              const std::vector<Matrix6d>& covariances);
+[[nodiscard]] LOOPWISE_EXPORT GraphNetwork::Input graph_input(const PoseGraph& graph, GnnFeatures features,
+                                                              const std::vector<Matrix6d>& covariances);
 
 /// What the network says of the graph with a set of closures. One direction, from → to, as it was trained. A
 /// swap is evaluated on the nodes downstream of the two `to` nodes alone.
-class GnnObjective final : public GraphObjective {
+class LOOPWISE_EXPORT GnnObjective final : public GraphObjective {
  public:
-  /// \param covariances marginal covariances of the graph's nodes, as Marginals holds them; where they are
-  /// not finite or missing (an empty list) features are 0.
+  /// `covariances` are the marginal ones of the graph's nodes, as Marginals holds them; where they are not
+  /// finite or missing (an empty list) features are 0.
   /// \throws UnknownKeyError; InputError on another number of covariances or a null or unfit network
   GnnObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                std::shared_ptr<const GraphNetwork> network, GnnFeatures features,

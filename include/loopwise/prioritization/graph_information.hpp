@@ -11,6 +11,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/prioritization/covariance_objective.hpp>
 #include <loopwise/prioritization/effect_network.hpp>
@@ -20,7 +21,12 @@
 
 namespace loopwise {
 
-enum class ObjectiveKind { kCovariance, kLogDet, kGnn };
+/// What a set of closures is scored by.
+enum class ObjectiveKind {
+  kCovariance,  ///< CovarianceObjective
+  kLogDet,      ///< LogDetObjective
+  kGnn,         ///< GnnObjective or EffectObjective, by the weights file.
+};
 [[nodiscard]] inline EnumNames<ObjectiveKind> enum_names(ObjectiveKind) {
   return {{ObjectiveKind::kCovariance, "covariance"},
           {ObjectiveKind::kLogDet, "log_det"},
@@ -61,6 +67,7 @@ enum class Acceptance {
   return {{Acceptance::kSure, "sure"}, {Acceptance::kLearned, "learned"}};
 }
 
+/// How graph information chooses its sets.
 struct GraphInformationOptions {
   ObjectiveKind objective = ObjectiveKind::kCovariance;
   SelectorKind selector = SelectorKind::kGreedyAnnealing;
@@ -109,7 +116,7 @@ struct GraphInformationOptions {
 /// changed, the next improve() or take() starts anew.
 ///
 /// Candidates whose nodes the graph does not have yet are kept until it does; take() holds them back.
-class GraphInformationPrioritizer final : public Prioritizer {
+class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
  public:
   /// \throws OptionError; IoError or InputError if the objective's weights cannot be read.
   GraphInformationPrioritizer(const GraphInformationOptions& options, const ClosureModelOptions& closures,
@@ -129,12 +136,15 @@ class GraphInformationPrioritizer final : public Prioritizer {
 
   /// What is known of the prepared set; value and start are 0 without one.
   struct Status {
-    double start_value = 0.0;  ///< Before annealing.
-    double value = 0.0;
-    std::uint64_t steps = 0, accepted = 0;
-    std::size_t pool = 0, shortlist = 0;
+    double start_value = 0.0;    ///< Before annealing.
+    double value = 0.0;          ///< Of the set as it stands.
+    std::uint64_t steps = 0;     ///< Swaps that annealing tried.
+    std::uint64_t accepted = 0;  ///< Swaps that it made.
+    std::size_t pool = 0;        ///< Pending candidates whose nodes the graph has.
+    std::size_t shortlist = 0;   ///< Of them, those that the set is chosen among.
     std::string problem;  ///< Why the graph could not be scored and spread decided instead; else empty.
   };
+  /// As of the last change of the set.
   [[nodiscard]] const Status& status() const { return status_; }
 
   /// Gains of all pending candidates on the bare graph, by the sketch, for showing to people; 0 where a node

@@ -7,6 +7,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
@@ -17,10 +18,11 @@ namespace loopwise {
 /// list. An objective holds one current set; what it costs to change it is asked without changing it.
 ///
 /// Not for several threads at a time: evaluating uses scratch space.
-class GraphObjective {
+class LOOPWISE_EXPORT GraphObjective {
  public:
   virtual ~GraphObjective() = default;
 
+  /// Short and stable, for tables and logs.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
   /// Number of candidates.
@@ -29,6 +31,7 @@ class GraphObjective {
   /// The current set, empty at first, in the order of addition; a swap puts the new one in the place of the
   /// old.
   [[nodiscard]] virtual const std::vector<std::size_t>& selected() const = 0;
+  /// Whether a candidate is in the current set.
   [[nodiscard]] virtual bool contains(std::size_t candidate) const = 0;
 
   /// The objective of the current set; lower is better.
@@ -37,16 +40,22 @@ class GraphObjective {
   /// value() after the change minus value() now. \pre `candidate` and `in` are not in the set, `out` and a
   /// removed one are.
   [[nodiscard]] virtual double add_change(std::size_t candidate) = 0;
+  /// See add_change().
   [[nodiscard]] virtual double remove_change(std::size_t candidate) = 0;
+  /// See add_change().
   [[nodiscard]] virtual double swap_change(std::size_t out, std::size_t in) = 0;
 
   /// add_change() of every candidate, 0 for those in the set. What a greedy choice asks for: implementations
   /// are faster than one by one, and may be accurate to about 1e-6 of the change only.
   [[nodiscard]] virtual std::vector<double> add_changes() = 0;
 
+  /// Replaces the current set. \throws InputError on a repeated member or one that is not there.
   virtual void assign(const std::vector<std::size_t>& set) = 0;
+  /// Puts a candidate into the set. \pre it is not in it.
   virtual void add(std::size_t candidate) = 0;
+  /// Takes a candidate out of the set. \pre it is in it.
   virtual void remove(std::size_t candidate) = 0;
+  /// Puts `in` into the place of `out`. \pre `out` is in the set, `in` is not.
   virtual void swap(std::size_t out, std::size_t in) = 0;
 
   /// The candidate ties together two parts of the graph of which one has no prior. Such a closure is worth
@@ -55,11 +64,15 @@ class GraphObjective {
 };
 
 /// Members of a set of candidates, in order, with their places: what implementations keep.
-class CandidateSet {
+class LOOPWISE_EXPORT CandidateSet {
  public:
+  /// The empty set of `size` candidates.
   explicit CandidateSet(std::size_t size) : place_(size, kAbsent) {}
+  /// In order.
   [[nodiscard]] const std::vector<std::size_t>& members() const { return members_; }
+  /// Whether a candidate is in the set.
   [[nodiscard]] bool contains(std::size_t candidate) const { return place_[candidate] != kAbsent; }
+  /// Puts a candidate at the end. \pre it is not in the set.
   void add(std::size_t candidate) {
     place_[candidate] = members_.size();
     members_.push_back(candidate);
@@ -71,6 +84,7 @@ class CandidateSet {
     place_[candidate] = kAbsent;
     for (std::size_t i = place; i < members_.size(); ++i) place_[members_[i]] = i;
   }
+  /// Puts `in` into the place of `out`. \pre `out` is in the set, `in` is not.
   void swap(std::size_t out, std::size_t in) {
     members_[place_[out]] = in;
     place_[in] = place_[out];
@@ -78,6 +92,7 @@ class CandidateSet {
   }
   /// \throws InputError on a repeated member or one that is not there.
   void assign(const std::vector<std::size_t>& members);
+  /// Takes all out.
   void clear();
 
  private:
@@ -88,7 +103,7 @@ class CandidateSet {
 
 /// Midpoints of the candidates' nodes at the graph's poses, one each: where a closure stands for the spread
 /// of a set. \throws UnknownKeyError
-[[nodiscard]] std::vector<Eigen::Vector3d> candidate_midpoints(const PoseGraph& graph,
-                                                               const std::vector<LoopCandidate>& candidates);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Vector3d> candidate_midpoints(
+    const PoseGraph& graph, const std::vector<LoopCandidate>& candidates);
 
 }  // namespace loopwise

@@ -7,6 +7,7 @@
 #include <unordered_map>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
@@ -24,6 +25,7 @@ enum class ObservabilityVariant {
   return {{ObservabilityVariant::kPaper, "paper"}, {ObservabilityVariant::kLamp, "lamp"}};
 }
 
+/// Which score, and from where on candidates are refused.
 struct ObservabilityPriorityOptions {
   ObservabilityVariant variant = ObservabilityVariant::kPaper;
   double min_sum = 0.1;
@@ -43,7 +45,7 @@ struct ObservabilityPriorityOptions {
 /// Computes candidates between well-constrained scans first (paper §III-C). A scan's score is fixed on
 /// arrival: its smallest eigenvalue divided by the largest so far, itself included, so that the first scan
 /// has 1.
-class ObservabilityPrioritizer final : public Prioritizer {
+class LOOPWISE_EXPORT ObservabilityPrioritizer final : public Prioritizer {
  public:
   /// Smallest eigenvalue of a scan's observability matrix, as the variant wants it; >= 0.
   using Eigenvalue = std::function<double(const KeyedScan&)>;

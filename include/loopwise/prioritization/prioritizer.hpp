@@ -8,6 +8,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -17,16 +18,17 @@ namespace loopwise {
 
 /// A candidate that a prioritiser does not want.
 struct Refusal {
-  CandidateId id = 0;
+  CandidateId id = 0;  ///< The candidate.
   std::string reason;  ///< Short and stable, for example "low_observability".
 };
 
 /// Orders pending candidates: the one interface to implement for a method of your own. Called from one thread
 /// at a time. Nodes and scans of a candidate are announced before the candidate itself.
-class Prioritizer {
+class LOOPWISE_EXPORT Prioritizer {
  public:
   virtual ~Prioritizer() = default;
 
+  /// Short and stable: stands in options, tables and journals.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
   /// New candidates, in order of generation. \returns those it will never hand out.

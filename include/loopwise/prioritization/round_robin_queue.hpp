@@ -9,13 +9,14 @@
 #include <unordered_map>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 
 namespace loopwise {
 
 /// Joins the prioritisers of a method: batches take equal shares from each, best first, in turns (paper
 /// §III-E). A candidate taken from one leaves the others; one that is refused by some stays with the rest.
-class RoundRobinQueue {
+class LOOPWISE_EXPORT RoundRobinQueue {
  public:
   /// May be empty: then every candidate is refused ("no_prioritizer"). \throws InputError on a null pointer.
   explicit RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers);
@@ -23,10 +24,13 @@ class RoundRobinQueue {
   /// \returns the candidates that every prioritiser refused, with their reasons joined. \throws what a
   /// prioritiser throws: then call remove(), or some may still hold them
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
-  /// All prioritisers are told, also if one throws.
+  /// Expired or withdrawn: all prioritisers forget them, and all are told, also if one throws.
   void remove(const std::vector<CandidateId>& ids);
+  /// Hands on to all prioritisers.
   void on_graph(const PoseGraph& graph);
+  /// Hands on to all prioritisers.
   void on_scan(const KeyedScan& scan);
+  /// Hands on to all prioritisers.
   void on_result(const RegistrationResult& result);
 
   /// Lets every prioritiser prepare its share of a batch of `count`.
@@ -45,6 +49,7 @@ class RoundRobinQueue {
 
   /// Candidates that at least one prioritiser holds.
   [[nodiscard]] std::size_t size() const { return holders_.size(); }
+  /// In the order of their turns.
   [[nodiscard]] const std::vector<std::unique_ptr<Prioritizer>>& prioritizers() const {
     return prioritizers_;
   }

@@ -5,6 +5,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/prioritization/ranked_candidates.hpp>
 
@@ -12,7 +13,7 @@ namespace loopwise {
 
 /// The candidates of the radio generator, in the order of the fly-bys (paper §III-D). Refuses all others
 /// ("not_radio").
-class RssiPrioritizer final : public Prioritizer {
+class LOOPWISE_EXPORT RssiPrioritizer final : public Prioritizer {
  public:
   [[nodiscard]] std::string_view name() const override { return "rssi"; }
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override;

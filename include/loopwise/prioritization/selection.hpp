@@ -9,6 +9,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/stop_token.hpp>
@@ -18,13 +19,14 @@ namespace loopwise {
 
 /// A chosen set of candidates and what choosing it took.
 struct Selection {
-  std::vector<std::size_t> set;  ///< Most valuable first where the selector knows.
-  double value = 0.0;            ///< The objective of the set.
-  std::uint64_t evaluations = 0;
-  std::uint64_t accepted = 0;  ///< Swaps made by annealing.
-  bool stopped = false;        ///< A stop was requested before the end; the set is full nevertheless.
+  std::vector<std::size_t> set;   ///< Most valuable first where the selector knows.
+  double value = 0.0;             ///< The objective of the set.
+  std::uint64_t evaluations = 0;  ///< Of the objective, or of changes of it.
+  std::uint64_t accepted = 0;     ///< Swaps made by annealing.
+  bool stopped = false;           ///< A stop was requested before the end; the set is full nevertheless.
 };
 
+/// Greedy choice.
 struct GreedyOptions {
   bool lazy = false;
   double connecting_share = 0.5;
@@ -42,11 +44,13 @@ struct GreedyOptions {
 /// Takes the candidate that lowers the objective most, again and again; connecting candidates first, spread
 /// over their midpoints. Ties go to the lower number. Leaves the set in the objective. After a stop request
 /// the rest follows by the gains known last.
-/// \param midpoints one for each candidate. \throws InputError on another number of them.
-[[nodiscard]] Selection greedy(GraphObjective& objective, const std::vector<Eigen::Vector3d>& midpoints,
-                               std::size_t count, const GreedyOptions& options = {},
-                               const StopToken& stop = {});
+/// `midpoints` has one for each candidate. \throws InputError on another number of them.
+[[nodiscard]] LOOPWISE_EXPORT Selection greedy(GraphObjective& objective,
+                                               const std::vector<Eigen::Vector3d>& midpoints,
+                                               std::size_t count, const GreedyOptions& options = {},
+                                               const StopToken& stop = {});
 
+/// Simulated annealing: temperatures and partners.
 struct AnnealingOptions {
   double temperature_max = 1.0;
   double temperature_min = 1e-4;
@@ -81,13 +85,13 @@ struct AnnealingOptions {
 
 /// Options by name: "default", or "lamp" (3, 1e-4, 0.995 absolute, as LAMP's parameters intend; LAMP draws
 /// partners the same way). \throws OptionError naming the presets.
-[[nodiscard]] AnnealingOptions annealing_preset(std::string_view name);
+[[nodiscard]] LOOPWISE_EXPORT AnnealingOptions annealing_preset(std::string_view name);
 
 /// The paper's Algorithm 1, made resumable: T = max(T_max·c^step, T_min); a member chosen uniformly leaves,
 /// an outsider enters with odds inverse to the distance of their midpoints; the swap stands if it lowers the
 /// objective or exp(−δ/T) > U(0, 1). Seeded: the same steps give the same set, however they are divided into
 /// runs.
-class SimulatedAnnealing {
+class LOOPWISE_EXPORT SimulatedAnnealing {
  public:
   /// Starts from `initial`, or from the farthest points of the midpoints if that is empty; `count` is capped
   /// at the number of candidates. The objective must outlive this object and not be changed by others
@@ -104,9 +108,13 @@ class SimulatedAnnealing {
   /// run.
   [[nodiscard]] Selection best();
 
+  /// Swaps tried so far.
   [[nodiscard]] std::uint64_t steps() const { return steps_; }
+  /// Swaps made so far.
   [[nodiscard]] std::uint64_t accepted() const { return accepted_; }
+  /// Evaluations used so far, those for the scale included.
   [[nodiscard]] std::uint64_t evaluations() const { return evaluations_; }
+  /// The objective of the set that it started from.
   [[nodiscard]] double start_value() const { return start_value_; }
 
  private:
@@ -133,14 +141,13 @@ class SimulatedAnnealing {
 
 /// Maximal spatial spread: begins with the point farthest from the centroid, then always takes the point
 /// farthest from those taken; ties go to the lower number. O(count · points).
-[[nodiscard]] std::vector<std::size_t> farthest_points(const std::vector<Eigen::Vector3d>& points,
-                                                       std::size_t count);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> farthest_points(
+    const std::vector<Eigen::Vector3d>& points, std::size_t count);
 
 /// The candidates whose two nodes are known least: by the sum of the traces of their translational
 /// covariances. `covariances` are one per node of the graph, as Marginals holds them.
-[[nodiscard]] std::vector<std::size_t> largest_covariance(const PoseGraph& graph,
-                                                          const std::vector<LoopCandidate>& candidates,
-                                                          const std::vector<Matrix6d>& covariances,
-                                                          std::size_t count);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> largest_covariance(
+    const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
+    const std::vector<Matrix6d>& covariances, std::size_t count);
 
 }  // namespace loopwise

@@ -5,6 +5,7 @@
 #include <optional>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/progress.hpp>
 #include <loopwise/core/stop_token.hpp>
 #include <loopwise/core/thread_pool.hpp>
@@ -13,13 +14,13 @@
 namespace loopwise {
 
 /// One task. A registrar that throws gives RejectionReason::kFailed with the exception's message.
-[[nodiscard]] RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task);
+[[nodiscard]] LOOPWISE_EXPORT RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task);
 
 /// Computes tasks on the pool, one task a thread. Results stand in the order of the tasks and do not depend
 /// on the number of threads. After a stop request no further task is begun; tasks that were not begun have no
 /// result. `on_result` is told of each result as soon as it is there: in any order, one at a time, from any
 /// thread of the pool.
-[[nodiscard]] std::vector<std::optional<RegistrationResult>> compute_batch(
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::optional<RegistrationResult>> compute_batch(
     const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,
     const StopToken& stop = {}, const ProgressCallback& progress = {},
     const std::function<void(const RegistrationResult&)>& on_result = {});

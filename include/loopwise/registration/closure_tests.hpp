@@ -9,6 +9,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/registration_result.hpp>
@@ -17,6 +18,7 @@
 
 namespace loopwise {
 
+/// Bounds of the tests that a closure must pass, and what its covariance allows for.
 struct ClosureTestOptions {
   int min_points = 20;
   int measured_points = 4000;
@@ -85,8 +87,8 @@ struct ClosureTestOptions {
 
 /// Figures of an alignment.
 struct AlignmentFigures {
-  double fitness_m2 =
-      0.0;               ///< Mean squared distance to the target of all source points, see fitness_range_m.
+  /// Mean squared distance to the target of all source points, see fitness_range_m.
+  double fitness_m2 = 0.0;
   double overlap = 0.0;  ///< Share of source points with a target point within overlap_distance_m.
   /// The same with agreeing normals (within 45°), as a mean over directions of the source's surfaces;
   /// directions with less than 5 % of the points count in proportion.
@@ -108,10 +110,11 @@ struct AlignmentFigures {
 
 /// Measures source points against a target with normals under T_to_from (source to target). One
 /// nearest-neighbour search a point.
-[[nodiscard]] AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& target,
-                                                 const KdTree& target_tree,
-                                                 const Eigen::Isometry3d& T_to_from,
-                                                 const ClosureTestOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT AlignmentFigures measure_alignment(const PointCloud& source,
+                                                                 const PointCloud& target,
+                                                                 const KdTree& target_tree,
+                                                                 const Eigen::Isometry3d& T_to_from,
+                                                                 const ClosureTestOptions& options);
 
 /// What a right alignment can reach, by what neighbours within a cloud do.
 struct SurfaceShare {
@@ -123,33 +126,35 @@ struct SurfaceShare {
   double on_plane = 1.0;
 };
 /// Looks at 1000 points.
-[[nodiscard]] SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree,
-                                         const ClosureTestOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree,
+                                                         const ClosureTestOptions& options);
 
 /// How well an alignment fits in detail, at most 1: on_plane/expected_on_plane − 5·contradiction. Corridors
 /// that look alike overlap; their roughness and their openings differ.
-[[nodiscard]] double consistency(const AlignmentFigures& figures);
+[[nodiscard]] LOOPWISE_EXPORT double consistency(const AlignmentFigures& figures);
 
 /// Directions, of six, that the points leave free within the bounds: their standard deviation would exceed
 /// max_sigma.
-[[nodiscard]] int free_directions(const AlignmentFigures& figures, const ClosureTestOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT int free_directions(const AlignmentFigures& figures,
+                                                  const ClosureTestOptions& options);
 
 /// Covariance of T_from_to from the point-to-plane Hessian: σ²·(points_per_sample)·H⁻¹ with σ the plane
 /// distance's root mean square but at least point_sigma_m, plus min_sigma²; each direction (eigenvector of
 /// the Hessian scaled by the bounds) is limited by max_sigma. Symmetric positive definite for every symmetric
 /// finite input.
-[[nodiscard]] Matrix6d closure_covariance(const AlignmentFigures& figures, const ClosureTestOptions& options);
+[[nodiscard]] LOOPWISE_EXPORT Matrix6d closure_covariance(const AlignmentFigures& figures,
+                                                          const ClosureTestOptions& options);
 
 /// Raises the deviation of the translation along `direction` (unit, in the frame of T_from_to's perturbation)
 /// to at least `sigma_m`.
-void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, double sigma_m);
+LOOPWISE_EXPORT void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, double sigma_m);
 
 /// Fills `result` from an alignment: figures, reason and message, or the closure with its covariance.
 /// Tests in order: finite, converged, fitness, overlap, consistency, free directions, distance from the
 /// guess.
-void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
-                     const AlignmentFigures& figures, bool converged,
-                     const std::optional<Eigen::Isometry3d>& guess_from_to,
-                     const ClosureTestOptions& options);
+LOOPWISE_EXPORT void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
+                                     const AlignmentFigures& figures, bool converged,
+                                     const std::optional<Eigen::Isometry3d>& guess_from_to,
+                                     const ClosureTestOptions& options);
 
 }  // namespace loopwise

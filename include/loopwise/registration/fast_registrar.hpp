@@ -4,6 +4,7 @@
 #include <memory>
 #include <string_view>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/registration/closure_tests.hpp>
@@ -11,6 +12,7 @@
 
 namespace loopwise {
 
+/// Registration `fast`: descriptors, consensus, refinement, tests.
 struct FastRegistrarOptions {
   double fpfh_radius_m = 2.5;
   int fpfh_neighbours = 40;
@@ -30,7 +32,7 @@ struct FastRegistrarOptions {
   int coarse_points = 300;
   int fine_points = 2000;
   double max_descriptor_mb = 256.0;
-  ClosureTestOptions tests = default_tests();
+  ClosureTestOptions tests = default_tests();  ///< Fields of the same section.
 
   /// Unlike the reference's: detail decides, so scans may reach further beyond each other.
   [[nodiscard]] static ClosureTestOptions default_tests() {
@@ -87,7 +89,7 @@ struct FastRegistrarOptions {
 /// the hypotheses that the guess allows compared on the scans. The best are refined by generalized ICP
 /// (Gauss-Newton, from coarse to fine) and compared by the share of points on the target's surfaces. Hopeless
 /// pairs end before that. Thread-safe; what belongs to a scan or a submap is computed once.
-class FastRegistrar final : public Registrar {
+class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
   explicit FastRegistrar(std::shared_ptr<FeatureCache> features, const FastRegistrarOptions& options = {});

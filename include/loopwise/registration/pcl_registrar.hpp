@@ -5,6 +5,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/registration/closure_tests.hpp>
@@ -12,6 +13,7 @@
 
 namespace loopwise {
 
+/// Registration `pcl`: descriptors, SAC-IA, GICP, tests.
 struct PclRegistrarOptions {
   double fpfh_radius_m = 2.0;
   int key_points = 1000;
@@ -24,7 +26,7 @@ struct PclRegistrarOptions {
   double gicp_translation_epsilon_m = 5e-4;
   double gicp_rotation_epsilon = 5e-4;
   double max_descriptor_mb = 256.0;
-  ClosureTestOptions tests;
+  ClosureTestOptions tests;  ///< Fields of the same section.
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -59,7 +61,7 @@ struct PclRegistrarOptions {
 /// best. Refinement: pcl::GeneralizedIterativeClosestPoint with covariances from the normals. Thread-safe;
 /// descriptors are computed once a scan. PCL's console messages for invalid input are avoided by checking
 /// first; its verbosity is left alone.
-class PclRegistrar final : public Registrar {
+class LOOPWISE_EXPORT PclRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
   explicit PclRegistrar(std::shared_ptr<FeatureCache> features, const PclRegistrarOptions& options = {});

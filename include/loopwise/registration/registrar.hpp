@@ -8,6 +8,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/registration_result.hpp>
@@ -16,14 +17,14 @@ namespace loopwise {
 
 /// A scan that takes part in a submap.
 struct SubmapMember {
-  Key key = 0;
+  Key key = 0;  ///< Whose scan it is.
   /// Pose of the member's body in the frame of the submap's centre.
   Eigen::Isometry3d T_center_member = Eigen::Isometry3d::Identity();
 };
 
 /// All that the computation of one candidate depends on, besides the scans.
 struct RegistrationTask {
-  LoopCandidate candidate;
+  LoopCandidate candidate;  ///< Both ends.
   /// T_from_to by the graph. A hint to try first and the pose that a result must not stray from; absent: no
   /// idea.
   std::optional<Eigen::Isometry3d> guess_from_to;
@@ -49,9 +50,10 @@ struct RegistrationTask {
 
 /// Turns a candidate into a closure or a stated rejection. Thread-safe, no hidden state: the result depends
 /// on the task and its scans alone, wall times apart.
-class Registrar {
+class LOOPWISE_EXPORT Registrar {
  public:
   virtual ~Registrar() = default;
+  /// Short and stable: stands in options, tables and journals.
   [[nodiscard]] virtual std::string_view name() const = 0;
   /// A candidate that cannot be computed is a result with a reason, not an exception.
   [[nodiscard]] virtual RegistrationResult compute(const RegistrationTask& task) const = 0;

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/options.hpp>
@@ -13,6 +14,7 @@
 
 namespace loopwise {
 
+/// Which scans a registration is given.
 struct TaskOptions {
   int source_neighbours = 0;
   int target_neighbours = 2;
@@ -37,8 +39,9 @@ struct TaskOptions {
 /// measurement. Where the chain ends, or `has_scan` (may be empty: all have) denies a scan, the neighbour is
 /// left out; the chain goes on past a missing scan. The seed is pair_seed(seed, from, to). \throws
 /// UnknownKeyError if the graph lacks a node of the candidate.
-[[nodiscard]] RegistrationTask make_task(const PoseGraph& graph, const Robots& robots,
-                                         const LoopCandidate& candidate, const TaskOptions& options,
-                                         std::uint64_t seed, const std::function<bool(Key)>& has_scan = {});
+[[nodiscard]] LOOPWISE_EXPORT RegistrationTask make_task(const PoseGraph& graph, const Robots& robots,
+                                                         const LoopCandidate& candidate,
+                                                         const TaskOptions& options, std::uint64_t seed,
+                                                         const std::function<bool(Key)>& has_scan = {});
 
 }  // namespace loopwise

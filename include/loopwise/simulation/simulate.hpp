@@ -11,6 +11,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/progress.hpp>
@@ -20,6 +21,7 @@
 
 namespace loopwise {
 
+/// Beam patterns.
 enum class LidarKind {
   kVlp16,   ///< Velodyne VLP-16: 16 beams over ±15°, 0.2° apart in azimuth.
   kOs1_64,  ///< Ouster OS1-64: 64 beams over ±22.5° (the second generation), 1024 columns.
@@ -28,6 +30,7 @@ enum class LidarKind {
   return {{LidarKind::kVlp16, "vlp16"}, {LidarKind::kOs1_64, "os1_64"}};
 }
 
+/// What becomes of a sweep.
 enum class ScanKind {
   kLamp,  ///< Thinned as LAMP's front end does: voxels whose size adapts, then random thinning.
   kRaw,   ///< All returns of the sweep.
@@ -78,14 +81,14 @@ struct SimulationOptions {
 
 /// Bounds of the fields, and that each robot drives at least 20 m (and 10 nodes).
 /// \throws OptionError naming the field.
-void validate_simulation(const SimulationOptions& options);
+LOOPWISE_EXPORT void validate_simulation(const SimulationOptions& options);
 
 /// The options with 0 replaced by the world's own figures. \throws OptionError as validate_simulation.
-[[nodiscard]] SimulationOptions resolved(SimulationOptions options);
+[[nodiscard]] LOOPWISE_EXPORT SimulationOptions resolved(SimulationOptions options);
 
 /// Truth of one beacon, in the order of Mission::beacons.
 struct BeaconTruth {
-  std::string beacon;
+  std::string beacon;        ///< Its name.
   Eigen::Vector3d position;  ///< World frame, m.
 };
 
@@ -98,13 +101,13 @@ struct ReadingTruth {
 /// A whole mission in memory, and what only a simulator knows of it.
 struct SimulatedMission {
   SimulationOptions options;  ///< Resolved.
-  std::uint64_t seed = 0;
+  std::uint64_t seed = 0;     ///< As given.
   /// As read_mission() would give it back: keys are GTSAM symbols of the robots a, b, c, ...; nodes stand
   /// where the odometry puts them, composed from each robot's prior; odometry edges carry the covariance that
   /// the front end states. The scans are in memory unless they went to a sink.
   Mission mission;
-  std::vector<BeaconTruth> beacons;
-  std::vector<ReadingTruth> readings;
+  std::vector<BeaconTruth> beacons;    ///< In the order of Mission::beacons.
+  std::vector<ReadingTruth> readings;  ///< In the order of Mission::radio.
   /// By node number: smallest eigenvalue of the mean of n·nᵀ over the full sweep with true normals, at most
   /// 1/3: what the odometry had to hold on to.
   std::vector<double> observability;
@@ -116,25 +119,27 @@ struct SimulatedMission {
 using ScanSink = std::function<void(Key, const PointCloud&)>;
 
 /// Makes a mission: builds the world, plans the routes, drives, casts, drifts. A function of (options, seed)
-/// alone. \param sink if given takes the scans, so that memory stays small; then `mission.scans` is empty.
+/// alone. `sink`, if given, takes the scans, so that memory stays small; then `mission.scans` is empty.
 /// \throws OptionError on bad options; SimulationStopped if a stop is requested; what the sink throws.
-[[nodiscard]] SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
-                                        const ProgressCallback& progress = {}, const StopToken& stop = {},
-                                        const ScanSink& sink = {});
+[[nodiscard]] LOOPWISE_EXPORT SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
+                                                        const ProgressCallback& progress = {},
+                                                        const StopToken& stop = {},
+                                                        const ScanSink& sink = {});
 
 /// The same into a mission folder, scan by scan. After an exception what was written is gone again.
 /// \returns the mission; its scans are those in the folder.
 /// \throws also IoError if the folder exists and is not empty, or cannot be written.
-SimulatedMission simulate_to_folder(const std::filesystem::path& folder, const SimulationOptions& options,
-                                    std::uint64_t seed, const ProgressCallback& progress = {},
-                                    const StopToken& stop = {});
+LOOPWISE_EXPORT SimulatedMission simulate_to_folder(const std::filesystem::path& folder,
+                                                    const SimulationOptions& options, std::uint64_t seed,
+                                                    const ProgressCallback& progress = {},
+                                                    const StopToken& stop = {});
 
 /// SHA-256 of the file that fixes the parameters of worlds, sensors and robots; in every mission's
 /// provenance.
-[[nodiscard]] std::string_view simulation_parameters_hash();
+[[nodiscard]] LOOPWISE_EXPORT std::string_view simulation_parameters_hash();
 
 /// Thrown when a stop was requested before a whole mission existed.
-struct SimulationStopped : Error {
+struct LOOPWISE_EXPORT SimulationStopped : Error {
   using Error::Error;
 };
 

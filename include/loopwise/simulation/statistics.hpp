@@ -7,38 +7,41 @@
 #include <cstddef>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/simulation/simulate.hpp>
 
 namespace loopwise {
 
 /// Of a sample; NaN if it is empty.
-struct Quartiles {
-  std::size_t count = 0;
-  double low = 0.0;
-  double median = 0.0;
-  double high = 0.0;
+struct ScoreQuartiles {
+  std::size_t count = 0;  ///< Scans.
+  double low = 0.0;       ///< A quarter lies below.
+  double median = 0.0;    ///< Half lies below.
+  double high = 0.0;      ///< Three quarters lie below.
 };
 
 /// Received power by distance, walls apart.
 struct PowerBin {
-  double from_m = 0.0;
-  double to_m = 0.0;
-  bool walls = false;  ///< One or more.
-  std::size_t heard = 0;
-  std::size_t missed = 0;
-  double mean_dbm = 0.0;  ///< Of those heard; NaN if none.
-  double sigma_db = 0.0;
+  double from_m = 0.0;     ///< Least distance, m.
+  double to_m = 0.0;       ///< Largest distance, m.
+  bool walls = false;      ///< One or more.
+  std::size_t heard = 0;   ///< Readings with a received power.
+  std::size_t missed = 0;  ///< Readings without.
+  double mean_dbm = 0.0;   ///< Of those heard; NaN if none.
+  double sigma_db = 0.0;   ///< Standard deviation of those heard.
 };
 
+/// What the sensors of a mission are like.
 struct SensorStatistics {
   /// Observability as prioritisation sees it: λ_min of Σ HᵀH over the scan with normals from 10 neighbours
   /// (paper §III-C), divided by the mission's largest.
-  Quartiles corridors;
-  Quartiles elsewhere;  ///< Junctions, ends, rooms, halls.
-  std::vector<PowerBin> power;
+  ScoreQuartiles corridors;
+  ScoreQuartiles elsewhere;     ///< Junctions, ends, rooms, halls.
+  std::vector<PowerBin> power;  ///< By rising distance, free lines of sight first.
 };
 
 /// \throws what reading the scans throws.
-[[nodiscard]] SensorStatistics sensor_statistics(const SimulatedMission& made, int threads = 0);
+[[nodiscard]] LOOPWISE_EXPORT SensorStatistics sensor_statistics(const SimulatedMission& made,
+                                                                 int threads = 0);
 
 }  // namespace loopwise

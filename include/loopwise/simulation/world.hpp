@@ -9,6 +9,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/stop_token.hpp>
 
@@ -30,44 +31,51 @@ enum class WorldKind {
 
 /// Triangles in the world frame, metres. Front and back are alike.
 struct TriangleMesh {
-  std::vector<Eigen::Vector3f> vertices;
-  std::vector<std::array<std::uint32_t, 3>> triangles;
+  std::vector<Eigen::Vector3f> vertices;                ///< Corners, shared between triangles.
+  std::vector<std::array<std::uint32_t, 3>> triangles;  ///< Three numbers of vertices each.
 };
 
 /// Where robots can go: places joined by passages. The gate, where all robots start, is place 0.
 struct RouteGraph {
-  enum class PlaceKind { kJunction, kDeadEnd, kRoom };
-  struct Place {
-    Eigen::Vector3d position;  ///< On the floor, world frame, m.
-    PlaceKind kind = PlaceKind::kJunction;
+  /// What kind of place it is.
+  enum class PlaceKind {
+    kJunction,  ///< Where passages meet.
+    kDeadEnd,   ///< Where one ends.
+    kRoom,      ///< In a room or hall.
   };
+  /// A node of the graph.
+  struct Place {
+    Eigen::Vector3d position;               ///< On the floor, world frame, m.
+    PlaceKind kind = PlaceKind::kJunction;  ///< Junction, dead end or room.
+  };
+  /// An edge of the graph.
   struct Passage {
-    std::size_t from;
-    std::size_t to;
+    std::size_t from;                   ///< Place at the path's beginning.
+    std::size_t to;                     ///< Place at the path's end.
     std::vector<Eigen::Vector3d> path;  ///< On the floor, both ends included.
     double half_width_m;                ///< Free to drive to either side of the path.
-    double length_m;
-    bool corridor;  ///< A passage between two walls; false inside rooms and halls.
+    double length_m;                    ///< Along the path.
+    bool corridor;                      ///< A passage between two walls; false inside rooms and halls.
   };
-  std::vector<Place> places;
-  std::vector<Passage> passages;
+  std::vector<Place> places;      ///< By number.
+  std::vector<Passage> passages;  ///< In any order.
 };
 
 /// A world: its surfaces, and the ways through it. The gate lies at the origin, x leads in, z is up.
-struct World {
-  WorldKind kind = WorldKind::kTunnel;
-  TriangleMesh mesh;
-  RouteGraph routes;
+struct LOOPWISE_EXPORT World {
+  WorldKind kind = WorldKind::kTunnel;  ///< Which of the four it is.
+  TriangleMesh mesh;                    ///< All surfaces.
+  RouteGraph routes;                    ///< Where robots can go.
   /// Total length of the passages, m.
   [[nodiscard]] double passage_length_m() const;
 };
 
 /// Builds a world in which robots can drive `length_m` in total as an exploring team does: passages for about
 /// half of it. The same arguments give the same bits for any number of threads.
-/// \param num_threads 0 takes the number of processors.
+/// `num_threads` = 0 takes the number of processors.
 /// \throws OptionError unless 60 <= length_m <= 60000.
 /// \returns an unfinished mesh if a stop is requested; whoever asks for it throws the result away.
-[[nodiscard]] World make_world(WorldKind kind, double length_m, std::uint64_t seed, int num_threads = 0,
-                               const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT World make_world(WorldKind kind, double length_m, std::uint64_t seed,
+                                               int num_threads = 0, const StopToken& stop = {});
 
 }  // namespace loopwise

@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// The reference of a command line, made from the command line itself so that it never says anything else:
+/// manual pages, and completion for bash, zsh and fish.
+#pragma once
+
+#include <filesystem>
+#include <map>
+#include <string>
+#include <vector>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+
+/// Words that a value may be, by option ("--method") or name of a positional ("world"). A word that ends in
+/// '=' wants something behind it.
+using ValueWords = std::map<std::string, std::vector<std::string>>;
+
+/// Adds the command `reference DIR`, which help does not list; the build runs it.
+void add_reference(CLI::App& app, Action& chosen, const ValueWords& words);
+
+/// Writes folder/man/man1/*.1, folder/bash-completion/completions/NAME, folder/zsh/site-functions/_NAME and
+/// folder/fish/vendor_completions.d/NAME.fish: the tree of /usr/share. \throws IoError
+void write_reference(const CLI::App& app, const ValueWords& words, const std::filesystem::path& folder);
+
+}  // namespace loopwise::cli

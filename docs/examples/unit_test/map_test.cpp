@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What a team may demand of its maps on every commit: a recorded mission is replayed, without network or GPU,
+// with the same result every time.
+#if __has_include(<catch2/catch_test_macros.hpp>)
+#include <catch2/catch_test_macros.hpp>
+#else
+#define CATCH_CONFIG_MAIN
+#include <catch2/catch.hpp>
+#endif
+
+#include <loopwise/evaluation/run_folder.hpp>
+#include <loopwise/registration/fast_registrar.hpp>
+
+using namespace loopwise;
+
+namespace {
+
+Config config() {
+  Config config;
+  set_config_option("replay.max_registrations=60", config);  // keeps the test short
+  set_config_option("replay.registration_time_s=5", config);
+  return config;
+}
+
+ReplayResult replay(const Mission& mission, int num_threads) {
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader());
+  const auto registrar = std::make_shared<FastRegistrar>(features);
+  ThreadPool threads(num_threads);
+  return MissionReplay(mission, config(), features, registrar).run(threads);
+}
+
+}  // namespace
+
+TEST_CASE("the map of the recorded mission is as good as it was") {
+  const Mission mission = read_mission(MISSION);
+  REQUIRE(mission.problems.empty());
+  const RunEvaluation evaluation = evaluate_run(mission, replay(mission, 2));
+
+  CHECK(evaluation.closures.verified >= 10);
+  CHECK(evaluation.closures.true_inliers >= 0.9 * static_cast<double>(evaluation.closures.verified));
+  CHECK(evaluation.optimized.ate_m.mean < 0.5 * evaluation.odometry.ate_m.mean);
+}
+
+TEST_CASE("the number of threads changes nothing") {
+  const Mission mission = read_mission(MISSION);
+  CHECK(closures_csv(replay(mission, 1)).size() > 1000);
+  const ReplayResult one = replay(mission, 1), four = replay(mission, 4);
+  REQUIRE(one.graph.nodes().size() == four.graph.nodes().size());
+  for (std::size_t i = 0; i < one.graph.nodes().size(); ++i) {
+    REQUIRE(one.graph.nodes()[i].pose.matrix() == four.graph.nodes()[i].pose.matrix());  // every bit
+  }
+}
