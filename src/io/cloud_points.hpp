@@ -86,8 +86,8 @@ struct Layout {
   [[nodiscard]] std::vector<std::pair<Channel, const Field*>> used() const;
 };
 
-/// `count` points of point_size bytes one after the other (interleaved), or all values of a field before those
-/// of the next.
+/// `count` points of point_size bytes one after the other (interleaved), or all values of a field before
+/// those of the next.
 void read_binary(const Layout& layout, std::string_view data, std::size_t count, bool interleaved, bool swap,
                  CloudBuilder& builder);
 

@@ -302,14 +302,6 @@ std::vector<BeaconDrop> read_beacons(const fs::path& file, const PoseGraph& grap
   return drops;
 }
 
-std::map<Key, Eigen::Isometry3d> read_truth(const fs::path& file, Problems& problems) {
-  const G2oFile g2o = read_g2o(file);
-  problems.add(g2o.problems);
-  std::map<Key, Eigen::Isometry3d> truth;
-  for (const Node& node : g2o.graph.nodes()) truth.emplace(node.key, node.pose);
-  return truth;
-}
-
 std::optional<Key> key_of_name(const std::string& stem) {
   try {
     return parse_key(stem);
@@ -339,9 +331,7 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   Mission mission;
   mission.kind = MissionKind::kMission;
   mission.path = folder;
-  const fs::path whole = fs::absolute(folder).lexically_normal();
-  mission.name =
-      description.text_or("name", (whole.has_filename() ? whole : whole.parent_path()).filename().string());
+  mission.name = description.text_or("name", name_of(folder));
   mission.frame = description.text_or("frame", "map");
   mission.provenance_json = description.provenance();
 

@@ -33,6 +33,11 @@ struct IoError : Error {
   IoError(const std::string& path, const std::string& why) : Error(path + ": " + why) {}
 };
 
+/// Long work ended early because its StopToken asked for that.
+struct StoppedError : Error {
+  using Error::Error;
+};
+
 /// A key that the graph, mission or robot list does not have.
 struct UnknownKeyError : InputError {
   using InputError::InputError;
