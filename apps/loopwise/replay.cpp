@@ -24,7 +24,9 @@ namespace fs = std::filesystem;
 
 struct Options {
   CommonOptions common;
-  std::string mission;
+  std::vector<std::string> missions;
+  std::string frames;
+  bool start_together = false;
   std::string output;
   std::string method, clock = "virtual";
   ReplayArguments replay;
@@ -41,6 +43,8 @@ Config configured(const Options& o) {
   apply(o.replay, config);
   if (!o.method.empty()) config.replay.method = o.method;
   if (o.workers) config.replay.workers = *o.workers;
+  if (!o.frames.empty()) config.mission.frames = o.frames;
+  if (o.start_together) config.mission.start_together = true;
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
   if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
@@ -138,7 +142,9 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   const Config config = configured(options);
-  const Mission mission = read_mission(options.mission, config.mission);
+  const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
+  const Mission mission =
+      read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
   console.warn(mission.problems);
   if (mission.scans->empty() && config.replay.method != "odom") {
     console.warn("the mission has no scans: no candidate can be computed");
@@ -221,7 +227,11 @@ void add_replay(CLI::App& app, Action& chosen) {
       "3\n"
       "DIR gets summary.json, closures.csv, history.csv, graph.g2o, trajectories/, map.pcd, picture.svg "
       "and journal.jsonl.");
-  command->add_option("mission", options->mission, "Mission folder, session folder or g2o file")
+  command
+      ->add_option(
+          "mission", options->missions,
+          "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map; several bags, or several "
+          "missions of one robot, are one")
       ->required()
       ->type_name("MISSION");
   command->add_option("-o,--output", options->output, "Folder for the results")->required()->type_name("DIR");
@@ -231,6 +241,7 @@ void add_replay(CLI::App& app, Action& chosen) {
           "Order of the candidates: odom (none), baseline, random, obs, gi, full (obs and gi), rssi, or "
           "several joined by +")
       ->type_name("M");
+  add_joining_options(*command, options->frames, options->start_together);
   add_replay_arguments(*command, options->replay);
   command
       ->add_option(

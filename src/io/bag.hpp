@@ -66,12 +66,12 @@ class BagSet {
   std::size_t for_each(const Wanted& wanted, const Visitor& visit, const ProgressCallback& progress,
                        const StopToken& stop);
 
-  /// The n-th message that a visitor asked to keep, over all calls of for_each. Safe to call from several
-  /// threads, which wait for one another. Copies share the bags. \throws InputError
   struct Kept {
     std::size_t connection = 0;
     std::string bytes;
   };
+  /// The n-th message that a visitor asked to keep, over all calls of for_each. Safe to call from several
+  /// threads, which wait for one another. Copies share the bags. \throws InputError
   [[nodiscard]] Kept fetch(std::size_t number) const;
 
  private:

@@ -47,11 +47,11 @@ class Schemas {
 /// Hands out the scans that an index pass has found.
 class BagScans {
  public:
-  BagScans(BagSet bags, std::vector<std::string> names) : bags_(std::move(bags)), names_(std::move(names)) {}
+  BagScans(BagSet bags, std::vector<fs::path> files) : bags_(std::move(bags)), files_(std::move(files)) {}
 
   void add(Key key, std::size_t number, const bags::Connection& connection,
            const std::shared_ptr<const ros1::Schema>& schema) {
-    scans_[key] = {number, names_[connection.bag], schema};
+    scans_[key] = {number, files_[connection.bag].string(), schema};
   }
   [[nodiscard]] bool has(Key key) const { return scans_.count(key) != 0; }
   [[nodiscard]] std::vector<Key> keys() const {
@@ -73,7 +73,7 @@ class BagScans {
     std::shared_ptr<const ros1::Schema> schema;
   };
   BagSet bags_;
-  std::vector<std::string> names_;
+  std::vector<fs::path> files_;
   std::map<Key, Scan> scans_;
 };
 
@@ -87,9 +87,63 @@ std::vector<BagFile> bag_files(const std::vector<fs::path>& paths) {
   return files;
 }
 
-void add_truth_message(lamp::Gatherer& gatherer, const bags::Connection& connection, const std::string& bag,
-                       const ros1::Value& message, std::int64_t recorded_ns) {
-  gatherer.add_truth({connection.topic, fs::path(bag).filename().string()}, message, recorded_ns);
+/// The bags of a recording: its own, then those of its truth.
+struct Recording {
+  std::vector<fs::path> files;
+  std::size_t own = 0;  // how many are its own
+  fs::path truth;       // a g2o file, if the truth is one
+};
+
+Recording recording_of(const std::vector<fs::path>& paths, Problems& problems) {
+  Recording recording;
+  std::set<fs::path> seen;  // one that is given by name and found beside as well is read once
+  const auto add = [&](const fs::path& file) {
+    if (seen.insert(fs::weakly_canonical(file)).second) recording.files.push_back(file);
+  };
+  parts::TruthFiles truth;
+  for (const fs::path& path : paths) {
+    const bool folder = fs::is_directory(path);
+    if (truth.g2o.empty() && truth.bags.empty()) {
+      truth = parts::find_truth(folder ? path : fs::absolute(path).parent_path());
+    }
+    if (!folder) {
+      add(path);
+      continue;
+    }
+    const std::size_t before = recording.files.size();
+    for (const fs::path& entry : parts::entries(path)) {
+      if (!fs::is_regular_file(entry)) continue;
+      if (entry.extension() == ".bag") add(entry);
+      if (entry.extension() == ".active") problems.add("bag that was never closed left out", entry.string());
+    }
+    if (recording.files.size() == before) throw InputError(path.string() + ": no bag in it");
+  }
+  recording.own = recording.files.size();
+  recording.truth = truth.g2o;
+  for (const fs::path& file : truth.bags) add(file);
+  return recording;
+}
+
+/// Hands a message other than a scan to the gatherer.
+void take(lamp::Gatherer& gatherer, const std::string& where, const bags::Connection& connection,
+          const fs::path& bag, const ros1::Value& message, std::int64_t recorded_ns) {
+  switch (lamp::message_kind(connection.type)) {
+    case MessageKind::kPoseGraph:
+      gatherer.add_graph(where, connection.topic, recorded_ns, message);
+      break;
+    case MessageKind::kBeacons:
+      gatherer.add_beacons(message, recorded_ns);
+      break;
+    case MessageKind::kRadio:
+      gatherer.add_radio(message, recorded_ns);
+      break;
+    case MessageKind::kOdometry:
+      gatherer.add_truth({connection.topic, bag.filename().string()}, message, recorded_ns);
+      break;
+    case MessageKind::kKeyedScan:
+    case MessageKind::kOther:
+      break;
+  }
 }
 
 /// A temporary copy under a name of our own.
@@ -122,99 +176,55 @@ Mission read_bags(const std::vector<fs::path>& paths, const MissionOptions& opti
   Mission mission;
   mission.kind = MissionKind::kBags;
   mission.path = paths.front();
-  std::vector<fs::path> own;
-  TruthFiles truth;
-  for (const fs::path& path : paths) {
-    const bool folder = fs::is_directory(path);
-    if (folder) {
-      const std::size_t before = own.size();
-      for (const fs::path& entry : entries(path)) {
-        if (!fs::is_regular_file(entry)) continue;
-        if (entry.extension() == ".bag") own.push_back(entry);
-        if (entry.extension() == ".active") {
-          mission.problems.add("bag that was never closed left out", entry.string());
-        }
-      }
-      if (own.size() == before) throw InputError(path.string() + ": no bag in it");
-    } else {
-      own.push_back(path);
-    }
-    if (truth.g2o.empty() && truth.bags.empty()) {
-      truth = find_truth(folder ? path : fs::absolute(path).parent_path());
-    }
-  }
-  // One that is given by name and found beside as well is read once.
-  std::set<fs::path> seen;
-  std::vector<fs::path> all;
-  std::size_t own_count = 0;
-  for (const auto* list : {&own, &truth.bags}) {
-    for (const fs::path& file : *list) {
-      if (seen.insert(fs::weakly_canonical(file)).second) all.push_back(file);
-    }
-    if (list == &own) own_count = all.size();
-  }
   mission.name = recording_name(paths.front()) +
                  (paths.size() > 1 ? "+" + std::to_string(paths.size() - 1) : std::string());
-
   Problems& problems = mission.problems;
-  BagSet bags(bag_files(all), problems, work.progress, work.stop);
+  const Recording recording = recording_of(paths, problems);
+  BagSet bags(bag_files(recording.files), problems, work.progress, work.stop);
   const std::vector<bags::Connection>& connections = bags.connections();
-  std::vector<MessageKind> kinds;
-  std::vector<char> holds_lamp(all.size(), 0);
+  std::set<std::size_t> with_lamp;  // bags whose odometry is the robot's own
   for (const bags::Connection& connection : connections) {
-    kinds.push_back(lamp::message_kind(connection.type));
-    if (is_lamp(kinds.back())) holds_lamp[connection.bag] = 1;
+    if (is_lamp(lamp::message_kind(connection.type)) && connection.bag < recording.own) {
+      with_lamp.insert(connection.bag);
+    }
   }
-  for (std::size_t bag = own_count; bag < all.size(); ++bag)
-    holds_lamp[bag] = 0;  // truth whatever else it holds
 
   lamp::Gatherer gatherer(options, problems);
   Schemas schemas(connections);
-  std::vector<std::string> names;
-  for (const fs::path& file : all) names.push_back(file.string());
-  const auto scans = std::make_shared<BagScans>(bags, names);
+  const auto scans = std::make_shared<BagScans>(bags, recording.files);
   std::size_t kept = 0;
+  /// Whether the scan is to be found again.
+  const auto take_scan = [&](const std::string& where, std::size_t connection, const ros1::Value& message) {
+    const Key key = message.at("key").unsigned_integer();
+    if (scans->has(key)) {
+      problems.add("repeated scan", where + ": " + key_name(key));
+      return false;
+    }
+    ros1::check_point_cloud2("scan " + key_name(key), message.at("scan"));
+    scans->add(key, kept++, connections[connection], schemas.of(connection));
+    return true;
+  };
   bags.for_each(
       [&](const bags::Connection& connection) {
         const MessageKind kind = lamp::message_kind(connection.type);
-        const bool is_truth = kind == MessageKind::kOdometry && holds_lamp[connection.bag] == 0;
-        if (kind == MessageKind::kOdometry && !is_truth) {
-          problems.add("odometry messages not used", names[connection.bag] + ": " + connection.topic);
+        if (kind != MessageKind::kOdometry) return is_lamp(kind) && connection.bag < recording.own;
+        const bool is_truth = with_lamp.count(connection.bag) == 0;
+        if (!is_truth) {
+          problems.add("odometry messages not used",
+                       recording.files[connection.bag].string() + ": " + connection.topic);
         }
-        return is_truth || (is_lamp(kind) && connection.bag < own_count);
+        return is_truth;
       },
       [&](const bags::Message& message) {
         const bags::Connection& connection = connections[message.connection];
-        const std::string where = names[connection.bag] + ": " + connection.topic;
+        const fs::path& bag = recording.files[connection.bag];
+        const std::string where = bag.string() + ": " + connection.topic;
         try {
-          const std::shared_ptr<const ros1::Schema>& schema = schemas.of(message.connection);
-          const ros1::Value value(*schema, message.bytes);
-          switch (kinds[message.connection]) {
-            case MessageKind::kKeyedScan: {
-              const Key key = value.at("key").unsigned_integer();
-              if (scans->has(key)) {
-                problems.add("repeated scan", where + ": " + key_name(key));
-                return false;
-              }
-              ros1::check_point_cloud2("scan " + key_name(key), value.at("scan"));
-              scans->add(key, kept++, connection, schema);
-              return true;
-            }
-            case MessageKind::kPoseGraph:
-              gatherer.add_graph(where, connection.topic, message.stamp_ns, value);
-              return false;
-            case MessageKind::kBeacons:
-              gatherer.add_beacons(value, message.stamp_ns);
-              return false;
-            case MessageKind::kRadio:
-              gatherer.add_radio(value, message.stamp_ns);
-              return false;
-            case MessageKind::kOdometry:
-              add_truth_message(gatherer, connection, names[connection.bag], value, message.stamp_ns);
-              return false;
-            case MessageKind::kOther:
-              return false;
+          const ros1::Value value(*schemas.of(message.connection), message.bytes);
+          if (lamp::message_kind(connection.type) == MessageKind::kKeyedScan) {
+            return take_scan(where, message.connection, value);
           }
+          take(gatherer, where, connection, bag, value, message.stamp_ns);
         } catch (const InputError& error) {
           problems.add("message cannot be read", where + ": " + error.what());
         }
@@ -223,14 +233,16 @@ Mission read_bags(const std::vector<fs::path>& paths, const MissionOptions& opti
       work.progress, work.stop);
 
   gatherer.finish(mission, mission.path.string());
-  if (!truth.g2o.empty() && mission.ground_truth.empty()) {
-    set_ground_truth(mission, read_truth(truth.g2o, problems));
+  if (!recording.truth.empty() && mission.ground_truth.empty()) {
+    set_ground_truth(mission, read_truth(recording.truth, problems));
   }
   set_scans(
       mission, scans->keys(), [scans](Key key) { return scans->read(key); },
       [&](Key key) { return scans->where(key); }, options);
   std::vector<std::string> sources;
-  for (std::size_t i = 0; i < own_count; ++i) sources.push_back(all[i].filename().string());
+  for (std::size_t i = 0; i < recording.own; ++i) {
+    sources.push_back(recording.files[i].filename().string());
+  }
   mission.provenance_json = provenance_of(mission.kind, sources);
   return mission;
 }
@@ -251,12 +263,13 @@ void read_bag_truth(Mission& mission, const std::vector<fs::path>& files, const 
       },
       [&](const bags::Message& message) {
         const bags::Connection& connection = connections[message.connection];
-        const std::string bag = files[connection.bag].string();
+        const fs::path& bag = files[connection.bag];
+        const std::string where = bag.string() + ": " + connection.topic;
         try {
-          add_truth_message(gatherer, connection, bag,
-                            ros1::Value(*schemas.of(message.connection), message.bytes), message.stamp_ns);
+          take(gatherer, where, connection, bag, ros1::Value(*schemas.of(message.connection), message.bytes),
+               message.stamp_ns);
         } catch (const InputError& error) {
-          mission.problems.add("message cannot be read", bag + ": " + connection.topic + ": " + error.what());
+          mission.problems.add("message cannot be read", where + ": " + error.what());
         }
         return false;
       },

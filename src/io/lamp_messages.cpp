@@ -33,6 +33,8 @@ constexpr double kClosureSigmas[] = {0.1, 0.1, 0.1, 0.02, 0.02, 0.02};
 /// Odometry knows rotations, rad, at least as well as lengths, m: a sigma that is this much larger is
 /// misplaced.
 constexpr double kSwapped = 4.0;
+/// Of a covariance with unit diagonal; below, its inverse is noise.
+constexpr double kLeastEigenvalue = 1e-10;
 /// Hostnames with it are the robots' own radios.
 constexpr const char* kRobotRadio = "scom-";
 
@@ -57,8 +59,7 @@ std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose) {
 }
 
 bool same(const SeenFactor& a, const SeenFactor& b) {
-  return a.pose->matrix() == b.pose->matrix() && a.information.has_value() == b.information.has_value() &&
-         (!a.information || *a.information == *b.information);
+  return a.pose->matrix() == b.pose->matrix() && a.covariance == b.covariance;
 }
 
 std::string ends(Key from, Key to) {
@@ -117,50 +118,44 @@ void Gatherer::add_node(const std::string& where, const ros1::Value& node, std::
   if (!seen.pose) seen.pose = pose_of(node.at("pose"));
 }
 
-std::optional<Matrix6d> Gatherer::information(const ros1::Value& edge, bool translation_first,
-                                              const std::string& where, bool check_order) {
-  const std::vector<double> numbers = edge.at("covariance").numbers();
-  if (numbers.size() != 36) {
-    throw InputError("a covariance of " + std::to_string(numbers.size()) + " numbers");
+std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool translation_first,
+                                              bool check_order) {
+  if (std::all_of(seen.covariance.begin(), seen.covariance.end(), [](double v) { return v == 0.0; })) {
+    return std::nullopt;
   }
-  if (std::all_of(numbers.begin(), numbers.end(), [](double v) { return v == 0.0; })) return std::nullopt;
   Matrix6d covariance;
   for (int i = 0; i < 6; ++i) {
     for (int j = 0; j < 6; ++j) {
       const int row = translation_first ? i : (i + 3) % 6, column = translation_first ? j : (j + 3) % 6;
-      covariance(row, column) = numbers[static_cast<std::size_t>(6 * i + j)];
+      covariance(row, column) = seen.covariance[static_cast<std::size_t>(6 * i + j)];
     }
   }
   covariance = 0.5 * (covariance + covariance.transpose()).eval();
   const Vector6d variances = covariance.diagonal();
   if (!covariance.allFinite() || !(variances.minCoeff() > 0.0)) {
-    problems_.add("unusable covariance", where);
-    return std::nullopt;
-  }
-  // Inverted with a unit diagonal, so that metres and radians of very different size count alike.
-  const Vector6d scale = variances.cwiseSqrt().cwiseInverse();
-  const Matrix6d scaled = scale.asDiagonal() * covariance * scale.asDiagonal();
-  const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(scaled, Eigen::EigenvaluesOnly);
-  const Eigen::LLT<Matrix6d> factor(scaled);
-  if (factor.info() != Eigen::Success || !(solver.eigenvalues().minCoeff() > 1e-10)) {
-    problems_.add("unusable covariance", where);
+    problems_.add("unusable covariance", seen.where);
     return std::nullopt;
   }
   if (check_order && variances.tail<3>().sum() > kSwapped * kSwapped * variances.head<3>().sum()) {
     problems_.add("odometry covariance looks swapped",
-                  where + ": sigmas of " + std::to_string(std::sqrt(variances.tail<3>().mean())) +
+                  seen.where + ": sigmas of " + std::to_string(std::sqrt(variances.tail<3>().mean())) +
                       " rad and " + std::to_string(std::sqrt(variances.head<3>().mean())) +
                       " m; mission.odometry_covariance_order may be " +
                       enum_name(translation_first ? CovarianceOrder::kRotationFirst
                                                   : CovarianceOrder::kTranslationFirst));
   }
-  // Inverted as it was scaled: a diagonal stays one, exactly.
-  const bool diagonal = covariance == Matrix6d(variances.asDiagonal());
-  const Matrix6d inverse =
-      diagonal ? Matrix6d(Matrix6d::Identity()) : Matrix6d(factor.solve(Matrix6d::Identity()));
-  const Matrix6d out = diagonal ? Matrix6d(variances.cwiseInverse().asDiagonal())
-                                : Matrix6d(scale.asDiagonal() * inverse * scale.asDiagonal());
-  return Matrix6d(0.5 * (out + out.transpose()));
+  if (covariance == Matrix6d(variances.asDiagonal())) return Matrix6d(variances.cwiseInverse().asDiagonal());
+  // Inverted with a unit diagonal, so that metres and radians of very different size count alike.
+  const Vector6d scale = variances.cwiseSqrt().cwiseInverse();
+  const Matrix6d scaled = scale.asDiagonal() * covariance * scale.asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(scaled, Eigen::EigenvaluesOnly);
+  const Eigen::LLT<Matrix6d> factor(scaled);
+  if (factor.info() != Eigen::Success || !(eigen.eigenvalues().minCoeff() > kLeastEigenvalue)) {
+    problems_.add("unusable covariance", seen.where);
+    return std::nullopt;
+  }
+  const Matrix6d inverse = scale.asDiagonal() * factor.solve(Matrix6d::Identity()) * scale.asDiagonal();
+  return Matrix6d(0.5 * (inverse + inverse.transpose()));
 }
 
 void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
@@ -205,20 +200,24 @@ void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
   }
   const auto [known, is_new] = known_.emplace(std::make_tuple(type, seen.from, seen.to), list->size());
   seen.pose = pose_of(edge.at("pose"));
-  if (!is_new) {
-    // What the optimiser sends round has no poses; a graph that is sent again is the same each time.
-    SeenFactor& first = (*list)[known->second];
-    if (!seen.pose) return;
-    seen.information = information(edge, translation_first, seen.where, false);
-    if (!first.pose) {
-      first = seen;
-    } else if (!same(first, seen)) {
-      problems_.add("repeated edge with other numbers", seen.where);
-    }
+  const std::vector<double> numbers = edge.at("covariance").numbers();
+  if (numbers.size() != seen.covariance.size()) {
+    throw InputError("a covariance of " + std::to_string(numbers.size()) + " numbers");
+  }
+  std::copy(numbers.begin(), numbers.end(), seen.covariance.begin());
+  SeenFactor* const first = is_new ? nullptr : &(*list)[known->second];
+  // What the optimiser sends round has no poses; a graph that is sent again is the same each time.
+  if (first != nullptr && !seen.pose) return;
+  if (first != nullptr && first->pose) {
+    if (!same(*first, seen)) problems_.add("repeated edge with other numbers", seen.where);
     return;
   }
-  if (seen.pose) seen.information = information(edge, translation_first, seen.where, type == kOdom);
-  list->push_back(std::move(seen));
+  if (seen.pose) seen.information = information(seen, translation_first, type == kOdom);
+  if (first != nullptr) {
+    *first = std::move(seen);
+  } else {
+    list->push_back(std::move(seen));
+  }
 }
 
 void Gatherer::add_beacons(const ros1::Value& message, std::int64_t recorded_ns) {

@@ -3,6 +3,7 @@
 /// What the messages of LAMP and the data sets recorded with it say of a mission. Private to io.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <map>
 #include <optional>
@@ -39,7 +40,8 @@ struct SeenFactor {
   Key from = 0;
   Key to = 0;
   std::optional<Eigen::Isometry3d> pose;  ///< T_from_to, or of a prior the pose itself. Nothing if unset.
-  std::optional<Matrix6d> information;    ///< Nothing if the message's covariance is all zero.
+  std::array<double, 36> covariance{};    ///< As the message has it.
+  std::optional<Matrix6d> information;    ///< Nothing if that is all zero, or cannot be inverted.
   std::string where;
 };
 
@@ -113,8 +115,8 @@ class Gatherer {
 
   void add_node(const std::string& where, const ros1::Value& node, std::int64_t recorded_ns);
   void add_factor(const std::string& where, const ros1::Value& edge);
-  [[nodiscard]] std::optional<Matrix6d> information(const ros1::Value& edge, bool translation_first,
-                                                    const std::string& where, bool check_order);
+  [[nodiscard]] std::optional<Matrix6d> information(const SeenFactor& seen, bool translation_first,
+                                                    bool check_order);
   [[nodiscard]] std::map<char, std::string> robot_names() const;
   void add_factors(Mission& mission, const std::string& name) const;
   void add_radio_to(Mission& mission) const;

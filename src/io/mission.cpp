@@ -194,22 +194,23 @@ Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& 
 
 namespace {
 
+bool has_bag(const fs::path& folder) {
+  const auto files = parts::entries(folder);
+  return std::any_of(files.begin(), files.end(), [](const fs::path& file) {
+    return (file.extension() == ".bag" || file.extension() == ".active") && fs::is_regular_file(file);
+  });
+}
+
 /// The folder that a path stands for: of a mission.json, and in the data set's own folder that of the best
 /// form of its data.
 fs::path resolved(const fs::path& path) {
   if (path.filename() == "mission.json") return path.has_parent_path() ? path.parent_path() : fs::path(".");
   if (!fs::is_directory(path) || has_file(path, "mission.json")) return path;
   // Bags hold more than what was made of them: stamps, priors, the first estimates.
-  const bool has_bags = fs::is_directory(path / "rosbag"), has_g2o = fs::is_directory(path / "g2o_pcd");
+  const bool has_g2o = fs::is_directory(path / "g2o_pcd");
+  const bool has_bags = fs::is_directory(path / "rosbag") && has_bag(path / "rosbag");
   if (has_bags && (bags::available() || !has_g2o)) return path / "rosbag";
   return has_g2o ? path / "g2o_pcd" : path;
-}
-
-bool has_bag(const fs::path& folder) {
-  const auto files = parts::entries(folder);
-  return std::any_of(files.begin(), files.end(), [](const fs::path& file) {
-    return (file.extension() == ".bag" || file.extension() == ".active") && fs::is_regular_file(file);
-  });
 }
 
 void check_options(const MissionOptions& options) {
@@ -235,6 +236,11 @@ MissionKind mission_kind(const fs::path& path) {
   }
   const fs::path folder = resolved(path);
   if (has_file(folder, "mission.json")) return MissionKind::kMission;
+  if (has_file(folder, parts::kUnfinished)) {
+    throw InputError(
+        folder.string() +
+        ": a mission that is not complete: its making goes on or was interrupted, expected mission.json");
+  }
   if (has_file(folder, "optimized_poses.txt") || has_file(folder, "odom_poses.txt"))
     return MissionKind::kSession;
   if (has_file(folder, "keys.csv") && has_file(folder, "pose_graph.bag")) return MissionKind::kLampZip;
@@ -261,7 +267,7 @@ Mission read_mission(const fs::path& path, const MissionOptions& options, const 
       return parts::read_session(place, options);
     case MissionKind::kG2oPcd: {
       Mission mission = parts::read_g2o_pcd(place, options, work);
-      if (fs::is_directory(path / "rosbag")) {
+      if (place != path && fs::is_directory(path / "rosbag") && has_bag(path / "rosbag")) {
         mission.problems.add("bags not read", path.string() + ": " + bags::kUnavailable);
       }
       return mission;

@@ -391,6 +391,7 @@ MissionWriter::MissionWriter(fs::path folder, PcdEncoding encoding)
   }
   fs::create_directories(folder_ / "scans", error);
   if (error) throw IoError(folder_.string(), error.message());
+  write_file(folder_ / parts::kUnfinished, "This mission is being written, or its making was interrupted.\n");
 }
 
 void MissionWriter::add_scan(Key key, const PointCloud& cloud) const {
@@ -463,6 +464,8 @@ void MissionWriter::finish(const Mission& mission) const {
     write_g2o(folder_ / files.ground_truth, truth);
   }
   write_file(folder_ / "mission.json", json.dump(2) + "\n");
+  std::error_code ignored;  // with mission.json the mark means nothing any more
+  fs::remove(folder_ / parts::kUnfinished, ignored);
 }
 
 void write_mission(const fs::path& folder, const Mission& mission, PcdEncoding encoding) {

@@ -18,6 +18,10 @@ namespace loopwise::parts {
 
 using Stamps = std::unordered_map<Key, std::int64_t>;
 
+/// Lies in a mission folder until mission.json does: its graph and clouds look like those of a g2o_pcd
+/// folder.
+inline constexpr const char* kUnfinished = ".unfinished";
+
 /// Stamps are held to ±4.6e18 ns (the year 2115), so that differences never overflow.
 [[nodiscard]] bool stamp_in_range(std::int64_t stamp_ns);
 
