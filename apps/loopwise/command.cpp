@@ -34,6 +34,15 @@ void add_common_options(CLI::App& command, CommonOptions& options) {
   command.add_flag("--quiet", options.quiet, "No progress and no notes; warnings and errors remain");
 }
 
+void add_joining_options(CLI::App& command, std::string& frames, bool& start_together) {
+  command
+      .add_option("--frames", frames,
+                  "Several missions: pose of each one's frame in the common frame, CSV "
+                  "(source,x,y,z,qx,qy,qz,qw) or TUM")
+      ->type_name("FILE");
+  command.add_flag("--start-together", start_together, "Several missions: all begin at the same moment");
+}
+
 Config load_config(const CommonOptions& options, const Config& defaults) {
   Config config = defaults;
   if (!options.config.empty()) read_config(options.config, config);
@@ -86,6 +95,9 @@ int run_action(const Action& action, const std::string& program) {
   } catch (const IoError& error) {
     complain(error);
     return kBadInput;
+  } catch (const StoppedError& error) {
+    complain(error);
+    return kInterrupted;
   } catch (const std::exception& error) {
     complain(error);
     return kFailed;

@@ -43,6 +43,9 @@ using Action = std::function<int()>;
 /// Adds the options of CommonOptions to a subcommand.
 void add_common_options(CLI::App& command, CommonOptions& options);
 
+/// Adds what says how several sources become one mission.
+void add_joining_options(CLI::App& command, std::string& frames, bool& start_together);
+
 /// Defaults, then the file of --config, then --set. \throws OptionError, IoError, ParseError
 [[nodiscard]] Config load_config(const CommonOptions& options, const Config& defaults = {});
 
@@ -67,6 +70,7 @@ void print_results(const CommonOptions& options, const Json& json, const std::st
 [[nodiscard]] std::string table(const std::vector<std::vector<std::string>>& rows);
 
 void add_config(CLI::App& app, Action& chosen);
+void add_convert(CLI::App& app, Action& chosen);
 void add_evaluate(CLI::App& app, Action& chosen);
 void add_info(CLI::App& app, Action& chosen);
 void add_optimize(CLI::App& app, Action& chosen);

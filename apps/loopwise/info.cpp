@@ -19,7 +19,9 @@ namespace {
 
 struct Options {
   CommonOptions common;
-  std::string path;
+  std::vector<std::string> paths;
+  std::string frames;
+  bool start_together = false;
   std::string robots;
   std::string picture;
   CandidateStatisticsOptions candidates;
@@ -67,7 +69,7 @@ PointCounts count_points(const ScanStore& scans, Console& console, const StopTok
 }
 
 int cloud_info(const Options& options, Console& console) {
-  const CloudFile file = read_cloud(options.path);
+  const CloudFile file = read_cloud(options.paths.front());
   console.warn(file.problems);
   Json problems = Json::array();
   for (const Problem& problem : file.problems.all()) problems.push_back(to_string(problem));
@@ -140,10 +142,14 @@ int run(const Options& options) {
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
   if (!options.robots.empty()) config.mission.robots = options.robots;
-  if (std::filesystem::is_regular_file(options.path) && is_cloud_file(options.path)) {
+  if (!options.frames.empty()) config.mission.frames = options.frames;
+  if (options.start_together) config.mission.start_together = true;
+  const std::vector<std::filesystem::path> paths(options.paths.begin(), options.paths.end());
+  if (paths.size() == 1 && std::filesystem::is_regular_file(paths[0]) && is_cloud_file(paths[0])) {
     return cloud_info(options, console);
   }
-  const Mission mission = read_mission(options.path, config.mission);
+  const Mission mission =
+      read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
   const PointCounts points =
       options.read_scans ? count_points(*mission.scans, console, interrupt.token()) : PointCounts{};
 
@@ -242,7 +248,11 @@ void add_info(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("info", "Say what a mission, session, graph or cloud holds");
   command->footer("  loopwise info my_mission --picture my_mission.svg");
-  command->add_option("path", options->path, "Mission folder, session folder, g2o file or cloud")
+  command
+      ->add_option(
+          "path", options->paths,
+          "Mission folder, session, g2o file, g2o_pcd folder, bag, saved map or cloud; several bags, or "
+          "several missions of one robot, are one")
       ->required()
       ->type_name("PATH");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
@@ -254,6 +264,7 @@ void add_info(CLI::App& app, Action& chosen) {
       ->add_option("--pairs", options->candidates.pairs,
                    "Candidates whose scans are compared at the true poses (default 1000)")
       ->type_name("N");
+  add_joining_options(*command, options->frames, options->start_together);
   command->add_option("--picture", options->picture, "Draw the mission from above, as SVG")
       ->type_name("FILE");
   command->add_flag("!--no-scans", options->read_scans, "Do not open the scans");

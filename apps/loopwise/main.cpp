@@ -74,6 +74,7 @@ int main(int argc, char** argv) {
   app.footer(
       "Examples:\n"
       "  loopwise info my_mission                               what is recorded there\n"
+      "  loopwise convert my_bags -o my_mission                 recordings of other programs\n"
       "  loopwise replay my_mission -o out --method obs         find loop closures and the map\n"
       "  loopwise report out -o report.html                     look at it in a browser\n"
       "  loopwise optimize graph.g2o -o better.g2o --gnc        optimise a pose graph robustly\n"
@@ -98,6 +99,7 @@ int main(int argc, char** argv) {
 
   Action chosen;
   add_info(app, chosen);
+  add_convert(app, chosen);
   add_replay(app, chosen, job);
   add_optimize(app, chosen);
   add_rank(app, chosen);

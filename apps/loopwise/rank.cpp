@@ -38,7 +38,8 @@ int run(const Options& options) {
   if (options.seed) config.replay.seed = *options.seed;
   config.closure_model.num_threads = thread_count(options.common);
   validate_config(config);
-  const Mission mission = read_mission(options.mission, config.mission);
+  const Mission mission =
+      read_mission(options.mission, config.mission, console.progress_callback(), interrupt.token());
   console.warn(mission.problems);
 
   std::shared_ptr<FeatureCache> features;
@@ -111,7 +112,9 @@ void add_rank(CLI::App& app, Action& chosen) {
       "mission's odometry, or the graph.g2o of a run.\n"
       "  loopwise rank my_mission --method full -o candidates.csv\n"
       "candidates.csv holds all candidates, the ranked ones first.");
-  command->add_option("mission", options->mission, "Mission folder, session folder or g2o file")
+  command
+      ->add_option("mission", options->mission,
+                   "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map")
       ->required()
       ->type_name("MISSION");
   command->add_option("-o,--output", options->output, "Table of all candidates")->type_name("FILE.csv");

@@ -29,7 +29,9 @@ namespace fs = std::filesystem;
 
 struct Options {
   CommonOptions common;
-  std::string mission;
+  std::vector<std::string> missions;
+  std::string frames;
+  bool start_together = false;
   std::string output;
   std::string method, clock = "virtual";
   ReplayArguments replay;
@@ -47,6 +49,8 @@ Config configured(const Options& o) {
   apply(o.replay, config);
   if (!o.method.empty()) config.replay.method = o.method;
   if (o.workers) config.replay.workers = *o.workers;
+  if (!o.frames.empty()) config.mission.frames = o.frames;
+  if (o.start_together) config.mission.start_together = true;
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
   if (o.clock == "real" && o.job != nullptr)
@@ -189,7 +193,9 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   const Config config = configured(options);
-  const Mission mission = read_mission(options.mission, config.mission);
+  const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
+  const Mission mission =
+      read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
   console.warn(mission.problems);
   if (mission.scans->empty() && config.replay.method != "odom") {
     console.warn("the mission has no scans: no candidate can be computed");
@@ -279,7 +285,11 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       "3\n"
       "DIR gets summary.json, closures.csv, history.csv, graph.g2o, trajectories/, map.pcd, picture.svg "
       "and journal.jsonl.");
-  command->add_option("mission", options->mission, "Mission folder, session folder or g2o file")
+  command
+      ->add_option(
+          "mission", options->missions,
+          "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map; several bags, or several "
+          "missions of one robot, are one")
       ->required()
       ->type_name("MISSION");
   command->add_option("-o,--output", options->output, "Folder for the results")->required()->type_name("DIR");
@@ -289,6 +299,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
           "Order of the candidates: odom (none), baseline, random, obs, gi, full (obs and gi), rssi, or "
           "several joined by +")
       ->type_name("M");
+  add_joining_options(*command, options->frames, options->start_together);
   add_replay_arguments(*command, options->replay);
   command
       ->add_option(

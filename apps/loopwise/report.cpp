@@ -26,7 +26,7 @@ int run(const Options& options) {
   const Config config = load_config(options.common);
   std::vector<Mission> missions;
   for (const std::string& path : options.missions) {
-    missions.push_back(read_mission(path, config.mission));
+    missions.push_back(read_mission(path, config.mission, console.progress_callback()));
     console.warn(missions.back().problems);
   }
   ThreadPool threads(thread_count(options.common));

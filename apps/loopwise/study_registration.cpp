@@ -181,7 +181,8 @@ int run(const Options& options) {
   } else {
     kinds = {parse_enum<RegistrarKind>("--registrar", options.registrar)};
   }
-  const Mission mission = read_mission(options.mission, config.mission);
+  const Mission mission =
+      read_mission(options.mission, config.mission, console.progress_callback(), interrupt.token());
   console.warn(mission.problems);
   if (mission.ground_truth.empty())
     throw InputError(options.mission + ": has no ground truth to compare with");

@@ -45,9 +45,16 @@ ContentHash hash_of_files(const fs::path& path) {
     files.push_back(path);
   }
   ContentHasher hasher;
+  std::string piece(1 << 20, '\0');
   for (const fs::path& file : files) {
     hasher.text(file == path ? "" : fs::relative(file, path).generic_string());
-    hasher.text(read_file(file));
+    // In pieces: a bag may be larger than the memory.
+    hasher.integer(fs::file_size(file));
+    std::ifstream in(file, std::ios::binary);
+    while (in.read(piece.data(), static_cast<std::streamsize>(piece.size())) || in.gcount() > 0) {
+      hasher.bytes(piece.data(), static_cast<std::size_t>(in.gcount()));
+    }
+    if (!in.eof()) throw IoError(file.string(), "cannot be read");
   }
   return hasher.finish();
 }
@@ -286,7 +293,7 @@ Study::Study(std::string name, const StudyOptions& options, Console& console)
   validate_config(config_);
   std::map<ContentHash, std::string> seen;
   for (const std::string& path : options.missions) {
-    const Mission mission = read_mission(path, config_.mission);
+    const Mission mission = read_mission(path, config_.mission, console.progress_callback());
     console.warn(mission.problems);
     if (mission.ground_truth.empty()) throw InputError(path + ": has no ground truth to compare with");
     missions_.push_back(described(path, mission));

@@ -14,6 +14,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
 
+#include "cloud_points.hpp"
 #include "lzf.hpp"
 #include "text.hpp"
 
@@ -21,233 +22,7 @@ namespace loopwise {
 namespace {
 
 namespace fs = std::filesystem;
-
-/// Beyond this a float no longer tells points one metre apart.
-constexpr float kMaxCoordinate = 1e7f;
-constexpr float kNormalTolerance = 0.01f;
-
-enum class Scalar { kInt8, kInt16, kInt32, kInt64, kUint8, kUint16, kUint32, kUint64, kFloat32, kFloat64 };
-
-std::size_t size_of(Scalar scalar) {
-  switch (scalar) {
-    case Scalar::kInt8:
-    case Scalar::kUint8:
-      return 1;
-    case Scalar::kInt16:
-    case Scalar::kUint16:
-      return 2;
-    case Scalar::kInt32:
-    case Scalar::kUint32:
-    case Scalar::kFloat32:
-      return 4;
-    default:
-      return 8;
-  }
-}
-
-template <class T>
-double load_as(const char* bytes, bool swap) {
-  char buffer[sizeof(T)];
-  std::memcpy(buffer, bytes, sizeof(T));
-  if (swap) std::reverse(buffer, buffer + sizeof(T));
-  T value;
-  std::memcpy(&value, buffer, sizeof(T));
-  return static_cast<double>(value);
-}
-
-double load(Scalar scalar, const char* bytes, bool swap) {
-  switch (scalar) {
-    case Scalar::kInt8:
-      return load_as<std::int8_t>(bytes, swap);
-    case Scalar::kInt16:
-      return load_as<std::int16_t>(bytes, swap);
-    case Scalar::kInt32:
-      return load_as<std::int32_t>(bytes, swap);
-    case Scalar::kInt64:
-      return load_as<std::int64_t>(bytes, swap);
-    case Scalar::kUint8:
-      return load_as<std::uint8_t>(bytes, swap);
-    case Scalar::kUint16:
-      return load_as<std::uint16_t>(bytes, swap);
-    case Scalar::kUint32:
-      return load_as<std::uint32_t>(bytes, swap);
-    case Scalar::kUint64:
-      return load_as<std::uint64_t>(bytes, swap);
-    case Scalar::kFloat32:
-      return load_as<float>(bytes, swap);
-    case Scalar::kFloat64:
-      return load_as<double>(bytes, swap);
-  }
-  return 0.0;
-}
-
-bool big_endian_host() {
-  const std::uint16_t one = 1;
-  char first;
-  std::memcpy(&first, &one, 1);
-  return first == 0;
-}
-
-/// What a cloud is made of, by the names that the formats use.
-enum Channel { kX, kY, kZ, kNormalX, kNormalY, kNormalZ, kIntensity, kChannels };
-
-std::optional<Channel> channel_of(std::string_view name) {
-  constexpr std::string_view kNames[][3] = {{"x", "", ""},
-                                            {"y", "", ""},
-                                            {"z", "", ""},
-                                            {"normal_x", "nx", ""},
-                                            {"normal_y", "ny", ""},
-                                            {"normal_z", "nz", ""},
-                                            {"intensity", "scalar_intensity", "scalar_Intensity"}};
-  for (int channel = 0; channel < kChannels; ++channel) {
-    for (const std::string_view known : kNames[channel]) {
-      if (!known.empty() && known == name) return static_cast<Channel>(channel);
-    }
-  }
-  return std::nullopt;
-}
-
-/// Takes points one by one, leaves out what cannot be used, and counts it.
-class CloudBuilder {
- public:
-  CloudBuilder(const std::string& file, bool has_normals, bool has_intensity)
-      : file_(file), has_normals_(has_normals), has_intensity_(has_intensity) {}
-
-  void reserve(std::size_t count) {
-    cloud_.points.reserve(count);
-    if (has_normals_) cloud_.normals.reserve(count);
-    if (has_intensity_) cloud_.intensities.reserve(count);
-  }
-
-  void add(const float* channels) {
-    const Eigen::Vector3f point(channels[kX], channels[kY], channels[kZ]);
-    const std::size_t number = count_++;
-    if (!point.allFinite()) {
-      count_problem("point not finite", number);
-      return;
-    }
-    if (point.cwiseAbs().maxCoeff() > kMaxCoordinate) {
-      count_problem("point out of range", number);
-      return;
-    }
-    cloud_.points.push_back(point);
-    if (has_normals_) {
-      Eigen::Vector3f normal(channels[kNormalX], channels[kNormalY], channels[kNormalZ]);
-      const float length = normal.norm();
-      if (std::abs(length - 1.0f) <= kNormalTolerance) {
-        normal /= point.dot(normal) > 0.0f ? -length : length;
-      } else {
-        count_problem("unusable normals", number);
-      }
-      cloud_.normals.push_back(normal);
-    }
-    if (has_intensity_) {
-      const bool finite = std::isfinite(channels[kIntensity]);
-      if (!finite) count_problem("intensity not finite", number);
-      cloud_.intensities.push_back(finite ? channels[kIntensity] : 0.0f);
-    }
-  }
-
-  void add_problem(const std::string& kind, const std::string& example) { problems_.add(kind, example); }
-
-  CloudFile finish() {
-    for (const auto& [kind, met] : counted_) {
-      problems_.add(kind, file_ + ": point " + std::to_string(met.first), met.count);
-      if (std::string_view(kind) == "unusable normals") cloud_.normals.clear();
-    }
-    cloud_.normals.shrink_to_fit();
-    return {std::move(cloud_), std::move(problems_)};
-  }
-
- private:
-  struct Met {
-    std::size_t first;
-    std::size_t count;
-  };
-  void count_problem(const char* kind, std::size_t number) {
-    for (auto& [known, met] : counted_) {
-      if (std::string_view(known) == kind) {
-        ++met.count;
-        return;
-      }
-    }
-    counted_.push_back({kind, {number, 1}});
-  }
-
-  std::string file_;
-  bool has_normals_;
-  bool has_intensity_;
-  std::size_t count_ = 0;
-  PointCloud cloud_;
-  Problems problems_;
-  std::vector<std::pair<const char*, Met>> counted_;
-};
-
-/// A number that a point holds, and where.
-struct Field {
-  std::string name;
-  Scalar scalar = Scalar::kFloat32;
-  std::size_t count = 1;   // values side by side
-  std::size_t offset = 0;  // in a point's bytes
-};
-
-/// Which fields fill which channels.
-struct Layout {
-  std::vector<Field> fields;
-  std::size_t point_size = 0;   // bytes
-  std::size_t point_words = 0;  // values
-  int field_of[kChannels] = {-1, -1, -1, -1, -1, -1, -1};
-
-  [[nodiscard]] bool has_normals() const {
-    return field_of[kNormalX] >= 0 && field_of[kNormalY] >= 0 && field_of[kNormalZ] >= 0;
-  }
-  [[nodiscard]] bool has_intensity() const { return field_of[kIntensity] >= 0; }
-
-  void finish(const std::string& file) {
-    for (std::size_t i = 0; i < fields.size(); ++i) {
-      fields[i].offset = point_size;
-      point_size += size_of(fields[i].scalar) * fields[i].count;
-      point_words += fields[i].count;
-      if (const auto channel = channel_of(fields[i].name); channel && fields[i].count == 1) {
-        if (field_of[*channel] >= 0)
-          throw InputError(file + ": field " + fields[i].name + " is listed twice");
-        field_of[*channel] = static_cast<int>(i);
-      }
-    }
-    for (const Channel channel : {kX, kY, kZ}) {
-      if (field_of[channel] < 0) throw InputError(file + ": the points have no x, y and z");
-    }
-  }
-
-  /// Field numbers by channel, with the normals left out unless all three are there.
-  [[nodiscard]] std::vector<std::pair<Channel, const Field*>> used() const {
-    std::vector<std::pair<Channel, const Field*>> out;
-    for (int c = 0; c < kChannels; ++c) {
-      const bool normal = c >= kNormalX && c <= kNormalZ;
-      if (field_of[c] >= 0 && (!normal || has_normals())) {
-        out.emplace_back(static_cast<Channel>(c), &fields[static_cast<std::size_t>(field_of[c])]);
-      }
-    }
-    return out;
-  }
-};
-
-/// Points of `stride` bytes one after the other, or (stride 0) all values of a field before those of the
-/// next.
-void read_binary(const Layout& layout, std::string_view data, std::size_t count, bool interleaved, bool swap,
-                 CloudBuilder& builder) {
-  const auto used = layout.used();
-  builder.reserve(count);
-  float channels[kChannels] = {};
-  for (std::size_t i = 0; i < count; ++i) {
-    for (const auto& [channel, field] : used) {
-      const std::size_t at = interleaved ? i * layout.point_size + field->offset
-                                         : count * field->offset + i * size_of(field->scalar) * field->count;
-      channels[channel] = static_cast<float>(load(field->scalar, data.data() + at, swap));
-    }
-    builder.add(channels);
-  }
-}
+using namespace points;
 
 std::uint64_t count_value(std::string_view word, const text::Place& place) {
   std::uint64_t value = 0;
@@ -391,7 +166,7 @@ PcdHeader read_pcd_header(const std::string& file, std::string_view contents) {
     header.layout.fields.push_back({std::string(names[i]), pcd_scalar(types[i], sizes[i], at_types),
                                     static_cast<std::size_t>(count), 0});
   }
-  header.layout.finish(file);
+  header.layout.pack(file);
 
   if (!width && !points) throw InputError(file + ": the header has neither WIDTH nor POINTS");
   const std::uint64_t rows = height.value_or(1);
@@ -553,7 +328,7 @@ CloudFile read_ply(const std::string& file, const std::string& contents) {
   if (vertex->has_list) throw InputError(file + ": vertices with lists are not supported");
   if (vertex != header.elements.begin()) throw InputError(file + ": vertices must be the first element");
   Layout& layout = vertex->layout;
-  layout.finish(file);
+  layout.pack(file);
   const std::string_view data = std::string_view(contents).substr(header.data_begin);
   const bool ascii = header.format == PlyHeader::Format::kAscii;
   const std::size_t least = ascii ? 2 * layout.point_words - 1 : layout.point_size;
@@ -603,7 +378,7 @@ CloudFile read_kitti_bin(const std::string& file, const std::string& contents) {
   Layout layout;
   for (const char* name : {"x", "y", "z", "intensity"})
     layout.fields.push_back({name, Scalar::kFloat32, 1, 0});
-  layout.finish(file);
+  layout.pack(file);
   CloudBuilder builder(file, false, true);
   if (contents.empty()) builder.add_problem("empty file", file);
   if (contents.size() % layout.point_size != 0) {
@@ -677,14 +452,16 @@ bool is_cloud_file(const fs::path& path) {
   return extension == ".pcd" || extension == ".ply" || extension == ".bin";
 }
 
+CloudFile points::parse_cloud(const std::string& name, const std::string& contents) {
+  const fs::path extension = fs::path(name).extension();
+  if (extension == ".pcd") return read_pcd(name, contents);
+  if (extension == ".ply") return read_ply(name, contents);
+  if (extension == ".bin") return read_kitti_bin(name, contents);
+  throw InputError(name + ": not a kind of cloud that can be read, expected .pcd, .ply or .bin");
+}
+
 CloudFile read_cloud(const fs::path& path) {
-  if (!is_cloud_file(path)) {
-    throw InputError(path.string() + ": not a kind of cloud that can be read, expected .pcd, .ply or .bin");
-  }
-  const std::string contents = read_file(path);
-  if (path.extension() == ".pcd") return read_pcd(path.string(), contents);
-  if (path.extension() == ".ply") return read_ply(path.string(), contents);
-  return read_kitti_bin(path.string(), contents);
+  return parse_cloud(path.string(), is_cloud_file(path) ? read_file(path) : std::string());
 }
 
 void write_pcd(const fs::path& path, const PointCloud& cloud, PcdEncoding encoding) {

@@ -119,8 +119,13 @@ class Reader {
     if (const auto known = out_.graph.find(node.key)) {
       const VertexLine& first = vertices_[*known];
       if (first.numbers != vertex.numbers) {
-        place().fail("vertex " + std::to_string(node.key) + " has another pose in line " +
-                     std::to_string(first.line));
+        // Some writers leave the characters of keys out, so that the ids of several robots collide.
+        const bool lost = key_character(node.key) == '\0';
+        place().fail(
+            "vertex " + std::to_string(node.key) + " has another pose in line " + std::to_string(first.line) +
+            (lost ? ": if these are nodes of two robots, their ids lost the robots' characters; write "
+                    "full 64-bit keys, or a file for each robot"
+                  : ""));
       }
       out_.problems.add("repeated vertex", here() + ": " + std::to_string(node.key));
       return;

@@ -8,6 +8,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/g2o.hpp>
 
+#include "bag.hpp"
 #include "mission_parts.hpp"
 
 namespace loopwise {
@@ -127,20 +128,31 @@ std::map<Key, fs::path> find_scans(const fs::path& folder,
   return scans;
 }
 
-void set_scans(Mission& mission, std::map<Key, fs::path> files, const MissionOptions& options) {
-  if (files.empty()) {
+void count_scans(Mission& mission, const std::vector<Key>& keys,
+                 const std::function<std::string(Key)>& where) {
+  const std::set<Key> present(keys.begin(), keys.end());
+  if (keys.empty()) {
     mission.problems.add("node without scan", "no scans at all", mission.graph.nodes().size());
   } else {
     for (const Node& node : mission.graph.nodes()) {
-      if (files.count(node.key) == 0 && !mission.robots.is_landmark(node.key))
+      if (present.count(node.key) == 0 && !mission.robots.is_landmark(node.key))
         mission.problems.add("node without scan", "node " + key_name(node.key));
     }
   }
-  for (const auto& [key, file] : files) {
-    if (!mission.graph.contains(key)) mission.problems.add("scan without node", file.string());
+  for (const Key key : present) {
+    if (!mission.graph.contains(key)) mission.problems.add("scan without node", where(key));
   }
-  const double bytes = std::min(options.scan_cache_mb, 1e9) * 1e6;
-  mission.scans = std::make_shared<ScanStore>(std::move(files), static_cast<std::size_t>(bytes));
+}
+
+std::size_t scan_bytes(const MissionOptions& options) {
+  return static_cast<std::size_t>(std::min(options.scan_cache_mb, 1e9) * 1e6);
+}
+
+void set_scans(Mission& mission, std::map<Key, fs::path> files, const MissionOptions& options) {
+  std::vector<Key> keys;
+  for (const auto& [key, file] : files) keys.push_back(key);
+  count_scans(mission, keys, [&](Key key) { return files.at(key).string(); });
+  mission.scans = std::make_shared<ScanStore>(std::move(files), scan_bytes(options));
 }
 
 void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth) {
@@ -185,34 +197,120 @@ Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& 
   return parts::information_of_sigmas(sigmas);
 }
 
+namespace {
+
+bool has_bag(const fs::path& folder) {
+  const auto files = parts::entries(folder);
+  return std::any_of(files.begin(), files.end(), [](const fs::path& file) {
+    return (file.extension() == ".bag" || file.extension() == ".active") && fs::is_regular_file(file);
+  });
+}
+
+/// The folder that a path stands for: of a mission.json, and in the data set's own folder that of the best
+/// form of its data.
+fs::path resolved(const fs::path& path) {
+  if (path.filename() == "mission.json") return path.has_parent_path() ? path.parent_path() : fs::path(".");
+  if (!fs::is_directory(path) || has_file(path, "mission.json")) return path;
+  // Bags hold more than what was made of them: stamps, priors, the first estimates.
+  const bool has_g2o = fs::is_directory(path / "g2o_pcd");
+  const bool has_bags = fs::is_directory(path / "rosbag") && has_bag(path / "rosbag");
+  if (has_bags && (bags::available() || !has_g2o)) return path / "rosbag";
+  return has_g2o ? path / "g2o_pcd" : path;
+}
+
+void check_options(const MissionOptions& options) {
+  validate(options);
+  if (options.prior_sigmas.size() != 6) {
+    throw OptionError("prior_sigmas has " + std::to_string(options.prior_sigmas.size()) +
+                      " numbers, must have 6: x, y, z, roll, pitch, yaw");
+  }
+}
+
+}  // namespace
+
 MissionKind mission_kind(const fs::path& path) {
   std::error_code error;
   const fs::file_status status = fs::status(path, error);
   if (!fs::exists(status))
     throw IoError(path.string(), error ? error.message() : "No such file or directory");
   if (!fs::is_directory(status)) {
-    return path.filename() == "mission.json" ? MissionKind::kMission : MissionKind::kG2o;
+    if (path.filename() == "mission.json") return MissionKind::kMission;
+    if (fs::is_regular_file(status) && parts::begins_with(path, "#ROSBAG")) return MissionKind::kBags;
+    if (fs::is_regular_file(status) && parts::begins_with(path, "PK\x03\x04")) return MissionKind::kLampZip;
+    return MissionKind::kG2o;
   }
-  if (has_file(path, "mission.json")) return MissionKind::kMission;
-  if (has_file(path, "optimized_poses.txt") || has_file(path, "odom_poses.txt")) return MissionKind::kSession;
-  throw InputError(
-      path.string() +
-      ": no mission: expected mission.json (it is written last: without it a mission is not complete), "
-      "or optimized_poses.txt or odom_poses.txt of a session, or the path of a g2o file");
+  const fs::path folder = resolved(path);
+  if (has_file(folder, "mission.json")) return MissionKind::kMission;
+  if (has_file(folder, parts::kUnfinished)) {
+    throw InputError(
+        folder.string() +
+        ": a mission that is not complete: its making goes on or was interrupted, expected mission.json");
+  }
+  if (has_file(folder, "optimized_poses.txt") || has_file(folder, "odom_poses.txt"))
+    return MissionKind::kSession;
+  if (has_file(folder, "keys.csv") && has_file(folder, "pose_graph.bag")) return MissionKind::kLampZip;
+  if (!parts::g2o_of_folder(folder).empty()) return MissionKind::kG2oPcd;
+  if (has_bag(folder)) return MissionKind::kBags;
+  throw InputError(path.string() +
+                   ": no mission: expected mission.json or result.g2o (which are written last: without them "
+                   "a mission is not "
+                   "complete), optimized_poses.txt or odom_poses.txt of a session, *.bag, rosbag/ or "
+                   "g2o_pcd/, or the path of a "
+                   "g2o file, a bag or a zip archive");
 }
 
-Mission read_mission(const fs::path& path, const MissionOptions& options) {
-  validate(options);
-  if (options.prior_sigmas.size() != 6) {
-    throw OptionError("prior_sigmas has " + std::to_string(options.prior_sigmas.size()) +
-                      " numbers, must have 6: x, y, z, roll, pitch, yaw");
-  }
+Mission read_mission(const fs::path& path, const MissionOptions& options, const ProgressCallback& progress,
+                     const StopToken& stop) {
+  check_options(options);
+  const parts::Work work{progress, stop};
   const MissionKind kind = mission_kind(path);
-  if (kind == MissionKind::kG2o) return read_g2o_mission(path, options);
-  fs::path folder = path.filename() == "mission.json" ? path.parent_path() : path;
-  if (folder.empty()) folder = ".";
-  return kind == MissionKind::kMission ? parts::read_mission_folder(folder, options)
-                                       : parts::read_session(folder, options);
+  const fs::path place = resolved(path);
+  switch (kind) {
+    case MissionKind::kMission:
+      return parts::read_mission_folder(place, options);
+    case MissionKind::kSession:
+      return parts::read_session(place, options);
+    case MissionKind::kG2oPcd: {
+      Mission mission = parts::read_g2o_pcd(place, options, work);
+      if (place != path && fs::is_directory(path / "rosbag") && has_bag(path / "rosbag")) {
+        mission.problems.add("bags not read", path.string() + ": " + bags::kUnavailable);
+      }
+      return mission;
+    }
+    case MissionKind::kBags:
+      return parts::read_bags({place}, options, work);
+    case MissionKind::kLampZip:
+      return parts::read_lamp_save(place, options, work);
+    case MissionKind::kG2o:
+    case MissionKind::kJoined:
+      break;
+  }
+  return read_g2o_mission(path, options);
+}
+
+Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& options,
+                      const ProgressCallback& progress, const StopToken& stop) {
+  check_options(options);
+  if (paths.empty()) throw InputError("no mission given");
+  if (paths.size() == 1 && (!options.frames.empty() || options.start_together)) {
+    throw OptionError("frames and start_together are of several missions, one is given");
+  }
+  if (paths.size() == 1) return read_mission(paths.front(), options, progress, stop);
+  std::vector<fs::path> bag_paths;
+  for (const fs::path& path : paths) {
+    if (mission_kind(path) == MissionKind::kBags) bag_paths.push_back(resolved(path));
+  }
+  const bool one_recording = bag_paths.size() == paths.size();
+  if (one_recording && (!options.frames.empty() || options.start_together)) {
+    throw OptionError("frames and start_together: bags are one recording, in one frame and by one clock");
+  }
+  if (one_recording) return parts::read_bags(bag_paths, options, {progress, stop});
+  MissionOptions of_one = options;
+  of_one.robots.clear();  // the joined mission's, not those of its parts
+  of_one.scan_cache_mb /= static_cast<double>(paths.size());
+  std::vector<Mission> missions;
+  for (const fs::path& path : paths) missions.push_back(read_mission(path, of_one, progress, stop));
+  return parts::join_missions(missions, options);
 }
 
 }  // namespace loopwise

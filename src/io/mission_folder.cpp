@@ -346,14 +346,6 @@ void read_gravity(const fs::path& file, PoseGraph& graph) {
   });
 }
 
-std::map<Key, Eigen::Isometry3d> read_truth(const fs::path& file, Problems& problems) {
-  const G2oFile g2o = read_g2o(file);
-  problems.add(g2o.problems);
-  std::map<Key, Eigen::Isometry3d> truth;
-  for (const Node& node : g2o.graph.nodes()) truth.emplace(node.key, node.pose);
-  return truth;
-}
-
 std::optional<Key> key_of_name(const std::string& stem) {
   try {
     return parse_key(stem);
@@ -383,9 +375,7 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   Mission mission;
   mission.kind = MissionKind::kMission;
   mission.path = folder;
-  const fs::path whole = fs::absolute(folder).lexically_normal();
-  mission.name =
-      description.text_or("name", (whole.has_filename() ? whole : whole.parent_path()).filename().string());
+  mission.name = description.text_or("name", name_of(folder));
   mission.frame = description.text_or("frame", "map");
   mission.provenance_json = description.provenance();
 
@@ -447,6 +437,7 @@ MissionWriter::MissionWriter(fs::path folder, PcdEncoding encoding)
   }
   fs::create_directories(folder_ / "scans", error);
   if (error) throw IoError(folder_.string(), error.message());
+  write_file(folder_ / parts::kUnfinished, "This mission is being written, or its making was interrupted.\n");
 }
 
 void MissionWriter::add_scan(Key key, const PointCloud& cloud) const {
@@ -532,6 +523,8 @@ void MissionWriter::finish(const Mission& mission) const {
     write_g2o(folder_ / files.ground_truth, truth);
   }
   write_file(folder_ / "mission.json", json.dump(2) + "\n");
+  std::error_code ignored;  // with mission.json the mark means nothing any more
+  fs::remove(folder_ / parts::kUnfinished, ignored);
 }
 
 void write_mission(const fs::path& folder, const Mission& mission, PcdEncoding encoding) {

@@ -8,13 +8,19 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <unordered_map>
+#include <vector>
 
 #include <loopwise/io/mission.hpp>
 
 namespace loopwise::parts {
 
 using Stamps = std::unordered_map<Key, std::int64_t>;
+
+/// Lies in a mission folder until mission.json does: its graph and clouds look like those of a g2o_pcd
+/// folder.
+inline constexpr const char* kUnfinished = ".unfinished";
 
 /// Stamps are held to ±4.6e18 ns (the year 2115), so that differences never overflow.
 [[nodiscard]] bool stamp_in_range(std::int64_t stamp_ns);
@@ -40,6 +46,14 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
 /// A prior with the options' sigmas where the node stands.
 [[nodiscard]] PriorFactor default_prior(const PoseGraph& graph, Key key, const MissionOptions& options);
 
+/// Adds a default prior at the first node of each robot that has none at any of its nodes, and counts them.
+void complete_priors(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
+                     const std::string& name, std::vector<PriorFactor>& priors, Problems& problems);
+
+/// Gives nodes without stamp one between those of their neighbours along the robot's keys, and counts them.
+void complete_stamps(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
+                     const std::string& name, Stamps& stamps, Problems& problems);
+
 /// Information of uncorrelated x y z roll pitch yaw.
 [[nodiscard]] Matrix6d information_of_sigmas(const double* sigmas);
 
@@ -49,8 +63,19 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
     const std::filesystem::path& folder, const std::function<std::optional<Key>(const std::string&)>& key_of,
     Problems& problems);
 
+/// Counts nodes without scan and scans without node unless there is no scan at all. `where` names a key's
+/// scan.
+void count_scans(Mission& mission, const std::vector<Key>& keys,
+                 const std::function<std::string(Key)>& where);
+
+/// Memory for scans by the options.
+[[nodiscard]] std::size_t scan_bytes(const MissionOptions& options);
+
 /// Makes the scan store, and counts nodes without scan and scans without node unless there is no scan at all.
 void set_scans(Mission& mission, std::map<Key, std::filesystem::path> files, const MissionOptions& options);
+/// The same of scans that `source` reads.
+void set_scans(Mission& mission, const std::vector<Key>& keys, ScanStore::CloudSource source,
+               const std::function<std::string(Key)>& where, const MissionOptions& options);
 
 /// Counts nodes without truth and the reverse, and drops the latter.
 void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth);
@@ -58,7 +83,57 @@ void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth);
 /// Sets start_ns to the earliest stamp and counts stamps that do not ascend along a robot's keys.
 void check_stamps(Mission& mission);
 
+/// The name of a folder or, without its extension, of a file.
+[[nodiscard]] std::string name_of(const std::filesystem::path& path);
+
+/// The same of a recording: folders that are called by what is in them go by the name of the folder around
+/// them.
+[[nodiscard]] std::string recording_name(const std::filesystem::path& path);
+
+/// A provenance that says of what kind the mission was and what its sources were called.
+[[nodiscard]] std::string provenance_of(MissionKind kind, const std::vector<std::string>& sources);
+
+/// Entries of a folder by name, those that begin with a dot left out. \throws IoError
+[[nodiscard]] std::vector<std::filesystem::path> entries(const std::filesystem::path& folder);
+
+/// Whether the file begins with these bytes. \throws IoError
+[[nodiscard]] bool begins_with(const std::filesystem::path& file, std::string_view bytes);
+
+/// Where the truth lies of a folder's data: in it, or in a folder ground_truth beside it.
+struct TruthFiles {
+  std::filesystem::path g2o;                ///< Empty if there is none.
+  std::vector<std::filesystem::path> bags;  ///< Only without g2o.
+};
+[[nodiscard]] TruthFiles find_truth(const std::filesystem::path& folder);
+/// Whether the path is one that find_truth() would look for.
+[[nodiscard]] bool is_truth(const std::filesystem::path& path);
+
+/// Poses of a g2o file's vertices.
+[[nodiscard]] std::map<Key, Eigen::Isometry3d> read_truth(const std::filesystem::path& g2o,
+                                                          Problems& problems);
+
+/// The graph of a g2o_pcd folder; empty if there is none. \throws InputError if it is not clear which
+[[nodiscard]] std::filesystem::path g2o_of_folder(const std::filesystem::path& folder);
+
+/// How a reader says how far it is, and hears that it is to stop.
+struct Work {
+  const ProgressCallback& progress;
+  const StopToken& stop;
+};
+
 [[nodiscard]] Mission read_session(const std::filesystem::path& folder, const MissionOptions& options);
 [[nodiscard]] Mission read_mission_folder(const std::filesystem::path& folder, const MissionOptions& options);
+[[nodiscard]] Mission read_g2o_pcd(const std::filesystem::path& folder, const MissionOptions& options,
+                                   const Work& work);
+/// Files and folders of them as one recording.
+[[nodiscard]] Mission read_bags(const std::vector<std::filesystem::path>& paths,
+                                const MissionOptions& options, const Work& work);
+/// Adds the truth that bags hold to a mission from elsewhere; counted if this build reads no bags.
+void read_bag_truth(Mission& mission, const std::vector<std::filesystem::path>& bags,
+                    const MissionOptions& options, const Work& work);
+/// The archive, or a folder of its contents.
+[[nodiscard]] Mission read_lamp_save(const std::filesystem::path& path, const MissionOptions& options,
+                                     const Work& work);
+[[nodiscard]] Mission join_missions(const std::vector<Mission>& missions, const MissionOptions& options);
 
 }  // namespace loopwise::parts

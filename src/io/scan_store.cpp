@@ -16,7 +16,8 @@ namespace loopwise {
 struct ScanStore::State {
   enum class Stage { kNotRead, kBeingRead, kKept, kFailed };
   struct Entry {
-    std::filesystem::path file;  // empty if scans come from `source`
+    std::filesystem::path file;  // empty if scans come from elsewhere
+    Part part;                   // of another store, which then does all the rest
     Stage stage = Stage::kNotRead;
     std::shared_ptr<const PointCloud> cloud;
     std::size_t bytes = 0;
@@ -28,17 +29,23 @@ struct ScanStore::State {
 
   std::size_t max_bytes = 0;
   ScanLoader source;
+  CloudSource clouds;
   mutable std::mutex mutex;
   std::condition_variable read;  // some scan left kBeingRead
   std::map<Key, Entry> entries;  // the set of keys never changes
   std::list<Key> recency;        // most recently used first
   std::size_t bytes = 0;
+  std::vector<std::shared_ptr<const ScanStore>> stores;  // of the parts, each once
 
   std::shared_ptr<const PointCloud> load(Key key) {
     std::unique_lock<std::mutex> lock(mutex);
     const auto found = entries.find(key);
     if (found == entries.end()) return nullptr;
     Entry& entry = found->second;
+    if (entry.part.store) {
+      lock.unlock();
+      return entry.part.store->load(entry.part.key);
+    }
     read.wait(lock, [&entry] { return entry.stage != Stage::kBeingRead; });
     if (entry.stage == Stage::kFailed) throw InputError(entry.failure);
     if (entry.stage == Stage::kKept) {
@@ -56,7 +63,7 @@ struct ScanStore::State {
         cloud = source(key);
         if (!cloud) failure = "scan " + key_name(key) + " is missing";
       } else {
-        loaded = read_cloud(entry.file);
+        loaded = clouds ? clouds(key) : read_cloud(entry.file);
         cloud = std::make_shared<const PointCloud>(std::move(loaded.cloud));
       }
     } catch (const std::exception& error) {
@@ -114,6 +121,23 @@ ScanStore::ScanStore(const std::vector<Key>& keys, ScanLoader source, std::size_
   for (const Key key : keys) state_->entries[key];
 }
 
+ScanStore::ScanStore(const std::vector<Key>& keys, CloudSource source, std::size_t max_bytes)
+    : state_(std::make_shared<State>()) {
+  if (!source) throw OptionError("scan store: the source is an empty function");
+  state_->max_bytes = max_bytes;
+  state_->clouds = std::move(source);
+  for (const Key key : keys) state_->entries[key];
+}
+
+ScanStore::ScanStore(std::map<Key, Part> parts) : state_(std::make_shared<State>()) {
+  for (auto& [key, part] : parts) {
+    if (!part.store) throw OptionError("scan store: a part without a store");
+    auto& stores = state_->stores;
+    if (std::find(stores.begin(), stores.end(), part.store) == stores.end()) stores.push_back(part.store);
+    state_->entries[key].part = std::move(part);
+  }
+}
+
 bool ScanStore::has(Key key) const {
   return state_->entries.count(key) != 0;
 }
@@ -137,12 +161,15 @@ Problems ScanStore::problems() const {
   const std::lock_guard<std::mutex> lock(state_->mutex);
   Problems all;
   for (const auto& [key, entry] : state_->entries) all.add(entry.problems);
+  for (const auto& store : state_->stores) all.add(store->problems());
   return all;
 }
 
 std::size_t ScanStore::bytes() const {
   const std::lock_guard<std::mutex> lock(state_->mutex);
-  return state_->bytes;
+  std::size_t bytes = state_->bytes;
+  for (const auto& store : state_->stores) bytes += store->bytes();
+  return bytes;
 }
 
 ScanLoader ScanStore::loader() const {

@@ -115,8 +115,7 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   Mission mission;
   mission.kind = MissionKind::kSession;
   mission.path = folder;
-  const fs::path whole = fs::absolute(folder).lexically_normal();
-  mission.name = (whole.has_filename() ? whole : whole.parent_path()).filename().string();
+  mission.name = name_of(folder);
 
   const fs::path optimized_file = folder / "optimized_poses.txt", odometry_file = folder / "odom_poses.txt";
   std::optional<Poses> optimized, odometry;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What rank 0 does for each registration that another rank computes, measured alone: packing the task, its queues, and
-// unpacking the result. Ranks answer at once, and no MPI is in between; its part is measured by mpi_message_cost.
+// What rank 0 does for each registration that another rank computes, measured alone: packing the task, its
+// queues, and unpacking the result. Ranks answer at once, and no MPI is in between; its part is measured by
+// mpi_message_cost.
 #include <cstdio>
 #include <cstdlib>
 #include <deque>
@@ -24,7 +25,8 @@ class Echo final : public Transport {
   [[nodiscard]] int rank() const override { return 0; }
   [[nodiscard]] int size() const override { return size_; }
   void send(int to, int tag, std::string_view bytes) override {
-    if (tag == detail::kRequest) waiting_.push_back({to, detail::kAnswer, std::string(bytes.substr(0, 8)) + answer_});
+    if (tag == detail::kRequest)
+      waiting_.push_back({to, detail::kAnswer, std::string(bytes.substr(0, 8)) + answer_});
   }
   [[nodiscard]] std::optional<Message> receive() override {
     if (waiting_.empty()) return std::nullopt;

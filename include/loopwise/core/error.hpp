@@ -37,6 +37,11 @@ struct LOOPWISE_EXPORT IoError : Error {
   IoError(const std::string& path, const std::string& why) : Error(path + ": " + why) {}
 };
 
+/// Long work ended early because its StopToken asked for that.
+struct StoppedError : Error {
+  using Error::Error;
+};
+
 /// A key that the graph, mission or robot list does not have.
 struct LOOPWISE_EXPORT UnknownKeyError : InputError {
   using InputError::InputError;

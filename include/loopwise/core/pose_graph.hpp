@@ -48,9 +48,9 @@ struct RangeFactor {
 /// r = (R · direction − reference) / sigma_rad, cost ½ ‖r‖²; ‖R · direction − reference‖ = 2 sin(θ/2) for an
 /// angle θ between the two. Says nothing about yaw and place.
 struct GravityFactor {
-  Key key = 0;                                               ///< The node that felt it.
+  Key key = 0;                                            ///< The node that felt it.
   Eigen::Vector3d direction = -Eigen::Vector3d::UnitZ();  ///< Body frame; any length but 0.
-  double sigma_rad = 1.0;                                    ///< Standard deviation.
+  double sigma_rad = 1.0;                                 ///< Standard deviation.
   Eigen::Vector3d reference = -Eigen::Vector3d::UnitZ();  ///< Common frame; any length but 0.
 };
 

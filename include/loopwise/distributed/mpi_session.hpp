@@ -4,17 +4,18 @@
 #include <memory>
 #include <string>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/distributed/transport.hpp>
 
 namespace loopwise {
 
 /// Whether a launcher (mpirun, srun) has started this process as one of several: asks the environment alone,
 /// and starts nothing.
-[[nodiscard]] bool started_by_mpi();
+[[nodiscard]] LOOPWISE_EXPORT bool started_by_mpi();
 
 /// This process as a rank of an MPI job, from construction to destruction. At most one in the life of a
 /// process.
-class MpiSession {
+class LOOPWISE_EXPORT MpiSession {
  public:
   /// \throws Error if MPI cannot be started, or offers less than calls from one thread after the other
   MpiSession();

@@ -5,6 +5,7 @@
 #include <string>
 #include <string_view>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/distributed/work.hpp>
 #include <loopwise/pipeline/replay.hpp>
 #include <loopwise/registration/registrar.hpp>
@@ -13,22 +14,25 @@ namespace loopwise {
 
 /// A task and a result as messages: to the bit, 0.1 to 0.6 KiB each. \throws InputError on bytes that are
 /// neither
-[[nodiscard]] std::string pack_task(const RegistrationTask& task);
-[[nodiscard]] RegistrationTask unpack_task(std::string_view bytes);
-[[nodiscard]] std::string pack_result(const RegistrationResult& result);
+[[nodiscard]] LOOPWISE_EXPORT std::string pack_task(const RegistrationTask& task);
+[[nodiscard]] LOOPWISE_EXPORT RegistrationTask unpack_task(std::string_view bytes);
+[[nodiscard]] LOOPWISE_EXPORT std::string pack_result(const RegistrationResult& result);
 /// The candidate is the task's: only what came of it is sent.
-[[nodiscard]] RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& candidate);
+[[nodiscard]] LOOPWISE_EXPORT RegistrationResult unpack_result(std::string_view bytes,
+                                                               const LoopCandidate& candidate);
 
 /// What the ranks of a replay must agree on: the version of the code, the options, the mission's graph and
 /// which scans it has.
-[[nodiscard]] std::string replay_greeting(const Mission& mission, const Config& config);
+[[nodiscard]] LOOPWISE_EXPORT std::string replay_greeting(const Mission& mission, const Config& config);
 
 /// Computes batches over all ranks: what MissionReplay takes in place of its own threads. Results are those
 /// of one machine. Pairs go where their target was last. `threads` compute here, on rank 0.
-[[nodiscard]] BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
-                                                std::shared_ptr<const Registrar> registrar, int threads);
+[[nodiscard]] LOOPWISE_EXPORT BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
+                                                                std::shared_ptr<const Registrar> registrar,
+                                                                int threads);
 
 /// Every other rank of a replay: computes tasks until rank 0 ends it.
-void serve_registrations(Transport& transport, std::string_view greeting, const Registrar& registrar);
+LOOPWISE_EXPORT void serve_registrations(Transport& transport, std::string_view greeting,
+                                         const Registrar& registrar);
 
 }  // namespace loopwise

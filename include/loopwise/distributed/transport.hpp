@@ -7,6 +7,8 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
+
 namespace loopwise {
 
 /// A message between two ranks. Bytes are the sender's: all ranks must be of one architecture.
@@ -18,7 +20,7 @@ struct Message {
 
 /// Messages between the ranks of a job, numbered from 0. Messages from one rank to another arrive in the
 /// order in which they were sent. Used by one thread at a time.
-class Transport {
+class LOOPWISE_EXPORT Transport {
  public:
   virtual ~Transport() = default;
   [[nodiscard]] virtual int rank() const = 0;
@@ -31,6 +33,6 @@ class Transport {
 
 /// Ranks that are threads of this process: for tests, and for measuring what a server does between messages.
 /// Each may be used from a thread of its own.
-[[nodiscard]] std::vector<std::unique_ptr<Transport>> local_transports(int size);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::unique_ptr<Transport>> local_transports(int size);
 
 }  // namespace loopwise

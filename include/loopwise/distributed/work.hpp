@@ -12,6 +12,7 @@
 #include <string_view>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/stop_token.hpp>
 #include <loopwise/distributed/transport.hpp>
@@ -47,7 +48,7 @@ struct WorkStatistics {
 };
 
 /// Rank 0. Ends the other ranks' serving when it goes.
-class WorkServer {
+class LOOPWISE_EXPORT WorkServer {
  public:
   /// Waits for the first word of every rank, which must be `greeting` (what all must agree on: version,
   /// inputs). \throws OptionError; Error naming the rank that says something else, reports a failure or stays
@@ -79,10 +80,10 @@ class WorkServer {
 
 /// Every other rank: says `greeting`, then answers requests until rank 0 ends it. What `answer` throws is
 /// reported to rank 0 as this rank's failure, and thrown on.
-void serve_work(Transport& transport, std::string_view greeting,
-                const std::function<std::string(std::string_view request)>& answer);
+LOOPWISE_EXPORT void serve_work(Transport& transport, std::string_view greeting,
+                                const std::function<std::string(std::string_view request)>& answer);
 
 /// Tells rank 0 why this rank cannot take part. Nobody need have greeted.
-void report_failure(Transport& transport, std::string_view why);
+LOOPWISE_EXPORT void report_failure(Transport& transport, std::string_view why);
 
 }  // namespace loopwise

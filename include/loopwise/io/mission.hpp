@@ -16,8 +16,10 @@
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/problems.hpp>
+#include <loopwise/core/progress.hpp>
 #include <loopwise/core/radio.hpp>
 #include <loopwise/core/robots.hpp>
+#include <loopwise/core/stop_token.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/scan_store.hpp>
 
@@ -28,9 +30,25 @@ enum class MissionKind {
   kMission,  ///< A folder with mission.json.
   kSession,  ///< A folder with Scans/ and poses in KITTI's form, as single-robot SLAM programs write it.
   kG2o,      ///< A g2o file alone: no scans.
+  kG2oPcd,   ///< A folder with a g2o file and clouds, as the NeBula multi-robot data set has them.
+  kBags,     ///< ROS 1 bags of LAMP's messages.
+  kLampZip,  ///< A map that LAMP's base station saved.
+  kJoined,   ///< Several missions of one robot each.
 };
 [[nodiscard]] inline EnumNames<MissionKind> enum_names(MissionKind) {
-  return {{MissionKind::kMission, "mission"}, {MissionKind::kSession, "session"}, {MissionKind::kG2o, "g2o"}};
+  return {{MissionKind::kMission, "mission"}, {MissionKind::kSession, "session"},
+          {MissionKind::kG2o, "g2o"},         {MissionKind::kG2oPcd, "g2o_pcd"},
+          {MissionKind::kBags, "rosbag"},     {MissionKind::kLampZip, "lamp_zip"},
+          {MissionKind::kJoined, "joined"}};
+}
+
+/// How the 36 numbers of an odometry edge's covariance in a bag are ordered. LAMP's code stores rotation
+/// first; some of its odometry sources hand on the covariance of nav_msgs/Odometry, which has translation
+/// first.
+enum class CovarianceOrder { kRotationFirst, kTranslationFirst };
+[[nodiscard]] inline EnumNames<CovarianceOrder> enum_names(CovarianceOrder) {
+  return {{CovarianceOrder::kRotationFirst, "rotation_first"},
+          {CovarianceOrder::kTranslationFirst, "translation_first"}};
 }
 
 /// A robot is out of range in [begin_s, end_s) of mission time: what it makes inside arrives at end_s.
@@ -76,6 +94,15 @@ struct MissionOptions {
   /// Sigmas of the prior that a mission without any is given, x y z and roll pitch yaw. Those of LAMP.
   std::vector<double> prior_sigmas = {0.0016, 0.0016, 0.0016, 0.041, 0.041, 0.00041};
   double node_interval_s = 2.0;
+  /// A letter: whose nodes the small ids of a g2o file beside clouds are. Empty: as the clouds' names say.
+  std::string robot_character;
+  CovarianceOrder odometry_covariance_order = CovarianceOrder::kRotationFirst;
+  /// A true pose whose stamp is further from a node's is not its truth.
+  double truth_max_time_difference_s = 1.0;
+  /// File with the pose of each joined mission's frame in the common one. Empty: they stand in it already.
+  std::string frames;
+  /// Joined missions begin at the same moment, whenever they were recorded.
+  bool start_together = false;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -95,6 +122,16 @@ struct MissionOptions {
           "Sigmas of the prior given to a mission without one: x, y, z in m, roll, pitch, yaw in rad.");
     field("node_interval_s", self.node_interval_s, above(0.0),
           "Time between a robot's nodes where the files hold no stamps, s.");
+    field("robot_character", self.robot_character, any_value(),
+          "g2o_pcd folders: letter of the robot whose ids in the graph lack it; empty: as the clouds say.");
+    field("odometry_covariance_order", self.odometry_covariance_order, any_value(),
+          "Bags: what comes first in the covariances of odometry.");
+    field("truth_max_time_difference_s", self.truth_max_time_difference_s, at_least(0.0),
+          "Bags: a node's true pose is the nearest in time, at most this far, s.");
+    field("frames", self.frames, any_value(),
+          "Several missions as one: file with the pose of each one's frame in the common frame.");
+    field("start_together", self.start_together, any_value(),
+          "Several missions as one: all begin at the same moment.");
   }
 };
 
@@ -102,11 +139,13 @@ struct MissionOptions {
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
                                                             const MissionOptions& options = {});
 
-/// What lies at the path. \throws InputError saying what was looked for if it is nothing that read_mission()
-/// reads; IoError if it does not exist.
+/// What lies at the path: a file by what it begins with, a folder by what it holds. The data set's own
+/// folder, with rosbag/ or g2o_pcd/ in it, counts as what read_mission() takes from it. \throws InputError
+/// saying what was looked for if it is nothing that read_mission() reads; IoError if it does not exist.
 [[nodiscard]] LOOPWISE_EXPORT MissionKind mission_kind(const std::filesystem::path& path);
 
-/// Reads a mission folder (or its mission.json), a session folder or a g2o file. Scans are found, not read.
+/// Reads a mission folder (or its mission.json), a session folder, a g2o file, a g2o_pcd folder, ROS 1 bags,
+/// a map saved by LAMP, or the data set's own folder. Scans are found, not read.
 ///
 /// **Mission folder**: the files below; all but the first two may be missing. Keys are decimal numbers of 64
 /// bits (or a letter and an index), in JSON as text.
@@ -137,12 +176,47 @@ struct MissionOptions {
 ///
 /// **g2o file**: the graph; its first node gets a prior if the file has none.
 ///
+/// **g2o_pcd folder**: result.g2o, else the only g2o file that is not the truth, and clouds beside it, in a
+/// subfolder or in a zip archive, named KEY (a number of 64 bits, or a letter and an index) or pc_N: the N-th
+/// by key, or as keys.csv says (`key,file,stamp_ns`, no header). Ids in the graph may lack the robot's
+/// character if they are of one robot, which options.robot_character or the clouds' names tell. Closures in
+/// the graph are kept, as those of a mission folder. The truth is in ground_truth/, inside or beside.
+///
+/// **Bags**: a bag, or a folder's bags, as one recording. Messages are told apart by type: KeyedScan,
+/// PoseGraph and CommNodeStatus of pose_graph_msgs, silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag
+/// without these or in ground_truth/ is the truth, nearest in time. Nodes stand where the first message put
+/// them. Needs a build with librosbag-storage. Scans stay in the bags, which must not change.
+///
+/// **LAMP's saved map**: a zip archive with keys.csv, pc_N.pcd and pose_graph.bag, or the same unpacked.
+///
+/// **The data set's folder**: rosbag/ if this build reads bags, else g2o_pcd/; with ground_truth/.
+///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "radio reading without
-/// node", "stamp without node", "foreign file in scans", and what the readers of the parts count.
-/// \throws IoError; ParseError or InputError naming file and line or key; OptionError
+/// node", "stamp without node", "foreign file in scans", and what the readers of the parts count. Bags also:
+/// "message cannot be read", "message at time 0 left out", "bag altered in a place that is not read", "node
+/// without stamp", "node without usable pose", "edge without node", "edge without pose", "unusable edge",
+/// "repeated edge with other numbers", "covariance absent", "unusable covariance", "odometry covariance looks
+/// swapped", "odometry not between consecutive nodes", "gravity factor left out", "range factor left out",
+/// "landmark left out", "sighting left out", "edge of unknown type left out", "odometry messages not used",
+/// "ground truth of an unknown robot". \throws IoError; ParseError or InputError naming file and line or key;
+/// OptionError; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
-                                                   const MissionOptions& options = {});
+                                                   const MissionOptions& options = {},
+                                                   const ProgressCallback& progress = {},
+                                                   const StopToken& stop = {});
+
+/// Several sources as one mission. Bags and folders of bags are one recording. Otherwise each must be a
+/// mission of one robot, by read_mission(): the robots are named after their sources and get the keys a0, a1,
+/// …; b0, b1, … in the order given. Poses stand in the common frame as they are, or options.frames names a
+/// file with the pose T_common_source of each: CSV with the header `source,x,y,z,qx,qy,qz,qw`, where source
+/// is the name of its folder or file, or TUM, where the number of the source from 0 stands for the stamp. One
+/// source is read as it is. \throws as read_mission(); InputError naming a source of several robots, or one
+/// that the file lacks
+[[nodiscard]] LOOPWISE_EXPORT Mission read_missions(const std::vector<std::filesystem::path>& paths,
+                                                    const MissionOptions& options = {},
+                                                    const ProgressCallback& progress = {},
+                                                    const StopToken& stop = {});
 
 /// Writes a mission folder scan by scan. mission.json comes last: a folder without it is no mission, so that
 /// one whose making was interrupted is never taken for whole.

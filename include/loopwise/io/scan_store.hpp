@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <filesystem>
+#include <functional>
 #include <map>
 #include <memory>
 #include <vector>
@@ -11,6 +12,7 @@
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/problems.hpp>
+#include <loopwise/io/cloud.hpp>
 
 namespace loopwise {
 
@@ -29,6 +31,20 @@ class LOOPWISE_EXPORT ScanStore {
 
   /// Scans from elsewhere: `source` is asked for one of `keys` when it is needed and not in memory.
   ScanStore(const std::vector<Key>& keys, ScanLoader source, std::size_t max_bytes = kDefaultMaxBytes);
+
+  /// As a ScanLoader, with the flaws of what it read.
+  using CloudSource = std::function<CloudFile(Key)>;
+  /// Scans from elsewhere whose flaws are to be counted. The source must be safe to call from several
+  /// threads.
+  ScanStore(const std::vector<Key>& keys, CloudSource source, std::size_t max_bytes = kDefaultMaxBytes);
+
+  /// A scan of another store.
+  struct Part {
+    std::shared_ptr<const ScanStore> store;  ///< Holds it.
+    Key key = 0;                             ///< Under this key.
+  };
+  /// Scans of other stores under new keys. They stay in the memory of those stores.
+  explicit ScanStore(std::map<Key, Part> parts);
 
   /// Whether the node has a scan.
   [[nodiscard]] bool has(Key key) const;

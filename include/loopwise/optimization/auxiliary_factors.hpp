@@ -4,6 +4,7 @@
 #include <Eigen/Core>
 #include <Eigen/Geometry>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
 namespace loopwise {
@@ -17,8 +18,9 @@ struct LinearizedRange {
 };
 
 /// Where the two nodes coincide the direction of the range is not defined: both Jacobians are zero there.
-[[nodiscard]] LinearizedRange linearize(const RangeFactor& range, const Eigen::Isometry3d& T_w_from,
-                                        const Eigen::Isometry3d& T_w_to);
+[[nodiscard]] LOOPWISE_EXPORT LinearizedRange linearize(const RangeFactor& range,
+                                                        const Eigen::Isometry3d& T_w_from,
+                                                        const Eigen::Isometry3d& T_w_to);
 
 /// Gravity at a pose: whitened residual and its derivative.
 struct LinearizedGravity {
@@ -26,6 +28,7 @@ struct LinearizedGravity {
   Eigen::Matrix<double, 3, 6> J;
 };
 
-[[nodiscard]] LinearizedGravity linearize(const GravityFactor& gravity, const Eigen::Isometry3d& T_w_node);
+[[nodiscard]] LOOPWISE_EXPORT LinearizedGravity linearize(const GravityFactor& gravity,
+                                                          const Eigen::Isometry3d& T_w_node);
 
 }  // namespace loopwise

@@ -151,7 +151,7 @@ LOOPWISE_EXPORT void validate_config(const Config& config);
 LOOPWISE_EXPORT void read_config(const std::filesystem::path& path, Config& config);
 
 /// The same from a JSON text; `source` stands in errors for the file's name.
-void parse_config(std::string_view json, const std::string& source, Config& config);
+LOOPWISE_EXPORT void parse_config(std::string_view json, const std::string& source, Config& config);
 
 /// Sets one field, as `--set generation.rate_m=0.3` does. \throws OptionError
 LOOPWISE_EXPORT void set_config_option(const std::string& assignment, Config& config);

@@ -14,7 +14,8 @@
 namespace loopwise {
 
 /// One task. A registrar that throws gives RejectionReason::kFailed with the exception's message.
-[[nodiscard]] LOOPWISE_EXPORT RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task);
+[[nodiscard]] LOOPWISE_EXPORT RegistrationResult compute_or_fail(const Registrar& registrar,
+                                                                 const RegistrationTask& task);
 
 /// Computes tasks on the pool, one task a thread. Results stand in the order of the tasks and do not depend
 /// on the number of threads. After a stop request no further task is begun; tasks that were not begun have no

@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/convert.hpp>
+#include <loopwise/io/mission.hpp>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+namespace {
+
+struct Options {
+  CommonOptions common;
+  std::vector<std::string> sources;
+  std::string output, to = "mission", encoding = "binary_compressed", robots, frames;
+  bool start_together = false;
+};
+
+Json problems_json(const Problems& problems) {
+  Json json = Json::array();
+  for (const Problem& problem : problems.all()) json.push_back(to_string(problem));
+  return json;
+}
+
+int run(const Options& options) {
+  Console console(options.common.quiet);
+  const InterruptGuard interrupt;
+  Config config = load_config(options.common);
+  if (!options.robots.empty()) config.mission.robots = options.robots;
+  if (!options.frames.empty()) config.mission.frames = options.frames;
+  if (options.start_together) config.mission.start_together = true;
+  config.mission.scan_cache_mb = 0.0;  // each scan is used once
+  const auto format = parse_enum<MissionFormat>("--to", options.to);
+  ConvertOptions convert;
+  convert.encoding = parse_enum<PcdEncoding>("--encoding", options.encoding);
+  convert.threads = thread_count(options.common);
+  convert.progress = console.progress_callback();
+  convert.stop = interrupt.token();
+  const bool existed = std::filesystem::exists(options.output);
+  prepare_output_folder(options.output, false, "");
+
+  Mission mission;
+  ConvertResult result;
+  try {
+    const std::vector<std::filesystem::path> paths(options.sources.begin(), options.sources.end());
+    mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+    console.warn(mission.problems);
+    result = convert_mission(mission, options.output, format, convert);
+  } catch (...) {
+    std::error_code ignored;
+    if (!existed) std::filesystem::remove(options.output, ignored);
+    throw;
+  }
+  console.warn(mission.scans->problems());
+  for (const Problem& problem : result.left_out.all()) console.note(to_string(problem));
+
+  Problems problems = mission.problems;
+  problems.add(mission.scans->problems());
+  Json robots = Json::array();
+  for (const Robot& robot : mission.robots.all()) robots.push_back(robot.name);
+  const Json json = {{"kind", enum_name(mission.kind)},
+                     {"to", options.to},
+                     {"folder", options.output},
+                     {"name", mission.name},
+                     {"robots", robots},
+                     {"nodes", mission.graph.nodes().size()},
+                     {"edges", mission.graph.edges().size()},
+                     {"priors", mission.graph.priors().size()},
+                     {"scans", result.scans},
+                     {"ground_truth", mission.ground_truth.size()},
+                     {"radio_readings", mission.radio.size()},
+                     {"beacons", mission.beacons.size()},
+                     {"left_out", problems_json(result.left_out)},
+                     {"problems", problems_json(problems)}};
+  std::string text = enum_name(mission.kind) + " \"" + mission.name + "\" to " + options.to + ": " +
+                     std::to_string(mission.robots.size()) + " robots, " +
+                     std::to_string(mission.graph.nodes().size()) + " nodes, " +
+                     std::to_string(mission.graph.edges().size()) + " edges, " +
+                     std::to_string(result.scans) + " scans, " + std::to_string(mission.ground_truth.size()) +
+                     " true poses\nfolder       " + options.output + "\n";
+  print_results(options.common, json, text);
+  return kDone;
+}
+
+}  // namespace
+
+void add_convert(CLI::App& app, Action& chosen) {
+  const auto options = std::make_shared<Options>();
+  CLI::App* command = app.add_subcommand("convert", "Write recorded data in another form");
+  command->footer(
+      "Reads what every command reads: mission folders, sessions, g2o files, g2o_pcd folders, ROS 1 bags, "
+      "maps "
+      "that\n"
+      "LAMP saved. Several bags are one recording; several missions of one robot each become one mission.\n"
+      "  loopwise convert tunnel/rosbag -o tunnel_mission\n"
+      "  loopwise convert session1 session2 session3 -o team --frames frames.csv\n"
+      "  loopwise convert my_mission -o for_others --to g2o_pcd");
+  command->add_option("sources", options->sources, "Missions, sessions, bags, archives or folders of them")
+      ->required()
+      ->type_name("SRC");
+  command->add_option("-o,--output", options->output, "Folder to write: a new one, or empty")
+      ->required()
+      ->type_name("DST");
+  command->add_option("--to", options->to, "mission (default), g2o_pcd, tum or kitti")->type_name("FORM");
+  command
+      ->add_option("--encoding", options->encoding,
+                   "Of the clouds: ascii, binary or binary_compressed (default)")
+      ->type_name("WORD");
+  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
+      ->type_name("LIST");
+  add_joining_options(*command, options->frames, options->start_together);
+  add_common_options(*command, options->common);
+  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+}
+
+}  // namespace loopwise::cli

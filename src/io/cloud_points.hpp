@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Points as files and messages hold them: fields of any number type at any place. Private to io.
+#pragma once
+
+#include <cmath>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include <loopwise/io/cloud.hpp>
+
+namespace loopwise::points {
+
+enum class Scalar { kInt8, kInt16, kInt32, kInt64, kUint8, kUint16, kUint32, kUint64, kFloat32, kFloat64 };
+
+[[nodiscard]] std::size_t size_of(Scalar scalar);
+/// The number at `bytes`; `swap` if its byte order is not the machine's.
+[[nodiscard]] double load(Scalar scalar, const char* bytes, bool swap);
+[[nodiscard]] bool big_endian_host();
+
+/// What a cloud is made of, by the names that the formats use.
+enum Channel { kX, kY, kZ, kNormalX, kNormalY, kNormalZ, kIntensity, kChannels };
+[[nodiscard]] std::optional<Channel> channel_of(std::string_view name);
+
+/// Takes points one by one, leaves out what cannot be used, and counts it.
+class CloudBuilder {
+ public:
+  /// `name`: of the file or message, for problems.
+  CloudBuilder(std::string name, bool has_normals, bool has_intensity)
+      : name_(std::move(name)), has_normals_(has_normals), has_intensity_(has_intensity) {}
+
+  void reserve(std::size_t count);
+  /// A value for each channel that the cloud has.
+  void add(const float* channels);
+  void add_problem(const std::string& kind, const std::string& example) { problems_.add(kind, example); }
+  [[nodiscard]] CloudFile finish();
+
+ private:
+  struct Met {
+    std::size_t first;
+    std::size_t count;
+  };
+  void count_problem(const char* kind, std::size_t number);
+
+  std::string name_;
+  bool has_normals_;
+  bool has_intensity_;
+  std::size_t count_ = 0;
+  PointCloud cloud_;
+  Problems problems_;
+  std::vector<std::pair<const char*, Met>> counted_;
+};
+
+/// A number that a point holds, and where.
+struct Field {
+  std::string name;
+  Scalar scalar = Scalar::kFloat32;
+  std::size_t count = 1;   // values side by side
+  std::size_t offset = 0;  // in a point's bytes
+};
+
+/// Which fields fill which channels.
+struct Layout {
+  std::vector<Field> fields;
+  std::size_t point_size = 0;   // bytes
+  std::size_t point_words = 0;  // values
+  int field_of[kChannels] = {-1, -1, -1, -1, -1, -1, -1};
+
+  [[nodiscard]] bool has_normals() const {
+    return field_of[kNormalX] >= 0 && field_of[kNormalY] >= 0 && field_of[kNormalZ] >= 0;
+  }
+  [[nodiscard]] bool has_intensity() const { return field_of[kIntensity] >= 0; }
+
+  /// Puts the fields one after the other, then finds the channels. \throws InputError as find_channels()
+  void pack(const std::string& name);
+  /// \throws InputError without x, y and z, or on a channel that is there twice
+  void find_channels(const std::string& name);
+
+  /// Fields by channel, with the normals left out unless all three are there.
+  [[nodiscard]] std::vector<std::pair<Channel, const Field*>> used() const;
+};
+
+/// `count` points of point_size bytes one after the other (interleaved), or all values of a field before
+/// those of the next.
+void read_binary(const Layout& layout, std::string_view data, std::size_t count, bool interleaved, bool swap,
+                 CloudBuilder& builder);
+
+/// As read_cloud(), of a file that is in memory. Its name's extension says what it is.
+[[nodiscard]] CloudFile parse_cloud(const std::string& name, const std::string& contents);
+
+}  // namespace loopwise::points

@@ -1,0 +1,313 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/io/convert.hpp>
+
+#include <unistd.h>
+
+#include <algorithm>
+#include <atomic>
+#include <map>
+#include <mutex>
+#include <set>
+#include <utility>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+#include "mission_parts.hpp"
+#include "text.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kGraph = "result.g2o";
+constexpr const char* kClouds = "pcd";
+constexpr std::size_t kLetters = 26;
+
+void require_empty(const fs::path& folder) {
+  std::error_code error;
+  if (fs::exists(folder, error) && !fs::is_directory(folder, error)) {
+    throw IoError(folder.string(), "exists and is no folder");
+  }
+  if (fs::is_directory(folder, error) && !fs::is_empty(folder, error)) {
+    throw IoError(folder.string(), "exists and is not empty: a mission is written to a folder of its own");
+  }
+}
+
+void make_folder(const fs::path& folder) {
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) throw IoError(folder.string(), error.message());
+}
+
+/// Removes what was written unless all went well.
+class Target {
+ public:
+  explicit Target(fs::path folder) : folder_(std::move(folder)), existed_(fs::exists(folder_)) {}
+  ~Target() {
+    if (done_) return;
+    std::error_code ignored;
+    if (!existed_) {
+      fs::remove_all(folder_, ignored);
+      return;
+    }
+    for (fs::directory_iterator entry(folder_, ignored), end; !ignored && entry != end;
+         entry.increment(ignored)) {
+      std::error_code failed;
+      fs::remove_all(entry->path(), failed);
+    }
+  }
+  Target(const Target&) = delete;
+  Target& operator=(const Target&) = delete;
+  void keep() { done_ = true; }
+
+ private:
+  fs::path folder_;
+  bool existed_;
+  bool done_ = false;
+};
+
+/// Hands every scan to `write`, on as many threads as the options say. \returns how many could be read.
+template <class Write>
+std::size_t write_scans(const Mission& mission, const std::vector<Key>& keys, const ConvertOptions& options,
+                        Write&& write) {
+  ThreadPool threads(std::max(1, options.threads));
+  std::atomic<std::size_t> written{0};
+  std::size_t done = 0;
+  std::mutex mutex;
+  threads.for_each(keys.size(), [&](std::size_t i) {
+    if (options.stop.stop_requested()) throw StoppedError("writing was stopped");
+    std::shared_ptr<const PointCloud> cloud;
+    try {
+      cloud = mission.scans->load(keys[i]);
+    } catch (const InputError&) {
+      // The store counts it among its problems.
+    }
+    if (cloud) {
+      write(keys[i], *cloud);
+      ++written;
+    }
+    const std::lock_guard<std::mutex> lock(mutex);
+    ++done;
+    if (options.progress) options.progress({"writing scans", done, keys.size(), ""});
+  });
+  return written;
+}
+
+ConvertResult write_folder(const Mission& mission, const fs::path& folder, const ConvertOptions& options) {
+  ConvertResult result;
+  const MissionWriter writer(folder, options.encoding);
+  result.scans = write_scans(mission, mission.scans->keys(), options,
+                             [&](Key key, const PointCloud& cloud) { writer.add_scan(key, cloud); });
+  writer.finish(mission);
+  return result;
+}
+
+/// The mission's keys as files without a list of robots can hold them.
+class FullKeys {
+ public:
+  FullKeys(const Mission& mission, Problems& left_out) : robots_(mission.robots) {
+    const std::vector<Key> keys = mission.graph.keys();
+    const Robots by_character = Robots::from_keys(keys);
+    std::map<std::size_t, std::size_t> character_of;
+    for (const Key key : keys) {
+      const std::size_t robot = robots_.of(key), character = by_character.of(key);
+      const auto [known, is_new] = character_of.emplace(robot, character);
+      if (!is_new && known->second != character) renamed_ = true;
+    }
+    std::set<std::size_t> used;
+    for (const auto& [robot, character] : character_of) renamed_ = renamed_ || !used.insert(character).second;
+    if (renamed_ && robots_.size() > kLetters) {
+      throw InputError(std::to_string(robots_.size()) + " robots, at most " + std::to_string(kLetters) +
+                       " can be told apart by a letter");
+    }
+    for (std::size_t r = 0; r < robots_.size(); ++r) {
+      const auto character = character_of.find(r);
+      if (character == character_of.end()) continue;
+      const std::string name = renamed_ ? std::string(1, letter(r)) : by_character[character->second].name;
+      if (robots_[r].name != name) left_out.add("robot name left out", robots_[r].name + " becomes " + name);
+    }
+    if (renamed_) {
+      left_out.add("key renamed", std::to_string(keys.front()) + " becomes " + key_name(of(keys.front())),
+                   keys.size());
+    }
+  }
+
+  [[nodiscard]] Key of(Key key) const {
+    if (!renamed_) return key;
+    const std::size_t robot = robots_.of(key);
+    return make_key(letter(robot), key - robots_[robot].first);
+  }
+
+ private:
+  static char letter(std::size_t robot) { return static_cast<char>('a' + robot); }
+
+  Robots robots_;
+  bool renamed_ = false;
+};
+
+void count_description(const Mission& mission, Problems& left_out) {
+  if (mission.frame != "map") left_out.add("name of the frame left out", mission.frame);
+  if (mission.provenance_json != "{}")
+    left_out.add("provenance left out", mission.provenance_json.substr(0, 80));
+  for (const CommunicationGap& gap : mission.gaps) {
+    left_out.add("communication gap left out", mission.robots[gap.robot].name);
+  }
+  left_out.add("radio reading left out",
+               mission.radio.empty() ? "" : "node " + key_name(mission.radio[0].key), mission.radio.size());
+  left_out.add("beacon left out", mission.beacons.empty() ? "" : mission.beacons[0].beacon,
+               mission.beacons.size());
+}
+
+ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, const ConvertOptions& options) {
+  ConvertResult result;
+  const FullKeys keys(mission, result.left_out);
+  count_description(mission, result.left_out);
+  std::int64_t first_ns = mission.start_ns;
+  for (const Node& node : mission.graph.nodes()) first_ns = std::max(first_ns, node.stamp_ns);
+  for (const Node& node : mission.graph.nodes()) first_ns = std::min(first_ns, node.stamp_ns);
+  if (mission.start_ns != first_ns) {
+    result.left_out.add("clock's start left out", std::to_string(mission.start_ns) + " ns");
+  }
+
+  make_folder(folder / kClouds);
+  std::vector<Key> with_node;
+  for (const Key key : mission.scans->keys()) {
+    if (mission.graph.contains(key)) {
+      with_node.push_back(key);
+    } else {
+      result.left_out.add("scan without node left out", key_name(key));
+    }
+  }
+  std::mutex mutex;
+  std::set<Key> written;
+  result.scans = write_scans(mission, with_node, options, [&](Key key, const PointCloud& cloud) {
+    write_pcd(folder / kClouds / (std::to_string(keys.of(key)) + ".pcd"), cloud, options.encoding);
+    const std::lock_guard<std::mutex> lock(mutex);
+    written.insert(key);
+  });
+
+  PoseGraph graph, truth;
+  std::string table;
+  for (Node node : mission.graph.nodes()) {
+    const std::string key = std::to_string(keys.of(node.key));
+    table += key + "," + (written.count(node.key) != 0 ? kClouds + ("/" + key + ".pcd") : std::string()) +
+             "," + std::to_string(node.stamp_ns) + "\n";
+    node.key = keys.of(node.key);
+    graph.add_node(node);
+  }
+  for (PriorFactor prior : mission.graph.priors()) {
+    prior.key = keys.of(prior.key);
+    graph.add_prior(prior);
+  }
+  for (Edge edge : mission.graph.edges()) {
+    edge.from = keys.of(edge.from);
+    edge.to = keys.of(edge.to);
+    graph.add_edge(edge);
+  }
+  for (const auto& [key, pose] : mission.ground_truth) {
+    Node node;
+    node.key = keys.of(key);
+    node.pose = pose;
+    truth.add_node(node);
+  }
+  write_file(folder / "keys.csv", table);
+  if (!truth.empty()) {
+    make_folder(folder / "ground_truth");
+    write_g2o(folder / "ground_truth" / kGraph, truth);
+  }
+  write_g2o(folder / kGraph, graph);
+  return result;
+}
+
+/// A robot's name as that of a file.
+std::string file_name(std::string name) {
+  for (char& c : name) {
+    const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
+    if (!plain) c = '_';
+  }
+  return name;
+}
+
+ConvertResult write_trajectories(const Mission& mission, const fs::path& folder, MissionFormat format) {
+  ConvertResult result;
+  count_description(mission, result.left_out);
+  const PoseGraph& graph = mission.graph;
+  const auto leave_out = [&](const char* kind, std::size_t count) {
+    result.left_out.add(kind, mission.name, count);
+  };
+  leave_out("edge left out", graph.edges().size());
+  leave_out("prior left out", graph.priors().size());
+  leave_out("scan left out", mission.scans->size());
+  leave_out("key left out", graph.nodes().size());
+  if (format == MissionFormat::kKitti) leave_out("stamp left out", graph.nodes().size());
+
+  // Written beside the target and renamed, so that there are all files or none.
+  const fs::path whole = fs::absolute(folder / "").lexically_normal().parent_path();
+  const fs::path made =
+      whole.parent_path() / ("." + whole.filename().string() + "." + std::to_string(::getpid()) + ".tmp");
+  Target unfinished(made);
+  make_folder(made);
+  const std::string extension = "." + enum_name(format);
+  std::set<std::string> names;
+  for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    std::map<Key, const Node*> own;
+    for (const Node& node : graph.nodes()) {
+      if (mission.robots.of(node.key) == robot) own.emplace(node.key, &node);
+    }
+    if (own.empty()) continue;
+    const std::string plain = file_name(mission.robots[robot].name);
+    std::string name = plain;
+    for (int n = 2; !names.insert(name).second; ++n) name = plain + "_" + std::to_string(n);
+    std::vector<StampedPose> poses, truth;
+    for (const auto& [key, node] : own) {
+      poses.push_back({node->stamp_ns, node->pose});
+      const auto known = mission.ground_truth.find(key);
+      if (known != mission.ground_truth.end()) truth.push_back({node->stamp_ns, known->second});
+    }
+    const auto write = [&](const fs::path& file, const std::vector<StampedPose>& stamped) {
+      if (format == MissionFormat::kTum) {
+        write_tum(file, stamped);
+        return;
+      }
+      std::vector<Eigen::Isometry3d> bare;
+      for (const StampedPose& pose : stamped) bare.push_back(pose.pose);
+      write_kitti(file, bare);
+    };
+    write(made / (name + extension), poses);
+    // Rows alone tell KITTI poses apart: with gaps they would be another's truth.
+    if (format == MissionFormat::kKitti && !truth.empty() && truth.size() != poses.size()) {
+      leave_out("incomplete ground truth left out", truth.size());
+      truth.clear();
+    }
+    if (!truth.empty()) write(made / (name + "_truth" + extension), truth);
+  }
+  make_folder(whole.parent_path());
+  std::error_code error;
+  fs::rename(made, whole, error);
+  if (error) throw IoError(folder.string(), error.message());
+  unfinished.keep();
+  return result;
+}
+
+}  // namespace
+
+ConvertResult convert_mission(const Mission& mission, const fs::path& folder, MissionFormat format,
+                              const ConvertOptions& options) {
+  for (const Node& node : mission.graph.nodes()) static_cast<void>(mission.robots.of(node.key));
+  require_empty(folder);
+  if (format == MissionFormat::kTum || format == MissionFormat::kKitti) {
+    return write_trajectories(mission, folder, format);
+  }
+  Target target(folder);
+  const ConvertResult result = format == MissionFormat::kMission ? write_folder(mission, folder, options)
+                                                                 : write_g2o_pcd(mission, folder, options);
+  target.keep();
+  return result;
+}
+
+}  // namespace loopwise

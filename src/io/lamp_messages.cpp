@@ -1,0 +1,489 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "lamp_messages.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <limits>
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/se3.hpp>
+
+#include "mission_parts.hpp"
+
+namespace loopwise::lamp {
+namespace {
+
+/// The constants of pose_graph_msgs/PoseGraphEdge.
+enum EdgeType : std::int64_t {
+  kOdom = 0,
+  kPrior = 1,
+  kImu = 2,
+  kLoopClose = 3,
+  kArtifact = 4,
+  kUwbRange = 5,
+  kUwbBetween = 6,
+};
+
+/// Where a covariance says nothing: what a closure is worth before it is computed.
+constexpr double kClosureSigmas[] = {0.1, 0.1, 0.1, 0.02, 0.02, 0.02};
+/// Odometry knows rotations, rad, at least as well as lengths, m: a sigma that is this much larger is
+/// misplaced.
+constexpr double kSwapped = 4.0;
+/// Of a covariance with unit diagonal; below, its inverse is noise.
+constexpr double kLeastEigenvalue = 1e-10;
+/// Hostnames with it are the robots' own radios.
+constexpr const char* kRobotRadio = "scom-";
+
+/// Keys of what robots saw, by LAMP's prefixes: artifacts carry the capital letter of their robot, anchors of
+/// ultra-wideband radios a 'u'.
+bool is_landmark(Key key) {
+  const char character = key_character(key);
+  return (character >= 'A' && character <= 'Z') || character == 'u';
+}
+
+std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose) {
+  const ros1::Value p = pose.at("position"), q = pose.at("orientation");
+  const Eigen::Vector3d t(p.at("x").number(), p.at("y").number(), p.at("z").number());
+  Eigen::Quaterniond r(q.at("w").number(), q.at("x").number(), q.at("y").number(), q.at("z").number());
+  const double norm = r.norm();
+  // Unset poses are all zero; a quaternion that is off by more than a tenth is no rounding.
+  if (!t.allFinite() || !(std::abs(norm - 1.0) <= 0.1)) return std::nullopt;
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  T.linear() = r.normalized().toRotationMatrix();
+  T.translation() = t;
+  return T;
+}
+
+bool same(const SeenFactor& a, const SeenFactor& b) {
+  return a.pose->matrix() == b.pose->matrix() && a.covariance == b.covariance;
+}
+
+std::string ends(Key from, Key to) {
+  return from == to ? key_name(from) : key_name(from) + " to " + key_name(to);
+}
+
+std::string first_word(const std::string& topic) {
+  const std::size_t begin = topic.find_first_not_of('/');
+  if (begin == std::string::npos) return {};
+  const std::size_t end = topic.find('/', begin);
+  return end == std::string::npos ? std::string() : topic.substr(begin, end - begin);
+}
+
+std::int64_t stamp_of(const ros1::Value& message, std::int64_t otherwise) {
+  const std::int64_t stamp = message.at("header").at("stamp").time_ns();
+  return stamp == 0 ? otherwise : stamp;
+}
+
+}  // namespace
+
+MessageKind message_kind(const std::string& type) {
+  if (type == "pose_graph_msgs/KeyedScan") return MessageKind::kKeyedScan;
+  if (type == "pose_graph_msgs/PoseGraph") return MessageKind::kPoseGraph;
+  if (type == "pose_graph_msgs/CommNodeStatus") return MessageKind::kBeacons;
+  if (type == "silvus_msgs/SilvusStreamscape") return MessageKind::kRadio;
+  if (type == "nav_msgs/Odometry") return MessageKind::kOdometry;
+  return MessageKind::kOther;
+}
+
+Gatherer::Gatherer(const MissionOptions& options, Problems& problems)
+    : options_(options), problems_(problems) {}
+
+void Gatherer::add_graph(const std::string& where, const std::string& topic, std::int64_t recorded_ns,
+                         const ros1::Value& message) {
+  message.at("nodes").for_each([&](const ros1::Value& node) {
+    const Key key = node.at("key").unsigned_integer();
+    if (!is_landmark(key)) characters_[first_word(topic)].insert(key_character(key));
+    add_node(where, node, recorded_ns);
+  });
+  message.at("edges").for_each([&](const ros1::Value& edge) { add_factor(where, edge); });
+}
+
+void Gatherer::add_node(const std::string& where, const ros1::Value& node, std::int64_t recorded_ns) {
+  const Key key = node.at("key").unsigned_integer();
+  SeenNode& seen = (is_landmark(key) ? graph_.landmarks : graph_.nodes)[key];
+  if (seen.pose && seen.has_stamp) return;
+  if (seen.where.empty()) {
+    seen.where = where;
+    seen.stamp_ns = recorded_ns;
+  }
+  if (!seen.has_stamp) {
+    const std::int64_t stamp = node.at("header").at("stamp").time_ns();
+    seen.has_stamp = stamp != 0;
+    if (seen.has_stamp) seen.stamp_ns = stamp;
+  }
+  if (!seen.pose) seen.pose = pose_of(node.at("pose"));
+}
+
+std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool translation_first,
+                                              bool check_order) {
+  if (std::all_of(seen.covariance.begin(), seen.covariance.end(), [](double v) { return v == 0.0; })) {
+    return std::nullopt;
+  }
+  Matrix6d covariance;
+  for (int i = 0; i < 6; ++i) {
+    for (int j = 0; j < 6; ++j) {
+      const int row = translation_first ? i : (i + 3) % 6, column = translation_first ? j : (j + 3) % 6;
+      covariance(row, column) = seen.covariance[static_cast<std::size_t>(6 * i + j)];
+    }
+  }
+  covariance = 0.5 * (covariance + covariance.transpose()).eval();
+  const Vector6d variances = covariance.diagonal();
+  if (!covariance.allFinite() || !(variances.minCoeff() > 0.0)) {
+    problems_.add("unusable covariance", seen.where);
+    return std::nullopt;
+  }
+  if (check_order && variances.tail<3>().sum() > kSwapped * kSwapped * variances.head<3>().sum()) {
+    problems_.add("odometry covariance looks swapped",
+                  seen.where + ": sigmas of " + std::to_string(std::sqrt(variances.tail<3>().mean())) +
+                      " rad and " + std::to_string(std::sqrt(variances.head<3>().mean())) +
+                      " m; mission.odometry_covariance_order may be " +
+                      enum_name(translation_first ? CovarianceOrder::kRotationFirst
+                                                  : CovarianceOrder::kTranslationFirst));
+  }
+  if (covariance == Matrix6d(variances.asDiagonal())) return Matrix6d(variances.cwiseInverse().asDiagonal());
+  // Inverted with a unit diagonal, so that metres and radians of very different size count alike.
+  const Vector6d scale = variances.cwiseSqrt().cwiseInverse();
+  const Matrix6d scaled = scale.asDiagonal() * covariance * scale.asDiagonal();
+  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(scaled, Eigen::EigenvaluesOnly);
+  const Eigen::LLT<Matrix6d> factor(scaled);
+  if (factor.info() != Eigen::Success || !(eigen.eigenvalues().minCoeff() > kLeastEigenvalue)) {
+    problems_.add("unusable covariance", seen.where);
+    return std::nullopt;
+  }
+  const Matrix6d inverse = scale.asDiagonal() * factor.solve(Matrix6d::Identity()) * scale.asDiagonal();
+  return Matrix6d(0.5 * (inverse + inverse.transpose()));
+}
+
+void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
+  SeenFactor seen;
+  seen.from = edge.at("key_from").unsigned_integer();
+  seen.to = edge.at("key_to").unsigned_integer();
+  seen.where = where + ": " + ends(seen.from, seen.to);
+  const std::int64_t type = edge.at("type").integer();
+
+  if (type == kImu) {
+    const ros1::Value p = edge.at("pose").at("position");
+    const SeenGravity gravity{seen.from,
+                              {p.at("x").number(), p.at("y").number(), p.at("z").number()},
+                              edge.at("covariance").numbers().at(0)};
+    if (known_.emplace(std::make_tuple(type, seen.from, seen.to), graph_.gravities.size()).second) {
+      graph_.gravities.push_back(gravity);
+    }
+    return;
+  }
+  if (type == kUwbRange) {
+    const SeenRange range{seen.from, seen.to, edge.at("range").number(), edge.at("range_error").number()};
+    if (known_.emplace(std::make_tuple(type, seen.from, seen.to), graph_.ranges.size()).second) {
+      graph_.ranges.push_back(range);
+    }
+    return;
+  }
+
+  std::vector<SeenFactor>* list = nullptr;
+  bool translation_first = false;
+  if (type == kOdom) {
+    list = &graph_.odometry;
+    translation_first = options_.odometry_covariance_order == CovarianceOrder::kTranslationFirst;
+  } else if (type == kPrior) {
+    list = &graph_.priors;
+  } else if (type == kLoopClose) {
+    list = &graph_.closures;
+  } else if (type == kArtifact || type == kUwbBetween) {
+    list = &graph_.sightings;
+  } else {
+    problems_.add("edge of unknown type left out", seen.where + ", type " + std::to_string(type));
+    return;
+  }
+  const auto [known, is_new] = known_.emplace(std::make_tuple(type, seen.from, seen.to), list->size());
+  seen.pose = pose_of(edge.at("pose"));
+  const std::vector<double> numbers = edge.at("covariance").numbers();
+  if (numbers.size() != seen.covariance.size()) {
+    throw InputError("a covariance of " + std::to_string(numbers.size()) + " numbers");
+  }
+  std::copy(numbers.begin(), numbers.end(), seen.covariance.begin());
+  SeenFactor* const first = is_new ? nullptr : &(*list)[known->second];
+  // What the optimiser sends round has no poses; a graph that is sent again is the same each time.
+  if (first != nullptr && !seen.pose) return;
+  if (first != nullptr && first->pose) {
+    if (!same(*first, seen)) problems_.add("repeated edge with other numbers", seen.where);
+    return;
+  }
+  if (seen.pose) seen.information = information(seen, translation_first, type == kOdom);
+  if (first != nullptr) {
+    *first = std::move(seen);
+  } else {
+    list->push_back(std::move(seen));
+  }
+}
+
+void Gatherer::add_beacons(const ros1::Value& message, std::int64_t recorded_ns) {
+  const std::int64_t stamp = stamp_of(message, recorded_ns);
+  message.at("dropped").for_each([&](const ros1::Value& beacon) {
+    const std::string name(beacon.at("hostname").text());
+    if (name.empty() || name.find(kRobotRadio) != std::string::npos) return;
+    drops_.emplace(name, Drop{name, beacon.at("pose_graph_key").unsigned_integer(), stamp});
+  });
+}
+
+void Gatherer::add_radio(const ros1::Value& message, std::int64_t recorded_ns) {
+  const std::int64_t stamp = stamp_of(message, recorded_ns);
+  message.at("nodes").for_each([&](const ros1::Value& node) {
+    Reading reading;
+    reading.stamp_ns = stamp;
+    reading.robot = std::string(node.at("robot_name").text());
+    if (reading.robot.empty()) {
+      const std::string label(node.at("node_label").text());
+      if (label.rfind(kRobotRadio, 0) == 0) reading.robot = label.substr(std::string(kRobotRadio).size());
+    }
+    if (reading.robot.empty()) return;  // a beacon, which hears robots but is none
+    node.at("neighbors").for_each([&](const ros1::Value& neighbor) {
+      reading.beacon = std::string(neighbor.at("neighbor_node_label").text());
+      if (reading.beacon.empty() || reading.beacon.find(kRobotRadio) != std::string::npos) return;
+      reading.transmit_dbm = neighbor.at("my_txpw_actual_dBm").number();
+      reading.receive_dbm = neighbor.at("received_signal_power_dBm").numbers();
+      readings_.push_back(reading);
+    });
+  });
+}
+
+void Gatherer::add_truth(const std::vector<std::string>& source, const ros1::Value& message,
+                         std::int64_t recorded_ns) {
+  auto truth =
+      std::find_if(truths_.begin(), truths_.end(), [&](const Truth& t) { return t.source == source; });
+  if (truth == truths_.end()) truth = truths_.insert(truths_.end(), Truth{source, {}});
+  if (const auto pose = pose_of(message.at("pose").at("pose"))) {
+    truth->poses.emplace_back(stamp_of(message, recorded_ns), *pose);
+  } else {
+    problems_.add("true pose unusable", source.front());
+  }
+}
+
+void Gatherer::use_stamps(const parts::Stamps& stamps) {
+  for (auto& [key, seen] : graph_.nodes) {
+    const auto stamp = stamps.find(key);
+    if (seen.has_stamp || stamp == stamps.end()) continue;
+    seen.stamp_ns = stamp->second;
+    seen.has_stamp = true;
+  }
+}
+
+/// Topics begin with the robot's name. The base station's tell of all robots, and of one that is alone a
+/// robot's own topic knows better.
+std::map<char, std::string> Gatherer::robot_names() const {
+  std::map<char, std::vector<std::string>> candidates;
+  for (const auto& [name, characters] : characters_) {
+    if (!name.empty() && characters.size() == 1) candidates[*characters.begin()].push_back(name);
+  }
+  std::map<char, std::string> names;
+  for (auto& [character, words] : candidates) {
+    if (words.size() > 1) {
+      words.erase(std::remove_if(words.begin(), words.end(),
+                                 [](const std::string& word) { return word.rfind("base", 0) == 0; }),
+                  words.end());
+    }
+    if (words.size() == 1) names[character] = words.front();
+  }
+  return names;
+}
+
+std::optional<std::size_t> Gatherer::robot_named(const Robots& robots, const std::string& text) const {
+  const auto names = robot_names();
+  for (std::size_t r = 0; r < robots.size(); ++r) {
+    const auto name = names.find(key_character(robots[r].first));
+    if (robots[r].name == text || (name != names.end() && name->second == text)) return r;
+  }
+  return std::nullopt;
+}
+
+void Gatherer::finish(Mission& mission, const std::string& name) const {
+  PoseGraph graph;
+  for (const auto& [key, seen] : graph_.nodes) {
+    if (!seen.pose) {
+      problems_.add("node without usable pose", seen.where + ": " + key_name(key));
+      continue;
+    }
+    if (!seen.has_stamp) problems_.add("node without stamp", seen.where + ": " + key_name(key));
+    Node node;
+    node.key = key;
+    node.pose = *seen.pose;
+    graph.add_node(node);
+  }
+  if (graph.empty()) throw InputError(name + ": no pose graph with a node in it");
+
+  Robots robots = Robots::from_keys(graph.keys());
+  const auto names = robot_names();
+  std::vector<Robot> named = robots.all();
+  for (Robot& robot : named) {
+    const auto own = names.find(key_character(robot.first));
+    const bool taken = own != names.end() && std::any_of(named.begin(), named.end(), [&](const Robot& other) {
+                         return other.name == own->second;
+                       });
+    if (own != names.end() && !taken) robot.name = own->second;
+  }
+  mission.robots = parts::robots_of(graph, options_, Robots(std::move(named)));
+  mission.graph = std::move(graph);
+  add_factors(mission, name);
+  parts::check_stamps(mission);
+  add_radio_to(mission);
+  add_truth_to(mission);
+}
+
+void Gatherer::add_factors(Mission& mission, const std::string& name) const {
+  PoseGraph& graph = mission.graph;
+  const auto in_graph = [&](const SeenFactor& seen) {
+    if (!graph.contains(seen.from) || !graph.contains(seen.to)) {
+      problems_.add("edge without node", seen.where);
+    } else if (!seen.pose) {
+      problems_.add("edge without pose", seen.where);
+    } else {
+      return true;
+    }
+    return false;
+  };
+  const auto add_edges = [&](const std::vector<SeenFactor>& list, auto&& otherwise) {
+    for (const SeenFactor& seen : list) {
+      if (!in_graph(seen)) continue;
+      Edge edge;
+      edge.from = seen.from;
+      edge.to = seen.to;
+      edge.T_from_to = *seen.pose;
+      if (!seen.information) problems_.add("covariance absent", seen.where);
+      edge.information = seen.information ? *seen.information : otherwise(*seen.pose);
+      try {
+        graph.add_edge(edge);
+      } catch (const InputError& error) {
+        problems_.add("unusable edge", seen.where + ": " + error.what());
+      }
+    }
+  };
+  for (const SeenFactor& seen : graph_.odometry) {
+    if (graph.contains(seen.from) && graph.contains(seen.to) &&
+        !mission.robots.consecutive(seen.from, seen.to)) {
+      problems_.add("odometry not between consecutive nodes", seen.where);
+    }
+  }
+  add_edges(graph_.odometry, [&](const Eigen::Isometry3d& T) { return odometry_information(T, options_); });
+  add_edges(graph_.closures,
+            [](const Eigen::Isometry3d&) { return parts::information_of_sigmas(kClosureSigmas); });
+
+  std::vector<PriorFactor> priors;
+  for (const SeenFactor& seen : graph_.priors) {
+    if (!in_graph(seen)) continue;
+    if (!seen.information) problems_.add("covariance absent", seen.where);
+    priors.push_back(
+        {seen.from, *seen.pose,
+         seen.information ? *seen.information : parts::information_of_sigmas(options_.prior_sigmas.data())});
+  }
+  parts::complete_priors(graph, mission.robots, options_, name, priors, problems_);
+
+  // The graph has no place for these yet. graph_ holds all that is needed to add them here.
+  for (const auto& [key, seen] : graph_.landmarks)
+    problems_.add("landmark left out", seen.where + ": " + key_name(key));
+  for (const SeenFactor& seen : graph_.sightings) problems_.add("sighting left out", seen.where);
+  for (const SeenRange& range : graph_.ranges) {
+    problems_.add("range factor left out", name + ": " + ends(range.from, range.to));
+  }
+  for (const SeenGravity& gravity : graph_.gravities) {
+    problems_.add("gravity factor left out", name + ": " + key_name(gravity.key));
+  }
+
+  parts::Stamps stamps;
+  for (const Node& node : graph.nodes()) stamps[node.key] = graph_.nodes.at(node.key).stamp_ns;
+  graph = parts::assemble(graph, stamps, priors, mission.robots);
+}
+
+void Gatherer::add_radio_to(Mission& mission) const {
+  for (const auto& [beacon, drop] : drops_) {
+    if (!mission.graph.contains(drop.key)) {
+      problems_.add("beacon drop without node", beacon + " at " + key_name(drop.key));
+      continue;
+    }
+    mission.beacons.push_back({beacon, mission.robots.of(drop.key), drop.key, drop.stamp_ns});
+  }
+
+  std::vector<std::vector<std::pair<std::int64_t, Key>>> paths(mission.robots.size());
+  for (const Node& node : mission.graph.nodes()) {
+    paths[mission.robots.of(node.key)].emplace_back(node.stamp_ns, node.key);
+  }
+  for (auto& path : paths) std::sort(path.begin(), path.end());
+  // A robot passes a node once: of several readings there, the one nearest in time counts.
+  struct Nearest {
+    std::int64_t distance_ns;
+    const Reading* reading;
+  };
+  std::map<std::pair<Key, std::string>, Nearest> chosen;
+  for (const Reading& reading : readings_) {
+    if (!drops_.empty() && drops_.count(reading.beacon) == 0) {
+      problems_.add("radio reading of no dropped beacon", reading.beacon);
+      continue;
+    }
+    const auto robot = robot_named(mission.robots, reading.robot);
+    if (!robot || paths[*robot].empty()) {
+      problems_.add("radio reading of an unknown robot", reading.robot);
+      continue;
+    }
+    const auto& path = paths[*robot];
+    auto node = std::lower_bound(path.begin(), path.end(), std::make_pair(reading.stamp_ns, Key{0}));
+    const auto distance = [&](auto at) { return std::abs(at->first - reading.stamp_ns); };
+    if (node == path.end() || (node != path.begin() && distance(std::prev(node)) <= distance(node))) --node;
+    const auto [nearest, is_new] =
+        chosen.emplace(std::make_pair(node->second, reading.beacon), Nearest{distance(node), &reading});
+    if (is_new) continue;
+    problems_.add("radio reading further from its node", key_name(node->second) + ", " + reading.beacon);
+    if (distance(node) < nearest->second.distance_ns) nearest->second = {distance(node), &reading};
+  }
+  for (const auto& [which, nearest] : chosen) {
+    for (std::size_t i = 0; i < nearest.reading->receive_dbm.size(); ++i) {
+      mission.radio.push_back({which.first, which.second, nearest.reading->transmit_dbm, std::to_string(i),
+                               nearest.reading->receive_dbm[i]});
+    }
+  }
+}
+
+void Gatherer::add_truth_to(Mission& mission) const {
+  if (truths_.empty()) return;
+  const double tolerance_s = std::min(options_.truth_max_time_difference_s, 1e9);
+  const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
+  const auto names = robot_names();
+  std::map<Key, Eigen::Isometry3d> poses;
+  for (const Truth& truth : truths_) {
+    std::optional<std::size_t> robot;
+    for (const std::string& source : truth.source) {
+      if (robot) break;
+      robot = robot_named(mission.robots, first_word(source));
+      for (std::size_t r = 0; r < mission.robots.size() && !robot; ++r) {
+        // "husky3_odom.bag"
+        const std::string& name = mission.robots[r].name;
+        const bool begins =
+            name.size() > 1 && source.rfind(name, 0) == 0 &&
+            (source.size() == name.size() || !std::isalnum(static_cast<unsigned char>(source[name.size()])));
+        if (begins) robot = r;
+      }
+    }
+    // Without any name, one truth is that of the only robot.
+    const bool nameless = names.empty() || first_word(truth.source.front()).empty();
+    if (!robot && nameless && mission.robots.size() == 1 && truths_.size() == 1) robot = 0;
+    if (!robot) {
+      problems_.add("ground truth of an unknown robot", truth.source.front());
+      continue;
+    }
+    auto sorted = truth.poses;
+    std::stable_sort(sorted.begin(), sorted.end(),
+                     [](const auto& a, const auto& b) { return a.first < b.first; });
+    for (const Node& node : mission.graph.nodes()) {
+      if (sorted.empty() || mission.robots.of(node.key) != *robot) continue;
+      auto at = std::lower_bound(sorted.begin(), sorted.end(), node.stamp_ns,
+                                 [](const auto& pose, std::int64_t stamp) { return pose.first < stamp; });
+      const auto distance = [&](auto pose) { return std::abs(pose->first - node.stamp_ns); };
+      if (at == sorted.end() || (at != sorted.begin() && distance(std::prev(at)) <= distance(at))) --at;
+      if (distance(at) <= tolerance_ns) poses.emplace(node.key, at->second);
+    }
+  }
+  parts::set_ground_truth(mission, std::move(poses));
+}
+
+}  // namespace loopwise::lamp

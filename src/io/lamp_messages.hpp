@@ -1,0 +1,136 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What the messages of LAMP and the data sets recorded with it say of a mission. Private to io.
+#pragma once
+
+#include <array>
+#include <cstdint>
+#include <map>
+#include <optional>
+#include <set>
+#include <string>
+#include <tuple>
+#include <vector>
+
+#include "mission_parts.hpp"
+#include "ros_message.hpp"
+
+namespace loopwise::lamp {
+
+enum class MessageKind {
+  kOther,
+  kKeyedScan,  ///< pose_graph_msgs/KeyedScan
+  kPoseGraph,  ///< pose_graph_msgs/PoseGraph
+  kBeacons,    ///< pose_graph_msgs/CommNodeStatus
+  kRadio,      ///< silvus_msgs/SilvusStreamscape
+  kOdometry,   ///< nav_msgs/Odometry
+};
+[[nodiscard]] MessageKind message_kind(const std::string& type);
+
+/// A node as the first message that has a usable pose shows it.
+struct SeenNode {
+  std::optional<Eigen::Isometry3d> pose;
+  std::int64_t stamp_ns = 0;  ///< Of the node; of the record where no message gave one.
+  bool has_stamp = false;
+  std::string where;
+};
+
+/// Any factor between two nodes or of one (from = to).
+struct SeenFactor {
+  Key from = 0;
+  Key to = 0;
+  std::optional<Eigen::Isometry3d> pose;  ///< T_from_to, or of a prior the pose itself. Nothing if unset.
+  std::array<double, 36> covariance{};    ///< As the message has it.
+  std::optional<Matrix6d> information;    ///< Nothing if that is all zero, or cannot be inverted.
+  std::string where;
+};
+
+struct SeenRange {
+  Key from = 0;
+  Key to = 0;
+  double range_m = 0.0;
+  double sigma_m = 0.0;
+};
+
+struct SeenGravity {
+  Key key = 0;
+  Eigen::Vector3d direction = Eigen::Vector3d::Zero();  ///< Body frame.
+  double sigma_rad = 0.0;
+};
+
+/// All graphs of a recording as one, in the order of arrival.
+struct SeenGraph {
+  std::map<Key, SeenNode> nodes;      ///< Key frames of robots.
+  std::map<Key, SeenNode> landmarks;  ///< Artifacts and radio anchors.
+  std::vector<SeenFactor> priors;
+  std::vector<SeenFactor> odometry;
+  std::vector<SeenFactor> closures;
+  std::vector<SeenFactor> sightings;  ///< From a key frame to a landmark.
+  std::vector<SeenRange> ranges;
+  std::vector<SeenGravity> gravities;
+};
+
+/// Gathers messages in any order: a scan may come before its node, and whatever comes again is taken once.
+class Gatherer {
+ public:
+  Gatherer(const MissionOptions& options, Problems& problems);
+
+  /// `where` stands for the topic and its bag in problems. \throws InputError if the message lacks a field.
+  void add_graph(const std::string& where, const std::string& topic, std::int64_t recorded_ns,
+                 const ros1::Value& message);
+  void add_beacons(const ros1::Value& message, std::int64_t recorded_ns);
+  void add_radio(const ros1::Value& message, std::int64_t recorded_ns);
+  /// A true pose; `source` is the topic, else the name of the bag, whose beginning names the robot.
+  void add_truth(const std::vector<std::string>& source, const ros1::Value& message,
+                 std::int64_t recorded_ns);
+
+  /// Stamps for nodes whose messages had none.
+  void use_stamps(const parts::Stamps& stamps);
+
+  [[nodiscard]] const SeenGraph& graph() const { return graph_; }
+
+  /// Fills robots, graph, radio, beacons and ground truth of the mission. \throws InputError if there is no
+  /// node
+  void finish(Mission& mission, const std::string& name) const;
+  /// Gives the true poses to the nodes of a mission from elsewhere.
+  void add_truth_to(Mission& mission) const;
+
+ private:
+  struct Drop {
+    std::string beacon;
+    Key key = 0;
+    std::int64_t stamp_ns = 0;
+  };
+  struct Reading {
+    std::int64_t stamp_ns = 0;
+    std::string robot;
+    std::string beacon;
+    double transmit_dbm = 0.0;
+    std::vector<double> receive_dbm;
+  };
+  struct Truth {
+    std::vector<std::string> source;
+    std::vector<std::pair<std::int64_t, Eigen::Isometry3d>> poses;
+  };
+
+  void add_node(const std::string& where, const ros1::Value& node, std::int64_t recorded_ns);
+  void add_factor(const std::string& where, const ros1::Value& edge);
+  [[nodiscard]] std::optional<Matrix6d> information(const SeenFactor& seen, bool translation_first,
+                                                    bool check_order);
+  [[nodiscard]] std::map<char, std::string> robot_names() const;
+  void add_factors(Mission& mission, const std::string& name) const;
+  void add_radio_to(Mission& mission) const;
+  [[nodiscard]] std::optional<std::size_t> robot_named(const Robots& robots, const std::string& text) const;
+
+  const MissionOptions& options_;
+  Problems& problems_;
+  SeenGraph graph_;
+  /// Type, from, to -> number in its list of graph_.
+  std::map<std::tuple<std::int64_t, Key, Key>, std::size_t> known_;
+  std::map<std::string, std::set<char>> characters_;  ///< First word of a topic -> whose nodes it had.
+  std::map<std::string, Drop> drops_;
+  std::vector<Reading> readings_;
+  std::vector<Truth> truths_;
+};
+
+}  // namespace loopwise::lamp

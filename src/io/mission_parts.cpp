@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "mission_parts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <set>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
+
+namespace loopwise::parts {
+namespace {
+
+namespace fs = std::filesystem;
+
+const std::set<std::string> kTruthFolders = {"ground_truth", "gt", "groundtruth"};
+const std::set<std::string> kTruthFiles = {"ground_truth.g2o", "gt.g2o", "groundtruth.g2o"};
+
+/// The robot's keys in order.
+std::vector<std::vector<Key>> keys_by_robot(const PoseGraph& graph, const Robots& robots) {
+  std::vector<std::vector<Key>> keys(robots.size());
+  for (const Node& node : graph.nodes()) keys[robots.of(node.key)].push_back(node.key);
+  for (auto& own : keys) std::sort(own.begin(), own.end());
+  return keys;
+}
+
+}  // namespace
+
+void complete_priors(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
+                     const std::string& name, std::vector<PriorFactor>& priors, Problems& problems) {
+  std::set<std::size_t> tied;
+  for (const PriorFactor& prior : priors) tied.insert(robots.of(prior.key));
+  for (const Key key : first_nodes(graph, robots)) {
+    if (tied.count(robots.of(key)) != 0) continue;
+    priors.push_back(default_prior(graph, key, options));
+    problems.add("no prior given", name + ": node " + std::to_string(key) + " gets one");
+  }
+}
+
+void complete_stamps(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
+                     const std::string& name, Stamps& stamps, Problems& problems) {
+  const double interval_ns = std::min(options.node_interval_s, 1e9) * 1e9;
+  for (const std::vector<Key>& keys : keys_by_robot(graph, robots)) {
+    std::vector<std::size_t> known;
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+      if (stamps.count(keys[i]) != 0) known.push_back(i);
+    }
+    const auto at = [&](std::size_t i) { return static_cast<double>(stamps.at(keys[i])); };
+    std::size_t next = 0;  // in known: the first after i
+    std::vector<std::pair<Key, double>> made;
+    for (std::size_t i = 0; i < keys.size(); ++i) {
+      if (next < known.size() && known[next] == i) {
+        ++next;
+        continue;
+      }
+      problems.add("node without stamp", name + ": " + key_name(keys[i]));
+      double stamp = static_cast<double>(i) * interval_ns;
+      if (next > 0 && next < known.size()) {
+        const std::size_t a = known[next - 1], b = known[next];
+        stamp = at(a) + (at(b) - at(a)) * static_cast<double>(i - a) / static_cast<double>(b - a);
+      } else if (next > 0) {
+        stamp = at(known[next - 1]) + static_cast<double>(i - known[next - 1]) * interval_ns;
+      } else if (!known.empty()) {
+        stamp = at(known.front()) - static_cast<double>(known.front() - i) * interval_ns;
+      }
+      made.emplace_back(keys[i], stamp);
+    }
+    for (const auto& [key, stamp] : made) stamps[key] = static_cast<std::int64_t>(std::llround(stamp));
+  }
+}
+
+std::string name_of(const fs::path& path) {
+  const fs::path whole = fs::absolute(path).lexically_normal();
+  const fs::path last = whole.has_filename() ? whole : whole.parent_path();
+  return (fs::is_directory(path) ? last.filename() : last.stem()).string();
+}
+
+std::string recording_name(const fs::path& path) {
+  const std::string name = name_of(path);
+  const bool says_form = name == "g2o_pcd" || name == "rosbag" || name == "bags" || name == "pose_graph";
+  return says_form && fs::is_directory(path)
+             ? name_of(fs::absolute(path / "").lexically_normal().parent_path() / "..")
+             : name;
+}
+
+std::string provenance_of(MissionKind kind, const std::vector<std::string>& sources) {
+  Json json;
+  json["read_from"] = {{"kind", enum_name(kind)}, {"sources", sources}};
+  return json.dump();
+}
+
+std::vector<fs::path> entries(const fs::path& folder) {
+  std::vector<fs::path> out;
+  std::error_code error;
+  for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
+    if (entry->path().filename().string().front() != '.') out.push_back(entry->path());
+  }
+  if (error) throw IoError(folder.string(), error.message());
+  std::sort(out.begin(), out.end());  // the order of a folder is not defined
+  return out;
+}
+
+bool begins_with(const fs::path& file, std::string_view bytes) {
+  std::ifstream in(file, std::ios::binary);
+  if (!in) throw IoError(file.string(), "cannot be opened");
+  std::string start(bytes.size(), '\0');
+  in.read(start.data(), static_cast<std::streamsize>(start.size()));
+  return static_cast<std::size_t>(in.gcount()) == bytes.size() && start == bytes;
+}
+
+bool is_truth(const fs::path& path) {
+  const std::string name = path.filename().string();
+  return kTruthFolders.count(name) != 0 || kTruthFiles.count(name) != 0;
+}
+
+TruthFiles find_truth(const fs::path& folder) {
+  TruthFiles truth;
+  const fs::path parent = fs::absolute(folder / "").lexically_normal().parent_path().parent_path();
+  for (const std::string& name : kTruthFiles) {
+    if (fs::is_regular_file(folder / name)) {
+      truth.g2o = folder / name;
+      return truth;
+    }
+  }
+  for (const fs::path& place : {folder, parent}) {
+    for (const std::string& name : kTruthFolders) {
+      const fs::path own = place / name;
+      if (!fs::is_directory(own)) continue;
+      std::vector<fs::path> graphs;
+      for (const fs::path& file : entries(own)) {
+        if (!fs::is_regular_file(file)) continue;
+        if (file.extension() == ".g2o") graphs.push_back(file);
+        if (file.extension() == ".bag") truth.bags.push_back(file);
+      }
+      if (fs::is_regular_file(own / "result.g2o")) {
+        truth.g2o = own / "result.g2o";
+      } else if (graphs.size() == 1) {
+        truth.g2o = graphs.front();
+      } else if (graphs.size() > 1) {
+        throw InputError(own.string() + ": " + std::to_string(graphs.size()) +
+                         " g2o files: the one to be taken must be named result.g2o");
+      }
+      if (!truth.g2o.empty()) truth.bags.clear();
+      if (!truth.g2o.empty() || !truth.bags.empty()) return truth;
+    }
+  }
+  return truth;
+}
+
+std::map<Key, Eigen::Isometry3d> read_truth(const fs::path& g2o, Problems& problems) {
+  const G2oFile file = read_g2o(g2o);
+  problems.add(file.problems);
+  std::map<Key, Eigen::Isometry3d> truth;
+  for (const Node& node : file.graph.nodes()) truth.emplace(node.key, node.pose);
+  return truth;
+}
+
+void set_scans(Mission& mission, const std::vector<Key>& keys, ScanStore::CloudSource source,
+               const std::function<std::string(Key)>& where, const MissionOptions& options) {
+  count_scans(mission, keys, where);
+  mission.scans = std::make_shared<ScanStore>(keys, std::move(source), scan_bytes(options));
+}
+
+}  // namespace loopwise::parts

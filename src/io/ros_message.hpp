@@ -1,0 +1,121 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// ROS 1 messages by the text that defines them: a bag carries it with every topic, so no field is ever taken
+/// from an assumed place. Private to io.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace loopwise::ros1 {
+
+enum class Primitive {
+  kBool,
+  kInt8,
+  kUint8,
+  kInt16,
+  kUint16,
+  kInt32,
+  kUint32,
+  kInt64,
+  kUint64,
+  kFloat32,
+  kFloat64,
+  kString,
+  kTime,
+  kDuration,
+  kMessage,  ///< Not one: made of fields.
+};
+
+/// All types that a message is made of.
+class Schema {
+ public:
+  /// Reads a message definition: fields and constants (which are passed over), then the same of each type
+  /// that is used, after a line of '=' and "MSG: package/Type". \throws InputError naming the type and the
+  /// line of a text that is none, of a type that is missing, or of one that holds itself
+  Schema(const std::string& type, const std::string& definition);
+
+  [[nodiscard]] const std::string& type() const { return types_.front().name; }
+
+ private:
+  friend class Value;
+  struct Field {
+    std::string name;
+    std::size_t type = 0;  // in types_
+    bool array = false;
+    std::optional<std::uint64_t> count;  // of an array of fixed length
+    std::string type_name;               // until it is resolved
+    std::size_t line = 0;
+  };
+  struct Type {
+    std::string name;
+    Primitive primitive = Primitive::kMessage;
+    std::vector<Field> fields;
+    std::optional<std::uint64_t> size;  // bytes, if they are always as many
+    std::uint64_t least = 0;            // bytes
+    enum class Measured { kNo, kNow, kYes } measured = Measured::kNo;
+  };
+
+  [[nodiscard]] std::size_t find(const std::string& name, const Type& used_in, std::size_t line) const;
+  void measure(std::size_t type);
+  [[noreturn]] void fail(const std::string& why, std::size_t line = 0) const;
+
+  std::vector<Type> types_;  // the message's own first
+};
+
+/// A message, a field of one, or an array: a place in the message's bytes. It refers to the schema and the
+/// bytes, which must outlive it. Every step is held against the end of the bytes.
+class Value {
+ public:
+  /// The whole message. \throws InputError if the bytes are not exactly one message of the type.
+  Value(const Schema& schema, std::string_view bytes);
+
+  [[nodiscard]] bool has(std::string_view field) const;
+  /// A field of a message. \throws InputError if it has none of the name.
+  [[nodiscard]] Value at(std::string_view field) const;
+
+  /// \throws InputError unless it is a number (or bool)
+  [[nodiscard]] double number() const;
+  /// \throws InputError unless it is a whole number (or bool)
+  [[nodiscard]] std::int64_t integer() const;
+  [[nodiscard]] std::uint64_t unsigned_integer() const;
+  /// \throws InputError unless it is a string
+  [[nodiscard]] std::string_view text() const;
+  /// \throws InputError unless it is a time
+  [[nodiscard]] std::int64_t time_ns() const;
+
+  /// Elements of an array. \throws InputError unless it is one, here and below
+  [[nodiscard]] std::size_t size() const;
+  template <class Call>
+  void for_each(Call&& call) const {
+    Value element = first();
+    for (std::size_t i = 0, n = size(); i < n; ++i) {
+      call(element);
+      if (i + 1 < n) element.bytes_.remove_prefix(element.length());
+    }
+  }
+  /// The bytes of an array whose elements have a fixed size.
+  [[nodiscard]] std::string_view raw() const;
+  [[nodiscard]] std::vector<double> numbers() const;
+
+ private:
+  Value(const Schema& schema, std::size_t type, std::string_view bytes)
+      : schema_(&schema), type_(type), bytes_(bytes) {}
+  [[nodiscard]] const Schema::Type& type() const { return schema_->types_[type_]; }
+  [[nodiscard]] Value first() const;
+  [[nodiscard]] std::size_t length() const;
+  [[nodiscard]] std::size_t length_of(std::size_t type, std::string_view bytes) const;
+  [[nodiscard]] std::size_t length_of(const Schema::Field& field, std::string_view bytes) const;
+  [[noreturn]] void fail(const std::string& why) const;
+
+  const Schema* schema_;
+  std::size_t type_ = 0;
+  const Schema::Field* array_ = nullptr;  // the field, if it is an array
+  std::string_view bytes_;                // from its first byte to the message's last
+};
+
+}  // namespace loopwise::ros1

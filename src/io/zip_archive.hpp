@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Zip archives, read in place: the names inside are names and never become paths. zip_absent.cpp stands in
+/// for zip_archive.cpp in a build without. Private to io.
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace loopwise {
+
+class ZipArchive {
+ public:
+  /// Whether this build reads archives.
+  [[nodiscard]] static bool available();
+
+  /// \throws IoError; InputError if it is no archive, is damaged, or this build reads none.
+  explicit ZipArchive(const std::filesystem::path& file);
+
+  /// Of the files, as they stand in the archive, in its order. Folders are left out.
+  [[nodiscard]] const std::vector<std::string>& names() const;
+
+  /// The contents of the n-th file, held against its checksum. Memory grows with what comes out, not with
+  /// what the archive claims. Safe to call from several threads, which wait for one another; copies share the
+  /// archive. \throws InputError naming archive and file if it is damaged, encrypted or larger than 1 GiB
+  [[nodiscard]] std::string read(std::size_t number) const;
+
+  /// The same, handed out piece by piece and without bound.
+  void read(std::size_t number, const std::function<void(std::string_view)>& piece) const;
+
+ private:
+  struct State;
+  std::shared_ptr<State> state_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,164 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <chrono>
+#include <thread>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/io/convert.hpp>
+#include <loopwise/io/json_options.hpp>
+
+#include "io/lamp_testing.hpp"
+#include "program.hpp"
+#include "small_mission.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::lamp_data;
+using testing::Program;
+using testing::ProgramRun;
+using testing::run_program;
+using testing::small_mission;
+using testing::TemporaryFolder;
+
+enum : int { kDone = 0, kBadUsage = 2, kBadInput = 3, kInterrupted = 130 };
+
+Json json_of(std::vector<std::string> arguments) {
+  arguments.insert(arguments.end(), {"--json", "-", "--quiet"});
+  const ProgramRun run = run_program(arguments);
+  INFO(run.err);
+  REQUIRE(run.status == kDone);
+  return parse_json(run.out, "standard output");
+}
+
+TEST_CASE("convert: there and back, and what other commands make of it", "[apps][convert]") {
+  const TemporaryFolder folder;
+  const Mission mission = small_mission(5);
+  write_mission(folder / "m", mission);
+  const std::string m = (folder / "m").string(), g = (folder / "g").string(),
+                    again = (folder / "again").string();
+  const Json there = json_of({"convert", m, "-o", g, "--to", "g2o_pcd", "--encoding", "ascii"});
+  CHECK(there["kind"] == "mission");
+  CHECK(there["to"] == "g2o_pcd");
+  CHECK(there["nodes"] == 10);
+  CHECK(there["scans"] == 10);
+  CHECK(there["ground_truth"] == 10);
+  CHECK(there["left_out"].empty());
+  CHECK(there["problems"].empty());
+  const Json back = json_of({"convert", g, "-o", again});
+  CHECK(back["kind"] == "g2o_pcd");
+  CHECK(back["to"] == "mission");
+  for (const std::string& path : {m, g, again}) {
+    const Json info = json_of({"info", path});
+    CHECK(info["nodes"] == 10);
+    CHECK(info["scans"] == 10);
+    CHECK(info["problems"].empty());
+    CHECK(info["kind"] == (path == g ? "g2o_pcd" : "mission"));
+  }
+  // The same mission gives the same bytes, on any number of threads.
+  const std::string other = (folder / "other").string();
+  json_of({"convert", g, "-o", other, "--threads", "3"});
+  for (const auto& entry : fs::recursive_directory_iterator(again)) {
+    if (!entry.is_regular_file()) continue;
+    const fs::path twin = fs::path(other) / fs::relative(entry.path(), again);
+    CHECK(read_file(entry.path()) == read_file(twin));
+  }
+  // Whatever form the data have, a replay finds the same.
+  const auto closures = [&](const std::string& path, const std::string& out) {
+    const Json summary =
+        json_of({"replay", path, "-o", (folder / out).string(), "--skip-recent", "2", "--workers", "2"});
+    return summary["closures"].dump() + summary["ate_m"].dump();
+  };
+  CHECK(closures(m, "run1") == closures(again, "run2"));
+  CHECK(closures(m, "run3") == closures(g, "run4"));
+  CHECK(json_of({"rank", g})["candidates"] == json_of({"rank", m})["candidates"]);
+
+  const Json tum = json_of({"convert", m, "-o", (folder / "tum").string(), "--to", "tum"});
+  CHECK(tum["left_out"].size() == 4);
+  CHECK(json_of({"evaluate", (folder / "tum" / "a.tum").string(),
+                 (folder / "tum" / "a_truth.tum").string()})["poses"] == 5);
+}
+
+TEST_CASE("convert: bad usage is 2, bad input 3, and neither leaves anything", "[apps][convert]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "m", small_mission(3));
+  const std::string m = (folder / "m").string(), out = (folder / "out").string();
+  const auto fails = [&](const std::vector<std::string>& arguments, int status, const std::string& why) {
+    const ProgramRun run = run_program(arguments);
+    CAPTURE(arguments);
+    CHECK(run.status == status);
+    CHECK(run.out.empty());
+    CHECK_THAT(run.err, Contains(why));
+    CHECK_FALSE(fs::exists(out));
+  };
+  fails({"convert", m}, kBadUsage, "--output");
+  fails({"convert", m, "-o", m}, kBadUsage, "not empty");
+  fails({"convert", m, "-o", out, "--to", "rosbag"}, kBadUsage,
+        "must be one of: mission, g2o_pcd, tum, kitti");
+  fails({"convert", m, "-o", out, "--encoding", "zip"}, kBadUsage, "--encoding");
+  fails({"convert", m, "-o", out, "--frames", "f.csv"}, kBadUsage, "one is given");
+  fails({"convert", m, m, "-o", out}, kBadInput, "has 2 robots");
+  fails({"convert", (folder / "none").string(), "-o", out}, kBadInput, "none");
+  testing::write_text(folder / "cut.bag", "#ROSBAG V2.0\n");
+  fails({"convert", (folder / "cut.bag").string(), "-o", out}, kBadInput, "cut.bag");
+  testing::write_text(folder / "cut.zip", std::string("PK\x03\x04", 4));
+  fails({"info", (folder / "cut.zip").string()}, kBadInput, "cut.zip");
+}
+
+TEST_CASE("convert: interrupted, nothing is kept", "[apps][convert]") {
+  const TemporaryFolder folder;
+  Mission mission = small_mission(60);
+  write_mission(folder / "m", mission);
+  const std::string out = (folder / "out").string();
+  Program program({"convert", (folder / "m").string(), "-o", out, "--threads", "1"});
+  while (program.running() && !fs::exists(fs::path(out) / "scans")) std::this_thread::yield();
+  program.interrupt();
+  const ProgramRun run = program.finish();
+  if (run.status == kDone) {  // it was faster
+    CHECK(fs::exists(fs::path(out) / "mission.json"));
+    return;
+  }
+  INFO(run.err);
+  CHECK(run.status == kInterrupted);
+  CHECK_FALSE(fs::exists(out));
+}
+
+TEST_CASE("convert: bags and sessions from the command line", "[apps][convert]") {
+  const TemporaryFolder folder;
+  if (!lamp_data("sessions", folder / "s", "--nodes 4")) return;
+  const std::string s0 = (folder / "s" / "session0").string(), s1 = (folder / "s" / "session1").string(),
+                    s2 = (folder / "s" / "session2").string(),
+                    frames = (folder / "s" / "frames.csv").string();
+  const Json joined = json_of(
+      {"convert", s0, s1, s2, "-o", (folder / "team").string(), "--frames", frames, "--start-together"});
+  CHECK(joined["kind"] == "joined");
+  CHECK(joined["robots"] == Json({"session0", "session1", "session2"}));
+  const Json direct = json_of({"info", s0, s1, s2, "--frames", frames, "--start-together"});
+  const Json written = json_of({"info", (folder / "team").string()});
+  for (const char* field :
+       {"nodes", "edges", "priors", "scans", "points", "duration_s", "length_m", "ground_truth"}) {
+    CAPTURE(field);
+    CHECK(direct[field] == written[field]);
+  }
+  CHECK(
+      json_of({"replay", s0, s1, s2, "-o", (folder / "run").string(), "--method", "odom", "--start-together"})
+          .contains("ate_m"));
+
+  if (!lamp_data("bags", folder / "b")) return;
+  const Json info = json_of({"info", (folder / "b" / "rosbag").string()});
+  CHECK(info["kind"] == "rosbag");
+  CHECK(info["nodes"] == 12);
+  CHECK(info["scans"] == 12);
+  CHECK(info["problems"].empty());
+  const Json converted =
+      json_of({"convert", (folder / "b" / "rosbag" / "husky3.bag").string(),
+               (folder / "b" / "rosbag" / "spot1.bag").string(), "-o", (folder / "mission").string()});
+  CHECK(converted["scans"] == 12);
+  CHECK(converted["ground_truth"] == 12);
+  CHECK(json_of({"info", (folder / "mission").string()})["length_m"] == info["length_m"]);
+}
+
+}  // namespace
+}  // namespace loopwise
