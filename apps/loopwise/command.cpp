@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdio>
 #include <iostream>
+#include <new>
 #include <thread>
 
 #include <nlohmann/json.hpp>
@@ -72,12 +73,10 @@ void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, 
 }
 
 void print_results(const CommonOptions& options, const Json& json, const std::string& text) {
-  if (options.json == "-") {
-    std::cout << json.dump(2) << "\n" << std::flush;
-    return;
-  }
-  if (!options.json.empty()) write_file(options.json, json.dump(2) + "\n");
-  std::cout << text << std::flush;
+  const bool to_output = options.json == "-";
+  if (!options.json.empty() && !to_output) write_file(options.json, json.dump(2) + "\n");
+  std::cout << (to_output ? json.dump(2) + "\n" : text) << std::flush;
+  if (!std::cout) throw IoError("standard output", "cannot be written");
 }
 
 int run_action(const Action& action, const std::string& program) {
@@ -98,6 +97,9 @@ int run_action(const Action& action, const std::string& program) {
   } catch (const StoppedError& error) {
     complain(error);
     return kInterrupted;
+  } catch (const std::bad_alloc&) {
+    std::fprintf(stderr, "%s: out of memory\n", program.c_str());  // takes none
+    return kFailed;
   } catch (const std::exception& error) {
     complain(error);
     return kFailed;

@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <cstdio>
+#include <exception>
 #include <iostream>
+#include <new>
 #include <optional>
 #include <sstream>
 
@@ -59,9 +62,7 @@ bool is_first([[maybe_unused]] const loopwise::Transport& job) {
 #endif
 }
 
-}  // namespace
-
-int main(int argc, char** argv) {
+int run_program(int argc, char** argv) {
   using namespace loopwise;
   using namespace loopwise::cli;
   CLI::App app{
@@ -131,4 +132,18 @@ int main(int argc, char** argv) {
   if (job != nullptr && status != kDone && status != kInterrupted) session->abort(status);
 #endif
   return status;
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  // What a command throws ends in run_action(); this is for what comes before it.
+  try {
+    return run_program(argc, argv);
+  } catch (const std::bad_alloc&) {
+    std::fputs("loopwise: out of memory\n", stderr);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "loopwise: %s\n", error.what());
+  }
+  return loopwise::cli::kFailed;
 }

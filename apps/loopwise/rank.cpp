@@ -49,6 +49,7 @@ int run(const Options& options) {
   const Ranking ranking = rank_candidates(mission, config, features, options.rank,
                                           console.progress_callback(), interrupt.token());
   if (!ranking.problem.empty()) console.warn("no gains: " + ranking.problem);
+  console.warn(mission.scans->problems());
 
   if (!options.output.empty()) {
     CsvText csv({"rank", "from", "to", "source", "distance_m", "observability_from", "observability_to",

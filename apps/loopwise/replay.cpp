@@ -2,6 +2,7 @@
 #include <unistd.h>
 
 #include <fstream>
+#include <new>
 #include <optional>
 
 #include <nlohmann/json.hpp>
@@ -114,12 +115,15 @@ class OutcomeFile {
       while (std::getline(lines, line)) {
         if (lines.eof()) break;  // cut short by a kill
         const RegistrationResult result = parse_outcome_line(line);
+        if (depends_on_circumstances(result.reason)) continue;  // this time it may go well
         known_[{result.candidate.from, result.candidate.to}] = result;
         kept += line + "\n";
       }
+      if (lines.bad()) throw std::bad_alloc();  // streams swallow it
     }
     write_file(path_, kept);
     out_.open(path_, std::ios::app | std::ios::binary);
+    if (!out_) throw IoError(path_.string(), "cannot be written");
   }
 
   [[nodiscard]] const KnownOutcomes& known() const { return known_; }
@@ -204,16 +208,21 @@ int run(const Options& options) {
   const fs::path folder(options.output);
   prepare_output_folder(folder, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
-  std::error_code ignored;
-  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) fs::remove(folder / name, ignored);
+  const auto remove_former = [&folder](const char* name) {
+    std::error_code failure;
+    fs::remove(folder / name, failure);  // beside new results it would be taken for theirs
+    if (failure) throw IoError((folder / name).string(), "cannot be removed: " + failure.message());
+  };
+  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) remove_former(name);
   const bool live = options.clock == "real";
   std::optional<OutcomeFile> outcomes;
   if (live) {
-    fs::remove(folder / "outcomes.jsonl", ignored);  // of another run
+    remove_former("outcomes.jsonl");  // of another run
   } else {
     outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   }
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
+  if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
   if (outcomes && !outcomes->known().empty()) {
     console.note("resuming with " + std::to_string(outcomes->known().size()) +
                  " registrations already computed");
@@ -237,7 +246,7 @@ int run(const Options& options) {
   hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
   hooks.progress = console.progress_callback();
   hooks.stop = interrupt.token();
-  const ReplayResult result = [&] {
+  ReplayResult result = [&] {
     if (live) {
       RealClock clock(0.0, options.rate.value_or(1.0));
       return replay_live(mission, config, registrar, clock, thread_count(options.common), hooks);
@@ -251,12 +260,12 @@ int run(const Options& options) {
 #endif
     return MissionReplay(mission, config, features, registrar).run(threads, hooks, outcomes->known());
   }();
-  console.warn(result.problems);
   if (store) note_outcomes(console, *store);
-
   const RunEvaluation evaluation = evaluate_run(mission, result);
   const PointCloud map =
       stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
+  add_scan_problems(result, *mission.scans);
+  console.warn(result.problems);
   write_run_folder(folder, mission, config, result, evaluation, history.rows(),
                    interrupt.interrupted() ? PointCloud{} : map);
   print_results(options.common, parse_json(run_summary_json(mission, config, result, evaluation), "summary"),

@@ -34,6 +34,7 @@ int run(const Options& options) {
       write_report(options.output, std::vector<fs::path>(options.runs.begin(), options.runs.end()), missions,
                    options.report, threads, console.progress_callback());
   for (const std::string& note : report.notes) console.note(note);
+  for (const Mission& mission : missions) console.warn(mission.scans->problems());
 
   const auto bytes = static_cast<std::size_t>(fs::file_size(options.output));
   const Json json = {{"report", options.output},  {"bytes", bytes},      {"runs", report.runs},

@@ -216,12 +216,19 @@ std::string plain(std::string text) {
 struct ComputedUnit {
   Json json;
   double seconds = 0.0;
+  /// What circumstances have spoilt, see depends_on_circumstances(): scans that could not be read,
+  /// registrations that failed. Nothing, usually.
+  std::vector<std::string> spoilt;
 };
 
+/// What circumstances have spoilt goes into this study's tables and is said, but the next one computes it
+/// again.
 UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
-  write_file(files.seconds, Json(unit.seconds).dump() + "\n");
   const std::string text = unit.json.dump();
-  write_file(files.result, text + "\n");
+  if (unit.spoilt.empty()) {
+    write_file(files.seconds, Json(unit.seconds).dump() + "\n");
+    write_file(files.result, text + "\n");
+  }
   // As it will be read the next time.
   const Json again = parse_json(text, files.result.string());
   return {again.at("summary"), rows_of(again.at("history"))};
@@ -245,7 +252,7 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
     hooks.journal = [&](const std::string& line) { journal << line << "\n"; };
   }
   ThreadPool one(1);
-  const ReplayResult result =
+  ReplayResult result =
       MissionReplay(loaded.mission, unit.config, loaded.features, loaded.registrar).run(one, hooks);
   if (result.interrupted) return std::nullopt;
   if (keep_run) {
@@ -253,10 +260,19 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
     if (!journal) throw IoError((files.run / "journal.jsonl").string(), "cannot be written");
     const PointCloud map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop);
     if (stop.stop_requested()) return std::nullopt;
+    add_scan_problems(result, *loaded.mission.scans);
     write_run_folder(files.run, loaded.mission, unit.config, result, evaluate_run(loaded.mission, result),
                      history.rows(), map);
   }
-  return ComputedUnit{unit_json(about, loaded.mission, unit.config, result, history), watch.seconds()};
+  ComputedUnit computed{unit_json(about, loaded.mission, unit.config, result, history), 0.0, {}};
+  for (const Problem& problem : result.problems.all()) {
+    for (const char* kind :
+         {"scan cannot be read", "registration failed", "registration reached its time limit"}) {
+      if (problem.kind == kind) computed.spoilt.push_back(to_string(problem));
+    }
+  }
+  computed.seconds = watch.seconds();
+  return computed;
 }
 
 }  // namespace
@@ -368,6 +384,8 @@ void Study::run_here(const Open& open, const StopToken& stop) {
         if (!computed) return;
         open.results[i] = keep(*computed, open.files[i]);
         flaws[unit.mission] = own->mission.scans->problems();
+        for (const std::string& why : computed->spoilt)
+          console_.warn(name + ": not kept for the next time: " + why);
         ++done;
         show(name + " finished");
       } catch (...) {
@@ -382,7 +400,12 @@ void Study::run_here(const Open& open, const StopToken& stop) {
   };
   std::vector<std::thread> threads;
   const int count = std::min(thread_count(options_.common), static_cast<int>(open.numbers.size()));
-  for (int t = 1; t < count; ++t) threads.emplace_back(work);
+  try {
+    for (int t = 1; t < count; ++t) threads.emplace_back(work);
+  } catch (const std::exception& error) {  // those that there are do all
+    const std::lock_guard<std::mutex> lock(mutex);
+    console_.warn(std::string("no more threads: ") + error.what());
+  }
   work();
   for (std::thread& thread : threads) thread.join();
   for (const auto& [mission, problems] : flaws) {
@@ -439,6 +462,10 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
   const auto take = [&](std::size_t i, const ComputedUnit& computed, int rank) {
     const std::lock_guard<std::mutex> lock(mutex);
     open.results[i] = keep(computed, open.files[i]);
+    for (const std::string& why : computed.spoilt) {
+      console_.warn(missions_[open.units[i].mission].name + " " + open.units[i].label +
+                    ": not kept for the next time: " + why);
+    }
     ++done;
     console_.progress({"runs", done, open.units.size(),
                        missions_[open.units[i].mission].name + " " + open.units[i].label +
@@ -459,7 +486,10 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
   const auto there = [&](int rank, std::size_t k, std::string_view answer) {
     if (answer.empty()) return;  // interrupted
     const Json json = parse_json(answer, "answer of rank " + std::to_string(rank));
-    take(open.numbers[k], {json.at("unit"), json.at("seconds").get<double>()}, rank);
+    take(open.numbers[k],
+         {json.at("unit"), json.at("seconds").get<double>(),
+          json.at("spoilt").get<std::vector<std::string>>()},
+         rank);
   };
   const int threads = options_.common.threads > 0 ? options_.common.threads : 1;
   server.run(work, threads, here, there, stop);
@@ -479,6 +509,7 @@ void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
     if (!computed) return std::string();  // interrupted
     Json answer = Json::object();
     answer["seconds"] = computed->seconds;
+    answer["spoilt"] = computed->spoilt;
     answer["unit"] = computed->json;
     return answer.dump();
   });

@@ -16,7 +16,8 @@ EnumNames<RejectionReason> enum_names(RejectionReason) {
           {RejectionReason::kDegenerate, "degenerate"},
           {RejectionReason::kTransformThreshold, "transform_threshold"},
           {RejectionReason::kNotConverged, "not_converged"},
-          {RejectionReason::kFailed, "failed"}};
+          {RejectionReason::kFailed, "failed"},
+          {RejectionReason::kTimeLimit, "time_limit"}};
 }
 
 }  // namespace loopwise

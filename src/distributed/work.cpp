@@ -272,8 +272,12 @@ void WorkServer::run(const std::vector<Work>& work, int threads, const std::func
   };
 
   std::vector<std::thread> all;
-  if (transport_.size() > 1) all.emplace_back(serve);
-  for (int t = 1; t < threads; ++t) all.emplace_back(compute);
+  try {
+    if (transport_.size() > 1) all.emplace_back(serve);
+    for (int t = 1; t < threads; ++t) all.emplace_back(compute);
+  } catch (...) {  // the system has no more threads: those that there are end, and then it is said
+    fail();
+  }
   if (threads > 0) compute();
   for (std::thread& thread : all) thread.join();
   if (failure) std::rethrow_exception(failure);

@@ -301,7 +301,9 @@ class RunReader {
   /// Calls visit(event) for the journal's lines of an event.
   template <class Visitor>
   void journal(const std::set<std::string>& events, Visitor&& visit) const {
+    const bool exists = fs::exists(folder_ / "journal.jsonl");
     std::ifstream in(folder_ / "journal.jsonl", std::ios::binary);
+    if (exists && !in) throw IoError((folder_ / "journal.jsonl").string(), "cannot be opened");
     std::string line;
     while (std::getline(in, line)) {
       // The event comes first in each line. Most lines are others, and long.
@@ -311,6 +313,7 @@ class RunReader {
       const Json event = Json::parse(line, nullptr, false);
       if (event.is_object()) visit(event);
     }
+    if (in.bad()) throw IoError((folder_ / "journal.jsonl").string(), "cannot be read");
   }
 
   [[nodiscard]] Json history_of_journal() const {

@@ -31,7 +31,11 @@ Json csv_cell(const std::string& text) {
 std::vector<std::string> csv_header(const fs::path& path) {
   std::ifstream in(path);
   std::string line;
-  if (!std::getline(in, line)) throw ParseError(path.string(), 1, "no header line");
+  if (!in) throw IoError(path.string(), "cannot be opened");
+  if (!std::getline(in, line)) {
+    if (in.bad()) throw IoError(path.string(), "cannot be read");
+    throw ParseError(path.string(), 1, "no header line");
+  }
   std::vector<std::string> columns;
   std::string name;
   for (const char c : line + ",") {

@@ -206,6 +206,14 @@ PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double vox
   return map.empty() ? map : voxel_downsample(map, voxel_m);
 }
 
+void add_scan_problems(ReplayResult& result, const ScanStore& scans) {
+  const Problems now = scans.problems();
+  for (const Problem& problem : now.all()) {
+    const std::size_t known = result.problems.count(problem.kind);
+    if (problem.count > known) result.problems.add(problem.kind, problem.example, problem.count - known);
+  }
+}
+
 void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
                       const ReplayResult& result, const RunEvaluation& evaluation,
                       const std::vector<HistoryRow>& history, const PointCloud& map) {

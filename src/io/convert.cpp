@@ -50,6 +50,18 @@ class Target {
   explicit Target(fs::path folder) : folder_(std::move(folder)), existed_(fs::exists(folder_)) {}
   ~Target() {
     if (done_) return;
+    try {
+      remove();
+    } catch (
+        const std::exception&) {  // no memory even for that: what stays has the mark of an unfinished one
+    }
+  }
+  Target(const Target&) = delete;
+  Target& operator=(const Target&) = delete;
+  void keep() { done_ = true; }
+
+ private:
+  void remove() const {
     std::error_code ignored;
     if (!existed_) {
       fs::remove_all(folder_, ignored);
@@ -61,11 +73,7 @@ class Target {
       fs::remove_all(entry->path(), failed);
     }
   }
-  Target(const Target&) = delete;
-  Target& operator=(const Target&) = delete;
-  void keep() { done_ = true; }
 
- private:
   fs::path folder_;
   bool existed_;
   bool done_ = false;

@@ -109,6 +109,7 @@ bool begins_with(const fs::path& file, std::string_view bytes) {
   if (!in) throw IoError(file.string(), "cannot be opened");
   std::string start(bytes.size(), '\0');
   in.read(start.data(), static_cast<std::streamsize>(start.size()));
+  if (in.bad()) throw IoError(file.string(), "cannot be read");
   return static_cast<std::size_t>(in.gcount()) == bytes.size() && start == bytes;
 }
 

@@ -5,6 +5,7 @@
 #include <condition_variable>
 #include <list>
 #include <mutex>
+#include <new>
 #include <optional>
 #include <utility>
 
@@ -25,6 +26,18 @@ struct ScanStore::State {
     std::string failure;
     bool counted = false;  // its problems have been noted: it may be read again after it was let go
     Problems problems;
+  };
+
+  /// While a scan is being read. However that ends, whoever waits for the scan must not wait for ever.
+  struct Reading {
+    State& state;
+    Entry& entry;
+    std::unique_lock<std::mutex>& lock;
+    ~Reading() {
+      if (!lock.owns_lock()) lock.lock();
+      if (entry.stage == Stage::kBeingRead) entry.stage = Stage::kNotRead;
+      state.read.notify_all();
+    }
   };
 
   std::size_t max_bytes = 0;
@@ -58,6 +71,8 @@ struct ScanStore::State {
     CloudFile loaded;
     std::shared_ptr<const PointCloud> cloud;
     std::optional<std::string> failure;
+    std::list<Key> place;
+    const Reading reading{*this, entry, lock};
     try {
       if (source) {
         cloud = source(key);
@@ -66,28 +81,29 @@ struct ScanStore::State {
         loaded = clouds ? clouds(key) : read_cloud(entry.file);
         cloud = std::make_shared<const PointCloud>(std::move(loaded.cloud));
       }
+      place.push_front(key);
+    } catch (const std::bad_alloc&) {  // says nothing about the file: the next who asks may have more luck
+      throw;
     } catch (const std::exception& error) {
       failure = error.what();
     } catch (...) {
       failure = "scan " + key_name(key) + " cannot be read";
     }
     lock.lock();
-
     if (failure) {
-      entry.stage = Stage::kFailed;
       entry.failure = *failure;
       entry.problems.add("scan cannot be read", *failure);
-      read.notify_all();
+      entry.stage = Stage::kFailed;
       throw InputError(*failure);
     }
     if (!entry.counted) entry.problems = std::move(loaded.problems);
     entry.counted = true;
-    keep(key, entry, cloud);
-    read.notify_all();
+    keep(entry, cloud, place);
     return cloud;
   }
 
-  void keep(Key key, Entry& entry, const std::shared_ptr<const PointCloud>& cloud) {
+  /// `place` is an element for the list of recency, made when there was memory for it.
+  void keep(Entry& entry, const std::shared_ptr<const PointCloud>& cloud, std::list<Key>& place) {
     entry.stage = Stage::kNotRead;
     const std::size_t size = cloud->bytes();
     if (size > max_bytes) return;
@@ -98,7 +114,7 @@ struct ScanStore::State {
       oldest.stage = Stage::kNotRead;
       recency.pop_back();
     }
-    recency.push_front(key);
+    recency.splice(recency.begin(), place);
     entry.stage = Stage::kKept;
     entry.cloud = cloud;
     entry.bytes = size;

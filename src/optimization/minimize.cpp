@@ -32,6 +32,7 @@ double largest(const Eigen::VectorXd& v) {
 
 std::string describe(Termination termination, const OptimizationResult& r) {
   std::ostringstream out;
+  out.exceptions(std::ios::badbit);  // no memory must not make half a message
   switch (termination) {
     case Termination::kConverged:
       out << "converged";

@@ -10,6 +10,7 @@
 #include <cerrno>
 #include <cstdio>
 #include <cstring>
+#include <new>
 #include <type_traits>
 #include <utility>
 
@@ -115,7 +116,7 @@ std::optional<RegistrationResult> result_of(std::string_view payload, const Loop
   RegistrationResult result;
   result.candidate = candidate;
   const auto reason = in.get<std::uint8_t>(), parts = in.get<std::uint8_t>();
-  if (reason > static_cast<std::uint8_t>(RejectionReason::kFailed)) return std::nullopt;
+  if (reason > static_cast<std::uint8_t>(RejectionReason::kTimeLimit)) return std::nullopt;
   result.reason = static_cast<RejectionReason>(reason);
   for (double* figure : {&result.sac_fitness_m2, &result.gicp_fitness_m2, &result.overlap, &result.features_s,
                          &result.global_s, &result.refine_s}) {
@@ -298,8 +299,15 @@ RegistrationResult OutcomeStore::get(const ContentHash& key, const LoopCandidate
   const auto finish = [&](const RegistrationResult* result) {
     const std::lock_guard<std::mutex> lock(mutex_);
     being_computed_.erase(key);
-    if (result) append(key, *result);
-    done_.notify_all();
+    done_.notify_all();  // they go on once the mutex is free
+    if (!result) return;
+    ++statistics_.computed;
+    if (depends_on_circumstances(result->reason)) return;
+    try {
+      append(key, *result);
+    } catch (const std::bad_alloc&) {  // the result is there all the same
+      statistics_.problem = "out of memory";
+    }
   };
   try {
     RegistrationResult result = compute();
@@ -312,7 +320,6 @@ RegistrationResult OutcomeStore::get(const ContentHash& key, const LoopCandidate
 }
 
 void OutcomeStore::append(const ContentHash& key, const RegistrationResult& result) {
-  ++statistics_.computed;
   if (!statistics_.problem.empty()) return;
   const std::string payload = payload_of(result);
   if (payload.size() > kMaxPayload) return;

@@ -343,6 +343,12 @@ class Run {
     if (result) {  // otherwise a stop request came first; the candidate is given back at the end
       pool_.complete(*result);
       result_.computed.push_back({*result, now_s_, 0.0});
+      if (result->reason == RejectionReason::kFailed || result->reason == RejectionReason::kTimeLimit) {
+        const bool failed = result->reason == RejectionReason::kFailed;
+        result_.problems.add(failed ? "registration failed" : "registration reached its time limit",
+                             key_name(result->candidate.from) + " - " + key_name(result->candidate.to) +
+                                 ": " + result->message);
+      }
       write(journal::result_line(now_s_, *result, pool_.accounting()));
       if (result->verified()) {
         closure_edges_.push_back({graph_.add_closure(*result->closure), result_.computed.size() - 1});

@@ -4,26 +4,34 @@
 #include <algorithm>
 #include <exception>
 #include <mutex>
+#include <new>
 #include <numeric>
 #include <string>
 #include <tuple>
 
 namespace loopwise {
 
-RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task) {
-  const auto failed = [&](const std::string& message) {
-    RegistrationResult result;
-    result.candidate = task.candidate;
-    result.reason = RejectionReason::kFailed;
+RegistrationResult failed_result(const LoopCandidate& candidate, const char* message) {
+  RegistrationResult result;
+  result.candidate = candidate;
+  result.reason = RejectionReason::kFailed;
+  try {
     result.message = message;
-    return result;
-  };
+  } catch (const std::bad_alloc&) {
+    result.message = "out of memory";  // short enough to need none
+  }
+  return result;
+}
+
+RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task) {
   try {
     return registrar.compute(task);
+  } catch (const std::bad_alloc&) {
+    return failed_result(task.candidate, "out of memory");
   } catch (const std::exception& error) {
-    return failed(error.what());
+    return failed_result(task.candidate, error.what());
   } catch (...) {
-    return failed("the registrar threw something that is not a std::exception");
+    return failed_result(task.candidate, "the registrar threw something that is not a std::exception");
   }
 }
 

@@ -38,6 +38,7 @@ Eigen::SelfAdjointEigenSolver<Matrix6d> scaled_information(const Matrix6d& hessi
 template <class Figure>
 std::string beyond(const char* what, Figure found, const char* relation, Figure bound, const char* unit) {
   std::ostringstream out;
+  out.exceptions(std::ios::badbit);  // no memory must not make half a message
   out.precision(4);
   out << what << " " << found << unit << ", must be " << relation << " " << bound << unit;
   return out.str();

@@ -450,6 +450,24 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   REQUIRE_THAT(resumed.err, Contains("already computed"));
   same_results("two");
 
+  // What an attempt came to for lack of memory or of a file is tried again.
+  std::istringstream lines(outcomes);
+  std::string line, unlucky;
+  for (std::size_t number = 0; std::getline(lines, line); ++number) {
+    if (number > 0 && number % 2 == 0) {
+      Json outcome = parse_json(line, "outcome");
+      outcome["outcome"] = "rejected";
+      outcome["reason"] = number % 4 == 0 ? "failed" : "missing_scan";
+      outcome.erase("closure");
+      line = outcome.dump();
+    }
+    unlucky += line + "\n";
+  }
+  testing::write_text(folder / "two" / "outcomes.jsonl", unlucky);
+  REQUIRE_THAT(run_program(replay("two", {"--resume"})).err,
+               Contains("with 6 registrations already computed"));
+  same_results("two");
+
   require_failure(replay("one", {}), kBadUsage, "not empty");
   require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options");
   std::string of_earlier_code = outcomes;
@@ -472,6 +490,30 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
       kBadUsage, "best");
   testing::write_text(folder / "file", "");
   require_failure(replay("file", {}), kBadUsage, "not a folder");
+}
+
+TEST_CASE(
+    "command line: results that cannot be written are said, and former ones do not stay beside new ones",
+    "[apps][error]") {
+  const TemporaryFolder folder;
+  write_g2o(folder / "graph.g2o", small_graph());
+  const std::vector<std::string> info{"info", (folder / "graph.g2o").string()};
+  if (testing::fs::exists("/dev/full")) {
+    for (const char* more : {"", "--json=-"}) {
+      std::string command = std::string("'") + LOOPWISE_PROGRAM + "' info '" + info[1] + "' " + more;
+      const int status =
+          std::system((command + " > /dev/full 2> '" + (folder / "err").string() + "'").c_str());
+      REQUIRE(WEXITSTATUS(status) == kBadInput);
+      REQUIRE_THAT(testing::read_text(folder / "err"), Contains("standard output: cannot be written"));
+    }
+  }
+  write_mission(folder / "mission", small_mission(3));
+  // A folder in the place of a result cannot be removed as a file.
+  testing::fs::create_directories(folder / "out" / "summary.json" / "kept");
+  const ProgramRun run = run_program({"replay", (folder / "mission").string(), "-o",
+                                      (folder / "out").string(), "--overwrite", "--method", "odom"});
+  REQUIRE(run.status == kBadInput);
+  REQUIRE_THAT(run.err, Contains("summary.json") && Contains("cannot be removed"));
 }
 
 TEST_CASE("replay: an interrupt ends it with the results so far", "[apps]") {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <atomic>
 #include <chrono>
+#include <new>
 #include <thread>
 
 #include <loopwise/core/error.hpp>
@@ -54,6 +55,45 @@ TEST_CASE("BoundedCache hands on nulls and exceptions and keeps neither", "[cach
   REQUIRE_THROWS_AS(cache.get(1, [](int) -> Cache::Pointer { throw InputError("no"); }), InputError);
   REQUIRE(cache.size() == 0);
   REQUIRE(cache.get(1, make)->key == 1);
+}
+
+/// A key of which the n-th copy finds no memory.
+struct DearKey {
+  DearKey() = default;
+  explicit DearKey(int v) : value(v) {}
+  DearKey(const DearKey& other) : value(other.value) {
+    if (copies_left > 0 && --copies_left == 0) throw std::bad_alloc();
+  }
+  DearKey& operator=(const DearKey&) = default;
+  bool operator==(const DearKey& other) const { return value == other.value; }
+  int value = 0;
+  static int copies_left;
+};
+int DearKey::copies_left = 0;
+struct DearKeyHash {
+  std::size_t operator()(const DearKey& key) const { return std::hash<int>()(key.value); }
+};
+
+TEST_CASE("BoundedCache: without memory at any moment it is as if nothing had been asked", "[cache][error]") {
+  const auto make_dear = [](const DearKey& key) { return std::make_shared<const Item>(Item{key.value}); };
+  int failed = 0;
+  for (int at = 1; at < 10; ++at) {
+    CAPTURE(at);
+    BoundedCache<DearKey, Item, DearKeyHash> cache(20);
+    for (const int key : {1, 2}) REQUIRE(cache.get(DearKey(key), make_dear)->key == key);
+    DearKey::copies_left = at;
+    try {
+      (void)cache.get(DearKey(3), make_dear);
+    } catch (const std::bad_alloc&) {
+      ++failed;
+    }
+    DearKey::copies_left = 0;
+    // A half-made entry would be waited for for ever, or lead to a place in the list that there is not.
+    for (const int key : {3, 1, 2, 3}) REQUIRE(cache.get(DearKey(key), make_dear)->key == key);
+    REQUIRE(cache.bytes() == 20);
+    REQUIRE(cache.size() == 2);
+  }
+  REQUIRE(failed >= 2);
 }
 
 TEST_CASE("BoundedCache makes an entry once for threads that ask at the same time", "[cache][thread]") {

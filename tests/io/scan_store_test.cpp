@@ -3,6 +3,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <new>
 #include <thread>
 
 #include <loopwise/core/error.hpp>
@@ -48,6 +49,31 @@ TEST_CASE("scan store: a broken scan is an error each time, read and counted onc
   CHECK_THROWS_WITH(store.load(1), Contains("no DATA line"));
   CHECK(store.problems().count("scan cannot be read") == 2);
   CHECK_THAT(store.problems().all()[0].example, Contains("1.pcd"));
+}
+
+TEST_CASE("scan store: a lack of memory says nothing about the file, and holds nobody up",
+          "[io][scans][error]") {
+  std::atomic<int> reads{0};
+  const ScanStore store({1}, [&reads](Key) -> std::shared_ptr<const PointCloud> {
+    if (++reads > 1) return cloud_of(100);
+    std::this_thread::sleep_for(std::chrono::milliseconds(50));  // the others wait for this one by then
+    throw std::bad_alloc();
+  });
+  std::atomic<int> loaded{0}, failed{0};
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 4; ++t) {
+    threads.emplace_back([&] {
+      try {
+        if (store.load(1)) ++loaded;
+      } catch (const std::bad_alloc&) {
+        ++failed;
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  CHECK(failed == 1);
+  CHECK(loaded == 3);
+  CHECK(store.problems().empty());
 }
 
 TEST_CASE("scan store: keeps to its bound, least recently used out first", "[io][scans]") {

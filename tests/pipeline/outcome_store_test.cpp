@@ -111,7 +111,10 @@ TEST_CASE("outcome store: figures, messages and times of every kind survive", "[
     RegistrationResult compute(const RegistrationTask& task) const override {
       RegistrationResult result;
       result.candidate = task.candidate;
-      result.reason = static_cast<RejectionReason>(1 + task.candidate.id % 12);
+      // All but those that are not kept, see depends_on_circumstances().
+      constexpr auto kFirst = static_cast<std::uint64_t>(RejectionReason::kTooFewPoints);
+      constexpr auto kCount = static_cast<std::uint64_t>(RejectionReason::kFailed) - kFirst;
+      result.reason = static_cast<RejectionReason>(kFirst + task.candidate.id % kCount);
       result.message = std::string(task.candidate.id, '"') + "\n\0 end";
       if (task.candidate.id % 2 == 0) {
         result.T_from_to = Eigen::Isometry3d::Identity();
@@ -386,6 +389,33 @@ TEST_CASE("outcome store: what cannot be read or throws is not kept", "[pipeline
   const StoredRegistrar throwing(std::make_shared<Throwing>(), open, mission.scans->loader(), "throwing");
   for (int round = 0; round < 2; ++round) REQUIRE_THROWS_WITH(throwing.compute(tasks[0]), "no");
   REQUIRE_THROWS_AS(StoredRegistrar(nullptr, open, mission.scans->loader(), ""), InputError);
+}
+
+TEST_CASE("outcome store: what an attempt came to for lack of a file, memory or time is tried again",
+          "[pipeline][outcomes][error]") {
+  const Mission mission = two_circles();
+  const TemporaryFolder folder;
+  const std::vector<RegistrationTask> tasks = tasks_of(mission, 1);
+  class Unlucky final : public Registrar {
+   public:
+    std::string_view name() const override { return "unlucky"; }
+    RegistrationResult compute(const RegistrationTask& task) const override {
+      RegistrationResult result;
+      result.candidate = task.candidate;
+      result.reason = reasons.at(calls++);
+      return result;
+    }
+    std::vector<RejectionReason> reasons{RejectionReason::kMissingScan, RejectionReason::kFailed,
+                                         RejectionReason::kTimeLimit, RejectionReason::kLowOverlap};
+    mutable std::size_t calls = 0;
+  };
+  const auto unlucky = std::make_shared<Unlucky>();
+  for (int run = 0; run < 6; ++run) {
+    const StoredRegistrar store = stored(mission, unlucky, folder.path());
+    const RejectionReason expected = unlucky->reasons.at(std::min(run, 3));
+    REQUIRE(store.compute(tasks[0]).reason == expected);
+  }
+  REQUIRE(unlucky->calls == 4);
 }
 
 TEST_CASE("outcome store: a replay is the same with it, without it, and again",

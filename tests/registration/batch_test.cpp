@@ -2,6 +2,7 @@
 #include <loopwise/registration/batch.hpp>
 
 #include <atomic>
+#include <new>
 
 #include <loopwise/core/error.hpp>
 #include "testing.hpp"
@@ -75,6 +76,25 @@ TEST_CASE("compute_batch: after a stop no task is begun", "[batch]") {
 TEST_CASE("compute_batch: nothing to do", "[batch]") {
   ThreadPool pool(2);
   REQUIRE(compute_batch(FakeRegistrar(), {}, pool).empty());
+}
+
+TEST_CASE("compute_or_fail: whatever is thrown is a result that says what", "[batch][error]") {
+  struct Throwing final : Registrar {
+    [[nodiscard]] std::string_view name() const override { return "throwing"; }
+    [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+      if (task.candidate.from == 1) throw std::bad_alloc();
+      if (task.candidate.from == 2) throw 2;
+      throw InputError("three");
+    }
+  };
+  const std::vector<std::string> words{"out of memory",
+                                       "the registrar threw something that is not a std::exception", "three"};
+  for (Key from = 1; from <= 3; ++from) {
+    const RegistrationResult result = compute_or_fail(Throwing(), pair_task(from, 0, 1));
+    REQUIRE(result.reason == RejectionReason::kFailed);
+    REQUIRE(result.candidate.from == from);
+    REQUIRE(result.message == words[from - 1]);
+  }
 }
 
 }  // namespace

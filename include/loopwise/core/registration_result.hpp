@@ -41,8 +41,17 @@ enum class RejectionReason {
   kTransformThreshold,  ///< Moved too far from the graph's relative pose.
   kNotConverged,        ///< Refinement did not converge, or left the finite numbers.
   kFailed,              ///< The registrar threw; the message says what.
+  kTimeLimit,           ///< It took longer than RegistrationTask::time_limit_s.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<RejectionReason> enum_names(RejectionReason);
+
+/// Whether the reason says something about this attempt, not about the pair: a file that could not be read,
+/// an exception, a machine that was too slow. Such a result is not kept for other runs, and a run that is
+/// resumed tries the pair again.
+[[nodiscard]] inline bool depends_on_circumstances(RejectionReason reason) {
+  return reason == RejectionReason::kMissingScan || reason == RejectionReason::kFailed ||
+         reason == RejectionReason::kTimeLimit;
+}
 
 /// What came of one candidate. A candidate that cannot be computed is not an error but a result with a
 /// reason.

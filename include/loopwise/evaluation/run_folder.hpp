@@ -43,6 +43,9 @@ struct RunEvaluation {
                                                     double voxel_m, const StopToken& stop = {},
                                                     const ProgressCallback& progress = {});
 
+/// Adds what reading scans has met since the run ended, as by stitch_map(): a file may vanish in between.
+LOOPWISE_EXPORT void add_scan_problems(ReplayResult& result, const ScanStore& scans);
+
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
 /// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
 /// and, last, summary.json: where that is missing the folder is not whole. \throws IoError

@@ -42,8 +42,10 @@ class BoundedCache {
     entries_[key].making = true;
     lock.unlock();
     Pointer value;
+    std::list<K> place;
     try {
       value = make(key);
+      if (value) place.push_front(key);  // all memory is taken before anything changes
     } catch (...) {
       lock.lock();
       entries_.erase(key);
@@ -53,11 +55,11 @@ class BoundedCache {
     lock.lock();
     ++misses_;
     if (value) {
-      Entry& entry = entries_[key];
+      Entry& entry = entries_.find(key)->second;
       entry.value = value;
       entry.bytes = value->bytes();
       entry.making = false;
-      order_.push_front(key);
+      order_.splice(order_.begin(), place);
       entry.position = order_.begin();
       bytes_ += entry.bytes;
       while (bytes_ > max_bytes_ && order_.size() > 1) {

@@ -63,8 +63,9 @@ class LOOPWISE_EXPORT OutcomeStore {
   OutcomeStore(const OutcomeStore&) = delete;
   OutcomeStore& operator=(const OutcomeStore&) = delete;
 
-  /// The outcome kept under `key`, or else that of `compute`, which is then kept. Threads that ask for one
-  /// key at once have it computed once. \throws what `compute` throws; nothing is kept then.
+  /// The outcome kept under `key`, or else that of `compute`, which is then kept unless it
+  /// depends_on_circumstances(). Threads that ask for one key at once have it computed once. \throws what
+  /// `compute` throws; nothing is kept then.
   [[nodiscard]] RegistrationResult get(const ContentHash& key, const LoopCandidate& candidate,
                                        const std::function<RegistrationResult()>& compute);
 

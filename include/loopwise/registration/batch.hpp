@@ -13,7 +13,12 @@
 
 namespace loopwise {
 
-/// One task. A registrar that throws gives RejectionReason::kFailed with the exception's message.
+/// A result of RejectionReason::kFailed. Never throws: without memory for the message it says so instead.
+[[nodiscard]] LOOPWISE_EXPORT RegistrationResult failed_result(const LoopCandidate& candidate,
+                                                               const char* message);
+
+/// One task. Never throws. A registrar that throws gives RejectionReason::kFailed with the exception's
+/// message.
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult compute_or_fail(const Registrar& registrar,
                                                                  const RegistrationTask& task);
 
