@@ -120,7 +120,7 @@ std::string pack_task(const RegistrationTask& task) {
       .put(static_cast<std::uint8_t>(c.source))
       .put(c.time_s)
       .put(c.distance_m);
-  out.put(task.seed).put(static_cast<std::uint64_t>(task.enough_points));
+  out.put(task.seed).put(static_cast<std::uint64_t>(task.enough_points)).put(task.time_limit_s);
   out.put(static_cast<std::uint8_t>(task.guess_from_to.has_value()));
   if (task.guess_from_to) out.put(*task.guess_from_to);
   put(out, task.source);
@@ -140,6 +140,7 @@ RegistrationTask unpack_task(std::string_view bytes) {
   c.distance_m = in.get<double>();
   task.seed = in.get<std::uint64_t>();
   task.enough_points = static_cast<std::size_t>(in.get<std::uint64_t>());
+  task.time_limit_s = in.get<double>();
   if (in.flag()) task.guess_from_to = in.pose();
   task.source = get_members(in);
   task.target = get_members(in);

@@ -112,6 +112,17 @@ std::string result_line(double time_s, const RegistrationResult& result, const C
   return finish(std::move(line), a);
 }
 
+std::string live_result_line(double time_s, const RegistrationResult& result,
+                             const ModuleStatistics& statistics) {
+  Json line = event("result", time_s);
+  put_result(line, result);
+  line["queues"] = {{"events", statistics.events_waiting},
+                    {"commands", statistics.commands_waiting},
+                    {"producer_waits", statistics.producer_waits},
+                    {"overdue", statistics.overdue_now}};
+  return finish(std::move(line), statistics.candidates);
+}
+
 std::string estimate_line(double time_s, const GncResult& gnc, const CandidateAccounting& a) {
   Json line = event("estimate", time_s);
   line["cost"] = gnc.optimization.cost;

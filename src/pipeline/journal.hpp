@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// Lines of the replay's journal: one JSON object an event, with the candidates' account after it. Nothing in
-/// them depends on the wall clock.
+/// them depends on the wall clock, but for those of the online module.
 #pragma once
 
 #include <string>
@@ -11,6 +11,7 @@
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/pipeline/config.hpp>
+#include <loopwise/pipeline/loop_closure_module.hpp>
 
 namespace loopwise::journal {
 
@@ -21,6 +22,9 @@ namespace loopwise::journal {
                                      const CandidateAccounting& a);
 [[nodiscard]] std::string result_line(double time_s, const RegistrationResult& result,
                                       const CandidateAccounting& a);
+/// Of the online module: with what waits in its queues.
+[[nodiscard]] std::string live_result_line(double time_s, const RegistrationResult& result,
+                                           const ModuleStatistics& statistics);
 [[nodiscard]] std::string estimate_line(double time_s, const GncResult& gnc, const CandidateAccounting& a);
 [[nodiscard]] std::string end_line(double time_s, bool interrupted, const CandidateAccounting& a);
 

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <atomic>
 #include <chrono>
+#include <exception>
 #include <map>
 #include <optional>
 #include <thread>
@@ -156,7 +157,7 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
   callbacks.result = [&](const RegistrationResult& computed) {
     result.computed.push_back({computed, clock.now(), 0.0});
     if (hooks.outcome) hooks.outcome(computed);
-    write(journal::result_line(clock.now(), computed, running->statistics().candidates));
+    write(journal::live_result_line(clock.now(), computed, running->statistics()));
   };
   callbacks.estimate = [&](const std::shared_ptr<const Estimate>& estimate) {
     take_weights(estimate->graph, result.computed);
@@ -201,12 +202,18 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
       static_cast<void>(module.wait());
       idle = true;
     });
-    while (!idle && !hooks.stop.stop_requested()) {
-      std::this_thread::sleep_for(std::chrono::milliseconds(20));
-      report();
+    std::exception_ptr failure;
+    try {
+      while (!idle && !hooks.stop.stop_requested()) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(20));
+        report();
+      }
+    } catch (...) {
+      failure = std::current_exception();
     }
     if (!idle) module.stop();  // ends the wait as well
     waiting.join();
+    if (failure) std::rethrow_exception(failure);
   }
   module.stop();  // what is being computed still counts
   result.mission_time_s = clock.now();

@@ -2,9 +2,11 @@
 #include <loopwise/pipeline/loop_closure_module.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <condition_variable>
 #include <exception>
 #include <mutex>
+#include <new>
 #include <optional>
 #include <set>
 #include <thread>
@@ -15,7 +17,6 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/stop_token.hpp>
-#include <loopwise/core/thread_pool.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/generation/proximity.hpp>
 #include <loopwise/generation/radio.hpp>
@@ -24,6 +25,7 @@
 #include <loopwise/registration/task.hpp>
 
 #include "mailbox.hpp"
+#include "registration_crew.hpp"
 
 namespace loopwise {
 namespace {
@@ -189,13 +191,24 @@ class LoopClosureModule::Impl {
         generator_(config_.generation, robots_),
         radio_(config_.radio, robots_),
         pool_(config_.pool, module_queue(config_, robots_, *features_, std::move(parts.prioritizers)),
-              robots_) {
+              robots_),
+        crew_(*registrar_, options.threads, options.overdue_after_s, crew_hooks()) {
     prioritizes_ = !pool_.queue().prioritizers().empty();
     for (const auto& prioritizer : pool_.queue().prioritizers()) names_.emplace_back(prioritizer->name());
-    computation_ = std::thread([this] { compute(); });
-    back_end_ = std::thread([this] { optimize(); });
-    prioritization_ = std::thread([this] { prioritize(); });
-    graph_thread_ = std::thread([this] { handle_events(); });
+    try {
+      computation_ = std::thread([this] { compute(); });
+      back_end_ = std::thread([this] { optimize(); });
+      prioritization_ = std::thread([this] { prioritize(); });
+      graph_thread_ = std::thread([this] { handle_events(); });
+    } catch (...) {  // the system has no more threads; the last one has not begun
+      commands_.close();
+      batches_.close();
+      jobs_.close();
+      for (std::thread* thread : {&computation_, &back_end_, &prioritization_}) {
+        if (thread->joinable()) thread->join();
+      }
+      throw;
+    }
   }
 
   ~Impl() { stop(); }
@@ -404,13 +417,17 @@ class LoopClosureModule::Impl {
       const std::lock_guard<std::mutex> lock(statistics_mutex_);
       graph_thread_id_ = std::this_thread::get_id();
     }
-    while (auto event = inbox_.next(/*expect_inside=*/computing_ || optimizing_)) {
+    while (auto event = inbox_.next(/*expect_inside=*/computing_ || optimizing_ || being_computed_ > 0)) {
       try {
         std::visit([this](auto&& e) { on(e); }, *event);
       } catch (const std::exception& error) {
-        problem(error.what());
+        problem(error);
       }
-      keep_busy();
+      try {
+        keep_busy();
+      } catch (const std::exception& error) {
+        problem(error);
+      }
       {
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
         ++statistics_.events;
@@ -445,6 +462,14 @@ class LoopClosureModule::Impl {
       problem(std::string("a callback threw: ") + error.what());
     } catch (...) {
       problem("a callback threw something that is not a std::exception");
+    }
+  }
+
+  void problem(const std::exception& error) {
+    try {
+      problem(std::string(error.what()));
+    } catch (const std::bad_alloc&) {
+      problem("out of memory");  // a text that needs none
     }
   }
 
@@ -569,16 +594,19 @@ class LoopClosureModule::Impl {
 
   void on(const BatchEvent& event) {
     std::vector<RegistrationTask> tasks;
+    being_computed_ += event.candidates.size();
+    try {
+      tasks.reserve(event.candidates.size());
+    } catch (const std::bad_alloc&) {  // they become pending again
+      post_inside(BatchDoneEvent{event.candidates});
+      throw;
+    }
     for (const LoopCandidate& candidate : event.candidates) {
       try {
         tasks.push_back(make_task(graph_, robots_, candidate, config_.task, options_.seed,
                                   [this](Key key) { return has_scan(key); }));
-      } catch (const Error& error) {  // from a prioritiser that hands out what it was not given
-        RegistrationResult failed;
-        failed.candidate = candidate;
-        failed.reason = RejectionReason::kFailed;
-        failed.message = error.what();
-        post_inside(std::move(failed));
+      } catch (const std::exception& error) {  // no memory, or a prioritiser hands out what it was not given
+        post_inside(failed_result(candidate, error.what()));
       }
     }
     computing_ = true;
@@ -588,6 +616,12 @@ class LoopClosureModule::Impl {
   }
 
   void on(const RegistrationResult& result) {
+    --being_computed_;
+    if (result.reason == RejectionReason::kFailed || result.reason == RejectionReason::kTimeLimit) {
+      problem("registration " + key_name(result.candidate.from) + " - " + key_name(result.candidate.to) +
+              ": " + (result.reason == RejectionReason::kFailed ? "failed: " : "time limit: ") +
+              result.message);
+    }
     if (result.verified() && vetoed_.count(std::minmax(result.candidate.from, result.candidate.to)) == 0) {
       change_graph([&] { graph_.add_closure(*result.closure); });
       wants_estimate_ = true;
@@ -599,6 +633,7 @@ class LoopClosureModule::Impl {
 
   void on(const BatchDoneEvent& event) {
     computing_ = false;
+    being_computed_ -= event.not_computed.size();
     set_busy(false);
     if (graph_is_new_) tell(GraphCommand{snapshot()});
     tell(DryCommand{event.not_computed});
@@ -708,10 +743,11 @@ class LoopClosureModule::Impl {
   void keep_busy() {
     const bool stopping = stop_source_.stop_requested();
     if (wants_estimate_ && options_.back_end && !optimizing_ && !computing_ && !stopping) {
+      BackEndJob job{graph_, removals_};
       wants_estimate_ = false;
       optimizing_ = true;
       begin_work();
-      jobs_.post_inside({graph_, removals_});
+      jobs_.post_inside(std::move(job));
     }
   }
 
@@ -727,17 +763,56 @@ class LoopClosureModule::Impl {
   // ---- computation
 
   void compute() {
-    ThreadPool threads(options_.threads);
     while (auto tasks = batches_.next(false)) {
-      const auto results = compute_batch(*registrar_, *tasks, threads, stop_source_.token(), {},
-                                         [this](const RegistrationResult& result) { post_inside(result); });
       BatchDoneEvent done;
-      for (std::size_t i = 0; i < results.size(); ++i) {
-        if (!results[i]) done.not_computed.push_back((*tasks)[i].candidate);
+      try {
+        done.not_computed = crew_.run(*tasks, stop_source_.token());
+      } catch (const std::bad_alloc&) {  // before any was begun
+        for (const RegistrationTask& task : *tasks)
+          post_inside(failed_result(task.candidate, "out of memory"));
       }
       post_inside(std::move(done));
       end_work();
     }
+  }
+
+  [[nodiscard]] RegistrationCrew::Hooks crew_hooks() {
+    RegistrationCrew::Hooks hooks;
+    hooks.result = [this](RegistrationResult&& result) { post_inside(std::move(result)); };
+    hooks.overdue = [this](const LoopCandidate& candidate, double seconds) {
+      begin_work();  // wait() waits for it, a batch does not
+      {
+        const std::lock_guard<std::mutex> lock(statistics_mutex_);
+        ++statistics_.overdue;
+        ++statistics_.overdue_now;
+      }
+      tell_problem([&] {
+        return "registration " + key_name(candidate.from) + " - " + key_name(candidate.to) +
+               " has not come back after " + std::to_string(std::llround(seconds)) +
+               " s: the others go on without its thread";
+      });
+    };
+    hooks.back = [this] {
+      {
+        const std::lock_guard<std::mutex> lock(statistics_mutex_);
+        --statistics_.overdue_now;
+      }
+      end_work();
+    };
+    return hooks;
+  }
+
+  /// A problem that another thread than the graph's has met. Without memory for its words there are fewer of
+  /// them.
+  template <class Words>
+  void tell_problem(Words&& words) {
+    ProblemEvent event;
+    try {
+      event.text = words();
+    } catch (const std::bad_alloc&) {
+      event.text = "out of memory";
+    }
+    post_inside(std::move(event));
   }
 
   // ---- back end
@@ -753,7 +828,7 @@ class LoopClosureModule::Impl {
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
         ++statistics_.optimizations;
       } catch (const std::exception& error) {
-        post_inside(ProblemEvent{std::string("the back end failed: ") + error.what()});
+        tell_problem([&] { return std::string("the back end failed: ") + error.what(); });
       }
       post_inside(std::move(done));
       end_work();
@@ -778,19 +853,19 @@ class LoopClosureModule::Impl {
       }
       improved = false;
       hand_out(dry);
-      publish_account();
+      guarded([this] { publish_account(); });
       for (; handled > 0; --handled) end_work();
 
       while (!dry && !improved && commands_.size() == 0 && pool_.accounting().pending > 0) {
+        improved = true;
         StopToken token;
-        {
+        guarded([&] {
           const std::lock_guard<std::mutex> lock(improvement_mutex_);
           improvement_ = StopSource();
           token = improvement_.token();
-        }
+        });
         if (commands_.size() > 0 || stop_source_.stop_requested()) break;
         guarded([&] { pool_.improve(static_cast<std::size_t>(options_.batch), token); });
-        improved = true;
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
         ++statistics_.improvements;
       }
@@ -802,9 +877,10 @@ class LoopClosureModule::Impl {
     try {
       function();
     } catch (const std::exception& error) {
-      post_inside(ProblemEvent{std::string("prioritisation: ") + error.what()});
+      tell_problem([&] { return std::string("prioritisation: ") + error.what(); });
     } catch (...) {
-      post_inside(ProblemEvent{"prioritisation: something that is not a std::exception was thrown"});
+      tell_problem(
+          [] { return std::string("prioritisation: something that is not a std::exception was thrown"); });
     }
   }
 
@@ -881,6 +957,8 @@ class LoopClosureModule::Impl {
   bool prioritizes_ = true;
   bool graph_is_new_ = false;
   bool computing_ = false, optimizing_ = false, wants_estimate_ = false;
+  std::size_t being_computed_ =
+      0;  // results that will still come, also of batches that did not wait for them
   std::uint64_t removals_ = 0;
   std::int64_t first_stamp_ns_ = 0;
   double now_s_ = 0.0, next_factor_check_s_ = 0.0;
@@ -904,6 +982,7 @@ class LoopClosureModule::Impl {
 
   std::mutex stop_mutex_;
   std::thread computation_, back_end_, prioritization_, graph_thread_;
+  RegistrationCrew crew_;  // last: its threads may still be on their way out of the hooks
 };
 
 LoopClosureModule::LoopClosureModule(const Robots& robots, const ModuleOptions& options, const Config& config,

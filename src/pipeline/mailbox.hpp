@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <chrono>
 #include <condition_variable>
 #include <cstddef>
 #include <deque>
 #include <mutex>
+#include <new>
 #include <optional>
+#include <thread>
 #include <utility>
 
 namespace loopwise {
@@ -40,11 +43,19 @@ class Mailbox {
     return true;
   }
 
-  /// From a stage inside: never waits, and is taken even when closed.
+  /// From a stage inside: never waits for room, and is taken even when closed. Without memory it tries again
+  /// until there is some: a result that is there must not be lost.
   void post_inside(Message message) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    inner_.push_back(std::move(message));
-    some_.notify_one();
+    while (true) {
+      try {
+        const std::lock_guard<std::mutex> lock(mutex_);
+        inner_.push_back(std::move(message));  // does not touch the message if it throws
+        some_.notify_one();
+        return;
+      } catch (const std::bad_alloc&) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+      }
+    }
   }
 
   /// The next message, waiting for one; none once closed, empty, and no more expected from inside.

@@ -284,13 +284,19 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     result.message = std::move(message);
     return result;
   };
+  const Deadline deadline(task.time_limit_s);
+  const auto late = [&] {
+    return reject(RejectionReason::kTimeLimit, "not done after " + std::to_string(task.time_limit_s) + " s");
+  };
   Stopwatch features_watch;
   const std::string source_name = signature(task.source, task.enough_points);
   const std::string target_name = signature(task.target, task.enough_points);
   const auto source_side = impl_->side(source_name, task.source, task.enough_points, result);
   if (!source_side) return result;
+  if (deadline.passed()) return late();
   const auto target_side = impl_->side(target_name, task.target, task.enough_points, result);
   if (!target_side) return result;
+  if (deadline.passed()) return late();
   const Side& source = *source_side;
   const Side& target = *target_side;
   const PointCloud& source_cloud = source.submap.cloud();
@@ -381,10 +387,12 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
       if (result.verified()) return result;
     }
   }
+  if (deadline.passed()) return late();
   Stopwatch keys_watch;
   const auto source_keys = impl_->key_points(source_name, source);
   const auto target_keys = impl_->key_points(target_name, target);
   result.features_s += keys_watch.seconds();
+  if (deadline.passed()) return late();
   const Stopwatch global_watch;
   if (std::min(source_keys->points.size(), target_keys->points.size()) < 3) {
     return reject(RejectionReason::kTooFewPoints, "fewer than 3 key points with a normal and neighbours");
@@ -392,12 +400,14 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   std::vector<Match> matches =
       match(*source_keys, *target_keys, static_cast<std::size_t>(options.max_matches));
   if (task.guess_from_to) drop_impossible(matches, task.guess_from_to->inverse(), options);
+  if (deadline.passed()) return late();
   const Consensus consensus = find_consensus(matches, options.match_tolerance_m,
                                              static_cast<std::size_t>(options.hypotheses), allowed);
   // A quarter of the points tells which hypotheses are worth all of them.
   std::vector<Scored> scored;
   double most = 0.0;
   for (const Hypothesis& h : consensus.hypotheses) {
+    if (deadline.passed()) return late();
     scored.push_back({h.T_target_source, score(source, scored_points / 4, target, h.T_target_source, reach)});
     most = std::max(most, scored.back().value);
   }
@@ -417,6 +427,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
       return !far_apart(other, s.T_target_source, source.centre);
     };
     if (std::any_of(starts.begin(), starts.end(), near)) continue;
+    if (deadline.passed()) return late();
     starts.push_back(s.T_target_source);
     if (refine_start(s.T_target_source) >= options.sure_share) break;
   }
@@ -435,6 +446,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
                                                     std::to_string(scored.front().value) +
                                                     ", must be >= " + std::to_string(options.min_score));
   }
+  if (deadline.passed()) return late();
   decide();
   return result;
 }

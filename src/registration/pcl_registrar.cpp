@@ -261,12 +261,17 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
     result.message = std::move(message);
     return result;
   };
+  const Deadline deadline(task.time_limit_s);
+  const auto late = [&] {
+    return reject(RejectionReason::kTimeLimit, "not done after " + std::to_string(task.time_limit_s) + " s");
+  };
   Stopwatch features_watch;
   const std::optional<Submap> source =
       Submap::load(*impl_->features, task.source, task.enough_points, result);
   const std::optional<Submap> target =
       source ? Submap::load(*impl_->features, task.target, task.enough_points, result) : std::nullopt;
   if (!target) return result;
+  if (deadline.passed()) return late();
   const std::size_t fewest = std::min(source->cloud().size(), target->cloud().size());
   if (fewest < static_cast<std::size_t>(options.tests.min_points)) {
     return reject(RejectionReason::kTooFewPoints,
@@ -277,6 +282,7 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
   if (std::min(source_keys.points.size(), target_keys.points.size()) < 3) {
     return reject(RejectionReason::kTooFewPoints, "fewer than 3 key points with a normal and neighbours");
   }
+  if (deadline.passed()) return late();
 
   Stopwatch global_watch;
   std::optional<Eigen::Isometry3d> guess_to_from;
@@ -297,6 +303,7 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
                   "mean squared distance of key points " + std::to_string(result.sac_fitness_m2) +
                       " m^2, must be <= " + std::to_string(options.max_sac_fitness_m2) + " m^2");
   }
+  if (deadline.passed()) return late();
 
   Stopwatch refine_watch;
   const Refinement refined = refine(source->cloud(), target->cloud(), coarse, options);

@@ -76,6 +76,7 @@ RegistrationTask make_task(const PoseGraph& graph, const Robots& robots, const L
   }
   task.enough_points = static_cast<std::size_t>(options.enough_points);
   task.seed = pair_seed(seed, candidate.from, candidate.to);
+  task.time_limit_s = options.time_limit_s;
   return task;
 }
 

@@ -86,6 +86,44 @@ TEST_CASE("live replay: the online module sees the whole mission", "[pipeline][l
   }
 }
 
+TEST_CASE("live replay: scans that vanish before they are asked for are named, nothing is lost",
+          "[pipeline][live][error]") {
+  const testing::TemporaryFolder folder;
+  Mission mission = two_circles();
+  std::map<Key, testing::fs::path> files;
+  for (const Key key : mission.graph.keys()) {
+    files[key] = folder / (std::to_string(key) + ".pcd");
+    write_pcd(files[key], *mission.scans->load(key));
+  }
+  mission.scans = std::make_shared<ScanStore>(files, 0);
+  Config config = live_config("baseline");
+  config.replay.after_mission = true;
+  config.features.max_cache_mb = 0.0;
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  std::size_t key_frames = 0;
+  ReplayHooks hooks;
+  hooks.progress = [&](const Progress& progress) {  // after each key frame
+    if (progress.done <= key_frames) return;
+    key_frames = progress.done;
+    if (key_frames % 10 == 0) {
+      testing::fs::remove(files.at(make_key('a', 25 + key_frames / 10)));  // to come
+      testing::fs::remove(files.at(make_key('b', key_frames / 10)));       // has come
+    }
+  };
+  RealClock clock(0.0, 1000.0);
+  const ReplayResult result =
+      replay_live(mission, config, make_registrar(RegistrarKind::kFast, config, features), clock, 2, hooks);
+  REQUIRE(result.graph.nodes().size() == mission.graph.nodes().size());
+  REQUIRE(result.accounting.balanced());
+  REQUIRE(result.accounting.pending + result.accounting.in_flight == 0);
+  REQUIRE(result.computed.size() == result.accounting.computed);
+  REQUIRE(result.problems.count("scan cannot be read") > 0);
+  bool named = false;
+  for (const Problem& problem : result.problems.all())
+    named = named || Contains(".pcd: No such file").match(problem.example);
+  REQUIRE(named);
+}
+
 TEST_CASE("live replay: landmarks, ranges and gravity take part", "[pipeline][live]") {
   const Mission mission = with_landmark(two_circles());
   RealClock clock(0.0, 1000.0);

@@ -435,6 +435,86 @@ TEST_CASE("module: a full queue holds its producer and drops nothing; callbacks 
 
 namespace {
 
+/// Does not come back for one pair until it is released.
+class HangingRegistrar final : public Registrar {
+ public:
+  HangingRegistrar(std::map<Key, Eigen::Isometry3d> truth, Key hangs_from)
+      : oracle_(std::move(truth), 0.0, 0.0), hangs_from_(hangs_from) {}
+  [[nodiscard]] std::string_view name() const override { return "hanging"; }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+    while (task.candidate.from == hangs_from_ && !released_)
+      std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    return oracle_.compute(task);
+  }
+  void release() { released_ = true; }
+
+ private:
+  OracleRegistrar oracle_;
+  const Key hangs_from_;
+  std::atomic<bool> released_{false};
+};
+
+}  // namespace
+
+TEST_CASE("module: a registration that hangs is reported, the others go on, and its result still counts",
+          "[pipeline][module][error]") {
+  const Mission mission = two_circles(1, 12);
+  const int batch = GENERATE(1, 3);
+  const bool released = GENERATE(true, false);  // before the stop, or while it waits
+  CAPTURE(batch, released);
+  const auto registrar = std::make_shared<HangingRegistrar>(mission.ground_truth, make_key('b', 2));
+  ModuleParts parts;
+  parts.registrar = registrar;
+  ModuleOptions options = module_options("baseline");
+  options.proximity = false;
+  options.batch = batch;
+  options.overdue_after_s = 0.05;
+  std::mutex mutex;
+  std::vector<std::string> problems;
+  ModuleCallbacks callbacks;
+  callbacks.problem = [&](const std::string& text) {
+    const std::lock_guard<std::mutex> lock(mutex);
+    problems.push_back(text);
+  };
+  LoopClosureModule module(mission.robots, options, {}, callbacks, std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  std::vector<LoopCandidate> candidates;
+  for (std::uint64_t i = 0; i < 10; ++i) candidates.push_back(pair(make_key('a', i), make_key('b', i)));
+  REQUIRE(module.add_candidates(candidates));
+  const auto account = [&] { return module.statistics().candidates; };
+  for (int i = 0; i < 5000 && account().computed < 9; ++i)
+    std::this_thread::sleep_for(std::chrono::milliseconds(1));
+  REQUIRE(account().computed == 9);
+  REQUIRE(account().in_flight == 1);
+  REQUIRE(account().balanced());
+  REQUIRE(module.statistics().overdue == 1);
+  REQUIRE(module.statistics().overdue_now == 1);
+  {
+    const std::lock_guard<std::mutex> lock(mutex);
+    REQUIRE(problems.size() == 1);
+    REQUIRE_THAT(problems[0], Contains("b2") && Contains("a2") && Contains("has not come back"));
+  }
+  if (released) {
+    registrar->release();
+    REQUIRE(module.wait());
+    REQUIRE(module.statistics().overdue_now == 0);
+    REQUIRE(module.estimate()->closures == 10);
+    module.stop();
+  } else {
+    std::thread later([&] {
+      std::this_thread::sleep_for(std::chrono::milliseconds(50));
+      registrar->release();
+    });
+    module.stop();
+    later.join();
+  }
+  REQUIRE(account().computed == 10);
+  REQUIRE(account().in_flight == 0);
+  REQUIRE(module.graph().edges().size() == mission.graph.edges().size() + 10);
+}
+
+namespace {
+
 /// Stalls now and then, refuses most, throws at times: what a bad day looks like.
 class MoodyRegistrar final : public Registrar {
  public:

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
 #include <atomic>
+#include <map>
 #include <set>
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/io/cloud.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/pipeline/replay.hpp>
 
@@ -417,6 +419,75 @@ TEST_CASE("replay: missing and unreadable scans expire their candidates with a r
   }
 }
 
+TEST_CASE("replay: scans that vanish under way are named, their candidates counted, the rest goes on",
+          "[pipeline][replay][error]") {
+  const testing::TemporaryFolder folder;
+  Mission mission = two_circles();
+  std::map<Key, testing::fs::path> files;
+  for (const Key key : mission.graph.keys()) {
+    files[key] = folder / (std::to_string(key) + ".pcd");
+    write_pcd(files[key], *mission.scans->load(key));
+  }
+  mission.scans = std::make_shared<ScanStore>(files, 0);  // read anew each time
+  Config config = fast_config("baseline");
+  config.replay.after_mission = true;
+  config.features.max_cache_mb = 0.0;
+  std::set<Key> gone;
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  class Reading final : public Registrar {
+   public:
+    Reading(std::shared_ptr<FeatureCache> features, const Mission& mission)
+        : features_(std::move(features)), oracle_(mission.ground_truth) {}
+    std::string_view name() const override { return "reading"; }
+    RegistrationResult compute(const RegistrationTask& task) const override {
+      for (const Key key : {task.candidate.from, task.candidate.to}) {
+        try {
+          if (features_->get(key)) continue;
+        } catch (const Error& error) {
+          RegistrationResult missing;
+          missing.candidate = task.candidate;
+          missing.reason = RejectionReason::kMissingScan;
+          missing.message = error.what();
+          return missing;
+        }
+      }
+      return oracle_.compute(task);
+    }
+
+   private:
+    std::shared_ptr<FeatureCache> features_;
+    OracleRegistrar oracle_;
+  };
+  ReplayHooks hooks;
+  std::size_t computed = 0;
+  hooks.outcome = [&](const RegistrationResult&) {
+    if (++computed % 40 != 0) return;
+    const Key key = make_key(computed % 80 == 0 ? 'a' : 'b', computed / 40);
+    testing::fs::remove(files.at(key));
+    gone.insert(key);
+  };
+  ThreadPool pool(2);
+  const ReplayResult result =
+      MissionReplay(mission, config, features, std::make_shared<Reading>(features, mission)).run(pool, hooks);
+  REQUIRE(result.accounting.balanced());
+  REQUIRE(result.accounting.pending + result.accounting.in_flight == 0);
+  REQUIRE(result.computed.size() == result.accounting.computed);
+  std::size_t missing = 0;
+  for (const ComputedCandidate& c : result.computed) {
+    if (c.result.reason != RejectionReason::kMissingScan) continue;
+    ++missing;
+    REQUIRE((gone.count(c.result.candidate.from) + gone.count(c.result.candidate.to)) > 0);
+    REQUIRE_THAT(c.result.message, Contains(".pcd"));
+  }
+  REQUIRE(missing > 10);
+  const std::size_t named = result.problems.count("scan cannot be read");
+  REQUIRE(named > 0);
+  REQUIRE(named <= gone.size());
+  REQUIRE_THAT(to_string(result.problems.all().front()), Contains(".pcd: No such file"));
+  REQUIRE(std::any_of(result.computed.begin() + 100, result.computed.end(),
+                      [](const ComputedCandidate& c) { return c.result.verified(); }));
+}
+
 TEST_CASE("replay: a registrar that throws rejects its candidates", "[pipeline][replay][error]") {
   class Broken final : public Registrar {
    public:
@@ -432,6 +503,8 @@ TEST_CASE("replay: a registrar that throws rejects its candidates", "[pipeline][
     REQUIRE(c.result.reason == RejectionReason::kFailed);
     REQUIRE(c.result.message == "out of order");
   }
+  REQUIRE(run.result.problems.count("registration failed") == run.result.computed.size());
+  REQUIRE_THAT(to_string(run.result.problems.all().front()), Contains("out of order"));
 }
 
 TEST_CASE("replay: landmarks, ranges and gravity hold the map and are never candidates",

@@ -2,8 +2,10 @@
 /// \file
 /// What holds for every registrar of the library.
 #include <algorithm>
+#include <chrono>
 #include <iomanip>
 #include <numeric>
+#include <thread>
 #include <tuple>
 
 #include <Eigen/Eigenvalues>
@@ -399,6 +401,31 @@ TEST_CASE("registrar: kaist03 against the session's poses", "[registrar][data]")
   REQUIRE(median(near_deg) < 0.3);
   REQUIRE(median(all_m) < 0.1);
   REQUIRE(median(all_deg) < 0.5);
+}
+
+TEST_CASE("registrar: a time limit ends it with a reason, one that is not reached changes nothing",
+          "[registrar][error]") {
+  const std::string name = GENERATE(from_range(registrar_names()));
+  CAPTURE(name);
+  const Drive drive(11, 2);
+  RegistrationTask task = pair_task(1, 0, 1);
+  const RegistrationResult without = make_registrar(name, testing::loader(drive.scans))->compute(task);
+  task.time_limit_s = 3600.0;
+  require_identical(make_registrar(name, testing::loader(drive.scans))->compute(task), without);
+
+  // A scan that takes longer to read than there is time for all.
+  const auto slow = make_registrar(name, [&](Key key) {
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    return drive.scans.at(key);
+  });
+  task.time_limit_s = 0.02;
+  const RegistrationResult late = slow->compute(task);
+  require_sound(late);
+  REQUIRE(late.reason == RejectionReason::kTimeLimit);
+  REQUIRE_THAT(late.message, Contains("0.02"));
+  // What it has read by then is kept, so that there is time for more the next time.
+  task.time_limit_s = 3600.0;
+  require_identical(slow->compute(task), without);
 }
 
 }  // namespace

@@ -58,4 +58,18 @@ class Stopwatch {
   std::chrono::steady_clock::time_point start_;
 };
 
+/// A limit of wall time from construction on. What asks it depends on the machine's speed: it is off wherever
+/// results must repeat.
+class Deadline {
+ public:
+  /// 0: no limit.
+  explicit Deadline(double limit_s = 0.0) : limit_s_(limit_s) {}
+  /// Whether the limit is behind.
+  [[nodiscard]] bool passed() const { return limit_s_ > 0.0 && watch_.seconds() > limit_s_; }
+
+ private:
+  double limit_s_;
+  Stopwatch watch_;
+};
+
 }  // namespace loopwise

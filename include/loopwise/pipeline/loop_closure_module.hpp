@@ -39,6 +39,7 @@ struct ModuleOptions {
   bool back_end = true;
   bool proximity = true;
   double max_factor_wait_s = 600.0;
+  double overdue_after_s = 60.0;
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
@@ -54,6 +55,10 @@ struct ModuleOptions {
           "Propose nodes that are near. Without, candidates come from add_candidates() and radio alone.");
     field("max_factor_wait_s", self.max_factor_wait_s, at_least(0.0),
           "Factors to nodes that have not come for this long (stamps, s) are dropped and counted; 0: never.");
+    field("overdue_after_s", self.overdue_after_s, at_least(0.0),
+          "A registration that has run for so long, s of wall time, is reported as a problem, and its batch "
+          "goes on "
+          "without it and its thread; what it comes to in the end still counts. 0: never.");
     field("seed", self.seed, at_least(0), "Of everything random.");
   }
 };
@@ -112,9 +117,11 @@ struct ModuleStatistics {
   std::size_t improvements = 0;      ///< Times that prioritisation improved its next set meanwhile.
   std::size_t factors_waiting = 0;   ///< For their nodes.
   std::size_t factors_dropped = 0;   ///< Waited too long for their nodes.
-  double computing_s = 0.0;          ///< Wall time with a batch in computation, ...
-  double idle_s = 0.0;               ///< ... and without, since the start.
-  double oldest_pending_s = 0.0;     ///< Age of the oldest pending candidate by the stamps, s.
+  std::size_t overdue = 0;  ///< Registrations that ran for longer than ModuleOptions::overdue_after_s, ...
+  std::size_t overdue_now = 0;    ///< ... and those of them that have not come back, each on a thread.
+  double computing_s = 0.0;       ///< Wall time with a batch in computation, ...
+  double idle_s = 0.0;            ///< ... and without, since the start.
+  double oldest_pending_s = 0.0;  ///< Age of the oldest pending candidate by the stamps, s.
   std::map<std::string, std::size_t> handed_out;  ///< By prioritiser.
   CandidateAccounting candidates;                 ///< Where every candidate is.
 };
@@ -176,7 +183,8 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// to date. \returns false if the module was stopped instead.
   bool wait();
 
-  /// Ends all work soon and joins the threads; what was being computed is finished, what was pending stays so
+  /// Ends all work soon and joins the threads; what was being computed is finished, however long it takes (a
+  /// thread cannot be taken from a registrar: see RegistrationTask::time_limit_s), what was pending stays so
   /// in the account. May be called more than once and from any thread but the callbacks'.
   void stop();
 

@@ -35,6 +35,8 @@ struct RegistrationTask {
   /// 0: all members.
   std::size_t enough_points = 0;
   std::uint64_t seed = 0;  ///< Of all random draws.
+  double time_limit_s =
+      0.0;  ///< Wall time after which to give up with RejectionReason::kTimeLimit, s; 0: none.
 };
 
 /// The task of two scans alone, without guess: source `from`, target `to`.
@@ -49,7 +51,8 @@ struct RegistrationTask {
 }
 
 /// Turns a candidate into a closure or a stated rejection. Thread-safe, no hidden state: the result depends
-/// on the task and its scans alone, wall times apart.
+/// on the task and its scans alone, wall times apart. With RegistrationTask::time_limit_s it looks at the
+/// time between its stages, so that it ends soon after, not at, the limit.
 class LOOPWISE_EXPORT Registrar {
  public:
   virtual ~Registrar() = default;

@@ -20,6 +20,7 @@ struct TaskOptions {
   int target_neighbours = 2;
   std::int64_t enough_points = 2000;
   bool use_guess = true;
+  double time_limit_s = 0.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -30,6 +31,10 @@ struct TaskOptions {
     field("enough_points", self.enough_points, at_least(0.0),
           "Neighbours are merged, nearest first, only while a submap has fewer points; 0: always.");
     field("use_guess", self.use_guess, any_value(), "Hand the graph's relative pose to the registration.");
+    field("time_limit_s", self.time_limit_s, at_least(0.0),
+          "Wall time after which a registration gives up (time_limit), s; 0: none. With a limit results "
+          "depend on the "
+          "machine.");
   }
 };
 

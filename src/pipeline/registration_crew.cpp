@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "registration_crew.hpp"
+
+#include <algorithm>
+#include <chrono>
+#include <tuple>
+#include <utility>
+
+#include <loopwise/registration/batch.hpp>
+
+namespace loopwise {
+
+RegistrationCrew::RegistrationCrew(const Registrar& registrar, int threads, double overdue_after_s,
+                                   Hooks hooks)
+    : registrar_(registrar), overdue_after_s_(overdue_after_s), hooks_(std::move(hooks)) {
+  if (threads == 0) threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  try {
+    for (int i = 0; i < threads; ++i) {
+      Worker& worker = workers_.emplace_back();
+      worker.thread = std::thread([this, &worker] { work(worker); });
+    }
+  } catch (...) {
+    end();
+    throw;
+  }
+}
+
+RegistrationCrew::~RegistrationCrew() {
+  end();
+}
+
+void RegistrationCrew::end() {
+  {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    ending_ = true;
+    some_.notify_all();
+  }
+  for (Worker& worker : workers_) {
+    if (worker.thread.joinable()) worker.thread.join();
+  }
+}
+
+void RegistrationCrew::work(Worker& self) {
+  std::unique_lock<std::mutex> lock(mutex_);
+  while (true) {
+    some_.wait(lock, [this] { return ending_ || !tasks_.empty(); });
+    if (tasks_.empty()) return;
+    const RegistrationTask task = std::move(tasks_.front());
+    tasks_.pop_front();
+    if (stop_.stop_requested()) {
+      not_begun_.push_back(task.candidate);
+      changed_.notify_all();
+      continue;
+    }
+    self.busy = true;
+    self.overdue = false;
+    self.candidate = task.candidate;
+    self.watch = Stopwatch();
+    changed_.notify_all();
+    lock.unlock();
+    hooks_.result(compute_or_fail(registrar_, task));
+    lock.lock();
+    self.busy = false;
+    if (self.overdue && hooks_.back) {
+      lock.unlock();
+      hooks_.back();
+      lock.lock();
+    }
+    changed_.notify_all();
+  }
+}
+
+bool RegistrationCrew::finished() const {
+  return tasks_.empty() && std::none_of(workers_.begin(), workers_.end(),
+                                        [](const Worker& worker) { return worker.busy && !worker.overdue; });
+}
+
+void RegistrationCrew::report_overdue(std::unique_lock<std::mutex>& lock) {
+  for (Worker& worker : workers_) {
+    if (!worker.busy || worker.overdue || worker.watch.seconds() < overdue_after_s_) continue;
+    worker.overdue = true;
+    if (!hooks_.overdue) continue;
+    const LoopCandidate candidate = worker.candidate;
+    const double seconds = worker.watch.seconds();
+    lock.unlock();
+    hooks_.overdue(candidate, seconds);
+    lock.lock();
+  }
+}
+
+std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> tasks, const StopToken& stop) {
+  // Pairs with the same target one after the other, as compute_batch() has them.
+  std::sort(tasks.begin(), tasks.end(), [](const RegistrationTask& a, const RegistrationTask& b) {
+    return std::tie(a.candidate.to, a.candidate.from) < std::tie(b.candidate.to, b.candidate.from);
+  });
+  std::deque<RegistrationTask> queue(std::make_move_iterator(tasks.begin()),
+                                     std::make_move_iterator(tasks.end()));
+  std::unique_lock<std::mutex> lock(mutex_);
+  not_begun_.clear();
+  not_begun_.reserve(queue.size());
+  stop_ = stop;
+  tasks_ = std::move(queue);
+  some_.notify_all();
+  while (!finished()) {
+    if (overdue_after_s_ <= 0.0) {
+      changed_.wait(lock);
+      continue;
+    }
+    double soonest_s = overdue_after_s_;
+    for (const Worker& worker : workers_) {
+      if (worker.busy && !worker.overdue) {
+        soonest_s = std::min(soonest_s, overdue_after_s_ - worker.watch.seconds());
+      }
+    }
+    // On the system's clock: the thread sanitizer of gcc 12 does not know waits on the steady one.
+    const auto pause = std::chrono::duration<double>(std::max(0.001, soonest_s));
+    changed_.wait_until(lock, std::chrono::system_clock::now() +
+                                  std::chrono::duration_cast<std::chrono::system_clock::duration>(pause));
+    report_overdue(lock);
+  }
+  return std::exchange(not_begun_, {});
+}
+
+}  // namespace loopwise

@@ -1,0 +1,66 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <condition_variable>
+#include <deque>
+#include <functional>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+/// Threads that compute batches of registrations. Unlike a thread pool's, a batch does not wait for a
+/// registration that hangs: it is reported and keeps its thread, the others go on.
+class RegistrationCrew {
+ public:
+  struct Hooks {
+    std::function<void(RegistrationResult&&)> result;  ///< From a thread of the crew. Must not throw.
+    std::function<void(const LoopCandidate&, double)> overdue;  ///< Has run for so many seconds; from run().
+    std::function<void()> back;  ///< An overdue one has come back, after its result.
+  };
+
+  /// `threads` 0: one per processor. `overdue_after_s` 0: run() waits for all. \throws std::system_error if
+  /// the system has no more threads.
+  RegistrationCrew(const Registrar& registrar, int threads, double overdue_after_s, Hooks hooks);
+  /// Waits for what is being computed, however long that takes: a thread cannot be taken from a registrar.
+  ~RegistrationCrew();
+  RegistrationCrew(const RegistrationCrew&) = delete;
+  RegistrationCrew& operator=(const RegistrationCrew&) = delete;
+
+  /// Returns once each task has a result, is overdue, or was not begun because of a stop request.
+  /// \returns those that were not begun.
+  [[nodiscard]] std::vector<LoopCandidate> run(std::vector<RegistrationTask> tasks, const StopToken& stop);
+
+ private:
+  struct Worker {
+    std::thread thread;
+    bool busy = false;
+    bool overdue = false;
+    LoopCandidate candidate;  // while busy
+    Stopwatch watch;          // since it became busy
+  };
+
+  void work(Worker& self);
+  void end();
+  /// With the mutex held, which is let go for the hook.
+  void report_overdue(std::unique_lock<std::mutex>& lock);
+  [[nodiscard]] bool finished() const;
+
+  const Registrar& registrar_;
+  const double overdue_after_s_;
+  const Hooks hooks_;
+  std::mutex mutex_;  // of all below
+  std::condition_variable some_, changed_;
+  std::deque<RegistrationTask> tasks_;
+  std::vector<LoopCandidate> not_begun_;
+  StopToken stop_;
+  bool ending_ = false;
+  std::deque<Worker> workers_;  // their places stay
+};
+
+}  // namespace loopwise
