@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstring>
@@ -6,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/mission_picture.hpp>
 #include <loopwise/evaluation/report.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
@@ -450,6 +452,37 @@ TEST_CASE("report: names of any kind cannot leave the data", "[evaluation][repor
   REQUIRE(parse_json(inside, "page") == parse_json(report.data, "data"));
   REQUIRE(occurrences(page, "http://") + occurrences(page, "https://") ==
           occurrences(empty, "http://") + occurrences(empty, "https://"));
+}
+
+TEST_CASE("report: robots and folders that are named after markup stay text in the written page",
+          "[evaluation][report]") {
+  if (!report_pages_built()) return SUCCEED("no pages in this build");
+  Mission mission = testing::two_circles();
+  const std::vector<Robot> plain = mission.robots.all();
+  const std::string evil = "<script>alert(\"1\")</script>",
+                    quoted = "' onmouseover='alert(2)' \"&amp;<img src=x>";
+  mission.robots = Robots({{evil, plain[0].first, plain[0].last}, {quoted, plain[1].first, plain[1].last}});
+  mission.beacons.push_back({"</title><svg onload=alert(3)>", 0, make_key('a', 2), 0});
+  const Run run(mission);
+  const testing::TemporaryFolder folder;
+  const testing::fs::path runs = folder / "<script>'\"&<b>";
+  testing::fs::copy(run.folder.path(), runs, testing::fs::copy_options::recursive);
+  ThreadPool threads(1);
+  const Report report = write_report(folder / "r.html", {runs}, {mission}, {}, threads);
+  const std::string page = testing::read_text(folder / "r.html"), empty = report_page("{}");
+  const auto brackets = [](const std::string& text) { return std::count(text.begin(), text.end(), '<'); };
+  REQUIRE(brackets(page) == brackets(empty));  // no element that the page itself does not have
+  const std::string begin = "<script type=\"application/json\" id=\"data\">";
+  const std::size_t from = page.find(begin) + begin.size();
+  const Json data = parse_json(page.substr(from, page.find("</script>", from) - from), "page");
+  REQUIRE(data.at("runs").at(0).at("scene").at("robots") == Json({evil, quoted}));
+  // The pictures of the same run, as browsers show them too.
+  for (const std::string& picture :
+       {testing::read_text(runs / "picture.svg"), mission_picture_svg(mission)}) {
+    REQUIRE_FALSE(Contains("<script").match(picture));
+    REQUIRE_FALSE(Contains("<img").match(picture));
+    REQUIRE_FALSE(Contains("<svg onload").match(picture));
+  }
 }
 
 TEST_CASE("report: one file that is replaced as a whole", "[evaluation][report]") {

@@ -3,9 +3,12 @@
 
 #include <cmath>
 
+#include <nlohmann/json.hpp>
+
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
 #include <loopwise/io/trajectory.hpp>
 
 #include "cloud_testing.hpp"
@@ -133,6 +136,35 @@ TEST_CASE("mission: a folder comes back as it was written", "[io][mission]") {
   }
   CHECK(read_file(folder / "again" / "stamps.csv") == read_file(folder / "m" / "stamps.csv"));
   CHECK(read_file(folder / "again" / "mission.json") == read_file(folder / "m" / "mission.json"));
+}
+
+TEST_CASE("mission: its files lie in its folder, by name; links that its owner made are followed",
+          "[io][mission]") {
+  const TemporaryFolder folder;
+  const fs::path mission = write_complete(folder);
+  fs::create_directories(folder / "disk");
+  fs::rename(mission / "scans", folder / "disk" / "scans");
+  fs::create_directory_symlink(folder / "disk" / "scans", mission / "scans");
+  CHECK(read_mission(mission).scans->load(make_key('a', 1))->size() == 20);
+
+  // Names are taken apart as text: behind a link, .. is the mission's folder again, not the link's target's
+  // parent.
+  testing::write_text(folder / "disk" / "other.g2o", "not of this mission\n");
+  const auto with_graph = [&](const std::string& name) {
+    Json json = parse_json(testing::read_text(mission / "mission.json"), "mission.json");
+    json["files"] = {{"graph", name}};
+    testing::write_text(mission / "mission.json", json.dump());
+  };
+  with_graph("scans/../graph.g2o");
+  CHECK(read_mission(mission).graph.nodes().size() == 10);
+  with_graph("scans/../other.g2o");
+  CHECK_THROWS_WITH(read_mission(mission), Contains((mission / "other.g2o").string()));
+  for (const char* name :
+       {"scans/../../disk/other.g2o", "..", "../m/graph.g2o", "/etc/passwd", "./../disk/other.g2o"}) {
+    CAPTURE(name);
+    with_graph(name);
+    CHECK_THROWS_WITH(read_mission(mission), Contains("leads out of the mission's folder"));
+  }
 }
 
 TEST_CASE("mission: landmarks, ranges and gravity come back", "[io][mission]") {
