@@ -13,6 +13,7 @@ namespace {
 
 using testing::OracleRegistrar;
 using testing::two_circles;
+using testing::with_landmark;
 
 Config live_config(const std::string& method) {
   Config config;

@@ -15,6 +15,7 @@ namespace {
 
 using testing::OracleRegistrar;
 using testing::two_circles;
+using testing::with_landmark;
 
 Config fast_config(const std::string& method = "random") {
   Config config;
