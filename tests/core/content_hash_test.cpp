@@ -35,6 +35,13 @@ TEST_CASE("content hash: the same however the content is cut", "[core][hash][pro
   }
 }
 
+TEST_CASE("content hash: nothing adds nothing, wherever it lies", "[core][hash]") {
+  for (const std::string before : {"", "abc", "0123456789abcdef"}) {
+    const ContentHash expected = ContentHasher().bytes(before.data(), before.size()).finish();
+    REQUIRE(ContentHasher().bytes(before.data(), before.size()).bytes(nullptr, 0).finish() == expected);
+  }
+}
+
 TEST_CASE("content hash: every bit and every border counts", "[core][hash][property]") {
   std::string content(47, 'x');
   const std::string whole = hash_of(content);
