@@ -89,8 +89,9 @@ TEST_CASE("module: closes loops, keeps account, tells of everything", "[pipeline
       REQUIRE(estimate->revision == estimates);
     };
     callbacks.problem = [&](const std::string& text) { problems.push_back(text); };
-    LoopClosureModule module(mission.robots, module_options(method), module_test_config(), callbacks,
-                             with_oracle(mission));
+    ModuleOptions options = module_options(method);
+    options.batch = 100;
+    LoopClosureModule module(mission.robots, options, module_test_config(), callbacks, with_oracle(mission));
     for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
     REQUIRE(module.wait());
 
