@@ -957,8 +957,7 @@ class LoopClosureModule::Impl {
   bool prioritizes_ = true;
   bool graph_is_new_ = false;
   bool computing_ = false, optimizing_ = false, wants_estimate_ = false;
-  std::size_t being_computed_ =
-      0;  // results that will still come, also of batches that did not wait for them
+  std::size_t being_computed_ = 0;  // results that will still come, also of batches that are done
   std::uint64_t removals_ = 0;
   std::int64_t first_stamp_ns_ = 0;
   double now_s_ = 0.0, next_factor_check_s_ = 0.0;

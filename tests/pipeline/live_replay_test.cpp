@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
+#include <map>
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/io/cloud.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/pipeline/live_replay.hpp>
 

@@ -423,7 +423,7 @@ TEST_CASE("replay: missing and unreadable scans expire their candidates with a r
 TEST_CASE("replay: scans that vanish under way are named, their candidates counted, the rest goes on",
           "[pipeline][replay][error]") {
   const testing::TemporaryFolder folder;
-  Mission mission = two_circles();
+  Mission mission = two_circles(1, 20);
   std::map<Key, testing::fs::path> files;
   for (const Key key : mission.graph.keys()) {
     files[key] = folder / (std::to_string(key) + ".pcd");
@@ -480,12 +480,12 @@ TEST_CASE("replay: scans that vanish under way are named, their candidates count
     REQUIRE((gone.count(c.result.candidate.from) + gone.count(c.result.candidate.to)) > 0);
     REQUIRE_THAT(c.result.message, Contains(".pcd"));
   }
-  REQUIRE(missing > 10);
+  REQUIRE(missing > 0);
   const std::size_t named = result.problems.count("scan cannot be read");
   REQUIRE(named > 0);
   REQUIRE(named <= gone.size());
   REQUIRE_THAT(to_string(result.problems.all().front()), Contains(".pcd: No such file"));
-  REQUIRE(std::any_of(result.computed.begin() + 100, result.computed.end(),
+  REQUIRE(std::any_of(result.computed.begin() + 80, result.computed.end(),
                       [](const ComputedCandidate& c) { return c.result.verified(); }));
 }
 
