@@ -67,6 +67,8 @@ int run(const Options& options) {
                      {"nodes", mission.graph.nodes().size()},
                      {"edges", mission.graph.edges().size()},
                      {"priors", mission.graph.priors().size()},
+                     {"ranges", mission.graph.ranges().size()},
+                     {"gravity", mission.graph.gravities().size()},
                      {"scans", result.scans},
                      {"ground_truth", mission.ground_truth.size()},
                      {"radio_readings", mission.radio.size()},
