@@ -75,8 +75,8 @@ std::string mission_picture_svg(const Mission& mission) {
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
     if (mission.robots[robot].landmarks) {
       for (const auto& [key, p] : odometry[robot]) {
-        put(out, "<path d=\"M%.1f %.1fl5 5l-5 5l-5 -5z\" fill=\"%s\"><title>", page.x(p.x()), page.y(p.y()) - 5.0,
-            robot_colour(robot));
+        put(out, "<path d=\"M%.1f %.1fl5 5l-5 5l-5 -5z\" fill=\"%s\"><title>", page.x(p.x()),
+            page.y(p.y()) - 5.0, robot_colour(robot));
         out += key_name(key) + "</title></path>\n";
       }
       continue;
@@ -111,8 +111,7 @@ std::string mission_picture_svg(const Mission& mission) {
     out += escaped(mission.robots[robot].name) + "</text>\n";
   }
   put(out, "<text x=\"%.1f\" y=\"%.1f\">", kMargin, y + kRow + 5.0);
-  out +=
-      "solid: truth; dashed: odometry; triangle: beacon; square: prior; grey: out of range";
+  out += "solid: truth; dashed: odometry; triangle: beacon; square: prior; grey: out of range";
   if (landmarks) out += "; diamond: landmark";
   out += "</text>\n</svg>\n";
   return out;

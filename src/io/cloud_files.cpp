@@ -90,8 +90,8 @@ NamedClouds name_clouds(const FileSource& files, const KeyTable& table, Problems
     const std::string& name = files.names[i];
     if (!is_cloud_file(name)) {
       const bool known = name == "keys.csv" || name == parts::kRanges || name == parts::kGravity ||
-                         fs::path(name).extension() == ".g2o" ||
-                         fs::path(name).extension() == ".bag" || fs::path(name).extension() == ".zip";
+                         fs::path(name).extension() == ".g2o" || fs::path(name).extension() == ".bag" ||
+                         fs::path(name).extension() == ".zip";
       if (!known) problems.add("foreign file in scans", files.path(i));
       continue;
     }

@@ -200,9 +200,9 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   const Found found = find_clouds(folder, mission.problems);
   const std::map<Key, Key> full = full_keys(g2o.graph, found.clouds, file.string(), options);
   const PoseGraph graph = renamed(g2o.graph, full);
-  mission.robots = robots_of(
-      graph, options,
-      with_landmarks(Robots::from_keys(graph.keys()), landmark_characters(graph, found.clouds)));
+  mission.robots =
+      robots_of(graph, options,
+                with_landmarks(Robots::from_keys(graph.keys()), landmark_characters(graph, found.clouds)));
 
   Stamps stamps;
   for (const auto& [key, stamp] : found.table.stamps) {
@@ -234,7 +234,8 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   } else if (!truth.bags.empty()) {
     read_bag_truth(mission, truth.bags, options, work);
   }
-  set_scans(mission, found.files, clouds_of_nodes(found.clouds, key_frames(graph, mission.robots), found.files), options);
+  set_scans(mission, found.files,
+            clouds_of_nodes(found.clouds, key_frames(graph, mission.robots), found.files), options);
   mission.provenance_json = provenance_of(mission.kind, {file.filename().string()});
   return mission;
 }

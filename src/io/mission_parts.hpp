@@ -35,8 +35,8 @@ inline constexpr const char* kGravity = "gravity.csv";
 [[nodiscard]] Robots robots_of(const PoseGraph& graph, const MissionOptions& options,
                                const Robots& otherwise);
 
-/// Whether LAMP gives such keys to what robots saw: artifacts carry the capital letter of their robot, anchors
-/// of ultra-wideband radios a 'u'.
+/// Whether LAMP gives such keys to what robots saw: artifacts carry the capital letter of their robot,
+/// anchors of ultra-wideband radios a 'u'.
 [[nodiscard]] bool is_landmark_character(char character);
 
 /// The same, those of these characters marked as landmarks. Artifacts are called after their robot,

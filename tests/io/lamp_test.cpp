@@ -526,11 +526,11 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
     const auto write = [&](const std::string& name, char character) {
       Mission one;
       one.name = name;
-      one.robots = parts::with_landmarks(
-          Robots({robot_of_character(character, "r"), robot_of_character('C', "C"),
-                  robot_of_character('u', "u")}),
-          {'C', 'u'});
-      for (const Key key : {make_key(character, 5), make_key(character, 6), make_key('C', 3), make_key('u', 0)}) {
+      one.robots = parts::with_landmarks(Robots({robot_of_character(character, "r"),
+                                                 robot_of_character('C', "C"), robot_of_character('u', "u")}),
+                                         {'C', 'u'});
+      for (const Key key :
+           {make_key(character, 5), make_key(character, 6), make_key('C', 3), make_key('u', 0)}) {
         Node node;
         node.key = key;
         node.stamp_ns = 7;

@@ -87,9 +87,8 @@ inline void check_information(const Matrix6d& information, const Json& covarianc
 }
 
 inline void check_nodes(const Mission& mission, const Json& expected, bool stamps = true) {
-  const auto frames =
-      std::count_if(mission.graph.nodes().begin(), mission.graph.nodes().end(),
-                    [&](const Node& node) { return !mission.robots.is_landmark(node.key); });
+  const auto frames = std::count_if(mission.graph.nodes().begin(), mission.graph.nodes().end(),
+                                    [&](const Node& node) { return !mission.robots.is_landmark(node.key); });
   REQUIRE(static_cast<std::size_t>(frames) == expected["nodes"].size());
   for (const Json& node : expected["nodes"]) {
     const Key key = key_of(node["key"]);
@@ -163,8 +162,8 @@ inline void check_truth(const Mission& mission, const Json& expected) {
   }
 }
 
-/// The poses that the mission's factors come to, against those that were worked out by hand. Where an artifact
-/// is turned nobody knows.
+/// The poses that the mission's factors come to, against those that were worked out by hand. Where an
+/// artifact is turned nobody knows.
 inline void check_optimum(const Mission& mission, const Json& expected) {
   const OptimizationResult result = optimize(mission.graph);
   CHECK(result.converged);
