@@ -192,7 +192,14 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
                       enum_name(translation_first ? CovarianceOrder::kRotationFirst
                                                   : CovarianceOrder::kTranslationFirst));
   }
-  if (covariance == Matrix6d(variances.asDiagonal())) return Matrix6d(variances.cwiseInverse().asDiagonal());
+  const auto finite = [&](const Matrix6d& inverse) -> std::optional<Matrix6d> {
+    if (inverse.allFinite()) return inverse;
+    problems_.add("unusable covariance", seen.where);
+    return std::nullopt;
+  };
+  if (covariance == Matrix6d(variances.asDiagonal())) {
+    return finite(variances.cwiseInverse().asDiagonal());
+  }
   // Inverted with a unit diagonal, so that metres and radians of very different size count alike.
   const Vector6d scale = variances.cwiseSqrt().cwiseInverse();
   const Matrix6d scaled = scale.asDiagonal() * covariance * scale.asDiagonal();
@@ -203,7 +210,7 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
     return std::nullopt;
   }
   const Matrix6d inverse = scale.asDiagonal() * factor.solve(Matrix6d::Identity()) * scale.asDiagonal();
-  return Matrix6d(0.5 * (inverse + inverse.transpose()));
+  return finite(0.5 * (inverse + inverse.transpose()));
 }
 
 void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
@@ -408,6 +415,10 @@ Gatherer::Landmarks Gatherer::held_landmarks(const PoseGraph& key_frames) const 
       held.poses.emplace(prior.from, first_pose(prior.from).value_or(*prior.pose));
     }
   }
+  const auto hold = [&](Key key, const Eigen::Isometry3d& sighted) {
+    const Eigen::Isometry3d pose = first_pose(key).value_or(se3::normalized(sighted));
+    return pose.matrix().allFinite() && held.poses.emplace(key, pose).second;
+  };
   // A landmark may be seen from one that is itself seen from a key frame.
   const auto spread = [&] {
     for (bool changed = true; changed;) {
@@ -417,11 +428,9 @@ Gatherer::Landmarks Gatherer::held_landmarks(const PoseGraph& key_frames) const 
           if (!seen.pose) continue;
           const auto from = pose_of_node(seen.from), to = pose_of_node(seen.to);
           if (from && !to && is_landmark(seen.to)) {
-            const Eigen::Isometry3d pose = se3::normalized(*from * *seen.pose);
-            changed = held.poses.emplace(seen.to, first_pose(seen.to).value_or(pose)).second || changed;
+            changed = hold(seen.to, *from * *seen.pose) || changed;
           } else if (to && !from && is_landmark(seen.from)) {
-            const Eigen::Isometry3d pose = se3::normalized(*to * seen.pose->inverse());
-            changed = held.poses.emplace(seen.from, first_pose(seen.from).value_or(pose)).second || changed;
+            changed = hold(seen.from, *to * seen.pose->inverse()) || changed;
           }
         }
       }
