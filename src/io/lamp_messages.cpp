@@ -454,8 +454,9 @@ Gatherer::Landmarks Gatherer::held_landmarks(const PoseGraph& key_frames) const 
     const auto nodes = ranged.find(key);
     problems_.add("landmark left out",
                   seen.where + ": " + key_name(key) + ", " +
-                      (seen.pose ? "not sighted and ranged from " : "without usable pose, ranged from ") +
-                      std::to_string(nodes == ranged.end() ? 0 : nodes->second.size()) + " nodes");
+                      (seen.pose ? "not sighted, ranged from " : "without usable pose, ranged from ") +
+                      std::to_string(nodes == ranged.end() ? 0 : nodes->second.size()) + " of the " +
+                      std::to_string(kLeastRanges) + " nodes that it takes");
   }
   return held;
 }

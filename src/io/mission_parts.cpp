@@ -90,7 +90,7 @@ void complete_priors(const PoseGraph& graph, const Robots& robots, const Mission
   for (const Key key : first_nodes(graph, robots)) {
     if (tied.count(robots.of(key)) != 0) continue;
     priors.push_back(default_prior(graph, key, options));
-    problems.add("no prior given", name + ": node " + std::to_string(key) + " gets one");
+    problems.add("no prior given", name + ": node " + key_name(key) + " gets one");
   }
 }
 
