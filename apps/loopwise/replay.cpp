@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <unistd.h>
+#include <algorithm>
 
 #include <fstream>
 #include <optional>
@@ -98,6 +99,24 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   return json.dump();
 }
 
+/// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".
+std::string difference(const std::string& before, const std::string& now) {
+  const Json a = Json::parse(before, nullptr, false), b = Json::parse(now);
+  if (!a.is_object() || !a.contains("options")) return "another version of the program";
+  if (a.value("code", "") != b["code"]) return "another version of the program";
+  if (a.value("mission", "") != b["mission"] || a.value("graph", "") != b["graph"] ||
+      a.value("scans", -1) != b["scans"].get<int>())
+    return "another mission";
+  const Json was = a["options"].flatten(), is = b["options"].flatten();
+  for (const auto& [pointer, value] : is.items()) {
+    if (was.contains(pointer) && was[pointer] == value) continue;
+    std::string name = pointer.substr(1);
+    std::replace(name.begin(), name.end(), '/', '.');
+    return "other options: " + name + " was " + (was.contains(pointer) ? was[pointer].dump() : "not there");
+  }
+  return "other options";
+}
+
 /// The file of outcomes, a line each as soon as it is computed: what a killed run leaves to the one that
 /// resumes it.
 class OutcomeFile {
@@ -108,9 +127,7 @@ class OutcomeFile {
       std::istringstream lines(read_file(path_));
       std::string line;
       if (std::getline(lines, line) && line != fingerprint && !lines.eof()) {
-        throw OptionError(
-            path_.string() +
-            ": the run to resume had other options, another mission or another version of the program");
+        throw OptionError(path_.string() + ": the run to resume had " + difference(line, fingerprint));
       }
       while (std::getline(lines, line)) {
         if (lines.eof()) break;  // cut short by a kill
@@ -146,7 +163,9 @@ std::string results_text(const Config& config, const ReplayResult& result, const
                      std::to_string(a.computed) + " computed, " + std::to_string(a.pending) + " pending\n";
   text +=
       "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
-  if (e.has_truth) text += "true inliers " + share(e.closures.true_inliers) + "\n";
+  if (e.has_truth) {
+    text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth\n";
+  }
   std::string reasons;
   for (const auto& [reason, count] : e.closures.rejected) {
     reasons += (reasons.empty() ? "" : ", ") + std::to_string(count) + " " + enum_name(reason);
@@ -161,6 +180,10 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
           fixed(result.optimization_s, 1) + " s optimisation, method " + config.replay.method + "\n";
+  if (a.pending > 0 && !config.replay.after_mission && !result.interrupted) {
+    text += "pending      " + std::to_string(a.pending) +
+            " at the mission's end, for want of time on its clock: --after-mission computes them too\n";
+  }
   return text;
 }
 
@@ -203,18 +226,22 @@ int run(const Options& options) {
     console.warn("the mission has no scans: no candidate can be computed");
   }
 
+  if (options.resume && options.overwrite)
+    throw OptionError("--resume goes on with what is there, --overwrite begins anew: give one of them");
   const fs::path folder(options.output);
   prepare_output_folder(folder, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
-  std::error_code ignored;
-  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) fs::remove(folder / name, ignored);
   const bool live = options.clock == "real";
+  if (options.resume && !fs::exists(folder / "outcomes.jsonl")) console.note("nothing to resume: a new run");
   std::optional<OutcomeFile> outcomes;
+  std::error_code ignored;
   if (live) {
     fs::remove(folder / "outcomes.jsonl", ignored);  // of another run
   } else {
     outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   }
+  // Not before it is certain that this run may take the place of what is there.
+  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) fs::remove(folder / name, ignored);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
   if (outcomes && !outcomes->known().empty()) {
     console.note("resuming with " + std::to_string(outcomes->known().size()) +

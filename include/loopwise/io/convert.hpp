@@ -28,13 +28,15 @@ enum class MissionFormat {
           {MissionFormat::kKitti, "kitti"}};
 }
 
+/// How a mission is written.
 struct ConvertOptions {
-  PcdEncoding encoding = PcdEncoding::kBinaryCompressed;
-  int threads = 1;  ///< >= 1. What is written does not depend on it.
-  ProgressCallback progress;
-  StopToken stop;
+  PcdEncoding encoding = PcdEncoding::kBinaryCompressed;  ///< Of the clouds.
+  int threads = 1;                                        ///< >= 1. What is written does not depend on it.
+  ProgressCallback progress;                              ///< Is told how many scans are written.
+  StopToken stop;  ///< Ends it early: convert_mission() then throws StoppedError.
 };
 
+/// What a conversion came to.
 struct ConvertResult {
   std::size_t scans = 0;  ///< Written.
   /// What the format has no place for, by kind: "robot name left out", "radio reading left out", ….

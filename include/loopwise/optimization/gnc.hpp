@@ -50,8 +50,10 @@ struct GncOptions {
           "times as "
           "long; replays and the live module do it.");
     field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true},
-          "Share of true closures that what odometry alone says of their ends does not put aside at first: quantile "
-          "of chi-squared with 6 degrees of freedom, on the innovation. One that the estimate then confirms comes "
+          "Share of true closures that what odometry alone says of their ends does not put aside at first: "
+          "quantile "
+          "of chi-squared with 6 degrees of freedom, on the innovation. One that the estimate then confirms "
+          "comes "
           "back. 1 puts none aside.");
   }
 };
