@@ -239,7 +239,8 @@ TEST_CASE("alignment: a path narrower than its errors is a line", "[evaluation][
     PosesByKey truth, estimate;
     for (Key key = 0; key < 40; ++key) {
       Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-      pose.translation() = {static_cast<double>(key), rng.normal(0.0, width), rng.normal(0.0, width)};
+      const double y = rng.normal(0.0, width), z = rng.normal(0.0, width);
+      pose.translation() = Eigen::Vector3d(static_cast<double>(key), y, z);
       truth[key] = pose;
       for (int axis = 0; axis < 3; ++axis) pose.translation()[axis] += rng.normal(0.0, 0.1);
       pose.linear() = se3::so3_exp(Eigen::Vector3d(rng.normal(0.0, 0.01), 0.0, 0.0));
@@ -247,8 +248,7 @@ TEST_CASE("alignment: a path narrower than its errors is a line", "[evaluation][
     }
     const TrajectoryErrors errors = evaluate_trajectory(estimate, truth, Alignment::kSe3);
     REQUIRE(errors.applied.support == (width < 0.1 ? AlignmentSupport::kLine : AlignmentSupport::kPositions));
-    REQUIRE(errors.ate_rad.mean <
-            0.03);  // measured 0.009 and 0.011; by positions alone the narrow path turns by 1
+    REQUIRE(errors.ate_rad.mean < 0.03);  // measured 0.008 for both
     REQUIRE(errors.ate_m.rmse < 0.2);
   }
 }

@@ -29,7 +29,7 @@ struct GncOptions {
   int steps_per_iteration = 1;
   double weight_tolerance = 1e-4;
   bool second_start = false;
-  double innovation_probability = 1.0 - 1e-9;
+  double innovation_probability = 0.9999;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
