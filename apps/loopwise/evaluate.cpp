@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <filesystem>
+
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
@@ -36,6 +38,14 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   static_cast<void>(load_config(options.common));
   const auto alignment = parse_enum<Alignment>("--alignment", options.alignment);
+  for (const std::string& file : {options.estimate, options.truth}) {
+    if (std::filesystem::is_directory(file)) {
+      throw InputError(file +
+                       ": is a folder, expected a trajectory: of a run graph.g2o or trajectories/ROBOT.tum, "
+                       "of a mission ground_truth.g2o, or what 'loopwise convert " +
+                       file + " --to tum' makes of it");
+    }
+  }
   const Trajectory estimate = read_trajectory(options.estimate), truth = read_trajectory(options.truth);
   for (const Trajectory* trajectory : {&estimate, &truth}) console.warn(trajectory->problems);
   const PosePairs pairs = associate(estimate, truth, options.max_time_difference_s);
@@ -92,7 +102,10 @@ int run(const Options& options) {
           fixed(errors.step.translation_m.mean, 4) + " m, " +
           fixed(errors.step.rotation_rad.mean * kDegrees, 4) + " deg\n";
   if (errors.applied.support != AlignmentSupport::kPositions) {
-    console.warn("positions lie on one line or in one point: their orientations took part in the alignment");
+    console.warn(
+        "positions lie on one line or in one point, as far as their errors let tell: orientations took part "
+        "in "
+        "the alignment");
   }
   print_results(options.common, json, text);
   return kDone;
@@ -118,7 +131,7 @@ void add_evaluate(CLI::App& app, Action& chosen) {
       ->type_name("LIST");
   command
       ->add_option("--max-time-difference", options->max_time_difference_s,
-                   "TUM: largest gap of paired stamps, s")
+                   "TUM: largest gap of paired stamps, s (default 0.02)")
       ->type_name("S")
       ->check(CLI::NonNegativeNumber);
   add_common_options(*command, options->common);

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
 #include <cstdio>
 #include <exception>
 #include <iostream>
@@ -6,6 +7,7 @@
 #include <optional>
 #include <sstream>
 
+#include <loopwise/core/error.hpp>
 #include <loopwise/core/version.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -13,7 +15,6 @@
 #include <loopwise/simulation/simulate.hpp>
 #endif
 #ifdef LOOPWISE_HAS_MPI
-#include <loopwise/core/error.hpp>
 #include <loopwise/distributed/mpi_session.hpp>
 #endif
 
@@ -115,6 +116,17 @@ int run_program(int argc, char** argv) {
   add_reference(app, chosen, value_words());
 
   const bool first = job == nullptr || is_first(*job);
+  std::vector<std::string> commands;
+  for (const CLI::App* command : app.get_subcommands({})) commands.push_back(command->get_name());
+  if (argc > 1 && argv[1][0] != '-' &&
+      std::find(commands.begin(), commands.end(), argv[1]) == commands.end()) {
+    try {
+      throw_unknown_name("command", argv[1], commands);
+    } catch (const OptionError& error) {
+      if (first) std::cerr << "loopwise: " << error.what() << "\n";
+      return kBadUsage;
+    }
+  }
   try {
     app.parse(argc, argv);
   } catch (const CLI::ParseError& error) {

@@ -178,7 +178,8 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config defaults;
-  defaults.gnc = GncOptions();  // a file has no earlier estimates to suffer from
+  defaults.optimization = OptimizerOptions();  // a file has no earlier estimates to suffer from
+  defaults.gnc = GncOptions();
   Config config = load_config(options.common, defaults);
   config.optimization.num_threads = thread_count(options.common);
   if (!options.initialization.empty()) {

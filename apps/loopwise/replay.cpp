@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <unistd.h>
+#include <algorithm>
 
 #include <fstream>
 #include <new>
@@ -34,7 +35,8 @@ struct Options {
   std::string frames;
   bool start_together = false;
   std::string output;
-  std::string method, clock = "virtual";
+  std::optional<std::string> method;
+  std::string clock = "virtual";
   ReplayArguments replay;
   std::optional<std::int64_t> workers;
   std::optional<double> rate;
@@ -48,7 +50,7 @@ struct Options {
 Config configured(const Options& o) {
   Config config = load_config(o.common);
   apply(o.replay, config);
-  if (!o.method.empty()) config.replay.method = o.method;
+  if (o.method) config.replay.method = *o.method;
   if (o.workers) config.replay.workers = *o.workers;
   if (!o.frames.empty()) config.mission.frames = o.frames;
   if (o.start_together) config.mission.start_together = true;
@@ -98,6 +100,24 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   return json.dump();
 }
 
+/// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".
+std::string difference(const std::string& before, const std::string& now) {
+  const Json a = Json::parse(before, nullptr, false), b = Json::parse(now);
+  if (!a.is_object() || !a.contains("options")) return "another version of the program";
+  if (a.value("code", "") != b["code"]) return "another version of the program";
+  if (a.value("mission", "") != b["mission"] || a.value("graph", "") != b["graph"] ||
+      a.value("scans", -1) != b["scans"].get<int>())
+    return "another mission";
+  const Json was = a["options"].flatten(), is = b["options"].flatten();
+  for (const auto& [pointer, value] : is.items()) {
+    if (was.contains(pointer) && was[pointer] == value) continue;
+    std::string name = pointer.substr(1);
+    std::replace(name.begin(), name.end(), '/', '.');
+    return "other options: " + name + " was " + (was.contains(pointer) ? was[pointer].dump() : "not there");
+  }
+  return "other options";
+}
+
 /// The file of outcomes, a line each as soon as it is computed: what a killed run leaves to the one that
 /// resumes it.
 class OutcomeFile {
@@ -108,9 +128,7 @@ class OutcomeFile {
       std::istringstream lines(read_file(path_));
       std::string line;
       if (std::getline(lines, line) && line != fingerprint && !lines.eof()) {
-        throw OptionError(
-            path_.string() +
-            ": the run to resume had other options, another mission or another version of the program");
+        throw OptionError(path_.string() + ": the run to resume had " + difference(line, fingerprint));
       }
       while (std::getline(lines, line)) {
         if (lines.eof()) break;  // cut short by a kill
@@ -149,7 +167,9 @@ std::string results_text(const Config& config, const ReplayResult& result, const
                      std::to_string(a.computed) + " computed, " + std::to_string(a.pending) + " pending\n";
   text +=
       "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
-  if (e.has_truth) text += "true inliers " + share(e.closures.true_inliers) + "\n";
+  if (e.has_truth) {
+    text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth\n";
+  }
   std::string reasons;
   for (const auto& [reason, count] : e.closures.rejected) {
     reasons += (reasons.empty() ? "" : ", ") + std::to_string(count) + " " + enum_name(reason);
@@ -164,6 +184,10 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
           fixed(result.optimization_s, 1) + " s optimisation, method " + config.replay.method + "\n";
+  if (a.pending > 0 && !config.replay.after_mission && !result.interrupted) {
+    text += "pending      " + std::to_string(a.pending) +
+            " at the mission's end, for want of time on its clock: --after-mission computes them too\n";
+  }
   return text;
 }
 
@@ -206,6 +230,8 @@ int run(const Options& options) {
     console.warn("the mission has no scans: no candidate can be computed");
   }
 
+  if (options.resume && options.overwrite)
+    throw OptionError("--resume goes on with what is there, --overwrite begins anew: give one of them");
   const fs::path folder(options.output);
   prepare_output_folder(folder, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
@@ -214,14 +240,16 @@ int run(const Options& options) {
     fs::remove(folder / name, failure);  // beside new results it would be taken for theirs
     if (failure) throw IoError((folder / name).string(), "cannot be removed: " + failure.message());
   };
-  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) remove_former(name);
   const bool live = options.clock == "real";
+  if (options.resume && !fs::exists(folder / "outcomes.jsonl")) console.note("nothing to resume: a new run");
   std::optional<OutcomeFile> outcomes;
   if (live) {
     remove_former("outcomes.jsonl");  // of another run
   } else {
     outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   }
+  // Not before it is certain that this run may take the place of what is there.
+  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) remove_former(name);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
   if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
   if (outcomes && !outcomes->known().empty()) {

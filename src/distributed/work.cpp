@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstdio>
 #include <cstring>
 #include <deque>
 #include <exception>
@@ -55,6 +56,13 @@ std::size_t take_number(std::string_view& bytes, int from) {
   std::memcpy(&n, bytes.data(), sizeof n);
   bytes.remove_prefix(sizeof n);
   return static_cast<std::size_t>(n);
+}
+
+/// Without the zeros of std::to_string().
+std::string seconds_text(double seconds) {
+  char text[32];
+  std::snprintf(text, sizeof text, "%g s", seconds);
+  return text;
 }
 
 [[noreturn]] void throw_failure(const Message& message) {
@@ -144,7 +152,7 @@ WorkServer::WorkServer(Transport& transport, std::string_view greeting, const Wo
     if (!message) {
       if (watch.seconds() > options_.start_limit_s) {
         throw Error("rank " + std::to_string(*silent.begin()) + " has not answered within " +
-                    std::to_string(options_.start_limit_s) + " s");
+                    seconds_text(options_.start_limit_s));
       }
       patience.rest();
       continue;
@@ -246,8 +254,8 @@ void WorkServer::run(const std::vector<Work>& work, int threads, const std::func
         for (std::size_t rank = 1; rank < ranks; ++rank) {
           if (!owed[rank].empty() && watch.seconds() - heard[rank] > options_.time_limit_s) {
             throw Error("rank " + std::to_string(rank) + " owes " + std::to_string(owed[rank].size()) +
-                        " answers and has sent none for " + std::to_string(options_.time_limit_s) +
-                        " s: it is dead or hangs");
+                        " answers and has sent none for " + seconds_text(options_.time_limit_s) +
+                        ": it is dead or hangs");
           }
         }
         patience.rest();

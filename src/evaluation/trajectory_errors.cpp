@@ -89,13 +89,19 @@ AlignmentResult align_pairs(const std::vector<Pair>& pairs, Alignment alignment)
   constexpr double kLineBelow = 1e-9;
   constexpr double kPointBelow = 1e-12;
   const double scale = estimate_mean.squaredNorm() + truth_mean.squaredNorm();
+  // Errors larger than the path is wide say nothing about the rotation about it: best_rotation() would fit
+  // noise.
+  const auto is_line_within_errors = [&] {
+    const double residual = x2 + y2 - 2.0 * (best_rotation(svd) * positions).trace();
+    return spread[1] + spread[2] < residual;
+  };
   Eigen::Matrix3d R;
   if (spread[0] <= kPointBelow * std::sqrt(x2 * y2) || x2 <= kPointBelow * kPointBelow * scale ||
       y2 <= kPointBelow * kPointBelow * scale) {
     out.support = AlignmentSupport::kPoint;
     R = best_rotation(
         Eigen::JacobiSVD<Eigen::Matrix3d>(orientations, Eigen::ComputeFullU | Eigen::ComputeFullV));
-  } else if (spread[1] <= kLineBelow * spread[0]) {
+  } else if (spread[1] <= kLineBelow * spread[0] || is_line_within_errors()) {
     out.support = AlignmentSupport::kLine;
     // Turn one line onto the other, then about it by the angle a that maximises
     // tr(Exp(a·u) M) = cos a · (tr M − uᵀMu) + sin a · tr([u]× M) + uᵀMu, with M = R₀ Σ R_X R_Yᵀ.

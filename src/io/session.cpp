@@ -65,6 +65,11 @@ std::vector<Step> odometry_steps(const fs::path& folder, const std::optional<Pos
   if (use_graph) given = steps_of_graph(own_graph, poses.size(), problems);
   const bool any_given =
       std::any_of(given.begin(), given.end(), [](const auto& step) { return step.has_value(); });
+  if (!odometry && !any_given) {
+    problems.add(
+        "odometry and truth are the same poses",
+        (folder / "optimized_poses.txt").string() + ": without drift of its own, see --odometry-noise");
+  }
   std::vector<Step> steps;
   for (std::size_t i = 0; i + 1 < poses.size(); ++i) {
     if (given[i]) {

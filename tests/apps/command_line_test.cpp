@@ -89,7 +89,8 @@ PoseGraph small_graph() {
 
 TEST_CASE("command line: bad usage is 2, help is 0", "[apps]") {
   require_failure({}, kBadUsage, "subcommand");
-  require_failure({"reply"}, kBadUsage, "subcommand");
+  require_failure({"xyzzy"}, kBadUsage, "unknown command xyzzy; known: info");
+  require_failure({"reply"}, kBadUsage, "did you mean replay?");
   require_failure({"info"}, kBadUsage, "path");
   require_failure({"optimize", "x.g2o", "--no-such-flag"}, kBadUsage, "--no-such-flag");
   require_failure({"optimize", "x.g2o", "--threads", "many"}, kBadUsage, "--threads");
@@ -469,7 +470,12 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   same_results("two");
 
   require_failure(replay("one", {}), kBadUsage, "not empty");
-  require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options");
+  require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options: replay.seed was 1");
+  require_failure(replay("two", {"--resume", "--overwrite"}), kBadUsage, "give one of them");
+  for (const char* kept : {"summary.json", "map.pcd", "picture.svg", "journal.jsonl"}) {
+    CAPTURE(kept);
+    REQUIRE(std::filesystem::exists(folder / "two" / kept));  // what was refused has taken nothing away
+  }
   std::string of_earlier_code = outcomes;
   const std::size_t code = of_earlier_code.find("\"code\":\"");
   REQUIRE(code < of_earlier_code.find('\n'));
@@ -484,7 +490,9 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
                                   (recorded[recorded.size() - 2] == '9' ? "8\n" : "9\n"));
   require_failure(replay("two", {"--resume"}), kBadUsage, "another mission");
   testing::write_text(stamps, recorded);
-  require_failure(replay("three", {"--method", ""}), kBadUsage, "a name is missing");
+  require_failure(
+      {"replay", (folder / "mission").string(), "-o", (folder / "three").string(), "--method", ""}, kBadUsage,
+      "a name is missing");
   require_failure(
       {"replay", (folder / "mission").string(), "-o", (folder / "three").string(), "--method", "best"},
       kBadUsage, "best");

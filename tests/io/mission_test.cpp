@@ -398,7 +398,8 @@ TEST_CASE("session: poses give nodes, odometry and truth", "[io][session]") {
   CHECK(mission.kind == MissionKind::kSession);
   CHECK(mission.name == "s");
   CHECK(mission.problems.count("no prior given") == 1);
-  CHECK(mission.problems.all().size() == 1);
+  CHECK(mission.problems.count("odometry and truth are the same poses") == 1);
+  CHECK(mission.problems.all().size() == 2);
   REQUIRE(mission.graph.keys() == std::vector<Key>{0, 1, 2, 3});
   REQUIRE(mission.graph.edges().size() == 3);
   for (const Edge& edge : mission.graph.edges()) {

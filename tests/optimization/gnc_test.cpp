@@ -221,6 +221,57 @@ TEST_CASE("gnc: a robot that only false closures tie stays where it was", "[opti
   }
 }
 
+TEST_CASE("gnc: closures that agree with each other, but hardly with the odometry, bend nothing",
+          "[optimization][gnc]") {
+  // Two robots on two floors of one plan, 5.2 m apart: forty closures that put one floor onto the other.
+  constexpr Key kNodes = 100;
+  PoseGraph graph;
+  std::vector<Eigen::Isometry3d> bent;
+  for (Key k = 0; k < 2 * kNodes; ++k) {
+    Node node;
+    node.key = k;
+    const Key along = k % kNodes;
+    node.pose.translation() = Eigen::Vector3d(2.0 * static_cast<double>(along), 0.0, k < kNodes ? 0.0 : 5.2);
+    graph.add_node(node);
+    bent.push_back(node.pose);
+    if (along > 40) bent.back().translation().z() = 2.6;
+    if (along == 0) {
+      graph.add_prior(testing::prior_at(k, node.pose));
+      continue;
+    }
+    Edge edge;
+    edge.from = k - 1;
+    edge.to = k;
+    edge.T_from_to.translation().x() = 2.0;
+    edge.information.diagonal() << Eigen::Vector3d::Constant(1.0 / (0.065 * 0.065)),
+        Eigen::Vector3d::Constant(1e8);
+    edge.kind = EdgeKind::kOdometry;
+    graph.add_edge(edge);
+  }
+  for (Key along = kNodes - 40; along < kNodes; ++along) {
+    Edge edge;
+    edge.from = along;
+    edge.to = kNodes + along;
+    edge.information = 1e4 * Matrix6d::Identity();
+    graph.add_edge(edge);
+  }
+  const std::vector<Eigen::Isometry3d> odometry = graph.poses();
+  graph.set_poses(bent);  // as a robust estimate that believed them had left the map
+  OptimizerOptions options;
+  options.initialization = Initialization::kOdometry;
+  GncOptions gnc;
+  gnc.second_start = true;
+  const GncResult result = optimize_gnc(graph, options, gnc);
+  REQUIRE(result.inliers == 0);
+  REQUIRE(mean_distance(result.optimization.poses, odometry) < 1e-6);
+
+  // Their number alone makes them the cheaper explanation, where nothing puts them aside.
+  gnc.innovation_probability = 1.0;
+  const GncResult believing = optimize_gnc(graph, options, gnc);
+  REQUIRE(believing.inliers == 40);
+  REQUIRE(believing.truncated_cost < result.truncated_cost);
+}
+
 TEST_CASE("gnc: other kernels find false closures too", "[optimization][gnc]") {
   Rng rng(9);
   testing::RandomGraphOptions shape;

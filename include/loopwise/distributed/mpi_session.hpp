@@ -26,6 +26,7 @@ class LOOPWISE_EXPORT MpiSession {
   MpiSession(const MpiSession&) = delete;
   MpiSession& operator=(const MpiSession&) = delete;
 
+  /// Messages to the other ranks; lives as long as the session.
   [[nodiscard]] Transport& transport() { return *transport_; }
   /// Of this rank, for messages to people.
   [[nodiscard]] const std::string& host() const { return host_; }

@@ -12,12 +12,13 @@
 
 namespace loopwise {
 
-/// A task and a result as messages: to the bit, 0.1 to 0.6 KiB each. \throws InputError on bytes that are
-/// neither
+/// A task as a message: to the bit, 0.1 to 0.6 KiB. \throws InputError on a submap of more than 255 scans
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_task(const RegistrationTask& task);
+/// The task of pack_task(). \throws InputError on bytes that are none
 [[nodiscard]] LOOPWISE_EXPORT RegistrationTask unpack_task(std::string_view bytes);
+/// A result as a message, without the candidate, which the sender of the task knows.
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_result(const RegistrationResult& result);
-/// The candidate is the task's: only what came of it is sent.
+/// The result of pack_result() for this candidate. \throws InputError on bytes that are none
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult unpack_result(std::string_view bytes,
                                                                const LoopCandidate& candidate);
 

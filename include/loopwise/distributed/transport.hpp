@@ -13,9 +13,9 @@ namespace loopwise {
 
 /// A message between two ranks. Bytes are the sender's: all ranks must be of one architecture.
 struct Message {
-  int from = 0;
-  int tag = 0;
-  std::string bytes;
+  int from = 0;       ///< Rank of the sender.
+  int tag = 0;        ///< Its kind.
+  std::string bytes;  ///< Its contents.
 };
 
 /// Messages between the ranks of a job, numbered from 0. Messages from one rank to another arrive in the
@@ -23,7 +23,9 @@ struct Message {
 class LOOPWISE_EXPORT Transport {
  public:
   virtual ~Transport() = default;
+  /// Of this process, from 0.
   [[nodiscard]] virtual int rank() const = 0;
+  /// Number of ranks.
   [[nodiscard]] virtual int size() const = 0;
   /// Returns soon; the message may still be on its way. \throws Error if the rank cannot be reached any more
   virtual void send(int to, int tag, std::string_view bytes) = 0;

@@ -21,11 +21,12 @@ namespace loopwise {
 
 /// A piece of work, as the rank that does it understands it.
 struct Work {
-  std::string request;
+  std::string request;  ///< What is sent.
   /// Pieces of one affinity go to one rank as far as that keeps all busy: they share what it has in memory.
   std::uint64_t affinity = 0;
 };
 
+/// How long rank 0 waits for the others, and what it gives them ahead.
 struct WorkOptions {
   double time_limit_s = 600.0;
   double start_limit_s = 120.0;
@@ -43,8 +44,10 @@ struct WorkOptions {
 /// What has gone to and fro since the start.
 struct WorkStatistics {
   std::vector<std::size_t> done;  ///< Pieces by rank.
-  std::size_t requests = 0, request_bytes = 0;
-  std::size_t answers = 0, answer_bytes = 0;
+  std::size_t requests = 0;       ///< Sent.
+  std::size_t request_bytes = 0;  ///< Of all of them, numbers included.
+  std::size_t answers = 0;        ///< Received.
+  std::size_t answer_bytes = 0;   ///< Of all of them, numbers included.
 };
 
 /// Rank 0. Ends the other ranks' serving when it goes.
@@ -67,6 +70,7 @@ class LOOPWISE_EXPORT WorkServer {
   void run(const std::vector<Work>& work, int threads, const std::function<void(std::size_t)>& here,
            const std::function<void(int, std::size_t, std::string_view)>& there, const StopToken& stop = {});
 
+  /// Since the start, over all calls of run().
   [[nodiscard]] const WorkStatistics& statistics() const { return statistics_; }
 
  private:

@@ -62,7 +62,8 @@ enum class Alignment {
 /// the orientations.
 enum class AlignmentSupport {
   kPositions,  ///< Positions alone.
-  kLine,       ///< Positions, and orientations for the rotation about their line.
+  kLine,       ///< Positions, and orientations for the rotation about their line: also of a path that is
+               ///< narrower than its errors are large.
   kPoint,      ///< Orientations alone.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<AlignmentSupport> enum_names(AlignmentSupport);

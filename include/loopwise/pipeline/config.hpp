@@ -94,8 +94,15 @@ struct ReplayOptions {
   }
 };
 
-/// What a back end needs that goes on from its own estimates, of which an early one may have been wrong.
-[[nodiscard]] inline GncOptions from_running_estimates() {
+/// What a back end needs that goes on from its own estimates, of which an early one may have been wrong: it
+/// begins with odometry each time, for closures that once bent the map would seem to fit for ever.
+[[nodiscard]] inline OptimizerOptions optimizer_for_running_estimates() {
+  OptimizerOptions optimization;
+  optimization.initialization = Initialization::kOdometry;
+  return optimization;
+}
+/// The same of robust optimisation.
+[[nodiscard]] inline GncOptions gnc_for_running_estimates() {
   GncOptions gnc;
   gnc.second_start = true;
   return gnc;
@@ -116,9 +123,9 @@ struct Config {
   TaskOptions task;                            ///< Scans and guesses that a registration is given.
   FastRegistrarOptions fast_registrar;         ///< Registration `fast`.
   PclRegistrarOptions pcl_registrar;           ///< Registration `pcl`, the reference.
-  OptimizerOptions optimization;               ///< The back end.
-  GncOptions gnc = from_running_estimates();   ///< Its robust weights.
-  ReplayOptions replay;                        ///< The replay itself.
+  OptimizerOptions optimization = optimizer_for_running_estimates();  ///< The back end.
+  GncOptions gnc = gnc_for_running_estimates();                       ///< Its robust weights.
+  ReplayOptions replay;                                               ///< The replay itself.
 
   /// Calls visitor(name, section) for each, as core/options.hpp does for fields.
   template <class Self, class Visitor>

@@ -70,8 +70,8 @@ struct KeyFrame {
   std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
   std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
   std::shared_ptr<const PointCloud> cloud;  ///< Null: add_scan() brings it later, or nobody does.
-  std::vector<RangeFactor> ranges;
-  std::vector<GravityFactor> gravities;
+  std::vector<RangeFactor> ranges;          ///< From or to it; the other node must be known.
+  std::vector<GravityFactor> gravities;     ///< At it.
 };
 
 /// Poses and, where known, marginal covariances from a back end other than ours.
