@@ -309,7 +309,8 @@ class RunReader {
       if (begin < 2 || end == std::string::npos || events.count(line.substr(begin, end - begin)) == 0)
         continue;
       const Json event = Json::parse(line, nullptr, false);
-      if (event.is_object()) visit(event);
+      const auto name = event.find("event");
+      if (event.is_object() && name != event.end() && name->is_string()) visit(event);
     }
   }
 

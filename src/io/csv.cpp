@@ -16,7 +16,8 @@ std::vector<std::string> split_record(std::string_view line, text::Lines& lines,
   const std::size_t first_line = lines.number();
   std::vector<std::string> values;
   while (true) {
-    std::string_view rest = text::trim(line);
+    std::string_view rest = line;
+    while (!rest.empty() && text::is_blank(rest.front())) rest.remove_prefix(1);
     if (!rest.empty() && rest.front() == '"') {
       std::string value;
       rest.remove_prefix(1);
@@ -56,9 +57,15 @@ std::string joined(const std::vector<std::string>& values) {
 }  // namespace
 
 CsvTable::CsvTable(const std::filesystem::path& path, std::vector<std::string> columns)
-    : file_(path.string()), columns_(std::move(columns)) {
-  const std::string contents = read_file(path);
-  text::Lines lines(contents);
+    : CsvTable(path.string(), read_file(path), std::move(columns)) {}
+
+CsvTable CsvTable::parse(std::string_view text, const std::string& source, std::vector<std::string> columns) {
+  return CsvTable(source, text, std::move(columns));
+}
+
+CsvTable::CsvTable(std::string source, std::string_view text, std::vector<std::string> columns)
+    : file_(std::move(source)), columns_(std::move(columns)) {
+  text::Lines lines(text);
   bool has_header = false;
   for (std::string_view line; lines.next(line);) {
     if (text::trim(line).empty()) continue;
@@ -137,7 +144,10 @@ void CsvText::begin_row(std::size_t count) const {
 }
 
 void CsvText::add_text(std::string_view value) {
-  const bool plain = value.find_first_of(",\"\n\r") == std::string_view::npos && text::trim(value) == value;
+  // A line with nothing in it would be a blank one, which readers skip.
+  const bool alone = value.empty() && columns_ == 1;
+  const bool plain =
+      !alone && value.find_first_of(",\"\n\r") == std::string_view::npos && text::trim(value) == value;
   if (plain) {
     text_ += value;
   } else {

@@ -16,6 +16,12 @@
 namespace loopwise {
 namespace {
 
+/// Values are copied, compared and written by functions that call themselves: beyond this the stack might not
+/// do.
+constexpr int kDeepest = 200;
+/// Longer names are no slips of a known one, and comparing takes time by their length.
+constexpr std::size_t kLongestGuessed = 200;
+
 std::size_t line_of(std::string_view text, std::size_t byte) {
   const auto end = text.begin() + static_cast<std::ptrdiff_t>(std::min(byte, text.size()));
   return 1 + static_cast<std::size_t>(std::count(text.begin(), end, '\n'));
@@ -82,7 +88,8 @@ Json parse_json(std::string_view text, const std::string& name) {
   // The parser keeps the last of two equal keys; a configuration that says two things is a mistake.
   std::vector<std::set<std::string>> open;
   std::string repeated;
-  const auto watch = [&](int, Json::parse_event_t event, Json& value) {
+  const auto watch = [&](int depth, Json::parse_event_t event, Json& value) {
+    if (depth > kDeepest) throw InputError(name + ": nested more than " + std::to_string(kDeepest) + " deep");
     if (event == Json::parse_event_t::object_start) open.emplace_back();
     if (event == Json::parse_event_t::object_end) open.pop_back();
     if (event == Json::parse_event_t::key && repeated.empty()) {
@@ -96,6 +103,14 @@ Json parse_json(std::string_view text, const std::string& name) {
     json = Json::parse(text.begin(), text.end(), watch, true, true);
   } catch (const Json::parse_error& error) {
     throw ParseError(name, line_of(text, error.byte == 0 ? 0 : error.byte - 1), reason(error.what()));
+  } catch (const Json::out_of_range& error) {
+    // A number that no double holds. The library says which, but not where: "... parsing '1e999'".
+    const std::string what = error.what();
+    const std::size_t begin = what.find('\''), end = what.rfind('\'');
+    const std::string_view number =
+        begin < end ? std::string_view(what).substr(begin + 1, end - begin - 1) : std::string_view();
+    throw ParseError(name, line_of(text, std::min(text.find(number), text.size())),
+                     "number " + text::quoted(number) + " is out of range");
   }
   if (!repeated.empty()) {
     const std::string quoted = Json(repeated).dump();
@@ -116,6 +131,7 @@ void throw_unknown_name(std::string_view what, std::string_view name, const std:
   const std::string* nearest = nullptr;
   std::size_t least = std::max<std::size_t>(2, name.size() / 3) + 1;
   for (const std::string& candidate : known) {
+    if (name.size() > kLongestGuessed) break;
     const std::size_t distance = edit_distance(name, candidate);
     if (distance < least) {
       least = distance;

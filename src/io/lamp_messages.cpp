@@ -167,6 +167,7 @@ void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
 
   if (type == kImu) {
     const ros1::Value p = edge.at("pose").at("position");
+    if (edge.at("covariance").size() == 0) throw InputError("a covariance of 0 numbers");
     const SeenGravity gravity{seen.from,
                               {p.at("x").number(), p.at("y").number(), p.at("z").number()},
                               edge.at("covariance").numbers().at(0)};

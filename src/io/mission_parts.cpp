@@ -69,7 +69,10 @@ void complete_stamps(const PoseGraph& graph, const Robots& robots, const Mission
       }
       made.emplace_back(keys[i], stamp);
     }
-    for (const auto& [key, stamp] : made) stamps[key] = static_cast<std::int64_t>(std::llround(stamp));
+    constexpr double kLargest = 4.6e18;  // as stamp_in_range()
+    for (const auto& [key, stamp] : made) {
+      stamps[key] = static_cast<std::int64_t>(std::llround(std::clamp(stamp, -kLargest, kLargest)));
+    }
   }
 }
 
@@ -102,6 +105,14 @@ std::vector<fs::path> entries(const fs::path& folder) {
   if (error) throw IoError(folder.string(), error.message());
   std::sort(out.begin(), out.end());  // the order of a folder is not defined
   return out;
+}
+
+bool exists(const fs::path& path) {
+  std::error_code error;
+  const fs::file_status status = fs::status(path, error);
+  if (status.type() == fs::file_type::not_found) return false;
+  if (error) throw IoError(path.string(), error.message());
+  return true;
 }
 
 bool begins_with(const fs::path& file, std::string_view bytes) {

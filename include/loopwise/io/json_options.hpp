@@ -29,9 +29,10 @@ namespace loopwise {
 using Json = nlohmann::ordered_json;
 
 /// Parses a JSON text; // comments are allowed. `name` stands in errors for the file's.
-/// \throws ParseError naming the line, also for a key that is repeated within an object.
+/// \throws ParseError naming the line, also for a key that is repeated within an object or a number out of
+/// range; InputError if values are nested more than 200 deep.
 [[nodiscard]] LOOPWISE_EXPORT Json parse_json(std::string_view text, const std::string& name);
-/// \throws IoError; ParseError as parse_json()
+/// \throws IoError; ParseError, InputError as parse_json()
 [[nodiscard]] LOOPWISE_EXPORT Json read_json_file(const std::filesystem::path& path);
 
 /// One option, for people.
