@@ -375,7 +375,7 @@ namespace parts {
 Mission read_mission_folder(const fs::path& folder, const MissionOptions& options) {
   const Description description(folder / "mission.json");
   const Files files = description.files();
-  const auto present = [&](const fs::path& file) { return exists(folder / file); };
+  const auto present = [&](const fs::path& file) { return parts::exists(folder / file); };
 
   Mission mission;
   mission.kind = MissionKind::kMission;
