@@ -11,13 +11,18 @@
 namespace loopwise {
 namespace {
 
+/// Blanks at the line's end may stand within a quoted value that goes on in the next line.
+std::string_view without_blanks_before(std::string_view line) {
+  while (!line.empty() && text::is_blank(line.front())) line.remove_prefix(1);
+  return line;
+}
+
 /// Splits one record; a quoted value may run over several lines, which `lines` then hands out.
 std::vector<std::string> split_record(std::string_view line, text::Lines& lines, const std::string& file) {
   const std::size_t first_line = lines.number();
   std::vector<std::string> values;
   while (true) {
-    std::string_view rest = line;
-    while (!rest.empty() && text::is_blank(rest.front())) rest.remove_prefix(1);
+    std::string_view rest = without_blanks_before(line);
     if (!rest.empty() && rest.front() == '"') {
       std::string value;
       rest.remove_prefix(1);
@@ -34,7 +39,7 @@ std::vector<std::string> split_record(std::string_view line, text::Lines& lines,
         value += '"';
         rest.remove_prefix(1);
       }
-      rest = text::trim(rest);
+      rest = without_blanks_before(rest);
       values.push_back(std::move(value));
       if (rest.empty()) return values;
       if (rest.front() != ',') throw ParseError(file, lines.number(), "text after a quoted value");
