@@ -168,7 +168,8 @@ std::string results_text(const Config& config, const ReplayResult& result, const
 int serve(const Options& options) {
   try {
     const Config config = configured(options);
-    const Mission mission = read_mission(options.mission, config.mission);
+    const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
+    const Mission mission = read_missions(paths, config.mission);
     const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
     std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
     if (!options.replay.outcomes.empty()) {
@@ -245,7 +246,10 @@ int run(const Options& options) {
     ThreadPool threads(options.job == nullptr ? thread_count(options.common) : 1);
 #ifdef LOOPWISE_HAS_MPI
     if (options.job != nullptr) {
-      const auto server = std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config));
+      WorkOptions limits;
+      if (options.replay.rank_time_limit_s) limits.time_limit_s = *options.replay.rank_time_limit_s;
+      const auto server =
+          std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config), limits);
       hooks.compute = distributed_batches(server, registrar, std::max(1, options.common.threads));
     }
 #endif

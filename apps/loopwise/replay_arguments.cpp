@@ -52,6 +52,14 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   command.add_option("--seed", arguments.seed, "Of everything random (default 1)")->type_name("S");
+#ifdef LOOPWISE_HAS_MPI
+  command
+      .add_option("--rank-time-limit", arguments.rank_time_limit_s,
+                  "A rank of an MPI job that owes an answer for this long is taken for dead, s (default: replays "
+                  "600, studies, whose answers are whole runs, 86400)")
+      ->type_name("S")
+      ->check(CLI::PositiveNumber);
+#endif
 }
 
 void apply(const ReplayArguments& a, Config& config) {

@@ -22,6 +22,7 @@ struct ReplayArguments {
   std::optional<std::uint64_t> seed;
   std::string outcomes;
   OutcomeStoreOptions outcomes_bound;
+  std::optional<double> rank_time_limit_s;
 };
 
 void add_replay_arguments(CLI::App& command, ReplayArguments& arguments);

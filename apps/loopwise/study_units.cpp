@@ -432,7 +432,10 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
   for (const std::size_t i : open.numbers) {
     work.push_back({std::to_string(i), open.units[i].mission});
   }
-  WorkServer server(*options_.job, greeting(open.units));
+  WorkOptions limits;
+  limits.time_limit_s = options_.replay.rank_time_limit_s.value_or(86400.0);
+  limits.ahead = 1;  // a rank that waits for a moment costs less than a run that waits for a rank
+  WorkServer server(*options_.job, greeting(open.units), limits);
   std::mutex mutex;  // of all below
   std::map<std::size_t, std::shared_ptr<const Loaded>> loaded;
   std::size_t done = open.units.size() - open.numbers.size();

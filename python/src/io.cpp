@@ -55,8 +55,8 @@ PosesByKey poses_by_key(const py::object& value) {
 }  // namespace
 
 void bind_io(py::module_& module) {
-  py::class_<Mission>(module, "Mission",
-                      "Everything recorded of a run of a team of robots, in one common frame.")
+  py::class_<Mission, std::shared_ptr<Mission>>(
+      module, "Mission", "Everything recorded of a run of a team of robots, in one common frame.")
       .def(py::init<>())
       .def_readwrite("name", &Mission::name)
       .def_readwrite("robots", &Mission::robots)

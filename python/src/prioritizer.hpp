@@ -31,7 +31,11 @@ class PythonPrioritizer final : public Prioritizer {
   void remove(const std::vector<CandidateId>& ids) override {
     PYBIND11_OVERRIDE_PURE(void, Prioritizer, remove, ids);
   }
-  void on_graph(const PoseGraph& graph) override { PYBIND11_OVERRIDE(void, Prioritizer, on_graph, &graph); }
+  void on_graph(const PoseGraph& graph) override {
+    const py::gil_scoped_acquire acquire;
+    const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "on_graph");
+    if (own) own(&graph);  // by pointer: what is handed by reference would be copied
+  }
   void on_scan(const KeyedScan& scan) override {
     const py::gil_scoped_acquire acquire;
     const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "on_scan");

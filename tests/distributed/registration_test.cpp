@@ -13,15 +13,18 @@ namespace loopwise {
 namespace {
 
 RegistrationTask random_task(Rng& rng) {
-  RegistrationTask task = pair_task(rng.next(), rng.next(), rng.next());
+  const Key from = rng(), to = rng();
+  RegistrationTask task = pair_task(from, to, rng());
   task.candidate.id = rng.below(1000000);
   task.candidate.source = rng.uniform() < 0.5 ? CandidateSource::kRadio : CandidateSource::kProximity;
   task.candidate.time_s = rng.uniform(0.0, 5000.0);
   task.candidate.distance_m = rng.uniform(0.0, 30.0);
   task.enough_points = rng.below(5000);
   if (rng.uniform() < 0.7) task.guess_from_to = testing::random_pose(rng, 10.0);
-  for (std::uint64_t k = rng.below(5); k > 0; --k)
-    task.target.push_back({rng.next(), testing::random_pose(rng, 2.0)});
+  for (std::uint64_t k = rng.below(5); k > 0; --k) {
+    const Key key = rng();
+    task.target.push_back({key, testing::random_pose(rng, 2.0)});
+  }
   return task;
 }
 

@@ -13,6 +13,7 @@ namespace {
 
 using testing::OracleRegistrar;
 using testing::two_circles;
+using testing::with_landmark;
 
 Config live_config(const std::string& method) {
   Config config;
@@ -87,7 +88,7 @@ TEST_CASE("live replay: the online module sees the whole mission", "[pipeline][l
 }
 
 TEST_CASE("live replay: landmarks, ranges and gravity take part", "[pipeline][live]") {
-  const Mission mission = with_landmark(two_circles());
+  const Mission mission = testing::with_landmark(two_circles());
   RealClock clock(0.0, 1000.0);
   const ReplayResult result = replay_live(
       mission, live_config("odom"), std::make_shared<OracleRegistrar>(mission.ground_truth), clock, 2, {});

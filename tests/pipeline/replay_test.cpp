@@ -15,6 +15,7 @@ namespace {
 
 using testing::OracleRegistrar;
 using testing::two_circles;
+using testing::with_landmark;
 
 Config fast_config(const std::string& method = "random") {
   Config config;
@@ -436,7 +437,7 @@ TEST_CASE("replay: a registrar that throws rejects its candidates", "[pipeline][
 
 TEST_CASE("replay: landmarks, ranges and gravity hold the map and are never candidates",
           "[pipeline][replay]") {
-  const Mission mission = with_landmark(two_circles());
+  const Mission mission = testing::with_landmark(two_circles());
   const Recorded without = replay(two_circles(), fast_config("odom")),
                  with = replay(mission, fast_config("odom"));
   REQUIRE(with.result.graph.nodes().size() == mission.graph.nodes().size());

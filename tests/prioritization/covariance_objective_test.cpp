@@ -89,7 +89,8 @@ TEST_CASE("covariance objective: equals adding, refactorising and inverting", "[
     return brute_force(graph, candidates, set, options);
   };
   const double empty = score({});
-  REQUIRE(objective.value() == Approx(empty).epsilon(1e-11));
+  // Measured 2e-11 with ranges and odometry alone, 1e-12 else.
+  REQUIRE(objective.value() == Approx(empty).epsilon(1e-10));
   objective.assign(random_set(candidates.size(), 15, rng));
   // Measured over the seeds: 3e-13 fresh, 2e-12 after 1000 swaps; leaving out the cross terms of a swap gives
   // 1e-2.

@@ -108,7 +108,7 @@ class Optimization(unittest.TestCase):
         self.assertEqual(result.covariances.shape, (9, 6, 6))
         np.testing.assert_allclose(np.trace(result.covariances[:, :3, :3], axis1=1, axis2=2).sum(),
                                    result.trace_translation)
-        np.testing.assert_allclose(result.covariances[0], 1e-6 * np.eye(6), rtol=1e-6)
+        np.testing.assert_allclose(result.covariances[0], 1e-6 * np.eye(6), rtol=1e-6, atol=1e-15)
 
     def test_options_are_checked(self):
         with self.assertRaisesRegex(lw.OptionError, "max_iterations"):
