@@ -41,7 +41,8 @@ Json numbers(const Matrix& matrix) {
 template <class Matrix>
 Matrix matrix_of(const Json& list) {
   Matrix matrix;
-  if (list.size() != static_cast<std::size_t>(matrix.size())) throw InputError("not an outcome: a matrix has another size");
+  if (list.size() != static_cast<std::size_t>(matrix.size()))
+    throw InputError("not an outcome: a matrix has another size");
   std::size_t i = 0;
   for (Eigen::Index r = 0; r < matrix.rows(); ++r) {
     for (Eigen::Index c = 0; c < matrix.cols(); ++c) matrix(r, c) = list[i++].get<double>();

@@ -63,6 +63,7 @@ Eigen::MatrixXd TensorFile::matrix(const std::string& name, Index rows, Index co
   std::vector<Index> shape;
   std::vector<double> data;
   try {
+    if (!found->at("shape").is_array()) fail_here("shape: expected whole numbers");
     for (const Json& size : found->at("shape")) {
       // What no data could fill is as good as any other size that they do not have.
       if (!size.is_number_integer()) fail_here("shape: expected whole numbers");

@@ -47,7 +47,8 @@ inline void check_cloud(const PointCloud& cloud) {
   for (const Eigen::Vector3f& normal : cloud.normals) {
     expect(std::abs(normal.norm() - 1.0f) < 1e-3f, "normals are of unit length");
   }
-  expect(cloud.intensities.empty() || cloud.intensities.size() == cloud.size(), "an intensity for every point or none");
+  expect(cloud.intensities.empty() || cloud.intensities.size() == cloud.size(),
+         "an intensity for every point or none");
   for (const float intensity : cloud.intensities) expect(std::isfinite(intensity), "intensities are finite");
 }
 
@@ -66,10 +67,12 @@ inline void check_mission(const Mission& mission) {
     check_pose(pose);
   }
   for (const CommunicationGap& gap : mission.gaps) {
-    expect(gap.robot < mission.robots.size() && gap.begin_s < gap.end_s, "gaps are of robots, and have a length");
+    expect(gap.robot < mission.robots.size() && gap.begin_s < gap.end_s,
+           "gaps are of robots, and have a length");
   }
   for (const BeaconDrop& drop : mission.beacons) {
-    expect(drop.robot < mission.robots.size() && mission.graph.contains(drop.drop_key), "beacons lie at nodes");
+    expect(drop.robot < mission.robots.size() && mission.graph.contains(drop.drop_key),
+           "beacons lie at nodes");
   }
   for (const RadioReading& reading : mission.radio) {
     expect(mission.graph.contains(reading.key), "readings are of nodes");

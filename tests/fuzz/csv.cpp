@@ -7,8 +7,8 @@
 LOOPWISE_FUZZ_TARGET(csv, bytes) {
   using namespace loopwise;
   const std::vector<std::string> all = {"a", "b", "c", "d"};
-  const std::vector<std::string> columns(all.begin(),
-                                         all.begin() + 1 + static_cast<std::ptrdiff_t>(fuzz::take_choice(bytes, 4)));
+  const std::vector<std::string> columns(
+      all.begin(), all.begin() + 1 + static_cast<std::ptrdiff_t>(fuzz::take_choice(bytes, 4)));
   const auto table = fuzz::attempt([&] { return CsvTable::parse(bytes, "fuzz.csv", columns); });
   if (!table) return;
   CsvText csv(columns);

@@ -37,7 +37,8 @@ std::string failure_of(const fuzz::Target& target, std::string_view bytes) {
 /// Cuts, flips, repeats and numbers at the edge of their range.
 std::string altered(std::string bytes, Rng& rng) {
   for (std::size_t n = 1 + rng.below(3); n > 0; --n) {
-    const std::size_t at = rng.below(bytes.size() + 1), length = rng.below(std::min<std::size_t>(bytes.size(), 64) + 1);
+    const std::size_t at = rng.below(bytes.size() + 1),
+                      length = rng.below(std::min<std::size_t>(bytes.size(), 64) + 1);
     const auto digit = static_cast<char>('0' + rng.below(10));
     switch (rng.below(7)) {
       case 0:

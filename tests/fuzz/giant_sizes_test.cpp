@@ -82,9 +82,10 @@ TEST_CASE("giant sizes: clouds", "[fuzz][giant]") {
   }
   CHECK(pcd(wide + sizes + types + counts + "\nWIDTH 1\nHEIGHT 1\nPOINTS 1\n" + data) < kBound);
 
-  const std::string ply = "ply\nformat " + std::string(encoding == "ascii" ? "ascii" : "binary_little_endian") +
-                          " 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\nproperty float "
-                          "z\nend_header\n0 0 0\n";
+  const std::string ply =
+      "ply\nformat " + std::string(encoding == "ascii" ? "ascii" : "binary_little_endian") +
+      " 1.0\nelement vertex 4000000000\nproperty float x\nproperty float y\nproperty float "
+      "z\nend_header\n0 0 0\n";
   CHECK(largest_piece([&] { static_cast<void>(points::parse_cloud("giant.ply", ply)); }) < kBound);
 }
 
@@ -104,7 +105,8 @@ TEST_CASE("giant sizes: no points with fields of giant counts", "[fuzz][giant]")
 
 TEST_CASE("giant sizes: messages", "[fuzz][giant]") {
   const std::string count = "\xff\xff\xff\xff";
-  for (const char* definition : {"float64[] a\n", "string[] a\n", "string a\n", "B[] a\n===\nMSG: B\nfloat64[1000] b\n"}) {
+  for (const char* definition :
+       {"float64[] a\n", "string[] a\n", "string a\n", "B[] a\n===\nMSG: B\nfloat64[1000] b\n"}) {
     CAPTURE(definition);
     const ros1::Schema schema("fuzz_msgs/Giant", definition);
     CHECK(largest_piece([&] { static_cast<void>(ros1::Value(schema, count)); }) < kBound);
@@ -113,6 +115,12 @@ TEST_CASE("giant sizes: messages", "[fuzz][giant]") {
   const ros1::Schema nothing("fuzz_msgs/Giant", "B[] a\n===\nMSG: B\nstring[0] b\n");
   const ros1::Value value(nothing, count);
   CHECK(value.at("a").size() == 0xffffffff);
+  std::string chain = "T0 a\n";
+  for (int i = 0; i < 20000; ++i) {
+    chain += "===\nMSG: T" + std::to_string(i) + "\nT" + std::to_string(i + 1) + " a\n";
+  }
+  chain += "===\nMSG: T20000\nbool a\n";
+  CHECK_THROWS_WITH(ros1::Schema("fuzz_msgs/Giant", chain), Contains("deep"));
   CHECK(largest_piece([] {
           static_cast<void>(ros1::Schema("fuzz_msgs/Giant", "float64[18446744073709551615] a\n"));
         }) < kBound);
@@ -121,9 +129,11 @@ TEST_CASE("giant sizes: messages", "[fuzz][giant]") {
 TEST_CASE("giant sizes: JSON and CBOR", "[fuzz][giant]") {
   const testing::TemporaryFolder folder;
   const fs::path weights = folder / "weights.json", packed = folder / "packed.cbor";
-  for (const char* shape : {"[4294967296, 4294967296]", "[9223372036854775807, 2]", "[18446744073709551615, 1]", "[1e300, 1]"}) {
+  for (const char* shape :
+       {"[4294967296, 4294967296]", "[9223372036854775807, 2]", "[18446744073709551615, 1]", "[1e300, 1]"}) {
     CAPTURE(shape);
-    testing::write_text(weights, R"({"node_encoder.weight": {"shape": )" + std::string(shape) + R"(, "data": []}})");
+    testing::write_text(weights,
+                        R"({"node_encoder.weight": {"shape": )" + std::string(shape) + R"(, "data": []}})");
     CHECK(largest_piece([&] { static_cast<void>(GraphNetwork(weights)); }) < kBound);
   }
   // An array, a text and bytes of 2^32 - 1 and 2^64 - 1 elements.
@@ -133,7 +143,8 @@ TEST_CASE("giant sizes: JSON and CBOR", "[fuzz][giant]") {
   }
   testing::write_text(packed, std::string(1000000, '\x81'));  // nested a million deep
   CHECK(largest_piece([&] { static_cast<void>(training::read_packed(packed, "x", 1)); }) < 4 * kBound);
-  CHECK(largest_piece([&] { static_cast<void>(parse_json(std::string(1000000, '['), "deep.json")); }) < 4 * kBound);
+  CHECK(largest_piece([&] { static_cast<void>(parse_json(std::string(1000000, '['), "deep.json")); }) <
+        4 * kBound);
 }
 
 #ifdef LOOPWISE_FUZZ_ROSBAG
@@ -175,7 +186,8 @@ TEST_CASE("giant sizes: archives", "[fuzz][giant]") {
   const fs::path file = folder / "giant.zip";
   std::string bytes = fuzz::zip({{"a.pcd", "text"}});
   // The size before and after compression, in the file's own header and in the directory.
-  for (const std::size_t at : {std::size_t{18}, std::size_t{22}, bytes.find("PK\x01\x02") + 20, bytes.find("PK\x01\x02") + 24}) {
+  for (const std::size_t at :
+       {std::size_t{18}, std::size_t{22}, bytes.find("PK\x01\x02") + 20, bytes.find("PK\x01\x02") + 24}) {
     bytes.replace(at, 4, "\xf0\xff\xff\x7f");
   }
   testing::write_text(file, bytes);

@@ -7,29 +7,32 @@
 namespace loopwise::fuzz {
 namespace {
 
-#define LOOPWISE_RULE "\n================================================================================\nMSG: "
+#define LOOPWISE_RULE \
+  "\n================================================================================\nMSG: "
 #define LOOPWISE_HEADER LOOPWISE_RULE "std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
-#define LOOPWISE_POSE                                                              \
-  LOOPWISE_RULE "geometry_msgs/Pose\nPoint position\nQuaternion orientation\n"     \
-  LOOPWISE_RULE "geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n"           \
-  LOOPWISE_RULE "geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
+#define LOOPWISE_POSE                                                                        \
+  LOOPWISE_RULE "geometry_msgs/Pose\nPoint position\nQuaternion orientation\n" LOOPWISE_RULE \
+                "geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n" LOOPWISE_RULE       \
+                "geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
 
 constexpr const char* kKeyedScan =
     "uint64 key\nsensor_msgs/PointCloud2 scan\n" LOOPWISE_RULE
     "sensor_msgs/PointCloud2\nHeader header\nuint32 height\nuint32 width\nPointField[] fields\n"
-    "bool is_bigendian # of the data\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool is_dense\n"
-    LOOPWISE_HEADER LOOPWISE_RULE
+    "bool is_bigendian # of the data\nuint32 point_step\nuint32 row_step\nuint8[] data\nbool "
+    "is_dense\n" LOOPWISE_HEADER LOOPWISE_RULE
     "sensor_msgs/PointField\nuint8 INT8 = 1\nuint8 FLOAT64 = 8\nstring name\nuint32 offset\nuint8 datatype\n"
     "uint32 count\n";
 constexpr const char* kPoseGraph =
-    "Header header\nbool incremental\nPoseGraphNode[] nodes\nPoseGraphEdge[] edges\n" LOOPWISE_HEADER LOOPWISE_POSE
-        LOOPWISE_RULE
+    "Header header\nbool incremental\nPoseGraphNode[] nodes\nPoseGraphEdge[] edges\n" LOOPWISE_HEADER
+        LOOPWISE_POSE LOOPWISE_RULE
     "pose_graph_msgs/PoseGraphNode\nHeader header\nuint64 key\nstring ID\ngeometry_msgs/Pose pose\n"
     "float64[36] covariance\n" LOOPWISE_RULE
-    "pose_graph_msgs/PoseGraphEdge\nint32 ODOM = 0\nint32 PRIOR = 1\nuint64 key_from\nuint64 key_to\nint32 type\n"
+    "pose_graph_msgs/PoseGraphEdge\nint32 ODOM = 0\nint32 PRIOR = 1\nuint64 key_from\nuint64 key_to\nint32 "
+    "type\n"
     "geometry_msgs/Pose pose\nfloat64[36] covariance\nfloat64 range\nfloat64 range_error\n";
 constexpr const char* kBeacons =
-    "Header header\nCommNodeInfo[] remaining\nCommNodeInfo[] dropped\n" LOOPWISE_HEADER LOOPWISE_POSE LOOPWISE_RULE
+    "Header header\nCommNodeInfo[] remaining\nCommNodeInfo[] dropped\n" LOOPWISE_HEADER LOOPWISE_POSE
+        LOOPWISE_RULE
     "pose_graph_msgs/CommNodeInfo\nstring hostname\nstring uwb_id\nstring robot_name\nuint64 pose_graph_key\n"
     "geometry_msgs/Pose relative_pose\n";
 constexpr const char* kRadio =
@@ -39,8 +42,8 @@ constexpr const char* kRadio =
     "silvus_msgs/SilvusStreamscapeNeighbor\nint32 my_node_id\nfloat32 my_txpw_actual_dBm\n"
     "string neighbor_node_label\nint32[] received_signal_power_dBm\n";
 constexpr const char* kOdometry =
-    "Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n" LOOPWISE_HEADER LOOPWISE_POSE
-        LOOPWISE_RULE "geometry_msgs/PoseWithCovariance\nPose pose\nfloat64[36] covariance\n";
+    "Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n" LOOPWISE_HEADER
+        LOOPWISE_POSE LOOPWISE_RULE "geometry_msgs/PoseWithCovariance\nPose pose\nfloat64[36] covariance\n";
 
 #undef LOOPWISE_RULE
 #undef LOOPWISE_HEADER
@@ -147,8 +150,8 @@ Chunk chunk_of(const std::vector<TypedMessage>& messages) {
     const auto id = static_cast<std::uint32_t>(messages[i].type);
     if (chunk.index.count(id) == 0) chunk.bytes += connection(messages[i].type);
     chunk.index[id] += time(i) + number(static_cast<std::uint32_t>(chunk.bytes.size()));
-    chunk.bytes += record({{"op", number(std::uint8_t{2})}, {"conn", number(id)}, {"time", time(i)}},
-                          messages[i].bytes);
+    chunk.bytes +=
+        record({{"op", number(std::uint8_t{2})}, {"conn", number(id)}, {"time", time(i)}}, messages[i].bytes);
   }
   return chunk;
 }

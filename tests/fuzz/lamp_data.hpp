@@ -30,7 +30,8 @@ struct TypedMessage {
 
 /// A bag with these messages in one chunk, closed and indexed. `compress` turns the chunk's bytes into what
 /// `compression` says they are.
-[[nodiscard]] std::string bag(const std::vector<TypedMessage>& messages, const std::string& compression = "none",
+[[nodiscard]] std::string bag(const std::vector<TypedMessage>& messages,
+                              const std::string& compression = "none",
                               const std::string& compressed_chunk = {});
 /// The contents of that bag's chunk.
 [[nodiscard]] std::string bag_chunk(const std::vector<TypedMessage>& messages);

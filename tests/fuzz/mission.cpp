@@ -44,7 +44,8 @@ LOOPWISE_FUZZ_TARGET(mission, bytes) {
   if (!written) return;
   const Mission again = read_mission(copy);
   fuzz::expect(again.graph.keys() == mission->graph.keys(), "written and read again: the same nodes");
-  fuzz::expect(again.graph.edges().size() == mission->graph.edges().size(), "written and read again: as many edges");
+  fuzz::expect(again.graph.edges().size() == mission->graph.edges().size(),
+               "written and read again: as many edges");
   fuzz::expect(again.start_ns == mission->start_ns, "written and read again: the same start");
   fuzz::expect(again.radio.size() == mission->radio.size(), "written and read again: as many readings");
 }

@@ -33,8 +33,8 @@ PointCloud small_cloud() {
 Mission small_mission() {
   Mission mission;
   mission.name = "seed";
-  mission.robots = Robots({{"husky", make_key('a', 0), make_key('a', 9)},
-                           {"spot", make_key('b', 0), make_key('b', 9)}});
+  mission.robots =
+      Robots({{"husky", make_key('a', 0), make_key('a', 9)}, {"spot", make_key('b', 0), make_key('b', 9)}});
   for (const char robot : {'a', 'b'}) {
     for (std::uint64_t i = 0; i < 2; ++i) {
       Node node;
@@ -60,8 +60,9 @@ Mission small_mission() {
   mission.radio.push_back({make_key('a', 0), "beacon1", 20.0, "0", -60.0});
   mission.beacons.push_back({"beacon1", 0, make_key('a', 0), 1'600'000'000'000'000'000});
   mission.provenance_json = R"({"made": "by hand"})";
-  mission.scans = std::make_shared<ScanStore>(
-      mission.graph.keys(), ScanLoader([](Key) { return std::make_shared<const PointCloud>(small_cloud()); }));
+  mission.scans = std::make_shared<ScanStore>(mission.graph.keys(), ScanLoader([](Key) {
+                                                return std::make_shared<const PointCloud>(small_cloud());
+                                              }));
   return mission;
 }
 
@@ -148,7 +149,8 @@ void write_seed_runs(const fs::path& folder) {
   for (const double time_s : {1.0, 2.0}) history.row(time_s, 5, 4, 3, 0.5);
   write_file(run / "history.csv", history.text());
   write_pcd(run / "map.pcd", small_cloud());
-  const std::string replay = R"("replay": {"registration_time_s": 1.0, "workers": 1, "after_mission": false})";
+  const std::string replay =
+      R"("replay": {"registration_time_s": 1.0, "workers": 1, "after_mission": false})";
   const std::string summary = R"({"mission": "seed", "method": "full", "seed": 1, "mission_end_s": 10.0,
  "ate_m": {"optimized": 0.5}, "options": {)" +
                               replay + "}}";
@@ -161,8 +163,9 @@ void write_seed_runs(const fs::path& folder) {
                  R"({"event":"estimate","time_s":2.0,"inliers":1,"account":{"generated":3,"computed":2}})"
                  "\n");
 
-  const std::vector<std::string> about = {"world",   "mission", "method",        "seed",         "registration_time_s",
-                                          "workers", "thin",    "after_mission", "mission_end_s"};
+  const std::vector<std::string> about = {
+      "world",   "mission", "method",        "seed",         "registration_time_s",
+      "workers", "thin",    "after_mission", "mission_end_s"};
   std::vector<std::string> columns = about;
   columns.insert(columns.end(), {"time_s", "queued", "verified", "gnc_inliers", "true_inliers", "ate_m"});
   CsvText curves(columns), runs(columns);
@@ -174,18 +177,18 @@ void write_seed_runs(const fs::path& folder) {
   write_file(study / "runs.csv", runs.text());
   write_file(study / "robots.csv", runs.text());
   write_file(study / "ablation.json", "{\"units\": 1}\n");
-  write_file(study / "units" / "one.json",
-             R"({"format": 1, "mission": {"world": "cave"}, "summary": )" + summary +
-                 R"(, "history": [[1.0, 1, 3, 5, 4, 4, 3, 2, 2, 0.5, 0.9], [9.0, 1, 3, 5, 4, 4, 3, 2, 2, null, 0.9]]})");
+  write_file(
+      study / "units" / "one.json",
+      R"({"format": 1, "mission": {"world": "cave"}, "summary": )" + summary +
+          R"(, "history": [[1.0, 1, 3, 5, 4, 4, 3, 2, 2, 0.5, 0.9], [9.0, 1, 3, 5, 4, 4, 3, 2, 2, null, 0.9]]})");
 }
 
 const SeedFiles& seed_run_files() {
-  static const SeedFiles files = {{"run", "summary.json"},      {"run", "closures.csv"},
-                                  {"run", "history.csv"},       {"run", "journal.jsonl"},
-                                  {"run", "graph.g2o"},         {"run", "map.pcd"},
-                                  {"run", "trajectories/husky.tum"}, {"study", "curves.csv"},
-                                  {"study", "runs.csv"},        {"study", "robots.csv"},
-                                  {"study", "ablation.json"},   {"study", "units/one.json"}};
+  static const SeedFiles files = {
+      {"run", "summary.json"},           {"run", "closures.csv"},    {"run", "history.csv"},
+      {"run", "journal.jsonl"},          {"run", "graph.g2o"},       {"run", "map.pcd"},
+      {"run", "trajectories/husky.tum"}, {"study", "curves.csv"},    {"study", "runs.csv"},
+      {"study", "robots.csv"},           {"study", "ablation.json"}, {"study", "units/one.json"}};
   return files;
 }
 

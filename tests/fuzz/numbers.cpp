@@ -37,7 +37,8 @@ void check_seconds(const std::string& word) {
   const auto ns = text::parse_seconds_ns(word);
   if (!ns) return;
   const long double exact = std::strtold(word.c_str(), nullptr) * 1e9L;
-  fuzz::expect(std::abs(static_cast<long double>(*ns) - exact) <= 2.0L, "seconds are the nanoseconds they say");
+  fuzz::expect(std::abs(static_cast<long double>(*ns) - exact) <= 2.0L,
+               "seconds are the nanoseconds they say");
 }
 
 }  // namespace

@@ -19,7 +19,8 @@ std::string record(const ContentHash& key, std::string_view payload) {
   put(out, static_cast<std::uint32_t>(payload.size()));
   put(out, key.high);
   put(out, key.low);
-  put(out, ContentHasher().integer(key.high).integer(key.low).bytes(payload.data(), payload.size()).finish().high);
+  put(out,
+      ContentHasher().integer(key.high).integer(key.low).bytes(payload.data(), payload.size()).finish().high);
   return out.append(payload);
 }
 

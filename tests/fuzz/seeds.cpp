@@ -40,10 +40,10 @@ std::string compressed(const std::string& how, const std::string& bytes) {
   std::string in = bytes, out(bytes.size() * 2 + 1000, '\0');
   auto filled = static_cast<unsigned>(out.size());
   const bool done = how == "bz2"
-                        ? BZ2_bzBuffToBuffCompress(out.data(), &filled, in.data(), static_cast<unsigned>(in.size()), 1,
-                                                   0, 0) == BZ_OK
-                        : roslz4_buffToBuffCompress(in.data(), static_cast<unsigned>(in.size()), out.data(), &filled,
-                                                    4) == ROSLZ4_OK;
+                        ? BZ2_bzBuffToBuffCompress(out.data(), &filled, in.data(),
+                                                   static_cast<unsigned>(in.size()), 1, 0, 0) == BZ_OK
+                        : roslz4_buffToBuffCompress(in.data(), static_cast<unsigned>(in.size()), out.data(),
+                                                    &filled, 4) == ROSLZ4_OK;
   if (!done) throw std::runtime_error("cannot compress a seed");
   out.resize(filled);
   return out;
@@ -80,19 +80,22 @@ Seeds io_seeds() {
     write_ply(path, cloud(normals));
     all["cloud_ply"].push_back({name, file(path)});
   }
-  all["cloud_ply"].push_back({"ascii",
-                              "ply\nformat ascii 1.0\ncomment no\nelement vertex 2\nproperty double x\nproperty float y\n"
-                              "property short z\nproperty uchar intensity\nelement face 0\n"
-                              "property list uchar int vertex_indices\nend_header\n1 2 3 4\nnan 1 2 3\n"});
-  all["cloud_bin"] = {{"two", std::string("\0\0\x80\x3f\0\0\0\x40\0\0\0\0\0\0\0\x3f", 16) + std::string(16, '\0')},
-                      {"empty", ""}};
+  all["cloud_ply"].push_back(
+      {"ascii",
+       "ply\nformat ascii 1.0\ncomment no\nelement vertex 2\nproperty double x\nproperty float y\n"
+       "property short z\nproperty uchar intensity\nelement face 0\n"
+       "property list uchar int vertex_indices\nend_header\n1 2 3 4\nnan 1 2 3\n"});
+  all["cloud_bin"] = {
+      {"two", std::string("\0\0\x80\x3f\0\0\0\x40\0\0\0\0\0\0\0\x3f", 16) + std::string(16, '\0')},
+      {"empty", ""}};
   all["lzf"] = {{"text", std::string("\0\x0c", 2) + lzf_compress("abcabcabcabc")},
                 {"run", std::string("\x03\xe8", 2) + lzf_compress(std::string(1000, 'x'))}};
   all["json"] = {{"mission", file(missions / "mission" / "mission.json")},
                  {"all", R"({"a": [1, -2.5e3, true, null, "é\n"], "b": {"c": 1e-9}} // end)"}};
   CsvText two({"a", "b"});
   two.row("plain", 1.5).row("with \"quotes\", and\nlines", -3);
-  all["csv"] = {{"two", with_choice(1, two.text())}, {"one", with_choice(0, CsvText({"a"}).row("").row(7).text())}};
+  all["csv"] = {{"two", with_choice(1, two.text())},
+                {"one", with_choice(0, CsvText({"a"}).row("").row(7).text())}};
   const std::string kitti = file(missions / "session" / "odom_poses.txt"),
                     tum = file(runs / "run" / "trajectories" / "husky.tum");
   all["trajectory"] = {{"kitti", with_choice(0, kitti)},
@@ -107,13 +110,15 @@ Seeds io_seeds() {
                        {"seven", with_choice(5, "1 2 3 0 0 0 1\n")}};
   all["numbers"] = {{"numbers", "1 -2.5 1e300 1e-320 0.000001 +3 nan inf 18446744073709551615 a12 1.6e9\n"},
                     {"stamps", "1600000000.123456789 -0.5 1.6000000001e9 5e-9 9.2e9\n"}};
-  all["keys_csv"] = {{"keys", "pc_0.pcd/pc_1.pcd/a3.pcd/7.ply\n6989586621679009792,pc_0.pcd,1600000000000000000\n"
-                              "6989586621679009793,,1600000002000000000\n"}};
+  all["keys_csv"] = {{"keys",
+                      "pc_0.pcd/pc_1.pcd/a3.pcd/7.ply\n6989586621679009792,pc_0.pcd,1600000000000000000\n"
+                      "6989586621679009793,,1600000002000000000\n"}};
   const std::vector<double> numbers = {1.0, 2.0, 3.0, 4.0};
   std::vector<std::uint8_t> raw(32);
   std::memcpy(raw.data(), numbers.data(), raw.size());
-  const nlohmann::json packed = {{"format", "loopwise-fuzz"},         {"version", 1}, {"a", nlohmann::json::binary(raw)},
-                                 {"b", {1, 2, {{"c", true}}}},       {"d", -0.5},    {"e", "text"}};
+  const nlohmann::json packed = {
+      {"format", "loopwise-fuzz"},  {"version", 1}, {"a", nlohmann::json::binary(raw)},
+      {"b", {1, 2, {{"c", true}}}}, {"d", -0.5},    {"e", "text"}};
   std::string cbor;
   nlohmann::json::to_cbor(packed, cbor);
   all["packed"] = {{"file", "\x02\x02" + cbor}};
@@ -121,8 +126,8 @@ Seeds io_seeds() {
   const SeedFiles& mission_files = seed_mission_files();
   for (std::size_t i = 0; i < mission_files.size(); ++i) {
     const auto& [folder, name] = mission_files[i];
-    all["mission"].push_back({folder + "_" + fs::path(name).filename().string(),
-                              with_choice(i, file(missions / folder / name))});
+    all["mission"].push_back(
+        {folder + "_" + fs::path(name).filename().string(), with_choice(i, file(missions / folder / name))});
   }
   const SeedFiles& run_files = seed_run_files();
   for (std::size_t i = 0; i < run_files.size(); ++i) {
@@ -142,9 +147,9 @@ Seeds io_seeds() {
         {"type" + std::to_string(message.type) + "_" + std::to_string(all["ros_message"].size()),
          message_types()[message.type].definition + std::string(1, '\0') + message.bytes});
   }
-  all["ros_message"].push_back(
-      {"small", "uint8[] a\nB[2] b\nstring[] c\n===\nMSG: B\nfloat32 x\ntime t\n" + std::string(1, '\0') +
-                    std::string("\2\0\0\0ab", 6) + std::string(24, '\1') + std::string("\1\0\0\0\1\0\0\0z", 9)});
+  all["ros_message"].push_back({"small", "uint8[] a\nB[2] b\nstring[] c\n===\nMSG: B\nfloat32 x\ntime t\n" +
+                                             std::string(1, '\0') + std::string("\2\0\0\0ab", 6) +
+                                             std::string(24, '\1') + std::string("\1\0\0\0\1\0\0\0z", 9)});
   all["lamp"] = {{"all", every}};
   all["point_cloud2"] = {{"scan", with_choice(0, messages[1].bytes)}};
   all["bag_chunk"] = {{"none", sized(0, 5, "bytes")}};
@@ -157,11 +162,10 @@ Seeds io_seeds() {
     all["bag"].push_back({how, bag(messages, how, compressed(how, bag_chunk(messages)))});
   }
 #endif
-  all["zip_archive"] = {
-      {"lamp", zip({{"keys.csv", "6989586621679009792,pc_0.pcd,1600000000000000000\n"},
-                    {"pc_0.pcd", all["cloud_pcd"][1].second},
-                    {"pose_graph.bag", bag({messages[0]})}})},
-      {"clouds", zip({{"pcd/a0.pcd", all["cloud_pcd"][0].second}, {"pcd/", ""}})}};
+  all["zip_archive"] = {{"lamp", zip({{"keys.csv", "6989586621679009792,pc_0.pcd,1600000000000000000\n"},
+                                      {"pc_0.pcd", all["cloud_pcd"][1].second},
+                                      {"pose_graph.bag", bag({messages[0]})}})},
+                        {"clouds", zip({{"pcd/a0.pcd", all["cloud_pcd"][0].second}, {"pcd/", ""}})}};
   return all;
 }
 

@@ -21,9 +21,9 @@ struct Folder {
   Folder() {
     const char* const given = std::getenv("LOOPWISE_FUZZ_SCRATCH");
     const fs::path memory = "/dev/shm";
-    const fs::path parent = given != nullptr            ? fs::path(given)
+    const fs::path parent = given != nullptr           ? fs::path(given)
                             : fs::is_directory(memory) ? memory
-                                                        : fs::temp_directory_path();
+                                                       : fs::temp_directory_path();
     std::string pattern = (parent / "loopwise-fuzz-XXXXXX").string();
     if (::mkdtemp(pattern.data()) == nullptr) throw std::runtime_error("cannot make a folder " + pattern);
     path = pattern;

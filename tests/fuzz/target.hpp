@@ -70,10 +70,10 @@ template <class Derived>
 }  // namespace loopwise::fuzz
 
 #ifdef LOOPWISE_LIBFUZZER
-#define LOOPWISE_FUZZ_ENTRY(name)                                                            \
-  extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {        \
-    loopwise_fuzz_##name(std::string_view(reinterpret_cast<const char*>(data), size));       \
-    return 0;                                                                                \
+#define LOOPWISE_FUZZ_ENTRY(name)                                                      \
+  extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size) {  \
+    loopwise_fuzz_##name(std::string_view(reinterpret_cast<const char*>(data), size)); \
+    return 0;                                                                          \
   }
 #else
 #define LOOPWISE_FUZZ_ENTRY(name) \

@@ -50,8 +50,8 @@ LOOPWISE_FUZZ_TARGET(trajectory, bytes) {
   if (choice == 4) {  // two texts, parted by an empty byte
     const std::size_t end = std::min(bytes.find('\0'), bytes.size());
     const auto a = fuzz::attempt([&] { return parse_trajectory(bytes.substr(0, end), "a.txt"); });
-    const auto b =
-        fuzz::attempt([&] { return parse_trajectory(bytes.substr(std::min(end + 1, bytes.size())), "b.txt"); });
+    const auto b = fuzz::attempt(
+        [&] { return parse_trajectory(bytes.substr(std::min(end + 1, bytes.size())), "b.txt"); });
     if (!a || !b) return;
     for (const double tolerance_s : {0.0, 0.02, 1e300}) {
       const auto pairs = fuzz::attempt([&] { return associate(*a, *b, tolerance_s); });
@@ -59,7 +59,8 @@ LOOPWISE_FUZZ_TARGET(trajectory, bytes) {
       fuzz::expect(!pairs->keys.empty() && pairs->keys.size() == pairs->estimate.size() &&
                        pairs->keys.size() == pairs->truth.size(),
                    "pairs have two poses and a key");
-      fuzz::expect(pairs->keys.size() <= std::min(a->poses.size(), b->poses.size()), "each pose is used once");
+      fuzz::expect(pairs->keys.size() <= std::min(a->poses.size(), b->poses.size()),
+                   "each pose is used once");
     }
     return;
   }

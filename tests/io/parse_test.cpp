@@ -17,7 +17,8 @@ TEST_CASE("parse: texts in memory are read as files are, under the name given", 
   CHECK(parse_g2o("VERTEX_SE3:QUAT 7 1 2 3 0 0 0 1\n", "memory").graph.keys() == std::vector<Key>{7});
   CHECK_THROWS_WITH(parse_g2o("FIX\n", "memory"), Contains("memory:1"));
   CHECK(parse_trajectory("1.5 1 2 3 0 0 0 1\n", "memory").stamps_ns == std::vector<std::int64_t>{1500000000});
-  CHECK(parse_trajectory("1 0 0 4 0 1 0 5 0 0 1 6\n", "memory").poses[0].translation() == Eigen::Vector3d(4, 5, 6));
+  CHECK(parse_trajectory("1 0 0 4 0 1 0 5 0 0 1 6\n", "memory").poses[0].translation() ==
+        Eigen::Vector3d(4, 5, 6));
   CHECK_THROWS_WITH(parse_trajectory("1 2 3\n", "memory", TrajectoryFormat::kTum), Contains("memory:1"));
   CHECK(parse_transform("1 2 3 0 0 0 1\n", "memory").translation() == Eigen::Vector3d(1, 2, 3));
   CHECK_THROWS_WITH(parse_transform("1 2\n", "memory"), Contains("memory"));
@@ -48,7 +49,8 @@ TEST_CASE("parse: stamps with exponents of any length", "[io][parse]") {
 }
 
 TEST_CASE("parse: stamps at both ends of time are not near", "[io][parse]") {
-  const Trajectory early = parse_trajectory("-9.2e9 0 0 0 0 0 0 1\n", "a"), late = parse_trajectory("9.2e9 0 0 0 0 0 0 1\n", "b");
+  const Trajectory early = parse_trajectory("-9.2e9 0 0 0 0 0 0 1\n", "a"),
+                   late = parse_trajectory("9.2e9 0 0 0 0 0 0 1\n", "b");
   CHECK_THROWS_AS(associate(early, late, 1e9), InputError);
   CHECK(associate(early, early, 0.0).keys.size() == 1);
   CHECK(associate(late, late, 1e9).keys.size() == 1);
@@ -57,7 +59,8 @@ TEST_CASE("parse: stamps at both ends of time are not near", "[io][parse]") {
 TEST_CASE("parse: JSON numbers out of range and values nested too deep", "[io][parse]") {
   CHECK_THROWS_WITH(parse_json("{\n\"a\": 1e999}", "memory"), "memory:2: number \"1e999\" is out of range");
   CHECK_NOTHROW(parse_json(std::string(200, '[') + std::string(200, ']'), "memory"));
-  CHECK_THROWS_WITH(parse_json(std::string(5000, '[') + std::string(5000, ']'), "memory"), "memory: nested more than 200 deep");
+  CHECK_THROWS_WITH(parse_json(std::string(5000, '[') + std::string(5000, ']'), "memory"),
+                    "memory: nested more than 200 deep");
 }
 
 }  // namespace
