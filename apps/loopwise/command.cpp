@@ -73,10 +73,10 @@ void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, 
 
 void print_results(const CommonOptions& options, const Json& json, const std::string& text) {
   if (options.json == "-") {
-    std::cout << json.dump(2) << "\n" << std::flush;
+    std::cout << json_text(json, 2) << "\n" << std::flush;
     return;
   }
-  if (!options.json.empty()) write_file(options.json, json.dump(2) + "\n");
+  if (!options.json.empty()) write_file(options.json, json_text(json, 2) + "\n");
   std::cout << text << std::flush;
 }
 

@@ -94,7 +94,7 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   json["scans"] = mission.scans->size();
   json["options"] = parse_json(config_json(config), "options");
   json["code"] = replay_code_version();
-  return json.dump();
+  return json_text(json);
 }
 
 /// The file of outcomes, a line each as soon as it is computed: what a killed run leaves to the one that

@@ -51,8 +51,7 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
 }
 
 [[noreturn]] void wrong_type(const std::string& name, const Json& value, const std::string& expected) {
-  throw OptionError(name + " = " + value.dump(-1, ' ', false, Json::error_handler_t::replace) + ", must be " +
-                    expected);
+  throw OptionError(name + " = " + json_text(value) + ", must be " + expected);
 }
 
 [[noreturn]] void wrong_text(const std::string& name, std::string_view text, const std::string& expected) {
@@ -121,6 +120,10 @@ Json parse_json(std::string_view text, const std::string& name) {
                      "key " + quoted + " is repeated within an object");
   }
   return json;
+}
+
+std::string json_text(const Json& json, int indent) {
+  return json.dump(indent, ' ', false, Json::error_handler_t::replace);
 }
 
 Json read_json_file(const std::filesystem::path& path) {
@@ -246,6 +249,16 @@ std::vector<double> text_to_doubles(std::string_view text, const std::string& na
   return values;
 }
 
+std::string text_to_text(std::string_view text, const std::string& name) {
+  std::string out(text);
+  try {
+    static_cast<void>(Json(out).dump());
+  } catch (const Json::type_error&) {
+    wrong_text(name, text, "text in UTF-8");
+  }
+  return out;
+}
+
 static Json value_to_json(const OptionValue& value) {
   return std::visit(
       [](const auto& v) -> Json {
@@ -270,7 +283,7 @@ Json fields_to_json(const std::vector<OptionField>& fields) {
 }
 
 std::string value_text(const OptionValue& value) {
-  return value_to_json(value).dump(-1, ' ', false, Json::error_handler_t::replace);
+  return json_text(value_to_json(value));
 }
 
 void throw_unknown_option(const std::string& section, std::string_view name,

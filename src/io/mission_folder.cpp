@@ -527,7 +527,7 @@ void MissionWriter::finish(const Mission& mission) const {
     }
     write_g2o(folder_ / files.ground_truth, truth);
   }
-  write_file(folder_ / "mission.json", json.dump(2) + "\n");
+  write_file(folder_ / "mission.json", json_text(json, 2) + "\n");
   std::error_code ignored;  // with mission.json the mark means nothing any more
   fs::remove(folder_ / parts::kUnfinished, ignored);
 }

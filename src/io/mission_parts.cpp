@@ -93,7 +93,7 @@ std::string recording_name(const fs::path& path) {
 std::string provenance_of(MissionKind kind, const std::vector<std::string>& sources) {
   Json json;
   json["read_from"] = {{"kind", enum_name(kind)}, {"sources", sources}};
-  return json.dump();
+  return json_text(json);
 }
 
 std::vector<fs::path> entries(const fs::path& folder) {

@@ -25,7 +25,7 @@ Json event(const char* name, double time_s) {
 
 std::string finish(Json line, const CandidateAccounting& a) {
   line["account"] = account_json(a);
-  return line.dump();
+  return json_text(line);
 }
 
 /// Row by row.
@@ -140,7 +140,7 @@ std::string outcome_line(const RegistrationResult& result) {
   Json line = Json::object();
   put_result(line, result);
   line["seconds"] = {result.features_s, result.global_s, result.refine_s};
-  return line.dump();
+  return json_text(line);
 }
 
 RegistrationResult parse_outcome_line(const std::string& line) {

@@ -16,7 +16,7 @@ namespace loopwise::fuzz {
 namespace {
 
 namespace fs = std::filesystem;
-using Json = nlohmann::ordered_json;
+using Json = nlohmann::json;
 
 RegistrationResult result(bool verified) {
   RegistrationResult out;
@@ -130,7 +130,7 @@ Seeds pipeline_seeds() {
   all["outcome_line"] = {{"both", outcome_line(result(true)) + "\n" + outcome_line(result(false)) + "\n"}};
   const std::string store = store_file();
   all["outcome_store"] = {{"file", with_choice(0, store)},
-                          {"payload", with_choice(1, store.substr(32, 482))},
+                          {"payload", with_choice(1, store.substr(32, 534))},
                           {"cut", with_choice(0, "damaged" + store.substr(0, store.size() - 3))}};
 #ifdef LOOPWISE_FUZZ_MPI
   all["mpi_message"] = {{"task", with_choice(0, pack_task(task()))},
