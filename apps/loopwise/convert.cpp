@@ -58,27 +58,34 @@ int run(const Options& options) {
   Problems problems = mission.problems;
   problems.add(mission.scans->problems());
   Json robots = Json::array();
-  for (const Robot& robot : mission.robots.all()) robots.push_back(robot.name);
+  std::size_t landmarks = 0;
+  for (const Robot& robot : mission.robots.all()) {
+    if (!robot.landmarks) robots.push_back(robot.name);
+  }
+  for (const Node& node : mission.graph.nodes()) landmarks += mission.robots.is_landmark(node.key) ? 1 : 0;
   const Json json = {{"kind", enum_name(mission.kind)},
                      {"to", options.to},
                      {"folder", options.output},
                      {"name", mission.name},
                      {"robots", robots},
                      {"nodes", mission.graph.nodes().size()},
+                     {"landmarks", landmarks},
                      {"edges", mission.graph.edges().size()},
                      {"priors", mission.graph.priors().size()},
+                     {"ranges", mission.graph.ranges().size()},
+                     {"gravity", mission.graph.gravities().size()},
                      {"scans", result.scans},
                      {"ground_truth", mission.ground_truth.size()},
                      {"radio_readings", mission.radio.size()},
                      {"beacons", mission.beacons.size()},
                      {"left_out", problems_json(result.left_out)},
                      {"problems", problems_json(problems)}};
-  std::string text = enum_name(mission.kind) + " \"" + mission.name + "\" to " + options.to + ": " +
-                     std::to_string(mission.robots.size()) + " robots, " +
-                     std::to_string(mission.graph.nodes().size()) + " nodes, " +
-                     std::to_string(mission.graph.edges().size()) + " edges, " +
-                     std::to_string(result.scans) + " scans, " + std::to_string(mission.ground_truth.size()) +
-                     " true poses\nfolder       " + options.output + "\n";
+  std::string text =
+      enum_name(mission.kind) + " \"" + mission.name + "\" to " + options.to + ": " +
+      std::to_string(robots.size()) + " robots, " + std::to_string(mission.graph.nodes().size()) + " nodes" +
+      (landmarks > 0 ? " (" + std::to_string(landmarks) + " landmarks), " : ", ") +
+      std::to_string(mission.graph.edges().size()) + " edges, " + std::to_string(result.scans) + " scans, " +
+      std::to_string(mission.ground_truth.size()) + " true poses\nfolder       " + options.output + "\n";
   print_results(options.common, json, text);
   return kDone;
 }

@@ -34,7 +34,9 @@ constexpr double kDegrees = 57.29577951308232;
 std::vector<double> path_lengths(const Mission& mission) {
   std::vector<double> lengths(mission.robots.size(), 0.0);
   std::vector<std::pair<Key, Eigen::Vector3d>> nodes;
-  for (const Node& node : mission.graph.nodes()) nodes.emplace_back(node.key, node.pose.translation());
+  for (const Node& node : mission.graph.nodes()) {
+    if (!mission.robots.is_landmark(node.key)) nodes.emplace_back(node.key, node.pose.translation());
+  }
   std::sort(nodes.begin(), nodes.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
   for (std::size_t i = 1; i < nodes.size(); ++i) {
     const auto robot = mission.robots.find(nodes[i].first);
@@ -158,10 +160,11 @@ int run(const Options& options) {
   std::int64_t first = std::numeric_limits<std::int64_t>::max(),
                last = std::numeric_limits<std::int64_t>::min();
   for (const Node& node : mission.graph.nodes()) {
+    if (mission.robots.is_landmark(node.key)) continue;
     first = std::min(first, node.stamp_ns);
     last = std::max(last, node.stamp_ns);
   }
-  const double duration_s = mission.graph.empty() ? 0.0 : static_cast<double>(last - first) * 1e-9;
+  const double duration_s = last < first ? 0.0 : static_cast<double>(last - first) * 1e-9;
   const std::vector<double> lengths = path_lengths(mission);
   double length = 0.0;
   Json robots = Json::array();
@@ -179,8 +182,10 @@ int run(const Options& options) {
                       {"nodes", own.size()},
                       {"length_m", lengths[r]},
                       {"first_key", from},
-                      {"last_key", to}});
-    rows.push_back({mission.robots[r].name, std::to_string(own.size()), fixed(lengths[r], 1), from, to});
+                      {"last_key", to},
+                      {"landmarks", mission.robots[r].landmarks}});
+    rows.push_back({mission.robots[r].name, std::to_string(own.size()),
+                    mission.robots[r].landmarks ? "landmarks" : fixed(lengths[r], 1), from, to});
   }
   std::size_t odometry = 0, sightings = 0;
   for (const Edge& edge : mission.graph.edges()) {

@@ -67,7 +67,7 @@ OptionPage option_page(const CLI::Option& option, const ValueWords& words) {
   }
   page.required = option.get_required();
   page.text = sentence(option.get_description());
-  if (option.get_type_size() != 0) {
+  if (option.get_items_expected_max() != 0) {  // no flag
     const auto [name, bounds] = name_and_bounds(option.get_type_name());
     page.value = name.empty() ? "VALUE" : name;
     page.repeated = option.get_expected_max() >= CLI::detail::expected_max_vector_size;

@@ -33,7 +33,8 @@ struct Options {
   std::string frames;
   bool start_together = false;
   std::string output;
-  std::string method, clock = "virtual";
+  std::optional<std::string> method;
+  std::string clock = "virtual";
   ReplayArguments replay;
   std::optional<std::int64_t> workers;
   std::optional<double> rate;
@@ -47,7 +48,7 @@ struct Options {
 Config configured(const Options& o) {
   Config config = load_config(o.common);
   apply(o.replay, config);
-  if (!o.method.empty()) config.replay.method = o.method;
+  if (o.method) config.replay.method = *o.method;
   if (o.workers) config.replay.workers = *o.workers;
   if (!o.frames.empty()) config.mission.frames = o.frames;
   if (o.start_together) config.mission.start_together = true;

@@ -66,12 +66,21 @@ std::string mission_picture_svg(const Mission& mission) {
       kWidth, page.height() + legend);
   if (!mission.name.empty()) out += "<title>" + escaped(mission.name) + "</title>\n";
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    if (mission.robots[robot].landmarks) continue;
     for (const auto& [key, p] : (truth[robot].empty() ? odometry : truth)[robot]) {
       if (!out_of_range(mission, robot, key)) continue;
       put(out, "<circle cx=\"%.1f\" cy=\"%.1f\" r=\"4\" fill=\"#bbbbbb\"/>\n", page.x(p.x()), page.y(p.y()));
     }
   }
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    if (mission.robots[robot].landmarks) {
+      for (const auto& [key, p] : odometry[robot]) {
+        put(out, "<path d=\"M%.1f %.1fl5 5l-5 5l-5 -5z\" fill=\"%s\"><title>", page.x(p.x()),
+            page.y(p.y()) - 5.0, robot_colour(robot));
+        out += key_name(key) + "</title></path>\n";
+      }
+      continue;
+    }
     put_path(out, page, truth[robot], robot_colour(robot), "stroke-width=\"2\"");
     put_path(out, page, odometry[robot], robot_colour(robot),
              "stroke-width=\"1.2\" stroke-dasharray=\"5 4\"");
@@ -93,15 +102,18 @@ std::string mission_picture_svg(const Mission& mission) {
 
   double y = page.height() + 0.5 * kRow;
   put_scale_bar(out, page, y);
+  bool landmarks = false;
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    landmarks = landmarks || mission.robots[robot].landmarks;
     y += kRow;
     put(out, "<path d=\"M%.1f %.1fh24\" stroke=\"%s\" stroke-width=\"2\"/>\n<text x=\"%.1f\" y=\"%.1f\">",
         kMargin, y, robot_colour(robot), kMargin + 32.0, y + 5.0);
     out += escaped(mission.robots[robot].name) + "</text>\n";
   }
   put(out, "<text x=\"%.1f\" y=\"%.1f\">", kMargin, y + kRow + 5.0);
-  out +=
-      "solid: truth; dashed: odometry; triangle: beacon; square: prior; grey: out of range</text>\n</svg>\n";
+  out += "solid: truth; dashed: odometry; triangle: beacon; square: prior; grey: out of range";
+  if (landmarks) out += "; diamond: landmark";
+  out += "</text>\n</svg>\n";
   return out;
 }
 

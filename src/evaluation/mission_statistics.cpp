@@ -15,6 +15,7 @@ namespace loopwise {
 std::vector<RobotDrift> odometry_drift(const Mission& mission) {
   std::vector<std::vector<Key>> own(mission.robots.size());
   for (const Node& node : mission.graph.nodes()) {
+    if (mission.robots.is_landmark(node.key)) continue;
     if (mission.ground_truth.count(node.key) != 0) own[mission.robots.of(node.key)].push_back(node.key);
   }
   std::vector<RobotDrift> result;
@@ -42,7 +43,9 @@ CandidateStatistics candidate_statistics(const Mission& mission, const Candidate
   validate(options);
   // In the order of arrival, so that the newer node of a pair is known.
   std::vector<const Node*> nodes;
-  for (const Node& node : mission.graph.nodes()) nodes.push_back(&node);
+  for (const Node& node : mission.graph.nodes()) {
+    if (!mission.robots.is_landmark(node.key)) nodes.push_back(&node);
+  }
   std::sort(nodes.begin(), nodes.end(), [](const Node* a, const Node* b) {
     return std::pair(a->stamp_ns, a->key) < std::pair(b->stamp_ns, b->key);
   });

@@ -334,7 +334,8 @@ Mission read_lamp_save(const fs::path& path, const MissionOptions& options, cons
     read_bag_truth(mission, truth.bags, options, work);
   }
   const NamedClouds clouds = name_clouds(files, table, problems);
-  set_scans(mission, files, clouds_of_nodes(clouds, mission.graph, files), options);
+  set_scans(mission, files, clouds_of_nodes(clouds, key_frames(mission.graph, mission.robots), files),
+            options);
   mission.provenance_json = provenance_of(mission.kind, {path.filename().string()});
   return mission;
 }

@@ -89,8 +89,9 @@ NamedClouds name_clouds(const FileSource& files, const KeyTable& table, Problems
   for (std::size_t i = 0; i < files.names.size(); ++i) {
     const std::string& name = files.names[i];
     if (!is_cloud_file(name)) {
-      const bool known = name == "keys.csv" || fs::path(name).extension() == ".g2o" ||
-                         fs::path(name).extension() == ".bag" || fs::path(name).extension() == ".zip";
+      const bool known = name == "keys.csv" || name == parts::kRanges || name == parts::kGravity ||
+                         fs::path(name).extension() == ".g2o" || fs::path(name).extension() == ".bag" ||
+                         fs::path(name).extension() == ".zip";
       if (!known) problems.add("foreign file in scans", files.path(i));
       continue;
     }
@@ -119,11 +120,9 @@ NamedClouds name_clouds(const FileSource& files, const KeyTable& table, Problems
   return clouds;
 }
 
-std::map<Key, std::size_t> clouds_of_nodes(const NamedClouds& clouds, const PoseGraph& graph,
+std::map<Key, std::size_t> clouds_of_nodes(const NamedClouds& clouds, const std::vector<Key>& keys,
                                            const FileSource& files) {
   std::map<Key, std::size_t> out = clouds.by_key;
-  std::vector<Key> keys = graph.keys();
-  std::sort(keys.begin(), keys.end());
   const char character = keys.empty() ? '\0' : key_character(keys.front());
   const bool one_robot = !keys.empty() && key_character(keys.back()) == character;
   const bool small_names = !out.empty() && key_character(out.rbegin()->first) == '\0';

@@ -48,10 +48,11 @@ struct NamedClouds {
 /// Counts "foreign file in scans" and "repeated scan".
 [[nodiscard]] NamedClouds name_clouds(const FileSource& files, const KeyTable& table, Problems& problems);
 
-/// Clouds by the graph's keys: numbered ones go to the nodes by rank, those named by a small index to the
-/// nodes of the only robot. \throws InputError if there are not as many numbered clouds as nodes: nothing
-/// would tell which is whose
-[[nodiscard]] std::map<Key, std::size_t> clouds_of_nodes(const NamedClouds& clouds, const PoseGraph& graph,
+/// Clouds by the keys of the key frames, which are in order: numbered ones go to the nodes by rank, those
+/// named by a small index to the nodes of the only robot. \throws InputError if there are not as many
+/// numbered clouds as nodes: nothing would tell which is whose
+[[nodiscard]] std::map<Key, std::size_t> clouds_of_nodes(const NamedClouds& clouds,
+                                                         const std::vector<Key>& keys,
                                                          const FileSource& files);
 
 /// Makes the scan store of the mission, see parts::set_scans().

@@ -26,7 +26,6 @@ namespace fs = std::filesystem;
 
 constexpr const char* kGraph = "result.g2o";
 constexpr const char* kClouds = "pcd";
-constexpr std::size_t kLetters = 26;
 
 void require_empty(const fs::path& folder) {
   std::error_code error;
@@ -107,32 +106,43 @@ ConvertResult write_folder(const Mission& mission, const fs::path& folder, const
   return result;
 }
 
-/// The mission's keys as files without a list of robots can hold them.
+/// The mission's keys as files without a list of robots can hold them: by character, landmarks under those
+/// that read_mission() takes for landmarks.
 class FullKeys {
  public:
   FullKeys(const Mission& mission, Problems& left_out) : robots_(mission.robots) {
     const std::vector<Key> keys = mission.graph.keys();
-    const Robots by_character = Robots::from_keys(keys);
-    std::map<std::size_t, std::size_t> character_of;
+    std::map<std::size_t, char> character_of;
     for (const Key key : keys) {
-      const std::size_t robot = robots_.of(key), character = by_character.of(key);
+      const std::size_t robot = robots_.of(key);
+      const char character = key_character(key);
       const auto [known, is_new] = character_of.emplace(robot, character);
-      if (!is_new && known->second != character) renamed_ = true;
+      renamed_ = renamed_ || (!is_new && known->second != character) ||
+                 (robots_[robot].landmarks && !parts::is_landmark_character(character));
     }
-    std::set<std::size_t> used;
-    for (const auto& [robot, character] : character_of) renamed_ = renamed_ || !used.insert(character).second;
-    if (renamed_ && robots_.size() > kLetters) {
-      throw InputError(std::to_string(robots_.size()) + " robots, at most " + std::to_string(kLetters) +
-                       " can be told apart by a letter");
+    std::set<char> used;
+    for (const auto& [robot, character] : character_of) {
+      renamed_ = renamed_ || !used.insert(character).second;
     }
-    for (std::size_t r = 0; r < robots_.size(); ++r) {
-      const auto character = character_of.find(r);
-      if (character == character_of.end()) continue;
-      const std::string name = renamed_ ? std::string(1, letter(r)) : by_character[character->second].name;
-      if (robots_[r].name != name) left_out.add("robot name left out", robots_[r].name + " becomes " + name);
+    if (renamed_) assign_letters();
+
+    std::vector<Key> written;
+    std::set<char> landmarks;
+    std::map<std::size_t, Key> first;
+    for (const Key key : keys) {
+      written.push_back(of(key));
+      first.emplace(robots_.of(key), written.back());
+      if (robots_.is_landmark(key)) landmarks.insert(key_character(written.back()));
+    }
+    const Robots read = parts::with_landmarks(Robots::from_keys(written), landmarks);
+    for (const auto& [robot, key] : first) {
+      const std::string& name = read[read.of(key)].name;
+      if (robots_[robot].name != name) {
+        left_out.add("robot name left out", robots_[robot].name + " becomes " + name);
+      }
     }
     if (renamed_) {
-      left_out.add("key renamed", std::to_string(keys.front()) + " becomes " + key_name(of(keys.front())),
+      left_out.add("key renamed", std::to_string(keys.front()) + " becomes " + key_name(written.front()),
                    keys.size());
     }
   }
@@ -140,14 +150,28 @@ class FullKeys {
   [[nodiscard]] Key of(Key key) const {
     if (!renamed_) return key;
     const std::size_t robot = robots_.of(key);
-    return make_key(letter(robot), key - robots_[robot].first);
+    return make_key(letters_[robot], key - robots_[robot].first);
   }
 
  private:
-  static char letter(std::size_t robot) { return static_cast<char>('a' + robot); }
+  void assign_letters() {
+    const std::string small = "abcdefghijklmnopqrstvwxyz";  // 'u' is that of radio anchors
+    const std::string capital = "ABCDEFGHIJKLMNOPQRSTUVWXYZ";
+    std::size_t robots = 0, landmarks = 0;
+    for (const Robot& robot : robots_.all()) {
+      const std::string& letters = robot.landmarks ? capital : small;
+      std::size_t& next = robot.landmarks ? landmarks : robots;
+      if (next == letters.size()) {
+        throw InputError(std::to_string(robots_.size()) + " robots, at most " + std::to_string(next) +
+                         " can be told apart by a letter");
+      }
+      letters_ += letters[next++];
+    }
+  }
 
   Robots robots_;
   bool renamed_ = false;
+  std::string letters_;  // by robot
 };
 
 void count_description(const Mission& mission, Problems& left_out) {
@@ -209,6 +233,15 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
     edge.to = keys.of(edge.to);
     graph.add_edge(edge);
   }
+  for (RangeFactor range : mission.graph.ranges()) {
+    range.from = keys.of(range.from);
+    range.to = keys.of(range.to);
+    graph.add_range(range);
+  }
+  for (GravityFactor gravity : mission.graph.gravities()) {
+    gravity.key = keys.of(gravity.key);
+    graph.add_gravity(gravity);
+  }
   for (const auto& [key, pose] : mission.ground_truth) {
     Node node;
     node.key = keys.of(key);
@@ -220,6 +253,8 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
     make_folder(folder / "ground_truth");
     write_g2o(folder / "ground_truth" / kGraph, truth);
   }
+  if (!graph.ranges().empty()) write_file(folder / parts::kRanges, parts::ranges_text(graph));
+  if (!graph.gravities().empty()) write_file(folder / parts::kGravity, parts::gravity_text(graph));
   write_g2o(folder / kGraph, graph);
   return result;
 }
@@ -242,9 +277,13 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
   };
   leave_out("edge left out", graph.edges().size());
   leave_out("prior left out", graph.priors().size());
+  leave_out("range left out", graph.ranges().size());
+  leave_out("gravity left out", graph.gravities().size());
   leave_out("scan left out", mission.scans->size());
-  leave_out("key left out", graph.nodes().size());
-  if (format == MissionFormat::kKitti) leave_out("stamp left out", graph.nodes().size());
+  const std::size_t frames = parts::key_frames(graph, mission.robots).size();
+  leave_out("landmark left out", graph.nodes().size() - frames);
+  leave_out("key left out", frames);
+  if (format == MissionFormat::kKitti) leave_out("stamp left out", frames);
 
   // Written beside the target and renamed, so that there are all files or none.
   const fs::path whole = fs::absolute(folder / "").lexically_normal().parent_path();
@@ -255,6 +294,7 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
   const std::string extension = "." + enum_name(format);
   std::set<std::string> names;
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+    if (mission.robots[robot].landmarks) continue;
     std::map<Key, const Node*> own;
     for (const Node& node : graph.nodes()) {
       if (mission.robots.of(node.key) == robot) own.emplace(node.key, &node);

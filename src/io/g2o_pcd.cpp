@@ -143,7 +143,30 @@ PoseGraph renamed(const PoseGraph& graph, const std::map<Key, Key>& full) {
     edge.to = full.at(edge.to);
     out.add_edge(edge);
   }
+  for (RangeFactor range : graph.ranges()) {
+    range.from = full.at(range.from);
+    range.to = full.at(range.to);
+    out.add_range(range);
+  }
+  for (GravityFactor gravity : graph.gravities()) {
+    gravity.key = full.at(gravity.key);
+    out.add_gravity(gravity);
+  }
   return out;
+}
+
+/// Characters of what the robots saw. Of a team that uses the same characters for its robots, clouds or
+/// odometry tell.
+std::set<char> landmark_characters(const PoseGraph& graph, const NamedClouds& clouds) {
+  std::set<char> characters;
+  for (const Node& node : graph.nodes()) {
+    if (is_landmark_character(key_character(node.key))) characters.insert(key_character(node.key));
+  }
+  for (const auto& [key, cloud] : clouds.by_key) characters.erase(key_character(key));
+  for (const Edge& edge : graph.edges()) {
+    if (key_character(edge.from) == key_character(edge.to)) characters.erase(key_character(edge.from));
+  }
+  return characters;
 }
 
 }  // namespace
@@ -170,12 +193,16 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   mission.name = recording_name(folder);
   const fs::path file = g2o_of_folder(folder);
   if (file.empty()) throw InputError(folder.string() + ": no g2o file");
-  const G2oFile g2o = read_g2o(file);
+  G2oFile g2o = read_g2o(file);
   mission.problems = g2o.problems;
+  if (fs::is_regular_file(folder / kRanges)) read_ranges(folder / kRanges, g2o.graph);
+  if (fs::is_regular_file(folder / kGravity)) read_gravity(folder / kGravity, g2o.graph);
   const Found found = find_clouds(folder, mission.problems);
   const std::map<Key, Key> full = full_keys(g2o.graph, found.clouds, file.string(), options);
   const PoseGraph graph = renamed(g2o.graph, full);
-  mission.robots = robots_of(graph, options, Robots::from_keys(graph.keys()));
+  mission.robots =
+      robots_of(graph, options,
+                with_landmarks(Robots::from_keys(graph.keys()), landmark_characters(graph, found.clouds)));
 
   Stamps stamps;
   for (const auto& [key, stamp] : found.table.stamps) {
@@ -207,7 +234,8 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   } else if (!truth.bags.empty()) {
     read_bag_truth(mission, truth.bags, options, work);
   }
-  set_scans(mission, found.files, clouds_of_nodes(found.clouds, graph, found.files), options);
+  set_scans(mission, found.files,
+            clouds_of_nodes(found.clouds, key_frames(graph, mission.robots), found.files), options);
   mission.provenance_json = provenance_of(mission.kind, {file.filename().string()});
   return mission;
 }

@@ -104,13 +104,30 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
       throw InputError(mission.path.string() + ": has " + std::to_string(firsts.size()) +
                        " robots: only missions of one robot each can be joined");
     }
-    const char letter = static_cast<char>('a' + i);
+    const char letter = static_cast<char>('a' + i), capital = static_cast<char>('A' + i);
     std::string name = mission.name;
-    for (int n = 2; !names.insert(name).second; ++n) name = mission.name + "_" + std::to_string(n);
+    for (int n = 2; names.count(name) + names.count(name + "_landmarks") != 0; ++n) {
+      name = mission.name + "_" + std::to_string(n);
+    }
+    names.insert({name, name + "_landmarks"});
     robots.push_back(robot_of_character(letter, name));
     joined.name += (i > 0 ? "+" : "") + name;
     const Key first = mission.robots[mission.robots.of(firsts.front())].first;
-    const auto renamed = [&](Key key) { return make_key(letter, key - first); };
+    // Each source has seen its own landmarks: the same key in another is another.
+    std::map<Key, Key> landmarks;
+    for (const Node& node : mission.graph.nodes()) {
+      if (mission.robots.is_landmark(node.key)) landmarks.emplace(node.key, 0);
+    }
+    Key seen = 0;
+    for (auto& [key, as] : landmarks) as = make_key(capital, seen++);
+    if (!landmarks.empty()) {
+      robots.push_back(robot_of_character(capital, name + "_landmarks"));
+      robots.back().landmarks = true;
+    }
+    const auto renamed = [&](Key key) {
+      const auto landmark = landmarks.find(key);
+      return landmark != landmarks.end() ? landmark->second : make_key(letter, key - first);
+    };
     const std::int64_t shift = options.start_together ? joined.start_ns - mission.start_ns : 0;
 
     for (Node node : mission.graph.nodes()) {
@@ -128,6 +145,16 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
       edge.from = renamed(edge.from);
       edge.to = renamed(edge.to);
       joined.graph.add_edge(edge);
+    }
+    for (RangeFactor range : mission.graph.ranges()) {
+      range.from = renamed(range.from);
+      range.to = renamed(range.to);
+      joined.graph.add_range(range);
+    }
+    // Felt in the body frame, and down is down in every frame.
+    for (GravityFactor gravity : mission.graph.gravities()) {
+      gravity.key = renamed(gravity.key);
+      joined.graph.add_gravity(gravity);
     }
     for (const auto& [key, pose] : mission.ground_truth) {
       joined.ground_truth.emplace(renamed(key), se3::normalized(T * pose));

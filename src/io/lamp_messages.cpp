@@ -30,6 +30,16 @@ enum EdgeType : std::int64_t {
 
 /// Where a covariance says nothing: what a closure is worth before it is computed.
 constexpr double kClosureSigmas[] = {0.1, 0.1, 0.1, 0.02, 0.02, 0.02};
+constexpr double kSightingSigmas[] = {0.5, 0.5, 0.5, 100.0, 100.0, 100.0};
+constexpr double kRangeSigma = 0.5;
+constexpr double kGravitySigma = 0.1;
+/// No rotation is further off than half a turn: that of an artifact, of which only the place is known, comes
+/// with a sigma of 1e5 rad, next to which the solver would take it for open.
+constexpr double kLargestRotationSigma = 100.0;
+/// Spheres round two nodes meet in a circle: with fewer ranges, nothing tells where an anchor is.
+constexpr std::size_t kLeastRanges = 3;
+/// Of a prior where an anchor was first put: next to ranges it only says on which side of the path it is.
+constexpr double kAnchorSigmas[] = {10.0, 10.0, 10.0, 1.0, 1.0, 1.0};
 /// Odometry knows rotations, rad, at least as well as lengths, m: a sigma that is this much larger is
 /// misplaced.
 constexpr double kSwapped = 4.0;
@@ -38,11 +48,8 @@ constexpr double kLeastEigenvalue = 1e-10;
 /// Hostnames with it are the robots' own radios.
 constexpr const char* kRobotRadio = "scom-";
 
-/// Keys of what robots saw, by LAMP's prefixes: artifacts carry the capital letter of their robot, anchors of
-/// ultra-wideband radios a 'u'.
 bool is_landmark(Key key) {
-  const char character = key_character(key);
-  return (character >= 'A' && character <= 'Z') || character == 'u';
+  return parts::is_landmark_character(key_character(key));
 }
 
 std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose) {
@@ -60,6 +67,41 @@ std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose) {
 
 bool same(const SeenFactor& a, const SeenFactor& b) {
   return a.pose->matrix() == b.pose->matrix() && a.covariance == b.covariance;
+}
+
+bool same(double a, double b) {
+  return a == b || (std::isnan(a) && std::isnan(b));
+}
+
+bool same(const SeenRange& a, const SeenRange& b) {
+  return same(a.range_m, b.range_m) && same(a.sigma_m, b.sigma_m);
+}
+
+bool same(const SeenGravity& a, const SeenGravity& b) {
+  return same(a.direction.x(), b.direction.x()) && same(a.direction.y(), b.direction.y()) &&
+         same(a.direction.z(), b.direction.z()) && same(a.sigma_rad, b.sigma_rad);
+}
+
+/// A sigma that is absent, 0, is supplied; others must give a weight.
+bool usable_sigma(double sigma) {
+  return sigma == 0.0 || (sigma >= 1e-12 && sigma <= 1e12);
+}
+
+bool usable(const SeenRange& seen) {
+  return seen.from != seen.to && std::isfinite(seen.range_m) && seen.range_m >= 0.0 &&
+         usable_sigma(seen.sigma_m);
+}
+
+/// Adds a factor unless it came before; if it had other numbers then, that is counted.
+template <class Known, class Seen>
+void add_once(Known& known, std::vector<Seen>& list, Seen seen, const typename Known::key_type& which,
+              Problems& problems) {
+  const auto [first, is_new] = known.emplace(which, list.size());
+  if (is_new) {
+    list.push_back(std::move(seen));
+  } else if (!same(list[first->second], seen)) {
+    problems.add("repeated edge with other numbers", seen.where);
+  }
 }
 
 std::string ends(Key from, Key to) {
@@ -131,6 +173,12 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
     }
   }
   covariance = 0.5 * (covariance + covariance.transpose()).eval();
+  for (int i = 3; i < 6; ++i) {
+    if (!(covariance(i, i) > kLargestRotationSigma * kLargestRotationSigma)) continue;
+    covariance.row(i).setZero();
+    covariance.col(i).setZero();
+    covariance(i, i) = kLargestRotationSigma * kLargestRotationSigma;
+  }
   const Vector6d variances = covariance.diagonal();
   if (!covariance.allFinite() || !(variances.minCoeff() > 0.0)) {
     problems_.add("unusable covariance", seen.where);
@@ -144,7 +192,14 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
                       enum_name(translation_first ? CovarianceOrder::kRotationFirst
                                                   : CovarianceOrder::kTranslationFirst));
   }
-  if (covariance == Matrix6d(variances.asDiagonal())) return Matrix6d(variances.cwiseInverse().asDiagonal());
+  const auto finite = [&](const Matrix6d& inverse) -> std::optional<Matrix6d> {
+    if (inverse.allFinite()) return inverse;
+    problems_.add("unusable covariance", seen.where);
+    return std::nullopt;
+  };
+  if (covariance == Matrix6d(variances.asDiagonal())) {
+    return finite(variances.cwiseInverse().asDiagonal());
+  }
   // Inverted with a unit diagonal, so that metres and radians of very different size count alike.
   const Vector6d scale = variances.cwiseSqrt().cwiseInverse();
   const Matrix6d scaled = scale.asDiagonal() * covariance * scale.asDiagonal();
@@ -155,7 +210,7 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
     return std::nullopt;
   }
   const Matrix6d inverse = scale.asDiagonal() * factor.solve(Matrix6d::Identity()) * scale.asDiagonal();
-  return Matrix6d(0.5 * (inverse + inverse.transpose()));
+  return finite(0.5 * (inverse + inverse.transpose()));
 }
 
 void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
@@ -167,20 +222,21 @@ void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
 
   if (type == kImu) {
     const ros1::Value p = edge.at("pose").at("position");
-    if (edge.at("covariance").size() == 0) throw InputError("a covariance of 0 numbers");
-    const SeenGravity gravity{seen.from,
-                              {p.at("x").number(), p.at("y").number(), p.at("z").number()},
-                              edge.at("covariance").numbers().at(0)};
-    if (known_.emplace(std::make_tuple(type, seen.from, seen.to), graph_.gravities.size()).second) {
-      graph_.gravities.push_back(gravity);
-    }
+    const std::vector<double> numbers = edge.at("covariance").numbers();
+    // The first of the covariances is the sigma itself.
+    add_once(known_, graph_.gravities,
+             SeenGravity{seen.to,
+                         {p.at("x").number(), p.at("y").number(), p.at("z").number()},
+                         numbers.empty() ? 0.0 : numbers.front(),
+                         seen.where},
+             std::make_tuple(type, seen.from, seen.to), problems_);
     return;
   }
   if (type == kUwbRange) {
-    const SeenRange range{seen.from, seen.to, edge.at("range").number(), edge.at("range_error").number()};
-    if (known_.emplace(std::make_tuple(type, seen.from, seen.to), graph_.ranges.size()).second) {
-      graph_.ranges.push_back(range);
-    }
+    add_once(
+        known_, graph_.ranges,
+        SeenRange{seen.from, seen.to, edge.at("range").number(), edge.at("range_error").number(), seen.where},
+        std::make_tuple(type, seen.from, seen.to), problems_);
     return;
   }
 
@@ -314,6 +370,15 @@ void Gatherer::finish(Mission& mission, const std::string& name) const {
     graph.add_node(node);
   }
   if (graph.empty()) throw InputError(name + ": no pose graph with a node in it");
+  const Landmarks landmarks = held_landmarks(graph);
+  std::set<char> characters;
+  for (const auto& [key, pose] : landmarks.poses) {
+    Node node;
+    node.key = key;
+    node.pose = pose;
+    graph.add_node(node);
+    characters.insert(key_character(key));
+  }
 
   Robots robots = Robots::from_keys(graph.keys());
   const auto names = robot_names();
@@ -325,15 +390,128 @@ void Gatherer::finish(Mission& mission, const std::string& name) const {
                        });
     if (own != names.end() && !taken) robot.name = own->second;
   }
-  mission.robots = parts::robots_of(graph, options_, Robots(std::move(named)));
+  mission.robots =
+      parts::robots_of(graph, options_, parts::with_landmarks(Robots(std::move(named)), characters));
   mission.graph = std::move(graph);
-  add_factors(mission, name);
+  add_factors(mission, name, landmarks);
   parts::check_stamps(mission);
   add_radio_to(mission);
   add_truth_to(mission);
 }
 
-void Gatherer::add_factors(Mission& mission, const std::string& name) const {
+Gatherer::Landmarks Gatherer::held_landmarks(const PoseGraph& key_frames) const {
+  Landmarks held;
+  const auto pose_of_node = [&](Key key) -> std::optional<Eigen::Isometry3d> {
+    if (key_frames.contains(key)) return key_frames.node(key).pose;
+    const auto landmark = held.poses.find(key);
+    return landmark == held.poses.end() ? std::nullopt : std::optional(landmark->second);
+  };
+  const auto first_pose = [&](Key key) {
+    const auto seen = graph_.landmarks.find(key);
+    return seen == graph_.landmarks.end() ? std::nullopt : seen->second.pose;
+  };
+  for (const SeenFactor& prior : graph_.priors) {
+    if (is_landmark(prior.from) && prior.pose) {
+      held.poses.emplace(prior.from, first_pose(prior.from).value_or(*prior.pose));
+    }
+  }
+  const auto hold = [&](Key key, const Eigen::Isometry3d& sighted) {
+    const Eigen::Isometry3d pose = first_pose(key).value_or(se3::normalized(sighted));
+    return pose.matrix().allFinite() && held.poses.emplace(key, pose).second;
+  };
+  // A landmark may be seen from one that is itself seen from a key frame.
+  const auto spread = [&] {
+    for (bool changed = true; changed;) {
+      changed = false;
+      for (const auto* list : {&graph_.sightings, &graph_.closures}) {
+        for (const SeenFactor& seen : *list) {
+          if (!seen.pose) continue;
+          const auto from = pose_of_node(seen.from), to = pose_of_node(seen.to);
+          if (from && !to && is_landmark(seen.to)) {
+            changed = hold(seen.to, *from * *seen.pose) || changed;
+          } else if (to && !from && is_landmark(seen.from)) {
+            changed = hold(seen.from, *to * seen.pose->inverse()) || changed;
+          }
+        }
+      }
+    }
+  };
+  spread();
+  std::map<Key, std::set<Key>> ranged;
+  for (const SeenRange& range : graph_.ranges) {
+    if (!usable(range)) continue;
+    if (is_landmark(range.to) && pose_of_node(range.from)) ranged[range.to].insert(range.from);
+    if (is_landmark(range.from) && pose_of_node(range.to)) ranged[range.from].insert(range.to);
+  }
+  for (const auto& [key, nodes] : ranged) {
+    const auto pose = first_pose(key);
+    if (!pose || nodes.size() < kLeastRanges || !held.poses.emplace(key, *pose).second) continue;
+    held.by_ranges.push_back(key);
+  }
+  spread();
+  for (const auto& [key, seen] : graph_.landmarks) {
+    if (held.poses.count(key) != 0) continue;
+    const auto nodes = ranged.find(key);
+    problems_.add("landmark left out",
+                  seen.where + ": " + key_name(key) + ", " +
+                      (seen.pose ? "not sighted, ranged from " : "without usable pose, ranged from ") +
+                      std::to_string(nodes == ranged.end() ? 0 : nodes->second.size()) + " of the " +
+                      std::to_string(kLeastRanges) + " nodes that it takes");
+  }
+  return held;
+}
+
+void Gatherer::add_ranges(PoseGraph& graph) const {
+  for (const SeenRange& seen : graph_.ranges) {
+    const auto left_out = [&](Key key) { return is_landmark(key) && !graph.contains(key); };
+    if (!usable(seen)) {
+      problems_.add("unusable range factor", seen.where + ": " + std::to_string(seen.range_m) + " m, sigma " +
+                                                 std::to_string(seen.sigma_m) + " m");
+    } else if (left_out(seen.from) || left_out(seen.to)) {
+      problems_.add("range factor of a landmark left out", seen.where);
+    } else if (!graph.contains(seen.from) || !graph.contains(seen.to)) {
+      problems_.add("edge without node", seen.where);
+    } else {
+      if (seen.sigma_m == 0.0) problems_.add("covariance absent", seen.where);
+      graph.add_range({seen.from, seen.to, seen.range_m, seen.sigma_m == 0.0 ? kRangeSigma : seen.sigma_m});
+    }
+  }
+}
+
+void Gatherer::add_gravity(PoseGraph& graph) const {
+  for (const SeenGravity& seen : graph_.gravities) {
+    const double length = seen.direction.norm();
+    if (!graph.contains(seen.key)) {
+      problems_.add("edge without node", seen.where);
+    } else if (!std::isfinite(length) || !(length > 0.0) || !usable_sigma(seen.sigma_rad)) {
+      problems_.add("unusable gravity factor", seen.where);
+    } else if ((graph.node(seen.key).pose.linear() * seen.direction).z() > 0.0) {
+      // Some take for gravity what an accelerometer at rest shows, which points up.
+      problems_.add("gravity factor that points up left out", seen.where);
+    } else {
+      if (seen.sigma_rad == 0.0) problems_.add("covariance absent", seen.where);
+      GravityFactor gravity;
+      gravity.key = seen.key;
+      gravity.direction = seen.direction;
+      gravity.sigma_rad = seen.sigma_rad == 0.0 ? kGravitySigma : seen.sigma_rad;
+      graph.add_gravity(gravity);
+    }
+  }
+}
+
+parts::Stamps Gatherer::stamps_of(const PoseGraph& graph, const Robots& robots) const {
+  parts::Stamps stamps;
+  for (const Key key : parts::key_frames(graph, robots)) stamps[key] = graph_.nodes.at(key).stamp_ns;
+  // A landmark comes with the first node that saw it, or later.
+  for (const auto& [key, stamp] : parts::first_sightings(graph, robots, stamps)) {
+    const auto seen = graph_.landmarks.find(key);
+    const bool given = seen != graph_.landmarks.end() && seen->second.has_stamp;
+    stamps[key] = given ? std::max(stamp, seen->second.stamp_ns) : stamp;
+  }
+  return stamps;
+}
+
+void Gatherer::add_factors(Mission& mission, const std::string& name, const Landmarks& landmarks) const {
   PoseGraph& graph = mission.graph;
   const auto in_graph = [&](const SeenFactor& seen) {
     if (!graph.contains(seen.from) || !graph.contains(seen.to)) {
@@ -370,6 +548,10 @@ void Gatherer::add_factors(Mission& mission, const std::string& name) const {
   add_edges(graph_.odometry, [&](const Eigen::Isometry3d& T) { return odometry_information(T, options_); });
   add_edges(graph_.closures,
             [](const Eigen::Isometry3d&) { return parts::information_of_sigmas(kClosureSigmas); });
+  add_edges(graph_.sightings,
+            [](const Eigen::Isometry3d&) { return parts::information_of_sigmas(kSightingSigmas); });
+  add_ranges(graph);
+  add_gravity(graph);
 
   std::vector<PriorFactor> priors;
   for (const SeenFactor& seen : graph_.priors) {
@@ -380,21 +562,11 @@ void Gatherer::add_factors(Mission& mission, const std::string& name) const {
          seen.information ? *seen.information : parts::information_of_sigmas(options_.prior_sigmas.data())});
   }
   parts::complete_priors(graph, mission.robots, options_, name, priors, problems_);
-
-  // The graph has no place for these yet. graph_ holds all that is needed to add them here.
-  for (const auto& [key, seen] : graph_.landmarks)
-    problems_.add("landmark left out", seen.where + ": " + key_name(key));
-  for (const SeenFactor& seen : graph_.sightings) problems_.add("sighting left out", seen.where);
-  for (const SeenRange& range : graph_.ranges) {
-    problems_.add("range factor left out", name + ": " + ends(range.from, range.to));
+  for (const Key key : landmarks.by_ranges) {
+    priors.push_back({key, graph.node(key).pose, parts::information_of_sigmas(kAnchorSigmas)});
+    problems_.add("landmark by ranges alone gets a prior", name + ": " + key_name(key));
   }
-  for (const SeenGravity& gravity : graph_.gravities) {
-    problems_.add("gravity factor left out", name + ": " + key_name(gravity.key));
-  }
-
-  parts::Stamps stamps;
-  for (const Node& node : graph.nodes()) stamps[node.key] = graph_.nodes.at(node.key).stamp_ns;
-  graph = parts::assemble(graph, stamps, priors, mission.robots);
+  graph = parts::assemble(graph, stamps_of(graph, mission.robots), priors, mission.robots);
 }
 
 void Gatherer::add_radio_to(Mission& mission) const {
@@ -450,6 +622,10 @@ void Gatherer::add_truth_to(Mission& mission) const {
   const double tolerance_s = std::min(options_.truth_max_time_difference_s, 1e9);
   const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
   const auto names = robot_names();
+  std::set<std::size_t> own;  // robots proper
+  for (const Node& node : mission.graph.nodes()) {
+    if (!mission.robots.is_landmark(node.key)) own.insert(mission.robots.of(node.key));
+  }
   std::map<Key, Eigen::Isometry3d> poses;
   for (const Truth& truth : truths_) {
     std::optional<std::size_t> robot;
@@ -457,6 +633,7 @@ void Gatherer::add_truth_to(Mission& mission) const {
       if (robot) break;
       robot = robot_named(mission.robots, first_word(source));
       for (std::size_t r = 0; r < mission.robots.size() && !robot; ++r) {
+        if (mission.robots[r].landmarks) continue;
         // "husky3_odom.bag"
         const std::string& name = mission.robots[r].name;
         const bool begins =
@@ -467,7 +644,7 @@ void Gatherer::add_truth_to(Mission& mission) const {
     }
     // Without any name, one truth is that of the only robot.
     const bool nameless = names.empty() || first_word(truth.source.front()).empty();
-    if (!robot && nameless && mission.robots.size() == 1 && truths_.size() == 1) robot = 0;
+    if (!robot && nameless && own.size() == 1 && truths_.size() == 1) robot = *own.begin();
     if (!robot) {
       problems_.add("ground truth of an unknown robot", truth.source.front());
       continue;

@@ -49,13 +49,15 @@ struct SeenRange {
   Key from = 0;
   Key to = 0;
   double range_m = 0.0;
-  double sigma_m = 0.0;
+  double sigma_m = 0.0;  ///< 0 if the message says nothing of it.
+  std::string where;
 };
 
 struct SeenGravity {
   Key key = 0;
   Eigen::Vector3d direction = Eigen::Vector3d::Zero();  ///< Body frame.
-  double sigma_rad = 0.0;
+  double sigma_rad = 0.0;                               ///< 0 if the message says nothing of it.
+  std::string where;
 };
 
 /// All graphs of a recording as one, in the order of arrival.
@@ -65,7 +67,7 @@ struct SeenGraph {
   std::vector<SeenFactor> priors;
   std::vector<SeenFactor> odometry;
   std::vector<SeenFactor> closures;
-  std::vector<SeenFactor> sightings;  ///< From a key frame to a landmark.
+  std::vector<SeenFactor> sightings;  ///< Artifacts and radio anchors by their poses.
   std::vector<SeenRange> ranges;
   std::vector<SeenGravity> gravities;
 };
@@ -96,6 +98,11 @@ class Gatherer {
   void add_truth_to(Mission& mission) const;
 
  private:
+  /// The landmarks that factors hold in place.
+  struct Landmarks {
+    std::map<Key, Eigen::Isometry3d> poses;
+    std::vector<Key> by_ranges;  ///< By nothing else: these need a prior.
+  };
   struct Drop {
     std::string beacon;
     Key key = 0;
@@ -118,7 +125,11 @@ class Gatherer {
   [[nodiscard]] std::optional<Matrix6d> information(const SeenFactor& seen, bool translation_first,
                                                     bool check_order);
   [[nodiscard]] std::map<char, std::string> robot_names() const;
-  void add_factors(Mission& mission, const std::string& name) const;
+  [[nodiscard]] Landmarks held_landmarks(const PoseGraph& key_frames) const;
+  void add_factors(Mission& mission, const std::string& name, const Landmarks& landmarks) const;
+  void add_ranges(PoseGraph& graph) const;
+  void add_gravity(PoseGraph& graph) const;
+  [[nodiscard]] parts::Stamps stamps_of(const PoseGraph& graph, const Robots& robots) const;
   void add_radio_to(Mission& mission) const;
   [[nodiscard]] std::optional<std::size_t> robot_named(const Robots& robots, const std::string& text) const;
 

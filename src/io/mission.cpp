@@ -51,7 +51,14 @@ bool stamp_in_range(std::int64_t stamp_ns) {
 }
 
 Robots robots_of(const PoseGraph& graph, const MissionOptions& options, const Robots& otherwise) {
-  Robots robots = options.robots.empty() ? otherwise : parse_robots(options.robots);
+  Robots robots = otherwise;
+  if (!options.robots.empty()) {
+    std::vector<Robot> listed = parse_robots(options.robots).all();
+    for (const Robot& robot : otherwise.all()) {
+      if (robot.landmarks) listed.push_back(robot);
+    }
+    robots = Robots(std::move(listed));
+  }
   for (const Node& node : graph.nodes()) static_cast<void>(robots.of(node.key));
   return robots;
 }
@@ -78,9 +85,11 @@ Stamps regular_stamps(const PoseGraph& graph, const Robots& robots, const Missio
   std::vector<std::size_t> count(robots.size(), 0);
   Stamps stamps;
   for (const Key key : keys) {
+    if (robots.is_landmark(key)) continue;
     const double time_s = options.node_interval_s * static_cast<double>(count[robots.of(key)]++);
     stamps[key] = static_cast<std::int64_t>(std::llround(std::min(time_s, 1e9) * 1e9));
   }
+  for (const auto& [key, stamp] : first_sightings(graph, robots, stamps)) stamps.emplace(key, stamp);
   return stamps;
 }
 

@@ -28,8 +28,6 @@ const std::vector<std::string> kStampColumns = {"key", "stamp_ns"};
 const std::vector<std::string> kPriorColumns = {"key", "x",  "y",  "z",  "qx",  "qy",  "qz",
                                                 "qw",  "sx", "sy", "sz", "srx", "sry", "srz"};
 const std::vector<std::string> kRadioColumns = {"key", "beacon", "transmit_dbm", "receiver", "receive_dbm"};
-const std::vector<std::string> kRangeColumns = {"from", "to", "range_m", "sigma_m"};
-const std::vector<std::string> kGravityColumns = {"key", "x", "y", "z", "sigma_rad"};
 const std::vector<std::string> kBeaconColumns = {"beacon", "robot", "drop_key", "stamp_ns"};
 
 /// Where the parts of a mission lie in its folder.
@@ -40,8 +38,8 @@ struct Files {
   fs::path scans = "scans";
   fs::path radio = "radio.csv";
   fs::path beacons = "beacons.csv";
-  fs::path ranges = "ranges.csv";
-  fs::path gravity = "gravity.csv";
+  fs::path ranges = parts::kRanges;
+  fs::path gravity = parts::kGravity;
   fs::path ground_truth = "ground_truth.g2o";
 };
 
@@ -319,38 +317,6 @@ std::vector<BeaconDrop> read_beacons(const fs::path& file, const PoseGraph& grap
   return drops;
 }
 
-/// Adds what `make` builds of each row; what the graph refuses is an error of that row.
-template <class Add>
-void add_rows(const CsvTable& table, Add&& add) {
-  for (std::size_t row = 0; row < table.size(); ++row) {
-    try {
-      add(row);
-    } catch (const ParseError&) {
-      throw;
-    } catch (const InputError& error) {
-      table.fail(row, 0, error.what());
-    }
-  }
-}
-
-void read_ranges(const fs::path& file, PoseGraph& graph) {
-  const CsvTable table(file, kRangeColumns);
-  add_rows(table, [&](std::size_t row) {
-    graph.add_range({table.key(row, 0), table.key(row, 1), table.number(row, 2), table.number(row, 3)});
-  });
-}
-
-void read_gravity(const fs::path& file, PoseGraph& graph) {
-  const CsvTable table(file, kGravityColumns);
-  add_rows(table, [&](std::size_t row) {
-    GravityFactor gravity;
-    gravity.key = table.key(row, 0);
-    gravity.direction = {table.number(row, 1), table.number(row, 2), table.number(row, 3)};
-    gravity.sigma_rad = table.number(row, 4);
-    graph.add_gravity(gravity);
-  });
-}
-
 std::optional<Key> key_of_name(const std::string& stem) {
   try {
     return parse_key(stem);
@@ -384,8 +350,10 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   mission.frame = description.text_or("frame", "map");
   mission.provenance_json = description.provenance();
 
-  const G2oFile g2o = read_g2o(folder / files.graph);
+  G2oFile g2o = read_g2o(folder / files.graph);
   mission.problems = g2o.problems;
+  if (present(files.ranges)) read_ranges(folder / files.ranges, g2o.graph);
+  if (present(files.gravity)) read_gravity(folder / files.gravity, g2o.graph);
   const std::optional<Robots> listed = description.robots();
   mission.robots = robots_of(g2o.graph, options, listed ? *listed : Robots::from_keys(g2o.graph.keys()));
 
@@ -408,8 +376,6 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
     }
   }
   mission.graph = assemble(g2o.graph, stamps, priors, mission.robots);
-  if (present(files.ranges)) read_ranges(folder / files.ranges, mission.graph);
-  if (present(files.gravity)) read_gravity(folder / files.gravity, mission.graph);
   check_stamps(mission);
   if (const auto start = description.start_ns()) {
     if (*start > mission.start_ns) {
@@ -474,15 +440,7 @@ void MissionWriter::finish(const Mission& mission) const {
     priors.row(prior.key, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w(), s[0], s[1], s[2], s[3], s[4],
                s[5]);
   }
-  CsvText ranges(kRangeColumns), gravity(kGravityColumns);
-  for (const RangeFactor& r : graph.ranges()) ranges.row(r.from, r.to, r.range_m, r.sigma_m);
-  for (const GravityFactor& g : graph.gravities()) {
-    if (g.reference != -Eigen::Vector3d::UnitZ()) {
-      throw InputError("gravity at node " + key_name(g.key) +
-                       ": its reference is not -z, which no file can hold");
-    }
-    gravity.row(g.key, g.direction.x(), g.direction.y(), g.direction.z(), g.sigma_rad);
-  }
+  const std::string ranges = parts::ranges_text(graph), gravity = parts::gravity_text(graph);
   CsvText radio(kRadioColumns), beacons(kBeaconColumns);
   for (const RadioReading& r : mission.radio)
     radio.row(r.key, r.beacon, r.transmit_dbm, r.receiver, r.receive_dbm);
@@ -513,8 +471,8 @@ void MissionWriter::finish(const Mission& mission) const {
   write_file(folder_ / files.graph, g2o_text(graph, correlated));
   write_file(folder_ / files.stamps, stamps.text());
   write_file(folder_ / files.priors, priors.text());
-  if (!graph.ranges().empty()) write_file(folder_ / files.ranges, ranges.text());
-  if (!graph.gravities().empty()) write_file(folder_ / files.gravity, gravity.text());
+  if (!graph.ranges().empty()) write_file(folder_ / files.ranges, ranges);
+  if (!graph.gravities().empty()) write_file(folder_ / files.gravity, gravity);
   if (!mission.radio.empty()) write_file(folder_ / files.radio, radio.text());
   if (!mission.beacons.empty()) write_file(folder_ / files.beacons, beacons.text());
   if (!mission.ground_truth.empty()) {

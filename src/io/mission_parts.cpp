@@ -2,6 +2,7 @@
 #include "mission_parts.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <cmath>
 #include <fstream>
 #include <set>
@@ -20,15 +21,67 @@ namespace fs = std::filesystem;
 const std::set<std::string> kTruthFolders = {"ground_truth", "gt", "groundtruth"};
 const std::set<std::string> kTruthFiles = {"ground_truth.g2o", "gt.g2o", "groundtruth.g2o"};
 
-/// The robot's keys in order.
+/// Each robot's key frames in order.
 std::vector<std::vector<Key>> keys_by_robot(const PoseGraph& graph, const Robots& robots) {
   std::vector<std::vector<Key>> keys(robots.size());
-  for (const Node& node : graph.nodes()) keys[robots.of(node.key)].push_back(node.key);
+  for (const Node& node : graph.nodes()) {
+    if (!robots.is_landmark(node.key)) keys[robots.of(node.key)].push_back(node.key);
+  }
   for (auto& own : keys) std::sort(own.begin(), own.end());
   return keys;
 }
 
 }  // namespace
+
+bool is_landmark_character(char character) {
+  return (character >= 'A' && character <= 'Z') || character == 'u';
+}
+
+Robots with_landmarks(const Robots& robots, const std::set<char>& characters) {
+  std::map<char, std::string> names;
+  std::set<std::string> taken;
+  for (const Robot& robot : robots.all()) {
+    names[key_character(robot.first)] = robot.name;
+    if (characters.count(key_character(robot.first)) == 0) taken.insert(robot.name);
+  }
+  std::vector<Robot> marked = robots.all();
+  for (Robot& robot : marked) {
+    const char character = key_character(robot.first);
+    if (characters.count(character) == 0) continue;
+    robot.landmarks = true;
+    const auto owner = names.find(static_cast<char>(std::tolower(static_cast<unsigned char>(character))));
+    std::string name = "uwb_anchors";
+    if (character != 'u') name = (owner != names.end() ? owner->second : robot.name) + "_artifacts";
+    if (taken.insert(name).second) robot.name = name;
+  }
+  return Robots(std::move(marked));
+}
+
+std::vector<Key> key_frames(const PoseGraph& graph, const Robots& robots) {
+  std::vector<Key> keys;
+  for (const Node& node : graph.nodes()) {
+    if (!robots.is_landmark(node.key)) keys.push_back(node.key);
+  }
+  std::sort(keys.begin(), keys.end());
+  return keys;
+}
+
+Stamps first_sightings(const PoseGraph& graph, const Robots& robots, const Stamps& stamps) {
+  Stamps first;
+  const auto see = [&](Key landmark, Key from) {
+    const auto stamp = stamps.find(from);
+    if (!robots.is_landmark(landmark) || robots.is_landmark(from) || stamp == stamps.end()) return;
+    const auto [known, is_new] = first.emplace(landmark, stamp->second);
+    if (!is_new) known->second = std::min(known->second, stamp->second);
+  };
+  const auto tie = [&](Key a, Key b) {
+    see(a, b);
+    see(b, a);
+  };
+  for (const Edge& edge : graph.edges()) tie(edge.from, edge.to);
+  for (const RangeFactor& range : graph.ranges()) tie(range.from, range.to);
+  return first;
+}
 
 void complete_priors(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                      const std::string& name, std::vector<PriorFactor>& priors, Problems& problems) {
@@ -37,7 +90,7 @@ void complete_priors(const PoseGraph& graph, const Robots& robots, const Mission
   for (const Key key : first_nodes(graph, robots)) {
     if (tied.count(robots.of(key)) != 0) continue;
     priors.push_back(default_prior(graph, key, options));
-    problems.add("no prior given", name + ": node " + std::to_string(key) + " gets one");
+    problems.add("no prior given", name + ": node " + key_name(key) + " gets one");
   }
 }
 
@@ -74,6 +127,7 @@ void complete_stamps(const PoseGraph& graph, const Robots& robots, const Mission
       stamps[key] = static_cast<std::int64_t>(std::llround(std::clamp(stamp, -kLargest, kLargest)));
     }
   }
+  for (const auto& [key, stamp] : first_sightings(graph, robots, stamps)) stamps.emplace(key, stamp);
 }
 
 std::string name_of(const fs::path& path) {

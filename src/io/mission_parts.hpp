@@ -7,6 +7,7 @@
 #include <functional>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -22,20 +23,40 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
 /// folder.
 inline constexpr const char* kUnfinished = ".unfinished";
 
+/// Files of ranges and gravity beside a graph.
+inline constexpr const char* kRanges = "ranges.csv";
+inline constexpr const char* kGravity = "gravity.csv";
+
 /// Stamps are held to ±4.6e18 ns (the year 2115), so that differences never overflow.
 [[nodiscard]] bool stamp_in_range(std::int64_t stamp_ns);
 
-/// options.robots if given, else `otherwise`. \throws InputError naming a node that no robot owns;
-/// OptionError
+/// options.robots if given, with the landmarks of `otherwise`, else `otherwise`. \throws InputError naming a
+/// node that no robot owns; OptionError
 [[nodiscard]] Robots robots_of(const PoseGraph& graph, const MissionOptions& options,
                                const Robots& otherwise);
+
+/// Whether LAMP gives such keys to what robots saw: artifacts carry the capital letter of their robot,
+/// anchors of ultra-wideband radios a 'u'.
+[[nodiscard]] bool is_landmark_character(char character);
+
+/// The same, those of these characters marked as landmarks. Artifacts are called after their robot,
+/// "husky3_artifacts", anchors "uwb_anchors".
+[[nodiscard]] Robots with_landmarks(const Robots& robots, const std::set<char>& characters);
+
+/// Keys of all nodes but landmarks, in order.
+[[nodiscard]] std::vector<Key> key_frames(const PoseGraph& graph, const Robots& robots);
 
 /// The graph with these stamps (0 where none), priors and robots: edges between consecutive nodes become
 /// odometry, those to landmarks sightings.
 [[nodiscard]] PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps,
                                  const std::vector<PriorFactor>& priors, const Robots& robots);
 
-/// Stamps at the options' interval in the order of each robot's keys, from 0.
+/// When landmarks were first seen: the earliest of the stamps of the nodes that an edge or a range ties to
+/// each. Those tied to none are not listed.
+[[nodiscard]] Stamps first_sightings(const PoseGraph& graph, const Robots& robots, const Stamps& stamps);
+
+/// Stamps at the options' interval in the order of each robot's keys, from 0. Landmarks have that of their
+/// first sighting.
 [[nodiscard]] Stamps regular_stamps(const PoseGraph& graph, const Robots& robots,
                                     const MissionOptions& options);
 
@@ -50,12 +71,20 @@ inline constexpr const char* kUnfinished = ".unfinished";
 void complete_priors(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                      const std::string& name, std::vector<PriorFactor>& priors, Problems& problems);
 
-/// Gives nodes without stamp one between those of their neighbours along the robot's keys, and counts them.
+/// Gives nodes without stamp one between those of their neighbours along the robot's keys, and counts them;
+/// landmarks without stamp that of their first sighting.
 void complete_stamps(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                      const std::string& name, Stamps& stamps, Problems& problems);
 
 /// Information of uncorrelated x y z roll pitch yaw.
 [[nodiscard]] Matrix6d information_of_sigmas(const double* sigmas);
+
+/// Adds the ranges or the gravity factors of a CSV file. \throws ParseError naming the line; IoError
+void read_ranges(const std::filesystem::path& file, PoseGraph& graph);
+void read_gravity(const std::filesystem::path& file, PoseGraph& graph);
+/// What they read. \throws InputError naming a gravity factor whose reference is not -z: no file holds it
+[[nodiscard]] std::string ranges_text(const PoseGraph& graph);
+[[nodiscard]] std::string gravity_text(const PoseGraph& graph);
 
 /// Scan files of a folder by the key that `key_of` finds in their names (without extension). Counts foreign
 /// files and second files of one key, of which the first by name is taken.

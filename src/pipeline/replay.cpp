@@ -143,7 +143,9 @@ class Run {
     if (const auto edges = edges_at_.find(node.key); edges != edges_at_.end()) {
       for (const std::size_t e : edges->second) {
         const Edge& edge = edges_[e];
-        if (graph_.contains(edge.from) && graph_.contains(edge.to)) graph_.add_edge(edge);
+        if (!graph_.contains(edge.from) || !graph_.contains(edge.to)) continue;
+        graph_.add_edge(edge);
+        if (edge.kind == EdgeKind::kLandmark) new_factors_ = true;
       }
     }
     add_auxiliary_factors(node.key);
@@ -172,11 +174,14 @@ class Run {
   void add_auxiliary_factors(Key key) {
     if (const auto gravities = gravities_at_.find(key); gravities != gravities_at_.end()) {
       for (const std::size_t g : gravities->second) graph_.add_gravity(mission_.graph.gravities()[g]);
+      new_factors_ = true;
     }
     if (const auto ranges = ranges_at_.find(key); ranges != ranges_at_.end()) {
       for (const std::size_t r : ranges->second) {
         const RangeFactor& range = mission_.graph.ranges()[r];
-        if (graph_.contains(range.from) && graph_.contains(range.to)) graph_.add_range(range);
+        if (!graph_.contains(range.from) || !graph_.contains(range.to)) continue;
+        graph_.add_range(range);
+        new_factors_ = true;
       }
     }
   }
@@ -346,7 +351,7 @@ class Run {
       write(journal::result_line(now_s_, *result, pool_.accounting()));
       if (result->verified()) {
         closure_edges_.push_back({graph_.add_closure(*result->closure), result_.computed.size() - 1});
-        new_closures_ = true;
+        new_factors_ = true;
       }
     }
     if (outstanding_ > 0) return;
@@ -366,9 +371,9 @@ class Run {
   // ---------------------------------------------------------------------------------------------------
 
   void optimize() {
-    if (!new_closures_) return;
+    if (!new_factors_) return;
     const Stopwatch watch;
-    new_closures_ = false;
+    new_factors_ = false;
     const GncResult gnc = optimizer_.optimize_gnc(graph_, config_.gnc);
     graph_.set_poses(gnc.optimization.poses);
     for (std::size_t e = 0; e < gnc.weights.size(); ++e) graph_.set_weight(e, gnc.weights[e]);
@@ -473,7 +478,7 @@ class Run {
   std::uint64_t next_result_ = 0;
   std::vector<std::pair<std::size_t, std::size_t>>
       closure_edges_;  ///< Edge of the graph, place in `computed`.
-  bool new_closures_ = false;
+  bool new_factors_ = false;  ///< Since the last estimate: more than odometry, which estimates itself.
   std::size_t key_frames_ = 0;
   ReplayResult result_;
 };

@@ -466,7 +466,9 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
                                   (recorded[recorded.size() - 2] == '9' ? "8\n" : "9\n"));
   require_failure(replay("two", {"--resume"}), kBadUsage, "another mission");
   testing::write_text(stamps, recorded);
-  require_failure(replay("three", {"--method", ""}), kBadUsage, "a name is missing");
+  require_failure(
+      {"replay", (folder / "mission").string(), "-o", (folder / "three").string(), "--method", ""}, kBadUsage,
+      "a name is missing");
   require_failure(
       {"replay", (folder / "mission").string(), "-o", (folder / "three").string(), "--method", "best"},
       kBadUsage, "best");

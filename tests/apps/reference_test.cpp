@@ -41,11 +41,12 @@ Shown shown_by_help(const std::vector<std::string>& path) {
   std::istringstream lines(run.out);
   std::string line, block;
   while (std::getline(lines, line)) {
+    if (line.empty()) block.clear();
     if (!line.empty() && line[0] != ' ') block = line;
     std::istringstream words(line);
     std::string word;
     if (line.compare(0, 2, "  ") != 0 || line.compare(0, 3, "   ") == 0 || !(words >> word)) continue;
-    if (block == "Options:") {
+    if (block == "Options:" && word[0] == '-') {
       std::istringstream names(word);
       for (std::string name; std::getline(names, name, ',');) {
         shown.options.push_back(name.substr(0, name.find('{')));
@@ -139,6 +140,7 @@ TEST_CASE("reference: every command and option stands in manual pages and comple
     for (const std::string& option : shown.options) {
       CAPTURE(option);
       REQUIRE_THAT(manual, Contains("\\fB" + in_roff(option) + "\\fR"));
+      if (option == "--quiet") REQUIRE_THAT(manual, !Contains("\\fB" + in_roff(option) + "\\fR \\fI"));
       REQUIRE(has_word(in_bash, option));
       REQUIRE_THAT(in_zsh, Contains("'" + option + ":"));
       const bool is_long = option.compare(0, 2, "--") == 0;

@@ -116,6 +116,33 @@ TEST_CASE("bags: a hundred cuts and a hundred flips of a byte", "[io][bag][damag
   if (compression != "none") CHECK(errors + stated == 100);
 }
 
+TEST_CASE("bags: factors with altered numbers are read or refused", "[io][bag][damage]") {
+  const TemporaryFolder folder;
+  if (!lamp_data("factors", folder / "d", "--points 3")) return;
+  const std::string whole = read_file(folder / "d" / "factors.bag");
+  // Of the first message alone: that is where the factors are.
+  const std::size_t begin = whole.find("uuid-u0"), end = whole.find("base1/lamp/keyed_scans");
+  REQUIRE(begin < end);
+  Rng rng(12);
+  std::size_t errors = 0;
+  for (int i = 0; i < 200; ++i) {
+    std::string bytes = whole;
+    const std::size_t at = begin + rng.below(std::min<std::size_t>(end - begin, 14000));
+    // Half of them by eight bytes that are no number where they meet one.
+    if (i % 2 == 0) {
+      bytes.replace(at, 8, std::string("\x00\x00\x00\x00\x00\x00\xF8\x7F", 8));
+    } else {
+      bytes[at] = static_cast<char>(bytes[at] ^ static_cast<char>(1 + rng.below(255)));
+    }
+    write_file(folder / "damaged.bag", bytes);
+    CAPTURE(i, at);
+    const Outcome outcome = outcome_of(folder / "damaged.bag");  // whatever is thrown is an Error
+    if (!outcome.error.empty()) ++errors;
+  }
+  std::cerr << "factors with altered numbers: " << errors << " of 200 bags are errors\n";
+  CHECK(errors < 200);
+}
+
 TEST_CASE("bags: sizes and places that lead astray", "[io][bag][damage]") {
   const TemporaryFolder folder;
   if (!lamp_data("bags", folder / "d", "--robots c --nodes 3 --compression lz4")) return;

@@ -82,6 +82,19 @@ void check_same_graph(const PoseGraph& a, const PoseGraph& b) {
     CHECK(a.edges()[i].information == b.edges()[i].information);  // digits that read back to the same bits
   }
   for (std::size_t i = 0; i < a.priors().size(); ++i) CHECK(a.priors()[i].key == b.priors()[i].key);
+  REQUIRE(a.ranges().size() == b.ranges().size());
+  for (std::size_t i = 0; i < a.ranges().size(); ++i) {
+    const RangeFactor &first = a.ranges()[i], &second = b.ranges()[i];
+    CHECK((first.from == second.from && first.to == second.to));
+    CHECK((first.range_m == second.range_m && first.sigma_m == second.sigma_m));
+  }
+  REQUIRE(a.gravities().size() == b.gravities().size());
+  for (std::size_t i = 0; i < a.gravities().size(); ++i) {
+    CHECK(a.gravities()[i].key == b.gravities()[i].key);
+    CHECK(a.gravities()[i].sigma_rad == b.gravities()[i].sigma_rad);
+    // Made of unit length anew each time.
+    CHECK((a.gravities()[i].direction - b.gravities()[i].direction).norm() < 1e-15);
+  }
   // Through a quaternion and back: measured 4e-16 of rotations, exactly 0 of positions.
   CHECK(pose_difference(a, b) < 1e-14);
 }
@@ -102,20 +115,21 @@ void check_same_scans(const Mission& a, const Mission& b) {
 
 TEST_CASE("convert: a bag to a mission, to g2o_pcd, and back", "[io][convert][bag]") {
   const TemporaryFolder folder;
-  const std::string form = GENERATE("bags", "base");
+  const std::string form = GENERATE("bags", "base", "factors");
   CAPTURE(form);
   if (!lamp_data(form, folder / "bags", "--compression lz4 --nodes 8")) return;
+  const std::size_t scans = form == "factors" ? 9 : 16, names = form == "bags" ? 2 : form == "base" ? 3 : 0;
   const Mission bag = read_mission(form == "bags" ? folder / "bags" / "rosbag" : folder / "bags");
   ConvertOptions options;
   options.threads = 3;
   const ConvertResult first = convert_mission(bag, folder / "mission", MissionFormat::kMission, options);
-  CHECK(first.scans == 16);
+  CHECK(first.scans == scans);
   CHECK(first.left_out.empty());
   const Mission mission = read_mission(folder / "mission");
   CHECK(mission.problems.empty());
   const ConvertResult second = convert_mission(mission, folder / "g2o_pcd", MissionFormat::kG2oPcd, options);
-  CHECK(second.scans == 16);
-  CHECK(second.left_out.count("robot name left out") == 2);
+  CHECK(second.scans == scans);
+  CHECK(second.left_out.count("robot name left out") == names);
   CHECK(second.left_out.count("provenance left out") == 1);
   CHECK(second.left_out.count("radio reading left out") == mission.radio.size());
   CHECK(second.left_out.count("beacon left out") == mission.beacons.size());
@@ -123,7 +137,7 @@ TEST_CASE("convert: a bag to a mission, to g2o_pcd, and back", "[io][convert][ba
   CHECK(pcd.kind == MissionKind::kG2oPcd);
   CHECK(pcd.problems.empty());
   const ConvertResult third = convert_mission(pcd, folder / "again", MissionFormat::kMission, options);
-  CHECK(third.scans == 16);
+  CHECK(third.scans == scans);
   const Mission again = read_mission(folder / "again");
 
   check_same_graph(bag.graph, mission.graph);
@@ -141,6 +155,12 @@ TEST_CASE("convert: a bag to a mission, to g2o_pcd, and back", "[io][convert][ba
       CHECK(testing::difference(other->ground_truth.at(key), pose) < 1e-14);
     }
   }
+  for (const Node& node : bag.graph.nodes()) {
+    for (const Mission* other : {&mission, &pcd, &again}) {
+      CHECK(other->robots.is_landmark(node.key) == bag.robots.is_landmark(node.key));
+    }
+  }
+  if (form == "factors") testing::check_optimum(again, testing::expected_of(folder / "bags"));
   CHECK(mission.robots[0].name == bag.robots[0].name);
   CHECK(mission.radio.size() == bag.radio.size());
   CHECK(mission.provenance_json == bag.provenance_json);
@@ -189,6 +209,47 @@ TEST_CASE("convert: robots that a list tells apart get a letter each", "[io][con
     CHECK(back.graph.edges()[e].kind == mission.graph.edges()[e].kind);
   }
   CHECK(back.scans->load(make_key('b', 1))->size() == 30);
+}
+
+TEST_CASE("convert: landmarks get letters that say so, and are in no trajectory", "[io][convert]") {
+  const TemporaryFolder folder;
+  Mission mission = make_mission(false);
+  std::vector<Robot> robots = mission.robots.all();
+  robots.push_back({"signs", 90, 99, true});
+  mission.robots = Robots(std::move(robots));
+  Node sign;
+  sign.key = 93;
+  sign.stamp_ns = mission.start_ns + 3;
+  mission.graph.add_node(sign);
+  mission.graph.add_edge({12, 93, Eigen::Isometry3d::Identity(), Matrix6d::Identity(), EdgeKind::kLandmark});
+  mission.graph.add_range({21, 93, 4.5, 0.1});
+  GravityFactor gravity;
+  gravity.key = 22;
+  mission.graph.add_gravity(gravity);
+  const ConvertResult result = convert_mission(mission, folder / "g", MissionFormat::kG2oPcd);
+  CHECK(result.left_out.count("key renamed") == 9);
+  const Mission back = read_mission(folder / "g");
+  CHECK(testing::names_of(back.robots) == std::vector<std::string>{"a_artifacts", "a", "b"});
+  CHECK(back.robots.is_landmark(make_key('A', 3)));
+  CHECK(back.graph.node(make_key('A', 3)).stamp_ns == sign.stamp_ns);
+  CHECK(back.graph.edges().back().kind == EdgeKind::kLandmark);
+  REQUIRE(back.graph.ranges().size() == 1);
+  CHECK(back.graph.ranges()[0].to == make_key('A', 3));
+  REQUIRE(back.graph.gravities().size() == 1);
+  CHECK(back.graph.gravities()[0].key == make_key('b', 2));
+  CHECK(back.problems.count("no prior given") == 0);
+
+  const ConvertResult tum = convert_mission(mission, folder / "tum", MissionFormat::kTum);
+  for (const char* kind : {"landmark left out", "range left out", "gravity left out"}) {
+    CHECK(tum.left_out.count(kind) == 1);
+  }
+  CHECK(tum.left_out.count("key left out") == 8);
+  CHECK_FALSE(fs::exists(folder / "tum" / "signs.tum"));
+
+  // Without stamps, a landmark is first seen when a node first sees it.
+  fs::remove(folder / "g" / "keys.csv");
+  const Mission bare = read_mission(folder / "g");
+  CHECK(bare.graph.node(make_key('A', 3)).stamp_ns == 2'000'000'000);
 }
 
 TEST_CASE("convert: trajectories", "[io][convert]") {

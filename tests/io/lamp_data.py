@@ -4,8 +4,8 @@ python3-rosbag and Python's own zipfile, and beside them expected.json: what a r
 
     lamp_data.py FORM FOLDER [--compression none|bz2|lz4] [--robots c,e] [--nodes N] [--points N] [--options ...]
 
-FORM is one of: probe (does nothing, fails where a module is absent), bags, base, split, odd, g2o_pcd, lamp_zip,
-dataset, sessions, big. The messages are made from the definitions below: no ROS packages are needed.
+FORM is one of: probe (does nothing, fails where a module is absent), bags, base, split, odd, factors, g2o_pcd,
+lamp_zip, sessions, big. The messages are made from the definitions below: no ROS packages are needed.
 """
 import argparse
 import json
@@ -553,6 +553,98 @@ def make_odd(o):
                 bag.write("/" + name + "/lamp/keyed_scans", message, ros_time(stamp + 101))
         bag.write("/" + name + "/lo_frontend/odometry", odometry_message(stamp, poses[0]), ros_time(stamp))
     save_expected(o.folder, recording.expected())
+
+
+def diagonal(rotation_sigma, translation_sigma):
+    return [(rotation_sigma if i < 3 else translation_sigma)**2 if i == j else 0.0 for i in range(6) for j in range(6)]
+
+
+def make_factors(o):
+    """Ranges, gravity, artifacts and radio anchors, with the optimum that follows from them by hand.
+
+    Robot c and anchor u0 lie on one line of which odometry, a sighting and a range disagree by 0.3 m: each takes its
+    share by variance. Anchor u1 is known by ranges of robot e alone, artifact E0 by places alone: both are first put where
+    they are not. Robot a begins tilted and feels where down is. u2 has one range, u3 a prior, E1 no node.
+    """
+    zero = [0.0] * 36
+    unset = (0.0,) * 7
+    at = lambda x, y, z, yaw=0.0: (x, y, z, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+    moved = lambda pose, x, y, z: tuple(pose[k] + rotate(pose[3:], (x, y, z))[k] for k in range(3)) + pose[3:]
+    key = full_key
+    nodes, edges, optimum = [], [], {}
+
+    line = at(30.0, -5.0, 2.0, 0.7)
+    sigma_odometry, sigma_between, sigma_range = 0.1, 0.2, 0.05
+    nodes += [(key("c", 0), line), (key("c", 1), moved(line, 4, 0, 0))]
+    edges += [(key("c", 0), key("c", 0), 1, line, diagonal(0.01, 0.01), 0.0, 0.0),
+              (key("c", 0), key("c", 1), 0, at(4, 0, 0), diagonal(0.01, sigma_odometry), 0.0, 0.0),
+              (key("c", 0), key("u", 0), 6, at(10, 0, 0), diagonal(0.1, sigma_between), 0.0, 0.0),
+              (key("c", 1), key("u", 0), 5, unset, zero, 6.3, sigma_range)]
+    share = (10 - 4 - 6.3) / (sigma_odometry**2 + sigma_between**2 + sigma_range**2)
+    optimum[key("c", 1)] = moved(line, 4 + share * sigma_odometry**2, 0, 0)
+    optimum[key("u", 0)] = moved(line, 10 - share * sigma_between**2, 0, 0)
+
+    places = [(0, 0, 0), (2, 0, 0.5), (3, 2, 1), (2, 4, 0), (0, 5, 1.5), (-2, 3, 0.3)]
+    path = [at(*place, 0.3 * i) for i, place in enumerate(places)]
+    anchor, known, artifact, other = (1.0, 2.0, 6.0), (-4.0, 2.0, 1.0), (5.0, 3.0, 0.5), (2.0, -3.0, 1.0)
+    nodes += [(key("e", i), pose) for i, pose in enumerate(path)]
+    edges.append((key("e", 0), key("e", 0), 1, path[0], diagonal(0.01, 0.01), 0.0, 0.0))
+    seen_at = lambda i, place: rotate((-path[i][3], -path[i][4], -path[i][5], path[i][6]),
+                                      tuple(place[k] - path[i][k] for k in range(3)))
+    for i in range(6):
+        if i > 0:
+            edges.append((key("e", i - 1), key("e", i), 0, between(path[i - 1], path[i]), diagonal(0.003, 0.02), 0.0, 0.0))
+        edges.append((key("e", i), key("u", 1), 5, unset, zero, math.dist(places[i], anchor), 0.0 if i == 5 else 0.01))
+        # What LAMP says of an artifact: its place, and that nothing is known of its rotation.
+        if i in (1, 3):
+            edges.append((key("e", i), key("E", 0), 4, at(*seen_at(i, artifact)), diagonal(1e5, 0.1), 0.0, 0.0))
+        if i in (2, 4):
+            edges.append((key("e", i), key("E", 1), 4, at(*seen_at(i, other)), zero, 0.0, 0.0))
+        if i in (0, 3):
+            edges.append((key("e", i), key("u", 3), 5, unset, zero, math.dist(places[i], known), 0.1))
+        optimum[key("e", i)] = path[i]
+    edges.append((key("u", 3), key("u", 3), 1, at(*known), diagonal(1.0, 0.01), 0.0, 0.0))
+    optimum[key("u", 1)], optimum[key("u", 3)] = at(*anchor), at(*known)
+    optimum[key("E", 0)], optimum[key("E", 1)] = at(*artifact), at(*other)
+
+    tilt, sigma_tilt, sigma_gravity = 0.2, 0.5, 0.1
+    about_x = lambda angle: (-20.0, 0.0, 0.0, math.sin(angle / 2), 0.0, 0.0, math.cos(angle / 2))
+    nodes.append((key("a", 0), about_x(tilt)))
+    edges += [(key("a", 0), key("a", 0), 1, about_x(tilt), diagonal(sigma_tilt, 0.1), 0.0, 0.0),
+              (key("a", 0), key("a", 0), 2, (0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0), [sigma_gravity] + [0.0] * 35, 0.0, 0.0)]
+    low, high = 0.0, tilt  # of the derivative of the cost
+    for _ in range(100):
+        middle = 0.5 * (low + high)
+        if (middle - tilt) / sigma_tilt**2 + math.sin(middle) / sigma_gravity**2 > 0:
+            high = middle
+        else:
+            low = middle
+    optimum[key("a", 0)] = about_x(low)
+
+    # What cannot be used.
+    bad_range = lambda i, value, sigma: (key("e", i), key("c", 0), 5, unset, zero, value, sigma)
+    bad_gravity = lambda i, x, y, z, sigma: (key("e", i), key("e", i), 2, (x, y, z, 0, 0, 0, 1), [sigma] + [0.0] * 35, 0., 0.)
+    edges += [bad_range(0, -1.0, 0.1), bad_range(1, 5.0, -0.1), bad_range(2, float("nan"), 0.1),
+              (key("e", 0), key("e", 0), 5, unset, zero, 0.0, 0.1), (key("e", 0), key("d", 5), 5, unset, zero, 3.0, 0.1),
+              (key("c", 1), key("u", 2), 5, unset, zero, 7.0, 0.1),
+              bad_gravity(0, 0, 0, 0, 0.1), bad_gravity(1, 0, 0, 1, 0.1), bad_gravity(2, 0, 0, -1, float("nan"))]
+
+    recording = Recording([], 0, 0, o.seed)
+    start = START * 10**9
+    recording.nodes = [(k, start + i * INTERVAL * 10**9, p) for i, (k, p) in enumerate(nodes)]
+    recording.scans = {k: make_points(recording.rng, o.points, False) for k, _, _ in recording.nodes}
+    landmarks = [(key("u", 0), 0, moved(line, 10, 0, 0), "uuid-u0"), (key("u", 1), start + 3600 * 10**9, at(2, 1, 5), "uuid-u1"),
+                 (key("u", 2), 0, at(9, 9, 9), "uuid-u2"), (key("u", 3), 0, at(*known), "uuid-u3"),
+                 (key("E", 0), start + 1, at(6, 3, 0), "uuid-E0")]
+    graph = [(k, s, p, "odom_node") for k, s, p in recording.nodes]
+    with open_bag(os.path.join(o.folder, "factors.bag"), o.compression) as bag:
+        bag.write("/base1/lamp/pose_graph", graph_message(graph + landmarks, edges, start), ros_time(start))
+        again = [(key("c", 1), key("u", 0), 5, unset, zero, 9.9, 0.1), edges[0]]
+        bag.write("/base1/lamp/pose_graph", graph_message(graph, again, start), ros_time(start + 1))
+        for k, stamp, _ in recording.nodes:
+            bag.write("/base1/lamp/keyed_scans", scan_message(recording, k), ros_time(stamp))
+    save_expected(o.folder, {"optimum": {str(k): p for k, p in optimum.items()},
+                             "nodes": [{"key": str(k), "stamp_ns": str(s), "pose": p} for k, s, p in recording.nodes]})
 
 
 def g2o_pose(pose):

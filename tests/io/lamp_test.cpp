@@ -7,6 +7,7 @@
 #include <loopwise/io/cloud.hpp>
 
 #include "lamp_testing.hpp"
+#include "mission_parts.hpp"
 
 namespace loopwise {
 namespace {
@@ -15,6 +16,7 @@ namespace fs = std::filesystem;
 using testing::check_information;
 using testing::check_nodes;
 using testing::check_odometry;
+using testing::check_optimum;
 using testing::check_priors;
 using testing::check_scans;
 using testing::check_truth;
@@ -101,18 +103,25 @@ TEST_CASE("bags: a base station's graphs, closures, other factors and radio", "[
   if (!lamp_data("base", folder / "b")) return;
   const Json expected = expected_of(folder / "b");
   const Mission mission = read_mission(folder / "b");
-  CHECK(names_of(mission.robots) == std::vector<std::string>{"husky3", "spot1"});
+  CHECK(names_of(mission.robots) == std::vector<std::string>{"husky3_artifacts", "husky3", "spot1"});
   check_nodes(mission, expected);  // the first estimates, not the optimiser's
   check_odometry(mission, expected);
   check_priors(mission, expected);
   check_scans(mission, expected);
-  REQUIRE(mission.graph.edges().size() == expected["edges"].size() + 1);
+  REQUIRE(mission.graph.edges().size() == expected["edges"].size() + 2);
   testing::check_edge(mission, expected["closure"], EdgeKind::kLoopClosure);
+  CHECK(mission.robots[0].landmarks);
+  CHECK(mission.graph.edges().back().kind == EdgeKind::kLandmark);
+  CHECK(mission.graph.edges().back().to == make_key('C', 0));
+  REQUIRE(mission.graph.gravities().size() == 1);
+  CHECK(mission.graph.gravities()[0].key == make_key('c', 2));
+  CHECK(mission.graph.gravities()[0].direction == -Eigen::Vector3d::UnitZ());
+  CHECK(mission.graph.gravities()[0].sigma_rad == 0.05);
 
   const Key c2 = make_key('c', 2);
   REQUIRE(mission.beacons.size() == 1);
   CHECK(mission.beacons[0].beacon == "beacon7");
-  CHECK(mission.beacons[0].robot == 0);
+  CHECK(mission.beacons[0].robot == 1);
   CHECK(mission.beacons[0].drop_key == c2);
   CHECK(mission.beacons[0].stamp_ns == 1'600'000'005'000'000'000);
   // Readings at 6.1 s and 6.9 s are nearest to the nodes at 6 s, that at 8.05 s to the one at 8 s.
@@ -128,10 +137,46 @@ TEST_CASE("bags: a base station's graphs, closures, other factors and radio", "[
 
   CHECK(kinds_of(mission.problems) ==
         std::vector<std::string>{"beacon drop without node", "edge of unknown type left out",
-                                 "gravity factor left out", "landmark left out",
-                                 "radio reading further from its node", "radio reading of no dropped beacon",
-                                 "range factor left out", "sighting left out"});
-  CHECK(mission.problems.count("landmark left out") == 2);
+                                 "landmark left out", "radio reading further from its node",
+                                 "radio reading of no dropped beacon",
+                                 "range factor of a landmark left out"});
+}
+
+TEST_CASE("bags: ranges, gravity, artifacts and anchors make the optimum that they should", "[io][bag]") {
+  const TemporaryFolder folder;
+  if (!lamp_data("factors", folder / "f")) return;
+  const Json expected = expected_of(folder / "f");
+  MissionOptions options;
+  if (GENERATE(false, true)) options.robots = "a,c,e";  // landmarks need not be listed
+  const Mission mission = read_mission(folder / "f", options);
+  const Problems& problems = mission.problems;
+  CHECK(names_of(mission.robots) == std::vector<std::string>{"e_artifacts", "a", "c", "e", "uwb_anchors"});
+  check_nodes(mission, expected);
+  CHECK(mission.graph.nodes().size() == expected["nodes"].size() + 5);
+  for (const char* name : {"u0", "u1", "u3", "E0", "E1"}) CHECK(mission.robots.is_landmark(parse_key(name)));
+  CHECK_FALSE(mission.graph.contains(parse_key("u2")));
+  CHECK(mission.graph.ranges().size() == 9);
+  CHECK(mission.graph.gravities().size() == 1);
+  CHECK(mission.graph.priors().size() == 5);  // of three robots, u3, and u1, which has nothing else
+  CHECK(std::count_if(mission.graph.edges().begin(), mission.graph.edges().end(),
+                      [](const Edge& edge) { return edge.kind == EdgeKind::kLandmark; }) == 5);
+  CHECK(problems.count("covariance absent") == 3);
+  CHECK(problems.count("unusable range factor") == 4);
+  CHECK(problems.count("edge without node") == 1);
+  CHECK(problems.count("range factor of a landmark left out") == 1);
+  CHECK(problems.count("landmark left out") == 1);
+  CHECK(problems.count("landmark by ranges alone gets a prior") == 1);
+  CHECK(problems.count("unusable gravity factor") == 2);
+  CHECK(problems.count("gravity factor that points up left out") == 1);
+  CHECK(problems.count("repeated edge with other numbers") == 1);
+  CHECK(problems.all().size() == 9);
+  // As the message says, but not before the first node that saw it.
+  const auto stamp = [&](const char* name) { return mission.graph.node(parse_key(name)).stamp_ns; };
+  CHECK(stamp("u0") == stamp("c0"));
+  CHECK(stamp("u1") == 1'600'003'600'000'000'000);
+  CHECK(stamp("E0") == stamp("e1"));
+  CHECK(stamp("E1") == stamp("e2"));
+  check_optimum(mission, expected);
 }
 
 TEST_CASE("bags: what a message lacks is supplied or left out, and counted", "[io][bag]") {
@@ -476,6 +521,49 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
     if (!lamp_data("g2o_pcd", folder / "two")) return;
     CHECK_THROWS_WITH(read_missions({paths[0], folder / "two"}, options), Contains("has 2 robots"));
     CHECK_THROWS_AS(read_missions({}), InputError);
+  }
+  SECTION("with landmarks, ranges and gravity of their own") {
+    const auto write = [&](const std::string& name, char character) {
+      Mission one;
+      one.name = name;
+      one.robots = parts::with_landmarks(Robots({robot_of_character(character, "r"),
+                                                 robot_of_character('C', "C"), robot_of_character('u', "u")}),
+                                         {'C', 'u'});
+      for (const Key key :
+           {make_key(character, 5), make_key(character, 6), make_key('C', 3), make_key('u', 0)}) {
+        Node node;
+        node.key = key;
+        node.stamp_ns = 7;
+        node.pose.translation().x() = static_cast<double>(key_index(key));
+        one.graph.add_node(node);
+      }
+      one.graph.add_edge({make_key(character, 5), make_key(character, 6), one.graph.nodes()[1].pose});
+      one.graph.add_edge({make_key(character, 6), make_key('C', 3), one.graph.nodes()[2].pose});
+      one.graph.add_range({make_key(character, 5), make_key('u', 0), 5.0, 0.1});
+      GravityFactor gravity;
+      gravity.key = make_key(character, 6);
+      one.graph.add_gravity(gravity);
+      MissionWriter(folder / name).finish(one);
+    };
+    write("one", 'k');
+    write("two", 'c');
+    write_file(folder / "frames", "0 0 0 0 0 0 0 1\n1 0 9 0 0 0 1 0\n");
+    options.frames = (folder / "frames").string();
+    const Mission mission = read_missions({folder / "one", folder / "two"}, options);
+    CHECK(names_of(mission.robots) ==
+          std::vector<std::string>{"one_landmarks", "two_landmarks", "one", "two"});
+    CHECK(mission.robots.is_landmark(parse_key("B1")));
+    // In the order of the keys that they had: C3 before u0.
+    CHECK(mission.graph.node(parse_key("B0")).pose.translation().isApprox(Eigen::Vector3d(-3.0, 9.0, 0.0)));
+    REQUIRE(mission.graph.edges().size() == 4);
+    CHECK(mission.graph.edges()[3].to == parse_key("B0"));
+    CHECK(mission.graph.edges()[3].kind == EdgeKind::kLandmark);
+    REQUIRE(mission.graph.ranges().size() == 2);
+    CHECK(mission.graph.ranges()[1].from == parse_key("b5"));
+    CHECK(mission.graph.ranges()[1].to == parse_key("B1"));
+    REQUIRE(mission.graph.gravities().size() == 2);
+    CHECK(mission.graph.gravities()[1].key == parse_key("b6"));
+    CHECK(mission.graph.gravities()[1].reference == -Eigen::Vector3d::UnitZ());
   }
   SECTION("of one name, and with other robots") {
     fs::create_directories(folder / "more");

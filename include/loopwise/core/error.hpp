@@ -38,7 +38,7 @@ struct LOOPWISE_EXPORT IoError : Error {
 };
 
 /// Long work ended early because its StopToken asked for that.
-struct StoppedError : Error {
+struct LOOPWISE_EXPORT StoppedError : Error {
   using Error::Error;
 };
 

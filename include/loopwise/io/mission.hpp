@@ -83,7 +83,8 @@ struct Mission {
 
 /// How a mission is read, and what is put in where its files say nothing.
 struct MissionOptions {
-  /// As parse_robots() takes it. Empty: as mission.json says, or one robot per character of the keys.
+  /// As parse_robots() takes it. Empty: as mission.json says, or one robot per character of the keys. Groups
+  /// of landmarks are known from the files and not listed.
   std::string robots;
   double scan_cache_mb = 512.0;
   /// Sigmas of odometry made from a session's poses: per metre of the step, but never below the minimum.
@@ -180,12 +181,17 @@ struct MissionOptions {
 /// subfolder or in a zip archive, named KEY (a number of 64 bits, or a letter and an index) or pc_N: the N-th
 /// by key, or as keys.csv says (`key,file,stamp_ns`, no header). Ids in the graph may lack the robot's
 /// character if they are of one robot, which options.robot_character or the clouds' names tell. Closures in
-/// the graph are kept, as those of a mission folder. The truth is in ground_truth/, inside or beside.
+/// the graph are kept, as those of a mission folder. Nodes under capital letters or 'u' that have neither
+/// clouds nor edges among themselves are landmarks. ranges.csv and gravity.csv are those of a mission folder.
+/// The truth is in ground_truth/, inside or beside.
 ///
 /// **Bags**: a bag, or a folder's bags, as one recording. Messages are told apart by type: KeyedScan,
 /// PoseGraph and CommNodeStatus of pose_graph_msgs, silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag
 /// without these or in ground_truth/ is the truth, nearest in time. Nodes stand where the first message put
-/// them. Needs a build with librosbag-storage. Scans stay in the bags, which must not change.
+/// them. Artifacts and radio anchors are landmarks under their own keys; one that only ranges hold needs
+/// three and gets a prior of 10 m. Ranges and gravity (of which the first number of the covariance is the
+/// sigma) become factors. Needs a build with librosbag-storage. Scans stay in the bags, which must not
+/// change.
 ///
 /// **LAMP's saved map**: a zip archive with keys.csv, pc_N.pcd and pose_graph.bag, or the same unpacked.
 ///
@@ -197,10 +203,11 @@ struct MissionOptions {
 /// "message cannot be read", "message at time 0 left out", "bag altered in a place that is not read", "node
 /// without stamp", "node without usable pose", "edge without node", "edge without pose", "unusable edge",
 /// "repeated edge with other numbers", "covariance absent", "unusable covariance", "odometry covariance looks
-/// swapped", "odometry not between consecutive nodes", "gravity factor left out", "range factor left out",
-/// "landmark left out", "sighting left out", "edge of unknown type left out", "odometry messages not used",
-/// "ground truth of an unknown robot". \throws IoError; ParseError or InputError naming file and line or key;
-/// OptionError; StoppedError
+/// swapped", "odometry not between consecutive nodes", "unusable range factor", "unusable gravity
+/// factor", "gravity factor that points up left out", "range factor of a landmark left out", "landmark left
+/// out", "landmark by ranges alone gets a prior", "edge of unknown type left out", "odometry messages not
+/// used", "ground truth of an unknown robot". \throws IoError; ParseError or InputError naming file and line
+/// or key; OptionError; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
                                                    const MissionOptions& options = {},
                                                    const ProgressCallback& progress = {},
@@ -211,8 +218,8 @@ struct MissionOptions {
 /// …; b0, b1, … in the order given. Poses stand in the common frame as they are, or options.frames names a
 /// file with the pose T_common_source of each: CSV with the header `source,x,y,z,qx,qy,qz,qw`, where source
 /// is the name of its folder or file, or TUM, where the number of the source from 0 stands for the stamp. One
-/// source is read as it is. \throws as read_mission(); InputError naming a source of several robots, or one
-/// that the file lacks
+/// source is read as it is. Landmarks get the keys A0, A1, …; B0, …, each source its own. \throws as
+/// read_mission(); InputError naming a source of several robots, or one that the file lacks
 [[nodiscard]] LOOPWISE_EXPORT Mission read_missions(const std::vector<std::filesystem::path>& paths,
                                                     const MissionOptions& options = {},
                                                     const ProgressCallback& progress = {},

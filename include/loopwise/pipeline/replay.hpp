@@ -104,9 +104,9 @@ using PrioritizerFactory = std::function<std::vector<std::unique_ptr<Prioritizer
 /// Replays a recorded mission on a virtual clock (paper §IV): key frames arrive at their stamps or, after a
 /// communication gap, at its end; candidates are generated and prioritised as they come; whenever the
 /// computation runs dry it takes the next batch, and each registration occupies one of `workers` for
-/// `registration_time_s` of mission time; after each batch with a new closure the graph is optimised
-/// robustly. Events are ordered by (time, kind, key): neither the wall clock nor the number of threads
-/// changes the outcome.
+/// `registration_time_s` of mission time; after each batch with a new closure (or landmark, range or gravity)
+/// the graph is optimised robustly. Events are ordered by (time, kind, key): neither the wall clock nor the
+/// number of threads changes the outcome.
 class LOOPWISE_EXPORT MissionReplay {
  public:
   /// `mission` must outlive the replay; `features` serve the observability score. `prioritizers`, where
