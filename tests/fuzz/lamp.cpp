@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Messages one after the other: a byte that chooses the type, two with the length, the message.
+// The first byte chooses who is a robot: as the messages say, or what they hold for landmarks as well. Then
+// messages one after the other: a byte that chooses the type, two with the length, the message.
 #include "lamp_messages.hpp"
 
 #include "checks.hpp"
@@ -12,7 +13,8 @@ LOOPWISE_FUZZ_TARGET(lamp, bytes) {
     for (const fuzz::MessageType& type : fuzz::message_types()) out.emplace_back(type.name, type.definition);
     return out;
   }();
-  const MissionOptions options;
+  MissionOptions options;
+  if (fuzz::take_choice(bytes, 2) == 1) options.robots = "a,A,u";
   Problems problems;
   lamp::Gatherer gatherer(options, problems);
   while (bytes.size() >= 3) {

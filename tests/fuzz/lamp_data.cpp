@@ -106,8 +106,9 @@ std::string graph() {
     out.header(static_cast<std::uint32_t>(2 * i)).put(kFirst + i).text("odom_node");
     out.pose(static_cast<double>(i)).covariance(0.0);
   }
-  out.put(std::uint32_t{5}).edge(0, 0, 1, 0.0).edge(0, 1, 0, 1.0).edge(1, 0, 3, -1.0).edge(0, 0, 2, 0.0);
-  return out.edge(0, 1, 5, 0.0).str();
+  constexpr std::uint64_t kArtifact = std::uint64_t{0} - (std::uint64_t{'a' - 'A'} << 56);  // from a0 to A0
+  out.put(std::uint32_t{6}).edge(0, 0, 1, 0.0).edge(0, 1, 0, 1.0).edge(1, 0, 3, -1.0).edge(0, 0, 2, 0.0);
+  return out.edge(0, 1, 5, 0.0).edge(0, kArtifact, 4, 2.0).str();
 }
 
 /// A field of a bag's record.

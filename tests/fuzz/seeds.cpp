@@ -150,7 +150,7 @@ Seeds io_seeds() {
   all["ros_message"].push_back({"small", "uint8[] a\nB[2] b\nstring[] c\n===\nMSG: B\nfloat32 x\ntime t\n" +
                                              std::string(1, '\0') + std::string("\2\0\0\0ab", 6) +
                                              std::string(24, '\1') + std::string("\1\0\0\0\1\0\0\0z", 9)});
-  all["lamp"] = {{"all", every}};
+  all["lamp"] = {{"all", with_choice(0, every)}, {"all_robots", with_choice(1, every)}};
   all["point_cloud2"] = {{"scan", with_choice(0, messages[1].bytes)}};
   all["bag_chunk"] = {{"none", sized(0, 5, "bytes")}};
   all["bag"] = {{"none", bag(messages)}};
