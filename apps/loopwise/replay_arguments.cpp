@@ -54,9 +54,10 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command.add_option("--seed", arguments.seed, "Of everything random (default 1)")->type_name("S");
 #ifdef LOOPWISE_HAS_MPI
   command
-      .add_option("--rank-time-limit", arguments.rank_time_limit_s,
-                  "A rank of an MPI job that owes an answer for this long is taken for dead, s (default: replays "
-                  "600, studies, whose answers are whole runs, 86400)")
+      .add_option(
+          "--rank-time-limit", arguments.rank_time_limit_s,
+          "A rank of an MPI job that owes an answer for this long is taken for dead, s (default: replays "
+          "600, studies, whose answers are whole runs, 86400)")
       ->type_name("S")
       ->check(CLI::PositiveNumber);
 #endif

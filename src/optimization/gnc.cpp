@@ -82,10 +82,10 @@ namespace {
 /// be, too; so the noise is first measured on the lower quartile of d², which half of the closures being
 /// false does not spoil, and the threshold follows it down, with a margin for heavy tails. It never follows
 /// it up.
-std::vector<char> find_gross(const PoseGraph& graph) {
-  constexpr double kProbability = 1.0 - 1e-9;
+std::vector<char> find_gross(const PoseGraph& graph, double probability) {
   constexpr double kMargin = 25.0;
   constexpr std::size_t kFewest = 8;
+  if (probability >= 1.0) return std::vector<char>(graph.edges().size(), 0);
   const std::vector<double> d2 = innovations(graph);
   std::vector<double> known;
   for (const double d : d2) {
@@ -99,7 +99,7 @@ std::vector<char> find_gross(const PoseGraph& graph) {
     std::nth_element(known.begin(), quartile, known.end());
     scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
   }
-  const double threshold = scale * chi_squared_quantile(kProbability, 6);
+  const double threshold = scale * chi_squared_quantile(probability, 6);
   for (std::size_t k = 0; k < d2.size(); ++k) gross[k] = d2[k] > threshold;
   return gross;
 }
@@ -330,7 +330,7 @@ bool keep_better(GncResult& first, GncResult&& second) {
 Freedom solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
                   std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
                   ThreadPool& pool, const StopToken& stop, GncResult& result) {
-  const std::vector<char> gross = find_gross(graph);
+  const std::vector<char> gross = find_gross(graph, gnc.innovation_probability);
   const std::vector<Pose> start = poses;
   RobustSolver(graph, gross, problem, equations, start, poses, options, gnc, pool, stop).solve(result);
   const bool graduated = gnc.kernel == RobustKernel::kGncTls || gnc.kernel == RobustKernel::kTls;

@@ -477,7 +477,7 @@ class Run {
   std::size_t outstanding_ = 0;      ///< Results of the batch still to come.
   std::uint64_t next_result_ = 0;
   std::vector<std::pair<std::size_t, std::size_t>>
-      closure_edges_;  ///< Edge of the graph, place in `computed`.
+      closure_edges_;         ///< Edge of the graph, place in `computed`.
   bool new_factors_ = false;  ///< Since the last estimate: more than odometry, which estimates itself.
   std::size_t key_frames_ = 0;
   ReplayResult result_;

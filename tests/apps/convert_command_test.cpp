@@ -75,7 +75,8 @@ TEST_CASE("convert: there and back, and what other commands make of it", "[apps]
   for (const std::string& path : {again, g}) {
     const auto [found_there, error_there] = closures(path, fs::path(path).filename().string() + "_run");
     CHECK(found_there == found);
-    CHECK(error_there == Approx(error).epsilon(1e-9));  // poses as text have 17 digits, quaternions are normalised
+    CHECK(error_there ==
+          Approx(error).epsilon(1e-9));  // poses as text have 17 digits, quaternions are normalised
   }
   CHECK(json_of({"rank", g})["candidates"] == json_of({"rank", m})["candidates"]);
 

@@ -29,6 +29,7 @@ struct GncOptions {
   int steps_per_iteration = 1;
   double weight_tolerance = 1e-4;
   bool second_start = false;
+  double innovation_probability = 1.0 - 1e-9;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -48,6 +49,10 @@ struct GncOptions {
           "graduation from an estimate that is far off can lose closures that all agree. Takes up to three "
           "times as "
           "long; replays and the live module do it.");
+    field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true},
+          "Share of true closures that what odometry alone says of their ends does not put aside at first: quantile "
+          "of chi-squared with 6 degrees of freedom, on the innovation. One that the estimate then confirms comes "
+          "back. 1 puts none aside.");
   }
 };
 
