@@ -3,6 +3,16 @@
 set(LOOPWISE_CMAKE_DIR ${CMAKE_INSTALL_LIBDIR}/cmake/loopwise)
 set_property(GLOBAL PROPERTY LOOPWISE_COMPONENTS "")
 
+if(LOOPWISE_BUILD_FUZZERS)
+  if(NOT CMAKE_CXX_COMPILER_ID MATCHES "Clang")
+    message(FATAL_ERROR "LOOPWISE_BUILD_FUZZERS needs clang, whose libFuzzer drives the targets; the compiler is "
+      "${CMAKE_CXX_COMPILER_ID}. Use scripts/fuzz, or configure anew with -DCMAKE_CXX_COMPILER=clang++")
+  endif()
+  # The targets add the fuzzer itself. What casts of numbers beyond an integer's range give is not defined, and no part of
+  # `undefined`.
+  set(LOOPWISE_SANITIZE address,undefined,float-cast-overflow,fuzzer-no-link)
+endif()
+
 # Flags of this build alone: linked as $<BUILD_INTERFACE:...>, so that they are never exported.
 add_library(loopwise_build_flags INTERFACE)
 target_compile_options(loopwise_build_flags INTERFACE -Wall -Wextra -Wshadow -Wconversion)
@@ -13,7 +23,7 @@ if(LOOPWISE_SANITIZE)
   target_compile_options(loopwise_build_flags INTERFACE -fsanitize=${LOOPWISE_SANITIZE} -fno-omit-frame-pointer -g)
   target_link_options(loopwise_build_flags INTERFACE -fsanitize=${LOOPWISE_SANITIZE})
   # Instrumented code confuses this analysis of gcc's: it warns of the standard library itself.
-  target_compile_options(loopwise_build_flags INTERFACE -Wno-maybe-uninitialized)
+  target_compile_options(loopwise_build_flags INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>)
   if(LOOPWISE_SANITIZE MATCHES "address")
     # Under this sanitizer Eigen would align memory by hand, but the libraries that we share matrices with (PCL) were
     # built without: malloc is aligned well enough in either case, so all may use it.
@@ -21,6 +31,9 @@ if(LOOPWISE_SANITIZE)
   endif()
   if(LOOPWISE_SANITIZE MATCHES "undefined")
     target_compile_options(loopwise_build_flags INTERFACE -fno-sanitize-recover=undefined)
+    if(LOOPWISE_SANITIZE MATCHES "float-cast-overflow")
+      target_compile_options(loopwise_build_flags INTERFACE -fno-sanitize-recover=float-cast-overflow)
+    endif()
   endif()
 endif()
 
@@ -53,6 +66,16 @@ function(loopwise_add_component name)
   add_library(${target} ${ARG_SOURCES})
   add_library(loopwise::${name} ALIAS ${target})
   # Compatible within one minor version before 1.0, see docs/building.md.
+  if(LOOPWISE_BUILD_FUZZERS)
+    # What reads nothing is built fast and uninstrumented: fuzzers then count the edges of readers alone.
+    set(plain ${ARG_SOURCES})
+    if(name MATCHES "^(core|io|pipeline|evaluation|distributed)$")
+      set(plain)
+    elseif(name STREQUAL "prioritization")
+      list(REMOVE_ITEM plain tensor_file.cpp effect_network.cpp gnn.cpp)
+    endif()
+    set_source_files_properties(${plain} PROPERTIES COMPILE_OPTIONS "-fno-sanitize=all;-O0")
+  endif()
   set_target_properties(${target} PROPERTIES EXPORT_NAME ${name} POSITION_INDEPENDENT_CODE ON
                         VERSION ${PROJECT_VERSION} SOVERSION ${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR})
   target_compile_features(${target} PUBLIC cxx_std_17)

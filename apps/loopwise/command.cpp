@@ -74,8 +74,8 @@ void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, 
 
 void print_results(const CommonOptions& options, const Json& json, const std::string& text) {
   const bool to_output = options.json == "-";
-  if (!options.json.empty() && !to_output) write_file(options.json, json.dump(2) + "\n");
-  std::cout << (to_output ? json.dump(2) + "\n" : text) << std::flush;
+  if (!options.json.empty() && !to_output) write_file(options.json, json_text(json, 2) + "\n");
+  std::cout << (to_output ? json_text(json, 2) + "\n" : text) << std::flush;
   if (!std::cout) throw IoError("standard output", "cannot be written");
 }
 

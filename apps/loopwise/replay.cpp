@@ -97,7 +97,7 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   json["scans"] = mission.scans->size();
   json["options"] = parse_json(config_json(config), "options");
   json["code"] = replay_code_version();
-  return json.dump();
+  return json_text(json);
 }
 
 /// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".

@@ -63,7 +63,7 @@ class Field {
     return value_->get<double>();
   }
   [[nodiscard]] std::uint64_t integer() const {
-    if (!value_->is_number_integer()) fail("expected an integer");
+    if (!value_->is_number_unsigned()) fail("expected an integer, not negative");
     return value_->get<std::uint64_t>();
   }
   template <class T>
@@ -91,7 +91,14 @@ class Field {
   template <class T>
   [[nodiscard]] Eigen::Matrix<T, Eigen::Dynamic, Eigen::Dynamic> matrix(Eigen::Index rows,
                                                                         Eigen::Index columns) const {
-    const std::vector<T> all = values<T>(static_cast<std::size_t>(rows * columns));
+    const std::vector<T> all = values<T>();
+    // No product of sizes before they are known to be small: it might overflow.
+    const auto count = static_cast<Eigen::Index>(all.size());
+    const bool none = rows == 0 || columns == 0;
+    if (rows < 0 || columns < 0 || (none ? count != 0 : count / rows != columns || count % rows != 0)) {
+      fail(std::to_string(all.size()) + " values, expected " + std::to_string(rows) + "x" +
+           std::to_string(columns));
+    }
     return Eigen::Map<const Eigen::Matrix<T, Eigen::Dynamic, Eigen::Dynamic>>(all.data(), rows, columns);
   }
   [[noreturn]] void fail(const std::string& why) const { throw InputError(path_ + ": " + why); }
@@ -107,22 +114,53 @@ inline void write_packed(const std::filesystem::path& path, const nlohmann::json
   write_file(path, bytes);
 }
 
+/// Follows a file without keeping anything, and ends it where it is nested too deep.
+class Depth final : public nlohmann::json_sax<nlohmann::json> {
+ public:
+  bool null() override { return true; }
+  bool boolean(bool) override { return true; }
+  bool number_integer(number_integer_t) override { return true; }
+  bool number_unsigned(number_unsigned_t) override { return true; }
+  bool number_float(number_float_t, const string_t&) override { return true; }
+  bool string(string_t&) override { return true; }
+  bool binary(binary_t&) override { return true; }
+  bool start_object(std::size_t) override { return ++depth_ <= kDeepest; }
+  bool key(string_t&) override { return true; }
+  bool end_object() override { return depth_-- > 0; }
+  bool start_array(std::size_t) override { return ++depth_ <= kDeepest; }
+  bool end_array() override { return depth_-- > 0; }
+  bool parse_error(std::size_t, const std::string&, const nlohmann::json::exception&) override {
+    return false;
+  }
+
+ private:
+  static constexpr int kDeepest = 64;
+  int depth_ = 0;
+};
+
 /// \throws IoError; InputError if the file is cut short, of another format or version
 [[nodiscard]] inline nlohmann::json read_packed(const std::filesystem::path& path, const std::string& format,
                                                 int version) {
   const std::string bytes = read_file(path);
   nlohmann::json value;
   try {
-    value = nlohmann::json::from_cbor(bytes);
+    Depth depth;  // the parser calls itself for what is nested
+    if (nlohmann::json::sax_parse(bytes, &depth, nlohmann::json::input_format_t::cbor)) {
+      value = nlohmann::json::from_cbor(bytes);
+    }
   } catch (const nlohmann::json::exception&) {
+    value = nullptr;
+  }
+  if (value.is_null()) {
     throw InputError(path.string() + ": cut short or damaged, expected a file of format " + format);
   }
-  if (!value.is_object() || value.value("format", "") != format) {
+  const auto found = [&](const char* name) { return value.contains(name) ? value[name] : nlohmann::json(); };
+  if (!value.is_object() || found("format") != format) {
     throw InputError(path.string() + ": expected a file of format " + format);
   }
-  if (value.value("version", 0) != version) {
-    throw InputError(path.string() + ": version " + std::to_string(value.value("version", 0)) +
-                     ", expected " + std::to_string(version) + "; make it again");
+  if (found("version") != version) {
+    throw InputError(path.string() + ": version " + found("version").dump() + ", expected " +
+                     std::to_string(version) + "; make it again");
   }
   return value;
 }

@@ -58,7 +58,13 @@ class Reader {
     std::memcpy(&value, take(sizeof value).data(), sizeof value);
     return value;
   }
-  [[nodiscard]] bool flag() { return get<std::uint8_t>() != 0; }
+  [[nodiscard]] bool flag() { return one_of(1) != 0; }
+  /// A byte that counts from 0 to `last`.
+  [[nodiscard]] std::uint8_t one_of(std::uint8_t last) {
+    const auto value = get<std::uint8_t>();
+    if (value > last) throw InputError("a message holds a value that does not exist");
+    return value;
+  }
   [[nodiscard]] Eigen::Isometry3d pose() {
     Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
     for (int r = 0; r < 3; ++r) {
@@ -135,7 +141,7 @@ RegistrationTask unpack_task(std::string_view bytes) {
   c.id = in.get<CandidateId>();
   c.from = in.get<Key>();
   c.to = in.get<Key>();
-  c.source = static_cast<CandidateSource>(in.get<std::uint8_t>());
+  c.source = static_cast<CandidateSource>(in.one_of(static_cast<std::uint8_t>(CandidateSource::kUser)));
   c.time_s = in.get<double>();
   c.distance_m = in.get<double>();
   task.seed = in.get<std::uint64_t>();
@@ -164,7 +170,8 @@ RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& ca
   Reader in(bytes);
   RegistrationResult result;
   result.candidate = candidate;
-  result.reason = static_cast<RejectionReason>(in.get<std::uint8_t>());
+  result.reason =
+      static_cast<RejectionReason>(in.one_of(static_cast<std::uint8_t>(RejectionReason::kFailed)));
   result.message = in.text();
   result.sac_fitness_m2 = in.get<double>();
   result.gicp_fitness_m2 = in.get<double>();
@@ -182,6 +189,9 @@ RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& ca
     result.closure = closure;
   }
   in.end();
+  if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
+    throw InputError("a message verifies without a closure, or rejects with one");
+  }
   return result;
 }
 

@@ -202,6 +202,12 @@ std::map<Key, double> observability_of(const Mission& mission, const FeatureOpti
   return scores;
 }
 
+/// a - b, of which the integers may not hold the difference.
+double difference_ns(std::int64_t a, std::int64_t b) {
+  const auto x = static_cast<std::uint64_t>(a), y = static_cast<std::uint64_t>(b);
+  return a >= b ? static_cast<double>(x - y) : -static_cast<double>(y - x);
+}
+
 struct Row {
   Key from, to;
   std::string outcome;
@@ -311,7 +317,8 @@ class RunReader {
       if (begin < 2 || end == std::string::npos || events.count(line.substr(begin, end - begin)) == 0)
         continue;
       const Json event = Json::parse(line, nullptr, false);
-      if (event.is_object()) visit(event);
+      const auto name = event.find("event");
+      if (event.is_object() && name != event.end() && name->is_string()) visit(event);
     }
     if (in.bad()) throw IoError((folder_ / "journal.jsonl").string(), "cannot be read");
   }
@@ -404,7 +411,7 @@ class RunReader {
         has_odometry = has_odometry || !robot.odometry.empty();
         time_s.push_back(robot.stamps_ns.empty()
                              ? std::numeric_limits<float>::quiet_NaN()
-                             : static_cast<float>(static_cast<double>(robot.stamps_ns[i] - start_ns) * 1e-9));
+                             : static_cast<float>(difference_ns(robot.stamps_ns[i], start_ns) * 1e-9));
         has_times = has_times || !robot.stamps_ns.empty();
         if (view == nullptr) continue;
         const auto known = view->mission->ground_truth.find(key);

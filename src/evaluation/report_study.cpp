@@ -114,8 +114,8 @@ std::vector<StudyCurve> read_units(const fs::path& folder) {
   std::sort(paths.begin(), paths.end());
   std::vector<StudyCurve> curves;
   for (const fs::path& path : paths) {
-    const Json unit = Json::parse(read_file(path), nullptr, false);
     try {
+      const Json unit = parse_json(read_file(path), path.string());
       const Json &summary = unit.at("summary"), &replay = summary.at("options").at("replay");
       StudyCurve curve;
       curve.run = {{"world", unit.at("mission").at("world")},
@@ -138,6 +138,7 @@ std::vector<StudyCurve> read_units(const fs::path& folder) {
       }
       curves.push_back(std::move(curve));
     } catch (const Json::exception&) {
+    } catch (const InputError&) {
     }
   }
   return curves;

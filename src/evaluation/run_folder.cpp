@@ -158,7 +158,7 @@ std::string run_summary_json(const Mission& mission, const Config& config, const
     for (const Problem& problem : list->all()) problems.push_back(to_string(problem));
   }
   json["problems"] = problems;
-  return json.dump(2) + "\n";
+  return json_text(json, 2) + "\n";
 }
 
 std::string closures_csv(const ReplayResult& result) {

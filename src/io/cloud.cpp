@@ -50,6 +50,8 @@ void read_ascii_point(const std::vector<Channel>& channel_of_word, std::string_v
   }
 }
 
+/// Call it once the data are known to hold a point: the counts of fields may be any, and so would be the
+/// memory.
 std::vector<Channel> channels_by_word(const Layout& layout) {
   std::vector<Channel> out(layout.point_words, kChannels);
   const auto used = layout.used();
@@ -198,7 +200,8 @@ CloudFile read_pcd(const std::string& file, const std::string& contents) {
   const auto count = static_cast<std::size_t>(header.points);
 
   if (header.encoding == PcdEncoding::kAscii) {
-    const std::vector<Channel> channel_of_word = channels_by_word(layout);
+    const std::vector<Channel> channel_of_word =
+        count > 0 ? channels_by_word(layout) : std::vector<Channel>();
     float channels[kChannels] = {};
     std::size_t found = 0;
     builder.reserve(count);

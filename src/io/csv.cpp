@@ -11,12 +11,18 @@
 namespace loopwise {
 namespace {
 
+/// Blanks at the line's end may stand within a quoted value that goes on in the next line.
+std::string_view without_blanks_before(std::string_view line) {
+  while (!line.empty() && text::is_blank(line.front())) line.remove_prefix(1);
+  return line;
+}
+
 /// Splits one record; a quoted value may run over several lines, which `lines` then hands out.
 std::vector<std::string> split_record(std::string_view line, text::Lines& lines, const std::string& file) {
   const std::size_t first_line = lines.number();
   std::vector<std::string> values;
   while (true) {
-    std::string_view rest = text::trim(line);
+    std::string_view rest = without_blanks_before(line);
     if (!rest.empty() && rest.front() == '"') {
       std::string value;
       rest.remove_prefix(1);
@@ -33,7 +39,7 @@ std::vector<std::string> split_record(std::string_view line, text::Lines& lines,
         value += '"';
         rest.remove_prefix(1);
       }
-      rest = text::trim(rest);
+      rest = without_blanks_before(rest);
       values.push_back(std::move(value));
       if (rest.empty()) return values;
       if (rest.front() != ',') throw ParseError(file, lines.number(), "text after a quoted value");
@@ -56,9 +62,15 @@ std::string joined(const std::vector<std::string>& values) {
 }  // namespace
 
 CsvTable::CsvTable(const std::filesystem::path& path, std::vector<std::string> columns)
-    : file_(path.string()), columns_(std::move(columns)) {
-  const std::string contents = read_file(path);
-  text::Lines lines(contents);
+    : CsvTable(path.string(), read_file(path), std::move(columns)) {}
+
+CsvTable CsvTable::parse(std::string_view text, const std::string& source, std::vector<std::string> columns) {
+  return CsvTable(source, text, std::move(columns));
+}
+
+CsvTable::CsvTable(std::string source, std::string_view text, std::vector<std::string> columns)
+    : file_(std::move(source)), columns_(std::move(columns)) {
+  text::Lines lines(text);
   bool has_header = false;
   for (std::string_view line; lines.next(line);) {
     if (text::trim(line).empty()) continue;
@@ -137,7 +149,10 @@ void CsvText::begin_row(std::size_t count) const {
 }
 
 void CsvText::add_text(std::string_view value) {
-  const bool plain = value.find_first_of(",\"\n\r") == std::string_view::npos && text::trim(value) == value;
+  // A line with nothing in it would be a blank one, which readers skip.
+  const bool alone = value.empty() && columns_ == 1;
+  const bool plain =
+      !alone && value.find_first_of(",\"\n\r") == std::string_view::npos && text::trim(value) == value;
   if (plain) {
     text_ += value;
   } else {

@@ -347,8 +347,12 @@ std::string g2o_text(const PoseGraph& graph, const std::vector<PriorFactor>& pri
   return out;
 }
 
+G2oFile parse_g2o(std::string_view text, const std::string& source) {
+  return Reader(source).read(text);
+}
+
 G2oFile read_g2o(const std::filesystem::path& path) {
-  return Reader(path.string()).read(read_file(path));
+  return parse_g2o(read_file(path), path.string());
 }
 
 void write_g2o(const std::filesystem::path& path, const PoseGraph& graph) {

@@ -16,6 +16,12 @@
 namespace loopwise {
 namespace {
 
+/// Values are copied, compared and written by functions that call themselves: beyond this the stack might not
+/// do.
+constexpr int kDeepest = 200;
+/// Longer names are no slips of a known one, and comparing takes time by their length.
+constexpr std::size_t kLongestGuessed = 200;
+
 std::size_t line_of(std::string_view text, std::size_t byte) {
   const auto end = text.begin() + static_cast<std::ptrdiff_t>(std::min(byte, text.size()));
   return 1 + static_cast<std::size_t>(std::count(text.begin(), end, '\n'));
@@ -45,8 +51,7 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
 }
 
 [[noreturn]] void wrong_type(const std::string& name, const Json& value, const std::string& expected) {
-  throw OptionError(name + " = " + value.dump(-1, ' ', false, Json::error_handler_t::replace) + ", must be " +
-                    expected);
+  throw OptionError(name + " = " + json_text(value) + ", must be " + expected);
 }
 
 [[noreturn]] void wrong_text(const std::string& name, std::string_view text, const std::string& expected) {
@@ -82,7 +87,8 @@ Json parse_json(std::string_view text, const std::string& name) {
   // The parser keeps the last of two equal keys; a configuration that says two things is a mistake.
   std::vector<std::set<std::string>> open;
   std::string repeated;
-  const auto watch = [&](int, Json::parse_event_t event, Json& value) {
+  const auto watch = [&](int depth, Json::parse_event_t event, Json& value) {
+    if (depth > kDeepest) throw InputError(name + ": nested more than " + std::to_string(kDeepest) + " deep");
     if (event == Json::parse_event_t::object_start) open.emplace_back();
     if (event == Json::parse_event_t::object_end) open.pop_back();
     if (event == Json::parse_event_t::key && repeated.empty()) {
@@ -96,6 +102,14 @@ Json parse_json(std::string_view text, const std::string& name) {
     json = Json::parse(text.begin(), text.end(), watch, true, true);
   } catch (const Json::parse_error& error) {
     throw ParseError(name, line_of(text, error.byte == 0 ? 0 : error.byte - 1), reason(error.what()));
+  } catch (const Json::out_of_range& error) {
+    // A number that no double holds. The library says which, but not where: "... parsing '1e999'".
+    const std::string what = error.what();
+    const std::size_t begin = what.find('\''), end = what.rfind('\'');
+    const std::string_view number =
+        begin < end ? std::string_view(what).substr(begin + 1, end - begin - 1) : std::string_view();
+    throw ParseError(name, line_of(text, std::min(text.find(number), text.size())),
+                     "number " + text::quoted(number) + " is out of range");
   }
   if (!repeated.empty()) {
     const std::string quoted = Json(repeated).dump();
@@ -108,6 +122,10 @@ Json parse_json(std::string_view text, const std::string& name) {
   return json;
 }
 
+std::string json_text(const Json& json, int indent) {
+  return json.dump(indent, ' ', false, Json::error_handler_t::replace);
+}
+
 Json read_json_file(const std::filesystem::path& path) {
   return parse_json(read_file(path), path.string());
 }
@@ -116,6 +134,7 @@ void throw_unknown_name(std::string_view what, std::string_view name, const std:
   const std::string* nearest = nullptr;
   std::size_t least = std::max<std::size_t>(2, name.size() / 3) + 1;
   for (const std::string& candidate : known) {
+    if (name.size() > kLongestGuessed) break;
     const std::size_t distance = edit_distance(name, candidate);
     if (distance < least) {
       least = distance;
@@ -230,6 +249,16 @@ std::vector<double> text_to_doubles(std::string_view text, const std::string& na
   return values;
 }
 
+std::string text_to_text(std::string_view text, const std::string& name) {
+  std::string out(text);
+  try {
+    static_cast<void>(Json(out).dump());
+  } catch (const Json::type_error&) {
+    wrong_text(name, text, "text in UTF-8");
+  }
+  return out;
+}
+
 static Json value_to_json(const OptionValue& value) {
   return std::visit(
       [](const auto& v) -> Json {
@@ -254,7 +283,7 @@ Json fields_to_json(const std::vector<OptionField>& fields) {
 }
 
 std::string value_text(const OptionValue& value) {
-  return value_to_json(value).dump(-1, ' ', false, Json::error_handler_t::replace);
+  return json_text(value_to_json(value));
 }
 
 void throw_unknown_option(const std::string& section, std::string_view name,

@@ -501,7 +501,15 @@ void Gatherer::add_gravity(PoseGraph& graph) const {
 
 parts::Stamps Gatherer::stamps_of(const PoseGraph& graph, const Robots& robots) const {
   parts::Stamps stamps;
-  for (const Key key : parts::key_frames(graph, robots)) stamps[key] = graph_.nodes.at(key).stamp_ns;
+  for (const Key key : parts::key_frames(graph, robots)) {
+    // By the options' robots, what we hold for a landmark may be a key frame.
+    const auto node = graph_.nodes.find(key), landmark = graph_.landmarks.find(key);
+    if (node != graph_.nodes.end()) {
+      stamps[key] = node->second.stamp_ns;
+    } else if (landmark != graph_.landmarks.end()) {
+      stamps[key] = landmark->second.stamp_ns;
+    }
+  }
   // A landmark comes with the first node that saw it, or later.
   for (const auto& [key, stamp] : parts::first_sightings(graph, robots, stamps)) {
     const auto seen = graph_.landmarks.find(key);

@@ -119,7 +119,7 @@ std::map<Key, fs::path> find_scans(const fs::path& folder,
                                    const std::function<std::optional<Key>(const std::string&)>& key_of,
                                    Problems& problems) {
   std::map<Key, fs::path> scans;
-  if (!fs::exists(folder)) return scans;
+  if (!parts::exists(folder)) return scans;
   std::set<fs::path> files;  // sorted: the order of a folder is not defined
   std::error_code error;
   for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {

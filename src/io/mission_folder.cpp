@@ -113,8 +113,9 @@ class Description {
     const bool readable = value.is_string() ? text::parse_int64(value.get_ref<const std::string&>(), stamp)
                                             : value.is_number_integer();
     if (!readable) fail("clock.start_ns", "must be a stamp in ns");
+    const bool too_large = value.is_number_unsigned() && value.get<std::uint64_t>() >> 63 != 0;
     if (!value.is_string()) stamp = value.get<std::int64_t>();
-    if (!parts::stamp_in_range(stamp)) fail("clock.start_ns", "is out of range");
+    if (too_large || !parts::stamp_in_range(stamp)) fail("clock.start_ns", "is out of range");
     return stamp;
   }
 
@@ -132,7 +133,9 @@ class Description {
          {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "ground_truth"});
     const auto set = [&](const char* key, fs::path& file) {
       if (!names.contains(key)) return;
-      file = fs::path(text(names, "files", key)).lexically_normal();
+      const std::string name = text(names, "files", key);
+      if (name.find('\0') != std::string::npos) fail("files." + std::string(key), "is no name of a file");
+      file = fs::path(name).lexically_normal();
       if (file.empty() || file.is_absolute() || *file.begin() == "..") {
         fail("files." + std::string(key), "\"" + file.string() + "\" leads out of the mission's folder");
       }
@@ -193,7 +196,9 @@ class Description {
 
   std::int64_t whole(const Json& object, const std::string& at, const char* key) const {
     const Json& v = value(object, at, key);
-    if (!v.is_number_integer()) fail(join(at, key), "must be a whole number");
+    if (!v.is_number_integer() || (v.is_number_unsigned() && v.get<std::uint64_t>() >> 63 != 0)) {
+      fail(join(at, key), "must be a whole number of 64 bits");
+    }
     return v.get<std::int64_t>();
   }
 
@@ -336,7 +341,7 @@ namespace parts {
 Mission read_mission_folder(const fs::path& folder, const MissionOptions& options) {
   const Description description(folder / "mission.json");
   const Files files = description.files();
-  const auto present = [&](const fs::path& file) { return fs::exists(folder / file); };
+  const auto present = [&](const fs::path& file) { return parts::exists(folder / file); };
 
   Mission mission;
   mission.kind = MissionKind::kMission;
@@ -480,7 +485,7 @@ void MissionWriter::finish(const Mission& mission) const {
     }
     write_g2o(folder_ / files.ground_truth, truth);
   }
-  write_file(folder_ / "mission.json", json.dump(2) + "\n");
+  write_file(folder_ / "mission.json", json_text(json, 2) + "\n");
   std::error_code ignored;  // with mission.json the mark means nothing any more
   fs::remove(folder_ / parts::kUnfinished, ignored);
 }

@@ -122,7 +122,10 @@ void complete_stamps(const PoseGraph& graph, const Robots& robots, const Mission
       }
       made.emplace_back(keys[i], stamp);
     }
-    for (const auto& [key, stamp] : made) stamps[key] = static_cast<std::int64_t>(std::llround(stamp));
+    constexpr double kLargest = 4.6e18;  // as stamp_in_range()
+    for (const auto& [key, stamp] : made) {
+      stamps[key] = static_cast<std::int64_t>(std::llround(std::clamp(stamp, -kLargest, kLargest)));
+    }
   }
   for (const auto& [key, stamp] : first_sightings(graph, robots, stamps)) stamps.emplace(key, stamp);
 }
@@ -144,7 +147,7 @@ std::string recording_name(const fs::path& path) {
 std::string provenance_of(MissionKind kind, const std::vector<std::string>& sources) {
   Json json;
   json["read_from"] = {{"kind", enum_name(kind)}, {"sources", sources}};
-  return json.dump();
+  return json_text(json);
 }
 
 std::vector<fs::path> entries(const fs::path& folder) {
@@ -156,6 +159,14 @@ std::vector<fs::path> entries(const fs::path& folder) {
   if (error) throw IoError(folder.string(), error.message());
   std::sort(out.begin(), out.end());  // the order of a folder is not defined
   return out;
+}
+
+bool exists(const fs::path& path) {
+  std::error_code error;
+  const fs::file_status status = fs::status(path, error);
+  if (status.type() == fs::file_type::not_found) return false;
+  if (error) throw IoError(path.string(), error.message());
+  return true;
 }
 
 bool begins_with(const fs::path& file, std::string_view bytes) {

@@ -125,6 +125,10 @@ void check_stamps(Mission& mission);
 /// Entries of a folder by name, those that begin with a dot left out. \throws IoError
 [[nodiscard]] std::vector<std::filesystem::path> entries(const std::filesystem::path& folder);
 
+/// Whether there is something of this name. \throws IoError if that cannot be told, as of a name that is too
+/// long
+[[nodiscard]] bool exists(const std::filesystem::path& path);
+
 /// Whether the file begins with these bytes. \throws IoError
 [[nodiscard]] bool begins_with(const std::filesystem::path& file, std::string_view bytes);
 

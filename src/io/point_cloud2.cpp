@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "point_cloud2.hpp"
 
+#include <algorithm>
+#include <cstdint>
+#include <limits>
+
 #include <loopwise/core/error.hpp>
 
 #include "cloud_points.hpp"
@@ -51,6 +55,11 @@ Cloud parse(const std::string& name, const Value& message) {
     }
     cloud.layout.fields.push_back(std::move(out));
   });
+  for (const std::size_t size : {cloud.width, cloud.height, cloud.row_step, cloud.layout.point_size}) {
+    if (size > std::numeric_limits<std::uint32_t>::max()) {
+      throw InputError(name + ": a size of " + std::to_string(size) + " exceeds 32 bits");
+    }
+  }
   if (cloud.width == 0 || cloud.height == 0) {
     cloud.width = cloud.height = 0;
     return cloud;  // empty clouds often have no fields

@@ -15,6 +15,8 @@ namespace {
 
 /// No message is larger than a chunk of a bag can be; beyond this sizes are nonsense and sums might overflow.
 constexpr std::uint64_t kLargest = std::uint64_t{1} << 40;
+/// Types within types. Those of ROS are less than ten deep.
+constexpr int kDeepest = 100;
 
 struct Name {
   std::string_view name;
@@ -120,10 +122,12 @@ Schema::Schema(const std::string& type, const std::string& definition) {
     types_[current].fields.push_back(std::move(field));
   }
 
+  std::unordered_map<std::string, std::size_t> names;
+  for (std::size_t i = 0; i < types_.size(); ++i) names.emplace(types_[i].name, i);  // the first of a name
   for (Type& used : types_) {
-    for (Field& field : used.fields) field.type = find(field.type_name, used, field.line);
+    for (Field& field : used.fields) field.type = find(names, field.type_name, used, field.line);
   }
-  measure(0);
+  measure(0, 0);
 }
 
 void Schema::fail(const std::string& why, std::size_t line) const {
@@ -131,11 +135,11 @@ void Schema::fail(const std::string& why, std::size_t line) const {
                    ": " + why);
 }
 
-std::size_t Schema::find(const std::string& name, const Type& used_in, std::size_t line) const {
-  const auto by_name = [this](const std::string& wanted) {
-    const auto found =
-        std::find_if(types_.begin(), types_.end(), [&](const Type& t) { return t.name == wanted; });
-    return static_cast<std::size_t>(found - types_.begin());
+std::size_t Schema::find(const std::unordered_map<std::string, std::size_t>& names, const std::string& name,
+                         const Type& used_in, std::size_t line) const {
+  const auto by_name = [&](const std::string& wanted) {
+    const auto found = names.find(wanted);
+    return found == names.end() ? types_.size() : found->second;
   };
   for (const std::string& full : {name, package_of(used_in.name) + name, package_of(type()) + name}) {
     if (const std::size_t found = by_name(full); found < types_.size()) return found;
@@ -146,14 +150,15 @@ std::size_t Schema::find(const std::string& name, const Type& used_in, std::size
   fail("type " + text::quoted(name) + " is not defined", line);
 }
 
-void Schema::measure(std::size_t number) {
+void Schema::measure(std::size_t number, int depth) {
   if (types_[number].measured == Type::Measured::kYes) return;
   if (types_[number].measured == Type::Measured::kNow) fail("type " + types_[number].name + " holds itself");
+  if (depth > kDeepest) fail("types hold one another more than " + std::to_string(kDeepest) + " deep");
   types_[number].measured = Type::Measured::kNow;
   std::uint64_t least = 0;
   bool fixed = true;
   for (const Field& field : types_[number].fields) {
-    measure(field.type);
+    measure(field.type, depth + 1);
     const Type& type = types_[field.type];
     std::uint64_t bytes = type.least;
     if (field.array) {
@@ -165,7 +170,9 @@ void Schema::measure(std::size_t number) {
     }
     least += bytes;
     if (least > kLargest) fail("type " + types_[number].name + " is too large");
-    fixed = fixed && type.size && (!field.array || field.count);
+    // None of something has a fixed size too: what may take no bytes at all always has, so that no count of
+    // such elements is ever walked.
+    fixed = fixed && (!field.array ? type.size.has_value() : field.count && (type.size || *field.count == 0));
   }
   types_[number].least = least;
   if (fixed) types_[number].size = least;
@@ -220,7 +227,7 @@ std::size_t Value::length_of(const Schema::Field& field, std::string_view bytes)
     fail("field " + field.name + ": " + std::to_string(count) + " elements of at least " +
          std::to_string(type.least) + " bytes, " + std::to_string(bytes.size() - used) + " bytes are left");
   }
-  if (type.size) return used + static_cast<std::size_t>(count * *type.size);
+  if (type.size || count == 0) return used + static_cast<std::size_t>(count * type.size.value_or(0));
   for (std::uint64_t i = 0; i < count; ++i) used += length_of(field.type, bytes.substr(used));
   return used;
 }

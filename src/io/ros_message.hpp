@@ -9,6 +9,7 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <unordered_map>
 #include <vector>
 
 namespace loopwise::ros1 {
@@ -60,8 +61,9 @@ class Schema {
     enum class Measured { kNo, kNow, kYes } measured = Measured::kNo;
   };
 
-  [[nodiscard]] std::size_t find(const std::string& name, const Type& used_in, std::size_t line) const;
-  void measure(std::size_t type);
+  [[nodiscard]] std::size_t find(const std::unordered_map<std::string, std::size_t>& names,
+                                 const std::string& name, const Type& used_in, std::size_t line) const;
+  void measure(std::size_t type, int depth);
   [[noreturn]] void fail(const std::string& why, std::size_t line = 0) const;
 
   std::vector<Type> types_;  // the message's own first

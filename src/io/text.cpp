@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <limits>
 
 #include <Eigen/SVD>
 
@@ -38,18 +39,39 @@ bool Lines::next(std::string_view& line) {
   return true;
 }
 
+namespace {
+
+/// Whether a number that is out of a double's range is too small for it: by the power of ten of its first
+/// digit.
+bool is_tiny(std::string_view word) {
+  constexpr std::int64_t kFar = std::int64_t{1} << 40;
+  const std::size_t mark = std::min(word.find_first_of("eE"), word.size());
+  std::string_view mantissa = word.substr(0, mark);
+  if (!mantissa.empty() && mantissa.front() == '-') mantissa.remove_prefix(1);
+  const std::size_t point = std::min(mantissa.find('.'), mantissa.size());
+  const std::size_t first = std::min(mantissa.find_first_not_of("0."), mantissa.size());
+  std::int64_t power = static_cast<std::int64_t>(point) - static_cast<std::int64_t>(first);
+  if (mark < word.size()) {
+    std::string_view digits = word.substr(mark + 1);
+    const bool negative = digits.front() == '-';
+    if (negative || digits.front() == '+') digits.remove_prefix(1);
+    std::int64_t exponent = 0;
+    for (const char digit : digits) exponent = std::min(exponent * 10 + (digit - '0'), kFar);
+    power += negative ? -exponent : exponent;
+  }
+  return power < 0;
+}
+
+}  // namespace
+
 Number parse_double(std::string_view word, double& value) {
   if (word.size() > 1 && word[0] == '+' && word[1] != '-' && word[1] != '+') word.remove_prefix(1);
   const char* const last = word.data() + word.size();
   const auto [end, error] = std::from_chars(word.data(), last, value);
   if (end != last || error == std::errc::invalid_argument) return Number::kNotANumber;
   if (error == std::errc::result_out_of_range) {
-    // Too large or too small: from_chars does not say which. A tiny number has a negative exponent or starts
-    // with 0.
-    const std::size_t exponent = word.find_first_of("eE");
-    const bool tiny = exponent != std::string_view::npos ? word.substr(exponent + 1, 1) == "-"
-                                                         : word.substr(word[0] == '-' ? 1 : 0, 1) == "0";
-    if (!tiny) return Number::kNotFinite;
+    // Too large or too small: from_chars does not say which.
+    if (!is_tiny(word)) return Number::kNotFinite;
     value = 0.0;
   }
   return std::isfinite(value) ? Number::kOk : Number::kNotFinite;
@@ -80,13 +102,14 @@ std::optional<std::int64_t> parse_seconds_ns(std::string_view word) {
   if (digits.find_first_not_of("0123456789.") != std::string_view::npos) {
     // An exponent. Programs print stamps of 1e18 ns so: shift the decimal point instead of multiplying.
     const std::size_t mark = digits.find_first_of("eE");
-    int exponent = 0;
+    std::int64_t exponent = 0;
     std::string_view tail = digits.substr(mark + 1);
     if (!tail.empty() && tail[0] == '+') tail.remove_prefix(1);
-    std::from_chars(tail.data(), tail.data() + tail.size(), exponent);
-    if (std::abs(exponent) > 400)
-      return 0;  // the number is finite and not large, so it is zero to the nanosecond
+    const auto parsed = std::from_chars(tail.data(), tail.data() + tail.size(), exponent);
     std::string plain(digits.substr(0, mark));
+    // The number is finite and not large, so with so far a shift it is zero to the nanosecond.
+    const auto far = static_cast<std::int64_t>(400 + plain.size());
+    if (parsed.ec != std::errc() || exponent > far || exponent < -far) return 0;
     std::size_t point = plain.find('.');
     if (point == std::string::npos) {
       point = plain.size();

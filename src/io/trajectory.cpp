@@ -3,10 +3,11 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdlib>
+#include <limits>
 #include <map>
 #include <numeric>
 #include <string_view>
+#include <tuple>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
@@ -84,8 +85,8 @@ Trajectory read_lines(const std::string& file, std::string_view contents, Trajec
   return out;
 }
 
-Trajectory read_vertices(const std::filesystem::path& path) {
-  G2oFile file = read_g2o(path);
+Trajectory read_vertices(const std::string& name, std::string_view contents) {
+  G2oFile file = parse_g2o(contents, name);
   Trajectory out;
   out.format = TrajectoryFormat::kG2o;
   out.poses = file.graph.poses();
@@ -115,6 +116,12 @@ std::vector<std::size_t> by_stamp(const std::vector<std::int64_t>& stamps) {
   return order;
 }
 
+/// The larger minus the smaller: no stamps are too far apart for it.
+std::uint64_t gap_ns(std::int64_t a, std::int64_t b) {
+  const auto larger = static_cast<std::uint64_t>(std::max(a, b));
+  return larger - static_cast<std::uint64_t>(std::min(a, b));
+}
+
 /// All pairs within the tolerance, closest first; each pose is used once.
 IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, double tolerance_s) {
   struct Choice {
@@ -123,14 +130,17 @@ IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, do
     std::size_t truth;
   };
   const auto tolerance_ns = static_cast<std::int64_t>(std::llround(std::clamp(tolerance_s, 0.0, 1e9) * 1e9));
+  const std::int64_t least = std::numeric_limits<std::int64_t>::min() + tolerance_ns;
   const std::vector<std::size_t> order = by_stamp(truth.stamps_ns);
   std::vector<Choice> choices;
   for (std::size_t i = 0; i < estimate.stamps_ns.size(); ++i) {
     const std::int64_t stamp = estimate.stamps_ns[i];
-    auto t = std::lower_bound(order.begin(), order.end(), stamp - tolerance_ns,
+    auto t = std::lower_bound(order.begin(), order.end(), std::max(stamp, least) - tolerance_ns,
                               [&](std::size_t row, std::int64_t s) { return truth.stamps_ns[row] < s; });
-    for (; t != order.end() && truth.stamps_ns[*t] <= stamp + tolerance_ns; ++t) {
-      choices.push_back({static_cast<std::uint64_t>(std::abs(truth.stamps_ns[*t] - stamp)), i, *t});
+    for (; t != order.end(); ++t) {
+      const std::uint64_t gap = gap_ns(truth.stamps_ns[*t], stamp);
+      if (gap > static_cast<std::uint64_t>(tolerance_ns)) break;
+      choices.push_back({gap, i, *t});
     }
   }
   std::sort(choices.begin(), choices.end(), [](const Choice& a, const Choice& b) {
@@ -154,15 +164,20 @@ bool keys_are_rows(const Trajectory& g2o, const Trajectory& rows) {
 
 }  // namespace
 
+Trajectory parse_trajectory(std::string_view text, const std::string& source) {
+  return parse_trajectory(text, source, recognise(source, text));
+}
+
+Trajectory parse_trajectory(std::string_view text, const std::string& source, TrajectoryFormat format) {
+  return format == TrajectoryFormat::kG2o ? read_vertices(source, text) : read_lines(source, text, format);
+}
+
 Trajectory read_trajectory(const std::filesystem::path& path) {
-  const std::string contents = read_file(path);
-  const TrajectoryFormat format = recognise(path.string(), contents);
-  return format == TrajectoryFormat::kG2o ? read_vertices(path) : read_lines(path.string(), contents, format);
+  return parse_trajectory(read_file(path), path.string());
 }
 
 Trajectory read_trajectory(const std::filesystem::path& path, TrajectoryFormat format) {
-  return format == TrajectoryFormat::kG2o ? read_vertices(path)
-                                          : read_lines(path.string(), read_file(path), format);
+  return parse_trajectory(read_file(path), path.string(), format);
 }
 
 std::vector<StampedPose> read_tum(const std::filesystem::path& path) {
@@ -247,10 +262,13 @@ PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double 
 }
 
 Eigen::Isometry3d read_transform(const std::filesystem::path& path) {
-  const std::string file = path.string(), contents = read_file(path);
+  return parse_transform(read_file(path), path.string());
+}
+
+Eigen::Isometry3d parse_transform(std::string_view text, const std::string& file) {
   double values[16];
   std::size_t count = 0;
-  text::Lines lines(contents);
+  text::Lines lines(text);
   for (std::string_view line; lines.next(line);) {
     double row[16];
     const std::size_t found = text::read_numbers(line, row, 16, {file, lines.number()});

@@ -25,7 +25,7 @@ Json event(const char* name, double time_s) {
 
 std::string finish(Json line, const CandidateAccounting& a) {
   line["account"] = account_json(a);
-  return line.dump();
+  return json_text(line);
 }
 
 /// Row by row.
@@ -41,7 +41,8 @@ Json numbers(const Matrix& matrix) {
 template <class Matrix>
 Matrix matrix_of(const Json& list) {
   Matrix matrix;
-  if (list.size() != static_cast<std::size_t>(matrix.size())) throw InputError("a matrix has another size");
+  if (list.size() != static_cast<std::size_t>(matrix.size()))
+    throw InputError("not an outcome: a matrix has another size");
   std::size_t i = 0;
   for (Eigen::Index r = 0; r < matrix.rows(); ++r) {
     for (Eigen::Index c = 0; c < matrix.cols(); ++c) matrix(r, c) = list[i++].get<double>();
@@ -73,6 +74,11 @@ void put_result(Json& line, const RegistrationResult& result) {
 Eigen::Isometry3d pose_of(const Json& list) {
   Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
   T.affine() = matrix_of<Eigen::Matrix<double, 3, 4>>(list);
+  const Eigen::Matrix3d R = T.linear();
+  if (!((R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() <= 1e-6) ||
+      R.determinant() < 0.0) {
+    throw InputError("not an outcome: a pose is not a rigid transform");
+  }
   return T;
 }
 
@@ -145,7 +151,7 @@ std::string outcome_line(const RegistrationResult& result) {
   Json line = Json::object();
   put_result(line, result);
   line["seconds"] = {result.features_s, result.global_s, result.refine_s};
-  return line.dump();
+  return json_text(line);
 }
 
 RegistrationResult parse_outcome_line(const std::string& line) {

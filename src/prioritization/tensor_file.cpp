@@ -2,7 +2,9 @@
 #include "tensor_file.hpp"
 
 #include <cmath>
+#include <cstdint>
 #include <fstream>
+#include <limits>
 #include <vector>
 
 #include <nlohmann/json.hpp>
@@ -13,6 +15,12 @@ namespace loopwise::detail {
 
 using Json = nlohmann::json;
 using Eigen::Index;
+
+namespace {
+
+constexpr Index kLargestSize = std::numeric_limits<std::int32_t>::max();
+
+}  // namespace
 
 struct TensorFile::Impl {
   std::string path;
@@ -55,7 +63,14 @@ Eigen::MatrixXd TensorFile::matrix(const std::string& name, Index rows, Index co
   std::vector<Index> shape;
   std::vector<double> data;
   try {
-    shape = found->at("shape").get<std::vector<Index>>();
+    if (!found->at("shape").is_array()) fail_here("shape: expected whole numbers");
+    for (const Json& size : found->at("shape")) {
+      // What no data could fill is as good as any other size that they do not have.
+      if (!size.is_number_integer()) fail_here("shape: expected whole numbers");
+      shape.push_back(size.is_number_unsigned() && size.get<std::uint64_t>() > kLargestSize
+                          ? kLargestSize
+                          : size.get<Index>());
+    }
     data = found->at("data").get<std::vector<double>>();
   } catch (const Json::exception&) {
     fail_here("expected {\"shape\": [integers], \"data\": [numbers]}");
@@ -68,8 +83,11 @@ Eigen::MatrixXd TensorFile::matrix(const std::string& name, Index rows, Index co
     fail_here("shape " + text + ", expected " + (rows > 0 ? std::to_string(rows) : "any") + "x" +
               (columns > 0 ? std::to_string(columns) : "any"));
   }
-  if (static_cast<Index>(data.size()) != shape[0] * shape[1]) {
-    fail_here(std::to_string(data.size()) + " values, expected " + std::to_string(shape[0] * shape[1]));
+  // No product of sizes before they are known to be small: it might overflow.
+  const auto count = static_cast<Index>(data.size());
+  if (count / shape[0] != shape[1] || count % shape[0] != 0) {
+    fail_here(std::to_string(data.size()) + " values, expected " + std::to_string(shape[0]) + "x" +
+              std::to_string(shape[1]));
   }
   for (const double value : data) {
     if (!std::isfinite(value)) fail_here("a value is not finite");

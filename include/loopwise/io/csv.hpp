@@ -23,6 +23,10 @@ class LOOPWISE_EXPORT CsvTable {
   /// \throws IoError; ParseError if the header differs from `columns` or a row has another number of values.
   CsvTable(const std::filesystem::path& path, std::vector<std::string> columns);
 
+  /// The same of a text in memory; `source` stands in errors for the file's name.
+  [[nodiscard]] static CsvTable parse(std::string_view text, const std::string& source,
+                                      std::vector<std::string> columns);
+
   /// Number of rows.
   [[nodiscard]] std::size_t size() const { return lines_.size(); }
   /// Line of the file that a row stands on, from 1.
@@ -44,6 +48,8 @@ class LOOPWISE_EXPORT CsvTable {
   [[noreturn]] void fail(std::size_t row, std::size_t column, const std::string& why) const;
 
  private:
+  CsvTable(std::string source, std::string_view text, std::vector<std::string> columns);
+
   std::string file_;
   std::vector<std::string> columns_;
   std::vector<std::string> values_;  // row by row

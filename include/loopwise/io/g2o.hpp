@@ -2,6 +2,8 @@
 #pragma once
 
 #include <filesystem>
+#include <string>
+#include <string_view>
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -39,6 +41,9 @@ struct G2oFile {
 /// information, a vertex with two different poses, an edge from a vertex to itself or to one that is not in
 /// the file, a 2D graph; InputError if there is no vertex at all.
 [[nodiscard]] LOOPWISE_EXPORT G2oFile read_g2o(const std::filesystem::path& path);
+
+/// The same of a text in memory; `source` stands in errors and problems for the file's name.
+[[nodiscard]] LOOPWISE_EXPORT G2oFile parse_g2o(std::string_view text, const std::string& source);
 
 /// Writes nodes, priors and edges so that read_g2o() gives them back: keys and information exactly, poses to
 /// rounding. Stamps, covariances, weights and kinds have no place in the format. An existing file is replaced

@@ -29,10 +29,15 @@ namespace loopwise {
 using Json = nlohmann::ordered_json;
 
 /// Parses a JSON text; // comments are allowed. `name` stands in errors for the file's.
-/// \throws ParseError naming the line, also for a key that is repeated within an object.
+/// \throws ParseError naming the line, also for a key that is repeated within an object or a number out of
+/// range; InputError if values are nested more than 200 deep.
 [[nodiscard]] LOOPWISE_EXPORT Json parse_json(std::string_view text, const std::string& name);
-/// \throws IoError; ParseError as parse_json()
+/// \throws IoError; ParseError, InputError as parse_json()
 [[nodiscard]] LOOPWISE_EXPORT Json read_json_file(const std::filesystem::path& path);
+
+/// As text, indented by `indent` blanks or, below 0, on one line. Names of files, topics and robots may hold
+/// any bytes, JSON may not: what is no UTF-8 becomes U+FFFD.
+[[nodiscard]] LOOPWISE_EXPORT std::string json_text(const Json& json, int indent = -1);
 
 /// One option, for people.
 struct OptionDescription {
@@ -73,6 +78,8 @@ LOOPWISE_EXPORT void require_object(const Json& value, const std::string& name);
 [[nodiscard]] LOOPWISE_EXPORT double text_to_double(std::string_view text, const std::string& name);
 [[nodiscard]] LOOPWISE_EXPORT std::vector<double> text_to_doubles(std::string_view text,
                                                                   const std::string& name);
+/// As it is; OptionError unless it is UTF-8, as all text in JSON is.
+[[nodiscard]] LOOPWISE_EXPORT std::string text_to_text(std::string_view text, const std::string& name);
 
 using OptionValue = std::variant<bool, std::int64_t, std::uint64_t, double, std::string, std::vector<double>>;
 struct OptionField {
@@ -120,7 +127,7 @@ void from_text_value(std::string_view text, const std::string& name, T& field) {
   } else if constexpr (std::is_floating_point_v<T>) {
     field = static_cast<T>(text_to_double(text, name));
   } else if constexpr (std::is_same_v<T, std::string>) {
-    field = std::string(text);
+    field = text_to_text(text, name);
   } else {
     field = text_to_doubles(text, name);
   }

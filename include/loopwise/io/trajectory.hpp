@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include <Eigen/Geometry>
@@ -49,6 +50,12 @@ struct Trajectory {
 [[nodiscard]] LOOPWISE_EXPORT Trajectory read_trajectory(const std::filesystem::path& path,
                                                          TrajectoryFormat format);
 
+/// The same of a text in memory; `source` stands in errors and problems for the file's name.
+[[nodiscard]] LOOPWISE_EXPORT Trajectory parse_trajectory(std::string_view text, const std::string& source);
+/// As parse_trajectory(), of this form and no other.
+[[nodiscard]] LOOPWISE_EXPORT Trajectory parse_trajectory(std::string_view text, const std::string& source,
+                                                          TrajectoryFormat format);
+
 /// As read_trajectory() of the form TUM, in the order of the file.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<StampedPose> read_tum(const std::filesystem::path& path);
 /// As read_trajectory() of the form KITTI, in the order of the file.
@@ -78,5 +85,8 @@ struct PosePairs {
 /// A single rigid transform: 12 or 16 numbers (rows of a 3×4 or 4×4 matrix, on any lines) or 7 (x y z qx qy
 /// qz qw). A rotation off by rounding is put right. \throws IoError; ParseError
 [[nodiscard]] LOOPWISE_EXPORT Eigen::Isometry3d read_transform(const std::filesystem::path& path);
+/// The same of a text in memory; `source` stands in errors for the file's name.
+[[nodiscard]] LOOPWISE_EXPORT Eigen::Isometry3d parse_transform(std::string_view text,
+                                                                const std::string& source);
 
 }  // namespace loopwise

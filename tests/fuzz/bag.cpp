@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// A whole bag: our check, the library behind it, and the mission in it.
+#include "bag.hpp"
+#include "bag_check.hpp"
+#include "checks.hpp"
+
+LOOPWISE_FUZZ_TARGET(bag, bytes) {
+  using namespace loopwise;
+  const auto file = fuzz::scratch() / "fuzz.bag";
+  fuzz::put_file(file, bytes);
+  Problems problems;
+  const auto checked = fuzz::attempt([&] {
+    bags::check_bag(file, "fuzz.bag", problems);
+    return true;
+  });
+  fuzz::check_problems(problems);
+  const auto mission = fuzz::attempt([&] { return read_mission(file); });
+  fuzz::expect(checked || !mission, "a bag that does not pass the check is not read");
+  if (mission) fuzz::check_mission(*mission);
+}

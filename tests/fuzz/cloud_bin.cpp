@@ -1,0 +1,6 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "cloud_round.hpp"
+
+LOOPWISE_FUZZ_TARGET(cloud_bin, bytes) {
+  loopwise::fuzz::read_and_write_cloud("fuzz.bin", bytes);
+}

@@ -1,0 +1,24 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Small missions, runs and studies on disk, around the one file that a fuzzer writes.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <utility>
+#include <vector>
+
+namespace loopwise::fuzz {
+
+/// Folder and file, in an order that findings rely on: new ones go to the end.
+using SeedFiles = std::vector<std::pair<std::string, std::string>>;
+
+/// mission/, session/, session2/ and g2o_pcd/.
+void write_seed_missions(const std::filesystem::path& folder);
+[[nodiscard]] const SeedFiles& seed_mission_files();
+
+/// run/ and study/, as `loopwise replay` and `loopwise study` leave them.
+void write_seed_runs(const std::filesystem::path& folder);
+[[nodiscard]] const SeedFiles& seed_run_files();
+
+}  // namespace loopwise::fuzz

@@ -1,0 +1,143 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <nlohmann/json.hpp>
+
+#ifdef LOOPWISE_FUZZ_MPI
+#include <loopwise/distributed/registration.hpp>
+#endif
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/pipeline/config.hpp>
+#include <loopwise/pipeline/outcome_store.hpp>
+#include <loopwise/pipeline/replay.hpp>
+
+#include "seeds.hpp"
+#include "target.hpp"
+
+namespace loopwise::fuzz {
+namespace {
+
+namespace fs = std::filesystem;
+using Json = nlohmann::json;
+
+RegistrationResult result(bool verified) {
+  RegistrationResult out;
+  out.candidate.from = 5;
+  out.candidate.to = 3;
+  out.T_from_to = Eigen::Isometry3d::Identity();
+  out.reason = verified ? RejectionReason::kNone : RejectionReason::kLowOverlap;
+  out.overlap = 0.75;
+  if (!verified) out.message = "overlap 0.1 < 0.3";
+  if (verified) {
+    LoopClosure closure;
+    closure.from = 5;
+    closure.to = 3;
+    closure.covariance = 0.01 * Matrix6d::Identity();
+    out.closure = closure;
+  }
+  return out;
+}
+
+[[maybe_unused]] RegistrationTask task() {
+  RegistrationTask out;
+  out.candidate.from = 5;
+  out.candidate.to = 3;
+  out.guess_from_to = Eigen::Isometry3d::Identity();
+  Eigen::Isometry3d moved = Eigen::Isometry3d::Identity();
+  moved.translation().x() = 1.0;
+  out.source = {{5, Eigen::Isometry3d::Identity()}, {6, moved}};
+  out.target = {{3, Eigen::Isometry3d::Identity()}};
+  return out;
+}
+
+/// One number everywhere but where numbers must not repeat: enough for shapes.
+Json tensor(std::size_t rows, std::size_t columns) {
+  Json out;
+  out["shape"] = rows == 0 ? Json::array({columns}) : Json::array({rows, columns});
+  out["data"] = std::vector<double>(std::max<std::size_t>(rows, 1) * columns, 0.5);
+  return out;
+}
+
+std::string small_effect_network() {
+  constexpr std::size_t kM = 1, kK = 1, kH = 1;
+  const auto shipped = Json::parse(read_file(fs::path(LOOPWISE_SOURCE_DIR) / "data/gnn/loopwise.json"));
+  const auto width = [&](const char* name) { return shipped.at(name).at("shape").back().get<std::size_t>(); };
+  const std::size_t E = width("edge.mean"), F = width("unit.mean");
+  Json json;
+  json["__meta__"] = {{"kind", "loopwise"}};
+  json["edge.mean"] = json["edge.std"] = tensor(0, E);
+  json["unit.mean"] = json["unit.std"] = tensor(0, F);
+  json["message.0.weight"] = tensor(kM, E);
+  json["message.0.bias"] = tensor(0, kM);
+  json["message.1.weight"] = tensor(kK, kM);
+  json["message.1.bias"] = tensor(0, kK);
+  json["message.skip.weight"] = tensor(kK, E);
+  json["readout.0.weight"] = tensor(kH, 3 * (kK + 2) + F);
+  json["readout.0.bias"] = json["readout.1.bias"] = tensor(0, kH);
+  json["readout.1.weight"] = tensor(kH, kH);
+  json["readout.2.weight"] = tensor(2, kH);
+  json["readout.2.bias"] = tensor(0, 2);
+  return json.dump();
+}
+
+std::string small_graph_network() {
+  Json json;
+  json["node_encoder.weight"] = tensor(1, 2);
+  json["node_encoder.bias"] = tensor(0, 1);
+  for (const char* name : {"conv1", "gcs.0"}) {
+    const std::string own = name;
+    json[own + ".mu"] = json[own + ".sigma"] = tensor(1, 1);
+    json[own + ".g"] = json[own + ".root"] = tensor(1, 1);
+    json[own + ".bias"] = tensor(0, 1);
+  }
+  json["lins.0.weight"] = tensor(1, 1);
+  json["lins.0.bias"] = tensor(0, 1);
+  for (const char* name : {"batch_norms.1", "batch_norms.2"}) {
+    for (const char* part : {".weight", ".bias", ".running_mean", ".running_var"}) {
+      json[std::string(name) + part] = tensor(0, 1);
+    }
+  }
+  json["lin.weight"] = tensor(1, 1);
+  json["lin.bias"] = json["output.mean"] = json["output.std"] = json["output.log"] = tensor(0, 1);
+  json["input.mean"] = json["input.std"] = tensor(0, 2);
+  return json.dump();
+}
+
+std::string store_file() {
+  const fs::path folder = scratch() / "seed_store";
+  std::error_code ignored;
+  fs::remove_all(folder, ignored);
+  {
+    OutcomeStore store(folder);
+    for (const std::uint64_t key : {1, 2}) {
+      static_cast<void>(store.get({key, key + 1}, result(true).candidate, [&] { return result(key == 1); }));
+    }
+  }
+  return read_file(folder / "outcomes-00000001.bin");
+}
+
+}  // namespace
+
+Seeds pipeline_seeds() {
+  Seeds all;
+  const std::string config = config_json(Config());
+  all["config"] = {{"all", with_choice(0, config)},
+                   {"preset", with_choice(0, R"({"generation": {"preset": "lamp", "rate_m": 0.3}})")},
+                   {"set", with_choice(1, "generation.rate_m=0.3")},
+                   {"list", with_choice(1, "mission.prior_sigmas=1,2,3,4,5,6")},
+                   {"method", with_choice(1, "replay.method=gi+obs")},
+                   {"robots", with_choice(2, "husky=0-624,spot=625-1249")},
+                   {"letters", with_choice(2, "a,b")}};
+  all["weights"] = {{"effect", small_effect_network()}, {"graph", small_graph_network()}};
+  all["outcome_line"] = {{"both", outcome_line(result(true)) + "\n" + outcome_line(result(false)) + "\n"}};
+  const std::string store = store_file();
+  all["outcome_store"] = {{"file", with_choice(0, store)},
+                          {"payload", with_choice(1, store.substr(32, 534))},
+                          {"cut", with_choice(0, "damaged" + store.substr(0, store.size() - 3))}};
+#ifdef LOOPWISE_FUZZ_MPI
+  all["mpi_message"] = {{"task", with_choice(0, pack_task(task()))},
+                        {"verified", with_choice(1, pack_result(result(true)))},
+                        {"rejected", with_choice(1, pack_result(result(false)))}};
+#endif
+  return all;
+}
+
+}  // namespace loopwise::fuzz
