@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <unistd.h>
-#include <algorithm>
 
+#include <algorithm>
+#include <cmath>
 #include <fstream>
+#include <memory>
 #include <optional>
+#include <sstream>
 
 #include <nlohmann/json.hpp>
 
@@ -211,8 +214,31 @@ int serve(const Options& options) {
 }
 #endif
 
+#ifdef LOOPWISE_HAS_MPI
+/// What the ranks did, in words and as JSON.
+void note_ranks(Console& console, const WorkStatistics& statistics, Json& json) {
+  const auto mean = [](std::size_t bytes, std::size_t messages) {
+    return messages == 0 ? 0.0 : static_cast<double>(bytes) / static_cast<double>(messages);
+  };
+  const double request = mean(statistics.request_bytes, statistics.requests);
+  const double answer = mean(statistics.answer_bytes, statistics.answers);
+  json["ranks"] = {{"registrations", statistics.done},
+                   {"messages", statistics.requests},
+                   {"request_bytes", request},
+                   {"answer_bytes", answer}};
+  std::string done;
+  for (const std::size_t of_rank : statistics.done)
+    done += (done.empty() ? "" : ", ") + std::to_string(of_rank);
+  std::ostringstream text;
+  text << "registrations by rank: " << done << "; " << std::lround(request) << " B to another rank and "
+       << std::lround(answer) << " B back for each";
+  console.note(text.str());
+}
+#endif
+
 int run(const Options& options) {
 #ifdef LOOPWISE_HAS_MPI
+  std::shared_ptr<WorkServer> server;
   if (options.job != nullptr && options.job->rank() > 0) return serve(options);
 #endif
   Console console(options.common.quiet);
@@ -276,8 +302,7 @@ int run(const Options& options) {
     if (options.job != nullptr) {
       WorkOptions limits;
       if (options.replay.rank_time_limit_s) limits.time_limit_s = *options.replay.rank_time_limit_s;
-      const auto server =
-          std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config), limits);
+      server = std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config), limits);
       hooks.compute = distributed_batches(server, registrar, std::max(1, options.common.threads));
     }
 #endif
@@ -291,7 +316,11 @@ int run(const Options& options) {
       stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
   write_run_folder(folder, mission, config, result, evaluation, history.rows(),
                    interrupt.interrupted() ? PointCloud{} : map);
-  print_results(options.common, parse_json(run_summary_json(mission, config, result, evaluation), "summary"),
+  Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");
+#ifdef LOOPWISE_HAS_MPI
+  if (server) note_ranks(console, server->statistics(), summary);
+#endif
+  print_results(options.common, summary,
                 results_text(config, result, evaluation) + "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +
