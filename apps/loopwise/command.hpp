@@ -56,8 +56,8 @@ void add_joining_options(CLI::App& command, std::string& frames, bool& start_tog
 /// \throws OptionError if it exists otherwise; std::runtime_error if it cannot be made or written to.
 void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint);
 
-/// Throws an OptionError if results in this folder could take the place of recorded files: if it is one of the
-/// sources or holds one of them, or holds any recording.
+/// Throws an OptionError if results in this folder could take the place of recorded files: if it is one of
+/// the sources or holds one of them, or holds any recording.
 void refuse_recording(const std::filesystem::path& folder, const std::vector<std::string>& sources);
 
 /// Writes the results as JSON where --json says, and `text` for people to standard output unless the JSON
