@@ -56,6 +56,18 @@ int thread_count(const CommonOptions& options) {
   return static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
 }
 
+bool is_recording(const std::filesystem::path& path) {
+  const std::filesystem::path ending = path.extension();
+  return std::filesystem::is_directory(path) || ending == ".bag" || ending == ".zip" || ending == ".json";
+}
+
+std::filesystem::path graph_of_run(const std::filesystem::path& folder) {
+  const std::filesystem::path graph = folder / "graph.g2o";
+  return std::filesystem::exists(folder / "summary.json") && std::filesystem::exists(graph)
+             ? graph
+             : std::filesystem::path();
+}
+
 void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint) {
   namespace fs = std::filesystem;
   if (folder.empty()) throw OptionError("the output folder has no name");

@@ -212,6 +212,21 @@ TEST_CASE("evaluate: fields, alignments, and trajectories that do not meet", "[a
     REQUIRE(json.at("robots").size() == 2);
     REQUIRE(json.at("ate_m").at("max").get<double>() > 0.0);
   }
+  // Recordings and runs as they are, by key or, with a TUM file, by stamp.
+  const std::string recording = (folder / "mission").string(), run = (folder / "run").string();
+  write_mission(recording, mission);
+  const Json of_files = json_of({"evaluate", estimate, truth});
+  REQUIRE(json_of({"evaluate", recording, recording}).at("ate_m") == of_files.at("ate_m"));
+  REQUIRE(run_program({"replay", recording, "-o", run, "--method", "odom"}).status == kDone);
+  REQUIRE(json_of({"evaluate", run, recording}).at("ate_m").at("mean").get<double>() ==
+          Approx(of_files.at("ate_m").at("mean").get<double>()));
+  const Json by_stamp = json_of({"evaluate", run + "/trajectories/a.tum", recording});
+  REQUIRE(by_stamp.at("poses") == 4);
+  REQUIRE(json_of({"optimize", recording}).at("poses") == 8);
+  REQUIRE(json_of({"optimize", run}).at("poses") == 8);
+  testing::fs::remove(folder / "mission" / "ground_truth.g2o");
+  require_failure({"evaluate", run, recording}, kBadInput, "mission: no ground truth is recorded there");
+
   const Json zero = json_of({"evaluate", truth, truth});
   REQUIRE(zero.at("ate_m").at("max").get<double>() == 0.0);
 
