@@ -1,7 +1,7 @@
 # Run by CPack before it packs: manual pages and change logs of Debian packages are compressed, without a time stamp.
 find_program(GZIP gzip REQUIRED)
-file(GLOB_RECURSE documents "${CPACK_TEMPORARY_DIRECTORY}/*/man/man1/*.1" "${CPACK_TEMPORARY_DIRECTORY}/*/NOTICES")
-file(GLOB_RECURSE changes "${CPACK_TEMPORARY_DIRECTORY}/*/CHANGELOG.md")
+file(GLOB_RECURSE documents "${CPACK_TEMPORARY_DIRECTORY}/loopwise*.1" "${CPACK_TEMPORARY_DIRECTORY}/NOTICES")
+file(GLOB_RECURSE changes "${CPACK_TEMPORARY_DIRECTORY}/CHANGELOG.md")
 foreach(file IN LISTS changes)
   get_filename_component(folder ${file} DIRECTORY)
   file(RENAME ${file} ${folder}/changelog)

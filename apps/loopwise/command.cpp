@@ -57,6 +57,18 @@ int thread_count(const CommonOptions& options) {
   return static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
 }
 
+bool is_recording(const std::filesystem::path& path) {
+  const std::filesystem::path ending = path.extension();
+  return std::filesystem::is_directory(path) || ending == ".bag" || ending == ".zip" || ending == ".json";
+}
+
+std::filesystem::path graph_of_run(const std::filesystem::path& folder) {
+  const std::filesystem::path graph = folder / "graph.g2o";
+  return std::filesystem::exists(folder / "summary.json") && std::filesystem::exists(graph)
+             ? graph
+             : std::filesystem::path();
+}
+
 void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint) {
   namespace fs = std::filesystem;
   if (folder.empty()) throw OptionError("the output folder has no name");
@@ -70,6 +82,23 @@ void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, 
   fs::create_directories(folder, failure);
   if (failure) throw std::runtime_error(folder.string() + ": " + failure.message());
   if (access(folder.c_str(), W_OK | X_OK) != 0) throw std::runtime_error(folder.string() + ": not writable");
+}
+
+void refuse_recording(const std::filesystem::path& folder, const std::vector<std::string>& sources) {
+  namespace fs = std::filesystem;
+  if (!fs::is_directory(folder)) return;
+  const std::string consequence = ", whose files the results could replace: choose another folder";
+  std::error_code unknown;
+  for (const fs::path source : sources) {
+    const fs::path place = fs::is_directory(source) ? source : fs::absolute(source).parent_path();
+    if (fs::equivalent(place, folder, unknown))
+      throw OptionError(folder.string() + ": " + source.string() + " lies there" + consequence);
+  }
+  for (const char* name : {"mission.json", "result.g2o", "keys.csv", "optimized_poses.txt", "odom_poses.txt",
+                           "singlesession_posegraph.g2o"}) {
+    if (fs::exists(folder / name))
+      throw OptionError(folder.string() + ": there is a recording (" + name + ")" + consequence);
+  }
 }
 
 void print_results(const CommonOptions& options, const Json& json, const std::string& text) {

@@ -52,9 +52,18 @@ void add_joining_options(CLI::App& command, std::string& frames, bool& start_tog
 /// Number of threads asked for; all processors if 0.
 [[nodiscard]] int thread_count(const CommonOptions& options);
 
+/// Whether a path names a recording of any kind, rather than one file of poses or of a graph.
+[[nodiscard]] bool is_recording(const std::filesystem::path& path);
+/// The graph that `loopwise replay` left in this folder; empty if it is not such a folder.
+[[nodiscard]] std::filesystem::path graph_of_run(const std::filesystem::path& folder);
+
 /// Makes an output folder, or takes an existing one that is empty or that `may_exist` allows.
 /// \throws OptionError if it exists otherwise; std::runtime_error if it cannot be made or written to.
 void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint);
+
+/// Throws an OptionError if results in this folder could take the place of recorded files: if it is one of
+/// the sources or holds one of them, or holds any recording.
+void refuse_recording(const std::filesystem::path& folder, const std::vector<std::string>& sources);
 
 /// Writes the results as JSON where --json says, and `text` for people to standard output unless the JSON
 /// goes there.

@@ -1,10 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <filesystem>
+#include <limits>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
+#include <loopwise/io/mission.hpp>
 #include <loopwise/io/trajectory.hpp>
 
 #include "command.hpp"
@@ -33,20 +36,58 @@ Json relative_json(const RelativeErrors& e) {
           {"rotation_deg_per_m", e.rotation_deg_per_m}};
 }
 
+enum class Poses { kEstimate, kTruth };
+
+/// The nodes of a recording as a trajectory: true poses or those of its graph.
+Trajectory trajectory_of(const std::filesystem::path& path, Poses wanted, bool by_stamp, const Config& config,
+                         Console& console, const StopToken& stop) {
+  const Mission mission = read_mission(path, config.mission, console.progress_callback(), stop);
+  Trajectory trajectory;
+  trajectory.format = by_stamp ? TrajectoryFormat::kTum : TrajectoryFormat::kG2o;
+  trajectory.problems = mission.problems;
+  for (const Node& node : mission.graph.nodes()) {
+    const auto truth = mission.ground_truth.find(node.key);
+    if (mission.robots.is_landmark(node.key)) continue;
+    if (wanted == Poses::kTruth && truth == mission.ground_truth.end()) continue;
+    trajectory.keys.push_back(node.key);
+    trajectory.poses.push_back(wanted == Poses::kTruth ? truth->second : node.pose);
+    if (by_stamp) trajectory.stamps_ns.push_back(node.stamp_ns);
+  }
+  if (trajectory.poses.empty()) throw InputError(path.string() + ": no ground truth is recorded there");
+  return trajectory;
+}
+
+/// Both trajectories. Those of recordings are paired with the other by key, with a TUM file by stamp.
+std::pair<Trajectory, Trajectory> read_both(const Options& options, const Config& config, Console& console,
+                                            const StopToken& stop) {
+  const std::filesystem::path run = graph_of_run(options.estimate);
+  const std::filesystem::path estimate = run.empty() ? std::filesystem::path(options.estimate) : run;
+  const std::filesystem::path truth = options.truth;
+  std::pair<Trajectory, Trajectory> both;
+  const bool recorded_estimate = is_recording(estimate), recorded_truth = is_recording(truth);
+  if (!recorded_estimate) both.first = read_trajectory(estimate);
+  if (!recorded_truth) both.second = read_trajectory(truth);
+  const auto by_stamp = [](bool recorded, const Trajectory& file) {
+    return !recorded && file.format == TrajectoryFormat::kTum;
+  };
+  if (recorded_estimate) {
+    both.first = trajectory_of(estimate, Poses::kEstimate, by_stamp(recorded_truth, both.second), config,
+                               console, stop);
+  }
+  if (recorded_truth) {
+    both.second =
+        trajectory_of(truth, Poses::kTruth, by_stamp(recorded_estimate, both.first), config, console, stop);
+  }
+  return both;
+}
+
 int run(const Options& options) {
   constexpr double kDegrees = 57.29577951308232;
   Console console(options.common.quiet);
-  static_cast<void>(load_config(options.common));
+  const InterruptGuard interrupt;
+  const Config config = load_config(options.common);
   const auto alignment = parse_enum<Alignment>("--alignment", options.alignment);
-  for (const std::string& file : {options.estimate, options.truth}) {
-    if (std::filesystem::is_directory(file)) {
-      throw InputError(file +
-                       ": is a folder, expected a trajectory: of a run graph.g2o or trajectories/ROBOT.tum, "
-                       "of a mission ground_truth.g2o, or what 'loopwise convert " +
-                       file + " --to tum' makes of it");
-    }
-  }
-  const Trajectory estimate = read_trajectory(options.estimate), truth = read_trajectory(options.truth);
+  const auto [estimate, truth] = read_both(options, config, console, interrupt.token());
   for (const Trajectory* trajectory : {&estimate, &truth}) console.warn(trajectory->problems);
   const PosePairs pairs = associate(estimate, truth, options.max_time_difference_s);
   console.warn(pairs.problems);
@@ -117,12 +158,17 @@ void add_evaluate(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("evaluate", "Errors of a trajectory against the truth");
   command->footer(
-      "Both may be TUM (paired by stamp), KITTI (by row) or g2o (by key).\n"
-      "  loopwise evaluate out/graph.g2o mission/ground_truth.g2o");
-  command->add_option("estimate", options->estimate, "Estimated trajectory or graph")
+      "Both may be TUM (paired by stamp), KITTI (by row) or g2o (by key), the estimate a run's folder, and "
+      "both\n"
+      "a recording of any kind: its graph is the estimate, its ground truth the truth.\n"
+      "  loopwise evaluate out my_mission\n"
+      "  loopwise evaluate out/trajectories/husky.tum truth.tum --alignment se3");
+  command->add_option("estimate", options->estimate, "Estimated trajectory or graph, a run, or a recording")
       ->required()
       ->type_name("ESTIMATE");
-  command->add_option("truth", options->truth, "True trajectory or graph")->required()->type_name("TRUTH");
+  command->add_option("truth", options->truth, "True trajectory or graph, or a recording")
+      ->required()
+      ->type_name("TRUTH");
   command
       ->add_option("--alignment", options->alignment,
                    "none: common frame; first: first poses agree; se3: best rigid motion (default none)")

@@ -63,6 +63,26 @@ bool is_first([[maybe_unused]] const loopwise::Transport& job) {
 #endif
 }
 
+/// What to say about an argument that no option takes.
+std::string about_extra(const CLI::App& app, int argc, char** argv, const CLI::ExtrasError& error) {
+  const CLI::App* command = &app;
+  while (!command->get_subcommands().empty()) command = command->get_subcommands().front();
+  for (int i = 1; i < argc; ++i) {
+    const std::string word = std::string(argv[i]).substr(0, std::string(argv[i]).find('='));
+    if (word.rfind("--", 0) != 0 || command->get_option_no_throw(word) != nullptr) continue;
+    std::vector<std::string> known;
+    for (const CLI::Option* option : command->get_options()) {
+      for (const std::string& name : option->get_lnames()) known.push_back("--" + name);
+    }
+    try {
+      loopwise::throw_unknown_name("option", word, known);
+    } catch (const loopwise::OptionError& unknown) {
+      return unknown.what();
+    }
+  }
+  return error.what();
+}
+
 int run_program(int argc, char** argv) {
   using namespace loopwise;
   using namespace loopwise::cli;
@@ -116,10 +136,22 @@ int run_program(int argc, char** argv) {
   add_reference(app, chosen, value_words());
 
   const bool first = job == nullptr || is_first(*job);
-  std::vector<std::string> commands;
-  for (const CLI::App* command : app.get_subcommands({})) commands.push_back(command->get_name());
-  if (argc > 1 && argv[1][0] != '-' &&
-      std::find(commands.begin(), commands.end(), argv[1]) == commands.end()) {
+  std::vector<std::string> commands;  // that are shown
+  bool known = argc < 2 || argv[1][0] == '-' || std::string(argv[1]) == "help";
+  for (const CLI::App* command : app.get_subcommands({})) {
+    if (!command->get_group().empty()) commands.push_back(command->get_name());
+    known = known || command->get_name() == argv[1];
+  }
+  // `loopwise help replay` means `loopwise replay --help`.
+  std::vector<char*> arguments(argv, argv + argc);
+  char help[] = "--help";
+  if (argc > 1 && std::string(argv[1]) == "help") {
+    arguments.erase(arguments.begin() + 1);
+    arguments.push_back(help);
+    argc = static_cast<int>(arguments.size());
+    argv = arguments.data();
+  }
+  if (!known) {
     try {
       throw_unknown_name("command", argv[1], commands);
     } catch (const OptionError& error) {
@@ -129,6 +161,9 @@ int run_program(int argc, char** argv) {
   }
   try {
     app.parse(argc, argv);
+  } catch (const CLI::ExtrasError& error) {
+    if (first) std::cerr << "loopwise: " << about_extra(app, argc, argv, error) << "\n";
+    return kBadUsage;
   } catch (const CLI::ParseError& error) {
     std::ostringstream nowhere;
     const int code = first ? app.exit(error) : app.exit(error, nowhere, nowhere);

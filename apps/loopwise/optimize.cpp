@@ -12,6 +12,7 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
+#include <loopwise/io/mission.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/marginals.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -189,10 +190,20 @@ int run(const Options& options) {
   if (options.inlier_probability > 0.0) config.gnc.inlier_probability = options.inlier_probability;
   validate_config(config);
 
-  G2oFile file = read_g2o(options.input);
-  PoseGraph& graph = file.graph;
-  console.warn(file.problems);
-  mark_odometry(graph, options);
+  PoseGraph graph;
+  const std::filesystem::path of_run = graph_of_run(options.input);
+  if (of_run.empty() && is_recording(options.input)) {
+    Mission mission =
+        read_mission(options.input, config.mission, console.progress_callback(), interrupt.token());
+    console.warn(mission.problems);
+    graph = std::move(mission.graph);  // whose edges have their kinds already
+    if (options.odometry != "consecutive" || !options.robots.empty()) mark_odometry(graph, options);
+  } else {
+    G2oFile file = read_g2o(of_run.empty() ? std::filesystem::path(options.input) : of_run);
+    console.warn(file.problems);
+    graph = std::move(file.graph);
+    mark_odometry(graph, options);
+  }
   PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
   add_priors(graph, options, console);
   const double reading_s = watch.seconds();
@@ -274,7 +285,9 @@ void add_optimize(CLI::App& app, Action& chosen) {
       "  loopwise optimize graph.g2o -o out.g2o\n"
       "  loopwise optimize graph.g2o -o out.g2o --gnc --weights weights.csv --robots 0-624,625-1249 \\\n"
       "      --prior 0 --prior 625:1e-4:1e-4");
-  command->add_option("input", options->input, "Pose graph, g2o (3D)")->required()->type_name("IN.g2o");
+  command->add_option("input", options->input, "Pose graph: g2o (3D), a run, or a recording of any kind")
+      ->required()
+      ->type_name("GRAPH");
   command->add_option("-o,--output", options->output, "Optimised graph, g2o")->type_name("OUT.g2o");
   command->add_flag("--gnc", options->gnc,
                     "Find and leave out false loop closures (see section gnc of --config)");

@@ -1,10 +1,16 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <unistd.h>
-#include <algorithm>
 
+#include <algorithm>
+#include <cmath>
 #include <fstream>
+#include <functional>
+#include <map>
+#include <memory>
+#include <mutex>
 #include <new>
 #include <optional>
+#include <sstream>
 
 #include <nlohmann/json.hpp>
 
@@ -157,6 +163,13 @@ class OutcomeFile {
   std::ofstream out_;
 };
 
+std::string reasons_text(const std::string& what, const std::map<std::string, std::size_t>& reasons) {
+  std::string text;
+  for (const auto& [reason, count] : reasons)
+    text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + reason;
+  return text.empty() ? text : what + std::string(13 - what.size(), ' ') + text + "\n";
+}
+
 std::string results_text(const Config& config, const ReplayResult& result, const RunEvaluation& e) {
   const CandidateAccounting& a = result.accounting;
   const auto share = [&](std::size_t count) {
@@ -165,17 +178,24 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   std::string text = "candidates   " + std::to_string(a.generated) + " generated, " +
                      std::to_string(a.pruned) + " pruned, " + std::to_string(a.expired) + " expired, " +
                      std::to_string(a.computed) + " computed, " + std::to_string(a.pending) + " pending\n";
+  text += reasons_text("pruned", result.pruned) + reasons_text("expired", result.expired);
   text +=
       "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
-  if (e.has_truth) {
+  // Errors against what the odometry was taken from would tell of closures that they make things worse.
+  const bool judged = e.has_truth && e.odometry.ate_m.max > 1e-6;
+  if (judged) {
     text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth\n";
   }
-  std::string reasons;
-  for (const auto& [reason, count] : e.closures.rejected) {
-    reasons += (reasons.empty() ? "" : ", ") + std::to_string(count) + " " + enum_name(reason);
+  std::map<std::string, std::size_t> rejected;
+  for (const auto& [reason, count] : e.closures.rejected) rejected[std::string(enum_name(reason))] = count;
+  text += reasons_text("rejected", rejected);
+  if (e.has_truth && !judged) {
+    text +=
+        "ATE          not judged: odometry and truth are the same poses; --odometry-noise 0.05 0.01 makes "
+        "the "
+        "odometry worse\n";
   }
-  if (!reasons.empty()) text += "rejected     " + reasons + "\n";
-  if (e.has_truth) {
+  if (judged) {
     text += "ATE mean     " + fixed(e.odometry.ate_m.mean, 3) + " m by odometry, " +
             fixed(e.optimized.ate_m.mean, 3) +
             " m optimised (aligned: " + fixed(e.odometry_aligned.ate_m.mean, 3) + ", " +
@@ -184,14 +204,41 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
           fixed(result.optimization_s, 1) + " s optimisation, method " + config.replay.method + "\n";
-  if (a.pending > 0 && !config.replay.after_mission && !result.interrupted) {
+  if (result.interrupted) return text;
+  const auto most = static_cast<std::size_t>(config.replay.max_registrations);
+  if (a.pending > 0 && most > 0 && a.computed >= most) {
+    text += "pending      " + std::to_string(a.pending) + " after as many as --max-registrations allows\n";
+  } else if (a.pending > 0 && !config.replay.after_mission) {
     text += "pending      " + std::to_string(a.pending) +
-            " at the mission's end, for want of time on its clock: --after-mission computes them too\n";
+            " not begun or not finished when the mission's clock ended: --after-mission computes them too\n";
+  } else if (a.pending == 0 && a.computed > 0) {
+    text += "order        all candidates were computed: every order gives the same closures\n";
   }
   return text;
 }
 
 #ifdef LOOPWISE_HAS_MPI
+/// Made when it is first asked. By then rank 0 has looked at the output folder, in which the registrar may
+/// keep outcomes.
+class LateRegistrar final : public Registrar {
+ public:
+  explicit LateRegistrar(std::function<std::shared_ptr<const Registrar>()> make) : make_(std::move(make)) {}
+  [[nodiscard]] std::string_view name() const override { return made().name(); }
+  [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+    return made().compute(task);
+  }
+
+ private:
+  const Registrar& made() const {
+    std::call_once(once_, [&] { registrar_ = make_(); });
+    return *registrar_;
+  }
+
+  std::function<std::shared_ptr<const Registrar>()> make_;
+  mutable std::once_flag once_;
+  mutable std::shared_ptr<const Registrar> registrar_;
+};
+
 /// A rank but the first of a job: computes registrations for it.
 int serve(const Options& options) {
   try {
@@ -199,14 +246,15 @@ int serve(const Options& options) {
     const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
     const Mission mission = read_missions(paths, config.mission);
     const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
-    std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
-    if (!options.replay.outcomes.empty()) {
+    const LateRegistrar registrar([&]() -> std::shared_ptr<const Registrar> {
+      std::shared_ptr<const Registrar> made = make_registrar(config.replay.registrar, config, features);
+      if (options.replay.outcomes.empty()) return made;
       const auto store =
           std::make_shared<OutcomeStore>(options.replay.outcomes, options.replay.outcomes_bound);
-      registrar = std::make_shared<StoredRegistrar>(registrar, store, mission.scans->loader(),
-                                                    registration_context(config.replay.registrar, config));
-    }
-    serve_registrations(*options.job, replay_greeting(mission, config), *registrar);
+      return std::make_shared<StoredRegistrar>(made, store, mission.scans->loader(),
+                                               registration_context(config.replay.registrar, config));
+    });
+    serve_registrations(*options.job, replay_greeting(mission, config), registrar);
     return kDone;
   } catch (const Error& error) {
     report_failure(*options.job, error.what());
@@ -215,8 +263,31 @@ int serve(const Options& options) {
 }
 #endif
 
+#ifdef LOOPWISE_HAS_MPI
+/// What the ranks did, in words and as JSON.
+void note_ranks(Console& console, const WorkStatistics& statistics, Json& json) {
+  const auto mean = [](std::size_t bytes, std::size_t messages) {
+    return messages == 0 ? 0.0 : static_cast<double>(bytes) / static_cast<double>(messages);
+  };
+  const double request = mean(statistics.request_bytes, statistics.requests);
+  const double answer = mean(statistics.answer_bytes, statistics.answers);
+  json["ranks"] = {{"registrations", statistics.done},
+                   {"messages", statistics.requests},
+                   {"request_bytes", request},
+                   {"answer_bytes", answer}};
+  std::string done;
+  for (const std::size_t of_rank : statistics.done)
+    done += (done.empty() ? "" : ", ") + std::to_string(of_rank);
+  std::ostringstream text;
+  text << "registrations by rank: " << done << "; " << std::lround(request) << " B to another rank and "
+       << std::lround(answer) << " B back for each";
+  console.note(text.str());
+}
+#endif
+
 int run(const Options& options) {
 #ifdef LOOPWISE_HAS_MPI
+  std::shared_ptr<WorkServer> server;
   if (options.job != nullptr && options.job->rank() > 0) return serve(options);
 #endif
   Console console(options.common.quiet);
@@ -225,7 +296,16 @@ int run(const Options& options) {
   const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
   const Mission mission =
       read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
-  console.warn(mission.problems);
+  Problems problems;
+  for (const Problem& problem : mission.problems.all()) {
+    const bool mended = config.replay.odometry_noise_m_per_m + config.replay.odometry_noise_rad_per_m > 0.0 &&
+                        problem.kind == "odometry and truth are the same poses";
+    if (!mended) problems.add(problem.kind, problem.example, problem.count);
+  }
+  console.warn(problems);
+  if (config.replay.method == "rssi" && mission.radio.empty()) {
+    console.warn("the mission has no radio readings: method rssi has no candidates");
+  }
   if (mission.scans->empty() && config.replay.method != "odom") {
     console.warn("the mission has no scans: no candidate can be computed");
   }
@@ -233,6 +313,7 @@ int run(const Options& options) {
   if (options.resume && options.overwrite)
     throw OptionError("--resume goes on with what is there, --overwrite begins anew: give one of them");
   const fs::path folder(options.output);
+  refuse_recording(folder, options.missions);
   prepare_output_folder(folder, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
   const auto remove_former = [&folder](const char* name) {
@@ -285,8 +366,7 @@ int run(const Options& options) {
     if (options.job != nullptr) {
       WorkOptions limits;
       if (options.replay.rank_time_limit_s) limits.time_limit_s = *options.replay.rank_time_limit_s;
-      const auto server =
-          std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config), limits);
+      server = std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config), limits);
       hooks.compute = distributed_batches(server, registrar, std::max(1, options.common.threads));
     }
 #endif
@@ -300,7 +380,11 @@ int run(const Options& options) {
   console.warn(result.problems);
   write_run_folder(folder, mission, config, result, evaluation, history.rows(),
                    interrupt.interrupted() ? PointCloud{} : map);
-  print_results(options.common, parse_json(run_summary_json(mission, config, result, evaluation), "summary"),
+  Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");
+#ifdef LOOPWISE_HAS_MPI
+  if (server) note_ranks(console, server->statistics(), summary);
+#endif
+  print_results(options.common, summary,
                 results_text(config, result, evaluation) + "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +
@@ -359,7 +443,8 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->type_name("M")
       ->check(CLI::PositiveNumber);
   command->add_flag("--resume", options->resume, "Continue a run that was interrupted or killed in DIR");
-  command->add_flag("--overwrite", options->overwrite, "Replace the results in DIR");
+  command->add_flag("--overwrite", options->overwrite,
+                    "Replace the results of an earlier run in DIR; other files stay");
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

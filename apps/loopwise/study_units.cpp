@@ -500,8 +500,10 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
 
 void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
   std::pair<std::size_t, std::shared_ptr<const Loaded>> last;
-  const std::shared_ptr<OutcomeStore> store = open_outcomes();
+  std::shared_ptr<OutcomeStore> store;
   serve_work(*options_.job, greeting(units), [&](std::string_view request) {
+    // Not before: it lies in the folder that rank 0 looks at first.
+    if (!store) store = open_outcomes();
     const std::size_t i = std::stoul(std::string(request));
     const StudyUnit& unit = units.at(i);
     if (!last.second || last.first != unit.mission) {

@@ -3,8 +3,10 @@
 
 #include <algorithm>
 #include <limits>
+#include <memory>
 #include <utility>
 
+#include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/core/thread_pool.hpp>
@@ -87,7 +89,13 @@ CandidateStatistics candidate_statistics(const Mission& mission, const Candidate
     const Key from = nodes[chosen[c].first]->key, to = nodes[chosen[c].second]->key;
     const auto truth_from = mission.ground_truth.find(from), truth_to = mission.ground_truth.find(to);
     if (truth_from == mission.ground_truth.end() || truth_to == mission.ground_truth.end()) return;
-    const auto source = mission.scans->load(from), target = mission.scans->load(to);
+    std::shared_ptr<const PointCloud> source, target;
+    try {
+      source = mission.scans->load(from);
+      target = mission.scans->load(to);
+    } catch (const Error&) {
+      return;  // the store keeps it among its problems
+    }
     if (!source || !target || source->empty() || target->empty()) return;
     const Eigen::Isometry3d relative = truth_to->second.inverse() * truth_from->second;
     const Eigen::Isometry3f T_to_from = relative.cast<float>();

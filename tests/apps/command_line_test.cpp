@@ -93,6 +93,8 @@ TEST_CASE("command line: bad usage is 2, help is 0", "[apps]") {
   require_failure({"reply"}, kBadUsage, "did you mean replay?");
   require_failure({"info"}, kBadUsage, "path");
   require_failure({"optimize", "x.g2o", "--no-such-flag"}, kBadUsage, "--no-such-flag");
+  require_failure({"replay", "m", "-o", "o", "--metod=obs"}, kBadUsage, "did you mean --method?");
+  require_failure({"replay", "m", "-o", "o", "--after_mission"}, kBadUsage, "did you mean --after-mission?");
   require_failure({"optimize", "x.g2o", "--threads", "many"}, kBadUsage, "--threads");
   require_failure({"config", "--set", "generation.no_such_field=1"}, kBadUsage, "no_such_field");
   require_failure({"config", "--set", "replay.batch=0"}, kBadUsage, "replay.batch = 0, must be >= 1");
@@ -111,6 +113,8 @@ TEST_CASE("command line: bad usage is 2, help is 0", "[apps]") {
       REQUIRE_THAT(run.out, Contains(option));
   }
   REQUIRE(run_program({"--help"}).status == kDone);
+  REQUIRE(run_program({"help", "replay"}).out == run_program({"replay", "--help"}).out);
+  REQUIRE(run_program({"help"}).out == run_program({"--help"}).out);
   REQUIRE_THAT(run_program({"--version"}).out, Contains("loopwise "));
 }
 
@@ -208,6 +212,21 @@ TEST_CASE("evaluate: fields, alignments, and trajectories that do not meet", "[a
     REQUIRE(json.at("robots").size() == 2);
     REQUIRE(json.at("ate_m").at("max").get<double>() > 0.0);
   }
+  // Recordings and runs as they are, by key or, with a TUM file, by stamp.
+  const std::string recording = (folder / "mission").string(), run = (folder / "run").string();
+  write_mission(recording, mission);
+  const Json of_files = json_of({"evaluate", estimate, truth});
+  REQUIRE(json_of({"evaluate", recording, recording}).at("ate_m") == of_files.at("ate_m"));
+  REQUIRE(run_program({"replay", recording, "-o", run, "--method", "odom"}).status == kDone);
+  REQUIRE(json_of({"evaluate", run, recording}).at("ate_m").at("mean").get<double>() ==
+          Approx(of_files.at("ate_m").at("mean").get<double>()));
+  const Json by_stamp = json_of({"evaluate", run + "/trajectories/a.tum", recording});
+  REQUIRE(by_stamp.at("poses") == 4);
+  REQUIRE(json_of({"optimize", recording}).at("poses") == 8);
+  REQUIRE(json_of({"optimize", run}).at("poses") == 8);
+  testing::fs::remove(folder / "mission" / "ground_truth.g2o");
+  require_failure({"evaluate", run, recording}, kBadInput, "mission: no ground truth is recorded there");
+
   const Json zero = json_of({"evaluate", truth, truth});
   REQUIRE(zero.at("ate_m").at("max").get<double>() == 0.0);
 
@@ -296,6 +315,10 @@ TEST_CASE("info: missions, graphs and clouds", "[apps]") {
   json = json_of({"info", (folder / "mission").string()});
   REQUIRE(json.at("scans") == 7);
   REQUIRE(json.at("problems").size() == 1);
+  const auto cut = folder / "mission" / "scans" / (std::to_string(make_key('b', 1)) + ".pcd");
+  testing::fs::resize_file(cut, testing::fs::file_size(cut) / 2);
+  json = json_of({"info", (folder / "mission").string()});  // as replay, it goes on without
+  REQUIRE(json.at("problems").size() == 2);
 
   json = json_of({"info", (folder / "mission" / "graph.g2o").string()});
   require_fields(json, fields);
@@ -522,6 +545,50 @@ TEST_CASE(
                                       (folder / "out").string(), "--overwrite", "--method", "odom"});
   REQUIRE(run.status == kBadInput);
   REQUIRE_THAT(run.err, Contains("summary.json") && Contains("cannot be removed"));
+}
+
+TEST_CASE("replay: recordings are never written over", "[apps]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "mission", small_mission(3));
+  write_mission(folder / "other", small_mission(4));
+  testing::fs::copy(folder / "mission" / "graph.g2o", folder / "alone.g2o");
+  const std::string mission = (folder / "mission").string();
+  const std::string recorded = testing::read_text(folder / "mission" / "graph.g2o");
+  for (const char* option : {"--overwrite", "--resume"}) {
+    require_failure({"replay", mission, "-o", mission, option}, kBadUsage, "mission lies there");
+    require_failure({"replay", mission + "/", "-o", mission + "/../mission", option}, kBadUsage,
+                    "lies there");
+    require_failure({"replay", mission, "-o", (folder / "other").string(), option}, kBadUsage,
+                    "there is a recording (mission.json)");
+    require_failure({"replay", (folder / "alone.g2o").string(), "-o", folder.path().string(), option},
+                    kBadUsage, "alone.g2o lies there");
+  }
+  REQUIRE(testing::read_text(folder / "mission" / "graph.g2o") == recorded);
+}
+
+TEST_CASE("replay: what its words say of runs that cannot be judged", "[apps]") {
+  const TemporaryFolder folder;
+  Mission mission = small_mission(3);
+  write_mission(folder / "mission", mission);
+  const std::string recorded = (folder / "mission").string();
+  ProgramRun run = run_program({"replay", recorded, "-o", (folder / "radio").string(), "--method", "rssi"});
+  REQUIRE_THAT(run.err, Contains("no radio readings"));
+  REQUIRE_THAT(run.out, Contains("not_radio"));
+  run = run_program({"replay", recorded, "-o", (folder / "all").string(), "--after-mission", "--set",
+                     "generation.skip_recent=1"});
+  REQUIRE_THAT(run.out, Contains("every order gives the same closures") && Contains("ATE mean"));
+  run = run_program({"replay", recorded, "-o", (folder / "one").string(), "--max-registrations", "1", "--set",
+                     "generation.skip_recent=1"});
+  REQUIRE_THAT(run.out, Contains("as many as --max-registrations allows"));
+
+  for (const Node& node : mission.graph.nodes()) mission.ground_truth[node.key] = node.pose;  // of odometry
+  write_mission(folder / "own_truth", mission);
+  const std::string own = (folder / "own_truth").string();
+  run = run_program({"replay", own, "-o", (folder / "own").string()});
+  REQUIRE_THAT(run.out, Contains("not judged: odometry and truth are the same poses") &&
+                            !Contains("true inliers") && !Contains("ATE mean"));
+  run = run_program({"replay", own, "-o", (folder / "noisy").string(), "--odometry-noise", "0.05", "0.01"});
+  REQUIRE_THAT(run.out, Contains("true inliers") && Contains("ATE mean"));
 }
 
 TEST_CASE("replay: an interrupt ends it with the results so far", "[apps]") {

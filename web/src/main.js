@@ -35,7 +35,7 @@ function keyFigures(run) {
   const robots = Object.keys(s.robots ?? {}).length;
   return h('dl', { class: 'figures' },
     isNumber(after)
-      ? figure('Mean position error', metres(after), isNumber(before) && before > 0 ? `${metres(before)} by odometry: ${after <= before ? '−' : '+'}${Math.abs(100 - (100 * after) / before).toFixed(0)} %` : '')
+      ? figure('Mean position error', metres(after), isNumber(before) && before > 1e-6 ? `${metres(before)} by odometry: ${after <= before ? '−' : '+'}${Math.abs(100 - (100 * after) / before).toFixed(0)} %` : '')
       : figure('Mean position error', '–', 'the true paths are not known'),
     figure('Closures kept', count(k.gnc_inliers), `of ${count(k.verified)} verified${isNumber(k.true_inliers) ? `; ${count(k.true_inliers)} are true` : ''}`),
     figure('Candidates computed', count(c.computed), `${percent(c.computed, c.queued)} of ${count(c.queued)} queued`),
