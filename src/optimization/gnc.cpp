@@ -82,12 +82,11 @@ struct Gross {
   double scale = 1.0;       ///< Of the noise against what information says, squared; at most 1
 };
 
-/// Finds the closures to put aside before anything is factorised. The test is
-/// on the innovation d² (innovation.hpp), whose threshold assumes that information is honest. Where it is
-/// pessimistic by far (parking-garage: by 10⁶), true closures are far below the threshold and false ones may
-/// be, too; so the noise is first measured on the lower quartile of d², which half of the closures being
-/// false does not spoil, and the threshold follows it down, with a margin for heavy tails. It never follows
-/// it up.
+/// Finds the closures to put aside before anything is factorised. The test is on the innovation d²
+/// (innovation.hpp), whose threshold assumes that information is honest. Where it is pessimistic by far
+/// (parking-garage: by 10⁶), true closures are far below the threshold and false ones may be, too; so the
+/// noise is first measured on the lower quartile of d², which half of the closures being false does not
+/// spoil, and the threshold follows it down, with a margin for heavy tails. It never follows it up.
 Gross find_gross(const PoseGraph& graph, const OdometryForest& forest, double probability) {
   constexpr double kMargin = 25.0;
   constexpr std::size_t kFewest = 8;

@@ -72,7 +72,8 @@ void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {
 }
 
 /// Nearest in steps of odometry at both ends, among those that are surer than the limit and not farther than
-/// the ends themselves are.
+/// the ends themselves are. Where none around is sure enough the search ends after a while: far ones say
+/// little.
 const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from, std::size_t to,
                                                                 double variance_limit) const {
   constexpr int kMostSeen = 10000;  // to either side
