@@ -76,31 +76,34 @@ double chi_squared_quantile(double probability, int degrees_of_freedom) {
 namespace detail {
 namespace {
 
-/// Closures that the known inliers alone rule out, to be put aside before anything is factorised. The test is
-/// on the innovation d² (innovation.hpp), whose threshold assumes that information is honest. Where it is
-/// pessimistic by far (parking-garage: by 10⁶), true closures are far below the threshold and false ones may
-/// be, too; so the noise is first measured on the lower quartile of d², which half of the closures being
-/// false does not spoil, and the threshold follows it down, with a margin for heavy tails. It never follows
-/// it up.
-std::vector<char> find_gross(const PoseGraph& graph, double probability) {
+/// What the known inliers alone rule out.
+struct Gross {
+  std::vector<char> aside;  ///< By edge
+  double scale = 1.0;       ///< Of the noise against what information says, squared; at most 1
+};
+
+/// Finds the closures to put aside before anything is factorised. The test is on the innovation d²
+/// (innovation.hpp), whose threshold assumes that information is honest. Where it is pessimistic by far
+/// (parking-garage: by 10⁶), true closures are far below the threshold and false ones may be, too; so the
+/// noise is first measured on the lower quartile of d², which half of the closures being false does not
+/// spoil, and the threshold follows it down, with a margin for heavy tails. It never follows it up.
+Gross find_gross(const PoseGraph& graph, const OdometryForest& forest, double probability) {
   constexpr double kMargin = 25.0;
   constexpr std::size_t kFewest = 8;
-  if (probability >= 1.0) return std::vector<char>(graph.edges().size(), 0);
-  const std::vector<double> d2 = innovations(graph);
+  Gross gross{std::vector<char>(graph.edges().size(), 0)};
+  if (probability >= 1.0) return gross;
+  const std::vector<double> d2 = innovations(graph, forest);
   std::vector<double> known;
   for (const double d : d2) {
     if (!std::isnan(d)) known.push_back(d);
   }
-  std::vector<char> gross(d2.size(), 0);
-  if (known.empty()) return gross;
-  double scale = 1.0;
   if (known.size() >= kFewest) {
     const auto quartile = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 4);
     std::nth_element(known.begin(), quartile, known.end());
-    scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
+    gross.scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
   }
-  const double threshold = scale * chi_squared_quantile(probability, 6);
-  for (std::size_t k = 0; k < d2.size(); ++k) gross[k] = d2[k] > threshold;
+  const double threshold = gross.scale * chi_squared_quantile(probability, 6);
+  for (std::size_t k = 0; k < d2.size(); ++k) gross.aside[k] = d2[k] > threshold;
   return gross;
 }
 
@@ -108,10 +111,13 @@ std::vector<char> find_gross(const PoseGraph& graph, double probability) {
 constexpr double kFarthestStart = 1e6;
 /// Rounds of plain truncated least squares at the end; each lowers the truncated cost, so two or three do.
 constexpr int kTruncatedRounds = 20;
+/// Times that closures are let in again to see whether that lowers the truncated cost.
+constexpr int kGrowthAttempts = 30;
+constexpr double kLeastGain = 1e-9;
 
 class RobustSolver {
  public:
-  RobustSolver(const PoseGraph& graph, const std::vector<char>& gross, PoseProblem& problem,
+  RobustSolver(const PoseGraph& graph, const OdometryForest& forest, const Gross& gross, PoseProblem& problem,
                NormalEquations& equations, const std::vector<Pose>& start, std::vector<Pose>& poses,
                const OptimizerOptions& options, const GncOptions& gnc, ThreadPool& pool,
                const StopToken& stop)
@@ -124,6 +130,7 @@ class RobustSolver {
         pool_(pool),
         stop_(stop),
         gross_(gross),
+        neighbours_(graph, forest),
         c2_(chi_squared_quantile(gnc.inlier_probability, 6)) {
     for (std::size_t k = 0; k < problem.edges(); ++k) {
       problem.weight[k] = 1.0;
@@ -141,9 +148,11 @@ class RobustSolver {
       case RobustKernel::kGncTls:
         graduate();
         truncate();
+        grow();
         break;
       case RobustKernel::kTls:
         truncate();
+        grow();
         break;
       case RobustKernel::kCauchy:
       case RobustKernel::kGemanMcClure:
@@ -160,7 +169,9 @@ class RobustSolver {
   }
 
   /// Out of the question for now; it comes back when the estimate makes it fit.
-  [[nodiscard]] bool set_aside(std::size_t i) const { return gross_[closures_[i]] != 0 && r2_[i] > c2_; }
+  [[nodiscard]] bool set_aside(std::size_t i) const {
+    return gross_.aside[closures_[i]] != 0 && r2_[i] > c2_;
+  }
 
   /// Sets the closures' weights; one within the tolerance of 0 leaves the structure. \returns the largest
   /// change.
@@ -187,6 +198,14 @@ class RobustSolver {
     part.trace = std::move(total_.trace);
     total_ = std::move(part);
     evaluate();
+  }
+
+  /// To the minimum for the weights as they are.
+  void descend_fully() {
+    StepControl control;
+    control.damping = options_.initial_damping;
+    descend(control);
+    bring_back();
   }
 
   [[nodiscard]] bool stopped() const { return total_.termination == Termination::kStopped; }
@@ -221,16 +240,71 @@ class RobustSolver {
 
   /// Full weight within the threshold, none beyond, the minimum for these weights, until they reproduce
   /// themselves.
-  void truncate() {
+  void truncate(bool at_minimum = false) {
     for (int round = 0; round < kTruncatedRounds && !stopped(); ++round) {
       const double change = set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
-      if (change == 0.0 && round > 0) break;
+      if (change == 0.0 && (round > 0 || at_minimum)) break;
       if (gnc_.kernel == RobustKernel::kTls) ++outer_;
-      StepControl control;
-      control.damping = options_.initial_damping;
-      descend(control);
-      bring_back();
+      descend_fully();
     }
+  }
+
+  /// Lets closures in that were put aside but agree with the kept ones around them: those with d² ≤ c², by
+  /// the noise as measured. To let one in costs at least ½d² to first order, to leave it out ½c²: the others
+  /// are not worth a try, and these stay if the truncated cost is the lower for it. Inliers thus spread from
+  /// where odometry was sure of them to where it no longer is.
+  void grow() {
+    if (!gnc_.growth) return;
+    std::vector<char> tried(closures_.size(), 0);
+    int attempts = 0;
+    while (!stopped() && !stop_.stop_requested()) {
+      std::vector<std::size_t> agreeing = agreeing_with_kept(tried);
+      bool better = false;
+      while (!agreeing.empty() && !better && attempts++ < kGrowthAttempts && !stopped()) {
+        better = let_in(agreeing);
+        if (!better) agreeing.resize(agreeing.size() == 1 ? 0 : (agreeing.size() + 3) / 4);
+      }
+      if (!better) break;
+      for (const std::size_t i : agreeing) tried[i] = 1;
+    }
+  }
+
+  /// The minimum with these closures too; if its truncated cost is not lower everything is as before.
+  bool let_in(const std::vector<std::size_t>& closures) {
+    const std::vector<Pose> poses = poses_;
+    const std::vector<double> weights = problem_.weight;
+    const double cost = truncated_cost();
+    for (const std::size_t i : closures) problem_.weight[closures_[i]] = 1.0;
+    descend_fully();
+    truncate(true);
+    if (!stopped() && truncated_cost() < cost * (1.0 - kLeastGain)) return true;
+    poses_ = poses;
+    problem_.weight = weights;
+    descend_fully();  // so that equations, cost and gradient are those of the weights
+    return false;
+  }
+
+  /// By closure; those of which the kept ones are surest come first, and no more than are kept.
+  std::vector<std::size_t> agreeing_with_kept(const std::vector<char>& tried) {
+    std::vector<std::size_t> kept, aside;
+    for (std::size_t i = 0; i < closures_.size(); ++i) {
+      if (problem_.weight[closures_[i]] > 0.5) kept.push_back(closures_[i]);
+      if (set_aside(i) && tried[i] == 0) aside.push_back(i);
+    }
+    if (aside.empty()) return {};
+    neighbours_.set_kept(kept);
+    std::vector<std::size_t> agreeing;
+    std::vector<double> variance(closures_.size());
+    for (const std::size_t i : aside) {
+      if (stop_.stop_requested()) return {};
+      const auto innovation = neighbours_(closures_[i], problem_.residual(closures_[i], poses_));
+      variance[i] = innovation.variance;
+      if (innovation.d2 <= gross_.scale * c2_) agreeing.push_back(i);
+    }
+    std::stable_sort(agreeing.begin(), agreeing.end(),
+                     [&](std::size_t a, std::size_t b) { return variance[a] < variance[b]; });
+    if (agreeing.size() > kept.size()) agreeing.resize(kept.size());
+    return agreeing;
   }
 
   void reweight() {
@@ -279,13 +353,20 @@ class RobustSolver {
     result.outer_iterations = outer_;
     result.weights.assign(problem_.weight.begin(),
                           problem_.weight.begin() + static_cast<std::ptrdiff_t>(problem_.edges()));
+    for (const std::size_t k : closures_) ++(problem_.weight[k] > 0.5 ? result.inliers : result.outliers);
+    result.truncated_cost = truncated_cost();
+  }
+
+  [[nodiscard]] double truncated_cost() const {
     double cost = problem_.auxiliary_cost(poses_);
-    for (std::size_t k = 0; k < problem_.factors(); ++k) cost += 0.5 * problem_.squared_residual(k, poses_);
-    for (std::size_t i = 0; i < closures_.size(); ++i) {
-      cost += 0.5 * (std::min(r2_[i], c2_) - r2_[i]);
-      ++(problem_.weight[closures_[i]] > 0.5 ? result.inliers : result.outliers);
+    auto closure = closures_.begin();  // ascending
+    for (std::size_t k = 0; k < problem_.factors(); ++k) {
+      const double r2 = problem_.squared_residual(k, poses_);
+      const bool in_doubt = closure != closures_.end() && *closure == k;
+      if (in_doubt) ++closure;
+      cost += 0.5 * (in_doubt ? std::min(r2, c2_) : r2);
     }
-    result.truncated_cost = cost;
+    return cost;
   }
 
   PoseProblem& problem_;
@@ -296,7 +377,8 @@ class RobustSolver {
   const GncOptions& gnc_;
   ThreadPool& pool_;
   const StopToken& stop_;
-  const std::vector<char>& gross_;  // by edge
+  const Gross& gross_;
+  NeighbourInnovations neighbours_;
   const double c2_;
   std::vector<std::size_t> closures_;  // factors in doubt
   std::vector<double> r2_;             // by closure
@@ -330,23 +412,26 @@ bool keep_better(GncResult& first, GncResult&& second) {
 Freedom solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
                   std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
                   ThreadPool& pool, const StopToken& stop, GncResult& result) {
-  const std::vector<char> gross = find_gross(graph, gnc.innovation_probability);
+  const OdometryForest forest(graph);
+  const Gross gross = find_gross(graph, forest, gnc.innovation_probability);
   const std::vector<Pose> start = poses;
-  RobustSolver(graph, gross, problem, equations, start, poses, options, gnc, pool, stop).solve(result);
+  RobustSolver(graph, forest, gross, problem, equations, start, poses, options, gnc, pool, stop)
+      .solve(result);
   const bool graduated = gnc.kernel == RobustKernel::kGncTls || gnc.kernel == RobustKernel::kTls;
   if (!gnc.second_start || !graduated || result.outliers == 0 || stop.stop_requested() ||
       options.initialization == Initialization::kChordal) {
     return equations.freedom();
   }
   PoseProblem again(graph);
-  for (std::size_t k = 0; k < again.edges(); ++k) again.weight[k] = gross[k] != 0 ? 0.0 : 1.0;
+  for (std::size_t k = 0; k < again.edges(); ++k) again.weight[k] = gross.aside[k] != 0 ? 0.0 : 1.0;
   OptimizerOptions chordal = options;
   chordal.initialization = Initialization::kChordal;
   GncResult second;
   std::vector<Pose> others =
       again.poses_of(first_estimate(graph, again, chordal, second.optimization.factorizations));
   NormalEquations equations_again(options.factorization);
-  RobustSolver(graph, gross, again, equations_again, start, others, options, gnc, pool, stop).solve(second);
+  RobustSolver(graph, forest, gross, again, equations_again, start, others, options, gnc, pool, stop)
+      .solve(second);
   if (!keep_better(result, std::move(second))) return equations.freedom();
   poses = std::move(others);
   return equations_again.freedom();

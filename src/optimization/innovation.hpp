@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <cstddef>
+#include <cstdint>
+#include <limits>
 #include <vector>
 
 #include <loopwise/core/pose_graph.hpp>
+
+#include "odometry_forest.hpp"
 
 namespace loopwise::detail {
 
@@ -12,6 +17,43 @@ namespace loopwise::detail {
 /// between its ends, carried along to first order. A true closure's d² has six degrees of freedom if the
 /// information is honest. One value per edge in graph order; NaN for known inliers and where no chain of
 /// known inliers and priors joins the ends.
-[[nodiscard]] std::vector<double> innovations(const PoseGraph& graph);
+[[nodiscard]] std::vector<double> innovations(const PoseGraph& graph, const OdometryForest& forest);
+
+/// How far closures that an estimate leaves out lie from those that it keeps around them: d² = rᵀS⁻¹r with r
+/// the residual at the estimate and S the closure's covariance plus that of the way from one end along
+/// odometry to the nearest kept closure, across it, and on along odometry to the other end. That is one way
+/// of many, so S bounds from above what the estimate allows.
+class NeighbourInnovations {
+ public:
+  NeighbourInnovations(const PoseGraph& graph, const OdometryForest& forest)
+      : graph_(graph), forest_(forest) {}
+
+  /// The closures that the estimate keeps, by edge.
+  void set_kept(const std::vector<std::size_t>& edges);
+  struct Innovation {
+    double d2 = std::numeric_limits<double>::quiet_NaN();
+    /// Of the way, mean over six directions in which the closure's own is 1.
+    double variance = std::numeric_limits<double>::infinity();
+  };
+  /// Of a closure with its residual; NaN and ∞ where no chain of odometry joins its ends, or one that is as
+  /// sure as the way over a kept closure.
+  [[nodiscard]] Innovation operator()(std::size_t edge, const Vector6d& residual) const;
+
+ private:
+  /// A kept closure seen from one of its ends.
+  struct Kept {
+    std::uint32_t root, other_root;    ///< Trees of this end and of the other
+    std::uint32_t place, other_place;  ///< Places in the forest's tour
+    std::uint32_t edge;
+    bool reversed;    ///< Seen from the edge's `to`
+    double variance;  ///< Trace of its covariance
+  };
+  [[nodiscard]] const Kept* nearest(std::size_t from, std::size_t to, double variance_limit) const;
+  [[nodiscard]] Matrix6d covariance_across(const Kept& kept, std::size_t from, std::size_t to) const;
+
+  const PoseGraph& graph_;
+  const OdometryForest& forest_;
+  std::vector<Kept> kept_;
+};
 
 }  // namespace loopwise::detail

@@ -25,6 +25,9 @@ class OdometryForest {
   [[nodiscard]] std::uint32_t root(std::size_t node) const { return root_[node]; }
   /// Covariance of η_b − η_a; nothing if neither a tree nor priors on both join the nodes.
   [[nodiscard]] std::optional<Matrix6d> between(std::size_t a, std::size_t b) const;
+  /// Place in a tour of the trees: down a chain it counts the steps, elsewhere two nodes of a tree are no
+  /// farther apart than their places.
+  [[nodiscard]] std::uint32_t place(std::size_t node) const { return first_visit_[node]; }
 
  private:
   void grow(const PoseGraph& graph, std::uint32_t from);

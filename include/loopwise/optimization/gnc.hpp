@@ -30,6 +30,7 @@ struct GncOptions {
   double weight_tolerance = 1e-4;
   bool second_start = false;
   double innovation_probability = 0.9999;
+  bool growth = true;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -55,6 +56,10 @@ struct GncOptions {
           "of chi-squared with 6 degrees of freedom, on the innovation. One that the estimate then confirms "
           "comes "
           "back. 1 puts none aside.");
+    field("growth", self.growth, any_value(),
+          "At the end of truncated least squares, let closures in that the innovation test has put aside and "
+          "that agree with the kept ones around them, as long as that lowers the truncated cost: where "
+          "odometry drifts more than its information says that test puts true ones aside.");
   }
 };
 
