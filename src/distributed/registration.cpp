@@ -171,7 +171,7 @@ RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& ca
   RegistrationResult result;
   result.candidate = candidate;
   result.reason =
-      static_cast<RejectionReason>(in.one_of(static_cast<std::uint8_t>(RejectionReason::kFailed)));
+      static_cast<RejectionReason>(in.one_of(static_cast<std::uint8_t>(RejectionReason::kTimeLimit)));
   result.message = in.text();
   result.sac_fitness_m2 = in.get<double>();
   result.gicp_fitness_m2 = in.get<double>();

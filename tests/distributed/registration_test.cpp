@@ -82,6 +82,21 @@ TEST_CASE("messages: tasks and results come through to the bit; cut ones are ref
   }
 }
 
+TEST_CASE("messages: a result of every reason comes through, one that does not exist is refused",
+          "[distributed]") {
+  RegistrationResult result;
+  for (const auto& [reason, name] : enum_names(RejectionReason{})) {
+    CAPTURE(name);
+    result.reason = reason;
+    result.closure.reset();
+    if (reason == RejectionReason::kNone) result.closure = LoopClosure{};
+    REQUIRE(unpack_result(pack_result(result), result.candidate).reason == reason);
+  }
+  std::string unknown = pack_result(result);
+  unknown[0] = static_cast<char>(enum_names(RejectionReason{}).size());
+  REQUIRE_THROWS_AS(unpack_result(unknown, result.candidate), InputError);
+}
+
 TEST_CASE("replay: any number of ranks gives the same journal", "[distributed]") {
   const Mission mission = testing::two_circles();
   Config config;

@@ -133,7 +133,10 @@ Seeds pipeline_seeds() {
                           {"payload", with_choice(1, store.substr(32, 534))},
                           {"cut", with_choice(0, "damaged" + store.substr(0, store.size() - 3))}};
 #ifdef LOOPWISE_FUZZ_MPI
+  RegistrationResult late = result(false);
+  late.reason = RejectionReason::kTimeLimit;
   all["mpi_message"] = {{"task", with_choice(0, pack_task(task()))},
+                        {"late", with_choice(1, pack_result(late))},
                         {"verified", with_choice(1, pack_result(result(true)))},
                         {"rejected", with_choice(1, pack_result(result(false)))}};
 #endif
