@@ -5,9 +5,11 @@
 #pragma once
 
 #include <cmath>
+#include <cstdint>
 #include <cstring>
 #include <filesystem>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <vector>
 
@@ -114,29 +116,34 @@ inline void write_packed(const std::filesystem::path& path, const nlohmann::json
   write_file(path, bytes);
 }
 
-/// Follows a file without keeping anything, and ends it where it is nested too deep.
-class Depth final : public nlohmann::json_sax<nlohmann::json> {
- public:
-  bool null() override { return true; }
-  bool boolean(bool) override { return true; }
-  bool number_integer(number_integer_t) override { return true; }
-  bool number_unsigned(number_unsigned_t) override { return true; }
-  bool number_float(number_float_t, const string_t&) override { return true; }
-  bool string(string_t&) override { return true; }
-  bool binary(binary_t&) override { return true; }
-  bool start_object(std::size_t) override { return ++depth_ <= kDeepest; }
-  bool key(string_t&) override { return true; }
-  bool end_object() override { return depth_-- > 0; }
-  bool start_array(std::size_t) override { return ++depth_ <= kDeepest; }
-  bool end_array() override { return depth_-- > 0; }
-  bool parse_error(std::size_t, const std::string&, const nlohmann::json::exception&) override {
-    return false;
-  }
-
- private:
-  static constexpr int kDeepest = 64;
-  int depth_ = 0;
-};
+/// Whether the parser, which calls itself for what is nested, may have the bytes: one value, nested little,
+/// with all lengths stated, as write_packed() does. A text in pieces could be nested as well.
+[[nodiscard]] inline bool is_shallow_cbor(std::string_view bytes) {
+  constexpr std::size_t kDeepest = 64;
+  std::vector<std::uint64_t> open;  // values that each list still lacks, the outermost first
+  do {
+    if (bytes.empty()) return false;
+    const auto head = static_cast<unsigned char>(bytes.front());
+    bytes.remove_prefix(1);
+    const unsigned kind = head >> 5U, detail = head & 31U;
+    std::uint64_t length = detail;
+    if (detail >= 24) {
+      const std::size_t size = detail <= 27 ? std::size_t{1} << (detail - 24) : bytes.size() + 1;
+      if (size > bytes.size()) return false;
+      length = 0;
+      for (const char byte : bytes.substr(0, size)) length = length << 8U | static_cast<unsigned char>(byte);
+      bytes.remove_prefix(size);
+    }
+    if (!open.empty()) --open.back();
+    if (kind >= 2 && kind <= 5 && length > bytes.size()) return false;
+    if (kind == 2 || kind == 3) bytes.remove_prefix(static_cast<std::size_t>(length));
+    if (kind == 4) open.push_back(length);
+    if (kind == 5) open.push_back(2 * length);  // names and values
+    if (kind == 6 || open.size() > kDeepest) return false;
+    while (!open.empty() && open.back() == 0) open.pop_back();
+  } while (!open.empty());
+  return bytes.empty();
+}
 
 /// \throws IoError; InputError if the file is cut short, of another format or version
 [[nodiscard]] inline nlohmann::json read_packed(const std::filesystem::path& path, const std::string& format,
@@ -144,10 +151,7 @@ class Depth final : public nlohmann::json_sax<nlohmann::json> {
   const std::string bytes = read_file(path);
   nlohmann::json value;
   try {
-    Depth depth;  // the parser calls itself for what is nested
-    if (nlohmann::json::sax_parse(bytes, &depth, nlohmann::json::input_format_t::cbor)) {
-      value = nlohmann::json::from_cbor(bytes);
-    }
+    if (is_shallow_cbor(bytes)) value = nlohmann::json::from_cbor(bytes);
   } catch (const nlohmann::json::exception&) {
     value = nullptr;
   }
@@ -159,8 +163,9 @@ class Depth final : public nlohmann::json_sax<nlohmann::json> {
     throw InputError(path.string() + ": expected a file of format " + format);
   }
   if (found("version") != version) {
-    throw InputError(path.string() + ": version " + found("version").dump() + ", expected " +
-                     std::to_string(version) + "; make it again");
+    using Handler = nlohmann::json::error_handler_t;  // of texts that are no UTF-8
+    throw InputError(path.string() + ": version " + found("version").dump(-1, ' ', false, Handler::replace) +
+                     ", expected " + std::to_string(version) + "; make it again");
   }
   return value;
 }
