@@ -2,7 +2,7 @@
 // Tiny inputs that claim giant sizes: an error, and no memory taken for what is not there.
 #include <atomic>
 #include <cstdlib>
-#include <limits>
+#include <filesystem>
 #include <new>
 
 #include "lamp_data.hpp"
@@ -50,6 +50,8 @@ void operator delete(void* memory, std::size_t) noexcept {
 namespace loopwise {
 namespace {
 
+namespace fs = std::filesystem;
+
 /// The largest single piece of memory that the call asks for, bytes; the call must throw an InputError.
 template <class Call>
 std::size_t largest_piece(Call&& call) {
@@ -58,7 +60,7 @@ std::size_t largest_piece(Call&& call) {
   return largest;
 }
 
-/// Measured: at most 12 kB but for zlib's and bz2's own tables. A header that is believed asks for gigabytes.
+/// Room for zlib's and bz2's own tables. A header that is believed asks for gigabytes.
 constexpr std::size_t kBound = 1 << 20;
 
 TEST_CASE("giant sizes: clouds", "[fuzz][giant]") {
@@ -141,8 +143,11 @@ TEST_CASE("giant sizes: JSON and CBOR", "[fuzz][giant]") {
     testing::write_text(packed, head + std::string(8, '\xff'));
     CHECK(largest_piece([&] { static_cast<void>(training::read_packed(packed, "x", 1)); }) < kBound);
   }
-  testing::write_text(packed, std::string(1000000, '\x81'));  // nested a million deep
-  CHECK(largest_piece([&] { static_cast<void>(training::read_packed(packed, "x", 1)); }) < 4 * kBound);
+  // Lists, texts in pieces and bytes in pieces, nested a million deep.
+  for (const char head : {'\x81', '\x7f', '\x5f'}) {
+    testing::write_text(packed, std::string(1000000, head));
+    CHECK(largest_piece([&] { static_cast<void>(training::read_packed(packed, "x", 1)); }) < 4 * kBound);
+  }
   CHECK(largest_piece([&] { static_cast<void>(parse_json(std::string(1000000, '['), "deep.json")); }) <
         4 * kBound);
 }
@@ -181,7 +186,10 @@ TEST_CASE("giant sizes: bags", "[fuzz][giant]") {
 #endif
 
 TEST_CASE("giant sizes: archives", "[fuzz][giant]") {
-  if (!ZipArchive::available()) return;
+  if (!ZipArchive::available()) {
+    SUCCEED("no archives in this build");
+    return;
+  }
   const testing::TemporaryFolder folder;
   const fs::path file = folder / "giant.zip";
   std::string bytes = fuzz::zip({{"a.pcd", "text"}});

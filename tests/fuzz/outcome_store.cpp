@@ -44,10 +44,10 @@ LOOPWISE_FUZZ_TARGET(outcome_store, bytes) {
   bool computed = false;
   const RegistrationResult result = store.get(key, candidate, [&] {
     computed = true;
-    RegistrationResult failed;
-    failed.candidate = candidate;
-    failed.reason = RejectionReason::kFailed;
-    return failed;
+    RegistrationResult rejected;
+    rejected.candidate = candidate;
+    rejected.reason = RejectionReason::kLowOverlap;
+    return rejected;
   });
   fuzz::expect(result.candidate.from == 5 && result.candidate.to == 3, "an outcome is of what was asked for");
   fuzz::expect((result.reason == RejectionReason::kNone) == result.closure.has_value(),
