@@ -348,14 +348,27 @@ class LoopClosureModule::Impl {
   }
 
   bool post(Event event) {
+    return as_work([&] {
+      // A callback runs in the thread that would make room.
+      if (std::this_thread::get_id() == graph_thread_id()) return inbox_.post_now(std::move(event));
+      return inbox_.post(std::move(event), [this] {
+        const std::lock_guard<std::mutex> lock(statistics_mutex_);
+        ++statistics_.producer_waits;
+      });
+    });
+  }
+
+  /// Work that begins if `post` is taken, and does not if it is refused or finds no memory.
+  template <class Post>
+  bool as_work(Post&& post) {
     begin_work();
-    // A callback runs in the thread that would make room.
-    const bool taken = std::this_thread::get_id() == graph_thread_id()
-                           ? inbox_.post_now(std::move(event))
-                           : inbox_.post(std::move(event), [this] {
-                               const std::lock_guard<std::mutex> lock(statistics_mutex_);
-                               ++statistics_.producer_waits;
-                             });
+    bool taken = false;
+    try {
+      taken = post();
+    } catch (...) {
+      end_work();
+      throw;
+    }
     if (!taken) end_work();
     return taken;
   }
@@ -372,17 +385,16 @@ class LoopClosureModule::Impl {
 
   /// To prioritisation. Waits for room; an improvement that would let too much wait ends early.
   void tell(Command command) {
-    begin_work();
     const bool dry = std::holds_alternative<DryCommand>(command);
     if (dry || 2 * commands_.size() >= static_cast<std::size_t>(options_.queue_capacity))
       interrupt_improvement();
     if (dry) {
+      begin_work();
       commands_.post_inside(std::move(command));
       interrupt_improvement();  // also one that has begun in between
       return;
     }
-    const bool taken = commands_.post(std::move(command), [this] { interrupt_improvement(); });
-    if (!taken) end_work();
+    as_work([&] { return commands_.post(std::move(command), [this] { interrupt_improvement(); }); });
   }
 
   void interrupt_improvement() {
@@ -592,13 +604,13 @@ class LoopClosureModule::Impl {
     tell(AddCommand{std::move(candidates)});
   }
 
-  void on(const BatchEvent& event) {
+  void on(BatchEvent& event) {
     std::vector<RegistrationTask> tasks;
     being_computed_ += event.candidates.size();
     try {
       tasks.reserve(event.candidates.size());
     } catch (const std::bad_alloc&) {  // they become pending again
-      post_inside(BatchDoneEvent{event.candidates});
+      post_inside(BatchDoneEvent{std::move(event.candidates)});
       throw;
     }
     for (const LoopCandidate& candidate : event.candidates) {
@@ -615,28 +627,40 @@ class LoopClosureModule::Impl {
     batches_.post_inside(std::move(tasks));
   }
 
-  void on(const RegistrationResult& result) {
+  void on(RegistrationResult& result) {
     --being_computed_;
-    if (result.reason == RejectionReason::kFailed || result.reason == RejectionReason::kTimeLimit) {
-      problem("registration " + key_name(result.candidate.from) + " - " + key_name(result.candidate.to) +
-              ": " + (result.reason == RejectionReason::kFailed ? "failed: " : "time limit: ") +
-              result.message);
+    try {
+      take(result);
+    } catch (const std::bad_alloc& error) {  // the account counts it all the same
+      problem(error);
     }
+    tell(ResultCommand{std::move(result)});
+  }
+
+  void take(const RegistrationResult& result) {
     if (result.verified() && vetoed_.count(std::minmax(result.candidate.from, result.candidate.to)) == 0) {
       change_graph([&] { graph_.add_closure(*result.closure); });
       wants_estimate_ = true;
       call(callbacks_.closure, *result.closure);
     }
     call(callbacks_.result, result);
-    tell(ResultCommand{result});
+    if (result.reason == RejectionReason::kFailed || result.reason == RejectionReason::kTimeLimit) {
+      problem("registration " + key_name(result.candidate.from) + " - " + key_name(result.candidate.to) +
+              ": " + (result.reason == RejectionReason::kFailed ? "failed: " : "time limit: ") +
+              result.message);
+    }
   }
 
-  void on(const BatchDoneEvent& event) {
+  void on(BatchDoneEvent& event) {
     computing_ = false;
     being_computed_ -= event.not_computed.size();
     set_busy(false);
-    if (graph_is_new_) tell(GraphCommand{snapshot()});
-    tell(DryCommand{event.not_computed});
+    try {
+      if (graph_is_new_) tell(GraphCommand{snapshot()});
+    } catch (const std::bad_alloc& error) {  // without the next batch all would stand still
+      problem(error);
+    }
+    tell(DryCommand{std::move(event.not_computed)});
   }
 
   void on(const RemovalEvent& event) {
@@ -735,8 +759,9 @@ class LoopClosureModule::Impl {
   }
 
   [[nodiscard]] SharedGraph snapshot() {
+    auto graph = std::make_shared<const PoseGraph>(graph_);
     graph_is_new_ = false;
-    return std::make_shared<const PoseGraph>(graph_);
+    return graph;
   }
 
   /// After each event: starts what there is reason for.
@@ -895,8 +920,8 @@ class LoopClosureModule::Impl {
                               pool_.expire(c.now_s);
                             },
                             [&](DryCommand& c) {
-                              pool_.give_back(c.not_computed);
                               dry = true;
+                              pool_.give_back(c.not_computed);
                               hand_out(dry);
                             }},
                  command);

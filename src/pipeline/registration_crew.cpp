@@ -10,6 +10,12 @@
 #include <loopwise/registration/batch.hpp>
 
 namespace loopwise {
+namespace {
+
+/// The system's clock could not hold the end of any pause.
+constexpr double kLongestPause_s = 3600.0;
+
+}  // namespace
 
 RegistrationCrew::RegistrationCrew(const Registrar& registrar, int threads, double overdue_after_s,
                                    Hooks hooks)
@@ -76,16 +82,11 @@ bool RegistrationCrew::finished() const {
                                         [](const Worker& worker) { return worker.busy && !worker.overdue; });
 }
 
-void RegistrationCrew::report_overdue(std::unique_lock<std::mutex>& lock) {
+void RegistrationCrew::report_overdue() {
   for (Worker& worker : workers_) {
     if (!worker.busy || worker.overdue || worker.watch.seconds() < overdue_after_s_) continue;
     worker.overdue = true;
-    if (!hooks_.overdue) continue;
-    const LoopCandidate candidate = worker.candidate;
-    const double seconds = worker.watch.seconds();
-    lock.unlock();
-    hooks_.overdue(candidate, seconds);
-    lock.lock();
+    if (hooks_.overdue) hooks_.overdue(worker.candidate, worker.watch.seconds());
   }
 }
 
@@ -107,7 +108,7 @@ std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> t
       changed_.wait(lock);
       continue;
     }
-    double soonest_s = overdue_after_s_;
+    double soonest_s = std::min(overdue_after_s_, kLongestPause_s);
     for (const Worker& worker : workers_) {
       if (worker.busy && !worker.overdue) {
         soonest_s = std::min(soonest_s, overdue_after_s_ - worker.watch.seconds());
@@ -117,7 +118,7 @@ std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> t
     const auto pause = std::chrono::duration<double>(std::max(0.001, soonest_s));
     changed_.wait_until(lock, std::chrono::system_clock::now() +
                                   std::chrono::duration_cast<std::chrono::system_clock::duration>(pause));
-    report_overdue(lock);
+    report_overdue();
   }
   return std::exchange(not_begun_, {});
 }

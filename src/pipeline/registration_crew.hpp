@@ -20,8 +20,9 @@ class RegistrationCrew {
  public:
   struct Hooks {
     std::function<void(RegistrationResult&&)> result;  ///< From a thread of the crew. Must not throw.
-    std::function<void(const LoopCandidate&, double)> overdue;  ///< Has run for so many seconds; from run().
-    std::function<void()> back;  ///< An overdue one has come back, after its result.
+    /// Has run for so many seconds. From run(), with all others held up: must not wait for them, nor throw.
+    std::function<void(const LoopCandidate&, double)> overdue;
+    std::function<void()> back;  ///< An overdue one has come back, after its result. Must not throw.
   };
 
   /// `threads` 0: one per processor. `overdue_after_s` 0: run() waits for all. \throws std::system_error if
@@ -47,8 +48,8 @@ class RegistrationCrew {
 
   void work(Worker& self);
   void end();
-  /// With the mutex held, which is let go for the hook.
-  void report_overdue(std::unique_lock<std::mutex>& lock);
+  /// With the mutex held, also while the hook runs: Hooks::back must not come before it.
+  void report_overdue();
   [[nodiscard]] bool finished() const;
 
   const Registrar& registrar_;
