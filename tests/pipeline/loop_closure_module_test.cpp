@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
@@ -482,18 +483,22 @@ TEST_CASE("module: a registration that hangs is reported, the others go on, and 
   for (std::uint64_t i = 0; i < 10; ++i) candidates.push_back(pair(make_key('a', i), make_key('b', i)));
   REQUIRE(module.add_candidates(candidates));
   const auto account = [&] { return module.statistics().candidates; };
-  for (int i = 0; i < 5000 && account().computed < 9; ++i)
+  // On a busy machine others may be held up for as long, but they come back.
+  const auto told = [&] {
+    const std::lock_guard<std::mutex> lock(mutex);
+    return std::any_of(problems.begin(), problems.end(), [](const std::string& text) {
+      return (Contains("b2") && Contains("a2") && Contains("has not come back")).match(text);
+    });
+  };
+  for (int i = 0; i < 60000 && !(account().computed == 9 && module.statistics().overdue_now == 1 && told());
+       ++i)
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
   REQUIRE(account().computed == 9);
   REQUIRE(account().in_flight == 1);
   REQUIRE(account().balanced());
-  REQUIRE(module.statistics().overdue == 1);
+  REQUIRE(module.statistics().overdue >= 1);
   REQUIRE(module.statistics().overdue_now == 1);
-  {
-    const std::lock_guard<std::mutex> lock(mutex);
-    REQUIRE(problems.size() == 1);
-    REQUIRE_THAT(problems[0], Contains("b2") && Contains("a2") && Contains("has not come back"));
-  }
+  REQUIRE(told());
   if (released) {
     registrar->release();
     REQUIRE(module.wait());
