@@ -224,7 +224,7 @@ struct ComputedUnit {
 /// What circumstances have spoilt goes into this study's tables and is said, but the next one computes it
 /// again.
 UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
-  const std::string text = unit.json.dump();
+  const std::string text = json_text(unit.json);
   if (unit.spoilt.empty()) {
     write_file(files.seconds, Json(unit.seconds).dump() + "\n");
     write_file(files.result, text + "\n");
@@ -516,7 +516,7 @@ void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
     answer["seconds"] = computed->seconds;
     answer["spoilt"] = computed->spoilt;
     answer["unit"] = computed->json;
-    return answer.dump();
+    return json_text(answer);
   });
 }
 #else
