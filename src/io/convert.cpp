@@ -51,8 +51,8 @@ class Target {
     if (done_) return;
     try {
       remove();
-    } catch (
-        const std::exception&) {  // no memory even for that: what stays has the mark of an unfinished one
+    } catch (const std::exception&) {
+      // No memory even for that: what stays has the mark of an unfinished one.
     }
   }
   Target(const Target&) = delete;

@@ -57,8 +57,7 @@ struct ModuleOptions {
           "Factors to nodes that have not come for this long (stamps, s) are dropped and counted; 0: never.");
     field("overdue_after_s", self.overdue_after_s, at_least(0.0),
           "A registration that has run for so long, s of wall time, is reported as a problem, and its batch "
-          "goes on "
-          "without it and its thread; what it comes to in the end still counts. 0: never.");
+          "goes on without it and its thread; what it comes to in the end still counts. 0: never.");
     field("seed", self.seed, at_least(0), "Of everything random.");
   }
 };
@@ -117,7 +116,8 @@ struct ModuleStatistics {
   std::size_t improvements = 0;      ///< Times that prioritisation improved its next set meanwhile.
   std::size_t factors_waiting = 0;   ///< For their nodes.
   std::size_t factors_dropped = 0;   ///< Waited too long for their nodes.
-  std::size_t overdue = 0;  ///< Registrations that ran for longer than ModuleOptions::overdue_after_s, ...
+  /// Registrations that ran for longer than ModuleOptions::overdue_after_s, ...
+  std::size_t overdue = 0;
   std::size_t overdue_now = 0;    ///< ... and those of them that have not come back, each on a thread.
   double computing_s = 0.0;       ///< Wall time with a batch in computation, ...
   double idle_s = 0.0;            ///< ... and without, since the start.

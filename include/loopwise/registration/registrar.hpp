@@ -35,8 +35,8 @@ struct RegistrationTask {
   /// 0: all members.
   std::size_t enough_points = 0;
   std::uint64_t seed = 0;  ///< Of all random draws.
-  double time_limit_s =
-      0.0;  ///< Wall time after which to give up with RejectionReason::kTimeLimit, s; 0: none.
+  /// Wall time after which to give up with RejectionReason::kTimeLimit, s; 0: none.
+  double time_limit_s = 0.0;
 };
 
 /// The task of two scans alone, without guess: source `from`, target `to`.

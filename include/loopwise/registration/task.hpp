@@ -33,8 +33,7 @@ struct TaskOptions {
     field("use_guess", self.use_guess, any_value(), "Hand the graph's relative pose to the registration.");
     field("time_limit_s", self.time_limit_s, at_least(0.0),
           "Wall time after which a registration gives up (time_limit), s; 0: none. With a limit results "
-          "depend on the "
-          "machine.");
+          "depend on the machine.");
   }
 };
 
