@@ -145,8 +145,7 @@ int run(const Options& options) {
   if (errors.applied.support != AlignmentSupport::kPositions) {
     console.warn(
         "positions lie on one line or in one point, as far as their errors let tell: orientations took part "
-        "in "
-        "the alignment");
+        "in the alignment");
   }
   print_results(options.common, json, text);
   return kDone;

@@ -197,11 +197,14 @@ int run(const Options& options) {
       components.empty() ? 0 : 1 + *std::max_element(components.begin(), components.end());
   Json problem_list = Json::array();
   for (const Problem& problem : problems.all()) problem_list.push_back(to_string(problem));
+  const bool is_run = paths.size() == 1 && std::filesystem::exists(paths[0] / "summary.json") &&
+                      std::filesystem::exists(paths[0] / "closures.csv");
   const double mean =
       points.scans == 0 ? 0.0 : static_cast<double>(points.total) / static_cast<double>(points.scans);
   Json json = {
       {"kind", enum_name(mission.kind)},
       {"name", mission.name},
+      {"run", is_run},
       {"robots", robots},
       {"nodes", mission.graph.nodes().size()},
       {"edges", mission.graph.edges().size()},
@@ -220,7 +223,7 @@ int run(const Options& options) {
       {"length_m", length},
       {"duration_s", duration_s},
       {"problems", problem_list}};
-  std::string text = enum_name(mission.kind) + " \"" + mission.name + "\"\n" + table(rows);
+  std::string text = (is_run ? "results of a replay, read as " : "") + enum_name(mission.kind) + " \"" + mission.name + "\"\n" + table(rows);
   text += "\ngraph        " + std::to_string(mission.graph.nodes().size()) + " nodes, " +
           std::to_string(mission.graph.edges().size()) + " edges (" + std::to_string(odometry) +
           " odometry), " + std::to_string(mission.graph.priors().size()) + " priors, " +

@@ -426,6 +426,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->type_name("M");
   add_joining_options(*command, options->frames, options->start_together);
   add_replay_arguments(*command, options->replay);
+  command->get_option("--outcomes-mb")->needs("--outcomes");
   command
       ->add_option(
           "--clock", options->clock,

@@ -12,6 +12,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
 
 #include "study.hpp"
 #include "study_tables.hpp"
@@ -105,13 +106,22 @@ class Figures {
     }
   }
 
+  /// Of each of these missions, all seeds.
+  [[nodiscard]] std::vector<std::vector<double>> grouped(const std::string& method, const std::string& column,
+                                                         const std::vector<std::size_t>& missions) const {
+    std::vector<std::vector<double>> groups;
+    for (const std::size_t mission : missions) {
+      const auto found = values_.find({method, column, mission});
+      if (found != values_.end()) groups.push_back(found->second);
+    }
+    return groups;
+  }
   /// All seeds of all these missions.
   [[nodiscard]] std::vector<double> of(const std::string& method, const std::string& column,
                                        const std::vector<std::size_t>& missions) const {
     std::vector<double> all;
-    for (const std::size_t mission : missions) {
-      const auto found = values_.find({method, column, mission});
-      if (found != values_.end()) all.insert(all.end(), found->second.begin(), found->second.end());
+    for (const std::vector<double>& seeds : grouped(method, column, missions)) {
+      all.insert(all.end(), seeds.begin(), seeds.end());
     }
     return all;
   }
@@ -136,13 +146,13 @@ std::string runs_csv(const Study& study, const std::vector<StudyUnit>& units,
                      const std::vector<UnitResult>& results, const std::vector<Column>& columns) {
   std::vector<std::string> names = run_columns();
   for (const Column& column : columns) names.push_back(column.name);
-  std::string text = csv_line(names);
+  CsvText csv(names);
   for (std::size_t i = 0; i < units.size(); ++i) {
     std::vector<std::string> row = run_cells(study, units[i], results[i]);
     for (const Column& column : columns) row.push_back(number_text(column.value(results[i].summary)));
-    text += csv_line(row);
+    csv.row(row);
   }
-  return text;
+  return csv.text();
 }
 
 int run(const Options& options) {
@@ -171,7 +181,7 @@ int run(const Options& options) {
       "# Ablation\n\n" + budget_text(config) +
       " Medians over missions and seeds, quartiles in brackets. ATE is the mean error of the "
       "positions in the common frame without alignment; true inliers are within 0.05 m and 0.05 "
-      "rad of the truth. Intervals are percentile bootstraps, 95 %.\n";
+      "rad of the truth. Intervals are percentile bootstraps over missions, 95 %.\n";
   for (const World& world : worlds) {
     Json of_world = {{"world", world.name},
                      {"missions", world.missions.size()},
@@ -192,8 +202,7 @@ int run(const Options& options) {
       if (column.name != "ate_m") continue;
       rows.push_back({"ATE, m: interval of the median"});
       for (const std::string& method : methods) {
-        const std::vector<double> values = figures.of(method, column.name, world.missions);
-        const Interval interval = bootstrap_median(values);
+        const Interval interval = bootstrap_median(figures.grouped(method, column.name, world.missions));
         rows.back().push_back(text_of(interval, 3));
         of_world["methods"][method][column.name]["interval_95"] = interval_json(interval);
       }

@@ -11,6 +11,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
 
 #include "study.hpp"
 #include "study_tables.hpp"
@@ -142,7 +143,7 @@ int run(const Options& options) {
   std::vector<std::string> header = run_columns();
   header.insert(header.end(), {"time_s", "computed", "queued", "verified", "gnc_inliers", "true_inliers",
                                "ate_m", "odometry_ate_m"});
-  std::string csv = csv_line(header);
+  CsvText csv(header);
   for (std::size_t i = 0; i < units.size(); ++i) {
     const UnitResult& result = (*results)[i];
     runs[role_of[i]].push_back({units[i].mission, figure(result.summary, {"mission_end_s"}), &result});
@@ -152,7 +153,7 @@ int run(const Options& options) {
                                  std::to_string(row.queued), std::to_string(row.verified),
                                  std::to_string(row.gnc_inliers), std::to_string(row.true_inliers),
                                  number_text(row.ate_m), number_text(row.odometry_ate_m)});
-      csv += csv_line(cells);
+      csv.row(cells);
     }
   }
 
@@ -292,7 +293,7 @@ int run(const Options& options) {
   if (rows.size() > 1)
     text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
 
-  write_file(study.folder() / "curves.csv", csv);
+  write_file(study.folder() / "curves.csv", csv.text());
   write_file(study.folder() / "budget.json", json.dump(2) + "\n");
   write_file(study.folder() / "budget.md", text);
   print_results(options.study.common, json, text);

@@ -8,6 +8,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/csv.hpp>
 
 #include "study.hpp"
 #include "study_tables.hpp"
@@ -54,7 +55,7 @@ int run(const Options& options) {
   std::vector<std::string> header = run_columns();
   header.insert(header.end(), {"robot", "path_length_m"});
   header.insert(header.end(), names.begin(), names.end());
-  std::string csv = csv_line(header);
+  CsvText csv(header);
 
   Json json = study_json(study);
   json["options"] = parse_json(config_json(units.front().config), "options");
@@ -85,7 +86,7 @@ int run(const Options& options) {
         row.insert(row.end(), {robot, number_text(figure(of_robot, {"path_length_m"})),
                                number_text(f.translation_percent), number_text(f.max_m),
                                number_text(f.rotation_deg_per_m), number_text(f.max_deg)});
-        csv += csv_line(row);
+        csv.row(row);
       };
       for (const auto& [robot, of_robot] : (*results)[i].summary.at("robots").items()) {
         if (method == options.methods.front()) add(robot, of_robot, "odom", "odometry");
@@ -122,7 +123,7 @@ int run(const Options& options) {
     json["worlds"].push_back(of_world);
     text += "\n## " + describe(world) + "\n\n" + markdown_table(rows);
   }
-  write_file(study.folder() / "robots.csv", csv);
+  write_file(study.folder() / "robots.csv", csv.text());
   write_file(study.folder() / "rssi.json", json.dump(2) + "\n");
   write_file(study.folder() / "rssi.md", text);
   print_results(options.study.common, json, text);

@@ -39,21 +39,6 @@ std::string markdown_table(const std::vector<std::vector<std::string>>& rows) {
   return out;
 }
 
-std::string csv_line(const std::vector<std::string>& values) {
-  std::string line;
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    if (i > 0) line += ',';
-    if (values[i].find_first_of(",\"\n\r") == std::string::npos) {
-      line += values[i];
-      continue;
-    }
-    line += '"';
-    for (const char c : values[i]) line += c == '"' ? std::string("\"\"") : std::string(1, c);
-    line += '"';
-  }
-  return line + "\n";
-}
-
 std::string number_text(double value) {
   if (std::isnan(value)) return "";
   char text[32];

@@ -22,8 +22,6 @@ namespace loopwise::cli {
 /// Rows of equal length, the first one the header.
 [[nodiscard]] std::string markdown_table(const std::vector<std::vector<std::string>>& rows);
 
-/// A line of a CSV file, with its end.
-[[nodiscard]] std::string csv_line(const std::vector<std::string>& values);
 /// Shortest text that reads back to the same bits; empty for NaN.
 [[nodiscard]] std::string number_text(double value);
 

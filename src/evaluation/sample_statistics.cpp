@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <string>
+#include <utility>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
@@ -26,27 +27,43 @@ double sorted_quantile(const std::vector<double>& sorted, double p) {
   return sorted[below] + (place - static_cast<double>(below)) * (sorted[above] - sorted[below]);
 }
 
+double median(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  return sorted_quantile(values, 0.5);
+}
+
 double mean(const std::vector<double>& values) {
   double sum = 0.0;
   for (const double v : values) sum += v;
   return sum / static_cast<double>(values.size());
 }
 
-/// Interval of `statistic` over resamples of `values`.
+/// Interval of `statistic` over resamples of `groups`, each drawn with all its values.
 template <class Statistic>
-Interval bootstrap(const std::vector<double>& values, const BootstrapOptions& options,
+Interval bootstrap(const std::vector<std::vector<double>>& groups, const BootstrapOptions& options,
                    Statistic&& statistic) {
   validate(options);
-  if (values.size() < 2) return {};
+  if (groups.size() < 2) return {};
   Rng rng(options.seed);
-  std::vector<double> of_resamples, resample(values.size());
+  std::vector<double> of_resamples, resample;
   for (std::int64_t i = 0; i < options.resamples; ++i) {
-    for (double& v : resample) v = values[static_cast<std::size_t>(rng.below(values.size()))];
+    resample.clear();
+    for (std::size_t draw = 0; draw < groups.size(); ++draw) {
+      const std::vector<double>& group = groups[static_cast<std::size_t>(rng.below(groups.size()))];
+      resample.insert(resample.end(), group.begin(), group.end());
+    }
     of_resamples.push_back(statistic(resample));
   }
   std::sort(of_resamples.begin(), of_resamples.end());
   const double tail = 0.5 * (1.0 - options.level);
   return {sorted_quantile(of_resamples, tail), sorted_quantile(of_resamples, 1.0 - tail)};
+}
+
+/// Each value a group of its own.
+std::vector<std::vector<double>> singles(const std::vector<double>& values) {
+  std::vector<std::vector<double>> groups;
+  for (const double v : values) groups.push_back({v});
+  return groups;
 }
 
 }  // namespace
@@ -64,10 +81,15 @@ Quartiles quartiles(const std::vector<double>& values) {
 }
 
 Interval bootstrap_median(const std::vector<double>& values, const BootstrapOptions& options) {
-  return bootstrap(known(values), options, [](std::vector<double>& resample) {
-    std::sort(resample.begin(), resample.end());
-    return sorted_quantile(resample, 0.5);
-  });
+  return bootstrap(singles(known(values)), options, median);
+}
+
+Interval bootstrap_median(const std::vector<std::vector<double>>& groups, const BootstrapOptions& options) {
+  std::vector<std::vector<double>> of_known;
+  for (const std::vector<double>& group : groups) {
+    if (auto values = known(group); !values.empty()) of_known.push_back(std::move(values));
+  }
+  return bootstrap(of_known, options, median);
 }
 
 PairedComparison compare_paired(const std::vector<double>& a, const std::vector<double>& b,
@@ -88,10 +110,10 @@ PairedComparison compare_paired(const std::vector<double>& a, const std::vector<
   }
   if (out.count == 0) return out;
   out.mean_difference = mean(differences);
-  out.difference = bootstrap(differences, options, mean);
+  out.difference = bootstrap(singles(differences), options, mean);
   if (logs.size() < out.count) return out;
   out.ratio = std::exp(mean(logs));
-  const Interval of_logs = bootstrap(logs, options, mean);
+  const Interval of_logs = bootstrap(singles(logs), options, mean);
   out.ratio_interval = {std::exp(of_logs.low), std::exp(of_logs.high)};
   return out;
 }

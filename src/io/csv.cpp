@@ -141,6 +141,13 @@ CsvText::CsvText(const std::vector<std::string>& columns) : columns_(columns.siz
   text_.back() = '\n';
 }
 
+CsvText& CsvText::row(const std::vector<std::string>& values) {
+  begin_row(values.size());
+  for (const std::string& value : values) add_text(value);
+  text_.back() = '\n';
+  return *this;
+}
+
 void CsvText::begin_row(std::size_t count) const {
   if (count != columns_) {
     throw InputError("csv row of " + std::to_string(count) + " values for " + std::to_string(columns_) +

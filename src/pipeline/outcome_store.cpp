@@ -242,13 +242,18 @@ OutcomeStore::~OutcomeStore() = default;
 
 void OutcomeStore::load(const std::shared_ptr<const File>& file) {
   const std::string bytes = file->read(0, file->size());
-  std::size_t at = 0;
+  std::size_t at = 0, passed_over = 0;
+  bool unfinished = false;  // what was passed over last begins as a record that ends beyond the file
   while (at < bytes.size()) {
+    bool ends_beyond = false;
     const auto record = [&]() -> std::optional<std::uint32_t> {
-      if (bytes.size() - at < kHeaderBytes) return std::nullopt;
+      const std::size_t rest = bytes.size() - at;
+      ends_beyond = std::memcmp(bytes.data() + at, &kMark, std::min(rest, sizeof kMark)) == 0;
+      if (rest < kHeaderBytes) return std::nullopt;
       Reader header(std::string_view(bytes).substr(at, kHeaderBytes));
       const auto mark = header.get<std::uint32_t>(), size = header.get<std::uint32_t>();
-      if (mark != kMark || size > kMaxPayload || bytes.size() - at - kHeaderBytes < size) return std::nullopt;
+      ends_beyond = mark == kMark && size <= kMaxPayload && rest - kHeaderBytes < size;
+      if (mark != kMark || size > kMaxPayload || ends_beyond) return std::nullopt;
       ContentHash key;
       key.high = header.get<std::uint64_t>();
       key.low = header.get<std::uint64_t>();
@@ -258,13 +263,20 @@ void OutcomeStore::load(const std::shared_ptr<const File>& file) {
       places_[key] = {file, at + kHeaderBytes, size};
       return size;
     }();
+    if (record || (ends_beyond && !unfinished)) {
+      statistics_.damaged_bytes += passed_over;
+      passed_over = 0;
+      unfinished = !record;
+    }
     if (record) {
       at += kHeaderBytes + *record;
     } else {  // the next record begins somewhere behind
       ++at;
-      ++statistics_.damaged_bytes;
+      ++passed_over;
     }
   }
+  // A process may be writing its last record at this moment, or was killed while it did.
+  if (!unfinished) statistics_.damaged_bytes += passed_over;
 }
 
 std::optional<RegistrationResult> OutcomeStore::read(const ContentHash& key, const Place& place,

@@ -2,6 +2,8 @@
 // Studies of replays, and runs that are killed: what scripts may rely on.
 #include <algorithm>
 #include <chrono>
+#include <cmath>
+#include <map>
 #include <set>
 #include <thread>
 
@@ -129,8 +131,10 @@ TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[
                     queued = column(rows, "queued"), computed = column(rows, "computed"),
                     verified = column(rows, "verified"), share = column(rows, "verified_of_queued"),
                     of_computed = column(rows, "verified_of_computed"),
-                    parameters = column(rows, "parameters_sha256"), seed = column(rows, "seed");
+                    parameters = column(rows, "parameters_sha256"), seed = column(rows, "seed"),
+                    mission = column(rows, "mission");
   std::map<std::string, std::vector<double>> ates, odometries;
+  std::map<std::string, std::map<std::string, std::vector<double>>> by_mission;  // seeds of one go together
   std::set<std::string> seeds;
   for (std::size_t i = 1; i < rows.size(); ++i) {
     REQUIRE(rows[i].size() == rows[0].size());
@@ -142,6 +146,7 @@ TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[
     REQUIRE(std::stod(rows[i][of_computed]) ==
             Approx(100.0 * std::stod(rows[i][verified]) / std::stod(rows[i][computed])));
     ates[rows[i][world] + rows[i][method]].push_back(std::stod(rows[i][ate]));
+    by_mission[rows[i][world] + rows[i][method]][rows[i][mission]].push_back(std::stod(rows[i][ate]));
     if (rows[i][method] == "full") odometries[rows[i][world]].push_back(std::stod(rows[i][odometry]));
   }
   REQUIRE(seeds == std::set<std::string>{"1", "2"});
@@ -154,7 +159,14 @@ TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[
       const Json& entry = of_world.at("methods").at(m).at("ate_m");
       REQUIRE(entry.at("median").get<double>() == quartiles(ates[name + m]).median);
       REQUIRE(entry.at("upper_quartile").get<double>() == quartiles(ates[name + m]).upper);
-      REQUIRE(entry.at("interval_95").at(0).get<double>() == bootstrap_median(ates[name + m]).low);
+      std::vector<std::vector<double>> groups;
+      for (const auto& [of, seeds_of] : by_mission[name + m]) groups.push_back(seeds_of);
+      const Interval interval = bootstrap_median(groups);
+      REQUIRE(entry.at("interval_95").at(0).is_null() == std::isnan(interval.low));
+      if (!std::isnan(interval.low)) {
+        REQUIRE(entry.at("interval_95").at(0).get<double>() == interval.low);
+        REQUIRE(entry.at("interval_95").at(1).get<double>() == interval.high);
+      }
     }
     REQUIRE(of_world.at("methods").at("odom").at("ate_m").at("median").get<double>() ==
             quartiles(odometries[name]).median);
@@ -240,6 +252,7 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
     require_failure({"replay", path, "-o", out, "--clock", "real", modelled, "2"}, kBadUsage, modelled);
   }
   require_failure({"study", "rssi", path, "-o", out, "--outcomes-mb", "0"}, kBadUsage, "--outcomes-mb");
+  require_failure({"replay", path, "-o", out, "--outcomes-mb", "10"}, kBadUsage, "--outcomes");
 }
 
 TEST_CASE("study: scans behind a link count, and what is wrong with them is said", "[apps][study]") {

@@ -59,15 +59,49 @@ TEST_CASE("bootstrap: seeded, and degenerate samples", "[evaluation][statistics]
   REQUIRE(a.high <= 8.0);
   REQUIRE(a.low < 4.0);
   REQUIRE(a.high > 4.0);
-  REQUIRE(std::isnan(bootstrap_median({3.0, kNan}).low));
-  REQUIRE(bootstrap_median({3.0, 3.0}).high == 3.0);
-  REQUIRE(std::isnan(bootstrap_median({}).low));
+  REQUIRE(std::isnan(bootstrap_median(std::vector<double>{3.0, kNan}).low));
+  REQUIRE(bootstrap_median(std::vector<double>{3.0, 3.0}).high == 3.0);
+  REQUIRE(std::isnan(bootstrap_median(std::vector<double>()).low));
   BootstrapOptions options;
   options.level = 0.0;
   const Interval point = bootstrap_median(values, options);
   REQUIRE(point.low == point.high);
   options.resamples = 0;
   REQUIRE_THROWS_AS(bootstrap_median(values, options), OptionError);
+}
+
+TEST_CASE("bootstrap: values of a group count together", "[evaluation][statistics]") {
+  // 12 missions of 8 seeds each: missions differ by 1, the seeds of one by 0.05, so that 96 values tell no
+  // more of the median over missions than 12.
+  std::size_t covered = 0, covered_alone = 0;
+  for (std::uint64_t seed = 1; seed <= 200; ++seed) {
+    Rng rng(seed);
+    std::vector<std::vector<double>> missions;
+    std::vector<double> all;
+    for (int m = 0; m < 12; ++m) {
+      const double of_mission = rng.normal();
+      missions.emplace_back();
+      for (int s = 0; s < 8; ++s) missions.back().push_back(of_mission + 0.05 * rng.normal());
+      all.insert(all.end(), missions.back().begin(), missions.back().end());
+    }
+    BootstrapOptions options;
+    options.resamples = 400;
+    options.seed = seed;
+    const Interval grouped = bootstrap_median(missions, options), alone = bootstrap_median(all, options);
+    covered += grouped.low <= 0.0 && grouped.high >= 0.0 ? 1 : 0;
+    covered_alone += alone.low <= 0.0 && alone.high >= 0.0 ? 1 : 0;
+  }
+  CAPTURE(covered, covered_alone);
+  REQUIRE(covered >= 180);
+  REQUIRE(covered_alone <= 140);
+
+  const std::vector<double> values{3, 1, 4, 1, 5, 9, 2, 6};
+  std::vector<std::vector<double>> one_each{{kNan}};
+  for (const double v : values) one_each.push_back({v, kNan});
+  REQUIRE(bootstrap_median(one_each).low == bootstrap_median(values).low);
+  REQUIRE(bootstrap_median(one_each).high == bootstrap_median(values).high);
+  const std::vector<std::vector<double>> one{{1.0, 2.0, 3.0}, {}};
+  REQUIRE(std::isnan(bootstrap_median(one).low));  // one group tells nothing of others
 }
 
 TEST_CASE("paired comparison: pairs count, not the spread between them", "[evaluation][statistics]") {

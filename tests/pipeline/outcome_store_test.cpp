@@ -238,6 +238,26 @@ TEST_CASE("outcome store: damage is passed over, never believed", "[pipeline][ou
   REQUIRE(computed_with("garbage" + whole) == 0);
   // A cut-off record in the middle, as a kill leaves it, followed by more.
   REQUIRE(computed_with(whole.substr(0, 1000) + whole) == 0);
+  const auto damaged = [&](const std::string& contents) {
+    testing::write_text(file, contents);
+    return OutcomeStore(folder.path()).statistics().damaged_bytes;
+  };
+  REQUIRE(damaged(whole) == 0);
+  REQUIRE(damaged("no outcome at all") == 17);
+  REQUIRE(damaged("garbage" + whole) == 7);
+  REQUIRE(damaged(whole + "garbage") == 7);
+  const std::size_t cut_short = damaged(whole.substr(0, 1000) + whole);
+  REQUIRE(cut_short > 0);
+  REQUIRE(cut_short < 1000);
+  // The last record is being written, from its first byte to its last but one.
+  for (std::size_t end = whole.size() - 1; end > whole.size() - 100; --end) {
+    CAPTURE(end);
+    REQUIRE(damaged(whole.substr(0, end)) == 0);
+  }
+  std::string changed_before = whole.substr(0, whole.size() - 1);
+  changed_before[40] = static_cast<char>(changed_before[40] ^ 1);  // in the first record
+  REQUIRE(damaged(changed_before) > 0);
+  testing::write_text(file, whole);
   Rng rng(3);
   for (int trial = 0; trial < 60; ++trial) {
     std::string changed = whole;

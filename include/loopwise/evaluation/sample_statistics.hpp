@@ -53,6 +53,12 @@ struct Interval {
 [[nodiscard]] LOOPWISE_EXPORT Interval bootstrap_median(const std::vector<double>& values,
                                                         const BootstrapOptions& options = {});
 
+/// The same of values that come in groups, such as the seeds of one mission: values of a group are no more
+/// independent of each other than that, so each resample draws whole groups. The median is that of all
+/// values.
+[[nodiscard]] LOOPWISE_EXPORT Interval bootstrap_median(const std::vector<std::vector<double>>& groups,
+                                                        const BootstrapOptions& options = {});
+
 /// One method against another on the same missions.
 struct PairedComparison {
   std::size_t count = 0;                                              ///< Pairs of which neither is NaN.

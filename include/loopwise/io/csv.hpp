@@ -73,6 +73,9 @@ class LOOPWISE_EXPORT CsvText {
     return *this;
   }
 
+  /// The same with the values in a vector.
+  CsvText& row(const std::vector<std::string>& values);
+
   /// The whole file so far.
   [[nodiscard]] const std::string& text() const { return text_; }
 

@@ -42,10 +42,12 @@ struct OutcomeStoreOptions {
 /// What a store has done since it was opened.
 struct OutcomeStoreStatistics {
   std::size_t found_at_start = 0;  ///< Outcomes on disk when it was opened.
-  std::size_t damaged_bytes = 0;   ///< Of its files, that hold no outcome: cut short or changed. Never used.
-  std::size_t hits = 0;            ///< Outcomes that were there when they were asked for.
-  std::size_t computed = 0;        ///< Outcomes that were not.
-  std::string problem;             ///< Why nothing is kept any more (a full disk); empty while all is well.
+  /// Of its files, that hold no outcome: cut short or changed. Never used. The beginning of a record at a
+  /// file's end is none: its writer may be at it.
+  std::size_t damaged_bytes = 0;
+  std::size_t hits = 0;      ///< Outcomes that were there when they were asked for.
+  std::size_t computed = 0;  ///< Outcomes that were not.
+  std::string problem;       ///< Why nothing is kept any more (a full disk); empty while all is well.
 };
 
 /// A folder of outcomes by the hash of all that they depend on.
