@@ -108,12 +108,17 @@ std::string fingerprint(const Mission& mission, const Config& config) {
 
 /// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".
 std::string difference(const std::string& before, const std::string& now) {
-  const Json a = Json::parse(before, nullptr, false), b = Json::parse(now);
-  if (!a.is_object() || !a.contains("options")) return "another version of the program";
-  if (a.value("code", "") != b["code"]) return "another version of the program";
-  if (a.value("mission", "") != b["mission"] || a.value("graph", "") != b["graph"] ||
-      a.value("scans", -1) != b["scans"].get<int>())
-    return "another mission";
+  const Json b = parse_json(now, "this run");
+  const Json a = [&before] {
+    try {
+      return parse_json(before, "the run to resume");
+    } catch (const InputError&) {
+      return Json();
+    }
+  }();
+  const auto same = [&](const char* name) { return a.contains(name) && a[name] == b[name]; };
+  if (!a.is_object() || !a.contains("options") || !same("code")) return "another version of the program";
+  if (!same("mission") || !same("graph") || !same("scans")) return "another mission";
   const Json was = a["options"].flatten(), is = b["options"].flatten();
   for (const auto& [pointer, value] : is.items()) {
     if (was.contains(pointer) && was[pointer] == value) continue;
@@ -136,9 +141,15 @@ class OutcomeFile {
       if (std::getline(lines, line) && line != fingerprint && !lines.eof()) {
         throw OptionError(path_.string() + ": the run to resume had " + difference(line, fingerprint));
       }
-      while (std::getline(lines, line)) {
+      for (std::size_t number = 2; std::getline(lines, line); ++number) {
         if (lines.eof()) break;  // cut short by a kill
-        const RegistrationResult result = parse_outcome_line(line);
+        const RegistrationResult result = [&] {
+          try {
+            return parse_outcome_line(line);
+          } catch (const InputError& error) {
+            throw ParseError(path_.string(), number, error.what());
+          }
+        }();
         if (depends_on_circumstances(result.reason)) continue;  // this time it may go well
         known_[{result.candidate.from, result.candidate.to}] = result;
         kept += line + "\n";

@@ -71,6 +71,7 @@ struct ScanStore::State {
     CloudFile loaded;
     std::shared_ptr<const PointCloud> cloud;
     std::optional<std::string> failure;
+    const char* kind = "scan cannot be read";
     std::list<Key> place;
     const Reading reading{*this, entry, lock};
     try {
@@ -84,6 +85,9 @@ struct ScanStore::State {
       place.push_front(key);
     } catch (const std::bad_alloc&) {  // says nothing about the file: the next who asks may have more luck
       throw;
+    } catch (const InputError& error) {
+      failure = error.what();
+      kind = "scan is damaged";
     } catch (const std::exception& error) {
       failure = error.what();
     } catch (...) {
@@ -92,7 +96,7 @@ struct ScanStore::State {
     lock.lock();
     if (failure) {
       entry.failure = *failure;
-      entry.problems.add("scan cannot be read", *failure);
+      entry.problems.add(kind, *failure);
       entry.stage = Stage::kFailed;
       throw InputError(*failure);
     }

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <exception>
 #include <iterator>
 #include <tuple>
 #include <utility>
@@ -21,6 +22,7 @@ RegistrationCrew::RegistrationCrew(const Registrar& registrar, int threads, doub
                                    Hooks hooks)
     : registrar_(registrar), overdue_after_s_(overdue_after_s), hooks_(std::move(hooks)) {
   if (threads == 0) threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  threads_ = static_cast<std::size_t>(threads);
   try {
     for (int i = 0; i < threads; ++i) {
       Worker& worker = workers_.emplace_back();
@@ -74,6 +76,11 @@ void RegistrationCrew::work(Worker& self) {
       lock.lock();
     }
     changed_.notify_all();
+    if (self.overdue && spares_ > 0) {
+      --spares_;
+      self.ended = true;
+      return;
+    }
   }
 }
 
@@ -90,6 +97,23 @@ void RegistrationCrew::report_overdue() {
   }
 }
 
+void RegistrationCrew::replace_hanging() {
+  const auto hangs = [](const Worker& worker) { return worker.ended || (worker.busy && worker.overdue); };
+  if (tasks_.empty() || spares_ == threads_ || !std::all_of(workers_.begin(), workers_.end(), hangs)) return;
+  const auto ended =
+      std::find_if(workers_.begin(), workers_.end(), [](const Worker& worker) { return worker.ended; });
+  try {
+    Worker& worker = ended == workers_.end() ? workers_.emplace_back() : *ended;
+    worker.ended = true;
+    if (worker.thread.joinable()) worker.thread.join();  // it has let go of the mutex, and does no more
+    worker.thread = std::thread([this, &worker] { work(worker); });
+    worker.ended = worker.overdue = false;
+    ++spares_;
+  } catch (const std::exception&) {
+    // No memory or no threads: it is tried again when the next one is overdue or comes back.
+  }
+}
+
 std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> tasks, const StopToken& stop) {
   // Pairs with the same target one after the other, as compute_batch() has them.
   std::sort(tasks.begin(), tasks.end(), [](const RegistrationTask& a, const RegistrationTask& b) {
@@ -103,6 +127,7 @@ std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> t
   stop_ = stop;
   tasks_ = std::move(queue);
   some_.notify_all();
+  replace_hanging();  // those of an earlier batch
   while (!finished()) {
     if (overdue_after_s_ <= 0.0) {
       changed_.wait(lock);
@@ -119,6 +144,7 @@ std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> t
     changed_.wait_until(lock, std::chrono::system_clock::now() +
                                   std::chrono::duration_cast<std::chrono::system_clock::duration>(pause));
     report_overdue();
+    replace_hanging();
   }
   return std::exchange(not_begun_, {});
 }

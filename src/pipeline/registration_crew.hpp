@@ -15,7 +15,8 @@
 namespace loopwise {
 
 /// Threads that compute batches of registrations. Unlike a thread pool's, a batch does not wait for a
-/// registration that hangs: it is reported and keeps its thread, the others go on.
+/// registration that hangs: it is reported and keeps its thread, the others go on. Once all hang, others take
+/// their place, as many again and no more.
 class RegistrationCrew {
  public:
   struct Hooks {
@@ -42,6 +43,7 @@ class RegistrationCrew {
     std::thread thread;
     bool busy = false;
     bool overdue = false;
+    bool ended = false;       // its thread, for others have its place
     LoopCandidate candidate;  // while busy
     Stopwatch watch;          // since it became busy
   };
@@ -50,6 +52,8 @@ class RegistrationCrew {
   void end();
   /// With the mutex held, also while the hook runs: Hooks::back must not come before it.
   void report_overdue();
+  /// With the mutex held: a thread in place of those that hang, if none is left and the system has one.
+  void replace_hanging();
   [[nodiscard]] bool finished() const;
 
   const Registrar& registrar_;
@@ -62,6 +66,8 @@ class RegistrationCrew {
   StopToken stop_;
   bool ending_ = false;
   std::deque<Worker> workers_;  // their places stay
+  std::size_t threads_ = 0;     // as asked for
+  std::size_t spares_ = 0;      // beyond that
 };
 
 }  // namespace loopwise

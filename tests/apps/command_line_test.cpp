@@ -507,6 +507,14 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   of_earlier_code.replace(code + 8, 1, "x");
   testing::write_text(folder / "two" / "outcomes.jsonl", of_earlier_code);
   require_failure(replay("two", {"--resume"}), kBadUsage, "another version");
+  for (const char* odd : {"[1]\n", "{\"code\": 3, \"options\": {}}\n", "{\"code\n"}) {
+    CAPTURE(odd);
+    testing::write_text(folder / "two" / "outcomes.jsonl", odd);
+    require_failure(replay("two", {"--resume"}), kBadUsage, "another version");
+  }
+  testing::write_text(folder / "two" / "outcomes.jsonl",
+                      outcomes.substr(0, outcomes.find('\n') + 1) + "{\"from\": 1}\n");
+  require_failure(replay("two", {"--resume"}), kBadInput, "outcomes.jsonl:2: ");
   // A mission of the same name and size whose contents have changed.
   testing::write_text(folder / "two" / "outcomes.jsonl", outcomes);
   const auto stamps = folder / "mission" / "stamps.csv";

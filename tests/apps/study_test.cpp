@@ -299,7 +299,21 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
   INFO(changed.err);
   REQUIRE(changed.status == kDone);
   REQUIRE_THAT(changed.err, !Contains("finished already"));
-  REQUIRE_THAT(changed.err, Contains("warning: yard|1: scan cannot be read"));
+  REQUIRE_THAT(changed.err, Contains("warning: yard|1: scan is damaged"));
+  // What stands in a file is a result like any other; what could not be read this time is tried again.
+  const ProgramRun again = study("rssi");
+  INFO(again.err);
+  REQUIRE(again.status == kDone);
+  REQUIRE_THAT(again.err, Contains("finished already"));
+  fs::remove(scan);
+  fs::create_directory(scan);
+  for (int i = 0; i < 2; ++i) {
+    const ProgramRun unreadable = study("rssi");
+    INFO(unreadable.err);
+    REQUIRE(unreadable.status == kDone);
+    REQUIRE_THAT(unreadable.err, Contains("not kept for the next time"));
+    REQUIRE_THAT(unreadable.err, !Contains("finished already"));
+  }
 }
 
 TEST_CASE("study budget and rssi: tables agree with the curves and robots", "[apps][study]") {

@@ -175,7 +175,7 @@ TEST_CASE("convert: g2o_pcd holds stamps, priors and truth, and says what it doe
   mission.gaps = {{1, 0.0, 3.0}};
   const ConvertResult result = convert_mission(mission, folder / "g", MissionFormat::kG2oPcd);
   CHECK(result.scans == 6);  // two are broken
-  CHECK(mission.scans->problems().count("scan cannot be read") == 2);
+  CHECK(mission.scans->problems().count("scan is damaged") == 2);
   for (const char* kind :
        {"name of the frame left out", "communication gap left out", "clock's start left out"}) {
     CHECK(result.left_out.count(kind) == 1);

@@ -461,14 +461,16 @@ TEST_CASE("module: a registration that hangs is reported, the others go on, and 
           "[pipeline][module][error]") {
   const Mission mission = two_circles(1, 12);
   const int batch = GENERATE(1, 3);
+  const int threads = GENERATE(1, 2);           // with one, none is left beside it
   const bool released = GENERATE(true, false);  // before the stop, or while it waits
-  CAPTURE(batch, released);
+  CAPTURE(batch, threads, released);
   const auto registrar = std::make_shared<HangingRegistrar>(mission.ground_truth, make_key('b', 2));
   ModuleParts parts;
   parts.registrar = registrar;
   ModuleOptions options = module_options("baseline");
   options.proximity = false;
   options.batch = batch;
+  options.threads = threads;
   options.overdue_after_s = 0.05;
   std::mutex mutex;
   std::vector<std::string> problems;
