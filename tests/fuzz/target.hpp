@@ -41,13 +41,22 @@ inline void expect(bool holds, const char* what) {
   if (!holds) throw std::logic_error(std::string("does not hold: ") + what);
 }
 
+/// What came of the calls of attempt(): a target that refuses all of its seeds tries nothing.
+struct Attempts {
+  std::size_t accepted = 0, refused = 0;
+};
+inline Attempts attempts;
+
 /// What the call returns, or nothing if it throws one of the library's own errors: those are documented, and
 /// must say something. Other exceptions pass.
 template <class Call>
 auto attempt(Call&& call) -> std::optional<std::decay_t<decltype(call())>> {
   try {
-    return call();
+    std::optional<std::decay_t<decltype(call())>> result = call();
+    ++attempts.accepted;
+    return result;
   } catch (const Error& error) {
+    ++attempts.refused;
     expect(!std::string_view(error.what()).empty(), "an error has a message");
     return std::nullopt;
   }
