@@ -223,7 +223,8 @@ int run(const Options& options) {
       {"length_m", length},
       {"duration_s", duration_s},
       {"problems", problem_list}};
-  std::string text = (is_run ? "results of a replay, read as " : "") + enum_name(mission.kind) + " \"" + mission.name + "\"\n" + table(rows);
+  std::string text = (is_run ? "results of a replay, read as " : "") + enum_name(mission.kind) + " \"" +
+                     mission.name + "\"\n" + table(rows);
   text += "\ngraph        " + std::to_string(mission.graph.nodes().size()) + " nodes, " +
           std::to_string(mission.graph.edges().size()) + " edges (" + std::to_string(odometry) +
           " odometry), " + std::to_string(mission.graph.priors().size()) + " priors, " +
