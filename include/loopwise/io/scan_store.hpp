@@ -60,7 +60,8 @@ class LOOPWISE_EXPORT ScanStore {
   [[nodiscard]] std::shared_ptr<const PointCloud> load(Key key) const;
 
   /// Flaws and failures of the scans read so far, in the order of their keys, however many threads read them.
-  /// "scan is damaged" is what stands in the file, and will be so tomorrow; "scan cannot be read" is all else.
+  /// "scan is damaged" is what stands in the file, and will be so tomorrow; "scan cannot be read" is all
+  /// else.
   [[nodiscard]] Problems problems() const;
 
   /// Memory of the scans kept now; what callers still hold is not counted.
