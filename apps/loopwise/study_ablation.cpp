@@ -259,12 +259,11 @@ int run(const Options& options) {
   if (reductions.size() > 1)
     text +=
         "\n## Reductions\n\nThe paper reports 51 % against odometry and 75 % against baseline (full, mean "
-        "over "
-        "its data sets).\n\n" +
+        "over its data sets).\n\n" +
         markdown_table(reductions);
 
   write_file(study.folder() / "runs.csv", runs_csv(study, units, *results, all));
-  write_file(study.folder() / "ablation.json", json.dump(2) + "\n");
+  write_file(study.folder() / "ablation.json", json_text(json, 2) + "\n");
   write_file(study.folder() / "ablation.md", text);
   print_results(options.study.common, json, text);
   return kDone;

@@ -294,7 +294,7 @@ int run(const Options& options) {
     text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
 
   write_file(study.folder() / "curves.csv", csv.text());
-  write_file(study.folder() / "budget.json", json.dump(2) + "\n");
+  write_file(study.folder() / "budget.json", json_text(json, 2) + "\n");
   write_file(study.folder() / "budget.md", text);
   print_results(options.study.common, json, text);
   return kDone;

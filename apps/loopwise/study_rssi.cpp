@@ -124,7 +124,7 @@ int run(const Options& options) {
     text += "\n## " + describe(world) + "\n\n" + markdown_table(rows);
   }
   write_file(study.folder() / "robots.csv", csv.text());
-  write_file(study.folder() / "rssi.json", json.dump(2) + "\n");
+  write_file(study.folder() / "rssi.json", json_text(json, 2) + "\n");
   write_file(study.folder() / "rssi.md", text);
   print_results(options.study.common, json, text);
   return kDone;
