@@ -34,16 +34,16 @@ void note(std::size_t size) {
 
 }  // namespace
 
-// Every request for memory of this program passes here.
-void* operator new(std::size_t size) {
+// Every request for memory of this program passes here. Not inlined: gcc would take free() for a mistake.
+[[gnu::noinline]] void* operator new(std::size_t size) {
   note(size);
   if (void* const memory = std::malloc(size > 0 ? size : 1)) return memory;
   throw std::bad_alloc();
 }
-void operator delete(void* memory) noexcept {
+[[gnu::noinline]] void operator delete(void* memory) noexcept {
   std::free(memory);
 }
-void operator delete(void* memory, std::size_t) noexcept {
+[[gnu::noinline]] void operator delete(void* memory, std::size_t) noexcept {
   std::free(memory);
 }
 
