@@ -83,11 +83,10 @@ Eigen::MatrixXd TensorFile::matrix(const std::string& name, Index rows, Index co
     fail_here("shape " + text + ", expected " + (rows > 0 ? std::to_string(rows) : "any") + "x" +
               (columns > 0 ? std::to_string(columns) : "any"));
   }
-  // No product of sizes before they are known to be small: it might overflow.
-  const auto count = static_cast<Index>(data.size());
-  if (count / shape[0] != shape[1] || count % shape[0] != 0) {
-    fail_here(std::to_string(data.size()) + " values, expected " + std::to_string(shape[0]) + "x" +
-              std::to_string(shape[1]));
+  // Of two sizes below 2^31: it fits.
+  const Index wanted = shape[0] * shape[1];
+  if (static_cast<Index>(data.size()) != wanted) {
+    fail_here(std::to_string(data.size()) + " values, expected " + std::to_string(wanted));
   }
   for (const double value : data) {
     if (!std::isfinite(value)) fail_here("a value is not finite");
