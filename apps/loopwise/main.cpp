@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
 #include <cstdio>
+#include <cstdlib>
 #include <exception>
 #include <iostream>
 #include <new>
@@ -181,9 +182,25 @@ int run_program(int argc, char** argv) {
   return status;
 }
 
+/// Values of the JSON library ask for memory when they go. Where there is none, an exception meets another on
+/// its way out, and no catch is reached.
+[[noreturn]] void end_at_once() {
+  try {
+    if (const std::exception_ptr error = std::current_exception()) std::rethrow_exception(error);
+  } catch (const std::bad_alloc&) {
+    std::fputs("loopwise: out of memory\n", stderr);
+    std::_Exit(loopwise::cli::kFailed);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "loopwise: %s\n", error.what());
+  } catch (...) {
+  }
+  std::abort();
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
+  std::set_terminate(end_at_once);
   // What a command throws ends in run_action(); this is for what comes before it.
   try {
     return run_program(argc, argv);

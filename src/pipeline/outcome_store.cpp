@@ -19,6 +19,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/pipeline/code_version.hpp>
+#include <loopwise/registration/task.hpp>
 
 namespace loopwise {
 namespace {
@@ -454,24 +455,14 @@ std::optional<ContentHash> StoredRegistrar::scan_hash(Key key) const {
 }
 
 std::optional<ContentHash> StoredRegistrar::key_of(const RegistrationTask& task) const {
+  const ContentHash of_task = hash_of(task);
   ContentHasher hasher;
-  const auto add_pose = [&hasher](const Eigen::Isometry3d& T) {
-    for (Eigen::Index i = 0; i < 3; ++i) {
-      for (Eigen::Index j = 0; j < 4; ++j) hasher.number(T(i, j));
-    }
-  };
-  hasher.integer(context_.high).integer(context_.low);
-  hasher.integer(task.candidate.from).integer(task.candidate.to);
-  hasher.integer(task.seed).integer(task.enough_points);
-  hasher.integer(task.guess_from_to ? 1 : 0);
-  if (task.guess_from_to) add_pose(*task.guess_from_to);
+  hasher.integer(context_.high).integer(context_.low).integer(of_task.high).integer(of_task.low);
   for (const std::vector<SubmapMember>* members : {&task.source, &task.target}) {
-    hasher.integer(members->size());
     for (const SubmapMember& member : *members) {
       const std::optional<ContentHash> scan = scan_hash(member.key);
       if (!scan) return std::nullopt;
       hasher.integer(scan->high).integer(scan->low);
-      add_pose(member.T_center_member);
     }
   }
   return hasher.finish();

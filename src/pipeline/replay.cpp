@@ -3,12 +3,15 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
+#include <map>
 #include <numeric>
 #include <optional>
 #include <set>
 #include <tuple>
 #include <unordered_map>
+#include <utility>
 
 #include <Eigen/LU>
 
@@ -313,21 +316,33 @@ class Run {
     results_.assign(batch_.size(), std::nullopt);
     std::vector<RegistrationTask> tasks;
     std::vector<std::size_t> places;
+    std::map<std::pair<Key, Key>, std::uint64_t> task_hashes;
     for (const std::size_t i : paid) {
       const LoopCandidate& candidate = batch_[i];
-      if (const auto known = known_.find({candidate.from, candidate.to}); known != known_.end()) {
+      RegistrationTask task = task_of(candidate);
+      const std::uint64_t task_hash = hash_of(task).low;
+      const auto known = known_.find({candidate.from, candidate.to});
+      if (known != known_.end() && (known->second.task_hash == task_hash || known->second.task_hash == 0)) {
         results_[i] = known->second;
         results_[i]->candidate = candidate;
         continue;
       }
-      tasks.push_back(task_of(candidate));
+      task_hashes[{candidate.from, candidate.to}] = task_hash;
+      tasks.push_back(std::move(task));
       places.push_back(i);
     }
     const std::size_t before = pool_.accounting().computed;
     const auto progress = [&](const Progress& p) { report(before + p.done); };
-    const auto computed =
-        hooks_.compute ? hooks_.compute(tasks, hooks_.stop, progress, hooks_.outcome)
-                       : compute_batch(registrar_, tasks, threads_, hooks_.stop, progress, hooks_.outcome);
+    std::function<void(const RegistrationResult&)> outcome;
+    if (hooks_.outcome) {
+      outcome = [&](RegistrationResult result) {
+        result.task_hash = task_hashes.at({result.candidate.from, result.candidate.to});
+        hooks_.outcome(result);
+      };
+    }
+    const auto computed = hooks_.compute
+                              ? hooks_.compute(tasks, hooks_.stop, progress, outcome)
+                              : compute_batch(registrar_, tasks, threads_, hooks_.stop, progress, outcome);
     for (std::size_t k = 0; k < places.size(); ++k) results_[places[k]] = computed[k];
     result_.registration_s += watch.seconds();
   }

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <optional>
+#include <vector>
 
 #include <loopwise/core/random.hpp>
 
@@ -78,6 +79,27 @@ RegistrationTask make_task(const PoseGraph& graph, const Robots& robots, const L
   task.seed = pair_seed(seed, candidate.from, candidate.to);
   task.time_limit_s = options.time_limit_s;
   return task;
+}
+
+ContentHash hash_of(const RegistrationTask& task) {
+  ContentHasher hasher;
+  const auto add_pose = [&hasher](const Eigen::Isometry3d& T) {
+    for (Eigen::Index i = 0; i < 3; ++i) {
+      for (Eigen::Index j = 0; j < 4; ++j) hasher.number(T(i, j));
+    }
+  };
+  hasher.integer(task.candidate.from).integer(task.candidate.to);
+  hasher.integer(task.seed).integer(task.enough_points);
+  hasher.integer(task.guess_from_to ? 1 : 0);
+  if (task.guess_from_to) add_pose(*task.guess_from_to);
+  for (const std::vector<SubmapMember>* members : {&task.source, &task.target}) {
+    hasher.integer(members->size());
+    for (const SubmapMember& member : *members) {
+      hasher.integer(member.key);
+      add_pose(member.T_center_member);
+    }
+  }
+  return hasher.finish();
 }
 
 }  // namespace loopwise

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <limits>
 #include <optional>
 #include <string>
@@ -73,6 +74,8 @@ struct RegistrationResult {
   double features_s = 0.0;  ///< Wall time of features and submaps, s. For reports only, as the next two.
   double global_s = 0.0;    ///< Of the feature-based stage, s.
   double refine_s = 0.0;    ///< Of refinement and tests, s.
+  /// hash_of() the task that it is of, where a replay has noted it; 0: unknown.
+  std::uint64_t task_hash = 0;
 
   /// Whether it passed all tests of the computation.
   [[nodiscard]] bool verified() const { return reason == RejectionReason::kNone && closure.has_value(); }

@@ -28,7 +28,8 @@
 
 namespace loopwise {
 
-/// Outcomes by (from, to) that a replay takes instead of computing them again.
+/// Outcomes by (from, to) that a replay takes instead of computing them again, unless their task_hash says
+/// that they came of another task: with other closures before it the guess of a pair is another.
 using KnownOutcomes = std::map<std::pair<Key, Key>, RegistrationResult>;
 
 /// A candidate that was computed, when, and what the back end made of it.

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <functional>
 
+#include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/loop_candidate.hpp>
@@ -47,5 +48,9 @@ struct TaskOptions {
                                                          const LoopCandidate& candidate,
                                                          const TaskOptions& options, std::uint64_t seed,
                                                          const std::function<bool(Key)>& has_scan = {});
+
+/// Of all that a result depends on but the options and the scans' contents: pair, guess, submaps, seed. Not
+/// of the time limit.
+[[nodiscard]] LOOPWISE_EXPORT ContentHash hash_of(const RegistrationTask& task);
 
 }  // namespace loopwise
