@@ -65,8 +65,9 @@ void apply_file(const Json& file, const std::string& source, Config& config) {
   Config changed = config;
   try {
     if (!file.is_object()) throw OptionError("expected an object of sections");
-    for (const auto& [name, value] : file.items()) {
-      Json section_json = value;
+    for (const auto& item : file.items()) {
+      const std::string& name = item.key();
+      Json section_json = item.value();
       if (name == "generation" && section_json.is_object() && section_json.contains("preset")) {
         if (!section_json["preset"].is_string()) throw OptionError("generation.preset must be a word");
         changed.generation = proximity_preset(section_json["preset"].get<std::string>());
