@@ -261,15 +261,19 @@ int posix_memalign(void** block, std::size_t alignment, std::size_t size) {
 
 // ---- files
 
+// Calls that make files have the mode of the file as one argument more.
+#define MODE_OF(flags)                             \
+  mode_t mode = 0;                                 \
+  if ((flags & (O_CREAT | O_TMPFILE)) != 0) {      \
+    va_list rest;                                  \
+    va_start(rest, flags);                         \
+    mode = static_cast<mode_t>(va_arg(rest, int)); \
+    va_end(rest);                                  \
+  }
+
 #define OPEN(name)                                                \
   int name(const char* path, int flags, ...) {                    \
-    mode_t mode = 0;                                              \
-    if ((flags & (O_CREAT | O_TMPFILE)) != 0) {                   \
-      va_list rest;                                               \
-      va_start(rest, flags);                                      \
-      mode = static_cast<mode_t>(va_arg(rest, int));              \
-      va_end(rest);                                               \
-    }                                                             \
+    MODE_OF(flags)                                                \
     char whole[kPathBytes];                                       \
     const bool seen = watched(path, whole);                       \
     if (seen && fate_of(kOpen, whole) == Fate::kFails) return -1; \
@@ -284,13 +288,7 @@ OPEN(open64)
 // path.
 #define OPENAT(name)                                                      \
   int name(int folder, const char* path, int flags, ...) {                \
-    mode_t mode = 0;                                                      \
-    if ((flags & (O_CREAT | O_TMPFILE)) != 0) {                           \
-      va_list rest;                                                       \
-      va_start(rest, flags);                                              \
-      mode = static_cast<mode_t>(va_arg(rest, int));                      \
-      va_end(rest);                                                       \
-    }                                                                     \
+    MODE_OF(flags)                                                        \
     char whole[kPathBytes];                                               \
     bool seen = folder == AT_FDCWD && watched(path, whole);               \
     if (folder != AT_FDCWD && path_of(folder) != nullptr) {               \

@@ -63,6 +63,19 @@ std::size_t largest_piece(Call&& call) {
 /// Room for zlib's and bz2's own tables. A header that is believed asks for gigabytes.
 constexpr std::size_t kBound = 1 << 20;
 
+/// The header of a PCD whose points have `count` fields more, each of half a megabyte.
+std::string wide_fields(int count) {
+  std::string names = "FIELDS x y z", sizes = "\nSIZE 4 4 4", types = "\nTYPE F F F",
+              counts = "\nCOUNT 1 1 1";
+  for (int i = 0; i < count; ++i) {
+    names += " f" + std::to_string(i);
+    sizes += " 8";
+    types += " F";
+    counts += " 65536";
+  }
+  return names + sizes + types + counts;
+}
+
 TEST_CASE("giant sizes: clouds", "[fuzz][giant]") {
   const std::string fields = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\n";
   const std::string many = "4000000000";
@@ -75,14 +88,7 @@ TEST_CASE("giant sizes: clouds", "[fuzz][giant]") {
   CHECK(pcd(fields + "WIDTH " + many + "\nHEIGHT 1\nPOINTS " + many + "\n" + data) < kBound);
   CHECK(pcd(fields + "WIDTH " + many + "\nHEIGHT " + many + "\n" + data) < kBound);
   CHECK(pcd(fields + "POINTS 18446744073709551615\n" + data) < kBound);
-  std::string wide = "FIELDS x y z", sizes = "\nSIZE 4 4 4", types = "\nTYPE F F F", counts = "\nCOUNT 1 1 1";
-  for (int i = 0; i < 100; ++i) {
-    wide += " f" + std::to_string(i);
-    sizes += " 8";
-    types += " F";
-    counts += " 65536";
-  }
-  CHECK(pcd(wide + sizes + types + counts + "\nWIDTH 1\nHEIGHT 1\nPOINTS 1\n" + data) < kBound);
+  CHECK(pcd(wide_fields(100) + "\nWIDTH 1\nHEIGHT 1\nPOINTS 1\n" + data) < kBound);
 
   const std::string ply =
       "ply\nformat " + std::string(encoding == "ascii" ? "ascii" : "binary_little_endian") +
@@ -92,14 +98,7 @@ TEST_CASE("giant sizes: clouds", "[fuzz][giant]") {
 }
 
 TEST_CASE("giant sizes: no points with fields of giant counts", "[fuzz][giant]") {
-  std::string wide = "FIELDS x y z", sizes = "\nSIZE 4 4 4", types = "\nTYPE F F F", counts = "\nCOUNT 1 1 1";
-  for (int i = 0; i < 1000; ++i) {
-    wide += " f" + std::to_string(i);
-    sizes += " 8";
-    types += " F";
-    counts += " 65536";
-  }
-  const std::string text = wide + sizes + types + counts + "\nWIDTH 0\nHEIGHT 1\nPOINTS 0\nDATA ascii\n";
+  const std::string text = wide_fields(1000) + "\nWIDTH 0\nHEIGHT 1\nPOINTS 0\nDATA ascii\n";
   largest = 0;
   CHECK(points::parse_cloud("giant.pcd", text).cloud.empty());
   CHECK(largest < kBound);
