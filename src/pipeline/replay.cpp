@@ -343,7 +343,11 @@ class Run {
     const auto computed = hooks_.compute
                               ? hooks_.compute(tasks, hooks_.stop, progress, outcome)
                               : compute_batch(registrar_, tasks, threads_, hooks_.stop, progress, outcome);
-    for (std::size_t k = 0; k < places.size(); ++k) results_[places[k]] = computed[k];
+    for (std::size_t k = 0; k < places.size(); ++k) {
+      std::optional<RegistrationResult>& result = results_[places[k]];
+      result = computed[k];
+      if (result) result->task_hash = task_hashes.at({result->candidate.from, result->candidate.to});
+    }
     result_.registration_s += watch.seconds();
   }
 

@@ -389,6 +389,10 @@ TEST_CASE("replay: an outcome of the same pair from another guess is computed ag
   REQUIRE(shared > 5);
   const Recorded again = replay(mission, config, 1, known, registrar);
   REQUIRE(again.lines == whole.lines);
+  for (std::size_t i = 0; i < whole.result.computed.size(); ++i) {
+    REQUIRE(whole.result.computed[i].result.task_hash != 0);
+    REQUIRE(again.result.computed[i].result.task_hash == whole.result.computed[i].result.task_hash);
+  }
   // Hardly any had the same guess: those before the first closure.
   REQUIRE(again.outcomes.size() < whole.outcomes.size());
   REQUIRE(again.outcomes.size() > 9 * whole.outcomes.size() / 10);
