@@ -38,10 +38,14 @@ Json relative_json(const RelativeErrors& e) {
 
 enum class Poses { kEstimate, kTruth };
 
+struct Input {
+  Trajectory estimate, truth;
+  Robots robots;  ///< Of the recording, where pairs carry its keys; none: one for each character in keys.
+};
+
 /// The nodes of a recording as a trajectory: true poses or those of its graph.
-Trajectory trajectory_of(const std::filesystem::path& path, Poses wanted, bool by_stamp, const Config& config,
-                         Console& console, const StopToken& stop) {
-  const Mission mission = read_mission(path, config.mission, console.progress_callback(), stop);
+Trajectory trajectory_of(const std::filesystem::path& path, const Mission& mission, Poses wanted,
+                         bool by_stamp) {
   Trajectory trajectory;
   trajectory.format = by_stamp ? TrajectoryFormat::kTum : TrajectoryFormat::kG2o;
   trajectory.problems = mission.problems;
@@ -58,27 +62,31 @@ Trajectory trajectory_of(const std::filesystem::path& path, Poses wanted, bool b
 }
 
 /// Both trajectories. Those of recordings are paired with the other by key, with a TUM file by stamp.
-std::pair<Trajectory, Trajectory> read_both(const Options& options, const Config& config, Console& console,
-                                            const StopToken& stop) {
+Input read_input(const Options& options, const Config& config, Console& console, const StopToken& stop) {
   const std::filesystem::path run = graph_of_run(options.estimate);
   const std::filesystem::path estimate = run.empty() ? std::filesystem::path(options.estimate) : run;
   const std::filesystem::path truth = options.truth;
-  std::pair<Trajectory, Trajectory> both;
+  Input input;
   const bool recorded_estimate = is_recording(estimate), recorded_truth = is_recording(truth);
-  if (!recorded_estimate) both.first = read_trajectory(estimate);
-  if (!recorded_truth) both.second = read_trajectory(truth);
+  if (!recorded_estimate) input.estimate = read_trajectory(estimate);
+  if (!recorded_truth) input.truth = read_trajectory(truth);
+  const auto read = [&](const std::filesystem::path& path, Poses wanted, bool by_stamp) {
+    const Mission mission = read_mission(path, config.mission, console.progress_callback(), stop);
+    input.robots = mission.robots;
+    return trajectory_of(path, mission, wanted, by_stamp);
+  };
   const auto by_stamp = [](bool recorded, const Trajectory& file) {
     return !recorded && file.format == TrajectoryFormat::kTum;
   };
   if (recorded_estimate) {
-    both.first = trajectory_of(estimate, Poses::kEstimate, by_stamp(recorded_truth, both.second), config,
-                               console, stop);
+    input.estimate = read(estimate, Poses::kEstimate, by_stamp(recorded_truth, input.truth));
   }
   if (recorded_truth) {
-    both.second =
-        trajectory_of(truth, Poses::kTruth, by_stamp(recorded_estimate, both.first), config, console, stop);
+    input.truth = read(truth, Poses::kTruth, by_stamp(recorded_estimate, input.estimate));
   }
-  return both;
+  // Pairs carry the keys of the estimate; those of a TUM file are its rows.
+  if (!recorded_estimate && input.estimate.format != TrajectoryFormat::kG2o) input.robots = Robots();
+  return input;
 }
 
 int run(const Options& options) {
@@ -87,9 +95,9 @@ int run(const Options& options) {
   const InterruptGuard interrupt;
   const Config config = load_config(options.common);
   const auto alignment = parse_enum<Alignment>("--alignment", options.alignment);
-  const auto [estimate, truth] = read_both(options, config, console, interrupt.token());
-  for (const Trajectory* trajectory : {&estimate, &truth}) console.warn(trajectory->problems);
-  const PosePairs pairs = associate(estimate, truth, options.max_time_difference_s);
+  const Input input = read_input(options, config, console, interrupt.token());
+  for (const Trajectory* trajectory : {&input.estimate, &input.truth}) console.warn(trajectory->problems);
+  const PosePairs pairs = associate(input.estimate, input.truth, options.max_time_difference_s);
   console.warn(pairs.problems);
 
   PosesByKey estimated, true_poses;
@@ -97,7 +105,7 @@ int run(const Options& options) {
     estimated[pairs.keys[i]] = pairs.estimate[i];
     true_poses[pairs.keys[i]] = pairs.truth[i];
   }
-  const Robots robots = options.robots.empty() ? Robots() : parse_robots(options.robots);
+  const Robots robots = options.robots.empty() ? input.robots : parse_robots(options.robots);
   const TrajectoryErrors errors = evaluate_trajectory(estimated, true_poses, alignment, robots);
 
   Json json = {{"poses", errors.poses},

@@ -195,6 +195,35 @@ TEST_CASE("optimize: fields and files", "[apps]") {
   REQUIRE(parse_json(testing::read_text(folder / "r.json"), "r.json").at("poses") == 5);
 }
 
+TEST_CASE("evaluate: robots of a recording keep their names and ranges", "[apps]") {
+  const TemporaryFolder folder;
+  const Mission yard = small_mission(4);
+  // Plain integers: nothing in a key tells where the second robot begins.
+  const auto plain = [](Key key) { return key_index(key) + (key_character(key) == 'a' ? 0 : 4); };
+  Mission mission;
+  mission.robots = parse_robots("husky=0-3,spot=4-7");
+  for (Node node : yard.graph.nodes()) {
+    node.key = plain(node.key);
+    mission.graph.add_node(node);
+  }
+  for (Edge edge : yard.graph.edges()) {
+    edge.from = plain(edge.from);
+    edge.to = plain(edge.to);
+    mission.graph.add_edge(edge);
+  }
+  for (const auto& [key, pose] : yard.ground_truth) mission.ground_truth[plain(key)] = pose;
+  const std::string recording = (folder / "mission").string();
+  write_mission(recording, mission);
+  const std::string estimate = (folder / "estimate.g2o").string();
+  write_g2o(estimate, mission.graph);
+
+  const Json of_recording = json_of({"evaluate", recording, recording}).at("robots");
+  require_fields(of_recording, {"husky", "spot"});
+  REQUIRE(of_recording.at("husky").at("poses") == 4);
+  REQUIRE(json_of({"evaluate", estimate, recording}).at("robots") == of_recording);
+  REQUIRE(json_of({"evaluate", estimate, recording, "--robots", "x=0-7"}).at("robots").contains("x"));
+}
+
 TEST_CASE("evaluate: fields, alignments, and trajectories that do not meet", "[apps]") {
   const TemporaryFolder folder;
   const Mission mission = small_mission(4);
@@ -222,6 +251,7 @@ TEST_CASE("evaluate: fields, alignments, and trajectories that do not meet", "[a
           Approx(of_files.at("ate_m").at("mean").get<double>()));
   const Json by_stamp = json_of({"evaluate", run + "/trajectories/a.tum", recording});
   REQUIRE(by_stamp.at("poses") == 4);
+  REQUIRE(by_stamp.at("robots").size() == 1);
   REQUIRE(json_of({"optimize", recording}).at("poses") == 8);
   REQUIRE(json_of({"optimize", run}).at("poses") == 8);
   REQUIRE(json_of({"info", run}).at("run") == true);
