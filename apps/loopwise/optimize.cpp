@@ -79,7 +79,7 @@ std::set<std::pair<Key, Key>> read_pairs(const std::string& path) {
   std::set<std::pair<Key, Key>> pairs;
   std::string line;
   for (std::size_t number = 1; std::getline(lines, line); ++number) {
-    line = line.substr(0, line.find('#'));
+    line.resize(std::min(line.find('#'), line.size()));
     std::replace(line.begin(), line.end(), ',', ' ');
     std::istringstream words(line);
     std::string from, to, more;

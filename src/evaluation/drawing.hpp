@@ -21,6 +21,7 @@ inline constexpr std::array<const char*, 6> kRobotColours{"#0072b2", "#d55e00", 
                                                           "#cc79a7", "#e69f00", "#56b4e9"};
 
 [[nodiscard]] inline const char* robot_colour(std::size_t robot) {
+  // cppcheck-suppress CastIntegerToAddressAtReturn ; the array holds pointers
   return kRobotColours[robot % kRobotColours.size()];
 }
 

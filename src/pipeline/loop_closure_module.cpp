@@ -175,7 +175,7 @@ RoundRobinQueue module_queue(const Config& config, const Robots& robots, Feature
 class LoopClosureModule::Impl {
  public:
   Impl(const Robots& robots, const ModuleOptions& options, const Config& config, ModuleCallbacks callbacks,
-       ModuleParts parts)
+       ModuleParts&& parts)
       : robots_(robots),
         options_(options),
         config_(module_config(config, options)),

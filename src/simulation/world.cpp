@@ -739,9 +739,10 @@ std::map<std::pair<int, int>, std::size_t> plan_building(Builder& builder, const
     }
     for (int j = 0; j <= rows; ++j) {
       for (int i = 0; i < columns; ++i) {
-        auto& list = doors[{i, j}];
+        const std::pair<int, int> cell(i, j);
+        auto& list = doors[cell];
         std::sort(list.begin(), list.end());
-        std::size_t from = junctions.at({i, j});
+        std::size_t from = junctions.at(cell);
         for (const auto& [x, place] : list) {
           flat_passage(from, place, width_y[static_cast<std::size_t>(j)]);
           from = place;
