@@ -36,60 +36,6 @@ inline void subtract_abt(const double* __restrict a, const double* __restrict b,
   }
 }
 
-/// C −= A·B, A 6×6 by columns, B and C 6×Width by rows.
-template <int Width>
-inline void subtract_ab(const double* __restrict a, const double* __restrict b, double* __restrict c) {
-  for (int i = 0; i < 6; ++i) {
-    double sum[Width];
-    for (int j = 0; j < Width; ++j) sum[j] = c[Width * i + j];
-    for (int k = 0; k < 6; ++k) {
-      const double f = a[6 * k + i];
-      for (int j = 0; j < Width; ++j) sum[j] -= f * b[Width * k + j];
-    }
-    for (int j = 0; j < Width; ++j) c[Width * i + j] = sum[j];
-  }
-}
-
-/// C −= Aᵀ·B, forms as above.
-template <int Width>
-inline void subtract_atb(const double* __restrict a, const double* __restrict b, double* __restrict c) {
-  for (int i = 0; i < 6; ++i) {
-    double sum[Width];
-    for (int j = 0; j < Width; ++j) sum[j] = c[Width * i + j];
-    for (int k = 0; k < 6; ++k) {
-      const double f = a[6 * i + k];
-      for (int j = 0; j < Width; ++j) sum[j] -= f * b[Width * k + j];
-    }
-    for (int j = 0; j < Width; ++j) c[Width * i + j] = sum[j];
-  }
-}
-
-/// X = A·X with A lower triangular by columns, X 6×Width by rows.
-template <int Width>
-inline void multiply_lower(const double* __restrict a, double* __restrict x) {
-  for (int i = 6; i-- > 0;) {
-    double sum[Width] = {};
-    for (int k = 0; k <= i; ++k) {
-      const double f = a[6 * k + i];
-      for (int j = 0; j < Width; ++j) sum[j] += f * x[Width * k + j];
-    }
-    for (int j = 0; j < Width; ++j) x[Width * i + j] = sum[j];
-  }
-}
-
-/// X = Aᵀ·X, forms as above.
-template <int Width>
-inline void multiply_lower_transposed(const double* __restrict a, double* __restrict x) {
-  for (int i = 0; i < 6; ++i) {
-    double sum[Width] = {};
-    for (int k = i; k < 6; ++k) {
-      const double f = a[6 * i + k];
-      for (int j = 0; j < Width; ++j) sum[j] += f * x[Width * k + j];
-    }
-    for (int j = 0; j < Width; ++j) x[Width * i + j] = sum[j];
-  }
-}
-
 /// Lower Cholesky factor of the block in place (zeros above), and its inverse. False if it is not positive.
 bool factorize_block(double* l, double* inverse) {
   for (int j = 0; j < 6; ++j) {
@@ -294,6 +240,7 @@ void ClosureFactor::factorize(const std::vector<const ClosureTerm*>& closures, c
     if (a != kHeld && b != kHeld) add_block(a, b, -AtO);
   }
 
+  const ClosureKernels& kernels = closure_kernels();
   // Left-looking: a column takes the updates of all columns to its left that reach it, kept in lists by the
   // row that each reaches next.
   head_.assign(n, UINT32_MAX);
@@ -313,10 +260,7 @@ void ClosureFactor::factorize(const std::vector<const ClosureTerm*>& closures, c
     for (std::size_t i = 0; i < 6; ++i) before[i] = diagonal[7 * i];
     for (std::uint32_t j = head_[k]; j != UINT32_MAX;) {
       const std::uint32_t following = next_[j];
-      const double* l_kj = values_.data() + kBlock * cursor_[j];
-      for (std::size_t p = cursor_[j]; p < start_[j + 1]; ++p) {
-        subtract_abt(values_.data() + kBlock * p, l_kj, values_.data() + kBlock * place_[rows_[p]]);
-      }
+      kernels.update(rows_.data(), place_.data(), cursor_[j], start_[j + 1], values_.data());
       ++cursor_[j];
       wait(j);
       j = following;
@@ -349,6 +293,7 @@ void ClosureFactor::closure_columns(const ClosureTerm* const* closures, std::vec
   // Forward substitution touches the columns on the way from the closures' nodes to the root.
   std::vector<std::uint32_t> path;
   for (int c = 0; c < Width / 6; ++c) {
+    if (closures[c] == nullptr) continue;
     const ClosureTerm& closure = *closures[c];
     const auto put = [&](std::size_t node, bool from) {
       if (held(node)) return;
@@ -377,39 +322,19 @@ void ClosureFactor::closure_columns(const ClosureTerm* const* closures, std::vec
   }
   std::sort(path.begin(), path.end());
   path.erase(std::unique(path.begin(), path.end()), path.end());
-  for (const std::uint32_t k : path) {
-    double* x_k = x.data() + kRows * k;
-    multiply_lower<Width>(inverse_.data() + kBlock * k, x_k);
-    for (std::size_t p = start_[k] + 1; p < start_[k + 1]; ++p) {
-      subtract_ab<Width>(values_.data() + kBlock * p, x_k, x.data() + kRows * rows_[p]);
-    }
-  }
-  solve_root<Width>(x);
+  closure_kernels().forward(columns(), path.data(), path.size(), Width, x.data());
+  closure_kernels().backward(columns(), Width, x.data());
 }
 
 template <int Width>
 void ClosureFactor::solve_root(std::vector<double>& x) const {
-  constexpr std::size_t kRows = 6 * Width;
-  for (std::size_t k = variables_; k-- > 0;) {
-    double* x_k = x.data() + kRows * k;
-    for (std::size_t p = start_[k] + 1; p < start_[k + 1]; ++p) {
-      subtract_atb<Width>(values_.data() + kBlock * p, x.data() + kRows * rows_[p], x_k);
-    }
-    multiply_lower_transposed<Width>(inverse_.data() + kBlock * k, x_k);
-  }
+  closure_kernels().backward(columns(), Width, x.data());
 }
 
 template <int Width>
 void ClosureFactor::solve(std::vector<double>& x) const {
-  constexpr std::size_t kRows = 6 * Width;
-  for (std::size_t k = 0; k < variables_; ++k) {
-    double* x_k = x.data() + kRows * k;
-    multiply_lower<Width>(inverse_.data() + kBlock * k, x_k);
-    for (std::size_t p = start_[k] + 1; p < start_[k + 1]; ++p) {
-      subtract_ab<Width>(values_.data() + kBlock * p, x_k, x.data() + kRows * rows_[p]);
-    }
-  }
-  solve_root<Width>(x);
+  closure_kernels().forward(columns(), nullptr, 0, Width, x.data());
+  closure_kernels().backward(columns(), Width, x.data());
 }
 
 template <int Width>
@@ -420,7 +345,7 @@ void ClosureFactor::apply(const ClosureTerm& closure, const std::vector<double>&
     std::fill_n(out, 6 * Width, 0.0);
   }
   if (const double* from = rows_of(x, closure.from, Width)) {
-    subtract_ab<Width>(closure.adjoint.data(), from, out);
+    closure_kernels().subtract(closure.adjoint.data(), from, Width, out);
   }
 }
 
@@ -476,12 +401,15 @@ double ClosureFactor::log_determinant() const {
 
 template void ClosureFactor::closure_columns<6>(const ClosureTerm* const*, std::vector<double>&) const;
 template void ClosureFactor::closure_columns<12>(const ClosureTerm* const*, std::vector<double>&) const;
+template void ClosureFactor::closure_columns<24>(const ClosureTerm* const*, std::vector<double>&) const;
 template void ClosureFactor::solve<6>(std::vector<double>&) const;
 template void ClosureFactor::solve<12>(std::vector<double>&) const;
 template void ClosureFactor::solve<16>(std::vector<double>&) const;
+template void ClosureFactor::solve<24>(std::vector<double>&) const;
 template void ClosureFactor::solve_root<16>(std::vector<double>&) const;
 template void ClosureFactor::apply<6>(const ClosureTerm&, const std::vector<double>&, double*) const;
 template void ClosureFactor::apply<12>(const ClosureTerm&, const std::vector<double>&, double*) const;
 template void ClosureFactor::apply<16>(const ClosureTerm&, const std::vector<double>&, double*) const;
+template void ClosureFactor::apply<24>(const ClosureTerm&, const std::vector<double>&, double*) const;
 
 }  // namespace loopwise::detail

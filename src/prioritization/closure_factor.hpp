@@ -11,6 +11,8 @@
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/se3.hpp>
 
+#include "closure_kernels.hpp"
+
 namespace loopwise::detail {
 
 /// A hypothetical closure: a between factor whose measurement is the estimate, so that its residual is zero
@@ -54,7 +56,7 @@ class ClosureFactor {
   // Columns of Σ and the like are held as row-major 6×Width blocks, one for each free node in elimination
   // order.
 
-  /// Σ·Jᵀ of closures side by side, 6 columns each. Width = 6 times their number.
+  /// Σ·Jᵀ of closures side by side, 6 columns each. Width = 6 times their number; columns of a null are zero.
   template <int Width>
   void closure_columns(const ClosureTerm* const* closures, std::vector<double>& x) const;
   /// x = Σ·x.
@@ -90,6 +92,9 @@ class ClosureFactor {
     Matrix6d block;      ///< Of H, rows a, columns b.
   };
 
+  [[nodiscard]] BlockColumns columns() const {
+    return {variables_, start_.data(), rows_.data(), values_.data(), inverse_.data()};
+  }
   void analyze(const std::vector<const ClosureTerm*>& closures, bool reorder);
   [[nodiscard]] std::size_t slot(std::uint32_t row, std::uint32_t column) const;
   void add_block(std::uint32_t a, std::uint32_t b, const Matrix6d& block);

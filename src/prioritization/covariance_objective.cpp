@@ -2,6 +2,7 @@
 #include <loopwise/prioritization/covariance_objective.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <optional>
 
@@ -31,6 +32,8 @@ constexpr std::size_t kValueRefresh = 32;
 /// I − S of a closure in the set is what rounding leaves of two nearly equal terms; below this the closure is
 /// taken out by a factorisation instead.
 constexpr double kLostPivot = 1e-9;
+/// Candidates whose columns are solved for at a time where all of them are: L is read once for them.
+constexpr std::size_t kGroup = 4;
 /// Candidates worked on by one task of the pool.
 constexpr std::size_t kChunk = 64;
 
@@ -227,27 +230,37 @@ struct CovarianceObjective::Impl {
     const auto L = static_cast<Eigen::Index>(closures.terms.size());
     S = Eigen::MatrixXd::Zero(6 * L, 6 * L);
     M = S;
-    pool.for_each(closures.terms.size(), [&](std::size_t c) {
-      if (closures.terms.inert(c)) return;
-      std::vector<double> a, b;
-      const ClosureTerm* term = &closures.terms[c];
-      factor.closure_columns<6>(&term, a);
-      b.assign(a.size(), 0.0);
-      const std::size_t counted = options.trace == TraceKind::kFull ? 36 : 18;
-      for (std::size_t k = 0; k < factor.free_nodes(); ++k) {
-        std::copy_n(a.data() + 36 * k, counted, b.data() + 36 * k);
+    const std::size_t groups = (closures.terms.size() + kGroup - 1) / kGroup;
+    pool.for_each(groups, [&](std::size_t group) {
+      constexpr auto kWidth = static_cast<int>(6 * kGroup);
+      constexpr std::size_t kRows = 6 * kWidth;
+      const std::size_t begin = group * kGroup, end = std::min(begin + kGroup, closures.terms.size());
+      std::array<const ClosureTerm*, kGroup> terms{};
+      for (std::size_t c = begin; c < end; ++c) {
+        if (!closures.terms.inert(c)) terms[c - begin] = &closures.terms[c];
       }
-      factor.solve<6>(b);
-      const Matrix6d Wc = closures.whitener(c).transpose();
-      for (std::size_t r = c; r < closures.terms.size(); ++r) {
+      std::vector<double> a, b;
+      factor.closure_columns<kWidth>(terms.data(), a);
+      b.assign(a.size(), 0.0);
+      const std::size_t counted = options.trace == TraceKind::kFull ? kRows : kRows / 2;
+      for (std::size_t k = 0; k < factor.free_nodes(); ++k) {
+        std::copy_n(a.data() + kRows * k, counted, b.data() + kRows * k);
+      }
+      factor.solve<kWidth>(b);
+      for (std::size_t r = begin; r < closures.terms.size(); ++r) {
         if (closures.terms.inert(r)) continue;
         const Matrix6d Wr = closures.whitener(r);
-        Rows<6> s, m;
-        factor.apply<6>(closures.terms[r], a, s.data());
-        factor.apply<6>(closures.terms[r], b, m.data());
-        const auto row = 6 * static_cast<Eigen::Index>(r), column = 6 * static_cast<Eigen::Index>(c);
-        S.block<6, 6>(row, column) = Wr * s * Wc;
-        M.block<6, 6>(row, column) = Wr * m * Wc;
+        Rows<kWidth> s, m;
+        factor.apply<kWidth>(closures.terms[r], a, s.data());
+        factor.apply<kWidth>(closures.terms[r], b, m.data());
+        for (std::size_t c = begin; c < std::min(end, r + 1); ++c) {
+          if (terms[c - begin] == nullptr) continue;
+          const Matrix6d Wc = closures.whitener(c).transpose();
+          const auto row = 6 * static_cast<Eigen::Index>(r), column = 6 * static_cast<Eigen::Index>(c);
+          const auto at = 6 * static_cast<Eigen::Index>(c - begin);
+          S.block<6, 6>(row, column) = Wr * Rows<6>(s.middleCols<6>(at)) * Wc;
+          M.block<6, 6>(row, column) = Wr * Rows<6>(m.middleCols<6>(at)) * Wc;
+        }
       }
     });
     dense_fresh = true;
