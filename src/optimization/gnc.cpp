@@ -208,7 +208,11 @@ class RobustSolver {
     bring_back();
   }
 
-  [[nodiscard]] bool stopped() const { return total_.termination == Termination::kStopped; }
+  /// Asked to end, and so with work left undone, whatever the last descent came to.
+  [[nodiscard]] bool stopped() {
+    stopped_ = stopped_ || stop_.stop_requested();
+    return stopped_;
+  }
 
   /// Yang et al. 2020, §IV, from the residuals of the first estimate rather than of a solution with all
   /// closures in: that solution is what false closures spoil, and it costs an almost dense factorisation.
@@ -257,7 +261,7 @@ class RobustSolver {
     if (!gnc_.growth) return;
     std::vector<char> tried(closures_.size(), 0);
     int attempts = 0;
-    while (!stopped() && !stop_.stop_requested()) {
+    while (!stopped()) {
       std::vector<std::size_t> agreeing = agreeing_with_kept(tried);
       bool better = false;
       while (!agreeing.empty() && !better && attempts++ < kGrowthAttempts && !stopped()) {
@@ -296,7 +300,7 @@ class RobustSolver {
     std::vector<std::size_t> agreeing;
     std::vector<double> variance(closures_.size());
     for (const std::size_t i : aside) {
-      if (stop_.stop_requested()) return {};
+      if (stopped()) return {};
       const auto innovation = neighbours_(closures_[i], problem_.residual(closures_[i], poses_));
       variance[i] = innovation.variance;
       if (innovation.d2 <= gross_.scale * c2_) agreeing.push_back(i);
@@ -349,6 +353,8 @@ class RobustSolver {
 
   void report(GncResult& result) {
     total_.factorizations += result.optimization.factorizations;  // of the first estimate
+    if (stopped_ || total_.termination == Termination::kStopped)
+      set_termination(Termination::kStopped, total_);
     result.optimization = std::move(total_);
     result.outer_iterations = outer_;
     result.weights.assign(problem_.weight.begin(),
@@ -384,6 +390,7 @@ class RobustSolver {
   std::vector<double> r2_;             // by closure
   OptimizationResult total_;
   int outer_ = 0;
+  bool stopped_ = false;
 };
 
 }  // namespace
@@ -393,6 +400,7 @@ namespace {
 /// Takes the result of a second start if it is better; what both took is counted. \returns whether it is.
 bool keep_better(GncResult& first, GncResult&& second) {
   const bool better = second.truncated_cost < first.truncated_cost;
+  const bool stopped = second.optimization.termination == Termination::kStopped;
   second.outer_iterations += first.outer_iterations;
   second.optimization.iterations += first.optimization.iterations;
   second.optimization.factorizations += first.optimization.factorizations;
@@ -404,6 +412,7 @@ bool keep_better(GncResult& first, GncResult&& second) {
     first.optimization.iterations = second.optimization.iterations;
     first.optimization.factorizations = second.optimization.factorizations;
   }
+  if (stopped) set_termination(Termination::kStopped, first.optimization);
   return better;
 }
 
@@ -418,8 +427,12 @@ Freedom solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations&
   RobustSolver(graph, forest, gross, problem, equations, start, poses, options, gnc, pool, stop)
       .solve(result);
   const bool graduated = gnc.kernel == RobustKernel::kGncTls || gnc.kernel == RobustKernel::kTls;
-  if (!gnc.second_start || !graduated || result.outliers == 0 || stop.stop_requested() ||
+  if (!gnc.second_start || !graduated || result.outliers == 0 ||
       options.initialization == Initialization::kChordal) {
+    return equations.freedom();
+  }
+  if (stop.stop_requested()) {
+    set_termination(Termination::kStopped, result.optimization);
     return equations.freedom();
   }
   PoseProblem again(graph);

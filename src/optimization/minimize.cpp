@@ -239,11 +239,9 @@ class Minimizer {
 
   void finish(Termination termination) {
     if (!gradient_is_current_) equations_.linearize_gradient(problem_, poses_, residuals_);
-    result_.termination = termination;
-    result_.converged = termination == Termination::kConverged || termination == Termination::kNothingToDo;
     result_.cost = cost_;
     result_.gradient = largest(equations_.gradient());
-    result_.message = describe(termination, result_);
+    set_termination(termination, result_);
   }
 
   const PoseProblem& problem_;
@@ -265,6 +263,12 @@ class Minimizer {
 };
 
 }  // namespace
+
+void set_termination(Termination termination, OptimizationResult& result) {
+  result.termination = termination;
+  result.converged = termination == Termination::kConverged || termination == Termination::kNothingToDo;
+  result.message = describe(termination, result);
+}
 
 void minimize(const PoseProblem& problem, NormalEquations& equations, std::vector<Pose>& poses,
               const OptimizerOptions& options, StepControl& control, ThreadPool& pool, const StopToken& stop,

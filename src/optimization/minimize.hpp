@@ -26,4 +26,7 @@ void minimize(const PoseProblem& problem, NormalEquations& equations, std::vecto
               const OptimizerOptions& options, StepControl& control, ThreadPool& pool, const StopToken& stop,
               OptimizationResult& result);
 
+/// Says in a result why it ended: `termination`, `converged` and `message`.
+void set_termination(Termination termination, OptimizationResult& result);
+
 }  // namespace loopwise::detail

@@ -1,6 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/optimization/gnc.hpp>
 
+#include <chrono>
+#include <cmath>
+#include <thread>
+
+#include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/optimization/pcm.hpp>
 
@@ -361,6 +366,55 @@ TEST_CASE("gnc: true closures come back where odometry drifts more than its info
       REQUIRE(same.truncated_cost == grown.truncated_cost);
     }
   }
+}
+
+TEST_CASE("gnc: a request to stop at any moment leaves a whole result", "[optimization][gnc]") {
+  const Corridor corridor = drifting_corridor(1);
+  GncOptions gnc;
+  gnc.second_start = true;
+  Stopwatch watch;
+  const GncResult whole = optimize_gnc(corridor.graph, {}, gnc);
+  const double seconds = watch.seconds();
+  std::size_t stopped = 0;
+  constexpr int kMoments = 40;
+  for (int moment = 0; moment < kMoments; ++moment) {
+    CAPTURE(moment);
+    const StopSource source;
+    if (moment == 0) source.request_stop();
+    std::thread asking([&] {
+      std::this_thread::sleep_for(std::chrono::duration<double>(seconds * moment / kMoments));
+      source.request_stop();
+    });
+    const GncResult result = optimize_gnc(corridor.graph, {}, gnc, source.token());
+    asking.join();
+    REQUIRE(result.weights.size() == corridor.graph.edges().size());
+    std::size_t kept = 0, closures = 0;
+    for (std::size_t e = 0; e < result.weights.size(); ++e) {
+      const double weight = result.weights[e];
+      if (known_inlier(corridor.graph.edges()[e])) {
+        REQUIRE(weight == 1.0);
+        continue;
+      }
+      REQUIRE(weight >= 0.0);
+      REQUIRE(weight <= 1.0);
+      ++closures;
+      kept += weight > 0.5 ? 1 : 0;
+    }
+    REQUIRE(result.inliers == kept);
+    REQUIRE(result.outliers == closures - kept);
+    REQUIRE(std::isfinite(result.truncated_cost));
+    PoseGraph graph = corridor.graph;
+    graph.set_poses(result.optimization.poses);  // refuses what is no pose
+    REQUIRE(graph.poses().size() == whole.optimization.poses.size());
+    if (result.optimization.termination == Termination::kStopped) {
+      ++stopped;
+      REQUIRE_FALSE(result.optimization.converged);
+    } else {
+      REQUIRE(result.weights == whole.weights);
+      REQUIRE(result.truncated_cost == whole.truncated_cost);
+    }
+  }
+  REQUIRE(stopped > 0);
 }
 
 TEST_CASE("gnc: other kernels find false closures too", "[optimization][gnc]") {

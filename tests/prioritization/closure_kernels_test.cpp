@@ -83,7 +83,8 @@ TEST_CASE("closure kernels: substitution is that of the dense matrix", "[priorit
 TEST_CASE("closure kernels: the same bits for wide and narrow registers, and for each column alone",
           "[prioritization][property]") {
   Rng rng(32);
-  const detail::ClosureKernels &wide = detail::closure_kernels(), &narrow = detail::closure_kernels_baseline();
+  const detail::ClosureKernels &wide = detail::closure_kernels(),
+                               &narrow = detail::closure_kernels_baseline();
   const Sparse l(11, rng);
   for (const int width : kWidths) {
     CAPTURE(width);
