@@ -89,7 +89,10 @@ Json parse_json(std::string_view text, const std::string& name) {
   std::vector<std::set<std::string>> open;
   std::string repeated;
   const auto watch = [&](int depth, Json::parse_event_t event, Json& value) {
-    if (depth > kDeepest) throw InputError(name + ": nested more than " + std::to_string(kDeepest) + " deep");
+    const bool opens =
+        event == Json::parse_event_t::object_start || event == Json::parse_event_t::array_start;
+    if (depth + (opens ? 1 : 0) > kDeepest)
+      throw InputError(name + ": nested more than " + std::to_string(kDeepest) + " deep");
     if (event == Json::parse_event_t::object_start) open.emplace_back();
     if (event == Json::parse_event_t::object_end) open.pop_back();
     if (event == Json::parse_event_t::key && repeated.empty()) {
