@@ -236,8 +236,11 @@ struct CovarianceObjective::Impl {
       constexpr std::size_t kRows = 6 * kWidth;
       const std::size_t begin = group * kGroup, end = std::min(begin + kGroup, closures.terms.size());
       std::array<const ClosureTerm*, kGroup> terms{};
+      std::array<Matrix6d, kGroup> W;
       for (std::size_t c = begin; c < end; ++c) {
-        if (!closures.terms.inert(c)) terms[c - begin] = &closures.terms[c];
+        if (closures.terms.inert(c)) continue;
+        terms[c - begin] = &closures.terms[c];
+        W[c - begin] = closures.whitener(c).transpose();
       }
       std::vector<double> a, b;
       factor.closure_columns<kWidth>(terms.data(), a);
@@ -255,7 +258,7 @@ struct CovarianceObjective::Impl {
         factor.apply<kWidth>(closures.terms[r], b, m.data());
         for (std::size_t c = begin; c < std::min(end, r + 1); ++c) {
           if (terms[c - begin] == nullptr) continue;
-          const Matrix6d Wc = closures.whitener(c).transpose();
+          const Matrix6d& Wc = W[c - begin];
           const auto row = 6 * static_cast<Eigen::Index>(r), column = 6 * static_cast<Eigen::Index>(c);
           const auto at = 6 * static_cast<Eigen::Index>(c - begin);
           S.block<6, 6>(row, column) = Wr * Rows<6>(s.middleCols<6>(at)) * Wc;

@@ -252,6 +252,9 @@ TEST_CASE("evaluate: fields, alignments, and trajectories that do not meet", "[a
   const Json by_stamp = json_of({"evaluate", run + "/trajectories/a.tum", recording});
   REQUIRE(by_stamp.at("poses") == 4);
   REQUIRE(by_stamp.at("robots").size() == 1);
+  const Json of_one = json_of({"evaluate", recording, run + "/trajectories/a.tum"});
+  REQUIRE(of_one.at("poses") == 4);
+  require_fields(of_one.at("robots"), {"a"});
   REQUIRE(json_of({"optimize", recording}).at("poses") == 8);
   REQUIRE(json_of({"optimize", run}).at("poses") == 8);
   REQUIRE(json_of({"info", run}).at("run") == true);
