@@ -11,6 +11,7 @@ if(LOOPWISE_BUILD_FUZZERS)
   # The targets add the fuzzer itself. What casts of numbers beyond an integer's range give is not defined, and no part of
   # `undefined`.
   set(LOOPWISE_SANITIZE address,undefined,float-cast-overflow,fuzzer-no-link)
+  add_compile_definitions(_GLIBCXX_ASSERTIONS)
 endif()
 
 # Flags of this build alone: linked as $<BUILD_INTERFACE:...>, so that they are never exported.
@@ -37,6 +38,36 @@ if(LOOPWISE_SANITIZE)
   endif()
 endif()
 
+# The components that read what comes from outside.
+set(LOOPWISE_READERS "^(core|io|pipeline|evaluation|distributed)$")
+set(LOOPWISE_READER_FLAGS "")
+if(LOOPWISE_HARDENING AND NOT LOOPWISE_SANITIZE)
+  include(CheckCXXCompilerFlag)
+  include(CheckLinkerFlag)
+  # Sizes known to the compiler are checked where the C library copies or formats; it needs optimisation.
+  target_compile_options(loopwise_build_flags INTERFACE
+    "$<$<CONFIG:Release,RelWithDebInfo,MinSizeRel>:-U_FORTIFY_SOURCE;-D_FORTIFY_SOURCE=2>")
+  foreach(flag -fstack-clash-protection -fcf-protection -mbranch-protection=standard)
+    string(MAKE_C_IDENTIFIER "LOOPWISE_COMPILER_TAKES${flag}" takes)
+    check_cxx_compiler_flag(${flag} ${takes})
+    if(${takes})
+      target_compile_options(loopwise_build_flags INTERFACE ${flag})
+    endif()
+  endforeach()
+  # Guards of the stack are for code that reads. Nearly every function of the others holds a small matrix there, and
+  # would pay for one.
+  check_cxx_compiler_flag(-fstack-protector-strong LOOPWISE_COMPILER_PROTECTS_STACK)
+  if(LOOPWISE_COMPILER_PROTECTS_STACK)
+    set(LOOPWISE_READER_FLAGS -fstack-protector-strong)
+  endif()
+  include(CheckPIESupported)
+  check_pie_supported()
+  check_linker_flag(CXX "LINKER:-z,relro,-z,now" LOOPWISE_LINKER_TAKES_RELRO)
+  if(LOOPWISE_LINKER_TAKES_RELRO)
+    target_link_options(loopwise_build_flags INTERFACE "LINKER:-z,relro,-z,now")
+  endif()
+endif()
+
 # Shared libraries show what public headers declare (LOOPWISE_EXPORT) and nothing of the libraries that are compiled in.
 set(LOOPWISE_VERSION_SCRIPT "")
 if(BUILD_SHARED_LIBS)
@@ -52,6 +83,14 @@ if(BUILD_SHARED_LIBS)
     set(CMAKE_INSTALL_RPATH "$ORIGIN;$ORIGIN/${to_libraries}")
   endif()
 endif()
+
+# For the programs: what their own sources are compiled with, and how they are loaded.
+function(loopwise_harden_program target)
+  target_compile_options(${target} PRIVATE ${LOOPWISE_READER_FLAGS})
+  if(LOOPWISE_HARDENING)
+    set_target_properties(${target} PROPERTIES POSITION_INDEPENDENT_CODE ON)
+  endif()
+endfunction()
 
 # loopwise_add_component(NAME SOURCES a.cpp b.cpp
 #   [PUBLIC targets...]    Loopwise components and libraries that its headers need
@@ -69,7 +108,7 @@ function(loopwise_add_component name)
   if(LOOPWISE_BUILD_FUZZERS)
     # What reads nothing is built fast and uninstrumented: fuzzers then count the edges of readers alone.
     set(plain ${ARG_SOURCES})
-    if(name MATCHES "^(core|io|pipeline|evaluation|distributed)$")
+    if(name MATCHES "${LOOPWISE_READERS}")
       set(plain)
     elseif(name STREQUAL "prioritization")
       list(REMOVE_ITEM plain tensor_file.cpp effect_network.cpp gnn.cpp)
@@ -83,6 +122,9 @@ function(loopwise_add_component name)
     $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/include> $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
   target_link_libraries(${target} PUBLIC ${ARG_PUBLIC}
                         PRIVATE ${ARG_PRIVATE} $<BUILD_INTERFACE:loopwise_build_flags>)
+  if(name MATCHES "${LOOPWISE_READERS}")
+    target_compile_options(${target} PRIVATE ${LOOPWISE_READER_FLAGS})
+  endif()
   if(BUILD_SHARED_LIBS)
     set_target_properties(${target} PROPERTIES CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON)
     target_compile_definitions(${target} PUBLIC LOOPWISE_SHARED)

@@ -16,8 +16,8 @@ LOOPWISE_FUZZ_TARGET(config, bytes) {
     }
     return;
   }
+  static const std::string before = config_json(Config());
   Config config;
-  const std::string before = config_json(config);
   const auto read = fuzz::attempt([&] {
     if (choice == 0) parse_config(bytes, "fuzz.json", config);
     if (choice == 1) set_config_option(std::string(bytes), config);
