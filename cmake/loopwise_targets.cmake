@@ -124,6 +124,8 @@ function(loopwise_add_component name)
                         PRIVATE ${ARG_PRIVATE} $<BUILD_INTERFACE:loopwise_build_flags>)
   if(name MATCHES "${LOOPWISE_READERS}")
     target_compile_options(${target} PRIVATE ${LOOPWISE_READER_FLAGS})
+  elseif(name STREQUAL "prioritization")  # files of weights
+    set_property(SOURCE tensor_file.cpp effect_network.cpp gnn.cpp APPEND PROPERTY COMPILE_OPTIONS ${LOOPWISE_READER_FLAGS})
   endif()
   if(BUILD_SHARED_LIBS)
     set_target_properties(${target} PROPERTIES CXX_VISIBILITY_PRESET hidden VISIBILITY_INLINES_HIDDEN ON)
