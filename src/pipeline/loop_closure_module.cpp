@@ -869,12 +869,14 @@ class LoopClosureModule::Impl {
       std::optional<Command> command = std::move(first);
       std::size_t handled = 0;
       // All that waits is delivered before the next set; but a prepared set is handed out before what came
-      // while it was being prepared makes it old.
+      // while it was being prepared makes it old. What comes meanwhile is left for the next turn: where more
+      // keeps coming, the account would never be told.
+      const std::size_t waiting = commands_.size();
       while (command) {
         apply(*command, dry);
         ++handled;
         command.reset();
-        if (commands_.size() > 0) command = commands_.next(false);
+        if (handled <= waiting && commands_.size() > 0) command = commands_.next(false);
       }
       improved = false;
       hand_out(dry);

@@ -368,6 +368,22 @@ class EndlessPrioritizer final : public Prioritizer {
   ArrivalPrioritizer arrival_;
 };
 
+/// Takes its time for each addition.
+class SlowPrioritizer final : public Prioritizer {
+ public:
+  [[nodiscard]] std::string_view name() const override { return "slow"; }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
+    std::this_thread::sleep_for(std::chrono::milliseconds(2));
+    return arrival_.add(candidates);
+  }
+  void remove(const std::vector<CandidateId>& ids) override { arrival_.remove(ids); }
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return arrival_.take(count); }
+  [[nodiscard]] std::size_t size() const override { return arrival_.size(); }
+
+ private:
+  ArrivalPrioritizer arrival_;
+};
+
 }  // namespace
 
 TEST_CASE(
@@ -402,6 +418,27 @@ TEST_CASE(
   REQUIRE(std::vector<std::string>(log->calls.begin(), log->calls.begin() + 5) ==
           std::vector<std::string>{"add", "take", "improve", "take", "add"});
   REQUIRE(module.statistics().candidates.computed == 6);
+}
+
+TEST_CASE("module: the account is told while more comes than can be taken in", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 30);
+  ModuleParts parts = with_oracle(mission);
+  parts.prioritizers.push_back(std::make_unique<SlowPrioritizer>());
+  ModuleOptions options = module_options();
+  options.queue_capacity = 4;
+  options.proximity = false;
+  LoopClosureModule module(mission.robots, options, {}, {}, std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  for (std::uint64_t i = 0; i < 10; ++i) {
+    for (std::uint64_t j = 0; j < 20; ++j)
+      REQUIRE(module.add_candidates({pair(make_key('a', i), make_key('b', j))}));
+  }
+  // All but those that the queues hold have been taken in.
+  REQUIRE(module.statistics().candidates.generated >= 150);
+  REQUIRE(module.statistics().candidates.balanced());
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().candidates.generated == 200);
 }
 
 TEST_CASE("module: a full queue holds its producer and drops nothing; callbacks may add",
