@@ -36,8 +36,8 @@ struct LOOPWISE_EXPORT ClosureEffects {
   double trace_m2 = 0.0;        ///< e(PG): sum of the variances of all positions.
   std::vector<Anchor> anchors;  ///< Chain by chain, in their order along it.
   Eigen::VectorXd share;        ///< By unit: its stratum's part of the trace along that axis. Sums to 1.
-  Eigen::MatrixXd units;        ///< A row of kUnitFeatures for each unit.
-  Eigen::MatrixXf relief;       ///< Units × candidates: log(v / v'), in [0, kMaxRelief].
+  Eigen::MatrixXd units = Eigen::MatrixXd::Zero(0, kUnitFeatures);  ///< A row of kUnitFeatures for each unit.
+  Eigen::MatrixXf relief;  ///< Units × candidates: log(v / v'), in [0, kMaxRelief].
   Eigen::Matrix<std::uint8_t, Eigen::Dynamic, Eigen::Dynamic> side;  ///< Anchors × candidates: Side.
   Eigen::MatrixXf gap;  ///< Anchors × candidates: log(1 + nodes to the nearest end); 0 if elsewhere.
   Eigen::MatrixXf far;  ///< The same to the other end; 0 unless both lie on the anchor's chain.
