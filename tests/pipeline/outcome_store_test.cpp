@@ -115,7 +115,7 @@ TEST_CASE("outcome store: figures, messages and times of every kind survive", "[
       constexpr auto kFirst = static_cast<std::uint64_t>(RejectionReason::kTooFewPoints);
       constexpr auto kCount = static_cast<std::uint64_t>(RejectionReason::kFailed) - kFirst;
       result.reason = static_cast<RejectionReason>(kFirst + task.candidate.id % kCount);
-      result.message = std::string(task.candidate.id, '"') + "\n\0 end";
+      result.message = std::string(task.candidate.id, '"') + std::string("\n\0 end", 6);
       if (task.candidate.id % 2 == 0) {
         result.T_from_to = Eigen::Isometry3d::Identity();
         result.T_from_to->translation() << 0.1, -0.0, 1.0 / 3.0;
