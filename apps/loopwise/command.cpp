@@ -4,8 +4,11 @@
 #include <unistd.h>
 
 #include <algorithm>
+#include <atomic>
 #include <cmath>
 #include <cstdio>
+#include <cstdlib>
+#include <exception>
 #include <iostream>
 #include <new>
 #include <thread>
@@ -16,6 +19,29 @@
 #include <loopwise/io/atomic_file.hpp>
 
 namespace loopwise::cli {
+namespace {
+
+// For the handlers of the process, which take no arguments.
+std::atomic<bool> memory_ran_out{false};
+std::atomic<const char*> program_name{"loopwise"};
+
+/// Values of the JSON library ask for memory when they go, and walking a folder does so in functions that
+/// must not throw. Where there is none, no catch is reached.
+[[noreturn]] void end_at_once() {
+  if (memory_ran_out) {
+    std::fprintf(stderr, "%s: out of memory\n", program_name.load());
+    std::_Exit(kFailed);
+  }
+  try {
+    if (const std::exception_ptr error = std::current_exception()) std::rethrow_exception(error);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s: %s\n", program_name.load(), error.what());
+  } catch (...) {
+  }
+  std::abort();
+}
+
+}  // namespace
 
 void add_common_options(CLI::App& command, CommonOptions& options) {
   command.add_option("--json", options.json, "Write the results as JSON to FILE (- for standard output)")
@@ -133,6 +159,24 @@ int run_action(const Action& action, const std::string& program) {
     complain(error);
     return kFailed;
   }
+}
+
+int run_main(const char* name, int (*program)(int argc, char** argv), int argc, char** argv) noexcept {
+  program_name = name;
+  std::set_terminate(end_at_once);
+  std::set_new_handler([] {
+    memory_ran_out = true;
+    throw std::bad_alloc();
+  });
+  // What a command throws ends in run_action(); this is for what comes before it.
+  try {
+    return program(argc, argv);
+  } catch (const std::bad_alloc&) {
+    std::fprintf(stderr, "%s: out of memory\n", name);
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s: %s\n", name, error.what());
+  }
+  return kFailed;
 }
 
 std::string fixed(double value, int decimals) {

@@ -72,6 +72,11 @@ void print_results(const CommonOptions& options, const Json& json, const std::st
 /// Runs an action and turns what it throws into a line on standard error and an exit status.
 [[nodiscard]] int run_action(const Action& action, const std::string& program = "loopwise");
 
+/// All that main() does: runs a program, and turns what leaves it into a line on standard error and an exit
+/// status; also a lack of memory where nothing can be caught.
+[[nodiscard]] int run_main(const char* name, int (*program)(int argc, char** argv), int argc,
+                           char** argv) noexcept;
+
 /// "12.3" with the given number of decimals; "-" for NaN.
 [[nodiscard]] std::string fixed(double value, int decimals);
 

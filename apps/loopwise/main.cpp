@@ -1,11 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
-#include <atomic>
-#include <cstdio>
-#include <cstdlib>
-#include <exception>
 #include <iostream>
-#include <new>
 #include <optional>
 #include <sstream>
 
@@ -183,39 +178,8 @@ int run_program(int argc, char** argv) {
   return status;
 }
 
-std::atomic<bool> memory_ran_out{false};
-
-/// Values of the JSON library ask for memory when they go, and walking a folder does so in functions that
-/// must not throw. Where there is none, no catch is reached.
-[[noreturn]] void end_at_once() {
-  if (memory_ran_out) {
-    std::fputs("loopwise: out of memory\n", stderr);
-    std::_Exit(loopwise::cli::kFailed);
-  }
-  try {
-    if (const std::exception_ptr error = std::current_exception()) std::rethrow_exception(error);
-  } catch (const std::exception& error) {
-    std::fprintf(stderr, "loopwise: %s\n", error.what());
-  } catch (...) {
-  }
-  std::abort();
-}
-
 }  // namespace
 
 int main(int argc, char** argv) {
-  std::set_terminate(end_at_once);
-  std::set_new_handler([] {
-    memory_ran_out = true;
-    throw std::bad_alloc();
-  });
-  // What a command throws ends in run_action(); this is for what comes before it.
-  try {
-    return run_program(argc, argv);
-  } catch (const std::bad_alloc&) {
-    std::fputs("loopwise: out of memory\n", stderr);
-  } catch (const std::exception& error) {
-    std::fprintf(stderr, "loopwise: %s\n", error.what());
-  }
-  return loopwise::cli::kFailed;
+  return loopwise::cli::run_main("loopwise", run_program, argc, argv);
 }

@@ -7,6 +7,7 @@
 #include <optional>
 #include <set>
 #include <tuple>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -48,12 +49,13 @@ std::vector<Column> columns() {
   const std::vector<std::string> queued{"candidates", "queued"}, computed{"candidates", "computed"};
   const auto count = [](std::string name, std::string title, std::vector<std::string> path) {
     return Column{std::move(name), std::move(title), 0,
-                  [path](const Json& summary) { return figure(summary, path); }};
+                  [path = std::move(path)](const Json& summary) { return figure(summary, path); }};
   };
   const auto percent_of = [](std::string name, std::string title, int decimals, std::vector<std::string> of,
                              std::vector<std::string> in) {
-    return Column{std::move(name), std::move(title), decimals,
-                  [of, in](const Json& summary) { return share(summary, of, in); }};
+    return Column{
+        std::move(name), std::move(title), decimals,
+        [of = std::move(of), in = std::move(in)](const Json& summary) { return share(summary, of, in); }};
   };
   std::vector<Column> all{count("generated", "generated", {"candidates", "generated"}),
                           count("queued", "queued", queued),
@@ -74,7 +76,7 @@ std::vector<Column> columns() {
   }
   const auto error = [](std::string name, std::string title, std::vector<std::string> path) {
     return Column{std::move(name), std::move(title), 3,
-                  [path](const Json& summary) { return figure(summary, path); }};
+                  [path = std::move(path)](const Json& summary) { return figure(summary, path); }};
   };
   all.push_back(error("ate_m", "ATE, m", {"ate_m", "optimized"}));
   all.push_back(error("ate_se3_m", "ATE aligned, m", {"ate_se3_m", "optimized"}));

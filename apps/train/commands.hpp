@@ -5,6 +5,8 @@
 
 #include <string>
 
+#include <nlohmann/json.hpp>
+
 #include "loopwise/command.hpp"
 
 namespace loopwise::training {

@@ -75,7 +75,7 @@ struct Judgement {
 
 /// Medians (and quartiles in the JSON) by set size, over the missions of the sizes trained with and the
 /// others.
-struct JudgementTables {
+struct JudgementTables {  // NOLINT(bugprone-exception-escape): of the JSON library's own
   Json json;
   std::string markdown;
 };

@@ -4,7 +4,9 @@
 #include "commands.hpp"
 #include "loopwise/reference.hpp"
 
-int main(int argc, char** argv) {
+namespace {
+
+int run_program(int argc, char** argv) {
   using namespace loopwise;
   CLI::App app{
       "Trains the networks that guess how uncertain a pose graph is with a set of loop closures, and judges\n"
@@ -31,4 +33,10 @@ int main(int argc, char** argv) {
     return app.exit(error) == 0 ? cli::kDone : cli::kBadUsage;
   }
   return cli::run_action(chosen, "loopwise-train");
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+  return loopwise::cli::run_main("loopwise-train", run_program, argc, argv);
 }

@@ -2,6 +2,7 @@
 #include "trainer.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 
@@ -183,9 +184,9 @@ torch::Tensor effect_loss(const TensorMap& w, const EffectBatch& batch) {
 
 /// Graphs side by side, each with a set.
 struct PaperBatch {
-  torch::Tensor nodes;               // N × 7, as they are
-  torch::Tensor source[kEdgeTypes];  // by edge type
-  torch::Tensor target[kEdgeTypes];
+  torch::Tensor nodes;                           // N × 7, as they are
+  std::array<torch::Tensor, kEdgeTypes> source;  // by edge type
+  std::array<torch::Tensor, kEdgeTypes> target;
   torch::Tensor incoming;           // N × 1, at least 1
   torch::Tensor graph;              // N: which sample a node belongs to
   std::vector<std::int64_t> group;  // by sample: samples of one group share their graph
@@ -306,19 +307,19 @@ torch::Tensor paper_loss(const TensorMap& w, const PaperBatch& batch, bool train
 
 // ---- weights
 
-Tensor to_plain(const torch::Tensor& t) {
+PlainTensor to_plain(const torch::Tensor& t) {
   const torch::Tensor flat = t.detach().to(torch::kFloat32).contiguous();
-  Tensor out;
+  PlainTensor out;
   out.shape = t.sizes().vec();
   out.data.assign(flat.data_ptr<float>(), flat.data_ptr<float>() + flat.numel());
   return out;
 }
 
-torch::Tensor from_plain(const Tensor& t, torch::ScalarType type) {
+torch::Tensor from_plain(const PlainTensor& t, torch::ScalarType type) {
   return torch::tensor(t.data, torch::kFloat32).view(t.shape).to(type);
 }
 
-torch::Tensor draw(std::vector<std::int64_t> shape, double bound, Rng& rng) {
+torch::Tensor draw(const std::vector<std::int64_t>& shape, double bound, Rng& rng) {
   std::int64_t count = 1;
   for (const std::int64_t s : shape) count *= s;
   std::vector<float> values(static_cast<std::size_t>(count));

@@ -64,11 +64,11 @@ struct FitOptions {
 };
 
 /// Row-major.
-struct Tensor {
+struct PlainTensor {
   std::vector<std::int64_t> shape;
   std::vector<float> data;
 };
-using Tensors = std::map<std::string, Tensor>;
+using Tensors = std::map<std::string, PlainTensor>;
 
 /// Writes the JSON that GraphNetwork or EffectNetwork reads; numbers give back the same single-precision
 /// values. `meta` becomes `__meta__`, with `kind` put first.

@@ -49,6 +49,7 @@ std::vector<std::unique_ptr<Transport>> local_transports(int size) {
   if (size < 1) throw OptionError("size = " + std::to_string(size) + ", must be >= 1");
   const auto mailboxes = std::make_shared<std::vector<Mailbox>>(static_cast<std::size_t>(size));
   std::vector<std::unique_ptr<Transport>> all;
+  all.reserve(mailboxes->size());
   for (int rank = 0; rank < size; ++rank) all.push_back(std::make_unique<LocalTransport>(rank, mailboxes));
   return all;
 }

@@ -7,6 +7,7 @@
 #include <numeric>
 #include <tuple>
 #include <type_traits>
+#include <utility>
 
 #include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
@@ -207,9 +208,10 @@ std::string replay_greeting(const Mission& mission, const Config& config) {
 
 BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
                                   std::shared_ptr<const Registrar> registrar, int threads) {
-  return [server, registrar, threads](const std::vector<RegistrationTask>& tasks, const StopToken& stop,
-                                      const ProgressCallback& progress,
-                                      const std::function<void(const RegistrationResult&)>& on_result) {
+  return [server = std::move(server), registrar = std::move(registrar), threads](
+             const std::vector<RegistrationTask>& tasks, const StopToken& stop,
+             const ProgressCallback& progress,
+             const std::function<void(const RegistrationResult&)>& on_result) {
     // By target, then source: pairs that share scans go to one rank one after the other.
     std::vector<std::size_t> order(tasks.size());
     std::iota(order.begin(), order.end(), std::size_t{0});
@@ -218,6 +220,7 @@ BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
       return std::tie(x.to, x.from, a) < std::tie(y.to, y.from, b);
     });
     std::vector<Work> work;
+    work.reserve(order.size());
     for (const std::size_t i : order) work.push_back({pack_task(tasks[i]), tasks[i].candidate.to});
     std::vector<std::optional<RegistrationResult>> results(tasks.size());
     std::mutex mutex;

@@ -62,6 +62,7 @@ Interval bootstrap(const std::vector<std::vector<double>>& groups, const Bootstr
 /// Each value a group of its own.
 std::vector<std::vector<double>> singles(const std::vector<double>& values) {
   std::vector<std::vector<double>> groups;
+  groups.reserve(values.size());
   for (const double v : values) groups.push_back({v});
   return groups;
 }

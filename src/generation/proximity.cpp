@@ -12,10 +12,9 @@
 namespace loopwise {
 namespace {
 
-constexpr double kUnbounded = std::numeric_limits<double>::infinity();
-
 double radius_bound(const ProximityOptions& options) {
-  return options.radius_max_m > 0.0 ? options.radius_max_m : kUnbounded;
+  if (options.radius_max_m > 0.0) return options.radius_max_m;
+  return std::numeric_limits<double>::infinity();
 }
 
 struct Preset {

@@ -83,6 +83,7 @@ bool is_lamp(MessageKind kind) {
 
 std::vector<BagFile> bag_files(const std::vector<fs::path>& paths) {
   std::vector<BagFile> files;
+  files.reserve(paths.size());
   for (const fs::path& path : paths) files.push_back({path, path.string()});
   return files;
 }

@@ -146,6 +146,7 @@ std::map<Key, std::size_t> clouds_of_nodes(const NamedClouds& clouds, const std:
 void set_scans(Mission& mission, const FileSource& files, const std::map<Key, std::size_t>& clouds,
                const MissionOptions& options) {
   std::vector<Key> keys;
+  keys.reserve(clouds.size());
   for (const auto& [key, file] : clouds) keys.push_back(key);
   parts::set_scans(
       mission, keys,

@@ -323,6 +323,7 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
         return;
       }
       std::vector<Eigen::Isometry3d> bare;
+      bare.reserve(stamped.size());
       for (const StampedPose& pose : stamped) bare.push_back(pose.pose);
       write_kitti(file, bare);
     };
@@ -352,8 +353,8 @@ ConvertResult convert_mission(const Mission& mission, const fs::path& folder, Mi
     return write_trajectories(mission, folder, format);
   }
   Target target(folder);
-  const ConvertResult result = format == MissionFormat::kMission ? write_folder(mission, folder, options)
-                                                                 : write_g2o_pcd(mission, folder, options);
+  ConvertResult result = format == MissionFormat::kMission ? write_folder(mission, folder, options)
+                                                           : write_g2o_pcd(mission, folder, options);
   target.keep();
   return result;
 }

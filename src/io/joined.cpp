@@ -85,6 +85,7 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
   joined.kind = MissionKind::kJoined;
   joined.path = missions.front().path;
   std::vector<std::string> sources;
+  sources.reserve(missions.size());
   for (const Mission& mission : missions) sources.push_back(mission.name);
   std::vector<Eigen::Isometry3d> frames(missions.size(), Eigen::Isometry3d::Identity());
   if (!options.frames.empty()) frames = read_frames(options.frames, sources);

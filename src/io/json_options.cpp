@@ -293,6 +293,7 @@ std::string value_text(const OptionValue& value) {
 void throw_unknown_option(const std::string& section, std::string_view name,
                           const std::vector<OptionField>& known) {
   std::vector<std::string> names;
+  names.reserve(known.size());
   for (const OptionField& field : known) names.push_back(section + "." + field.name);
   throw_unknown_name("option", section + "." + std::string(name), names);
 }

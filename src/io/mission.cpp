@@ -101,6 +101,7 @@ std::vector<Key> first_nodes(const PoseGraph& graph, const Robots& robots) {
     if (!is_new) entry->second = std::min(entry->second, node.key);
   }
   std::vector<Key> keys;
+  keys.reserve(first.size());
   for (const auto& [robot, key] : first) keys.push_back(key);
   return keys;
 }
@@ -159,6 +160,7 @@ std::size_t scan_bytes(const MissionOptions& options) {
 
 void set_scans(Mission& mission, std::map<Key, fs::path> files, const MissionOptions& options) {
   std::vector<Key> keys;
+  keys.reserve(files.size());
   for (const auto& [key, file] : files) keys.push_back(key);
   count_scans(mission, keys, [&](Key key) { return files.at(key).string(); });
   mission.scans = std::make_shared<ScanStore>(std::move(files), scan_bytes(options));
@@ -318,6 +320,7 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   of_one.robots.clear();  // the joined mission's, not those of its parts
   of_one.scan_cache_mb /= static_cast<double>(paths.size());
   std::vector<Mission> missions;
+  missions.reserve(paths.size());
   for (const fs::path& path : paths) missions.push_back(read_mission(path, of_one, progress, stop));
   return parts::join_missions(missions, options);
 }

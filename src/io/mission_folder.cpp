@@ -173,6 +173,7 @@ class Description {
     for (const auto& item : object.items()) {
       if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
       std::vector<std::string> full;
+      full.reserve(known.size());
       for (const std::string& key : known) full.push_back(join(at, key));
       try {
         throw_unknown_name("key", join(at, item.key()), full);

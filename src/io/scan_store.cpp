@@ -130,7 +130,7 @@ struct ScanStore::State {
 ScanStore::ScanStore(std::map<Key, std::filesystem::path> files, std::size_t max_bytes)
     : state_(std::make_shared<State>()) {
   state_->max_bytes = max_bytes;
-  for (auto& [key, file] : files) state_->entries[key].file = std::move(file);
+  for (auto& entry : files) state_->entries[entry.first].file = std::move(entry.second);
 }
 
 ScanStore::ScanStore(const std::vector<Key>& keys, ScanLoader source, std::size_t max_bytes)
@@ -150,11 +150,12 @@ ScanStore::ScanStore(const std::vector<Key>& keys, CloudSource source, std::size
 }
 
 ScanStore::ScanStore(std::map<Key, Part> parts) : state_(std::make_shared<State>()) {
-  for (auto& [key, part] : parts) {
+  for (auto& entry : parts) {
+    Part& part = entry.second;
     if (!part.store) throw OptionError("scan store: a part without a store");
     auto& stores = state_->stores;
     if (std::find(stores.begin(), stores.end(), part.store) == stores.end()) stores.push_back(part.store);
-    state_->entries[key].part = std::move(part);
+    state_->entries[entry.first].part = std::move(part);
   }
 }
 

@@ -224,14 +224,16 @@ void write_kitti(const std::filesystem::path& path, const std::vector<Eigen::Iso
 PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double max_time_difference_s) {
   const bool estimate_keys = estimate.format == TrajectoryFormat::kG2o;
   const bool truth_keys = truth.format == TrajectoryFormat::kG2o;
+  const bool both_stamped = !estimate.stamps_ns.empty() && !truth.stamps_ns.empty();
+  const auto rows_are_keys = [&] {
+    return (estimate_keys && keys_are_rows(estimate, truth)) ||
+           (truth_keys && keys_are_rows(truth, estimate));
+  };
   IndexPairs pairs;
-  if (estimate_keys && truth_keys) {
+  if ((estimate_keys && truth_keys) || (!both_stamped && rows_are_keys())) {
     pairs = pair_by_key(estimate, truth);
-  } else if (!estimate.stamps_ns.empty() && !truth.stamps_ns.empty()) {
+  } else if (both_stamped) {
     pairs = pair_by_stamp(estimate, truth, max_time_difference_s);
-  } else if ((estimate_keys && keys_are_rows(estimate, truth)) ||
-             (truth_keys && keys_are_rows(truth, estimate))) {
-    pairs = pair_by_key(estimate, truth);
   } else if (estimate.poses.size() == truth.poses.size()) {
     for (std::size_t i = 0; i < estimate.poses.size(); ++i) pairs.emplace_back(i, i);
   } else {

@@ -103,7 +103,7 @@ Gross find_gross(const PoseGraph& graph, const OdometryForest& forest, double pr
     gross.scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
   }
   const double threshold = gross.scale * chi_squared_quantile(probability, 6);
-  for (std::size_t k = 0; k < d2.size(); ++k) gross.aside[k] = d2[k] > threshold;
+  for (std::size_t k = 0; k < d2.size(); ++k) gross.aside[k] = d2[k] > threshold ? 1 : 0;
   return gross;
 }
 

@@ -191,6 +191,7 @@ std::vector<Matrix12d> HessianFactor::joint(
     if (pairs[k].second != pairs[k].first) by_node[pairs[k].second].push_back(k);
   }
   std::vector<std::size_t> nodes;
+  nodes.reserve(by_node.size());
   for (const auto& [node, uses] : by_node) nodes.push_back(node);
   for (std::size_t begin = 0; begin < nodes.size(); begin += kNodesAtATime) {
     const std::size_t end = std::min(nodes.size(), begin + kNodesAtATime);

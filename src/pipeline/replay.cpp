@@ -279,8 +279,8 @@ class Run {
     const auto workers = static_cast<std::size_t>(config_.replay.workers);
     std::vector<std::size_t> paid;
     for (std::size_t i = 0; i < batch_.size(); ++i) {
-      const double finish_s =
-          now_s_ + static_cast<double>(i / workers + 1) * config_.replay.registration_time_s;
+      const std::size_t turns = i / workers + 1;
+      const double finish_s = now_s_ + static_cast<double>(turns) * config_.replay.registration_time_s;
       if (finish_s > end_s_) break;
       events_.insert({finish_s, EventKind::kResult, next_result_ + i, i});
       paid.push_back(i);

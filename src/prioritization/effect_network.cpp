@@ -266,7 +266,7 @@ void EffectObjective::swap(std::size_t out, std::size_t in) {
 
 std::string network_kind(const std::filesystem::path& weights) {
   const detail::TensorFile file(weights);
-  const std::string kind = file.kind();
+  std::string kind = file.kind();
   if (kind != "paper" && kind != "loopwise") {
     file.fail("a network of kind " + kind + ", expected paper or loopwise");
   }

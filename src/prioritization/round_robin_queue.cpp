@@ -121,6 +121,7 @@ std::vector<LoopCandidate> RoundRobinQueue::take_in_turns(std::size_t count,
                                                           std::vector<LoopCandidate>& taken) {
   const std::size_t n = prioritizers_.size();
   std::vector<LoopCandidate> batch;
+  if (n == 0) return batch;
   batch.reserve(count);
   // Rounds of equal shares: who is empty gives less than its share, and what is missing goes round again.
   std::size_t empty_rounds = 0;

@@ -22,7 +22,7 @@ constexpr Index kLargestSize = std::numeric_limits<std::int32_t>::max();
 
 }  // namespace
 
-struct TensorFile::Impl {
+struct TensorFile::Impl {  // NOLINT(bugprone-exception-escape): of the JSON library's own
   std::string path;
   Json json;
 };

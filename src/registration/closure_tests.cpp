@@ -84,18 +84,15 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
     const double distance = n.dot(y - target.points[nearest->index].cast<double>());
     Vector6d j;
     j << n, y.cross(n);
-    figures.hessian.selfadjointView<Eigen::Lower>().rankUpdate(j);
+    figures.hessian.noalias() += j * j.transpose();
     j << m, y.cross(m);
-    figures.source_hessian.selfadjointView<Eigen::Lower>().rankUpdate(j);
+    figures.source_hessian.noalias() += j * j.transpose();
     sum += y;
-    moment.selfadjointView<Eigen::Lower>().rankUpdate(y);
+    moment.noalias() += y * y.transpose();
     sum_sq_plane += distance * distance;
     if (std::abs(distance) < options.plane_distance_m) ++on_plane;
     ++figures.plane_points;
   }
-  figures.hessian.triangularView<Eigen::StrictlyUpper>() = figures.hessian.transpose();
-  figures.source_hessian.triangularView<Eigen::StrictlyUpper>() = figures.source_hessian.transpose();
-  moment.triangularView<Eigen::StrictlyUpper>() = moment.transpose();
   const auto planes = static_cast<double>(figures.plane_points);
   figures.normal_noise.topLeftCorner<3, 3>().diagonal().setConstant(planes);
   figures.normal_noise.topRightCorner<3, 3>() = -se3::skew(sum);

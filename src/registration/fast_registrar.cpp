@@ -260,6 +260,7 @@ FastRegistrar::FastRegistrar(std::shared_ptr<FeatureCache> features, const FastR
   validate(options);
   if (!features) throw InputError("a registrar needs a feature cache");
   const auto bytes = static_cast<std::size_t>(options.max_descriptor_mb * 1e6);
+  // NOLINTNEXTLINE(modernize-make-unique): an aggregate
   impl_.reset(new Impl{std::move(features), options, BoundedCache<std::string, Side>(bytes),
                        BoundedCache<std::string, KeyPoints>(bytes), BoundedCache<Key, ScanKeyPoints>(bytes)});
 }

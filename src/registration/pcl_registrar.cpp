@@ -292,8 +292,9 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
   double sum_sq = 0.0;
   for (const Eigen::Vector3d& point : source_keys.points) {
     const auto nearest = target->tree().nearest((coarse * point).cast<float>());
-    sum_sq +=
-        nearest ? static_cast<double>(nearest->sq_distance_m2) : std::numeric_limits<double>::infinity();
+    double sq_distance_m2 = std::numeric_limits<double>::infinity();
+    if (nearest) sq_distance_m2 = static_cast<double>(nearest->sq_distance_m2);
+    sum_sq += sq_distance_m2;
   }
   result.sac_fitness_m2 = sum_sq / static_cast<double>(source_keys.points.size());
   result.T_from_to = coarse.inverse();

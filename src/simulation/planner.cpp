@@ -153,6 +153,7 @@ std::vector<std::vector<Leg>> plan_routes(const RouteGraph& routes, int robots, 
     go(*robot, best);
   }
   std::vector<std::vector<Leg>> result;
+  result.reserve(team.size());
   for (State& robot : team) result.push_back(std::move(robot.legs));
   return result;
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/simulation/ray_caster.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <cstring>
 #include <string>
@@ -46,7 +47,8 @@ RayCaster::RayCaster(const TriangleMesh& mesh) {
       rtcReleaseGeometry(geometry);
       throw Error("Embree: no memory for " + std::to_string(mesh.triangles.size()) + " triangles");
     }
-    std::memcpy(vertices, mesh.vertices.data(), mesh.vertices.size() * 3 * sizeof(float));
+    auto* coordinate = static_cast<float*>(vertices);
+    for (const Eigen::Vector3f& v : mesh.vertices) coordinate = std::copy_n(v.data(), 3, coordinate);
     std::memcpy(triangles, mesh.triangles.data(), mesh.triangles.size() * 3 * sizeof(std::uint32_t));
     rtcCommitGeometry(geometry);
     rtcAttachGeometry(impl->scene, geometry);

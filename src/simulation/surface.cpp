@@ -152,9 +152,9 @@ TriangleMesh tile_surface(const Cell3& tile, const Field& field, double cell) {
   const double middle = field.smooth(position(kTile / 2, kTile / 2, kTile / 2));
   if (std::abs(middle) > 1.6 * half_diagonal + 2.0) return {};
 
-  std::vector<double> value(kSide * kSide * kSide);
+  std::vector<double> value(static_cast<std::size_t>(kSide) * kSide * kSide);
   bool any_void = false, any_rock = false;
-  std::vector<double> level(kSide * kSide);
+  std::vector<double> level(static_cast<std::size_t>(kSide) * kSide);
   for (int y = -1; y <= kTile; ++y) {
     for (int x = -1; x <= kTile; ++x) {
       level[static_cast<std::size_t>((y + 1) * kSide + x + 1)] = field.ground(position(x, y, 0));
@@ -330,6 +330,7 @@ TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& gro
     }
   }
   std::vector<std::pair<Cell3, const std::vector<std::size_t>*>> tiles;
+  tiles.reserve(near.size());
   for (const auto& [tile, list] : near) tiles.emplace_back(tile, &list);
 
   std::vector<TriangleMesh> parts(tiles.size());

@@ -627,9 +627,11 @@ std::map<std::pair<int, int>, std::size_t> plan_building(Builder& builder, const
   };
   const auto furnish_hall = [&](const Eigen::Vector3d& low, double sx, double sy, double height) {
     const double pitch = draw(rng, u.column_spacing_m);
-    for (double x = 0.5 * pitch; x < sx; x += pitch) {
+    double x = 0.5 * pitch;
+    while (x < sx) {
       for (const double y : {0.12 * sy, 0.88 * sy})
         builder.post(low + Eigen::Vector3d(x, y, 0.0), 0.25, height + 0.3);
+      x += pitch;
     }
     const int machines = 2 + static_cast<int>(rng.below(3));
     for (int k = 0; k < machines; ++k) {
@@ -687,7 +689,7 @@ std::map<std::pair<int, int>, std::size_t> plan_building(Builder& builder, const
         };
         if (rng.uniform() < u.hall_share) {
           const double height = floors > 1 && floor == 0 ? u.hall_height_m : u.room_height_m;
-          is_tall = floors > 1 && floor == 0;
+          is_tall = floors > 1 && floor == 0 ? 1 : 0;
           builder.add(box_shape(low, sx, sy, height));
           std::vector<std::size_t> ring;
           for (const auto& [fx, fy] :

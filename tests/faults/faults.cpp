@@ -148,7 +148,9 @@ const char* path_of(int fd) {
 }
 
 void watch(int fd, const char* whole) {
-  if (fd >= 0 && fd < kMostFiles) std::strcpy(paths[static_cast<std::size_t>(fd)].data(), whole);
+  if (fd < 0 || fd >= kMostFiles) return;
+  auto& path = paths[static_cast<std::size_t>(fd)];
+  std::snprintf(path.data(), path.size(), "%s", whole);
 }
 
 void forget(int fd) {
@@ -264,7 +266,7 @@ int posix_memalign(void** block, std::size_t alignment, std::size_t size) {
 // Calls that make files have the mode of the file as one argument more.
 #define MODE_OF(flags)                             \
   mode_t mode = 0;                                 \
-  if ((flags & (O_CREAT | O_TMPFILE)) != 0) {      \
+  if (((flags) & (O_CREAT | O_TMPFILE)) != 0) {    \
     va_list rest;                                  \
     va_start(rest, flags);                         \
     mode = static_cast<mode_t>(va_arg(rest, int)); \

@@ -219,8 +219,10 @@ TEST_CASE("features: degenerate scans give finite features", "[features][error]"
 TEST_CASE("features: normals of a file are kept, or estimated on request; bad ones are unknown",
           "[features]") {
   PointCloud cloud;
-  for (int i = 0; i < 30; ++i)
-    cloud.points.emplace_back(static_cast<float>(i % 6), static_cast<float>(i / 6), -1.0F);
+  for (int i = 0; i < 30; ++i) {
+    const int row = i / 6;
+    cloud.points.emplace_back(static_cast<float>(i % 6), static_cast<float>(row), -1.0F);
+  }
   cloud.normals.assign(30, {0, 3, 4});
   cloud.normals[7] = {std::numeric_limits<float>::quiet_NaN(), 0, 0};
   FeatureOptions options;

@@ -324,7 +324,8 @@ TEST_CASE("lamp: damaged archives are errors", "[io][zip][error]") {
   int errors = 0, harmless = 0;
   for (int i = 0; i < 100; ++i) {
     std::string damaged = whole;
-    damaged[rng.below(damaged.size())] ^= static_cast<char>(1 + rng.below(255));
+    char& byte = damaged[rng.below(damaged.size())];
+    byte = static_cast<char>(byte ^ static_cast<char>(1 + rng.below(255)));
     write_file(folder / "flip.zip", damaged);
     try {
       const Mission mission = read_mission(folder / "flip.zip");

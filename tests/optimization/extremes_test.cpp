@@ -130,8 +130,7 @@ TEST_CASE("extremes: edges of 1e-6 beside edges of 1e6", "[optimization][extreme
   testing::RandomGraph random = testing::random_graph(rng);
   PoseGraph graph;
   for (const Node& node : random.graph.nodes()) graph.add_node(node);
-  for (std::size_t e = 0; e < random.graph.edges().size(); ++e) {
-    Edge edge = random.graph.edges()[e];
+  for (Edge edge : random.graph.edges()) {
     edge.information = (edge.kind == EdgeKind::kOdometry ? 1e6 : 1e-6) * Matrix6d::Identity();
     graph.add_edge(edge);
   }

@@ -230,7 +230,8 @@ TEST_CASE("pool: what lies near a verified closure comes last", "[pipeline][pool
   for (Key key = 0; key < 30; ++key) {
     Node node;
     node.key = key;
-    node.pose.translation() << 2.0 * static_cast<double>(key % 10), static_cast<double>(key / 10), 0.0;
+    const Key row = key / 10;
+    node.pose.translation() << 2.0 * static_cast<double>(key % 10), static_cast<double>(row), 0.0;
     graph.add_node(node);
     pool.on_scan(scan_of(key));
   }
