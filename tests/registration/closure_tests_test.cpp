@@ -107,7 +107,8 @@ TEST_CASE("measure_alignment: every direction of surfaces counts alike", "[closu
 TEST_CASE("measure_alignment: the two faces of a wall are different surfaces", "[closure_tests]") {
   PointCloud target;
   for (int i = 0; i < 100; ++i) {
-    target.points.emplace_back(0.3F, 0.5F * static_cast<float>(i % 10), 0.5F * static_cast<float>(i / 10));
+    const int row = i / 10;
+    target.points.emplace_back(0.3F, 0.5F * static_cast<float>(i % 10), 0.5F * static_cast<float>(row));
     target.normals.push_back(Eigen::Vector3f::UnitX());
   }
   PointCloud source = target;
