@@ -241,6 +241,7 @@ void WorkServer::run(const std::vector<Work>& work, int threads, const std::func
         while (const std::optional<Message> message = transport_.receive()) {
           any = true;
           take(*message);
+          if (stop.stop_requested()) round.close();  // here too: answers may come faster than they are taken
           give(message->from);
         }
         if (any) {

@@ -40,6 +40,11 @@ std::vector<std::string> csv_header(const fs::path& path) {
   std::string name;
   for (const char c : line + ",") {
     if (c == ',') {
+      try {  // names become keys of an object, and two that differ in such bytes alone would be one there
+        static_cast<void>(Json(name).dump());
+      } catch (const Json::type_error&) {
+        throw ParseError(path.string(), 1, "the name of a column is not UTF-8");
+      }
       columns.push_back(name);
       name.clear();
     } else if (c != '\r' && c != ' ' && c != '"') {

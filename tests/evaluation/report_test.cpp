@@ -382,6 +382,10 @@ TEST_CASE("report: studies become medians over mission time", "[evaluation][repo
   REQUIRE(made({folder.path()}, {}).at("studies").at(0).at("curves").empty());
   testing::write_text(folder / "curves.csv", "world\nw\n");
   REQUIRE_THROWS_AS(made({folder.path()}, {}), ParseError);
+  testing::fs::remove(folder / "curves.csv");
+  testing::write_text(folder / "runs.csv", about + ",ate_m,\xff\x80,\xfe\x80\n" + run(1, "100") + ",2,1,1\n");
+  REQUIRE_THROWS_WITH(made({folder.path()}, {}),
+                      (folder / "runs.csv").string() + ":1: the name of a column is not UTF-8");
 }
 
 TEST_CASE("report: studies that share a folder, missions that share a name", "[evaluation][report]") {
