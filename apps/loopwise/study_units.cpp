@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <exception>
 #include <fstream>
-#include <limits>
 #include <map>
 #include <mutex>
 #include <thread>
@@ -28,7 +27,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr int kUnitFormat = 1;  // to be raised when what units say changes
 constexpr double kNear_m = 0.5, kNear_rad = 3.0 * 0.017453292519943295;
 constexpr double kMapVoxel_m = 0.2;
 
@@ -128,29 +126,6 @@ class LoadedMissions {
   std::vector<Slot> slots_;
 };
 
-Json rows_json(const std::vector<HistoryRow>& rows) {
-  Json json = Json::array();
-  for (const HistoryRow& r : rows) {
-    json.push_back({r.mission_time_s, r.key_frames, r.generated, r.queued, r.computed, r.verified,
-                    r.gnc_inliers, r.true_inliers, r.right_inliers, r.ate_m, r.odometry_ate_m});
-  }
-  return json;
-}
-
-double number_or_nan(const Json& json) {
-  return json.is_number() ? json.get<double>() : std::numeric_limits<double>::quiet_NaN();
-}
-
-std::vector<HistoryRow> rows_of(const Json& json) {
-  std::vector<HistoryRow> rows;
-  for (const Json& r : json) {
-    const auto count = [&r](std::size_t i) { return r.at(i).get<std::size_t>(); };
-    rows.push_back({number_or_nan(r.at(0)), count(1), count(2), count(3), count(4), count(5), count(6),
-                    count(7), count(8), number_or_nan(r.at(9)), number_or_nan(r.at(10))});
-  }
-  return rows;
-}
-
 Json unit_json(const StudyMission& about, const Mission& mission, const Config& config,
                const ReplayResult& result, const RunHistory& history) {
   const RunEvaluation evaluation = evaluate_run(mission, result);
@@ -171,16 +146,12 @@ Json unit_json(const StudyMission& about, const Mission& mission, const Config& 
       closure_statistics(results, weights, result.accounting.queued(), mission.ground_truth, near);
   summary["closures"]["right_inliers"] = evaluation.closures.right_inliers;
   summary["closures"]["near_inliers"] = of_near.true_inliers;
-  Json unit = Json::object();
-  unit["format"] = kUnitFormat;
-  unit["mission"] = {{"name", about.name},
-                     {"world", about.world},
-                     {"seed", about.seed},
-                     {"parameters_sha256", about.parameters_sha256},
-                     {"content", to_string(about.content)}};
-  unit["summary"] = std::move(summary);
-  unit["history"] = rows_json(history.rows());
-  return unit;
+  return unit_file_json({{"name", about.name},
+                         {"world", about.world},
+                         {"seed", about.seed},
+                         {"parameters_sha256", about.parameters_sha256},
+                         {"content", to_string(about.content)}},
+                        std::move(summary), history.rows());
 }
 
 Config study_defaults() {
@@ -193,12 +164,9 @@ Config study_defaults() {
 std::optional<UnitResult> finished(const UnitFiles& files, bool with_run) {
   if (with_run && !fs::exists(files.run / "summary.json")) return std::nullopt;
   try {
-    const Json unit = read_json_file(files.result);
-    if (unit.at("format") != kUnitFormat) return std::nullopt;
-    return UnitResult{unit.at("summary"), rows_of(unit.at("history"))};
+    return parse_unit_file(read_json_file(files.result), files.result.string());
   } catch (const IoError&) {
   } catch (const InputError&) {
-  } catch (const Json::exception&) {
   }
   return std::nullopt;
 }
@@ -230,8 +198,8 @@ UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
     write_file(files.result, text + "\n");
   }
   // As it will be read the next time.
-  const Json again = parse_json(text, files.result.string());
-  return {again.at("summary"), rows_of(again.at("history"))};
+  const std::string name = files.result.string();
+  return parse_unit_file(parse_json(text, name), name);
 }
 
 /// Computes one unit. Nothing if it was stopped.
@@ -605,15 +573,6 @@ Json study_json(const Study& study) {
   json["code"] = replay_code_version();
   json["options"] = parse_json(config_json(study.config()), "options");
   return json;
-}
-
-double figure(const Json& summary, const std::vector<std::string>& path) {
-  const Json* at = &summary;
-  for (const std::string& name : path) {
-    if (!at->is_object() || !at->contains(name)) return std::numeric_limits<double>::quiet_NaN();
-    at = &(*at)[name];
-  }
-  return number_or_nan(*at);
 }
 
 }  // namespace loopwise::cli

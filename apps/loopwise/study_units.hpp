@@ -14,12 +14,12 @@
 
 #include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/stop_token.hpp>
-#include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/pipeline/config.hpp>
 #include <loopwise/pipeline/outcome_store.hpp>
 
 #include "command.hpp"
 #include "replay_arguments.hpp"
+#include "unit_file.hpp"
 
 namespace loopwise::cli {
 
@@ -52,12 +52,6 @@ struct StudyUnit {
   std::size_t mission = 0;  ///< Place in Study::missions().
   std::string label;        ///< For people and folders: "full", "full-w50".
   Config config;
-};
-
-/// What came of a unit: its summary without wall times, and the history. See docs/formats.md.
-struct UnitResult {
-  Json summary;
-  std::vector<HistoryRow> history;
 };
 
 /// A unit's files within the study's folder.
@@ -115,8 +109,5 @@ class Study {
 
 /// What the files of a study say about how it was made.
 [[nodiscard]] Json study_json(const Study& study);
-
-/// A number of a unit's summary, by the names that lead to it; NaN where there is none.
-[[nodiscard]] double figure(const Json& summary, const std::vector<std::string>& path);
 
 }  // namespace loopwise::cli

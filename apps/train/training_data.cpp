@@ -278,6 +278,7 @@ PoseGraph unpack_graph(const Field& field) {
     graph.add_node(node);
   }
   const auto ends = field["ends"].values<std::uint32_t>();
+  if (ends.size() % 2 != 0) field["ends"].fail("cut short");
   const std::size_t edges = ends.size() / 2;
   const auto measured = field["measured"].values<double>(12 * edges);
   const auto information = field["information"].values<double>(36 * edges);
@@ -315,6 +316,7 @@ std::vector<std::uint32_t> flat(const std::vector<std::pair<std::uint32_t, std::
 
 std::vector<std::pair<std::uint32_t, std::uint32_t>> unpack_pairs(const Field& field, std::size_t nodes) {
   const auto values = field.values<std::uint32_t>();
+  if (values.size() % 2 != 0) field.fail("cut short");
   std::vector<std::pair<std::uint32_t, std::uint32_t>> out;
   for (std::size_t k = 0; k + 1 < values.size(); k += 2) {
     if (std::max(values[k], values[k + 1]) >= nodes) field.fail("no such node");
@@ -367,7 +369,8 @@ Packed pack_training_graph(const TrainingGraph& graph) {
 
 TrainingGraph unpack_training_graph(const Field& field) {
   TrainingGraph out;
-  out.stage = static_cast<std::size_t>(field["stage"].number());
+  out.stage = static_cast<std::size_t>(field["stage"].integer());
+  if (out.stage >= stages().size()) field["stage"].fail("no such stage");
   const auto edges = field["edges"].values<std::uint32_t>();
   const auto node_values = field["nodes"].values<double>();
   const auto nodes = static_cast<Eigen::Index>(node_values.size() / 7);
@@ -384,6 +387,7 @@ TrainingGraph unpack_training_graph(const Field& field) {
   for (std::size_t a = 0; a < anchor_nodes.size(); ++a) {
     ClosureEffects::Anchor anchor;
     anchor.node = anchor_nodes[a];
+    if (static_cast<Eigen::Index>(anchor.node) >= nodes) field["anchor_nodes"].fail("no such node");
     anchor.chain = chains[a];
     anchor.axes = Eigen::Map<const Eigen::Matrix3d>(anchors.data() + 12 * a);
     anchor.variance = Eigen::Map<const Eigen::Vector3d>(anchors.data() + 12 * a + 9);
@@ -476,6 +480,11 @@ MissionData read_mission_data(const std::filesystem::path& path) {
     const std::string why = error.what();
     throw InputError(why.rfind(path.string(), 0) == 0 ? why : path.string() + ": " + why);
   }
+  if (out.record.graph.empty()) field["graph"].fail("no nodes");
+  for (const Node& node : out.record.graph.nodes()) {
+    if (!out.record.robots.find(node.key))
+      field["robots"].fail("node " + std::to_string(node.key) + " has none");
+  }
   for (const Field& graph : field["graphs"].items()) out.graphs.push_back(unpack_training_graph(graph));
   if (out.graphs.empty()) field["graphs"].fail("no graphs");
   return out;
@@ -515,6 +524,10 @@ DataSet read_data_set(const std::filesystem::path& folder) {
     for (const Json& mission : json.at("missions")) {
       out.entries.push_back({mission.at("name").get<std::string>(), mission.at("group").get<std::string>(),
                              mission.at("file").get<std::string>(), mission.at("other_size").get<bool>()});
+      const std::string& name = out.entries.back().file;
+      const std::filesystem::path file = std::filesystem::path(name).lexically_normal();
+      if (name.find('\0') != std::string::npos || file.empty() || file.is_absolute() || *file.begin() == "..")
+        bad(Json(name).dump() + " leads out of the data's folder");
     }
   } catch (const nlohmann::json::exception& error) {
     bad(error.what());

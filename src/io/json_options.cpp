@@ -269,9 +269,9 @@ static Json value_to_json(const OptionValue& value) {
         using T = std::decay_t<decltype(v)>;
         if constexpr (std::is_same_v<T, double>) {
           return json_number(v);
-        } else if constexpr (std::is_same_v<T, std::vector<double>>) {
+        } else if constexpr (std::is_same_v<T, OptionNumbers>) {
           Json list = Json::array();
-          for (const double element : v) list.push_back(json_number(element));
+          for (const double element : v.values) list.push_back(json_number(element));
           return list;
         } else {
           return v;

@@ -206,12 +206,20 @@ TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[
   REQUIRE(rows_of(folder / "two" / "runs.csv").size() == 4);
 
   // A unit's file that was damaged is computed again.
+  std::map<fs::path, std::string> damaged;
   for (const auto& entry : fs::directory_iterator(folder / "one" / "units")) {
-    if (entry.path().extension() != ".json") continue;
-    testing::write_text(entry.path(), testing::read_text(entry.path()).substr(0, 100));
-    break;
+    if (entry.path().extension() != ".json" || damaged.size() == 4) continue;
+    const std::string written = testing::read_text(entry.path());
+    Json unit = parse_json(written, "unit");
+    if (damaged.size() == 1) unit["history"][0][4] = -1;
+    if (damaged.size() == 2) unit["history"][0].erase(10);
+    if (damaged.size() == 3) unit["summary"] = nullptr;
+    testing::write_text(entry.path(), damaged.empty() ? unit.dump().substr(0, 100) : unit.dump());
+    damaged.emplace(entry.path(), written);
   }
+  REQUIRE(damaged.size() == 4);
   REQUIRE(run_program(study("one", {})).status == kDone);
+  for (const auto& [path, written] : damaged) REQUIRE(testing::read_text(path) == written);
   auto whole = before;
   require_same(results_of(folder / "one"), whole);
 }

@@ -7,6 +7,7 @@
 ///     LOOPWISE_FAULT_AT      which call of that class, from 1; 0 only counts
 ///     LOOPWISE_FAULT_FOLDER  absolute folders, separated by colons
 ///     LOOPWISE_FAULT_LOG     file that gets one line with the fault, and at the end the counts
+///     LOOPWISE_FAULT_SERVER  IN,OUT: two descriptors, see serve()
 ///
 /// Classes: open, read, write, sync, close, rename, mkdir, unlink, opendir, mmap, stat, alloc. HOW: the name
 /// of an error; `short` (half of the bytes); `once`, of allocations; with a `+` behind it this call and all
@@ -18,6 +19,7 @@
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/uio.h>
+#include <sys/wait.h>
 #include <unistd.h>
 
 #include <array>
@@ -216,12 +218,86 @@ void write_counts() {
 using Main = int (*)(int, char**, char**);
 Main program_main = nullptr;
 
-int counted_main(int argc, char** argv, char** environment) {
+int run_counted(int argc, char** argv, char** environment) {
   configure();
   armed = true;
   const int status = program_main(argc, argv, environment);
   write_counts();
   return status;
+}
+
+constexpr std::size_t kLineBytes = 2 * kPathBytes;
+
+/// A line without its end; false at the end of what comes.
+bool read_line(int from, char* line) {
+  for (std::size_t used = 0; used < kLineBytes; ++used) {
+    if (syscall(SYS_read, from, line + used, 1) != 1) return false;
+    if (line[used] == '\n') {
+      line[used] = '\0';
+      return true;
+    }
+  }
+  return false;
+}
+
+void write_number(int to, int number) {
+  char text[24];
+  const int size = std::snprintf(text, sizeof text, "%d\n", number);
+  static_cast<void>(syscall(SYS_write, to, text, static_cast<std::size_t>(size)));
+}
+
+void open_as(int wanted_fd, const char* path, int flags) {
+  const long fd = syscall(SYS_openat, AT_FDCWD, path, flags, 0666);
+  if (fd < 0 || dup2(static_cast<int>(fd), wanted_fd) < 0) _exit(125);
+  syscall(SYS_close, fd);
+}
+
+/// Linking the program takes longer than most of its runs, so it is linked once and every run is a fork of
+/// it. A line of IN asks for a run: FAULT, AT and FOLDER, by tabs. It runs in FOLDER, its standard error goes
+/// to FOLDER/err and its log to FOLDER/fault.log; OUT gets a line with its number, and, when it has ended,
+/// one with its status as waitpid() gives it. Returns in the forks alone, and with false at the end of IN.
+bool serve(const char* descriptors) {
+  const int in = std::atoi(descriptors);
+  const char* comma = std::strchr(descriptors, ',');
+  if (comma == nullptr) return false;
+  const int out = std::atoi(comma + 1);
+  static char line[kLineBytes];
+  while (read_line(in, line)) {
+    char* at = std::strchr(line, '\t');
+    char* folder = at != nullptr ? std::strchr(at + 1, '\t') : nullptr;
+    if (folder == nullptr) return false;
+    *at++ = '\0';
+    *folder++ = '\0';
+    const pid_t child = fork();
+    if (child < 0) return false;
+    if (child == 0) {
+      if (chdir(folder) != 0) _exit(125);
+      open_as(0, "/dev/null", O_RDONLY);
+      open_as(1, "/dev/null", O_WRONLY);
+      open_as(2, "err", O_WRONLY | O_CREAT | O_TRUNC);
+      syscall(SYS_close, in);
+      syscall(SYS_close, out);
+      static char log[kLineBytes + 16];
+      std::snprintf(log, sizeof log, "%s/fault.log", folder);
+      setenv("LOOPWISE_FAULT", line, 1);
+      setenv("LOOPWISE_FAULT_AT", at, 1);
+      setenv("LOOPWISE_FAULT_LOG", log, 1);
+      return true;
+    }
+    write_number(out, child);
+    int status = 0;
+    while (waitpid(child, &status, 0) < 0 && errno == EINTR) {
+    }
+    write_number(out, status);
+  }
+  return false;
+}
+
+int counted_main(int argc, char** argv, char** environment) {
+  if (const char* descriptors = std::getenv("LOOPWISE_FAULT_SERVER")) {
+    if (!serve(descriptors)) return 0;
+  }
+  return run_counted(argc, argv, environment);
 }
 
 }  // namespace

@@ -26,6 +26,8 @@ namespace {
 
 std::atomic<std::size_t> largest{0};
 
+std::atomic<long> until_none{0};  // requests to the one that finds no memory; 0: all find some
+
 void note(std::size_t size) {
   std::size_t before = largest;
   while (before < size && !largest.compare_exchange_weak(before, size)) {
@@ -37,7 +39,8 @@ void note(std::size_t size) {
 // Every request for memory of this program passes here. Not inlined: gcc would take free() for a mistake.
 [[gnu::noinline]] void* operator new(std::size_t size) {
   note(size);
-  if (void* const memory = std::malloc(size > 0 ? size : 1)) return memory;
+  const bool none = until_none > 0 && --until_none == 0;
+  if (void* const memory = none ? nullptr : std::malloc(size > 0 ? size : 1)) return memory;
   throw std::bad_alloc();
 }
 // Sanitizers bring this one themselves, and what it gives would then be freed by ours.
@@ -204,6 +207,15 @@ TEST_CASE("giant sizes: archives", "[fuzz][giant]") {
   }
   testing::write_text(file, bytes);
   CHECK(largest_piece([&] { static_cast<void>(ZipArchive(file).read(0)); }) < kBound);
+}
+
+TEST_CASE("without memory: a value of an option that cannot be copied", "[fuzz][error]") {
+  using detail::OptionValue;
+  for (const OptionValue& value :
+       {OptionValue(std::string(100, 'x')), OptionValue(detail::OptionNumbers{{1.0, 2.0, 3.0}})}) {
+    until_none = 1;
+    REQUIRE_THROWS_AS(OptionValue(value), std::bad_alloc);
+  }
 }
 
 }  // namespace

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <cmath>
+
 #include <nlohmann/json.hpp>
 
 #ifdef LOOPWISE_FUZZ_MPI
@@ -11,6 +13,8 @@
 
 #include "seeds.hpp"
 #include "target.hpp"
+#include "training_data.hpp"
+#include "unit_file.hpp"
 
 namespace loopwise::fuzz {
 namespace {
@@ -114,6 +118,79 @@ std::string store_file() {
   return read_file(folder / "outcomes-00000001.bin");
 }
 
+/// A robot that walks round three times.
+PoseGraph rounds(std::size_t nodes) {
+  PoseGraph graph;
+  constexpr double kPerRound = 14.0, kPi = 3.14159265358979323846;
+  for (std::size_t k = 0; k < nodes; ++k) {
+    Node node;
+    node.key = k;
+    node.stamp_ns = static_cast<std::int64_t>(k) * 1000000000;
+    node.pose = Eigen::Isometry3d::Identity();
+    const double angle = 2.0 * kPi * static_cast<double>(k) / kPerRound;
+    node.pose.translation() << 4.0 * std::cos(angle), 4.0 * std::sin(angle), 0.0;
+    graph.add_node(node);
+    if (k == 0) {
+      PriorFactor prior;
+      prior.key = 0;
+      prior.pose = node.pose;
+      prior.information = 1e4 * Matrix6d::Identity();
+      graph.add_prior(prior);
+      continue;
+    }
+    Edge edge;
+    edge.from = k - 1;
+    edge.to = k;
+    edge.T_from_to = graph.node(k - 1).pose.inverse() * node.pose;
+    edge.information = 100.0 * Matrix6d::Identity();
+    edge.kind = EdgeKind::kOdometry;
+    graph.add_edge(edge);
+  }
+  return graph;
+}
+
+/// As small as it can be: the fuzzer alters what it is made of.
+std::string training_file() {
+  training::MissionRecord record;
+  record.name = "walk";
+  record.group = "walks";
+  record.graph = rounds(42);
+  record.robots = Robots::from_keys(record.graph.keys());
+  training::DataOptions options;
+  options.candidates = 8;
+  options.max_set = 2;
+  options.random_sets = 8;
+  options.annealing_runs = 0;
+  training::MissionData data = training::make_mission_data(record, options);
+  data.graphs.resize(1);
+  data.graphs[0].sets.resize(2);
+  data.record.graph = rounds(2);
+  const fs::path file = scratch() / "seed.cbor";
+  training::write_mission_data(file, data, "seed");
+  return read_file(file);
+}
+
+std::string data_list() {
+  const fs::path folder = scratch() / "seed_data";
+  fs::create_directories(folder);
+  std::vector<training::DataSetEntry> entries;
+  for (const char* name : {"a", "b", "c"})
+    entries.push_back({name, "walks", std::string("missions/") + name + ".cbor", false});
+  training::write_data_set(folder, entries, training::DataOptions());
+  return read_file(folder / "dataset.json");
+}
+
+std::string unit_file() {
+  Json summary = Json::object();
+  summary["mission_end_s"] = 9.0;
+  summary["robots"] = {{"husky", {{"path_length_m", 12.5}}}};
+  std::vector<HistoryRow> history(2);
+  history[1].mission_time_s = 9.0;
+  history[1].computed = 4;
+  history[1].ate_m = 0.5;
+  return json_text(cli::unit_file_json({{"name", "m1"}}, summary, history));
+}
+
 }  // namespace
 
 Seeds pipeline_seeds() {
@@ -132,6 +209,8 @@ Seeds pipeline_seeds() {
   all["outcome_store"] = {{"file", with_choice(0, store)},
                           {"payload", with_choice(1, store.substr(32, 534))},
                           {"cut", with_choice(0, "damaged" + store.substr(0, store.size() - 3))}};
+  all["training"] = {{"mission", with_choice(0, training_file())}, {"list", with_choice(1, data_list())}};
+  all["study_unit"] = {{"unit", unit_file()}};
 #ifdef LOOPWISE_FUZZ_MPI
   RegistrationResult late = result(false);
   late.reason = RejectionReason::kTimeLimit;

@@ -139,10 +139,22 @@ TEST_CASE("data: bad files are refused by name", "[train][error]") {
   REQUIRE_THAT(why([](Packed& j) { j["graphs"][0]["gain"] = Packed::binary({}); }),
                Contains("0 values, expected"));
 
+  REQUIRE_THAT(why([](Packed& j) { j["graphs"][0]["stage"] = -1.0; }),
+               Contains("stage: expected an integer"));
+  REQUIRE_THAT(why([](Packed& j) { j["graphs"][0]["stage"] = 99; }), Contains("no such stage"));
+  REQUIRE_THAT(why(with_nan("anchor_nodes", std::uint32_t{9999})), Contains("anchor_nodes: no such node"));
+  REQUIRE_THAT(why([](Packed& j) { j["graph"]["ends"].get_binary().resize(4); }),
+               Contains("ends: cut short"));
+  REQUIRE_THAT(why([](Packed& j) { j["robots"] = Packed::array(); }), Contains(file.string()));
+
   REQUIRE_THROWS_WITH(read_data_set(folder / "nowhere"), Contains("no dataset.json"));
   REQUIRE_THROWS_WITH(read_data_set(folder.path()), Contains("no dataset.json"));
   write_data_set(folder.path(), {}, {});
   REQUIRE_THROWS_WITH(read_data_set(folder.path()), Contains("no missions"));
+  for (const char* outside : {"../other.cbor", "/etc/passwd", "missions/../../x", ""}) {
+    write_data_set(folder.path(), {{"walk", "walks", outside, false}}, {});
+    REQUIRE_THROWS_WITH(read_data_set(folder.path()), Contains("leads out of the data's folder"));
+  }
   loopwise::testing::write_text(folder / "dataset.json", "{\"format\": \"loopwise-training-data\", \"ver");
   REQUIRE_THROWS_AS(read_data_set(folder.path()), InputError);
 

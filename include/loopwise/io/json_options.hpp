@@ -81,7 +81,12 @@ LOOPWISE_EXPORT void require_object(const Json& value, const std::string& name);
 /// As it is; OptionError unless it is UTF-8, as all text in JSON is.
 [[nodiscard]] LOOPWISE_EXPORT std::string text_to_text(std::string_view text, const std::string& name);
 
-using OptionValue = std::variant<bool, std::int64_t, std::uint64_t, double, std::string, std::vector<double>>;
+/// A list. A type of its own: libstdc++ 12 takes a variant whose alternatives are numbers, strings and
+/// vectors for one that always holds a value, and crashes where a copy of it finds no memory.
+struct OptionNumbers {
+  std::vector<double> values;
+};
+using OptionValue = std::variant<bool, std::int64_t, std::uint64_t, double, std::string, OptionNumbers>;
 struct OptionField {
   std::string name;
   OptionValue value;
@@ -141,6 +146,8 @@ template <class T>
     return static_cast<std::conditional_t<std::is_signed_v<T>, std::int64_t, std::uint64_t>>(field);
   } else if constexpr (std::is_floating_point_v<T>) {
     return static_cast<double>(field);
+  } else if constexpr (std::is_same_v<T, std::vector<double>>) {
+    return OptionNumbers{field};
   } else {
     return field;
   }
