@@ -198,7 +198,7 @@ int run(const Options& options) {
         const std::vector<double> values = figures.of(method, column.name, world.missions);
         row.push_back(cell(quartiles(values), column.decimals));
         if (values.empty()) continue;
-        of_world["methods"][method][column.name] = quartiles_json(values);
+        object_at(of_world["methods"], method)[column.name] = quartiles_json(values);
       }
       rows.push_back(row);
       if (column.name != "ate_m") continue;
@@ -206,7 +206,8 @@ int run(const Options& options) {
       for (const std::string& method : methods) {
         const Interval interval = bootstrap_median(figures.grouped(method, column.name, world.missions));
         rows.back().push_back(text_of(interval, 3));
-        of_world["methods"][method][column.name]["interval_95"] = interval_json(interval);
+        object_at(object_at(of_world["methods"], method), column.name)["interval_95"] =
+            interval_json(interval);
       }
     }
     json["worlds"].push_back(of_world);
@@ -225,7 +226,7 @@ int run(const Options& options) {
       if (std::find(methods.begin(), methods.end(), other) == methods.end()) continue;
       const PairedComparison c = compare_paired(figures.by_mission(method, "ate_m", missions),
                                                 figures.by_mission(other, "ate_m", missions));
-      json["pooled"][method][other] = comparison_json(c);
+      object_at(json["pooled"], method)[other] = comparison_json(c);
       rows.push_back({method, other, std::to_string(c.better) + " of " + std::to_string(c.count),
                       cell(c.mean_difference, c.difference, 3), cell(c.ratio, c.ratio_interval, 3)});
     }

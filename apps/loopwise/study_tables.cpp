@@ -83,6 +83,11 @@ Json number_json(double value) {
   return std::isfinite(value) ? Json(value) : Json();
 }
 
+Json& object_at(Json& parent, const std::string& name) {
+  if (!parent.contains(name)) parent[name] = Json::object();
+  return parent[name];
+}
+
 Json quartiles_json(const std::vector<double>& values) {
   const Quartiles q = quartiles(values);
   return {{"count", q.count},

@@ -33,6 +33,10 @@ namespace loopwise::cli {
 /// \throws OptionError if there is none, one is unknown, or one comes twice.
 void require_methods(const std::vector<std::string>& methods);
 
+/// The object of this name within another, empty if there was none. JSON of null becomes an object by itself
+/// where it is indexed, but where there is no memory for it the library leaves a value that cannot go.
+[[nodiscard]] Json& object_at(Json& parent, const std::string& name);
+
 /// Null unless finite.
 [[nodiscard]] Json number_json(double value);
 [[nodiscard]] Json quartiles_json(const std::vector<double>& values);

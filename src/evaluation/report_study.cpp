@@ -191,6 +191,9 @@ Json curves_json(const std::vector<StudyCurve>& curves) {
       series["share"].push_back(share);
       for (const auto& [name, all] : values) {
         const Quartiles q = quartiles(all);
+        if (!series.contains(name)) {
+          series[name] = {{"lower", Json::array()}, {"median", Json::array()}, {"upper", Json::array()}};
+        }
         series[name]["lower"].push_back(q.lower);
         series[name]["median"].push_back(q.median);
         series[name]["upper"].push_back(q.upper);

@@ -6,7 +6,10 @@
 #include <unistd.h>
 
 #include <cerrno>
+#include <cstdlib>
 #include <cstring>
+#include <memory>
+#include <new>
 
 #include <loopwise/core/error.hpp>
 
@@ -53,6 +56,13 @@ int write_all(int fd, std::string_view contents) {
   return 0;
 }
 
+/// Through a symbolic link, the file that it points to is replaced, not the link.
+std::string resolved(const fs::path& path) {
+  const std::unique_ptr<char, decltype(&std::free)> whole(::realpath(path.c_str(), nullptr), std::free);
+  if (!whole && errno == ENOMEM) throw std::bad_alloc();
+  return whole ? whole.get() : path.string();
+}
+
 }  // namespace
 
 std::string read_file(const fs::path& path) {
@@ -96,16 +106,14 @@ void write_file(const fs::path& path, std::string_view contents) {
     if (const int error = write_all(device.get(), contents)) fail(path, error);
     return;
   }
-  // Through a symbolic link, the file that it points to is replaced, not the link.
-  std::error_code unresolved;
-  fs::path target = exists ? fs::canonical(path, unresolved) : path;
-  if (unresolved) target = path;
-  fs::path temporary;
+  // Names as text: libstdc++'s paths that are altered where there is no memory cannot be destroyed.
+  const std::string target = exists ? resolved(path) : path.string();
+  const std::size_t name = target.rfind('/') + 1;
+  std::string temporary;
   int fd = -1;
   for (unsigned attempt = 0; fd < 0; ++attempt) {
-    temporary = target;
-    temporary.replace_filename("." + target.filename().string() + "." + std::to_string(::getpid()) + "-" +
-                               std::to_string(attempt) + ".tmp");
+    temporary = target.substr(0, name) + "." + target.substr(name) + "." + std::to_string(::getpid()) + "-" +
+                std::to_string(attempt) + ".tmp";
     fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
     if (fd < 0 && errno != EEXIST) fail(path, errno);
     if (fd < 0 && attempt == 1000) fail(path, EEXIST);

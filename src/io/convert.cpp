@@ -27,16 +27,6 @@ namespace fs = std::filesystem;
 constexpr const char* kGraph = "result.g2o";
 constexpr const char* kClouds = "pcd";
 
-void require_empty(const fs::path& folder) {
-  std::error_code error;
-  if (fs::exists(folder, error) && !fs::is_directory(folder, error)) {
-    throw IoError(folder.string(), "exists and is no folder");
-  }
-  if (fs::is_directory(folder, error) && !fs::is_empty(folder, error)) {
-    throw IoError(folder.string(), "exists and is not empty: a mission is written to a folder of its own");
-  }
-}
-
 void make_folder(const fs::path& folder) {
   std::error_code error;
   fs::create_directories(folder, error);
@@ -348,7 +338,7 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
 ConvertResult convert_mission(const Mission& mission, const fs::path& folder, MissionFormat format,
                               const ConvertOptions& options) {
   for (const Node& node : mission.graph.nodes()) static_cast<void>(mission.robots.of(node.key));
-  require_empty(folder);
+  parts::require_empty(folder);
   if (format == MissionFormat::kTum || format == MissionFormat::kKitti) {
     return write_trajectories(mission, folder, format);
   }

@@ -400,13 +400,8 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
 
 MissionWriter::MissionWriter(fs::path folder, PcdEncoding encoding)
     : folder_(std::move(folder)), encoding_(encoding) {
+  parts::require_empty(folder_);
   std::error_code error;
-  if (fs::exists(folder_, error) && !fs::is_directory(folder_, error)) {
-    throw IoError(folder_.string(), "exists and is no folder");
-  }
-  if (fs::is_directory(folder_, error) && !fs::is_empty(folder_, error)) {
-    throw IoError(folder_.string(), "exists and is not empty: a mission is written to a folder of its own");
-  }
   fs::create_directories(folder_ / "scans", error);
   if (error) throw IoError(folder_.string(), error.message());
   write_file(folder_ / parts::kUnfinished, "This mission is being written, or its making was interrupted.\n");
@@ -448,12 +443,12 @@ void MissionWriter::finish(const Mission& mission) const {
   for (const BeaconDrop& b : mission.beacons)
     beacons.row(b.beacon, robot_name(b.robot), b.drop_key, b.stamp_ns);
 
-  Json json;
+  Json json = Json::object();
   json["format"] = kFormat;
   json["version"] = kVersion;
   json["name"] = mission.name;
   json["frame"] = mission.frame;
-  json["clock"]["start_ns"] = std::to_string(mission.start_ns);
+  json["clock"] = {{"start_ns", std::to_string(mission.start_ns)}};
   json["robots"] = Json::array();
   for (const Robot& robot : mission.robots.all()) {
     Json& item = json["robots"].emplace_back();

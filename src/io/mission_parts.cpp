@@ -145,7 +145,7 @@ std::string recording_name(const fs::path& path) {
 }
 
 std::string provenance_of(MissionKind kind, const std::vector<std::string>& sources) {
-  Json json;
+  Json json = Json::object();
   json["read_from"] = {{"kind", enum_name(kind)}, {"sources", sources}};
   return json_text(json);
 }
@@ -159,6 +159,20 @@ std::vector<fs::path> entries(const fs::path& folder) {
   if (error) throw IoError(folder.string(), error.message());
   std::sort(out.begin(), out.end());  // the order of a folder is not defined
   return out;
+}
+
+void require_empty(const fs::path& folder) {
+  std::error_code error;
+  const fs::file_status status = fs::status(folder, error);
+  if (status.type() == fs::file_type::not_found) return;
+  if (status.type() != fs::file_type::none && !fs::is_directory(status)) {
+    throw IoError(folder.string(), "exists and is no folder");
+  }
+  const bool empty = status.type() != fs::file_type::none && fs::is_empty(folder, error);
+  if (error) throw IoError(folder.string(), error.message());
+  if (!empty) {
+    throw IoError(folder.string(), "exists and is not empty: a mission is written to a folder of its own");
+  }
 }
 
 bool exists(const fs::path& path) {

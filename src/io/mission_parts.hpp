@@ -128,6 +128,8 @@ void check_stamps(Mission& mission);
 /// Whether there is something of this name. \throws IoError if that cannot be told, as of a name that is too
 /// long
 [[nodiscard]] bool exists(const std::filesystem::path& path);
+/// \throws IoError if something is there that is no folder, or one with something in it
+void require_empty(const std::filesystem::path& folder);
 
 /// Whether the file begins with these bytes. \throws IoError
 [[nodiscard]] bool begins_with(const std::filesystem::path& file, std::string_view bytes);

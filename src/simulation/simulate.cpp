@@ -292,7 +292,7 @@ SimulatedMission simulate(const SimulationOptions& given, std::uint64_t seed,
   mission.name = enum_name(options.world) + "-" + std::to_string(seed);
   SimulationOptions told = options;
   told.threads = 0;  // how many threads made the mission is nowhere to be seen
-  Json provenance;
+  Json provenance = Json::object();
   provenance["generator"] = "loopwise simulate";
   provenance["version"] = std::string(version());
   provenance["seed"] = std::to_string(seed);

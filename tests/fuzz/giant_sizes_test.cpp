@@ -15,6 +15,7 @@
 #include "ros_message.hpp"
 #include "zip_archive.hpp"
 
+#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/prioritization/gnn.hpp>
@@ -216,6 +217,29 @@ TEST_CASE("without memory: a value of an option that cannot be copied", "[fuzz][
     until_none = 1;
     REQUIRE_THROWS_AS(OptionValue(value), std::bad_alloc);
   }
+}
+
+TEST_CASE("without memory: a file is written whole or not at all", "[fuzz][error]") {
+  const testing::TemporaryFolder folder;
+  const fs::path file = folder / "a_name_that_is_long_enough_to_ask_for_memory.txt";
+  const std::string text = "new";
+  testing::write_text(file, "old");
+  bool written = false;
+  long missing = 0;
+  while (!written) {
+    const fs::path own = file;
+    until_none = missing + 1;
+    try {
+      write_file(own, text);
+      written = true;
+    } catch (const std::bad_alloc&) {
+      ++missing;
+    }
+    until_none = 0;
+    REQUIRE(testing::read_text(file) == (written ? "new" : "old"));
+  }
+  REQUIRE(missing >= 3);
+  REQUIRE(std::distance(fs::directory_iterator(folder.path()), fs::directory_iterator()) == 1);
 }
 
 }  // namespace

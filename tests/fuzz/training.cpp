@@ -34,8 +34,9 @@ void read_mission_file(std::string_view bytes) {
   }
   training::write_mission_data(again, *data);
   const training::MissionData copy = training::read_mission_data(again);
-  fuzz::expect(copy.record.graph.keys() == data->record.graph.keys() && copy.graphs.size() == data->graphs.size(),
-               "written and read again: the same");
+  fuzz::expect(
+      copy.record.graph.keys() == data->record.graph.keys() && copy.graphs.size() == data->graphs.size(),
+      "written and read again: the same");
 }
 
 void read_list(std::string_view bytes) {
@@ -45,7 +46,8 @@ void read_list(std::string_view bytes) {
   const auto set = fuzz::attempt([&] { return training::read_data_set(folder); });
   if (!set) return;
   for (const training::DataSetEntry& entry : set->entries) {
-    const auto inside = (folder / entry.file).lexically_normal().lexically_relative(folder.lexically_normal());
+    const auto inside =
+        (folder / entry.file).lexically_normal().lexically_relative(folder.lexically_normal());
     fuzz::expect(!inside.empty() && *inside.begin() != "..", "files lie in the folder");
   }
   const auto roles = fuzz::attempt([&] { return training::split_by_mission(set->entries, 1); });
