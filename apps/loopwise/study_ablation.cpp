@@ -244,7 +244,7 @@ int run(const Options& options) {
       if (std::find(methods.begin(), methods.end(), other) == methods.end()) continue;
       std::vector<std::string> row{method + " than " + other};
       double sum = 0.0;
-      Json& entry = json["reductions_percent"][method][other];
+      Json& entry = object_at(object_at(json["reductions_percent"], method), other);
       for (const World& world : worlds) {
         const double of_other = quartiles(figures.of(other, "ate_m", world.missions)).median;
         const double reduction =

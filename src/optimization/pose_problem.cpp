@@ -321,12 +321,15 @@ void NormalEquations::set_structure(const PoseProblem& problem) {
     const std::uint32_t a = freedom.variable[range.from], b = freedom.variable[range.to];
     if (a != Freedom::kFixed && b != Freedom::kFixed) pairs.emplace_back(b, a);
   }
-  const bool same = analyses_ > 0 && pairs == pairs_ && freedom.nodes.size() == cholesky_.variables();
+  const bool same = analysed_ && pairs == pairs_ && freedom.nodes.size() == cholesky_.variables();
   freedom_ = std::move(freedom);
   if (same) return;
+  analysed_ = false;  // where memory ends half way, the next call begins anew
   pairs_ = std::move(pairs);
   cholesky_.analyze(freedom_.nodes.size(), pairs_);
-  gradient_.setZero(static_cast<Eigen::Index>(6 * freedom_.nodes.size()));
+  // Not by resizing: Eigen gives the former memory back first, and holds on to it where there is no other.
+  gradient_ = Eigen::VectorXd(Eigen::VectorXd::Zero(static_cast<Eigen::Index>(6 * freedom_.nodes.size())));
+  analysed_ = true;
   ++analyses_;
 }
 

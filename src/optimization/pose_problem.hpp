@@ -121,6 +121,7 @@ class NormalEquations {
   std::vector<BlockCholesky::Pair> pairs_;
   std::size_t first_range_pair_ = 0;  // pairs of ranges with two free ends come last, in their order
   Eigen::VectorXd gradient_;
+  bool analysed_ = false;  // pairs_, wholly
   std::size_t analyses_ = 0;
 };
 

@@ -1,10 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Tiny inputs that claim giant sizes: an error, and no memory taken for what is not there.
-#include <atomic>
-#include <cstdlib>
 #include <filesystem>
-#include <new>
 
+#include "allocations.hpp"
 #include "lamp_data.hpp"
 #include "seeds.hpp"
 #include "target.hpp"
@@ -15,46 +13,12 @@
 #include "ros_message.hpp"
 #include "zip_archive.hpp"
 
-#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/prioritization/gnn.hpp>
 #ifdef LOOPWISE_FUZZ_ROSBAG
 #include "bag_check.hpp"
 #endif
-
-namespace {
-
-std::atomic<std::size_t> largest{0};
-
-std::atomic<long> until_none{0};  // requests to the one that finds no memory; 0: all find some
-
-void note(std::size_t size) {
-  std::size_t before = largest;
-  while (before < size && !largest.compare_exchange_weak(before, size)) {
-  }
-}
-
-}  // namespace
-
-// Every request for memory of this program passes here. Not inlined: gcc would take free() for a mistake.
-[[gnu::noinline]] void* operator new(std::size_t size) {
-  note(size);
-  const bool none = until_none > 0 && --until_none == 0;
-  if (void* const memory = none ? nullptr : std::malloc(size > 0 ? size : 1)) return memory;
-  throw std::bad_alloc();
-}
-// Sanitizers bring this one themselves, and what it gives would then be freed by ours.
-[[gnu::noinline]] void* operator new(std::size_t size, const std::nothrow_t&) noexcept {
-  note(size);
-  return std::malloc(size > 0 ? size : 1);
-}
-[[gnu::noinline]] void operator delete(void* memory) noexcept {
-  std::free(memory);
-}
-[[gnu::noinline]] void operator delete(void* memory, std::size_t) noexcept {
-  std::free(memory);
-}
 
 namespace loopwise {
 namespace {
@@ -64,9 +28,9 @@ namespace fs = std::filesystem;
 /// The largest single piece of memory that the call asks for, bytes; the call must throw an InputError.
 template <class Call>
 std::size_t largest_piece(Call&& call) {
-  largest = 0;
+  fuzz::largest_allocation = 0;
   REQUIRE_THROWS_AS(call(), InputError);
-  return largest;
+  return fuzz::largest_allocation;
 }
 
 /// Room for zlib's and bz2's own tables. A header that is believed asks for gigabytes.
@@ -108,9 +72,9 @@ TEST_CASE("giant sizes: clouds", "[fuzz][giant]") {
 
 TEST_CASE("giant sizes: no points with fields of giant counts", "[fuzz][giant]") {
   const std::string text = wide_fields(1000) + "\nWIDTH 0\nHEIGHT 1\nPOINTS 0\nDATA ascii\n";
-  largest = 0;
+  fuzz::largest_allocation = 0;
   CHECK(points::parse_cloud("giant.pcd", text).cloud.empty());
-  CHECK(largest < kBound);
+  CHECK(fuzz::largest_allocation < kBound);
 }
 
 TEST_CASE("giant sizes: messages", "[fuzz][giant]") {
@@ -174,14 +138,14 @@ TEST_CASE("giant sizes: bags", "[fuzz][giant]") {
     bytes.replace(at, 4, "\xff\xff\xff\x3f");
     testing::write_text(file, bytes);
     Problems problems;
-    largest = 0;
+    fuzz::largest_allocation = 0;
     try {
       bags::check_bag(file, "giant.bag", problems);
     } catch (const InputError&) {
       ++refused;
     }
     CAPTURE(at);
-    REQUIRE(largest < kBound);
+    REQUIRE(fuzz::largest_allocation < kBound);
   }
   CHECK(refused > 100);
   for (const char* compression : {"none", "bz2", "lz4"}) {
@@ -208,38 +172,6 @@ TEST_CASE("giant sizes: archives", "[fuzz][giant]") {
   }
   testing::write_text(file, bytes);
   CHECK(largest_piece([&] { static_cast<void>(ZipArchive(file).read(0)); }) < kBound);
-}
-
-TEST_CASE("without memory: a value of an option that cannot be copied", "[fuzz][error]") {
-  using detail::OptionValue;
-  for (const OptionValue& value :
-       {OptionValue(std::string(100, 'x')), OptionValue(detail::OptionNumbers{{1.0, 2.0, 3.0}})}) {
-    until_none = 1;
-    REQUIRE_THROWS_AS(OptionValue(value), std::bad_alloc);
-  }
-}
-
-TEST_CASE("without memory: a file is written whole or not at all", "[fuzz][error]") {
-  const testing::TemporaryFolder folder;
-  const fs::path file = folder / "a_name_that_is_long_enough_to_ask_for_memory.txt";
-  const std::string text = "new";
-  testing::write_text(file, "old");
-  bool written = false;
-  long missing = 0;
-  while (!written) {
-    const fs::path own = file;
-    until_none = missing + 1;
-    try {
-      write_file(own, text);
-      written = true;
-    } catch (const std::bad_alloc&) {
-      ++missing;
-    }
-    until_none = 0;
-    REQUIRE(testing::read_text(file) == (written ? "new" : "old"));
-  }
-  REQUIRE(missing >= 3);
-  REQUIRE(std::distance(fs::directory_iterator(folder.path()), fs::directory_iterator()) == 1);
 }
 
 }  // namespace

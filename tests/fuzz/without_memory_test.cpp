@@ -1,0 +1,100 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What is left where a request for memory finds none. scripts/fault_check does the same to whole commands.
+#include <filesystem>
+#include <new>
+
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+
+#include "allocations.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+
+/// Whether the call came to its end although the n-th request found no memory.
+template <class Call>
+bool ends_without(long n, Call&& call) {
+  fuzz::allocations_until_none = n;
+  bool ended = true;
+  try {
+    call();
+  } catch (const std::bad_alloc&) {
+    ended = false;
+  }
+  fuzz::allocations_until_none = 0;
+  return ended;
+}
+
+TEST_CASE("without memory: a value of an option that cannot be copied", "[memory][error]") {
+  using detail::OptionValue;
+  for (const OptionValue& value :
+       {OptionValue(std::string(100, 'x')), OptionValue(detail::OptionNumbers{{1.0, 2.0, 3.0}})}) {
+    REQUIRE_FALSE(ends_without(1, [&] { const OptionValue copy(value); }));
+  }
+}
+
+TEST_CASE("without memory: a file is written whole or not at all", "[memory][error]") {
+  const testing::TemporaryFolder folder;
+  const fs::path file = folder / "a_name_that_is_long_enough_to_ask_for_memory.txt";
+  testing::write_text(file, "old");
+  long n = 1;
+  while (!ends_without(n, [&] { write_file(file, "new"); })) {
+    REQUIRE(testing::read_text(file) == "old");
+    ++n;
+  }
+  REQUIRE(n > 3);
+  REQUIRE(testing::read_text(file) == "new");
+  REQUIRE(std::distance(fs::directory_iterator(folder.path()), fs::directory_iterator()) == 1);
+}
+
+TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had been asked", "[memory][error]") {
+  PoseGraph before;
+  for (Key key = 0; key < 12; ++key) {
+    Node node;
+    node.key = key;
+    node.pose = Eigen::Isometry3d::Identity();
+    node.pose.translation().x() = static_cast<double>(key);
+    before.add_node(node);
+    Edge edge;
+    edge.from = key - 1;
+    edge.to = key;
+    edge.T_from_to.setIdentity();
+    edge.T_from_to.translation().x() = 1.1;
+    edge.information = 100.0 * Matrix6d::Identity();
+    edge.kind = EdgeKind::kOdometry;
+    if (key > 0) before.add_edge(edge);
+  }
+  PoseGraph after = before;
+  Edge closure;
+  closure.from = 1;
+  closure.to = 10;
+  closure.T_from_to.setIdentity();
+  closure.T_from_to.translation() << 9.0, 0.5, 0.0;
+  closure.information = 100.0 * Matrix6d::Identity();
+  closure.kind = EdgeKind::kLoopClosure;
+  after.add_edge(closure);
+  const auto start = [&before] {
+    PoseGraphOptimizer optimizer;
+    static_cast<void>(optimizer.optimize(before));
+    return optimizer;
+  };
+  PoseGraphOptimizer untroubled = start();
+  const std::vector<Eigen::Isometry3d> wanted = untroubled.optimize(after).poses;
+  long n = 1;
+  for (bool ended = false; !ended; ++n) {
+    CAPTURE(n);
+    PoseGraphOptimizer optimizer = start();
+    ended = ends_without(n, [&] { static_cast<void>(optimizer.optimize(after)); });
+    const std::vector<Eigen::Isometry3d> poses = optimizer.optimize(after).poses;
+    REQUIRE(poses.size() == wanted.size());
+    for (std::size_t i = 0; i < poses.size(); ++i) REQUIRE(poses[i].isApprox(wanted[i], 1e-9));
+  }
+  REQUIRE(n > 50);
+}
+
+}  // namespace
+}  // namespace loopwise
