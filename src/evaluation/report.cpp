@@ -688,10 +688,10 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
   for (std::size_t i = 0; i < folders.size(); ++i) {
     const fs::path& folder = folders[i];
     if (progress) progress({"reading runs", i, folders.size(), labels[i]});
-    const Json of_folder = studies_json(folder, labels[i]);
+    Json of_folder = studies_json(folder, labels[i]);
     if (!of_folder.empty()) {
-      studies.insert(studies.end(), of_folder.begin(), of_folder.end());
       report.studies += of_folder.size();
+      for (Json& study : of_folder) studies.push_back(std::move(study));
       continue;
     }
     if (!fs::exists(folder / "summary.json")) {
@@ -720,7 +720,7 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
     if (view != nullptr) view->used = true;
     json["notes"] = run.notes();
     for (const std::string& note : run.notes()) report.notes.push_back(labels[i] + ": " + note);
-    runs.push_back(json);
+    runs.push_back(std::move(json));
     ++report.runs;
   }
   Json mission_list = Json::array();
@@ -734,9 +734,9 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
   const Json data = {{"format", "loopwise-report"},
                      {"version", 1},
                      {"generator", "loopwise " + std::string(version())},
-                     {"runs", runs},
-                     {"studies", studies},
-                     {"missions", mission_list}};
+                     {"runs", std::move(runs)},
+                     {"studies", std::move(studies)},
+                     {"missions", std::move(mission_list)}};
   report.data = data.dump(-1, ' ', true, Json::error_handler_t::replace);
   return report;
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <fstream>
@@ -152,6 +153,7 @@ std::vector<StudyCurve> read_units(const fs::path& folder) {
 /// Medians and quartiles of repetitions over the share of mission time.
 Json curves_json(const std::vector<StudyCurve>& curves) {
   constexpr int kSteps = 100;
+  constexpr std::array<const char*, 4> kMeasures = {"ate_m", "gnc_share", "true_share", "verified"};
   std::map<std::string, std::vector<const StudyCurve*>> groups;
   std::vector<std::string> order;
   for (const StudyCurve& curve : curves) {
@@ -173,33 +175,36 @@ Json curves_json(const std::vector<StudyCurve>& curves) {
       if (group.front()->run.contains(name)) series[name] = group.front()->run[name];
     }
     series["runs"] = group.size();
-    series["share"] = Json::array();
+    std::vector<double> shares;
+    std::array<std::array<std::vector<double>, 3>, kMeasures.size()> quarters;
     for (int step = 0; step <= kSteps; ++step) {
       const double share = last * step / kSteps;
-      std::map<std::string, std::vector<double>> values;
+      shares.push_back(share);
+      std::array<std::vector<double>, kMeasures.size()> values;
       for (const StudyCurve* curve : group) {
         const StudyMoment* now = nullptr;
         for (const StudyMoment& moment : curve->moments) {
           if (moment.share <= share * (1.0 + 1e-9)) now = &moment;
         }
         const bool queued = now != nullptr && now->queued > 0.0;
-        values["ate_m"].push_back(now != nullptr ? now->ate_m : kNan);
-        values["verified"].push_back(now != nullptr ? now->verified : kNan);
-        values["gnc_share"].push_back(queued ? 100.0 * now->gnc_inliers / now->queued : kNan);
-        values["true_share"].push_back(queued ? 100.0 * now->true_inliers / now->queued : kNan);
+        values[0].push_back(now != nullptr ? now->ate_m : kNan);
+        values[1].push_back(queued ? 100.0 * now->gnc_inliers / now->queued : kNan);
+        values[2].push_back(queued ? 100.0 * now->true_inliers / now->queued : kNan);
+        values[3].push_back(now != nullptr ? now->verified : kNan);
       }
-      series["share"].push_back(share);
-      for (const auto& [name, all] : values) {
-        const Quartiles q = quartiles(all);
-        if (!series.contains(name)) {
-          series[name] = {{"lower", Json::array()}, {"median", Json::array()}, {"upper", Json::array()}};
-        }
-        series[name]["lower"].push_back(q.lower);
-        series[name]["median"].push_back(q.median);
-        series[name]["upper"].push_back(q.upper);
+      for (std::size_t m = 0; m < kMeasures.size(); ++m) {
+        const Quartiles q = quartiles(values[m]);
+        quarters[m][0].push_back(q.lower);
+        quarters[m][1].push_back(q.median);
+        quarters[m][2].push_back(q.upper);
       }
     }
-    list.push_back(series);
+    series["share"] = shares;
+    for (std::size_t m = 0; m < kMeasures.size(); ++m) {
+      series[kMeasures[m]] = {
+          {"lower", quarters[m][0]}, {"median", quarters[m][1]}, {"upper", quarters[m][2]}};
+    }
+    list.push_back(std::move(series));
   }
   return list;
 }
@@ -212,7 +217,7 @@ Json rows_of(const fs::path& path, std::vector<std::string>& names) {
   for (std::size_t r = 0; r < table.size(); ++r) {
     Json row = Json::object();
     for (std::size_t c = 0; c < names.size(); ++c) row[names[c]] = csv_cell(table.text(r, c));
-    rows.push_back(row);
+    rows.push_back(std::move(row));
   }
   return rows;
 }
@@ -252,7 +257,7 @@ Json rows_of(const std::vector<StudyCurve>& curves, std::vector<std::string>& na
     row["gnc_inliers"] = end.gnc_inliers;
     row["true_inliers"] = end.true_inliers;
     row["ate_m"] = end.ate_m;
-    rows.push_back(row);
+    rows.push_back(std::move(row));
   }
   names.clear();
   if (!rows.empty()) {
@@ -277,17 +282,16 @@ Json studies_json(const fs::path& folder, const std::string& label) {
   };
   std::vector<std::string> names;
   if (fs::exists(folder / "runs.csv")) {
-    const Json rows = rows_of(folder / "runs.csv", names);
-    add("ablation", names, rows, units_of(rows, folder / "units"));
+    Json rows = rows_of(folder / "runs.csv", names);
+    const std::vector<StudyCurve> curves = units_of(rows, folder / "units");
+    add("ablation", names, std::move(rows), curves);
   }
   if (fs::exists(folder / "curves.csv")) {
     const std::vector<StudyCurve> curves = read_curves(folder / "curves.csv");
-    const Json rows = rows_of(curves, names);
-    add("budget", names, rows, curves);
+    add("budget", names, rows_of(curves, names), curves);
   }
   if (fs::exists(folder / "robots.csv")) {
-    const Json rows = rows_of(folder / "robots.csv", names);
-    add("rssi", names, rows, {});
+    add("rssi", names, rows_of(folder / "robots.csv", names), {});
   }
   if (studies.size() > 1) {
     for (Json& study : studies) study["label"] = label + ", " + study["kind"].get<std::string>();

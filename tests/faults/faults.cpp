@@ -255,7 +255,7 @@ void open_as(int wanted_fd, const char* path, int flags) {
 /// Linking the program takes longer than most of its runs, so it is linked once and every run is a fork of
 /// it. A line of IN asks for a run: FAULT, AT and FOLDER, by tabs. It runs in FOLDER, its standard error goes
 /// to FOLDER/err and its log to FOLDER/fault.log; OUT gets a line with its number, and, when it has ended,
-/// one with its status as waitpid() gives it. Returns in the forks alone, and with false at the end of IN.
+/// one with its status as waitpid() gives it. True in the forks; false in what serves, at the end of IN.
 bool serve(const char* descriptors) {
   const int in = std::atoi(descriptors);
   const char* comma = std::strchr(descriptors, ',');
