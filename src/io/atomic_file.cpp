@@ -56,6 +56,16 @@ int write_all(int fd, std::string_view contents) {
   return 0;
 }
 
+/// \returns 0 or the system's error number. What has no disk (a pipe) has nothing to flush.
+template <class System>
+int flush(int fd, const System& system) {
+  while (system(fd) != 0) {
+    if (errno == EINVAL || errno == ENOTSUP || errno == EROFS) return 0;
+    if (errno != EINTR) return errno;
+  }
+  return 0;
+}
+
 /// Through a symbolic link, the file that it points to is replaced, not the link.
 std::string resolved(const fs::path& path) {
   const std::unique_ptr<char, decltype(&std::free)> whole(::realpath(path.c_str(), nullptr), std::free);
@@ -95,7 +105,7 @@ std::string read_file(const fs::path& path) {
   return contents;
 }
 
-void write_file(const fs::path& path, std::string_view contents) {
+void write_file(const fs::path& path, std::string_view contents, Flush when) {
   struct stat status {};
   const bool exists = ::stat(path.c_str(), &status) == 0;
   if (exists && S_ISDIR(status.st_mode))
@@ -109,6 +119,10 @@ void write_file(const fs::path& path, std::string_view contents) {
   // Names as text: libstdc++'s paths that are altered where there is no memory cannot be destroyed.
   const std::string target = exists ? resolved(path) : path.string();
   const std::size_t name = target.rfind('/') + 1;
+  // A folder keeps its names itself. One that may be written to but not read cannot be flushed.
+  const std::string folder = name > 0 ? target.substr(0, name) : ".";
+  Descriptor names(when == Flush::kNow ? ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC) : -1);
+  if (when == Flush::kNow && names.get() < 0 && errno != EACCES) fail(path, errno);
   std::string temporary;
   int fd = -1;
   for (unsigned attempt = 0; fd < 0; ++attempt) {
@@ -121,12 +135,33 @@ void write_file(const fs::path& path, std::string_view contents) {
   Descriptor file(fd);
   int error = write_all(file.get(), contents);
   if (error == 0 && exists && ::fchmod(file.get(), status.st_mode & 07777) != 0) error = errno;
+  // The contents before the name, or a power loss would leave an empty file in place of the old one.
+  if (error == 0 && when == Flush::kNow) error = flush(file.get(), ::fsync);
   if (!file.close() && error == 0) error = errno;
   if (error == 0 && ::rename(temporary.c_str(), target.c_str()) != 0) error = errno;
   if (error != 0) {
     ::unlink(temporary.c_str());
     fail(path, error);
   }
+  if (names.get() >= 0) error = flush(names.get(), ::fsync);
+  if (error != 0) fail(path, error);
+}
+
+void flush_file(const fs::path& path) {
+  Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (file.get() < 0) fail(path, errno);
+  if (const int error = flush(file.get(), ::fsync)) fail(path, error);
+}
+
+void flush_file_system(const fs::path& path) {
+#ifdef __linux__
+  Descriptor any(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (any.get() < 0) fail(path, errno);
+  if (const int error = flush(any.get(), ::syncfs)) fail(path, error);
+#else
+  static_cast<void>(path);
+  ::sync();
+#endif
 }
 
 }  // namespace loopwise

@@ -496,7 +496,7 @@ void write_pcd(const fs::path& path, const PointCloud& cloud, PcdEncoding encodi
     append_uint32(out, fields.size());
     out += compressed;
   }
-  write_file(path, out);
+  write_file(path, out, Flush::kLater);
 }
 
 void write_ply(const fs::path& path, const PointCloud& cloud) {
@@ -506,7 +506,7 @@ void write_ply(const fs::path& path, const PointCloud& cloud) {
   for (const Column& column : columns) out += std::string("property float ") + column.ply_name + "\n";
   out += "end_header\n";
   append_points(out, columns, cloud.size());
-  write_file(path, out);
+  write_file(path, out, Flush::kLater);
 }
 
 }  // namespace loopwise

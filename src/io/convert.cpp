@@ -253,6 +253,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   }
   if (!graph.ranges().empty()) write_file(folder / parts::kRanges, parts::ranges_text(graph));
   if (!graph.gravities().empty()) write_file(folder / parts::kGravity, parts::gravity_text(graph));
+  flush_file_system(folder);  // the clouds, before the graph that stands for the whole
   write_g2o(folder / kGraph, graph);
   return result;
 }

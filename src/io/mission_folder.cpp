@@ -481,6 +481,7 @@ void MissionWriter::finish(const Mission& mission) const {
     }
     write_g2o(folder_ / files.ground_truth, truth);
   }
+  flush_file_system(folder_);  // the scans, before the file that says that the mission is whole
   write_file(folder_ / "mission.json", json_text(json, 2) + "\n");
   std::error_code ignored;  // with mission.json the mark means nothing any more
   fs::remove(folder_ / parts::kUnfinished, ignored);

@@ -4,7 +4,8 @@
 /// It counts calls on files below a folder alone, and allocations, from the start of main() to its end.
 ///
 ///     LOOPWISE_FAULT         what fails, as CLASS:HOW, for example write:ENOSPC, read:short, alloc:once
-///     LOOPWISE_FAULT_AT      which call of that class, from 1; 0 only counts
+///     LOOPWISE_FAULT_AT      which call of that class, from 1; 0 only counts, and logs "wrote FILE",
+///                            "flushed FILE", "flushed *" and "moved FROM TO"
 ///     LOOPWISE_FAULT_FOLDER  absolute folders, separated by colons
 ///     LOOPWISE_FAULT_LOG     file that gets one line with the fault, and at the end the counts
 ///     LOOPWISE_FAULT_SERVER  IN,OUT: two descriptors, see serve()
@@ -86,6 +87,7 @@ bool goes_on = false;
 const char* folders = nullptr;
 const char* log_path = nullptr;
 std::array<std::array<char, kPathBytes>, kMostFiles> paths{};  // by descriptor; empty: not watched
+std::array<std::atomic<bool>, kMostFiles> written{};           // by descriptor: since the last flush
 
 /// Straight to the kernel, so that nothing of this is counted.
 void log_line(const char* a, const char* b, const char* c) {
@@ -156,7 +158,29 @@ void watch(int fd, const char* whole) {
 }
 
 void forget(int fd) {
-  if (fd >= 0 && fd < kMostFiles) paths[static_cast<std::size_t>(fd)][0] = '\0';
+  if (fd < 0 || fd >= kMostFiles) return;
+  paths[static_cast<std::size_t>(fd)][0] = '\0';
+  written[static_cast<std::size_t>(fd)] = false;
+}
+
+bool counts_only() {
+  return wanted_at == 0 && armed.load(std::memory_order_relaxed);
+}
+
+/// Each file once until it is flushed: programs write in pieces.
+void note_write(int fd, const char* path) {
+  if (counts_only() && !written[static_cast<std::size_t>(fd)].exchange(true)) log_line("wrote", path, "");
+}
+
+/// \param path "*" if all files are flushed
+int note_flush(int fd, const char* path, int result) {
+  if (path == nullptr || result != 0 || !counts_only()) return result;
+  written[static_cast<std::size_t>(fd)] = false;
+  if (*path == '*') {
+    for (auto& file : written) file = false;
+  }
+  log_line("flushed", path, "");
+  return result;
 }
 
 /// The function that this library stands before.
@@ -430,6 +454,7 @@ ssize_t write(int fd, const void* bytes, std::size_t size) {
   if (const char* path = path_of(fd)) {
     const Fate fate = fate_of(kWrite, path);
     if (fate == Fate::kFails) return -1;
+    note_write(fd, path);
     if (fate == Fate::kShort) size = half(size);
   }
   return NEXT(write)(fd, bytes, size);
@@ -438,6 +463,7 @@ ssize_t pwrite(int fd, const void* bytes, std::size_t size, off_t offset) {
   if (const char* path = path_of(fd)) {
     const Fate fate = fate_of(kWrite, path);
     if (fate == Fate::kFails) return -1;
+    note_write(fd, path);
     if (fate == Fate::kShort) size = half(size);
   }
   return NEXT(pwrite)(fd, bytes, size, offset);
@@ -446,6 +472,7 @@ ssize_t writev(int fd, const struct iovec* parts, int count) {
   if (const char* path = path_of(fd)) {
     const Fate fate = fate_of(kWrite, path);
     if (fate == Fate::kFails) return -1;
+    note_write(fd, path);
     if (fate == Fate::kShort && count > 0) return NEXT(write)(fd, parts[0].iov_base, half(parts[0].iov_len));
   }
   return NEXT(writev)(fd, parts, count);
@@ -454,6 +481,7 @@ std::size_t fwrite(const void* bytes, std::size_t size, std::size_t count, FILE*
   if (const char* path = path_of(fileno(file))) {
     const Fate fate = fate_of(kWrite, path);
     if (fate == Fate::kFails) return 0;
+    note_write(fileno(file), path);
     if (fate == Fate::kShort) count = half(count);
   }
   return NEXT(fwrite)(bytes, size, count, file);
@@ -461,11 +489,18 @@ std::size_t fwrite(const void* bytes, std::size_t size, std::size_t count, FILE*
 
 int fsync(int fd) {
   const char* path = path_of(fd);
-  return path != nullptr && fate_of(kSync, path) != Fate::kWell ? -1 : NEXT(fsync)(fd);
+  if (path != nullptr && fate_of(kSync, path) != Fate::kWell) return -1;
+  return note_flush(fd, path, NEXT(fsync)(fd));
 }
 int fdatasync(int fd) {
   const char* path = path_of(fd);
-  return path != nullptr && fate_of(kSync, path) != Fate::kWell ? -1 : NEXT(fdatasync)(fd);
+  if (path != nullptr && fate_of(kSync, path) != Fate::kWell) return -1;
+  return note_flush(fd, path, NEXT(fdatasync)(fd));
+}
+int syncfs(int fd) {
+  const char* path = path_of(fd);
+  if (path != nullptr && fate_of(kSync, path) != Fate::kWell) return -1;
+  return note_flush(fd, path != nullptr ? "*" : nullptr, NEXT(syncfs)(fd));
 }
 int close(int fd) {
   const char* path = path_of(fd);
@@ -489,7 +524,12 @@ int fclose(FILE* file) {
 
 int rename(const char* from, const char* to) {
   char whole[kPathBytes];
-  return watched(to, whole) && fate_of(kRename, whole) != Fate::kWell ? -1 : NEXT(rename)(from, to);
+  if (!watched(to, whole)) return NEXT(rename)(from, to);
+  if (fate_of(kRename, whole) != Fate::kWell) return -1;
+  char before[kPathBytes];
+  const int result = NEXT(rename)(from, to);
+  if (result == 0 && counts_only() && absolute(from, before)) log_line("moved", before, whole);
+  return result;
 }
 int mkdir(const char* path, mode_t mode) {
   char whole[kPathBytes];

@@ -31,6 +31,20 @@ TEST_CASE("files: written whole, replaced whole, nothing left beside them", "[io
   CHECK(files_in(folder.path()) == 1);
 }
 
+TEST_CASE("files: flushed now, later, or not at all where there is nothing", "[io][files][error]") {
+  const TemporaryFolder folder;
+  for (const Flush flush : {Flush::kNow, Flush::kLater}) {
+    write_file(folder / "a", "contents", flush);
+    CHECK(read_file(folder / "a") == "contents");
+    CHECK(files_in(folder.path()) == 1);
+  }
+  flush_file(folder / "a");
+  flush_file_system(folder.path());
+  flush_file("/dev/null");
+  CHECK_THROWS_WITH(flush_file(folder / "b"), Contains("b: No such file"));
+  CHECK_THROWS_WITH(flush_file_system(folder / "c"), Contains("c: No such file"));
+}
+
 TEST_CASE("files: a failed write leaves the old contents", "[io][files][error]") {
   const TemporaryFolder folder;
   std::filesystem::create_directory(folder / "d");

@@ -12,9 +12,23 @@ namespace loopwise {
 /// The whole file. \throws IoError with the system's reason; a folder is refused.
 [[nodiscard]] LOOPWISE_EXPORT std::string read_file(const std::filesystem::path& path);
 
+/// When new contents reach the disk itself.
+enum class Flush {
+  kNow,    ///< Before the call returns: a power loss takes away nothing that was written.
+  kLater,  ///< When the system sees fit, for files by the thousand; call flush_file_system() after the last.
+};
+
 /// Replaces or makes the file in one step: whoever opens the path finds the old contents or the new, never a
 /// part. The new contents are written beside it under another name first. A path that exists and is no
 /// regular file (/dev/stdout, a pipe) is written to directly. \throws IoError with the system's reason
-LOOPWISE_EXPORT void write_file(const std::filesystem::path& path, std::string_view contents);
+LOOPWISE_EXPORT void write_file(const std::filesystem::path& path, std::string_view contents,
+                                Flush flush = Flush::kNow);
+
+/// Returns when the disk has the contents of the file. \throws IoError with the system's reason
+LOOPWISE_EXPORT void flush_file(const std::filesystem::path& path);
+
+/// Returns when the disk has all that was written so far to the file system of the path.
+/// \throws IoError with the system's reason
+LOOPWISE_EXPORT void flush_file_system(const std::filesystem::path& path);
 
 }  // namespace loopwise
