@@ -3,6 +3,7 @@
 
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/trajectory.hpp>
 
@@ -84,6 +85,7 @@ int run(const Options& options) {
       const std::filesystem::path path(options.out);
       const PointCloud cloud = moved(source.cloud, T_target_source);
       path.extension() == ".ply" ? write_ply(path, cloud) : write_pcd(path, cloud);
+      flush_file(path);
     }
   } else if (!options.out.empty()) {
     console.warn("no transform was found: " + options.out + " is not written");

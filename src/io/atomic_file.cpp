@@ -149,7 +149,12 @@ void write_file(const fs::path& path, std::string_view contents, Flush when) {
 
 void flush_file(const fs::path& path) {
   Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
-  if (file.get() < 0) fail(path, errno);
+  if (file.get() < 0) {
+    const int error = errno;
+    std::error_code ignored;
+    if (error == EACCES && fs::is_directory(path, ignored)) return;  // may be written to, but not read
+    fail(path, error);
+  }
   if (const int error = flush(file.get(), ::fsync)) fail(path, error);
 }
 

@@ -331,6 +331,7 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
   fs::rename(made, whole, error);
   if (error) throw IoError(folder.string(), error.message());
   unfinished.keep();
+  flush_file(whole.parent_path());
   return result;
 }
 

@@ -8,6 +8,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <stdexcept>
 #include <string>
@@ -60,6 +61,17 @@ auto attempt(Call&& call) -> std::optional<std::decay_t<decltype(call())>> {
     expect(!std::string_view(error.what()).empty(), "an error has a message");
     return std::nullopt;
   }
+}
+
+/// For checks that take much longer than what they check: the fuzzer makes them of one input in `count`, for
+/// it tries more inputs in that time; the ordinary tests make them of all.
+[[nodiscard]] inline bool one_in([[maybe_unused]] std::size_t count,
+                                 [[maybe_unused]] std::string_view bytes) {
+#ifdef LOOPWISE_LIBFUZZER
+  return std::hash<std::string_view>()(bytes) % count == 0;
+#else
+  return true;
+#endif
 }
 
 /// Takes the first byte off, as a number below `count`; 0 if there is none.

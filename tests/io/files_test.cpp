@@ -39,6 +39,7 @@ TEST_CASE("files: flushed now, later, or not at all where there is nothing", "[i
     CHECK(files_in(folder.path()) == 1);
   }
   flush_file(folder / "a");
+  flush_file(folder.path());
   flush_file_system(folder.path());
   flush_file("/dev/null");
   CHECK_THROWS_WITH(flush_file(folder / "b"), Contains("b: No such file"));
