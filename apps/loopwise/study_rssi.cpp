@@ -111,7 +111,7 @@ int run(const Options& options) {
         }
         std::vector<double> medians;
         for (std::size_t k = 0; k < names.size(); ++k) {
-          of_world["robots"][robot][method][names[k]] = quartiles_json(values[k]);
+          object_at(object_at(of_world["robots"], robot), method)[names[k]] = quartiles_json(values[k]);
           medians.push_back(quartiles(values[k]).median);
         }
         translation.push_back(fixed(medians[0], 3) + " (" + fixed(medians[1], 2) + ")");

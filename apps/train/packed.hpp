@@ -25,7 +25,10 @@ template <class T>
 [[nodiscard]] nlohmann::json pack(const std::vector<T>& values) {
   std::vector<std::uint8_t> bytes(values.size() * sizeof(T));
   if (!bytes.empty()) std::memcpy(bytes.data(), values.data(), bytes.size());
-  return nlohmann::json::binary(std::move(bytes));
+  // Not json::binary(), which without memory destroys what there is not.
+  nlohmann::json out(nlohmann::json::value_t::binary);
+  out.get_binary() = nlohmann::json::binary_t(std::move(bytes));
+  return out;
 }
 /// Column by column.
 template <class Derived>

@@ -8,6 +8,7 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 #include "allocations.hpp"
+#include "packed.hpp"
 #include "testing.hpp"
 
 namespace loopwise {
@@ -49,6 +50,14 @@ TEST_CASE("without memory: a file is written whole or not at all", "[memory][err
   REQUIRE(n > 3);
   REQUIRE(testing::read_text(file) == "new");
   REQUIRE(std::distance(fs::directory_iterator(folder.path()), fs::directory_iterator()) == 1);
+}
+
+TEST_CASE("without memory: numbers that cannot be packed", "[memory][error]") {
+  const std::vector<double> values{1.0, 2.0, 3.0};
+  long n = 1;
+  while (!ends_without(n, [&] { const auto packed = training::pack(values); })) ++n;
+  REQUIRE(n == 3);  // the bytes, and the value that holds them
+  REQUIRE(training::Field("packed", training::pack(values)).values<double>() == values);
 }
 
 TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had been asked", "[memory][error]") {

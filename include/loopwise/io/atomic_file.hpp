@@ -24,7 +24,7 @@ enum class Flush {
 LOOPWISE_EXPORT void write_file(const std::filesystem::path& path, std::string_view contents,
                                 Flush flush = Flush::kNow);
 
-/// Returns when the disk has the contents of the file, or the names in the folder. \throws IoError with the system's reason
+/// Returns when the disk has the file's contents, or the folder's names. \throws IoError with the reason
 LOOPWISE_EXPORT void flush_file(const std::filesystem::path& path);
 
 /// Returns when the disk has all that was written so far to the file system of the path.
