@@ -18,6 +18,7 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 #include "command.hpp"
+#include "key_pairs.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -72,35 +73,13 @@ PriorFactor parse_prior(const std::string& text, const PoseGraph& graph) {
   return prior;
 }
 
-/// Pairs of keys, one a line, separated by blanks or a comma; '#' starts a comment.
-std::set<std::pair<Key, Key>> read_pairs(const std::string& path) {
-  const std::string contents = read_file(path);
-  std::istringstream lines(contents);
-  std::set<std::pair<Key, Key>> pairs;
-  std::string line;
-  for (std::size_t number = 1; std::getline(lines, line); ++number) {
-    line.resize(std::min(line.find('#'), line.size()));
-    std::replace(line.begin(), line.end(), ',', ' ');
-    std::istringstream words(line);
-    std::string from, to, more;
-    if (!(words >> from)) continue;
-    if (!(words >> to) || (words >> more)) throw ParseError(path, number, "expected two keys");
-    try {
-      pairs.emplace(parse_key(from), parse_key(to));
-    } catch (const InputError& error) {
-      throw ParseError(path, number, error.what());
-    }
-  }
-  return pairs;
-}
-
 void mark_odometry(PoseGraph& graph, const Options& options) {
   if (options.odometry == "consecutive") {
     classify_edges(graph,
                    options.robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(options.robots));
     return;
   }
-  const auto pairs = read_pairs(options.odometry);
+  const auto pairs = parse_key_pairs(read_file(options.odometry), options.odometry);
   std::set<std::pair<Key, Key>> unused = pairs;
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
     const std::pair<Key, Key> ends{graph.edges()[e].from, graph.edges()[e].to};

@@ -85,7 +85,6 @@ int run(const Options& options) {
       const std::filesystem::path path(options.out);
       const PointCloud cloud = moved(source.cloud, T_target_source);
       path.extension() == ".ply" ? write_ply(path, cloud) : write_pcd(path, cloud);
-      flush_file(path);
     }
   } else if (!options.out.empty()) {
     console.warn("no transform was found: " + options.out + " is not written");

@@ -8,7 +8,6 @@
 #include <map>
 #include <memory>
 #include <mutex>
-#include <new>
 #include <optional>
 #include <sstream>
 
@@ -28,6 +27,7 @@
 #endif
 
 #include "command.hpp"
+#include "outcome_file.hpp"
 #include "replay_arguments.hpp"
 
 namespace loopwise::cli {
@@ -105,74 +105,6 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   json["code"] = replay_code_version();
   return json_text(json);
 }
-
-/// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".
-std::string difference(const std::string& before, const std::string& now) {
-  const Json b = parse_json(now, "this run");
-  const Json a = [&before] {
-    try {
-      return parse_json(before, "the run to resume");
-    } catch (const InputError&) {
-      return Json();
-    }
-  }();
-  const auto same = [&](const char* name) { return a.contains(name) && a[name] == b[name]; };
-  if (!a.is_object() || !a.contains("options") || !same("code")) return "another version of the program";
-  if (!same("mission") || !same("graph") || !same("scans")) return "another mission";
-  const Json was = a["options"].flatten(), is = b["options"].flatten();
-  for (const auto& [pointer, value] : is.items()) {
-    if (was.contains(pointer) && was[pointer] == value) continue;
-    std::string name = pointer.substr(1);
-    std::replace(name.begin(), name.end(), '/', '.');
-    return "other options: " + name + " was " + (was.contains(pointer) ? was[pointer].dump() : "not there");
-  }
-  return "other options";
-}
-
-/// The file of outcomes, a line each as soon as it is computed: what a killed run leaves to the one that
-/// resumes it.
-class OutcomeFile {
- public:
-  OutcomeFile(fs::path path, const std::string& fingerprint, bool resume) : path_(std::move(path)) {
-    std::string kept = fingerprint + "\n";
-    if (resume && fs::exists(path_)) {
-      std::istringstream lines(read_file(path_));
-      std::string line;
-      if (std::getline(lines, line) && line != fingerprint && !lines.eof()) {
-        throw OptionError(path_.string() + ": the run to resume had " + difference(line, fingerprint));
-      }
-      for (std::size_t number = 2; std::getline(lines, line); ++number) {
-        if (lines.eof()) break;  // cut short by a kill
-        const RegistrationResult result = [&] {
-          try {
-            return parse_outcome_line(line);
-          } catch (const InputError& error) {
-            throw ParseError(path_.string(), number, error.what());
-          }
-        }();
-        if (depends_on_circumstances(result.reason)) continue;  // this time it may go well
-        known_[{result.candidate.from, result.candidate.to}] = result;
-        kept += line + "\n";
-      }
-      if (lines.bad()) throw std::bad_alloc();  // streams swallow it
-    }
-    write_file(path_, kept);
-    out_.open(path_, std::ios::app | std::ios::binary);
-    if (!out_) throw IoError(path_.string(), "cannot be written");
-  }
-
-  [[nodiscard]] const KnownOutcomes& known() const { return known_; }
-
-  void add(const RegistrationResult& result) {
-    out_ << outcome_line(result) + "\n" << std::flush;
-    if (!out_) throw IoError(path_.string(), "cannot be written");
-  }
-
- private:
-  fs::path path_;
-  KnownOutcomes known_;
-  std::ofstream out_;
-};
 
 std::string reasons_text(const std::string& what, const std::map<std::string, std::size_t>& reasons) {
   std::string text;
@@ -333,7 +265,14 @@ int run(const Options& options) {
     if (failure) throw IoError((folder / name).string(), "cannot be removed: " + failure.message());
   };
   const bool live = options.clock == "real";
-  if (options.resume && !fs::exists(folder / "outcomes.jsonl")) console.note("nothing to resume: a new run");
+  if (options.resume && !fs::exists(folder / "outcomes.jsonl")) {
+    if (fs::exists(folder / "summary.json")) {
+      throw OptionError(folder.string() +
+                        ": a run without outcomes.jsonl, as a real clock makes it, cannot be resumed; "
+                        "--overwrite replaces it");
+    }
+    console.note("nothing to resume: a new run");
+  }
   std::optional<OutcomeFile> outcomes;
   if (live) {
     remove_former("outcomes.jsonl");  // of another run
@@ -347,6 +286,11 @@ int run(const Options& options) {
   if (outcomes && !outcomes->known().empty()) {
     console.note("resuming with " + std::to_string(outcomes->known().size()) +
                  " registrations already computed");
+  }
+  if (outcomes && outcomes->lost() > 0) {
+    console.warn((folder / "outcomes.jsonl").string() +
+                 ": lines with zeros in them, as after a loss of power, are computed again: " +
+                 std::to_string(outcomes->lost()));
   }
 
   const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
@@ -389,6 +333,8 @@ int run(const Options& options) {
       stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
+  finish_log(journal, folder / "journal.jsonl");
+  if (outcomes) outcomes->finish();
   write_run_folder(folder, mission, config, result, evaluation, history.rows(),
                    interrupt.interrupted() ? PointCloud{} : map);
   Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");

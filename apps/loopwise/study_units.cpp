@@ -226,6 +226,7 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
   if (keep_run) {
     journal.close();
     if (!journal) throw IoError((files.run / "journal.jsonl").string(), "cannot be written");
+    flush_file(files.run / "journal.jsonl");
     const PointCloud map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop);
     if (stop.stop_requested()) return std::nullopt;
     add_scan_problems(result, *loaded.mission.scans);

@@ -6,10 +6,10 @@
 
 #include <nlohmann/json.hpp>
 
-#include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/mission.hpp>
+#include <loopwise/pipeline/code_version.hpp>
 #ifdef LOOPWISE_HAS_SIMULATION
 #include <loopwise/simulation/simulate.hpp>
 #endif
@@ -67,13 +67,8 @@ std::vector<Source> recorded(const Options& options) {
     source.entry.name = mission.name;
     source.entry.group = world_of(mission);
     source.entry.other_size = other_size;
-    ContentHasher hasher;
-    for (const Node& node : mission.graph.nodes()) {
-      hasher.integer(node.key);
-      hasher.bytes(node.pose.matrix().data(), 16 * sizeof(double));
-    }
-    source.made_with = "mission " + to_string(hasher.finish());
     const auto record = std::make_shared<MissionRecord>(record_of(mission, source.entry.group, other_size));
+    source.made_with = "mission " + to_string(hash_of(MissionData{*record, {}}));
     source.record = [record](const StopToken&) { return *record; };
     out.push_back(std::move(source));
   };
@@ -140,7 +135,7 @@ int run(const Options& options) {
   std::vector<DataSetEntry> entries;
   std::set<std::string> files;
   for (Source& source : sources) {
-    source.made_with += " data " + to_json(data).dump();
+    source.made_with += " data " + to_json(data).dump() + " code " + replay_code_version();
     source.entry.file = "missions/" + file_name(source.entry.name) + ".cbor";
     if (!files.insert(source.entry.file).second) {
       throw OptionError("two missions are named " + source.entry.name);

@@ -48,6 +48,9 @@ int run(const Options& options) {
   cli::prepare_output_folder(folder, options.resume,
                              "; --resume goes on with a training that was interrupted");
   const std::filesystem::path checkpoint = folder / "checkpoint.cbor";
+  if (options.resume && !std::filesystem::exists(checkpoint) &&
+      std::filesystem::exists(folder / "weights.json"))
+    throw OptionError(folder.string() + ": weights without checkpoint.cbor; their training cannot go on");
   Trainer trainer(training, validation, fit);
   if (options.resume && std::filesystem::exists(checkpoint)) trainer.load(checkpoint);
 

@@ -442,10 +442,8 @@ std::string data_hash(const std::vector<MissionData>& training, const std::vecto
   for (const auto* missions : {&training, &validation}) {
     hasher.integer(missions->size());
     for (const MissionData& mission : *missions) {
-      hasher.text(mission.record.name);
-      for (const TrainingGraph& graph : mission.graphs) {
-        for (const TrainingSet& set : graph.sets) hasher.number(set.trace_m2);
-      }
+      const ContentHash whole = hash_of(mission);
+      hasher.integer(whole.high).integer(whole.low);
     }
   }
   return to_string(hasher.finish());

@@ -432,24 +432,36 @@ TrainingGraph unpack_training_graph(const Field& field) {
 
 }  // namespace
 
-void write_mission_data(const std::filesystem::path& path, const MissionData& data,
-                        const std::string& made_with) {
+namespace {
+
+Packed pack_mission(const MissionData& data, const std::string& made_with) {
   Packed robots = Packed::array();
   for (const Robot& robot : data.record.robots.all()) {
     robots.push_back({{"name", robot.name}, {"first", robot.first}, {"last", robot.last}});
   }
   Packed graphs = Packed::array();
   for (const TrainingGraph& graph : data.graphs) graphs.push_back(pack_training_graph(graph));
-  const Packed all = {{"format", "loopwise-training-mission"},
-                      {"version", kVersion},
-                      {"made_with", made_with},
-                      {"name", data.record.name},
-                      {"group", data.record.group},
-                      {"other_size", data.record.other_size},
-                      {"robots", robots},
-                      {"graph", pack_graph(data.record.graph)},
-                      {"graphs", graphs}};
-  write_packed(path, all);
+  return {{"format", "loopwise-training-mission"},
+          {"version", kVersion},
+          {"made_with", made_with},
+          {"name", data.record.name},
+          {"group", data.record.group},
+          {"other_size", data.record.other_size},
+          {"robots", robots},
+          {"graph", pack_graph(data.record.graph)},
+          {"graphs", graphs}};
+}
+
+}  // namespace
+
+ContentHash hash_of(const MissionData& data) {
+  const std::vector<std::uint8_t> bytes = Packed::to_cbor(pack_mission(data, ""));
+  return ContentHasher().bytes(bytes.data(), bytes.size()).finish();
+}
+
+void write_mission_data(const std::filesystem::path& path, const MissionData& data,
+                        const std::string& made_with) {
+  write_packed(path, pack_mission(data, made_with));
 }
 
 bool has_mission_data(const std::filesystem::path& path, const std::string& made_with) {
@@ -528,6 +540,7 @@ DataSet read_data_set(const std::filesystem::path& folder) {
       const std::filesystem::path file = std::filesystem::path(name).lexically_normal();
       if (name.find('\0') != std::string::npos || file.empty() || file.is_absolute() || *file.begin() == "..")
         bad(Json(name).dump() + " leads out of the data's folder");
+      out.entries.back().file = file.string();  // the path that was looked at, whatever links there are
     }
   } catch (const nlohmann::json::exception& error) {
     bad(error.what());

@@ -9,6 +9,7 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -90,6 +91,9 @@ struct MissionData {
 /// out. A function of (record, options). \throws InputError
 [[nodiscard]] MissionData make_mission_data(const MissionRecord& record, const DataOptions& options,
                                             const StopToken& stop = {});
+
+/// Of all that a file of it holds.
+[[nodiscard]] ContentHash hash_of(const MissionData& data);
 
 /// One binary file (CBOR) for a mission, written in one step. `made_with` says what it is a function of.
 void write_mission_data(const std::filesystem::path& path, const MissionData& data,

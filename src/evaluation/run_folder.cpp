@@ -247,7 +247,6 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
   write_file(folder / "history.csv", history_csv(history));
   if (!map.empty()) {
     write_pcd(folder / "map.pcd", map);
-    flush_file(folder / "map.pcd");
     write_file(folder / "picture.svg", run_picture_svg(mission, result, map));
   }
   write_file(folder / "summary.json", run_summary_json(mission, config, result, evaluation));

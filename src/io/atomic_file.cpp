@@ -60,10 +60,19 @@ int write_all(int fd, std::string_view contents) {
 template <class System>
 int flush(int fd, const System& system) {
   while (system(fd) != 0) {
-    if (errno == EINVAL || errno == ENOTSUP || errno == EROFS) return 0;
+    if (errno == EINVAL || errno == ENOTSUP) return 0;  // not EROFS: what a disk became that failed
     if (errno != EINTR) return errno;
   }
   return 0;
+}
+
+/// Standard output or error, if it goes to this file; otherwise -1.
+int stream_to(const struct stat& file) {
+  for (const int fd : {STDOUT_FILENO, STDERR_FILENO}) {
+    struct stat stream {};
+    if (::fstat(fd, &stream) == 0 && stream.st_dev == file.st_dev && stream.st_ino == file.st_ino) return fd;
+  }
+  return -1;
 }
 
 /// Through a symbolic link, the file that it points to is replaced, not the link.
@@ -114,6 +123,10 @@ void write_file(const fs::path& path, std::string_view contents, Flush when) {
     Descriptor device(::open(path.c_str(), O_WRONLY | O_CLOEXEC));
     if (device.get() < 0) fail(path, errno);
     if (const int error = write_all(device.get(), contents)) fail(path, error);
+    return;
+  }
+  if (const int stream = exists ? stream_to(status) : -1; stream >= 0) {
+    if (const int error = write_all(stream, contents)) fail(path, error);
     return;
   }
   // Names as text: libstdc++'s paths that are altered where there is no memory cannot be destroyed.

@@ -278,6 +278,24 @@ void read_bag_truth(Mission& mission, const std::vector<fs::path>& files, const 
   gatherer.add_truth_to(mission);
 }
 
+void unpack(const ZipArchive& archive, std::size_t number, const fs::path& to, const std::string& name,
+            const StopToken& stop) {
+  const std::uint64_t free = fs::space(to.parent_path()).available;
+  if (archive.size(number) >
+      free) {  // a small archive may claim any size, and a deflated one may even have it
+    throw InputError(name + ": unpacked it takes " + std::to_string(archive.size(number)) +
+                     " bytes, of which " + to.parent_path().string() + " has " + std::to_string(free));
+  }
+  std::ofstream out(to, std::ios::binary);
+  archive.read(number, [&](std::string_view piece) {
+    if (stop.stop_requested()) throw StoppedError("unpacking " + name + " was stopped");
+    out.write(piece.data(), static_cast<std::streamsize>(piece.size()));
+    if (!out) throw IoError(to.string(), "cannot be written");
+  });
+  out.close();
+  if (!out) throw IoError(to.string(), "cannot be written");
+}
+
 Mission read_lamp_save(const fs::path& path, const MissionOptions& options, const Work& work) {
   const bool folder = fs::is_directory(path);
   const FileSource files = folder ? files_of_folder(path) : files_of_archive(path);
@@ -301,12 +319,7 @@ Mission read_lamp_save(const fs::path& path, const MissionOptions& options, cons
   if (!folder) {
     copy = std::make_unique<TemporaryFile>();
     bag_path = copy->path();
-    std::ofstream out(bag_path, std::ios::binary);
-    ZipArchive(path).read(*graph, [&](std::string_view piece) {
-      out.write(piece.data(), static_cast<std::streamsize>(piece.size()));
-    });
-    out.close();
-    if (!out) throw IoError(bag_path.string(), "cannot be written");
+    unpack(ZipArchive(path), *graph, bag_path, files.path(*graph), work.stop);
   }
   BagSet bags({{bag_path, files.path(*graph)}}, problems, work.progress, work.stop);
   const std::vector<bags::Connection>& connections = bags.connections();

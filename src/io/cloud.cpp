@@ -467,7 +467,7 @@ CloudFile read_cloud(const fs::path& path) {
   return parse_cloud(path.string(), is_cloud_file(path) ? read_file(path) : std::string());
 }
 
-void write_pcd(const fs::path& path, const PointCloud& cloud, PcdEncoding encoding) {
+std::string points::pcd_text(const PointCloud& cloud, PcdEncoding encoding) {
   const std::vector<Column> columns = columns_of(cloud);
   const std::size_t count = cloud.size();
   const std::string points = std::to_string(count);
@@ -496,7 +496,11 @@ void write_pcd(const fs::path& path, const PointCloud& cloud, PcdEncoding encodi
     append_uint32(out, fields.size());
     out += compressed;
   }
-  write_file(path, out, Flush::kLater);
+  return out;
+}
+
+void write_pcd(const fs::path& path, const PointCloud& cloud, PcdEncoding encoding) {
+  write_file(path, points::pcd_text(cloud, encoding));
 }
 
 void write_ply(const fs::path& path, const PointCloud& cloud) {
@@ -506,7 +510,7 @@ void write_ply(const fs::path& path, const PointCloud& cloud) {
   for (const Column& column : columns) out += std::string("property float ") + column.ply_name + "\n";
   out += "end_header\n";
   append_points(out, columns, cloud.size());
-  write_file(path, out, Flush::kLater);
+  write_file(path, out);
 }
 
 }  // namespace loopwise

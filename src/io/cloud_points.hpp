@@ -94,4 +94,7 @@ void read_binary(const Layout& layout, std::string_view data, std::size_t count,
 /// As read_cloud(), of a file that is in memory. Its name's extension says what it is.
 [[nodiscard]] CloudFile parse_cloud(const std::string& name, const std::string& contents);
 
+/// What write_pcd() writes.
+[[nodiscard]] std::string pcd_text(const PointCloud& cloud, PcdEncoding encoding);
+
 }  // namespace loopwise::points

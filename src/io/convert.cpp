@@ -16,6 +16,7 @@
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/trajectory.hpp>
 
+#include "cloud_points.hpp"
 #include "mission_parts.hpp"
 #include "text.hpp"
 
@@ -33,10 +34,25 @@ void make_folder(const fs::path& folder) {
   if (error) throw IoError(folder.string(), error.message());
 }
 
+/// A folder of this process alone, in the one where the other shall be.
+fs::path new_folder_beside(const fs::path& folder) {
+  make_folder(folder.parent_path());
+  for (int attempt = 0;; ++attempt) {
+    fs::path made =
+        folder.parent_path() / ("." + folder.filename().string() + "." + std::to_string(::getpid()) + "-" +
+                                std::to_string(attempt) + ".tmp");
+    std::error_code error;
+    if (fs::create_directory(made, error)) return made;
+    if (error && error != std::errc::file_exists) throw IoError(made.string(), error.message());
+    if (attempt == 1000) throw IoError(made.string(), "is there already");
+  }
+}
+
 /// Removes what was written unless all went well.
 class Target {
  public:
-  explicit Target(fs::path folder) : folder_(std::move(folder)), existed_(fs::exists(folder_)) {}
+  explicit Target(const fs::path& folder) : Target(folder, fs::exists(folder)) {}
+  Target(fs::path folder, bool existed) : folder_(std::move(folder)), existed_(existed) {}
   ~Target() {
     if (done_) return;
     try {
@@ -208,7 +224,8 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   std::mutex mutex;
   std::set<Key> written;
   result.scans = write_scans(mission, with_node, options, [&](Key key, const PointCloud& cloud) {
-    write_pcd(folder / kClouds / (std::to_string(keys.of(key)) + ".pcd"), cloud, options.encoding);
+    write_file(folder / kClouds / (std::to_string(keys.of(key)) + ".pcd"),
+               points::pcd_text(cloud, options.encoding), Flush::kLater);
     const std::lock_guard<std::mutex> lock(mutex);
     written.insert(key);
   });
@@ -286,10 +303,8 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
 
   // Written beside the target and renamed, so that there are all files or none.
   const fs::path whole = fs::absolute(folder / "").lexically_normal().parent_path();
-  const fs::path made =
-      whole.parent_path() / ("." + whole.filename().string() + "." + std::to_string(::getpid()) + ".tmp");
-  Target unfinished(made);
-  make_folder(made);
+  const fs::path made = new_folder_beside(whole);
+  Target unfinished(made, false);
   const std::string extension = "." + enum_name(format);
   std::set<std::string> names;
   for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
@@ -301,7 +316,9 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
     if (own.empty()) continue;
     const std::string plain = file_name(mission.robots[robot].name);
     std::string name = plain;
-    for (int n = 2; !names.insert(name).second; ++n) name = plain + "_" + std::to_string(n);
+    for (int n = 2; names.count(name) + names.count(name + "_truth") > 0; ++n)
+      name = plain + "_" + std::to_string(n);
+    names.insert({name, name + "_truth"});
     std::vector<StampedPose> poses, truth;
     for (const auto& [key, node] : own) {
       poses.push_back({node->stamp_ns, node->pose});
@@ -326,7 +343,6 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
     }
     if (!truth.empty()) write(made / (name + "_truth" + extension), truth);
   }
-  make_folder(whole.parent_path());
   std::error_code error;
   fs::rename(made, whole, error);
   if (error) throw IoError(folder.string(), error.message());

@@ -124,7 +124,13 @@ std::map<Key, fs::path> find_scans(const fs::path& folder,
   std::set<fs::path> files;  // sorted: the order of a folder is not defined
   std::error_code error;
   for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
-    if (entry->path().filename().string().front() != '.') files.insert(entry->path());
+    if (entry->path().filename().string().front() == '.') continue;
+    std::error_code unknown;
+    if (entry->is_other(unknown)) {  // a pipe would be waited for
+      problems.add("foreign file in scans", entry->path().string());
+    } else {
+      files.insert(entry->path());
+    }
   }
   if (error) throw IoError(folder.string(), error.message());
   for (const fs::path& file : files) {

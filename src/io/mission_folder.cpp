@@ -12,6 +12,7 @@
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
 
+#include "cloud_points.hpp"
 #include "g2o_text.hpp"
 #include "mission_parts.hpp"
 #include "text.hpp"
@@ -342,7 +343,12 @@ namespace parts {
 Mission read_mission_folder(const fs::path& folder, const MissionOptions& options) {
   const Description description(folder / "mission.json");
   const Files files = description.files();
-  const auto present = [&](const fs::path& file) { return parts::exists(folder / file); };
+  const auto present = [&](const fs::path& file) {
+    std::error_code unknown;  // parts::exists() tells it
+    // A pipe would be waited for, a device read without end.
+    if (fs::is_other(folder / file, unknown)) throw InputError((folder / file).string() + ": is no file");
+    return parts::exists(folder / file);
+  };
 
   Mission mission;
   mission.kind = MissionKind::kMission;
@@ -351,6 +357,7 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   mission.frame = description.text_or("frame", "map");
   mission.provenance_json = description.provenance();
 
+  static_cast<void>(present(files.graph));
   G2oFile g2o = read_g2o(folder / files.graph);
   mission.problems = g2o.problems;
   if (present(files.ranges)) read_ranges(folder / files.ranges, g2o.graph);
@@ -408,7 +415,8 @@ MissionWriter::MissionWriter(fs::path folder, PcdEncoding encoding)
 }
 
 void MissionWriter::add_scan(Key key, const PointCloud& cloud) const {
-  write_pcd(folder_ / "scans" / (std::to_string(key) + ".pcd"), cloud, encoding_);
+  write_file(folder_ / "scans" / (std::to_string(key) + ".pcd"), points::pcd_text(cloud, encoding_),
+             Flush::kLater);
 }
 
 void MissionWriter::finish(const Mission& mission) const {

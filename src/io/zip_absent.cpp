@@ -23,6 +23,10 @@ const std::vector<std::string>& ZipArchive::names() const {
   return state_->names;
 }
 
+std::uint64_t ZipArchive::size(std::size_t) const {
+  return 0;
+}
+
 std::string ZipArchive::read(std::size_t) const {
   return {};
 }

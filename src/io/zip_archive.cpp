@@ -66,6 +66,10 @@ const std::vector<std::string>& ZipArchive::names() const {
   return state_->names;
 }
 
+std::uint64_t ZipArchive::size(std::size_t number) const {
+  return state_->files.at(number).size;
+}
+
 std::string ZipArchive::read(std::size_t number) const {
   std::string contents;
   read(number, [&](std::string_view piece) {

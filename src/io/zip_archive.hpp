@@ -5,6 +5,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <filesystem>
 #include <functional>
 #include <memory>
@@ -30,7 +31,10 @@ class ZipArchive {
   /// archive. \throws InputError naming archive and file if it is damaged, encrypted or larger than 1 GiB
   [[nodiscard]] std::string read(std::size_t number) const;
 
-  /// The same, handed out piece by piece and without bound.
+  /// Bytes of the n-th file, as the archive says; reading it gives no more.
+  [[nodiscard]] std::uint64_t size(std::size_t number) const;
+
+  /// The same as read(), handed out piece by piece and without bound.
   void read(std::size_t number, const std::function<void(std::string_view)>& piece) const;
 
  private:

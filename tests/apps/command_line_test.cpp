@@ -527,6 +527,14 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
                Contains("with 6 registrations already computed"));
   same_results("two");
 
+  // What did not reach the disk before power was lost reads as zeros, also between other lines.
+  std::string holes = outcomes;
+  const std::size_t third = holes.find('\n', holes.find('\n', holes.find('\n') + 1) + 1);
+  holes.replace(third - 10, 20, std::string(20, '\0'));
+  testing::write_text(folder / "two" / "outcomes.jsonl", holes);
+  REQUIRE_THAT(run_program(replay("two", {"--resume"})).err, Contains("are computed again: 1"));
+  same_results("two");
+
   require_failure(replay("one", {}), kBadUsage, "not empty");
   require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options: replay.seed was 1");
   require_failure(replay("two", {"--resume", "--overwrite"}), kBadUsage, "give one of them");

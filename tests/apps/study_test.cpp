@@ -497,6 +497,14 @@ TEST_CASE("replay: on a real clock the folder is the same in kind", "[apps][live
     REQUIRE(fs::exists(out / file));
   }
   REQUIRE_FALSE(fs::exists(out / "outcomes.jsonl"));
+
+  // It cannot be made again, so nothing may take its place unasked.
+  const ProgramRun again =
+      run_program({"replay", (folder / "mission").string(), "-o", out.string(), "--resume"});
+  REQUIRE(again.status == kBadUsage);
+  REQUIRE_THAT(again.err, Contains("--overwrite replaces it"));
+  REQUIRE(fs::exists(out / "summary.json"));
+  REQUIRE(fs::exists(out / "map.pcd"));
 }
 
 }  // namespace loopwise

@@ -174,5 +174,38 @@ TEST_CASE("giant sizes: archives", "[fuzz][giant]") {
   CHECK(largest_piece([&] { static_cast<void>(ZipArchive(file).read(0)); }) < kBound);
 }
 
+#ifdef LOOPWISE_FUZZ_ROSBAG
+/// An archive of one file that takes 2^60 bytes, so it says, in the form for sizes of 64 bits.
+std::string zip_of_giant(const std::string& name) {
+  const std::string none("\x03\x00", 2), sizes("\0\0\0\0\0\0\0\x10\x02\0\0\0\0\0\0\0", 16);
+  const std::string extra = std::string("\x01\0\x10\0", 4) + sizes;
+  const auto number = [](std::size_t value, std::size_t bytes) {
+    std::string out;
+    for (std::size_t i = 0; i < bytes; ++i) out += static_cast<char>(value >> (8 * i) & 0xff);
+    return out;
+  };
+  // Version 4.5, deflated, no time, no checksum, sizes elsewhere.
+  const std::string common = std::string("\x2d\0\0\0\x08\0\0\0\x21\0\0\0\0\0", 14) + std::string(8, '\xff') +
+                             number(name.size(), 2) + number(extra.size(), 2);
+  const std::string local = "PK\x03\x04" + common + name + extra + none;
+  const std::string directory =
+      "PK\x01\x02" + std::string("\x2d\x03", 2) + common + std::string(14, '\0') + name + extra;
+  return local + directory + std::string("PK\x05\x06\0\0\0\0\x01\0\x01\0", 12) + number(directory.size(), 4) +
+         number(local.size(), 4) + std::string(2, '\0');
+}
+
+TEST_CASE("giant sizes: a bag in an archive is not unpacked where it has no room", "[fuzz][giant]") {
+  if (!ZipArchive::available()) {
+    SUCCEED("no archives in this build");
+    return;
+  }
+  const testing::TemporaryFolder folder;
+  testing::write_text(folder / "save.zip", zip_of_giant("pose_graph.bag"));
+  CHECK(ZipArchive(folder / "save.zip").size(0) == std::uint64_t{1} << 60);
+  CHECK_THROWS_WITH(read_mission(folder / "save.zip"),
+                    Catch::Matchers::Contains("unpacked it takes 1152921504606846976"));
+}
+#endif
+
 }  // namespace
 }  // namespace loopwise

@@ -1,11 +1,31 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Lines of outcomes, as a run that is resumed reads them.
+// Lines of outcomes, as a run that is resumed reads them, and the first one of their file, which says whose
+// they are.
 #include <loopwise/pipeline/replay.hpp>
 
 #include "checks.hpp"
+#include "outcome_file.hpp"
+
+namespace {
+
+using namespace loopwise;
+
+void check_file(const std::string& contents) {
+  const std::string own = R"({"code":"1","mission":"m","options":{"a":{"b":1,"c":[2,"x"]}}})";
+  static_cast<void>(fuzz::attempt([&] { return cli::parse_outcomes(contents, own, "outcomes"); }));
+  const auto kept =
+      fuzz::attempt([&] { return cli::parse_outcomes(own + "\n" + contents, own, "outcomes"); });
+  if (kept) {
+    const auto again = cli::parse_outcomes(own + "\n" + kept->lines, own, "again");
+    fuzz::expect(again.lines == kept->lines && again.lost == 0 && again.known.size() == kept->known.size(),
+                 "what is kept is kept again");
+  }
+}
+
+}  // namespace
 
 LOOPWISE_FUZZ_TARGET(outcome_line, bytes) {
-  using namespace loopwise;
+  if (fuzz::one_in(4, bytes)) check_file(std::string(bytes));
   for (std::size_t begin = 0; begin < bytes.size();) {
     const std::size_t end = std::min(bytes.find('\n', begin), bytes.size());
     const std::string line(bytes.substr(begin, end - begin));

@@ -204,13 +204,17 @@ Seeds pipeline_seeds() {
                    {"robots", with_choice(2, "husky=0-624,spot=625-1249")},
                    {"letters", with_choice(2, "a,b")}};
   all["weights"] = {{"effect", small_effect_network()}, {"graph", small_graph_network()}};
-  all["outcome_line"] = {{"both", outcome_line(result(true)) + "\n" + outcome_line(result(false)) + "\n"}};
+  const std::string lines = outcome_line(result(true)) + "\n" + outcome_line(result(false)) + "\n";
+  const std::string run = R"({"code":"1","mission":"m","options":{"a":{"b":2}}})";
+  all["outcome_line"] = {{"both", lines}, {"file", run + "\n" + lines}};
   const std::string store = store_file();
   all["outcome_store"] = {{"file", with_choice(0, store)},
                           {"payload", with_choice(1, store.substr(32, 534))},
                           {"cut", with_choice(0, "damaged" + store.substr(0, store.size() - 3))}};
   all["training"] = {{"mission", with_choice(0, training_file())}, {"list", with_choice(1, data_list())}};
   all["study_unit"] = {{"unit", unit_file()}};
+  all["key_pairs"] = {
+      {"pairs", "# odometry\n0 1\n1,2\n\n8646911284551352320 8646911284551352321 # of another robot\n"}};
 #ifdef LOOPWISE_FUZZ_MPI
   RegistrationResult late = result(false);
   late.reason = RejectionReason::kTimeLimit;

@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <unistd.h>
+
 #include <loopwise/io/convert.hpp>
 
 #include <loopwise/core/error.hpp>
@@ -285,6 +287,18 @@ TEST_CASE("convert: trajectories", "[io][convert]") {
   static_cast<void>(convert_mission(mission, folder / "same", MissionFormat::kTum));
   CHECK(fs::exists(folder / "same" / "a_b.tum"));
   CHECK(fs::exists(folder / "same" / "a_b_2.tum"));
+  // One whose name is that of another's truth.
+  mission.robots = Robots({robot_of_character('c', "a"), robot_of_character('e', "a_truth")});
+  static_cast<void>(convert_mission(mission, folder / "truth", MissionFormat::kTum));
+  CHECK(read_tum(folder / "truth" / "a_truth.tum").size() == 4);
+  CHECK(read_tum(folder / "truth" / "a_truth_2.tum").size() == 4);
+
+  // What a killed conversion left is not taken along, though another process may have its number.
+  const fs::path left = folder / (".next." + std::to_string(::getpid()) + "-0.tmp");
+  fs::create_directories(left);
+  testing::write_text(left / "of_another.tum", "");
+  static_cast<void>(convert_mission(mission, folder / "next", MissionFormat::kTum));
+  CHECK_FALSE(fs::exists(folder / "next" / "of_another.tum"));
 }
 
 TEST_CASE("convert: a target is whole or nothing", "[io][convert][error]") {

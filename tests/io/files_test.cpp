@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <fcntl.h>
 #include <sys/stat.h>
+#include <unistd.h>
 
 #include <cmath>
+#include <cstdio>
 #include <limits>
 
 #include <loopwise/core/error.hpp>
@@ -44,6 +47,27 @@ TEST_CASE("files: flushed now, later, or not at all where there is nothing", "[i
   flush_file("/dev/null");
   CHECK_THROWS_WITH(flush_file(folder / "b"), Contains("b: No such file"));
   CHECK_THROWS_WITH(flush_file_system(folder / "c"), Contains("c: No such file"));
+}
+
+TEST_CASE("files: standard output that goes to a file is appended to, not replaced", "[io][files]") {
+  const TemporaryFolder folder;
+  testing::write_text(folder / "log", "before\n");
+  std::fflush(stdout);
+  const int saved = ::dup(STDOUT_FILENO);
+  const int log = ::open((folder / "log").c_str(), O_WRONLY | O_APPEND);
+  REQUIRE(::dup2(log, STDOUT_FILENO) == STDOUT_FILENO);
+  std::string why;
+  try {
+    write_file("/dev/stdout", "result\n");
+  } catch (const IoError& error) {
+    why = error.what();
+  }
+  ::dup2(saved, STDOUT_FILENO);
+  ::close(saved);
+  ::close(log);
+  CHECK(why.empty());
+  CHECK(read_file(folder / "log") == "before\nresult\n");
+  CHECK(files_in(folder.path()) == 1);
 }
 
 TEST_CASE("files: a failed write leaves the old contents", "[io][files][error]") {

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/io/mission.hpp>
 
+#include <sys/stat.h>
+
 #include <cmath>
 
 #include <nlohmann/json.hpp>
@@ -164,6 +166,20 @@ TEST_CASE("mission: its files lie in its folder, by name; links that its owner m
     CAPTURE(name);
     with_graph(name);
     CHECK_THROWS_WITH(read_mission(mission), Contains("leads out of the mission's folder"));
+  }
+}
+
+TEST_CASE("mission: a pipe in the place of a file is not waited for", "[io][mission][error]") {
+  const TemporaryFolder folder;
+  const fs::path mission = write_complete(folder);
+  REQUIRE(::mkfifo((mission / "scans" / "7.pcd").c_str(), 0600) == 0);
+  CHECK(read_mission(mission).problems.count("foreign file in scans") == 1);
+  for (const char* name : {"graph.g2o", "stamps.csv"}) {
+    CAPTURE(name);
+    fs::rename(mission / name, folder / "aside");
+    REQUIRE(::mkfifo((mission / name).c_str(), 0600) == 0);
+    CHECK_THROWS_WITH(read_mission(mission), Contains(std::string(name) + ": is no file"));
+    fs::rename(folder / "aside", mission / name);
   }
 }
 

@@ -35,6 +35,9 @@ TEST_CASE("loopwise-train: from data to a judgement", "[train][program]") {
   CAPTURE(fit.err);
   REQUIRE(fit.status == 0);
   REQUIRE(nlohmann::json::parse(fit.out).at("epochs") == 2);
+  fs::rename(run + "/checkpoint.cbor", folder / "aside");
+  REQUIRE(run_program({"fit", data, "-o", run, "--epochs", "2", "--resume"}).status == 2);
+  fs::rename(folder / "aside", run + "/checkpoint.cbor");
   const ProgramRun judged =
       run_program({"evaluate", data, run + "/weights.json", "--quiet", "--set", "judge.set_sizes=3", "--set",
                    "judge.sets=5", "--set", "judge.evaluations=150", "--set", "judge.swaps=10"});
@@ -107,6 +110,17 @@ TEST_CASE("loopwise-train: data of recorded missions, resumed", "[train][program
   CAPTURE(again.err);
   REQUIRE(again.status == 0);
   REQUIRE(nlohmann::json::parse(again.out).at("kept") == 2);
+
+  // Data of another odometry are not this mission's, though its nodes stand where they stood.
+  const fs::path graph = folder / "walk2" / "graph.g2o";
+  std::string text = read_file(graph);
+  text.insert(text.rfind(' ') + 1, "1");
+  testing::write_text(graph, text);
+  fs::remove(folder / "data" / "dataset.json");
+  const ProgramRun mended = run_program(words);
+  CAPTURE(mended.err);
+  REQUIRE(mended.status == 0);
+  REQUIRE(nlohmann::json::parse(mended.out).at("kept") == 2);
 }
 
 TEST_CASE("loopwise-train: bad usage and bad data", "[train][program][error]") {

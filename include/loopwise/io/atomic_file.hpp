@@ -19,8 +19,8 @@ enum class Flush {
 };
 
 /// Replaces or makes the file in one step: whoever opens the path finds the old contents or the new, never a
-/// part. The new contents are written beside it under another name first. A path that exists and is no
-/// regular file (/dev/stdout, a pipe) is written to directly. \throws IoError with the system's reason
+/// part. The new contents are written beside it under another name first. What is no regular file (a pipe) or
+/// is standard output (/dev/stdout) is written to directly. \throws IoError with the system's reason
 LOOPWISE_EXPORT void write_file(const std::filesystem::path& path, std::string_view contents,
                                 Flush flush = Flush::kNow);
 

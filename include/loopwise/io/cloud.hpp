@@ -46,11 +46,11 @@ enum class PcdEncoding {
 }
 
 /// PCD 0.7 with the fields that the cloud has; read_cloud() and PCL give back the same floats in every
-/// encoding. Replaces an existing file as a whole or not at all; flushed as Flush::kLater. \throws IoError
+/// encoding. Replaces an existing file as a whole or not at all, see write_file(). \throws IoError
 LOOPWISE_EXPORT void write_pcd(const std::filesystem::path& path, const PointCloud& cloud,
                                PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
 
-/// Binary little-endian PLY with the fields that the cloud has. \throws IoError
+/// Binary little-endian PLY with the fields that the cloud has, written likewise. \throws IoError
 LOOPWISE_EXPORT void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
 
 }  // namespace loopwise
