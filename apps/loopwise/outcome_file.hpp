@@ -7,7 +7,6 @@
 #include <filesystem>
 #include <fstream>
 #include <string>
-#include <string_view>
 
 #include <loopwise/pipeline/replay.hpp>
 
@@ -17,8 +16,8 @@ namespace loopwise::cli {
 struct KeptOutcomes {
   KnownOutcomes known;
   std::string lines;  ///< Theirs.
-  std::size_t lost =
-      0;  ///< Lines with zeros in them: parts that had not reached the disk when power was lost.
+  /// Lines with zeros in them: parts that had not reached the disk when power was lost.
+  std::size_t lost = 0;
 };
 
 /// `fingerprint`: of the run that goes on, without line breaks; the file's first line is that of its own. A

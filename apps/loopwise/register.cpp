@@ -3,7 +3,6 @@
 
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
-#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/trajectory.hpp>
 

@@ -22,6 +22,8 @@
 #include <loopwise/pipeline/code_version.hpp>
 #include <loopwise/pipeline/replay.hpp>
 
+#include "outcome_file.hpp"
+
 namespace loopwise::cli {
 namespace {
 
@@ -224,9 +226,7 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
       MissionReplay(loaded.mission, unit.config, loaded.features, loaded.registrar).run(one, hooks);
   if (result.interrupted) return std::nullopt;
   if (keep_run) {
-    journal.close();
-    if (!journal) throw IoError((files.run / "journal.jsonl").string(), "cannot be written");
-    flush_file(files.run / "journal.jsonl");
+    finish_log(journal, files.run / "journal.jsonl");
     const PointCloud map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop);
     if (stop.stop_requested()) return std::nullopt;
     add_scan_problems(result, *loaded.mission.scans);

@@ -5,7 +5,6 @@
 #include <array>
 #include <cmath>
 #include <cstring>
-#include <fstream>
 #include <limits>
 #include <map>
 #include <numeric>
@@ -30,6 +29,7 @@
 
 #include "report_parts.hpp"
 #include "report_template.hpp"
+#include "run_journal.hpp"
 
 namespace loopwise {
 namespace {
@@ -261,7 +261,7 @@ class RunReader {
       }
       return {{"source", "history.csv"}, {"columns", columns}};
     }
-    if (!fs::exists(folder_ / "journal.jsonl")) {
+    if (!has_journal()) {
       note("no history.csv and no journal.jsonl: nothing over time");
       return nullptr;
     }
@@ -304,75 +304,35 @@ class RunReader {
     has_closures_ = true;
   }
 
-  /// Calls visit(event) for the journal's lines of an event.
-  template <class Visitor>
-  void journal(const std::set<std::string>& events, Visitor&& visit) const {
-    const bool exists = fs::exists(folder_ / "journal.jsonl");
-    std::ifstream in(folder_ / "journal.jsonl", std::ios::binary);
-    if (exists && !in) throw IoError((folder_ / "journal.jsonl").string(), "cannot be opened");
-    std::string line;
-    while (std::getline(in, line)) {
-      // The event comes first in each line. Most lines are others, and long.
-      const std::size_t begin = line.find(":\"") + 2, end = line.find('"', begin);
-      if (begin < 2 || end == std::string::npos || events.count(line.substr(begin, end - begin)) == 0)
-        continue;
-      const Json event = Json::parse(line, nullptr, false);
-      const auto name = event.find("event");
-      if (event.is_object() && name != event.end() && name->is_string()) visit(event);
-    }
-    if (in.bad()) throw IoError((folder_ / "journal.jsonl").string(), "cannot be read");
+  [[nodiscard]] bool has_journal() const { return fs::exists(folder_ / "journal.jsonl"); }
+
+  /// Read when it is first asked for.
+  [[nodiscard]] const RunJournal& journal() {
+    if (!journal_) journal_ = read_run_journal(folder_ / "journal.jsonl");
+    return *journal_;
   }
 
-  [[nodiscard]] Json history_of_journal() const {
+  [[nodiscard]] Json history_of_journal() {
     std::vector<double> verified;
     for (const Row& row : rows_) {
       if (row.outcome == "verified") verified.push_back(row.time_s);
     }
     std::sort(verified.begin(), verified.end());
-    struct Moment {
-      double time_s;
-      std::uint64_t generated, queued, computed, verified, inliers;
-    };
-    std::vector<Moment> moments;
-    std::uint64_t inliers = 0;
-    journal({"batch", "estimate", "end"}, [&](const Json& event) {
-      // Counts that are no numbers, as those that are absent, are 0.
-      const auto count = [](const Json& in, const char* name) {
-        const auto found = in.find(name);
-        return found != in.end() && found->is_number_unsigned() ? found->get<std::uint64_t>() : 0;
-      };
-      if (!event.contains("account") || !event.contains("time_s")) return;
-      const Json& account = event["account"];
-      if (!account.is_object() || !event["time_s"].is_number()) return;
-      if (event["event"] == "estimate") inliers = count(event, "inliers");
-      const double time_s = event["time_s"].get<double>();
-      const auto seen = static_cast<std::uint64_t>(
-          std::upper_bound(verified.begin(), verified.end(), time_s) - verified.begin());
-      const std::uint64_t generated = count(account, "generated");
-      const Moment moment{time_s,
-                          generated,
-                          generated - std::min(generated, count(account, "pruned")),
-                          count(account, "computed"),
-                          seen,
-                          std::min(inliers, seen)};
-      if (!moments.empty() && moments.back().time_s == time_s) {
-        moments.back() = moment;
-      } else {
-        moments.push_back(moment);
-      }
-    });
+    const auto& moments = journal().moments;
     const std::size_t stride = std::max<std::size_t>(1, (moments.size() + kHistoryRows - 1) / kHistoryRows);
     Json columns = {{"mission_time_s", Json::array()}, {"generated", Json::array()},
                     {"queued", Json::array()},         {"computed", Json::array()},
                     {"verified", Json::array()},       {"gnc_inliers", Json::array()}};
     for (std::size_t i = 0; i < moments.size(); ++i) {
       if (i % stride != 0 && i + 1 != moments.size()) continue;
+      const auto seen = static_cast<std::uint64_t>(
+          std::upper_bound(verified.begin(), verified.end(), moments[i].time_s) - verified.begin());
       columns["mission_time_s"].push_back(moments[i].time_s);
       columns["generated"].push_back(moments[i].generated);
       columns["queued"].push_back(moments[i].queued);
       columns["computed"].push_back(moments[i].computed);
-      columns["verified"].push_back(moments[i].verified);
-      columns["gnc_inliers"].push_back(moments[i].inliers);
+      columns["verified"].push_back(seen);
+      columns["gnc_inliers"].push_back(std::min(moments[i].inliers, seen));
     }
     return {{"source", "journal.jsonl"}, {"columns", columns}};
   }
@@ -547,17 +507,8 @@ class RunReader {
     } else {
       note("no closures.csv: no outcomes of candidates");
     }
-    if (fs::exists(folder_ / "journal.jsonl")) {
-      Pairs selected;
-      journal({"batch"}, [&](const Json& event) {
-        if (!event.contains("pairs") || !event["pairs"].is_array()) return;
-        for (const Json& pair : event["pairs"]) {
-          if (pair.is_array() && pair.size() == 2 && pair[0].is_string() && pair[1].is_string())
-            selected.emplace_back(parse_key(pair[0].get<std::string>()),
-                                  parse_key(pair[1].get<std::string>()));
-        }
-      });
-      layers["selected"] = pair_layer(selected, place, 5);
+    if (has_journal()) {
+      layers["selected"] = pair_layer(journal().candidates, place, 5);
     } else {
       note("no journal.jsonl: which candidates were selected is not known");
     }
@@ -627,6 +578,7 @@ class RunReader {
   std::string mission_name_;
   std::vector<Row> rows_;
   bool has_closures_ = false;
+  std::optional<RunJournal> journal_;
   std::vector<std::string> notes_;
 };
 

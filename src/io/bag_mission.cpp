@@ -280,9 +280,9 @@ void read_bag_truth(Mission& mission, const std::vector<fs::path>& files, const 
 
 void unpack(const ZipArchive& archive, std::size_t number, const fs::path& to, const std::string& name,
             const StopToken& stop) {
+  // A small archive may claim any size, and a deflated one may even have it.
   const std::uint64_t free = fs::space(to.parent_path()).available;
-  if (archive.size(number) >
-      free) {  // a small archive may claim any size, and a deflated one may even have it
+  if (archive.size(number) > free) {
     throw InputError(name + ": unpacked it takes " + std::to_string(archive.size(number)) +
                      " bytes, of which " + to.parent_path().string() + " has " + std::to_string(free));
   }

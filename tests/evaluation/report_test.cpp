@@ -245,6 +245,11 @@ TEST_CASE("report: what a run lacks is left out and said", "[evaluation][report]
           shown.at("history").at("columns").at("mission_time_s").size() + 1);
   REQUIRE(odd.at("queued").back() == 1);
   REQUIRE(odd.at("computed").back() == 0);
+  const auto line = static_cast<std::size_t>(std::count(journal.begin(), journal.end(), '\n')) + 1;
+  testing::write_text(run.folder / "journal.jsonl",
+                      journal + R"({"event":"batch","time_s":90,"pairs":[["1","a-1"]]})" + "\n");
+  REQUIRE_THROWS_WITH(made({run.folder.path()}, {mission}),
+                      Contains("journal.jsonl:" + std::to_string(line)));
 
   for (const char* name : {"closures.csv", "journal.jsonl", "graph.g2o"})
     testing::fs::remove(run.folder / name);

@@ -111,7 +111,7 @@ std::string store_file() {
   fs::remove_all(folder, ignored);
   {
     OutcomeStore store(folder);
-    for (const std::uint64_t key : {1, 2}) {
+    for (const std::uint64_t key : {1U, 2U}) {
       static_cast<void>(store.get({key, key + 1}, result(true).candidate, [&] { return result(key == 1); }));
     }
   }

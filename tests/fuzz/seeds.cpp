@@ -136,6 +136,10 @@ Seeds io_seeds() {
         {folder + "_" + fs::path(name).filename().string(), with_choice(i, file(runs / folder / name))});
   }
 
+  all["run_journal"] = {
+      {"run", file(runs / "run" / "journal.jsonl")},
+      {"end", R"({"event":"end","time_s":3,"account":{"generated":4,"pruned":1,"computed":2}})"}};
+
   const std::vector<TypedMessage> messages = lamp_messages();
   std::string every;
   for (const TypedMessage& message : messages) {
