@@ -324,8 +324,6 @@ class Walk {
       const std::string_view data = take(at);
       if (header.op() == kConnection) {
         add_connection(header, data, met_);
-        // A place in the index may be that of the connection before the message.
-        starts_[static_cast<std::uint32_t>(start)] = messages_.size();
       } else if (header.op() == kMessageData) {
         Message message;
         message.offset = static_cast<std::uint32_t>(start);
@@ -355,7 +353,9 @@ class Walk {
       const std::string_view entry = std::string_view(bytes).substr(i * kIndexEntry, kIndexEntry);
       const Stamp stamp = stamp_of(entry);
       const auto start = starts_.find(load<std::uint32_t>(entry.substr(8)));
-      if (start == starts_.end() || start->second >= messages_.size()) {
+      // Nor may it be the connection before the message: the library takes what follows for one without a
+      // look at where the chunk ends.
+      if (start == starts_.end()) {
         throw InputError("the index leads to byte " + std::to_string(load<std::uint32_t>(entry.substr(8))) +
                          " of the chunk, where no message is");
       }
@@ -475,7 +475,7 @@ class Walk {
   std::uint32_t chunks_expected_ = 0;
   std::string compressed_, contents_;
   std::vector<Message> messages_;                // of this chunk
-  std::map<std::uint32_t, std::size_t> starts_;  // places that lead to a message of this chunk
+  std::map<std::uint32_t, std::size_t> starts_;  // where a message of this chunk begins
   std::vector<Chunk> chunks_;
   std::map<std::uint32_t, Connection> met_;      // in chunks
   std::map<std::uint32_t, Connection> listed_;   // in the index

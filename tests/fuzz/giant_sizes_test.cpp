@@ -148,6 +148,13 @@ TEST_CASE("giant sizes: bags", "[fuzz][giant]") {
     REQUIRE(fuzz::largest_allocation < kBound);
   }
   CHECK(refused > 100);
+  // An index that leads to the connection before the message, whose fields the library reads as lengths.
+  std::string bytes = fuzz::bag({fuzz::lamp_messages()[4]});
+  const std::size_t entry = bytes.find("count=", 13 + 4096) + 6 + 4 + 4;
+  bytes.replace(entry + 8, 4, 4, '\0');
+  testing::write_text(file, bytes);
+  Problems problems;
+  CHECK_THROWS_WITH(bags::check_bag(file, "giant.bag", problems), Contains("leads to byte 0 of the chunk"));
   for (const char* compression : {"none", "bz2", "lz4"}) {
     CAPTURE(compression);
     CHECK(largest_piece([&] {

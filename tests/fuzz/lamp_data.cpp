@@ -1,8 +1,15 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "lamp_data.hpp"
 
+#include <algorithm>
 #include <cstring>
 #include <map>
+#include <stdexcept>
+
+#ifdef LOOPWISE_FUZZ_ROSBAG
+#include <bzlib.h>
+#include <roslz4/lz4s.h>
+#endif
 
 namespace loopwise::fuzz {
 namespace {
@@ -49,7 +56,6 @@ constexpr const char* kOdometry =
 #undef LOOPWISE_HEADER
 #undef LOOPWISE_POSE
 
-constexpr std::uint32_t kStart = 1600000000;
 constexpr std::uint64_t kFirst = std::uint64_t{'a'} << 56;
 
 /// Little-endian, as ROS writes.
@@ -67,7 +73,7 @@ class Bytes {
     return *this;
   }
   Bytes& text(std::string_view value) { return put(static_cast<std::uint32_t>(value.size())).raw(value); }
-  Bytes& time(std::uint32_t second) { return put(kStart + second).put(std::uint32_t{0}); }
+  Bytes& time(std::uint32_t second) { return put(kBagStart + second).put(std::uint32_t{0}); }
   Bytes& header(std::uint32_t second) { return put(std::uint32_t{0}).time(second).text("world"); }
   Bytes& pose(double x) {
     for (const double value : {x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0}) put(value);
@@ -125,34 +131,35 @@ std::string record(const Fields& fields, std::string_view data) {
   for (const auto& [name, value] : fields) put_field(header, name, value);
   return Bytes().text(header.str()).text(data).str();
 }
-std::string connection(std::size_t type) {
-  const MessageType& about = message_types()[type];
+std::string connection(std::uint32_t id, const BagConnection& about) {
   Bytes data;
   put_field(data, "topic", about.topic);
   put_field(data, "type", about.name);
   put_field(data, "md5sum", "00000000000000000000000000000000");
   put_field(data, "message_definition", about.definition);
-  return record({{"op", number(std::uint8_t{7})},
-                 {"conn", number(static_cast<std::uint32_t>(type))},
-                 {"topic", about.topic}},
-                data.str());
+  return record({{"op", number(std::uint8_t{7})}, {"conn", number(id)}, {"topic", about.topic}}, data.str());
 }
-std::string time(std::size_t number) {
-  return Bytes().time(static_cast<std::uint32_t>(number)).str();
+std::string time(std::uint32_t second) {
+  return Bytes().time(second).str();
 }
 
 struct Chunk {
   std::string bytes;
   std::map<std::uint32_t, std::string> index;  // by connection
+  std::uint32_t first = 0, last = 0;           // seconds
 };
-Chunk chunk_of(const std::vector<TypedMessage>& messages) {
-  Chunk chunk;
-  for (std::size_t i = 0; i < messages.size(); ++i) {
-    const auto id = static_cast<std::uint32_t>(messages[i].type);
-    if (chunk.index.count(id) == 0) chunk.bytes += connection(messages[i].type);
-    chunk.index[id] += time(i) + number(static_cast<std::uint32_t>(chunk.bytes.size()));
+template <class Messages>
+Chunk chunk_of(Messages message, Messages end, const std::vector<BagConnection>& types) {
+  Chunk chunk{{}, {}, message->second, message->second};
+  for (; message != end; ++message) {
+    const auto id = static_cast<std::uint32_t>(message->type);
+    if (chunk.index.count(id) == 0) chunk.bytes += connection(id, types.at(id));
+    chunk.index[id] += time(message->second) + number(static_cast<std::uint32_t>(chunk.bytes.size()));
     chunk.bytes +=
-        record({{"op", number(std::uint8_t{2})}, {"conn", number(id)}, {"time", time(i)}}, messages[i].bytes);
+        record({{"op", number(std::uint8_t{2})}, {"conn", number(id)}, {"time", time(message->second)}},
+               message->bytes);
+    chunk.first = std::min(chunk.first, message->second);
+    chunk.last = std::max(chunk.last, message->second);
   }
   return chunk;
 }
@@ -178,6 +185,15 @@ const std::vector<MessageType>& message_types() {
   return types;
 }
 
+const std::vector<BagConnection>& bag_connections() {
+  static const std::vector<BagConnection> connections = [] {
+    std::vector<BagConnection> out;
+    for (const MessageType& type : message_types()) out.push_back({type.name, type.topic, type.definition});
+    return out;
+  }();
+  return connections;
+}
+
 std::vector<TypedMessage> lamp_messages() {
   Bytes beacons, radio, odometry;
   beacons.header(1).put(std::uint32_t{0}).put(std::uint32_t{1});
@@ -186,51 +202,72 @@ std::vector<TypedMessage> lamp_messages() {
   radio.put(std::uint32_t{1}).put(std::int32_t{7}).put(20.0f).text("beacon1").put(std::uint32_t{2});
   radio.put(std::int32_t{-60}).put(std::int32_t{-61});
   odometry.header(2).text("base").pose(1.0).covariance(0.1);
-  return {{1, graph()},       {0, scan(0)},     {0, scan(1)},
-          {2, beacons.str()}, {3, radio.str()}, {4, odometry.str()}};
+  return {{1, graph(), 0},       {0, scan(0), 1},     {0, scan(1), 2},
+          {2, beacons.str(), 3}, {3, radio.str(), 4}, {4, odometry.str(), 5}};
 }
 
-std::string bag_chunk(const std::vector<TypedMessage>& messages) {
-  return chunk_of(messages).bytes;
+std::string compressed(const std::string& how, const std::string& bytes) {
+  if (how == "none") return bytes;
+#ifdef LOOPWISE_FUZZ_ROSBAG
+  std::string in = bytes, out(bytes.size() * 2 + 1000, '\0');
+  auto filled = static_cast<unsigned>(out.size());
+  const bool done =
+      how == "bz2" ? BZ2_bzBuffToBuffCompress(out.data(), &filled, in.data(),
+                                              static_cast<unsigned>(in.size()), 1, 0, 0) == BZ_OK
+                   : how == "lz4" && roslz4_buffToBuffCompress(in.data(), static_cast<unsigned>(in.size()),
+                                                               out.data(), &filled, 4) == ROSLZ4_OK;
+  if (done) return out.substr(0, filled);
+#endif
+  throw std::runtime_error("cannot compress by " + how);
 }
 
-std::string bag(const std::vector<TypedMessage>& messages, const std::string& compression,
-                const std::string& compressed_chunk) {
+std::string bag(const std::vector<TypedMessage>& messages, const BagLayout& layout,
+                const std::vector<BagConnection>& types) {
   constexpr std::size_t kRoom = 4096;  // of the bag's header
   const std::string magic = "#ROSBAG V2.0\n";
-  const Chunk chunk = chunk_of(messages);
-  std::string body = record({{"op", number(std::uint8_t{5})},
-                             {"compression", compression},
-                             {"size", number(static_cast<std::uint32_t>(chunk.bytes.size()))}},
-                            compression == "none" ? chunk.bytes : compressed_chunk);
-  std::string counts, connections;
-  for (const auto& [id, entries] : chunk.index) {
-    const auto count = static_cast<std::uint32_t>(entries.size() / 12);
-    body += record({{"op", number(std::uint8_t{4})},
-                    {"ver", number(std::uint32_t{1})},
-                    {"conn", number(id)},
-                    {"count", number(count)}},
-                   entries);
-    counts += number(id) + number(count);
-    connections += connection(id);
+  const std::uint64_t body_at = magic.size() + kRoom;
+  std::string body, infos;
+  std::map<std::uint32_t, std::string> connections;
+  std::uint32_t chunks = 0;
+  for (std::size_t begin = 0; begin < messages.size(); begin += layout.messages_per_chunk) {
+    const auto first = messages.begin() + static_cast<std::ptrdiff_t>(begin);
+    const std::size_t size = std::min(layout.messages_per_chunk, messages.size() - begin);
+    const Chunk chunk = chunk_of(first, first + static_cast<std::ptrdiff_t>(size), types);
+    const std::uint64_t chunk_at = body_at + body.size();
+    body += record({{"op", number(std::uint8_t{5})},
+                    {"compression", layout.compression},
+                    {"size", number(static_cast<std::uint32_t>(chunk.bytes.size()))}},
+                   compressed(layout.compression, chunk.bytes));
+    std::string counts;
+    for (const auto& [id, entries] : chunk.index) {
+      const auto count = static_cast<std::uint32_t>(entries.size() / 12);
+      body += record({{"op", number(std::uint8_t{4})},
+                      {"ver", number(std::uint32_t{1})},
+                      {"conn", number(id)},
+                      {"count", number(count)}},
+                     entries);
+      counts += number(id) + number(count);
+      connections.emplace(id, connection(id, types.at(id)));
+    }
+    infos += record({{"op", number(std::uint8_t{6})},
+                     {"ver", number(std::uint32_t{1})},
+                     {"chunk_pos", number(chunk_at)},
+                     {"start_time", time(chunk.first)},
+                     {"end_time", time(chunk.last)},
+                     {"count", number(static_cast<std::uint32_t>(chunk.index.size()))}},
+                    counts);
+    ++chunks;
   }
-  const auto head = [&](std::uint64_t index_at, std::size_t padding) {
+  const auto head = [&](std::size_t padding) {
     return record({{"op", number(std::uint8_t{3})},
-                   {"index_pos", number(index_at)},
-                   {"conn_count", number(static_cast<std::uint32_t>(chunk.index.size()))},
-                   {"chunk_count", number(std::uint32_t{1})}},
+                   {"index_pos", number(std::uint64_t{body_at + body.size()})},
+                   {"conn_count", number(static_cast<std::uint32_t>(connections.size()))},
+                   {"chunk_count", number(chunks)}},
                   std::string(padding, ' '));
   };
-  const std::size_t padding = kRoom - head(0, 0).size();
-  const std::uint64_t chunk_at = magic.size() + kRoom;
-  const std::string info = record({{"op", number(std::uint8_t{6})},
-                                   {"ver", number(std::uint32_t{1})},
-                                   {"chunk_pos", number(chunk_at)},
-                                   {"start_time", time(0)},
-                                   {"end_time", time(messages.size() - 1)},
-                                   {"count", number(static_cast<std::uint32_t>(chunk.index.size()))}},
-                                  counts);
-  return magic + head(chunk_at + body.size(), padding) + body + connections + info;
+  std::string out = magic + head(kRoom - head(0).size()) + body;
+  for (const auto& [id, bytes] : connections) out += bytes;
+  return out + infos;
 }
 
 std::string zip(const std::vector<std::pair<std::string, std::string>>& files) {
