@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <exception>
 #include <fstream>
 #include <functional>
 #include <map>
@@ -160,6 +161,16 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   return text;
 }
 
+/// Of an earlier run in the folder, which may have had other robots.
+std::vector<fs::path> former_trajectories(const fs::path& folder) {
+  std::vector<fs::path> files;
+  if (!fs::is_directory(folder / "trajectories")) return files;
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder / "trajectories")) {
+    if (entry.path().extension() == ".tum") files.push_back("trajectories" / entry.path().filename());
+  }
+  return files;
+}
+
 #ifdef LOOPWISE_HAS_MPI
 /// Made when it is first asked. By then rank 0 has looked at the output folder, in which the registrar may
 /// keep outcomes.
@@ -259,7 +270,7 @@ int run(const Options& options) {
   refuse_recording(folder, options.missions);
   prepare_output_folder(folder, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
-  const auto remove_former = [&folder](const char* name) {
+  const auto remove_former = [&folder](const fs::path& name) {
     std::error_code failure;
     fs::remove(folder / name, failure);  // beside new results it would be taken for theirs
     if (failure) throw IoError((folder / name).string(), "cannot be removed: " + failure.message());
@@ -281,6 +292,7 @@ int run(const Options& options) {
   }
   // Not before it is certain that this run may take the place of what is there.
   for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) remove_former(name);
+  for (const fs::path& file : former_trajectories(folder)) remove_former(file);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
   if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
   if (outcomes && !outcomes->known().empty()) {
@@ -329,14 +341,29 @@ int run(const Options& options) {
   }();
   if (store) note_outcomes(console, *store);
   const RunEvaluation evaluation = evaluate_run(mission, result);
-  const PointCloud map =
-      stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
+  // A virtual clock makes a run again, and its folder is whole or says that it is not. What a real one made
+  // is written, whatever became of the map and the journal; then comes the error.
+  std::exception_ptr failure;
+  const auto attempt = [&](const std::function<void()>& call) {
+    try {
+      call();
+    } catch (const std::exception&) {
+      if (!live) throw;
+      if (!failure) failure = std::current_exception();
+    }
+  };
+  PointCloud map;
+  attempt([&] {
+    map = stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop,
+                     console.progress_callback());
+  });
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
-  finish_log(journal, folder / "journal.jsonl");
+  attempt([&] { finish_log(journal, folder / "journal.jsonl"); });
   if (outcomes) outcomes->finish();
   write_run_folder(folder, mission, config, result, evaluation, history.rows(),
                    interrupt.interrupted() ? PointCloud{} : map);
+  if (failure) std::rethrow_exception(failure);
   Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");
 #ifdef LOOPWISE_HAS_MPI
   if (server) note_ranks(console, server->statistics(), summary);

@@ -73,15 +73,6 @@ std::string figure(double value) {
   return {text, std::to_chars(text, text + sizeof text, value).ptr};
 }
 
-/// A robot's name as part of a file name.
-std::string file_name(std::string name) {
-  for (char& c : name) {
-    const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
-    if (!plain) c = '_';
-  }
-  return name;
-}
-
 Json counts_json(const std::map<std::string, std::size_t>& counts) {
   Json json = Json::object();
   for (const auto& [name, count] : counts) json[name] = count;
@@ -237,7 +228,7 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
       optimized.push_back({node.stamp_ns, node.pose});
       odometry.push_back({node.stamp_ns, result.odometry[i]});
     }
-    std::string name = file_name(mission.robots[robot].name);
+    std::string name = plain_file_name(mission.robots[robot].name);
     while (names.count(name) + names.count(name + "_odometry") > 0) name += "_" + std::to_string(robot);
     names.insert({name, name + "_odometry"});
     write_tum(folder / "trajectories" / (name + ".tum"), optimized);

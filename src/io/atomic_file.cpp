@@ -139,8 +139,9 @@ void write_file(const fs::path& path, std::string_view contents, Flush when) {
   std::string temporary;
   int fd = -1;
   for (unsigned attempt = 0; fd < 0; ++attempt) {
-    temporary = target.substr(0, name) + "." + target.substr(name) + "." + std::to_string(::getpid()) + "-" +
-                std::to_string(attempt) + ".tmp";
+    // A name may be 255 bytes long, this one as well.
+    temporary = target.substr(0, name) + "." + target.substr(name, 200) + "." + std::to_string(::getpid()) +
+                "-" + std::to_string(attempt) + ".tmp";
     fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
     if (fd < 0 && errno != EEXIST) fail(path, errno);
     if (fd < 0 && attempt == 1000) fail(path, EEXIST);
@@ -158,6 +159,15 @@ void write_file(const fs::path& path, std::string_view contents, Flush when) {
   }
   if (names.get() >= 0) error = flush(names.get(), ::fsync);
   if (error != 0) fail(path, error);
+}
+
+std::string plain_file_name(std::string_view name) {
+  std::string out(name.substr(0, 100));
+  for (char& c : out) {
+    const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
+    if (!plain) c = '_';
+  }
+  return out;
 }
 
 void flush_file(const fs::path& path) {

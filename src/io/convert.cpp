@@ -275,15 +275,6 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   return result;
 }
 
-/// A robot's name as that of a file.
-std::string file_name(std::string name) {
-  for (char& c : name) {
-    const bool plain = (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z') || (c >= '0' && c <= '9') || c == '-';
-    if (!plain) c = '_';
-  }
-  return name;
-}
-
 ConvertResult write_trajectories(const Mission& mission, const fs::path& folder, MissionFormat format) {
   ConvertResult result;
   count_description(mission, result.left_out);
@@ -314,7 +305,7 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
       if (mission.robots.of(node.key) == robot) own.emplace(node.key, &node);
     }
     if (own.empty()) continue;
-    const std::string plain = file_name(mission.robots[robot].name);
+    const std::string plain = plain_file_name(mission.robots[robot].name);
     std::string name = plain;
     for (int n = 2; names.count(name) + names.count(name + "_truth") > 0; ++n)
       name = plain + "_" + std::to_string(n);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
+#include <limits>
 #include <map>
 #include <set>
 
@@ -130,11 +131,20 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
       return landmark != landmarks.end() ? landmark->second : make_key(letter, key - first);
     };
     const std::int64_t shift = options.start_together ? joined.start_ns - mission.start_ns : 0;
+    const auto shifted = [&](std::int64_t stamp_ns) {
+      // The shift goes back, by up to twice the largest stamp there is.
+      const bool far = stamp_ns < std::numeric_limits<std::int64_t>::min() - shift;
+      if (far || !stamp_in_range(stamp_ns + shift)) {
+        throw InputError(mission.path.string() + ": a stamp of " + std::to_string(stamp_ns) +
+                         " ns is out of range once the mission starts with the others");
+      }
+      return stamp_ns + shift;
+    };
 
     for (Node node : mission.graph.nodes()) {
       node.key = renamed(node.key);
       node.pose = se3::normalized(T * node.pose);
-      stamps[node.key] = node.stamp_ns + shift;
+      stamps[node.key] = shifted(node.stamp_ns);
       joined.graph.add_node(node);
     }
     for (PriorFactor prior : mission.graph.priors()) {
@@ -174,7 +184,7 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
       }
       drop.robot = i;
       drop.drop_key = renamed(drop.drop_key);
-      drop.stamp_ns += shift;
+      drop.stamp_ns = shifted(drop.stamp_ns);
       joined.beacons.push_back(std::move(drop));
     }
     const double later_s = static_cast<double>(mission.start_ns + shift - joined.start_ns) * 1e-9;

@@ -10,6 +10,7 @@
 
 #include "bag.hpp"
 #include "mission_parts.hpp"
+#include "text.hpp"
 
 namespace loopwise {
 namespace {
@@ -276,9 +277,36 @@ MissionKind mission_kind(const fs::path& path) {
                    "g2o file, a bag or a zip archive");
 }
 
-Mission read_mission(const fs::path& path, const MissionOptions& options, const ProgressCallback& progress,
-                     const StopToken& stop) {
-  check_options(options);
+namespace {
+
+/// Names come from files, folders and topics of whatever encoding; summaries, tables and pictures are UTF-8.
+Mission with_legible_names(Mission mission) {
+  const auto mend = [&](std::string& name) {
+    std::string legible = text::legible(name);
+    if (legible == name) return false;
+    mission.problems.add("name is no UTF-8", legible);
+    name = std::move(legible);
+    return true;
+  };
+  mend(mission.name);
+  std::vector<Robot> robots = mission.robots.all();
+  std::set<std::string> names;
+  bool mended = false;
+  for (Robot& robot : robots) {
+    mended = mend(robot.name) || mended;
+    while (!names.insert(robot.name).second) robot.name += '_';
+  }
+  if (mended) mission.robots = Robots(std::move(robots));
+  for (BeaconDrop& drop : mission.beacons) mend(drop.beacon);
+  for (RadioReading& reading : mission.radio) {
+    mend(reading.beacon);
+    mend(reading.receiver);
+  }
+  return mission;
+}
+
+Mission read_as_named(const fs::path& path, const MissionOptions& options, const ProgressCallback& progress,
+                      const StopToken& stop) {
   const parts::Work work{progress, stop};
   const MissionKind kind = mission_kind(path);
   const fs::path place = resolved(path);
@@ -305,6 +333,14 @@ Mission read_mission(const fs::path& path, const MissionOptions& options, const 
   return read_g2o_mission(path, options);
 }
 
+}  // namespace
+
+Mission read_mission(const fs::path& path, const MissionOptions& options, const ProgressCallback& progress,
+                     const StopToken& stop) {
+  check_options(options);
+  return with_legible_names(read_as_named(path, options, progress, stop));
+}
+
 Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& options,
                       const ProgressCallback& progress, const StopToken& stop) {
   check_options(options);
@@ -321,14 +357,14 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   if (one_recording && (!options.frames.empty() || options.start_together)) {
     throw OptionError("frames and start_together: bags are one recording, in one frame and by one clock");
   }
-  if (one_recording) return parts::read_bags(bag_paths, options, {progress, stop});
+  if (one_recording) return with_legible_names(parts::read_bags(bag_paths, options, {progress, stop}));
   MissionOptions of_one = options;
   of_one.robots.clear();  // the joined mission's, not those of its parts
   of_one.scan_cache_mb /= static_cast<double>(paths.size());
   std::vector<Mission> missions;
   missions.reserve(paths.size());
   for (const fs::path& path : paths) missions.push_back(read_mission(path, of_one, progress, stop));
-  return parts::join_missions(missions, options);
+  return with_legible_names(parts::join_missions(missions, options));
 }
 
 }  // namespace loopwise

@@ -24,6 +24,47 @@ std::string quoted(std::string_view text) {
   return out + (text.size() > kLongest ? "...\"" : "\"");
 }
 
+namespace {
+
+/// Of the character at the front, which is not empty; 0 if it is no UTF-8.
+std::size_t character_size(std::string_view text) {
+  const auto byte = [&](std::size_t i) { return i < text.size() ? static_cast<unsigned char>(text[i]) : 0u; };
+  const auto within = [&](std::size_t i, unsigned least, unsigned most) {
+    return byte(i) >= least && byte(i) <= most;
+  };
+  const auto follows = [&](std::size_t i) { return within(i, 0x80, 0xBF); };
+  const unsigned first = byte(0);
+  if (first < 0x80) return 1;
+  if (within(0, 0xC2, 0xDF)) return follows(1) ? 2 : 0;
+  // Neither longer than need be, nor half of a pair, nor beyond the last character.
+  if (within(0, 0xE0, 0xEF)) {
+    return within(1, first == 0xE0 ? 0xA0 : 0x80, first == 0xED ? 0x9F : 0xBF) && follows(2) ? 3 : 0;
+  }
+  if (within(0, 0xF0, 0xF4)) {
+    const bool second = within(1, first == 0xF0 ? 0x90 : 0x80, first == 0xF4 ? 0x8F : 0xBF);
+    return second && follows(2) && follows(3) ? 4 : 0;
+  }
+  return 0;
+}
+
+}  // namespace
+
+std::string legible(std::string_view text) {
+  constexpr const char* kDigits = "0123456789ABCDEF";
+  std::string out;
+  while (!text.empty()) {
+    const std::size_t size = character_size(text);
+    if (size > 0) {
+      out += text.substr(0, size);
+    } else {
+      const auto byte = static_cast<unsigned char>(text.front());
+      out += {'%', kDigits[byte >> 4], kDigits[byte & 15]};
+    }
+    text.remove_prefix(std::max<std::size_t>(size, 1));
+  }
+  return out;
+}
+
 Lines::Lines(std::string_view all) : rest_(all) {
   if (rest_.substr(0, 3) == "\xef\xbb\xbf") rest_.remove_prefix(3);
 }

@@ -171,6 +171,10 @@ RegistrationResult parse_outcome_line(const std::string& line) {
       closure.to = result.candidate.to;
       closure.T_from_to = pose_of(json["closure"].at("T_from_to"));
       closure.covariance = matrix_of<Matrix6d>(json["closure"].at("covariance"));
+      if (!closure.covariance.allFinite() ||
+          Eigen::LLT<Matrix6d>(closure.covariance).info() != Eigen::Success) {
+        throw InputError("not an outcome: covariance is not positive definite");
+      }
       result.closure = closure;
     }
     result.sac_fitness_m2 = number_or_nan(json.at("sac_fitness_m2"));

@@ -240,10 +240,14 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
   result.batches = statistics.batches;
   result.registration_s = statistics.computing_s;
   result.problems.add(mission.scans->problems());
-  write(journal::end_line(result.mission_time_s, result.interrupted, result.accounting));
-  if (hooks.moment) {
-    hooks.moment({ReplayMoment::Kind::kEnd, result.mission_time_s, result.graph, result.odometry,
-                  result.computed, result.accounting});
+  try {
+    write(journal::end_line(result.mission_time_s, result.interrupted, result.accounting));
+    if (hooks.moment) {
+      hooks.moment({ReplayMoment::Kind::kEnd, result.mission_time_s, result.graph, result.odometry,
+                    result.computed, result.accounting});
+    }
+  } catch (const std::exception& error) {  // a mission that was lived through cannot be replayed again
+    result.problems.add("live", error.what());
   }
   result.total_s = watch.seconds();
   return result;

@@ -234,7 +234,11 @@ OutcomeStore::OutcomeStore(fs::path folder, const OutcomeStoreOptions& options) 
   if (!fs::is_directory(folder_)) throw IoError(folder_.string(), "is not a folder");
   for (const std::uint64_t number : files_in(folder_)) {
     const auto file = std::make_shared<const File>(file_path(folder_, number), O_RDONLY);
-    if (file->open()) load(file);  // else it was deleted at this moment
+    if (file->open()) {
+      load(file);
+    } else if (errno != ENOENT) {  // deleted at this moment
+      throw IoError(file->path().string(), std::strerror(errno));
+    }
   }
   statistics_.found_at_start = places_.size();
 }
@@ -365,11 +369,13 @@ void OutcomeStore::open_for_writing() {
   fs::create_directories(folder_, failure);
   std::vector<std::uint64_t> numbers = files_in(folder_);
   const std::uint64_t next = numbers.empty() ? 1 : numbers.back() + 1;
-  // The file of a process that has ended is gone on with.
-  if (!numbers.empty()) {
-    auto newest = std::make_shared<File>(file_path(folder_, numbers.back()), kAppend);
-    if (newest->open() && !full(*newest) && newest->lock() && !newest->deleted() && !full(*newest)) {
-      writing_ = std::move(newest);
+  // A file of a process that has ended is gone on with, or processes that run at once would leave new ones
+  // behind every time.
+  std::reverse(numbers.begin(), numbers.end());
+  for (std::size_t i = 0; i < numbers.size() && !writing_; ++i) {
+    auto file = std::make_shared<File>(file_path(folder_, numbers[i]), kAppend);
+    if (file->open() && !full(*file) && file->lock() && !file->deleted() && !full(*file)) {
+      writing_ = std::move(file);
     }
   }
   constexpr std::uint64_t kTries = 1000;  // other processes may take the same number at this moment
@@ -380,7 +386,13 @@ void OutcomeStore::open_for_writing() {
       statistics_.problem = file->path().string() + ": " + std::strerror(errno);
       return;
     }
-    if (file->lock() && !file->deleted()) writing_ = std::move(file);
+    if (file->lock()) {
+      if (!file->deleted()) writing_ = std::move(file);
+    } else if (errno != EWOULDBLOCK) {  // a file system without locks
+      statistics_.problem = file->path().string() + ": cannot be locked: " + std::strerror(errno);
+      ::unlink(file->path().c_str());
+      return;
+    }
   }
   if (!writing_) {
     statistics_.problem = folder_.string() + ": no file of it can be written";

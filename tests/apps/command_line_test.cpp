@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // What scripts may rely on: exit statuses, what goes to which stream, the fields of the JSON, the files.
+#include <sys/stat.h>
+
 #include <chrono>
 #include <set>
 #include <thread>
@@ -596,6 +598,82 @@ TEST_CASE(
                                       (folder / "out").string(), "--overwrite", "--method", "odom"});
   REQUIRE(run.status == kBadInput);
   REQUIRE_THAT(run.err, Contains("summary.json") && Contains("cannot be removed"));
+}
+
+TEST_CASE("replay: what a real clock made is written without its journal", "[apps][error]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "mission", small_mission(3));
+  const testing::fs::path out = folder / "out", pipe = out / "journal.jsonl";
+  testing::fs::create_directories(out);
+  REQUIRE(mkfifo(pipe.c_str(), 0600) == 0);
+  // The reader leaves after the first line; from then on every line fails.
+  const std::string command =
+      "head -n 1 '" + pipe.string() + "' > /dev/null & trap '' PIPE; '" + LOOPWISE_PROGRAM + "' replay '" +
+      (folder / "mission").string() + "' -o '" + out.string() +
+      "' --overwrite --clock real --rate 20 --set generation.skip_recent=1 --after-mission 2> '" +
+      (folder / "err").string() + "' > /dev/null";
+  const int status = std::system(command.c_str());
+  const std::string err = testing::read_text(folder / "err");
+  INFO(err);
+  REQUIRE(WEXITSTATUS(status) == kBadInput);
+  REQUIRE_THAT(err, Contains("journal.jsonl: cannot be written"));
+  const Json summary = parse_json(testing::read_text(out / "summary.json"), "summary.json");
+  REQUIRE(summary.at("candidates").at("computed").get<std::size_t>() > 0);
+  REQUIRE(CsvTable(out / "closures.csv", kClosureColumns).size() ==
+          summary.at("candidates").at("computed").get<std::size_t>());
+  REQUIRE(testing::fs::exists(out / "map.pcd"));
+}
+
+TEST_CASE("replay: trajectories of former robots do not stay", "[apps]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "mission", small_mission(3));
+  const auto replay = [&](const std::string& robots) {
+    return run_program({"replay", (folder / "mission").string(), "-o", (folder / "out").string(),
+                        "--overwrite", "--method", "odom", "--robots", robots});
+  };
+  const testing::fs::path trajectories = folder / "out" / "trajectories";
+  REQUIRE(replay("first=a,second=b").status == kDone);
+  REQUIRE(testing::fs::exists(trajectories / "second_odometry.tum"));
+  testing::write_text(trajectories / "notes.txt", "of the user");
+  REQUIRE(replay("one=a,two=b").status == kDone);
+  std::set<std::string> names;
+  for (const auto& entry : testing::fs::directory_iterator(trajectories))
+    names.insert(entry.path().filename());
+  REQUIRE(names ==
+          std::set<std::string>{"notes.txt", "one.tum", "one_odometry.tum", "two.tum", "two_odometry.tum"});
+}
+
+TEST_CASE("replay: robots of any name have their files", "[apps]") {
+  const TemporaryFolder folder;
+  Mission mission = small_mission(3);
+  const std::string longest(300, 'x');
+  mission.robots = Robots({robot_of_character('a', longest + "1"), robot_of_character('b', longest + "2")});
+  write_mission(folder / "long", mission);
+  const std::string recorded = (folder / "long").string();
+  REQUIRE(run_program({"replay", recorded, "-o", (folder / "out").string(), "--method", "odom"}).status ==
+          kDone);
+  REQUIRE(testing::fs::exists(folder / "out" / "trajectories" / (longest.substr(0, 100) + "_1.tum")));
+  REQUIRE(run_program({"convert", recorded, "-o", (folder / "tum").string(), "--to", "tum"}).status == kDone);
+
+  // Folders of another encoding: each robot its own name, in files that are UTF-8.
+  const testing::fs::path one = folder / "K\xf6ln.g2o", two = folder / "K\xe4ln.g2o";
+  write_g2o(one, small_graph());
+  write_g2o(two, small_graph());
+  const testing::fs::path joined = folder / "joined";
+  const Json json =
+      json_of({"replay", one.string(), two.string(), "-o", joined.string(), "--method", "odom"});
+  REQUIRE(json.at("mission") == "K%F6ln+K%E4ln");
+  REQUIRE(json.at("robots").size() == 2);
+  REQUIRE(json.at("robots").contains("K%E4ln"));
+  REQUIRE(run_program(
+              {"report", joined.string(), "--mission", joined.string(), "-o", (folder / "r.html").string()})
+              .status != kDone);
+  REQUIRE(run_program({"report", joined.string(), "-o", (folder / "r.html").string()}).status == kDone);
+  const ProgramRun converted = run_program(
+      {"convert", one.string(), two.string(), "-o", (folder / "made").string(), "--to", "mission"});
+  INFO(converted.err);
+  REQUIRE(converted.status == kDone);
+  REQUIRE(read_mission(folder / "made").robots[1].name == "K%E4ln");
 }
 
 TEST_CASE("replay: recordings are never written over", "[apps]") {

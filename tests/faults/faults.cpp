@@ -10,12 +10,13 @@
 ///     LOOPWISE_FAULT_LOG     file that gets one line with the fault, and at the end the counts
 ///     LOOPWISE_FAULT_SERVER  IN,OUT: two descriptors, see serve()
 ///
-/// Classes: open, read, write, sync, close, rename, mkdir, unlink, opendir, mmap, stat, alloc. HOW: the name
-/// of an error; `short` (half of the bytes); `once`, of allocations; with a `+` behind it this call and all
-/// after it. Of the close class the file is closed all the same, as the system does it.
+/// Classes: open, read, write, sync, close, rename, mkdir, unlink, opendir, mmap, stat, lock, alloc. HOW: the
+/// name of an error; `short` (half of the bytes); `once`, of allocations; with a `+` behind it this call and
+/// all after it. Of the close class the file is closed all the same, as the system does it.
 #include <dirent.h>
 #include <dlfcn.h>
 #include <fcntl.h>
+#include <sys/file.h>
 #include <sys/mman.h>
 #include <sys/stat.h>
 #include <sys/syscall.h>
@@ -54,23 +55,26 @@ enum Class {
   kOpendir,
   kMmap,
   kStat,
+  kLock,
   kAlloc,
   kClasses
 };
-constexpr std::array<const char*, kClasses> kNames{"open",  "read",   "write",   "sync", "close", "rename",
-                                                   "mkdir", "unlink", "opendir", "mmap", "stat",  "alloc"};
+constexpr std::array<const char*, kClasses> kNames{"open",   "read",  "write",  "sync",    "close",
+                                                   "rename", "mkdir", "unlink", "opendir", "mmap",
+                                                   "stat",   "lock",  "alloc"};
 
 struct Error {
   const char* name;
   int number;
 };
-constexpr std::array<Error, 8> kErrors{{{"ENOSPC", ENOSPC},
+constexpr std::array<Error, 9> kErrors{{{"ENOSPC", ENOSPC},
                                         {"EIO", EIO},
                                         {"EACCES", EACCES},
                                         {"EMFILE", EMFILE},
                                         {"ENOMEM", ENOMEM},
                                         {"EDQUOT", EDQUOT},
                                         {"EROFS", EROFS},
+                                        {"ENOLCK", ENOLCK},
                                         {"EINTR", EINTR}}};
 
 constexpr std::size_t kPathBytes = 512;
@@ -417,6 +421,12 @@ OPENAT(openat64)
   }
 FOPEN(fopen)
 FOPEN(fopen64)
+
+int flock(int fd, int operation) {
+  const char* path = path_of(fd);
+  if (path != nullptr && fate_of(kLock, path) == Fate::kFails) return -1;
+  return NEXT(flock)(fd, operation);
+}
 
 ssize_t read(int fd, void* out, std::size_t size) {
   if (const char* path = path_of(fd)) {

@@ -34,6 +34,16 @@ TEST_CASE("files: written whole, replaced whole, nothing left beside them", "[io
   CHECK(files_in(folder.path()) == 1);
 }
 
+TEST_CASE("files: names as long as the system has them", "[io][files]") {
+  const TemporaryFolder folder;
+  const std::string longest(255, 'n');
+  write_file(folder / longest, "contents");
+  CHECK(read_file(folder / longest) == "contents");
+  CHECK(files_in(folder.path()) == 1);
+  CHECK(plain_file_name("K\xc3\xb6ln 1.b-") == "K__ln_1_b-");
+  CHECK(plain_file_name(longest) == std::string(100, 'n'));
+}
+
 TEST_CASE("files: flushed now, later, or not at all where there is nothing", "[io][files][error]") {
   const TemporaryFolder folder;
   for (const Flush flush : {Flush::kNow, Flush::kLater}) {

@@ -566,6 +566,29 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
     CHECK(mission.graph.gravities()[1].key == parse_key("b6"));
     CHECK(mission.graph.gravities()[1].reference == -Eigen::Vector3d::UnitZ());
   }
+  SECTION("stamps at both ends of time") {
+    constexpr std::int64_t kFar = 4'500'000'000'000'000'000;
+    const auto write = [&](const std::string& name, std::int64_t stamp_ns, std::int64_t dropped_ns) {
+      Mission one;
+      one.name = name;
+      one.robots = Robots({robot_of_character('a', "r")});
+      one.start_ns = stamp_ns;
+      Node node;
+      node.key = make_key('a', 0);
+      node.stamp_ns = stamp_ns;
+      one.graph.add_node(node);
+      one.beacons = {{"b" + name, 0, node.key, dropped_ns}};
+      MissionWriter(folder / name).finish(one);
+    };
+    write("early", -kFar, -kFar);
+    write("late", kFar, kFar);
+    write("backward", kFar, -kFar);
+    options.start_together = true;
+    const Mission mission = read_missions({folder / "early", folder / "late"}, options);
+    CHECK(mission.beacons[1].stamp_ns == -kFar);
+    CHECK_THROWS_WITH(read_missions({folder / "early", folder / "backward"}, options),
+                      Contains("backward: a stamp of -4500000000000000000 ns is out of range"));
+  }
   SECTION("of one name, and with other robots") {
     fs::create_directories(folder / "more");
     fs::copy(paths[0], folder / "more" / "session0", fs::copy_options::recursive);

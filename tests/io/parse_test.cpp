@@ -8,7 +8,10 @@
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/trajectory.hpp>
 
+#include <loopwise/core/random.hpp>
+
 #include "testing.hpp"
+#include "text.hpp"
 
 namespace loopwise {
 namespace {
@@ -54,6 +57,40 @@ TEST_CASE("parse: stamps at both ends of time are not near", "[io][parse]") {
   CHECK_THROWS_AS(associate(early, late, 1e9), InputError);
   CHECK(associate(early, early, 0.0).keys.size() == 1);
   CHECK(associate(late, late, 1e9).keys.size() == 1);
+}
+
+TEST_CASE("parse: what is no UTF-8 becomes legible, the rest stays", "[io][parse]") {
+  const auto same = [](const std::string& text) { return text::legible(text) == text; };
+  CHECK(same(""));
+  CHECK(same("plain \x01 %41"));
+  CHECK(same("K\xc3\xb6ln \xe2\x82\xac \xf0\x9f\xa4\x96 \xed\x9f\xbf \xf4\x8f\xbf\xbf"));
+  CHECK(text::legible("K\xf6ln") == "K%F6ln");
+  CHECK(text::legible("\xc3") == "%C3");
+  CHECK(text::legible("\xe2\x82x") == "%E2%82x");
+  CHECK(text::legible("\xc0\xaf") == "%C0%AF");  // longer than need be
+  CHECK(text::legible("\xe0\x80\xaf") == "%E0%80%AF");
+  CHECK(text::legible("\xed\xa0\x80") == "%ED%A0%80");         // half of a pair
+  CHECK(text::legible("\xf4\x90\x80\x80") == "%F4%90%80%80");  // beyond the last character
+  // Held against the JSON library's judgement.
+  Rng rng(5);
+  for (int i = 0; i < 20000; ++i) {
+    std::string text;
+    for (std::size_t n = rng.below(6); n > 0; --n) {
+      constexpr unsigned char kBytes[] = {0x41, 0x7f, 0x80, 0x8f, 0x90, 0x9f, 0xa0, 0xbf,
+                                          0xc0, 0xc1, 0xc2, 0xdf, 0xe0, 0xe1, 0xec, 0xed,
+                                          0xee, 0xef, 0xf0, 0xf1, 0xf3, 0xf4, 0xf5};
+      text += static_cast<char>(kBytes[rng.below(sizeof kBytes)]);
+    }
+    bool valid = true;
+    try {
+      static_cast<void>(Json(text).dump());
+    } catch (const Json::type_error&) {
+      valid = false;
+    }
+    CAPTURE(i, text::legible(text));
+    REQUIRE(same(text) == valid);
+    REQUIRE_NOTHROW(Json(text::legible(text)).dump());
+  }
 }
 
 TEST_CASE("parse: JSON numbers out of range and values nested too deep", "[io][parse]") {

@@ -175,6 +175,25 @@ TEST_CASE("live replay: a stop request ends it soon, with what there is", "[pipe
   REQUIRE(result.accounting.balanced());
 }
 
+TEST_CASE("live replay: a journal that fails takes no results along", "[pipeline][live][error]") {
+  const Mission mission = two_circles();
+  Config config = live_config("random");
+  config.replay.after_mission = true;
+  RealClock clock(0.0, 1000.0);
+  std::size_t lines = 0;
+  ReplayHooks hooks;
+  hooks.journal = [&](const std::string&) {
+    if (++lines > 1) throw IoError("journal.jsonl", "No space left on device");
+  };
+  const ReplayResult result =
+      replay_live(mission, config, std::make_shared<OracleRegistrar>(mission.ground_truth), clock, 1, hooks);
+  REQUIRE(result.graph.nodes().size() == mission.graph.nodes().size());
+  REQUIRE(result.accounting.balanced());
+  REQUIRE(result.computed.size() == result.accounting.computed);
+  REQUIRE(result.computed.size() > 0);
+  REQUIRE(result.problems.count("live") == lines - 1);
+}
+
 TEST_CASE("live replay: options of the virtual clock alone are refused", "[pipeline][live][error]") {
   const Mission mission = two_circles();
   const auto registrar = std::make_shared<OracleRegistrar>(mission.ground_truth);

@@ -382,6 +382,26 @@ TEST_CASE("outcome store: processes share a folder, and one that is killed spoil
   REQUIRE(open->statistics().hits == 351);
 }
 
+TEST_CASE("outcome store: those that write at once leave no more files than they were",
+          "[pipeline][outcomes]") {
+  const Mission mission = two_circles();
+  const TemporaryFolder folder;
+  const auto oracle = std::make_shared<OracleRegistrar>(mission.ground_truth);
+  const std::vector<RegistrationTask> tasks = tasks_of(mission, 60);
+  std::size_t next = 0;
+  for (int time = 0; time < 10; ++time) {
+    const StoredRegistrar one = stored(mission, oracle, folder.path());
+    const StoredRegistrar two = stored(mission, oracle, folder.path());
+    const StoredRegistrar three = stored(mission, oracle, folder.path());
+    for (const StoredRegistrar* store : {&one, &two, &three}) {
+      static_cast<void>(store->compute(tasks[next++]));
+      static_cast<void>(store->compute(tasks[next++]));
+    }
+    REQUIRE(files_of(folder.path()).size() == 3);
+  }
+  REQUIRE(OutcomeStore(folder.path()).statistics().found_at_start == 60);
+}
+
 TEST_CASE("outcome store: what cannot be read or throws is not kept", "[pipeline][outcomes][error]") {
   const Mission mission = two_circles();
   const TemporaryFolder folder;

@@ -419,6 +419,16 @@ TEST_CASE("replay: outcomes survive as text to the bit", "[pipeline][replay][res
   for (const char* bad : {"", "{", "{}", "[1]", "{\"from\":\"x\"}"}) {
     REQUIRE_THROWS_AS(parse_outcome_line(bad), InputError);
   }
+  RegistrationResult verified = rejected;
+  verified.reason = RejectionReason::kNone;
+  verified.closure = LoopClosure{verified.candidate.from, verified.candidate.to};
+  verified.closure->covariance = 0.01 * Matrix6d::Identity();
+  REQUIRE(parse_outcome_line(outcome_line(verified)).closure->covariance == verified.closure->covariance);
+  for (const double variance : {0.0, -1.0}) {  // as it would be refused later, without a line
+    verified.closure->covariance(2, 2) = variance;
+    REQUIRE_THROWS_WITH(parse_outcome_line(outcome_line(verified)),
+                        Contains("covariance is not positive definite"));
+  }
 }
 
 TEST_CASE("replay: added odometry noise is seeded, and lowers the stated information", "[pipeline][replay]") {

@@ -24,6 +24,10 @@ enum class Flush {
 LOOPWISE_EXPORT void write_file(const std::filesystem::path& path, std::string_view contents,
                                 Flush flush = Flush::kNow);
 
+/// A name as part of a file name: all but ASCII letters, digits and '-' becomes '_', and at most 100 bytes
+/// stay, so that there is room for what comes before and after. Different names may become one.
+[[nodiscard]] LOOPWISE_EXPORT std::string plain_file_name(std::string_view name);
+
 /// Returns when the disk has the file's contents, or the folder's names. \throws IoError with the reason
 LOOPWISE_EXPORT void flush_file(const std::filesystem::path& path);
 
