@@ -85,6 +85,7 @@ void ProximityGenerator::collect(const Entry& entry, const std::vector<std::size
                                  std::vector<std::pair<double, std::size_t>>& found) const {
   for (const std::size_t number : numbers) {
     const Entry& other = entries_[number];
+    if (other.key == entry.key) continue;
     if (entry.robot == other.robot) {
       const std::uint64_t gap = std::max(entry.index, other.index) - std::min(entry.index, other.index);
       if (gap < static_cast<std::uint64_t>(options_.skip_recent)) continue;
@@ -94,10 +95,7 @@ void ProximityGenerator::collect(const Entry& entry, const std::vector<std::size
   }
 }
 
-std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
-  if (robots_.is_landmark(key)) return {};
-  const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
-
+std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, double time_s) const {
   // The largest radius that any older node could get bounds the cells to visit. Within the robot the index
   // gap may exceed the node's own index when nodes arrive out of order.
   const std::uint64_t most = std::max(entry.index, highest_index_[entry.robot]);
@@ -134,16 +132,41 @@ std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, K
   candidates.reserve(found.size());
   for (const auto& [distance, number] : found) {
     LoopCandidate candidate;
-    candidate.from = key;
+    candidate.from = entry.key;
     candidate.to = entries_[number].key;
     candidate.source = CandidateSource::kProximity;
     candidate.time_s = time_s;
     candidate.distance_m = distance;
     candidates.push_back(candidate);
   }
-  highest_index_[entry.robot] = most;
+  return candidates;
+}
+
+std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
+  if (robots_.is_landmark(key)) return {};
+  const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
+  std::vector<LoopCandidate> candidates = near(entry, time_s);
+  highest_index_[entry.robot] = std::max(entry.index, highest_index_[entry.robot]);
   grid_[cell_of(entry.position)].push_back(entries_.size());
   entries_.push_back(entry);
+  return candidates;
+}
+
+std::vector<LoopCandidate> ProximityGenerator::on_moved(const PoseGraph& graph, const std::vector<Key>& keys,
+                                                        double time_s) {
+  on_graph(graph);
+  std::unordered_map<Key, std::size_t> number_of;
+  for (std::size_t number = 0; number < entries_.size(); ++number)
+    number_of.emplace(entries_[number].key, number);
+  std::vector<LoopCandidate> candidates;
+  for (const Key key : keys) {
+    const auto own = number_of.find(key);
+    if (own == number_of.end()) continue;
+    for (LoopCandidate& candidate : near(entries_[own->second], time_s)) {
+      if (number_of.at(candidate.to) > own->second) std::swap(candidate.from, candidate.to);
+      candidates.push_back(candidate);
+    }
+  }
   return candidates;
 }
 

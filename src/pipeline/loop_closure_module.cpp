@@ -2,6 +2,7 @@
 #include <loopwise/pipeline/loop_closure_module.hpp>
 
 #include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <condition_variable>
 #include <exception>
@@ -25,6 +26,7 @@
 #include <loopwise/registration/task.hpp>
 
 #include "mailbox.hpp"
+#include "path_groups.hpp"
 #include "registration_crew.hpp"
 
 namespace loopwise {
@@ -188,6 +190,7 @@ class LoopClosureModule::Impl {
         commands_(static_cast<std::size_t>(options.queue_capacity)),
         jobs_(1),
         batches_(1),
+        groups_(robots_),
         generator_(config_.generation, robots_),
         radio_(config_.radio, robots_),
         pool_(config_.pool, module_queue(config_, robots_, *features_, std::move(parts.prioritizers)),
@@ -274,14 +277,19 @@ class LoopClosureModule::Impl {
   bool set_estimate(const ExternalEstimate& estimate) {
     if (options_.back_end)
       throw InputError("an estimate from outside needs ModuleOptions::back_end to be off");
-    for (const auto& [key, pose] : estimate.poses) {
-      if (!pose.matrix().allFinite())
-        throw InputError("estimate of node " + key_name(key) + " is not finite");
+    ExternalEstimate rigid = estimate;
+    for (auto& [key, pose] : rigid.poses) {
+      const std::string what = "estimate of node " + key_name(key);
+      if (!pose.matrix().allFinite()) throw InputError(what + " is not finite");
+      const Eigen::Matrix3d R = pose.linear();
+      const double off = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
+      if (off > 1e-3 || R.determinant() < 0.0) throw InputError(what + " is not a rigid transform");
+      if (off > 1e-9) pose = se3::normalized(pose);  // rounded on its way here
     }
     for (const auto& [key, covariance] : estimate.covariances) {
       if (!covariance.allFinite()) throw InputError("covariance of node " + key_name(key) + " is not finite");
     }
-    return post(estimate);
+    return post(std::move(rigid));
   }
 
   bool remove_closure(Key from, Key to) { return post(RemovalEvent{from, to}); }
@@ -496,22 +504,20 @@ class LoopClosureModule::Impl {
   void on(const KeyFrame& frame) {
     Node node = frame.node;
     node.covariance.reset();
-    if (!frame.priors.empty() && frame.priors.front().key == node.key) {
-      node.pose = frame.priors.front().pose;
-    } else {
-      for (const Edge& edge : frame.factors) {
-        const bool forward = edge.to == node.key;
-        if (edge.kind != EdgeKind::kOdometry || (!forward && edge.from != node.key)) continue;
-        const auto other = graph_.find(forward ? edge.from : edge.to);
-        if (!other) continue;
-        node.pose = se3::normalized(graph_.nodes()[*other].pose *
-                                    (forward ? edge.T_from_to : edge.T_from_to.inverse()));
-        break;
-      }
-    }
+    std::vector<Factor> factors = factors_of(frame);
+    for (auto [i, end] = waiting_factors_.equal_range(node.key); i != end; ++i)
+      factors.push_back(i->second.second);
+    const Place place = place_of(node, factors);
+    node.pose = place.pose;
     if (graph_.empty()) first_stamp_ns_ = node.stamp_ns;
     now_s_ = std::max(now_s_, static_cast<double>(node.stamp_ns - first_stamp_ns_) * 1e-9);
-    change_graph([&] { graph_.add_node(node); });
+    groups_.add(node.key, place.group, place.known);
+    try {
+      change_graph([&] { graph_.add_node(node); });
+    } catch (...) {
+      groups_.take_back(node.key);
+      throw;
+    }
     graph_is_new_ = true;
     add_factors_now(factors_of(frame));
     retry_factors(node.key);
@@ -520,6 +526,7 @@ class LoopClosureModule::Impl {
     if (options_.proximity && prioritizes_) {
       propose(generator_.on_node(graph_, node.key, now_s_));
     }
+    propose_moved();
     if (const auto early = early_scans_.find(node.key); early != early_scans_.end()) {
       announce({node.key, node.stamp_ns, early->second});
       early_scans_.erase(early);
@@ -542,7 +549,81 @@ class LoopClosureModule::Impl {
     if (prioritizes_) tell(ScanCommand{scan});
   }
 
-  void on(const FactorEvent& event) { add_factors_now(event.factors); }
+  void on(const FactorEvent& event) {
+    add_factors_now(event.factors);
+    propose_moved();
+  }
+
+  // ---- where nodes lie: odometry and priors place them, whether they come with their nodes, before or after
+
+  struct Place {
+    Eigen::Isometry3d pose;
+    std::optional<Key> group;  ///< Any node of it.
+    PathGroups::Known known;
+  };
+
+  /// Of a node that is not in the graph yet, by what is known of it.
+  [[nodiscard]] Place place_of(const Node& node, const std::vector<Factor>& factors) const {
+    Place place{node.pose, std::nullopt,
+                groups_.has(robots_.of(node.key)) ? PathGroups::Known::kGiven : PathGroups::Known::kFirst};
+    for (const Factor& factor : factors) {
+      if (const auto* prior = std::get_if<PriorFactor>(&factor); prior != nullptr && prior->key == node.key) {
+        return {prior->pose, std::nullopt, PathGroups::Known::kFixed};
+      }
+    }
+    for (const Factor& factor : factors) {
+      const auto* edge = std::get_if<Edge>(&factor);
+      if (edge == nullptr || edge->kind != EdgeKind::kOdometry) continue;
+      const bool forward = edge->to == node.key;
+      if (!forward && edge->from != node.key) continue;
+      const Key other = forward ? edge->from : edge->to;
+      const auto at = graph_.find(other);
+      if (!at || (place.group && groups_.known(other) <= groups_.known(*place.group))) continue;
+      place.group = other;
+      place.pose =
+          se3::normalized(graph_.nodes()[*at].pose * (forward ? edge->T_from_to : edge->T_from_to.inverse()));
+    }
+    return place;
+  }
+
+  /// Odometry between two nodes of the graph: of two groups that did not know of each other, that which knows
+  /// less of its place moves to the other.
+  void tie(const Edge& edge) {
+    if (edge.kind != EdgeKind::kOdometry) return;
+    const PathGroups::Tie tie = groups_.tie(edge.from, edge.to);
+    if (tie.moved.empty()) return;
+    const bool second = tie.second_moves;
+    const Eigen::Isometry3d& fixed = graph_.node(second ? edge.from : edge.to).pose;
+    move_group(tie.moved, second ? edge.to : edge.from,
+               se3::normalized(fixed * (second ? edge.T_from_to : edge.T_from_to.inverse())));
+  }
+
+  void settle(const PriorFactor& prior) {
+    const std::vector<Key> moved = groups_.fix(prior.key);
+    if (!moved.empty()) move_group(moved, prior.key, prior.pose);
+  }
+
+  /// As one, so that `key` lies at `pose`.
+  void move_group(const std::vector<Key>& group, Key key, const Eigen::Isometry3d& pose) {
+    const Eigen::Isometry3d correction = pose * graph_.node(key).pose.inverse();
+    if ((correction.matrix() - Eigen::Matrix4d::Identity()).cwiseAbs().maxCoeff() < 1e-9) return;
+    change_graph([&] {
+      for (const Key other : group) {
+        graph_.set_pose(other, other == key ? pose : se3::normalized(correction * graph_.node(other).pose));
+      }
+    });
+    graph_is_new_ = true;
+    moved_.insert(moved_.end(), group.begin(), group.end());
+  }
+
+  /// What nodes that moved since are near to now.
+  void propose_moved() {
+    if (moved_.empty()) return;
+    std::vector<Key> moved = std::exchange(moved_, {});
+    std::sort(moved.begin(), moved.end());
+    moved.erase(std::unique(moved.begin(), moved.end()), moved.end());
+    if (options_.proximity && prioritizes_) propose(generator_.on_moved(graph_, moved, now_s_));
+  }
 
   void add_factors_now(const std::vector<Factor>& factors) {
     for (const Factor& factor : factors) {
@@ -555,6 +636,8 @@ class LoopClosureModule::Impl {
       }
       change_graph([&] { add(graph_, factor); });
       const Edge* edge = std::get_if<Edge>(&factor);
+      if (edge != nullptr) tie(*edge);
+      if (const auto* prior = std::get_if<PriorFactor>(&factor)) settle(*prior);
       if (edge != nullptr && edge->kind != EdgeKind::kOdometry) wants_estimate_ = true;
     }
   }
@@ -627,14 +710,21 @@ class LoopClosureModule::Impl {
     batches_.post_inside(std::move(tasks));
   }
 
-  void on(RegistrationResult& result) {
+  void on(const RegistrationResult& result) {
     --being_computed_;
     try {
       take(result);
-    } catch (const std::bad_alloc& error) {  // the account counts it all the same
+    } catch (const std::exception& error) {  // the account counts it all the same
       problem(error);
     }
-    tell(ResultCommand{std::move(result)});
+    while (true) {
+      try {
+        tell(ResultCommand{result});
+        return;
+      } catch (const std::bad_alloc&) {  // or the candidate would be in flight for ever
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+      }
+    }
   }
 
   void take(const RegistrationResult& result) {
@@ -691,6 +781,7 @@ class LoopClosureModule::Impl {
       for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
     });
     move_nodes(named);
+    groups_.estimated();
     publish();
   }
 
@@ -700,6 +791,7 @@ class LoopClosureModule::Impl {
       if (graph_.contains(key)) named.emplace(key, pose);
     }
     move_nodes(named);
+    for (const auto& [key, pose] : named) static_cast<void>(groups_.fix(key));
     change_graph([&] {
       for (const auto& [key, covariance] : estimate.covariances) {
         if (const auto node = graph_.find(key)) graph_.set_covariance(*node, covariance);
@@ -979,6 +1071,8 @@ class LoopClosureModule::Impl {
   std::shared_ptr<const Estimate> estimate_;
 
   // The graph's thread alone.
+  PathGroups groups_;
+  std::vector<Key> moved_;  // since their neighbours were proposed
   ProximityGenerator generator_;
   RadioGenerator radio_;
   bool prioritizes_ = true;

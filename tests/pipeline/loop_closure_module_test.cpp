@@ -147,6 +147,76 @@ TEST_CASE("module: scans, factors and candidates may come before their nodes", "
   REQUIRE(module.graph().edges().size() >= odometry.size());
 }
 
+TEST_CASE("module: odometry and priors place their nodes, whatever comes first", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 30);
+  const std::vector<KeyFrame> frames = key_frames(mission);
+  const auto pairs_of = [](const LoopClosureModule& module) {
+    return module.statistics().candidates.generated;
+  };
+  ModuleOptions options = module_options("random");
+  options.back_end = false;
+  Config config = module_test_config();
+  config.generation.skip_recent = 3;
+  const auto make = [&] {
+    return std::make_unique<LoopClosureModule>(mission.robots, options, config, ModuleCallbacks{},
+                                               with_oracle(mission));
+  };
+  const auto in_order = make();
+  for (const KeyFrame& frame : frames) REQUIRE(in_order->add_key_frame(frame));
+  REQUIRE(in_order->wait());
+  const PoseGraph expected = in_order->graph();
+
+  struct Bare {
+    std::vector<KeyFrame> frames;
+    std::vector<std::vector<Edge>> factors;
+    std::vector<PriorFactor> priors;
+  } bare;
+  for (KeyFrame frame : frames) {
+    bare.factors.push_back(std::exchange(frame.factors, {}));
+    bare.priors.insert(bare.priors.end(), frame.priors.begin(), frame.priors.end());
+    frame.priors.clear();
+    frame.node.pose = Eigen::Isometry3d::Identity();  // as of a front end that leaves it to the odometry
+    bare.frames.push_back(std::move(frame));
+  }
+  std::vector<Edge> odometry;
+  for (const auto& factors : bare.factors) odometry.insert(odometry.end(), factors.begin(), factors.end());
+  const std::vector<std::string> orders{
+      "factors first",       "nodes first", "each factor before its node", "each factor after its node",
+      "nodes last to first", "shuffled"};
+  for (const std::string& order : orders) {
+    CAPTURE(order);
+    const auto module = make();
+    if (order == "factors first") REQUIRE(module->add_factors(odometry, bare.priors));
+    if (order == "nodes last to first") std::reverse(bare.frames.begin(), bare.frames.end());
+    std::vector<std::size_t> numbers(bare.frames.size());
+    std::iota(numbers.begin(), numbers.end(), std::size_t{0});
+    if (order == "shuffled") Rng(4).shuffle(numbers);
+    for (const std::size_t i : numbers) {
+      if (order == "each factor before its node") REQUIRE(module->add_factors(bare.factors[i]));
+      REQUIRE(module->add_key_frame(bare.frames[i]));
+      if (order == "each factor after its node" || order == "shuffled")
+        REQUIRE(module->add_factors(bare.factors[i]));
+    }
+    if (order.rfind("nodes", 0) == 0) {
+      std::vector<Edge> shuffled = odometry;
+      Rng(5).shuffle(shuffled);
+      REQUIRE(module->add_factors(shuffled, bare.priors));
+    } else if (order != "factors first") {
+      REQUIRE(module->add_factors({}, bare.priors));
+    }
+    REQUIRE(module->wait());
+    const PoseGraph graph = module->graph();
+    REQUIRE(graph.nodes().size() == expected.nodes().size());
+    for (const Node& node : expected.nodes()) {
+      CAPTURE(key_name(node.key));
+      REQUIRE(testing::difference(graph.node(node.key).pose, node.pose) < 1e-6);
+    }
+    REQUIRE(pairs_of(*module) >= pairs_of(*in_order));
+    if (order == "factors first") REQUIRE(pairs_of(*module) == pairs_of(*in_order));
+    if (order == "nodes last to first") std::reverse(bare.frames.begin(), bare.frames.end());
+  }
+}
+
 TEST_CASE("module: fly-bys of a radio beacon become candidates, whatever comes first", "[pipeline][module]") {
   const Mission mission = two_circles(1, 40);
   ModuleOptions options = module_options("rssi");
@@ -264,6 +334,13 @@ TEST_CASE("module: with another back end, poses come from outside and later node
             Approx(moved ? 5.0 : 0.0).margin(1e-9));
   }
   REQUIRE(after.node(named).covariance->isApprox(0.5 * Matrix6d::Identity()));
+  // Of a back end that writes six digits; and of one that is wrong.
+  estimate.poses[named].linear() *= 1.0 + 1e-6;
+  REQUIRE(module.set_estimate(estimate));
+  REQUIRE(module.wait());
+  REQUIRE(estimates.size() == 2);
+  estimate.poses[named].linear() *= 1.01;
+  REQUIRE_THROWS_WITH(module.set_estimate(estimate), Contains("a10") && Contains("no"));
   estimate.poses[named].translation().x() = std::nan("");
   REQUIRE_THROWS_AS(module.set_estimate(estimate), InputError);
 }

@@ -59,6 +59,10 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
   [[nodiscard]] std::string_view name() const override { return "proximity"; }
   [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
   void on_graph(const PoseGraph& graph) override;
+  /// Nodes that on_node() had, and that are elsewhere now: all that is near them where they are, whichever
+  /// came first. Does what on_graph() does.
+  [[nodiscard]] std::vector<LoopCandidate> on_moved(const PoseGraph& graph, const std::vector<Key>& keys,
+                                                    double time_s);
 
  private:
   struct Entry {
@@ -74,6 +78,7 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
 
   [[nodiscard]] Cell cell_of(const Eigen::Vector3d& position) const;
   [[nodiscard]] double radius(const Entry& entry, const Entry& other) const;
+  [[nodiscard]] std::vector<LoopCandidate> near(const Entry& entry, double time_s) const;
   void collect(const Entry& entry, const std::vector<std::size_t>& numbers,
                std::vector<std::pair<double, std::size_t>>& found) const;
 

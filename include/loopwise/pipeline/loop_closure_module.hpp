@@ -64,7 +64,8 @@ struct ModuleOptions {
 
 /// A node as a front end hands it over, all at once or with factors and scan following later.
 struct KeyFrame {
-  /// The pose counts for a robot's first node only, and where no odometry leads to the node.
+  /// The pose counts for a robot's first node only, and where no odometry leads to the node. Odometry and
+  /// priors that come later move the node then, and with it those that odometry has tied to it.
   Node node;
   std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
   std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
@@ -174,7 +175,8 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// InputError if a candidate joins a node with itself; UnknownKeyError if no robot owns a key.
   bool add_candidates(const std::vector<LoopCandidate>& candidates);
   /// Poses of a back end of the stack's own. Nodes that are not named move with the nearest named one before
-  /// them on their robot's path. \throws InputError if our back end is on, or a number is not finite.
+  /// them on their robot's path. Rotations that were rounded are made rotations again. \throws InputError if
+  /// our back end is on, a number is not finite, or a pose is no rigid transform to 1e-3.
   bool set_estimate(const ExternalEstimate& estimate);
   /// Takes out every closure between two nodes, as after a human's veto; the pair is not computed again.
   bool remove_closure(Key from, Key to);
