@@ -60,7 +60,7 @@ KeptOutcomes parse_outcomes(const std::string& contents, const std::string& fing
         throw ParseError(name, number, error.what());
       }
     }();
-    if (depends_on_circumstances(result.reason)) continue;  // this time it may go well
+    if (depends_on_circumstances(result)) continue;  // this time it may go well
     kept.known[{result.candidate.from, result.candidate.to}] = result;
     kept.lines += line + "\n";
   }

@@ -161,6 +161,13 @@ int run(const Options& options) {
         made = read_mission_data(file);
       } else {
         made = make_mission_data(source.record(interrupt.token()), data, interrupt.token());
+        {
+          // Of an earlier set, which says that all of it is there and of one making.
+          const std::lock_guard<std::mutex> lock(mutex);
+          std::error_code failure;
+          std::filesystem::remove(folder / "dataset.json", failure);
+          if (failure) throw IoError((folder / "dataset.json").string(), failure.message());
+        }
         write_mission_data(file, made, source.made_with);
       }
       const std::lock_guard<std::mutex> lock(mutex);

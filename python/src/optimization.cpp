@@ -45,6 +45,7 @@ void bind_optimization(py::module_& module) {
       "optimize",
       [](const PoseGraph& graph, const py::object& options) {
         Config config;
+        config.optimization = OptimizerOptions();  // begins with the graph's poses, as in C++
         apply_section(config, "optimization", options);
         const py::gil_scoped_release release;
         return optimize(graph, config.optimization);
@@ -57,6 +58,7 @@ void bind_optimization(py::module_& module) {
       "optimize_gnc",
       [](const PoseGraph& graph, const py::object& options, const py::object& gnc) {
         Config config;
+        config.optimization = OptimizerOptions();
         config.gnc = GncOptions();
         apply_section(config, "optimization", options);
         apply_section(config, "gnc", gnc);

@@ -4,6 +4,7 @@
 #include <condition_variable>
 #include <exception>
 #include <mutex>
+#include <new>
 #include <optional>
 #include <string>
 #include <thread>
@@ -42,6 +43,12 @@ class Loop {
     const std::lock_guard<std::mutex> lock(mutex_);
     // Notified under the lock: once it is released the waiter may destroy this object.
     if (--running_ == 0) idle_.notify_all();
+  }
+
+  /// So many of the runners will not come.
+  void do_without(int runners) {
+    const std::lock_guard<std::mutex> lock(mutex_);
+    running_ -= runners;
   }
 
   void wait() {
@@ -129,7 +136,15 @@ void ThreadPool::for_each(std::size_t count, const std::function<void(std::size_
   Loop loop(count, body, runners);
   if (impl_->arena) {
     hand_over(loop);
-    for (int i = 0; i < runners; ++i) impl_->arena->enqueue(Runner{&loop});
+    for (int i = 0; i < runners; ++i) {
+      try {
+        impl_->arena->enqueue(Runner{&loop});
+      } catch (const std::bad_alloc&) {  // those that were enqueued have the loop; this thread helps them
+        loop.do_without(runners - i - 1);
+        loop.run();
+        break;
+      }
+    }
   } else {
     loop.run();
   }

@@ -164,6 +164,7 @@ std::string pack_result(const RegistrationResult& result) {
   if (result.T_from_to) out.put(*result.T_from_to);
   out.put(static_cast<std::uint8_t>(result.closure.has_value()));
   if (result.closure) out.put(result.closure->T_from_to).put(result.closure->covariance);
+  out.put(static_cast<std::uint8_t>(result.incomplete));
   return out.take();
 }
 
@@ -189,6 +190,7 @@ RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& ca
     closure.covariance = in.symmetric();
     result.closure = closure;
   }
+  result.incomplete = in.flag();
   in.end();
   if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
     throw InputError("a message verifies without a closure, or rejects with one");

@@ -151,6 +151,7 @@ std::string outcome_line(const RegistrationResult& result) {
   Json line = Json::object();
   put_result(line, result);
   line["seconds"] = {result.features_s, result.global_s, result.refine_s};
+  if (result.incomplete) line["incomplete"] = true;
   if (result.task_hash != 0) line["task"] = std::to_string(result.task_hash);
   return json_text(line);
 }
@@ -184,6 +185,7 @@ RegistrationResult parse_outcome_line(const std::string& line) {
     result.features_s = seconds.at(0).get<double>();
     result.global_s = seconds.at(1).get<double>();
     result.refine_s = seconds.at(2).get<double>();
+    if (json.contains("incomplete")) result.incomplete = json["incomplete"].get<bool>();
     if (json.contains("task")) result.task_hash = parse_key(json["task"].get<std::string>());
     if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
       throw InputError("an outcome is verified without a closure, or rejected with one");

@@ -319,7 +319,7 @@ RegistrationResult OutcomeStore::get(const ContentHash& key, const LoopCandidate
     done_.notify_all();  // they go on once the mutex is free
     if (!result) return;
     ++statistics_.computed;
-    if (depends_on_circumstances(result->reason)) return;
+    if (depends_on_circumstances(*result)) return;
     try {
       append(key, *result);
     } catch (const std::bad_alloc&) {  // the result is there all the same

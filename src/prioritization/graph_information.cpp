@@ -167,9 +167,14 @@ std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
 }
 
 void GraphInformationPrioritizer::prepare(std::size_t count, const StopToken& stop) {
-  prepared_ = std::make_unique<Prepared>();
-  Prepared& p = *prepared_;
-  p.count = count;
+  prepared_.reset();  // whatever ends this early leaves none, not a part of one
+  auto prepared = std::make_unique<Prepared>();
+  prepared->count = count;
+  choose(*prepared, count, stop);
+  prepared_ = std::move(prepared);
+}
+
+void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count, const StopToken& stop) {
   status_ = {};
   const std::uint64_t seed = combine_seeds(options_.seed, ++round_);
 
@@ -281,22 +286,48 @@ void GraphInformationPrioritizer::improve(std::size_t count, const StopToken& st
   if (!prepared_ || prepared_->stale || prepared_->handed || prepared_->count != count) prepare(count, stop);
   Prepared& p = *prepared_;
   if (!p.annealing || max_evaluations == 0) return;
-  p.annealing->run(max_evaluations, stop);
-  const Selection best = p.annealing->best();
-  p.set = best.set;
-  status_.value = best.value;
-  status_.steps = p.annealing->steps();
-  status_.accepted = p.annealing->accepted();
+  try {
+    p.annealing->run(max_evaluations, stop);
+    const Selection best = p.annealing->best();
+    p.set = best.set;
+    status_.value = best.value;
+    status_.steps = p.annealing->steps();
+    status_.accepted = p.annealing->accepted();
+  } catch (...) {
+    prepared_.reset();
+    throw;
+  }
 }
 
 std::vector<LoopCandidate> GraphInformationPrioritizer::take(std::size_t count) {
   if (count == 0 || held_.empty()) return {};
-  const bool usable = prepared_ && (prepared_->handed || (!prepared_->stale && prepared_->count >= count));
-  if (!usable) prepare(count, {});
+  std::vector<std::map<CandidateId, LoopCandidate>::node_type> taken;
+  try {
+    std::vector<LoopCandidate> out;
+    taken.reserve(std::min(count, held_.size()));
+    out.reserve(taken.capacity());
+    take(count, taken, out);
+    return out;
+  } catch (...) {  // nobody gets them: they are held as before, and the next set is made anew
+    for (auto& node : taken) held_.insert(std::move(node));
+    prepared_.reset();
+    throw;
+  }
+}
+
+void GraphInformationPrioritizer::take(std::size_t count,
+                                       std::vector<std::map<CandidateId, LoopCandidate>::node_type>& taken,
+                                       std::vector<LoopCandidate>& out) {
+  const std::size_t missing = count - out.size();
+  const bool usable = prepared_ && (prepared_->handed || (!prepared_->stale && prepared_->count >= missing));
+  if (!usable) prepare(missing, {});
   Prepared& p = *prepared_;
-  std::vector<LoopCandidate> out;
   const auto hand_out = [&](const LoopCandidate& candidate) {
-    if (out.size() < count && held_.erase(candidate.id) != 0) out.push_back(candidate);
+    if (out.size() >= count) return;
+    auto node = held_.extract(candidate.id);
+    if (node.empty()) return;
+    out.push_back(candidate);
+    taken.push_back(std::move(node));
   };
   for (const LoopCandidate& candidate : p.first) hand_out(candidate);
   if (options_.selector == SelectorKind::kAnnealing && p.objective && !p.handed) {
@@ -336,10 +367,8 @@ std::vector<LoopCandidate> GraphInformationPrioritizer::take(std::size_t count) 
   if (out.size() < count && p.stale) {
     // What came after the set was made.
     prepared_.reset();
-    const std::vector<LoopCandidate> more = take(count - out.size());
-    out.insert(out.end(), more.begin(), more.end());
+    if (!held_.empty()) take(count, taken, out);
   }
-  return out;
 }
 
 }  // namespace loopwise

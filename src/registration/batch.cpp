@@ -9,6 +9,10 @@
 #include <string>
 #include <tuple>
 
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/se3.hpp>
+
 namespace loopwise {
 
 RegistrationResult failed_result(const LoopCandidate& candidate, const char* message) {
@@ -23,9 +27,36 @@ RegistrationResult failed_result(const LoopCandidate& candidate, const char* mes
   return result;
 }
 
+namespace {
+
+/// What a graph takes, whoever's registrar it is of: a rotation that went through single precision is made
+/// one again. \throws InputError if it is none, or there is no such covariance
+RegistrationResult fit_for_graph(RegistrationResult result, const LoopCandidate& candidate) {
+  if (!result.closure) return result;
+  LoopClosure& closure = *result.closure;
+  if (closure.from != candidate.from || closure.to != candidate.to) {
+    throw InputError("the registrar returned a closure of other nodes than the candidate's");
+  }
+  PoseGraph graph;
+  for (const Key key : {closure.from, closure.to}) {
+    Node node;
+    node.key = key;
+    graph.add_node(node);
+  }
+  if (closure.T_from_to.matrix().allFinite()) {
+    const Eigen::Matrix3d R = closure.T_from_to.linear();
+    const double off = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
+    if (off > 1e-6 && off < 1e-3) closure.T_from_to = se3::normalized(closure.T_from_to);
+  }
+  graph.add_closure(closure);
+  return result;
+}
+
+}  // namespace
+
 RegistrationResult compute_or_fail(const Registrar& registrar, const RegistrationTask& task) {
   try {
-    return registrar.compute(task);
+    return fit_for_graph(registrar.compute(task), task.candidate);
   } catch (const std::bad_alloc&) {
     return failed_result(task.candidate, "out of memory");
   } catch (const std::exception& error) {

@@ -297,6 +297,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   if (deadline.passed()) return late();
   const auto target_side = impl_->side(target_name, task.target, task.enough_points, result);
   if (!target_side) return result;
+  result.incomplete = source_side->submap.incomplete() || target_side->submap.incomplete();
   // cppcheck-suppress identicalConditionAfterEarlyExit ; time has passed since
   if (deadline.passed()) return late();
   const Side& source = *source_side;

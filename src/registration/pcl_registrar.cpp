@@ -271,6 +271,7 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
   const std::optional<Submap> target =
       source ? Submap::load(*impl_->features, task.target, task.enough_points, result) : std::nullopt;
   if (!target) return result;
+  result.incomplete = source->incomplete() || target->incomplete();
   if (deadline.passed()) return late();
   const std::size_t fewest = std::min(source->cloud().size(), target->cloud().size());
   if (fewest < static_cast<std::size_t>(options.tests.min_points)) {

@@ -20,12 +20,17 @@ std::optional<Submap> Submap::load(FeatureCache& cache, const std::vector<Submap
   for (const SubmapMember& member : members) {
     if (enough_points > 0 && points >= enough_points) break;
     Part part{member.key, member.T_center_member, nullptr};
+    const bool neighbour = !submap.parts_.empty();
     try {
       part.features = cache.get(member.key);
-    } catch (const Error& error) {
-      return missing(member.key, error.what());
+    } catch (const Error& error) {  // who reads the scans counts it
+      if (!neighbour) return missing(member.key, error.what());
     }
-    if (!part.features) return missing(member.key, "there is none");
+    if (!part.features) {
+      if (!neighbour) return missing(member.key, "there is none");
+      submap.incomplete_ = true;
+      continue;
+    }
     points += part.features->cloud.size();
     submap.parts_.push_back(std::move(part));
   }

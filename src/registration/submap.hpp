@@ -20,12 +20,15 @@ struct Part {
 /// One side of a registration: its scans, and their union in the centre's frame.
 class Submap {
  public:
-  /// The features of the members, in order, until there are enough points (0: of all); or nothing if one is
-  /// missing: then `result` says which and why.
+  /// The features of the members, in order, until there are enough points (0: of all); or nothing if the
+  /// first, which is the node itself, is missing: then `result` says why. Others that cannot be read are left
+  /// out, see incomplete().
   [[nodiscard]] static std::optional<Submap> load(FeatureCache& cache,
                                                   const std::vector<SubmapMember>& members,
                                                   std::size_t enough_points, RegistrationResult& result);
 
+  /// Whether a member that was asked for is left out.
+  [[nodiscard]] bool incomplete() const { return incomplete_; }
   [[nodiscard]] const std::vector<Part>& parts() const { return parts_; }
   /// Points and normals of all parts, part by part, in the centre's frame.
   [[nodiscard]] const PointCloud& cloud() const {
@@ -44,6 +47,7 @@ class Submap {
     PointCloud cloud;
     KdTree tree;
   };
+  bool incomplete_ = false;
   std::vector<Part> parts_;
   std::shared_ptr<const Union>
       union_;  // null for a single part at the centre: the cached scan serves as it is

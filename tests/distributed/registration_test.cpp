@@ -92,6 +92,9 @@ TEST_CASE("messages: a result of every reason comes through, one that does not e
     if (reason == RejectionReason::kNone) result.closure = LoopClosure{};
     REQUIRE(unpack_result(pack_result(result), result.candidate).reason == reason);
   }
+  REQUIRE_FALSE(unpack_result(pack_result(result), result.candidate).incomplete);
+  result.incomplete = true;
+  REQUIRE(unpack_result(pack_result(result), result.candidate).incomplete);
   std::string unknown = pack_result(result);
   unknown[0] = static_cast<char>(enum_names(RejectionReason{}).size());
   REQUIRE_THROWS_AS(unpack_result(unknown, result.candidate), InputError);

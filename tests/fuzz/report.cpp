@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Folders of a run and of studies, of which one file is the fuzzer's. The first byte chooses which.
+#include <sstream>
+
 #include <nlohmann/json.hpp>
 
 #include <loopwise/evaluation/report.hpp>
@@ -13,6 +15,16 @@ namespace {
 
 using namespace loopwise;
 namespace fs = std::filesystem;
+
+/// The nodes of a graph alone: what is beside the fuzzer's file is read for each of its inputs.
+std::string nodes_of(const std::string& graph) {
+  std::istringstream lines(graph);
+  std::string nodes;
+  for (std::string line; std::getline(lines, line);) {
+    if (line.rfind("VERTEX_", 0) == 0) nodes += line + "\n";
+  }
+  return nodes;
+}
 
 /// Of each file a folder that holds, but for itself, only what its reader needs beside it: a report of that
 /// is several times as fast as one of all.
@@ -31,7 +43,9 @@ std::vector<fs::path> folders_of_one(const fs::path& whole, const fs::path& pare
     beside.push_back(name);
     for (const std::string& file : beside) {
       fs::create_directories((folders.back() / file).parent_path());
-      fs::copy_file(whole / folder / file, folders.back() / file, fs::copy_options::overwrite_existing);
+      const std::string contents = read_file(whole / folder / file);
+      const bool is_beside = file == "graph.g2o" && name != file;
+      write_file(folders.back() / file, is_beside ? nodes_of(contents) : contents);
     }
   }
   return folders;

@@ -159,11 +159,11 @@ Seeds io_seeds() {
   };
   const std::string zero(1, '\0');
   const std::string own = "/own" + zero + "std_msgs/String" + zero + "string data\n";
-  all["bag_made"] = {{"none", zero + "\1" + recorded(0, 2)},
-                     {"bz2", "\1" + zero + recorded(4, 5)},
-                     {"lz4", "\2\1" + recorded(4, 5)},
-                     {"own", zero + zero + "\6" + zero + zero + static_cast<char>(own.size()) + own + "\5\2" +
-                                 zero + "\5\1" + std::string(3, '\0') + "a" + "\5\2" + zero + zero}};
+  all["bag_made"] = {{"graph", "\1" + recorded(0, 2)},
+                     {"radio", "\1" + recorded(3, 4)},
+                     {"odometry", zero + recorded(4, 5)},
+                     {"own", zero + "\6" + zero + zero + static_cast<char>(own.size()) + own + "\5\2" + zero +
+                                 "\5\1" + std::string(3, '\0') + "a" + "\5\2" + zero + zero}};
   all["zip_archive"] = {{"lamp", zip({{"keys.csv", "6989586621679009792,pc_0.pcd,1600000000000000000\n"},
                                       {"pc_0.pcd", all["cloud_pcd"][1].second},
                                       {"pose_graph.bag", bag({messages[0]})}})},

@@ -6,6 +6,7 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/optimization/optimizer.hpp>
+#include <loopwise/prioritization/graph_information.hpp>
 
 #include "allocations.hpp"
 #include "packed.hpp"
@@ -103,6 +104,64 @@ TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had bee
     for (std::size_t i = 0; i < poses.size(); ++i) REQUIRE(poses[i].isApprox(wanted[i], 1e-9));
   }
   REQUIRE(n > 50);
+}
+
+TEST_CASE("without memory: candidates that could not be chosen among are still there", "[memory][error]") {
+  PoseGraph graph;
+  for (Key key = 0; key < 20; ++key) {
+    Node node;
+    node.key = key;
+    node.pose.translation().x() = static_cast<double>(key);
+    graph.add_node(node);
+    if (key == 0) {
+      PriorFactor prior;
+      prior.information = 1e6 * Matrix6d::Identity();
+      graph.add_prior(prior);
+      continue;
+    }
+    Edge edge;
+    edge.from = key - 1;
+    edge.to = key;
+    edge.T_from_to.translation().x() = 1.0;
+    edge.information = 100.0 * Matrix6d::Identity();
+    edge.kind = EdgeKind::kOdometry;
+    graph.add_edge(edge);
+  }
+  std::vector<LoopCandidate> candidates;
+  for (Key to = 0; to < 8; ++to) {
+    LoopCandidate candidate;
+    candidate.id = candidates.size();
+    candidate.from = 19 - to;
+    candidate.to = to;
+    candidates.push_back(candidate);
+  }
+  for (const SelectorKind selector : {SelectorKind::kAnnealing, SelectorKind::kGreedy}) {
+    GraphInformationOptions options;
+    options.selector = selector;
+    const auto start = [&] {
+      GraphInformationPrioritizer gi(options, {}, {});
+      gi.on_graph(graph);
+      static_cast<void>(gi.add(candidates));
+      return gi.take(8).size();
+    };
+    REQUIRE(start() == 8);
+    long n = 1;
+    for (bool ended = false; !ended; n += 1 + n / 20) {
+      CAPTURE(n);
+      GraphInformationPrioritizer gi(options, {}, {});
+      gi.on_graph(graph);
+      static_cast<void>(gi.add(candidates));
+      std::size_t taken = 0;
+      ended = ends_without(n, [&] {
+        gi.improve(5, {}, 100);
+        taken += gi.take(5).size();
+      });
+      while (const std::size_t more = gi.take(3).size()) taken += more;
+      REQUIRE(taken == 8);
+      REQUIRE(gi.size() == 0);
+    }
+    REQUIRE(n > 50);
+  }
 }
 
 }  // namespace

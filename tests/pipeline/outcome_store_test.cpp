@@ -382,6 +382,26 @@ TEST_CASE("outcome store: processes share a folder, and one that is killed spoil
   REQUIRE(open->statistics().hits == 351);
 }
 
+TEST_CASE("outcome store: what lacks a neighbour's scan is not kept", "[pipeline][outcomes]") {
+  struct Incomplete final : Registrar {
+    explicit Incomplete(const Mission& mission) : oracle(mission.ground_truth) {}
+    std::string_view name() const override { return "incomplete"; }
+    RegistrationResult compute(const RegistrationTask& task) const override {
+      RegistrationResult result = oracle.compute(task);
+      result.incomplete = true;
+      return result;
+    }
+    OracleRegistrar oracle;
+  };
+  const Mission mission = two_circles();
+  const TemporaryFolder folder;
+  {
+    const StoredRegistrar store = stored(mission, std::make_shared<Incomplete>(mission), folder.path());
+    for (const RegistrationTask& task : tasks_of(mission, 5)) REQUIRE(store.compute(task).incomplete);
+  }
+  REQUIRE(OutcomeStore(folder.path()).statistics().found_at_start == 0);
+}
+
 TEST_CASE("outcome store: those that write at once leave no more files than they were",
           "[pipeline][outcomes]") {
   const Mission mission = two_circles();

@@ -424,6 +424,9 @@ TEST_CASE("replay: outcomes survive as text to the bit", "[pipeline][replay][res
   verified.closure = LoopClosure{verified.candidate.from, verified.candidate.to};
   verified.closure->covariance = 0.01 * Matrix6d::Identity();
   REQUIRE(parse_outcome_line(outcome_line(verified)).closure->covariance == verified.closure->covariance);
+  REQUIRE_FALSE(parse_outcome_line(outcome_line(verified)).incomplete);
+  verified.incomplete = true;
+  REQUIRE(parse_outcome_line(outcome_line(verified)).incomplete);
   for (const double variance : {0.0, -1.0}) {  // as it would be refused later, without a line
     verified.closure->covariance(2, 2) = variance;
     REQUIRE_THROWS_WITH(parse_outcome_line(outcome_line(verified)),

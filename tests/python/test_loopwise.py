@@ -95,6 +95,14 @@ class Optimization(unittest.TestCase):
         self.assertLess(np.linalg.norm(result.poses[8, :3, 3]), 0.1 * before)
         self.assertLess(result.cost, result.cost_initial)
 
+    def test_begins_with_the_poses_of_the_graph(self):
+        graph = square(drift=0.0)
+        poses = graph.poses
+        poses[4, 0, 3] += 1.0
+        graph.poses = poses
+        for optimize in (lw.optimize, lambda graph: lw.optimize_gnc(graph).optimization):
+            self.assertGreater(optimize(graph).cost_initial, 1.0)  # 0 where odometry alone leads
+
     def test_gnc_finds_the_false_closure(self):
         graph = square(drift=0.0)
         graph.add_edge("a8", "a0", np.eye(4), sigmas=[0.1] * 3 + [0.02] * 3)

@@ -21,7 +21,7 @@ class FakeRegistrar final : public Registrar {
     RegistrationResult result;
     result.candidate = task.candidate;
     if (task.candidate.from % 2 == 0) {
-      result.closure.emplace();
+      result.closure = LoopClosure{task.candidate.from, task.candidate.to};
     } else {
       result.reason = RejectionReason::kFewMatches;
     }
@@ -94,6 +94,39 @@ TEST_CASE("compute_or_fail: whatever is thrown is a result that says what", "[ba
     REQUIRE(result.reason == RejectionReason::kFailed);
     REQUIRE(result.candidate.from == from);
     REQUIRE(result.message == words[from - 1]);
+  }
+}
+
+TEST_CASE("compute_or_fail: closures are what a graph takes, or failed", "[batch][error]") {
+  struct Single final : Registrar {  // poses in single precision, as of other libraries
+    [[nodiscard]] std::string_view name() const override { return "single"; }
+    [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+      RegistrationResult result;
+      result.candidate = task.candidate;
+      result.closure = LoopClosure{task.candidate.from, task.candidate.to};
+      result.closure->T_from_to.linear() =
+          Eigen::AngleAxisd(1.0, Eigen::Vector3d(1.0, 2.0, 3.0).normalized()).toRotationMatrix();
+      if (task.candidate.from == 1) result.closure->T_from_to.linear() *= 1.0 + 1e-5;
+      if (task.candidate.from == 2) result.closure->T_from_to.linear() *= 1.1;
+      if (task.candidate.from == 3) result.closure->T_from_to.translation().x() = std::nan("");
+      if (task.candidate.from == 4) result.closure->covariance.setZero();
+      if (task.candidate.from == 5) result.closure->covariance(0, 0) = std::nan("");
+      if (task.candidate.from == 6) result.closure->to = 7;
+      return result;
+    }
+  };
+  const RegistrationResult rounded = compute_or_fail(Single(), pair_task(1, 0, 1));
+  REQUIRE(rounded.verified());
+  const Eigen::Matrix3d R = rounded.closure->T_from_to.linear();
+  REQUIRE((R * R.transpose() - Eigen::Matrix3d::Identity()).norm() < 1e-12);
+  const std::vector<std::string> words{"not a rigid transform", "not finite", "not positive definite",
+                                       "not positive definite", "other nodes than the candidate's"};
+  for (Key from = 2; from <= 6; ++from) {
+    const RegistrationResult result = compute_or_fail(Single(), pair_task(from, 0, 1));
+    CAPTURE(from, result.message);
+    REQUIRE(result.reason == RejectionReason::kFailed);
+    REQUIRE_FALSE(result.closure);
+    REQUIRE_THAT(result.message, Contains(words[from - 2]));
   }
 }
 

@@ -204,6 +204,27 @@ TEST_CASE("registrar: a scan that is missing or cannot be read is a reason", "[r
   }
 }
 
+TEST_CASE("registrar: a neighbour's scan that cannot be read is left out, and said", "[registrar][error]") {
+  const std::string name = GENERATE(from_range(registrar_names()));
+  CAPTURE(name);
+  const Drive drive(11, 4);
+  const auto registrar = make_registrar(name, [&](Key key) -> std::shared_ptr<const PointCloud> {
+    if (key == 2) throw IoError("2.pcd", "truncated");
+    return drive.scans.at(key);
+  });
+  RegistrationTask task = pair_task(3, 0, pair_seed(1, 3, 0));
+  const RegistrationResult alone = registrar->compute(task);
+  REQUIRE(alone.verified());
+  REQUIRE_FALSE(alone.incomplete);
+  task.target.push_back({2, drive.truth(0, 2)});
+  const RegistrationResult without = registrar->compute(task);
+  require_sound(without);
+  REQUIRE(without.verified());
+  REQUIRE(without.incomplete);
+  REQUIRE(depends_on_circumstances(without));
+  REQUIRE(errors(without.closure->T_from_to, drive.truth(3, 0)).m < 0.06);
+}
+
 TEST_CASE("registrar: degenerate scans are refused with a reason", "[registrar][error]") {
   const std::string name = GENERATE(from_range(registrar_names()));
   CAPTURE(name);

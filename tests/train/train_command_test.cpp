@@ -121,6 +121,16 @@ TEST_CASE("loopwise-train: data of recorded missions, resumed", "[train][program
   CAPTURE(mended.err);
   REQUIRE(mended.status == 0);
   REQUIRE(nlohmann::json::parse(mended.out).at("kept") == 2);
+
+  // A set that is made anew with other options is none until all of it is: the second mission cannot be
+  // written.
+  const fs::path second = folder / "data" / "missions" / "walk1.cbor";
+  REQUIRE(fs::exists(folder / "data" / "dataset.json"));
+  fs::remove(second);
+  fs::create_directories(second / "in_the_way");
+  words.insert(words.end(), {"--set", "data.random_sets=9", "--threads", "1"});
+  REQUIRE(run_program(words).status == 3);
+  REQUIRE_FALSE(fs::exists(folder / "data" / "dataset.json"));
 }
 
 TEST_CASE("loopwise-train: bad usage and bad data", "[train][program][error]") {

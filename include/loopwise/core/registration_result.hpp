@@ -74,6 +74,8 @@ struct RegistrationResult {
   double features_s = 0.0;  ///< Wall time of features and submaps, s. For reports only, as the next two.
   double global_s = 0.0;    ///< Of the feature-based stage, s.
   double refine_s = 0.0;    ///< Of refinement and tests, s.
+  /// A neighbour's scan could not be read: a submap lacks it.
+  bool incomplete = false;
   /// hash_of() the task that it is of, where a replay has noted it; 0: unknown.
   std::uint64_t task_hash = 0;
 
@@ -82,5 +84,10 @@ struct RegistrationResult {
   /// Wall time of all stages, s.
   [[nodiscard]] double seconds() const { return features_s + global_s + refine_s; }
 };
+
+/// As of its reason; also if a neighbour's scan could not be read.
+[[nodiscard]] inline bool depends_on_circumstances(const RegistrationResult& result) {
+  return result.incomplete || depends_on_circumstances(result.reason);
+}
 
 }  // namespace loopwise

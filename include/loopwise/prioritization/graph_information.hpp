@@ -160,6 +160,10 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
     bool verified = false;
   };
   void prepare(std::size_t count, const StopToken& stop);
+  void choose(Prepared& prepared, std::size_t count, const StopToken& stop);
+  /// The next of them, to `count` in `out`; what `held_` had of them goes to `taken`.
+  void take(std::size_t count, std::vector<std::map<CandidateId, LoopCandidate>::node_type>& taken,
+            std::vector<LoopCandidate>& out);
   void finish();
   [[nodiscard]] ClosureModel model() const;
   [[nodiscard]] std::vector<double> chances(const std::vector<LoopCandidate>& candidates) const;
