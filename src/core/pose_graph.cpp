@@ -17,13 +17,16 @@ std::string describe(Key key) {
   return name == number ? number : number + " (" + name + ")";
 }
 
+bool is_rigid(const Eigen::Isometry3d& pose) {
+  const Eigen::Matrix3d R = pose.linear();
+  return pose.matrix().allFinite() &&
+         (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() <= 1e-6 &&
+         R.determinant() >= 0.0;
+}
+
 void require_pose(const Eigen::Isometry3d& pose, const std::string& what) {
   if (!pose.matrix().allFinite()) throw InputError(what + ": pose is not finite");
-  const Eigen::Matrix3d R = pose.linear();
-  if ((R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() > 1e-6 ||
-      R.determinant() < 0.0) {
-    throw InputError(what + ": pose is not a rigid transform");
-  }
+  if (!is_rigid(pose)) throw InputError(what + ": pose is not a rigid transform");
 }
 
 void require_information(const Matrix6d& information, const std::string& what) {
@@ -163,7 +166,7 @@ std::vector<Key> PoseGraph::keys() const {
 }
 
 void PoseGraph::set_pose(Key key, const Eigen::Isometry3d& pose) {
-  require_pose(pose, "node " + describe(key));
+  if (!is_rigid(pose)) require_pose(pose, "node " + describe(key));
   nodes_[index_of(key)].pose = pose;
 }
 
@@ -171,7 +174,9 @@ void PoseGraph::set_poses(const std::vector<Eigen::Isometry3d>& poses) {
   if (poses.size() != nodes_.size()) {
     throw InputError(std::to_string(poses.size()) + " poses for " + std::to_string(nodes_.size()) + " nodes");
   }
-  for (std::size_t i = 0; i < poses.size(); ++i) require_pose(poses[i], "node " + describe(nodes_[i].key));
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    if (!is_rigid(poses[i])) require_pose(poses[i], "node " + describe(nodes_[i].key));
+  }
   for (std::size_t i = 0; i < poses.size(); ++i) nodes_[i].pose = poses[i];
 }
 

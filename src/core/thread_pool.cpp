@@ -3,8 +3,8 @@
 
 #include <condition_variable>
 #include <exception>
+#include <memory>
 #include <mutex>
-#include <new>
 #include <optional>
 #include <string>
 #include <thread>
@@ -25,10 +25,14 @@ namespace {
 /// costs nothing, and it orders memory between threads in a way that sanitizers can see.
 class Loop {
  public:
-  Loop(std::size_t count, const std::function<void(std::size_t)>& body, int runners)
-      : count_(count), body_(body), running_(runners) {}
+  Loop(std::size_t count, const std::function<void(std::size_t)>& body) : count_(count), body_(body) {}
 
+  /// Takes part until nothing is left. Who comes late finds nothing, and does not touch the body.
   void run() {
+    {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      ++running_;
+    }
     for (std::optional<std::size_t> i = next(); i; i = next()) {
       try {
         body_(*i);
@@ -41,19 +45,12 @@ class Loop {
       }
     }
     const std::lock_guard<std::mutex> lock(mutex_);
-    // Notified under the lock: once it is released the waiter may destroy this object.
     if (--running_ == 0) idle_.notify_all();
-  }
-
-  /// So many of the runners will not come.
-  void do_without(int runners) {
-    const std::lock_guard<std::mutex> lock(mutex_);
-    running_ -= runners;
   }
 
   void wait() {
     std::unique_lock<std::mutex> lock(mutex_);
-    idle_.wait(lock, [this] { return running_ == 0; });
+    idle_.wait(lock, [this] { return next_ == count_ && running_ == 0; });
     if (error_) std::rethrow_exception(error_);
   }
 
@@ -68,7 +65,7 @@ class Loop {
   std::mutex mutex_;
   std::condition_variable idle_;
   std::size_t next_ = 0;
-  int running_;
+  int running_ = 0;
   std::exception_ptr error_;
   std::size_t error_index_ = 0;
 };
@@ -84,11 +81,11 @@ void hand_over([[maybe_unused]] Loop& loop) {
 /// What TBB runs. Its own copy travels through TBB before the hand-over is known, so that reading it is not
 /// watched.
 struct Runner {
-  Loop* loop;
+  std::shared_ptr<Loop> loop;
 
 #ifdef __SANITIZE_THREAD__
   __attribute__((no_sanitize_thread, noinline)) void operator()() const {
-    __tsan_acquire(loop);
+    __tsan_acquire(loop.get());
     loop->run();
   }
 #else
@@ -133,22 +130,18 @@ void ThreadPool::for_each(std::size_t count, const std::function<void(std::size_
   if (count == 0) return;
   const auto runners =
       static_cast<int>(std::min<std::size_t>(count, static_cast<std::size_t>(impl_->num_threads)));
-  Loop loop(count, body, runners);
+  const auto loop = std::make_shared<Loop>(count, body);
   if (impl_->arena) {
-    hand_over(loop);
-    for (int i = 0; i < runners; ++i) {
-      try {
-        impl_->arena->enqueue(Runner{&loop});
-      } catch (const std::bad_alloc&) {  // those that were enqueued have the loop; this thread helps them
-        loop.do_without(runners - i - 1);
-        loop.run();
-        break;
-      }
+    hand_over(*loop);
+    try {
+      for (int i = 0; i < runners; ++i) impl_->arena->enqueue(Runner{loop});
+    } catch (...) {  // no memory, or no thread: whoever comes helps this one
+      loop->run();
     }
   } else {
-    loop.run();
+    loop->run();
   }
-  loop.wait();
+  loop->wait();
 }
 
 }  // namespace loopwise

@@ -81,7 +81,7 @@ double ProximityGenerator::radius(const Entry& entry, const Entry& other) const 
   return std::clamp(options_.rate_m * indices, options_.radius_min_m, radius_bound(options_));
 }
 
-void ProximityGenerator::collect(const Entry& entry, const std::vector<std::size_t>& numbers,
+void ProximityGenerator::collect(const Entry& entry, std::size_t own, const std::vector<std::size_t>& numbers,
                                  std::vector<std::pair<double, std::size_t>>& found) const {
   for (const std::size_t number : numbers) {
     const Entry& other = entries_[number];
@@ -91,14 +91,14 @@ void ProximityGenerator::collect(const Entry& entry, const std::vector<std::size
       if (gap < static_cast<std::uint64_t>(options_.skip_recent)) continue;
     }
     const double distance = (entry.position - other.position).norm();
-    if (distance <= radius(entry, other)) found.emplace_back(distance, number);
+    const bool later = own > number;
+    if (distance <= radius(later ? entry : other, later ? other : entry))
+      found.emplace_back(distance, number);
   }
 }
 
-std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, double time_s) const {
-  // The largest radius that any older node could get bounds the cells to visit. Within the robot the index
-  // gap may exceed the node's own index when nodes arrive out of order.
-  const std::uint64_t most = std::max(entry.index, highest_index_[entry.robot]);
+std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, std::size_t own, std::uint64_t most,
+                                                    double time_s) const {
   const double reach =
       std::clamp(options_.rate_m * static_cast<double>(most), options_.radius_min_m, radius_bound(options_));
   const double cells = std::pow(2.0 * std::ceil(reach / cell_m_) + 1.0, 3);
@@ -107,7 +107,7 @@ std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, double t
   if (cells > static_cast<double>(grid_.size())) {
     std::vector<std::size_t> all(entries_.size());
     std::iota(all.begin(), all.end(), std::size_t{0});
-    collect(entry, all, found);
+    collect(entry, own, all, found);
   } else {
     const Eigen::Vector3d corner = Eigen::Vector3d::Constant(reach);
     const Cell low = cell_of(entry.position - corner), high = cell_of(entry.position + corner);
@@ -115,7 +115,7 @@ std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, double t
       for (int y = low.y(); y <= high.y(); ++y) {
         for (int z = low.z(); z <= high.z(); ++z) {
           const auto cell = grid_.find(Cell(x, y, z));
-          if (cell != grid_.end()) collect(entry, cell->second, found);
+          if (cell != grid_.end()) collect(entry, own, cell->second, found);
         }
       }
     }
@@ -145,8 +145,12 @@ std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, double t
 std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
   if (robots_.is_landmark(key)) return {};
   const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
-  std::vector<LoopCandidate> candidates = near(entry, time_s);
-  highest_index_[entry.robot] = std::max(entry.index, highest_index_[entry.robot]);
+  // The largest radius that any older node could get bounds the cells to visit. Within the robot the index
+  // gap may exceed the node's own index when nodes arrive out of order.
+  const std::uint64_t most = std::max(entry.index, highest_index_[entry.robot]);
+  std::vector<LoopCandidate> candidates = near(entry, entries_.size(), most, time_s);
+  highest_index_[entry.robot] = most;
+  number_of_[key] = entries_.size();
   grid_[cell_of(entry.position)].push_back(entries_.size());
   entries_.push_back(entry);
   return candidates;
@@ -154,16 +158,23 @@ std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, K
 
 std::vector<LoopCandidate> ProximityGenerator::on_moved(const PoseGraph& graph, const std::vector<Key>& keys,
                                                         double time_s) {
-  on_graph(graph);
-  std::unordered_map<Key, std::size_t> number_of;
-  for (std::size_t number = 0; number < entries_.size(); ++number)
-    number_of.emplace(entries_[number].key, number);
+  for (const Key key : keys) {
+    const auto own = number_of_.find(key);
+    if (own == number_of_.end()) continue;
+    Entry& entry = entries_[own->second];
+    std::vector<std::size_t>& cell = grid_[cell_of(entry.position)];
+    cell.erase(std::remove(cell.begin(), cell.end(), own->second), cell.end());
+    entry.position = graph.node(key).pose.translation();
+    grid_[cell_of(entry.position)].push_back(own->second);
+  }
+  std::uint64_t most = 0;
+  for (const std::uint64_t index : highest_index_) most = std::max(most, index);
   std::vector<LoopCandidate> candidates;
   for (const Key key : keys) {
-    const auto own = number_of.find(key);
-    if (own == number_of.end()) continue;
-    for (LoopCandidate& candidate : near(entries_[own->second], time_s)) {
-      if (number_of.at(candidate.to) > own->second) std::swap(candidate.from, candidate.to);
+    const auto own = number_of_.find(key);
+    if (own == number_of_.end()) continue;
+    for (LoopCandidate& candidate : near(entries_[own->second], own->second, most, time_s)) {
+      if (number_of_.at(candidate.to) > own->second) std::swap(candidate.from, candidate.to);
       candidates.push_back(candidate);
     }
   }

@@ -567,7 +567,8 @@ class LoopClosureModule::Impl {
     Place place{node.pose, std::nullopt,
                 groups_.has(robots_.of(node.key)) ? PathGroups::Known::kGiven : PathGroups::Known::kFirst};
     for (const Factor& factor : factors) {
-      if (const auto* prior = std::get_if<PriorFactor>(&factor); prior != nullptr && prior->key == node.key) {
+      const auto* prior = std::get_if<PriorFactor>(&factor);
+      if (prior != nullptr && prior->key == node.key && places(*prior)) {
         return {prior->pose, std::nullopt, PathGroups::Known::kFixed};
       }
     }
@@ -598,7 +599,13 @@ class LoopClosureModule::Impl {
                se3::normalized(fixed * (second ? edge.T_from_to : edge.T_from_to.inverse())));
   }
 
+  /// One of the position alone says nothing of the path's direction.
+  [[nodiscard]] static bool places(const PriorFactor& prior) {
+    return prior.information.diagonal().minCoeff() > 0.0;
+  }
+
   void settle(const PriorFactor& prior) {
+    if (!places(prior)) return;
     const std::vector<Key> moved = groups_.fix(prior.key);
     if (!moved.empty()) move_group(moved, prior.key, prior.pose);
   }
@@ -607,22 +614,28 @@ class LoopClosureModule::Impl {
   void move_group(const std::vector<Key>& group, Key key, const Eigen::Isometry3d& pose) {
     const Eigen::Isometry3d correction = pose * graph_.node(key).pose.inverse();
     if ((correction.matrix() - Eigen::Matrix4d::Identity()).cwiseAbs().maxCoeff() < 1e-9) return;
+    std::vector<Eigen::Isometry3d> poses;
+    poses.reserve(group.size());
+    for (const Key other : group)
+      poses.push_back(other == key ? pose : se3::normalized(correction * graph_.node(other).pose));
+    moved_.insert(moved_.end(), group.begin(), group.end());
+    moved_since_job_.insert(group.begin(), group.end());
     change_graph([&] {
-      for (const Key other : group) {
-        graph_.set_pose(other, other == key ? pose : se3::normalized(correction * graph_.node(other).pose));
-      }
+      for (std::size_t i = 0; i < group.size(); ++i) graph_.set_pose(group[i], poses[i]);
     });
     graph_is_new_ = true;
-    moved_.insert(moved_.end(), group.begin(), group.end());
+    // What closures have tied to it lies elsewhere than they say now.
+    if (std::any_of(group.begin(), group.end(), [this](Key other) { return closed_.count(other) != 0; }))
+      wants_estimate_ = true;
   }
 
   /// What nodes that moved since are near to now.
   void propose_moved() {
     if (moved_.empty()) return;
-    std::vector<Key> moved = std::exchange(moved_, {});
-    std::sort(moved.begin(), moved.end());
-    moved.erase(std::unique(moved.begin(), moved.end()), moved.end());
-    if (options_.proximity && prioritizes_) propose(generator_.on_moved(graph_, moved, now_s_));
+    std::sort(moved_.begin(), moved_.end());
+    moved_.erase(std::unique(moved_.begin(), moved_.end()), moved_.end());
+    if (options_.proximity && prioritizes_) propose(generator_.on_moved(graph_, moved_, now_s_));
+    moved_.clear();
   }
 
   void add_factors_now(const std::vector<Factor>& factors) {
@@ -730,10 +743,15 @@ class LoopClosureModule::Impl {
   void take(const RegistrationResult& result) {
     if (result.verified() && vetoed_.count(std::minmax(result.candidate.from, result.candidate.to)) == 0) {
       change_graph([&] { graph_.add_closure(*result.closure); });
+      closed_.insert({result.candidate.from, result.candidate.to});
       wants_estimate_ = true;
       call(callbacks_.closure, *result.closure);
     }
     call(callbacks_.result, result);
+    if (result.incomplete) {
+      problem("registration " + key_name(result.candidate.from) + " - " + key_name(result.candidate.to) +
+              ": a neighbour's scan cannot be read");
+    }
     if (result.reason == RejectionReason::kFailed || result.reason == RejectionReason::kTimeLimit) {
       problem("registration " + key_name(result.candidate.from) + " - " + key_name(result.candidate.to) +
               ": " + (result.reason == RejectionReason::kFailed ? "failed: " : "time limit: ") +
@@ -776,12 +794,16 @@ class LoopClosureModule::Impl {
     }
     const std::vector<Eigen::Isometry3d>& poses = event.gnc.optimization.poses;
     std::map<Key, Eigen::Isometry3d> named;
-    for (std::size_t i = 0; i < poses.size(); ++i) named.emplace(graph_.nodes()[i].key, poses[i]);
+    for (std::size_t i = 0; i < poses.size(); ++i) {
+      // What odometry or a prior has moved since lies where these say, and goes along with what it was tied
+      // to.
+      const Key key = graph_.nodes()[i].key;
+      if (moved_since_job_.count(key) == 0) named.emplace(key, poses[i]);
+    }
     change_graph([&] {
       for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
     });
     move_nodes(named);
-    groups_.estimated();
     publish();
   }
 
@@ -861,6 +883,7 @@ class LoopClosureModule::Impl {
     const bool stopping = stop_source_.stop_requested();
     if (wants_estimate_ && options_.back_end && !optimizing_ && !computing_ && !stopping) {
       BackEndJob job{graph_, removals_};
+      moved_since_job_.clear();
       wants_estimate_ = false;
       optimizing_ = true;
       begin_work();
@@ -1072,7 +1095,9 @@ class LoopClosureModule::Impl {
 
   // The graph's thread alone.
   PathGroups groups_;
-  std::vector<Key> moved_;  // since their neighbours were proposed
+  std::vector<Key> moved_;                   // since their neighbours were proposed
+  std::unordered_set<Key> moved_since_job_;  // of the back end
+  std::unordered_set<Key> closed_;           // nodes with a closure, perhaps taken out since
   ProximityGenerator generator_;
   RadioGenerator radio_;
   bool prioritizes_ = true;

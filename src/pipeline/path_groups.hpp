@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <map>
 #include <optional>
@@ -70,8 +71,9 @@ class PathGroups {
     if (groups_.at(a).nodes.size() < groups_.at(b).nodes.size())
       std::swap(a, b);  // names are changed of the fewer
     Group& into = groups_.at(a);
-    into.nodes.reserve(into.nodes.size() +
-                       groups_.at(b).nodes.size());  // from here on nothing asks for memory
+    const std::size_t needed = into.nodes.size() + groups_.at(b).nodes.size();
+    // From here on nothing asks for memory.
+    if (needed > into.nodes.capacity()) into.nodes.reserve(std::max(needed, 2 * into.nodes.capacity()));
     for (const Key key : groups_.at(b).nodes) {
       group_of_[key] = a;
       into.nodes.push_back(key);
@@ -84,15 +86,10 @@ class PathGroups {
   /// The node's place is known. \returns its group if that was not fixed before
   [[nodiscard]] std::vector<Key> fix(Key key) {
     Group& group = groups_.at(group_of_.at(key));
-    if (std::exchange(group.known, Known::kFixed) == Known::kFixed) return {};
-    return group.nodes;
-  }
-
-  /// Robots' frames lie where an estimate has put them.
-  void estimated() {
-    for (auto& [number, group] : groups_) {
-      if (group.known == Known::kFirst) group.known = Known::kFixed;
-    }
+    if (group.known == Known::kFixed) return {};
+    std::vector<Key> nodes = group.nodes;
+    group.known = Known::kFixed;
+    return nodes;
   }
 
  private:

@@ -373,6 +373,10 @@ class Run {
                              key_name(result->candidate.from) + " - " + key_name(result->candidate.to) +
                                  ": " + result->message);
       }
+      if (result->incomplete) {
+        result_.problems.add("neighbour's scan cannot be read",
+                             key_name(result->candidate.from) + " - " + key_name(result->candidate.to));
+      }
       write(journal::result_line(now_s_, *result, pool_.accounting()));
       if (result->verified()) {
         closure_edges_.push_back({graph_.add_closure(*result->closure), result_.computed.size() - 1});

@@ -276,6 +276,18 @@ void FastRegistrar::prepare(Key key) const {
   }
 }
 
+namespace {
+
+/// Of its key points: what lacks a member is another side.
+std::string name_of(const Side& side, const std::string& whole) {
+  if (!side.submap.incomplete()) return whole;
+  std::vector<SubmapMember> members;
+  for (const Part& part : side.submap.parts()) members.push_back({part.key, part.T_center_part});
+  return signature(members, 0) + "of what is there";
+}
+
+}  // namespace
+
 RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   const FastRegistrarOptions& options = impl_->options;
   RegistrationResult result;
@@ -392,8 +404,8 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   }
   if (deadline.passed()) return late();
   Stopwatch keys_watch;
-  const auto source_keys = impl_->key_points(source_name, source);
-  const auto target_keys = impl_->key_points(target_name, target);
+  const auto source_keys = impl_->key_points(name_of(source, source_name), source);
+  const auto target_keys = impl_->key_points(name_of(target, target_name), target);
   result.features_s += keys_watch.seconds();
   if (deadline.passed()) return late();
   const Stopwatch global_watch;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <cmath>
+#include <set>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/generation/proximity.hpp>
@@ -119,6 +120,45 @@ TEST_CASE("proximity: distances follow the current estimate", "[generation]") {
   generator.on_graph(graph);
   graph.add_node(node_at(make_key('a', 50), Eigen::Vector3d(10, 0, 0)));
   REQUIRE(generator.on_node(graph, make_key('a', 50), 0.0).size() == 1);
+}
+
+TEST_CASE("proximity: nodes that move are proposed where they are, as the definition says",
+          "[generation][property]") {
+  for (const std::string& name : proximity_preset_names()) {
+    for (const int count : {200, 3000}) {  // by the list of all, and by the grid
+      CAPTURE(name, count);
+      Rng rng(8);
+      ProximityOptions options = proximity_preset(name);
+      options.n_closest = 0;  // counts for each node that moves
+      if (options.radius_max_m == 0.0) options.radius_max_m = 100.0;
+      std::vector<Node> nodes = random_nodes(rng, count, 10.0 * std::sqrt(count));
+      ProximityGenerator generator(options, parse_robots("a,b"));
+      PoseGraph graph;
+      static_cast<void>(generate(generator, graph, nodes));
+      std::set<Key> moved;
+      for (Node& node : nodes) {
+        if (rng.below(10) != 0) continue;
+        node.pose.translation() += Eigen::Vector3d(rng.uniform(-90, 90), rng.uniform(-90, 90), 0.0);
+        graph.set_pose(node.key, node.pose);
+        moved.insert(node.key);
+      }
+      std::set<Pair> found, expected;
+      for (const LoopCandidate& c : generator.on_moved(graph, {moved.begin(), moved.end()}, 9.0))
+        found.emplace(c.from, c.to);
+      for (const Pair& pair : brute_force(nodes, options)) {
+        if (moved.count(pair.first) + moved.count(pair.second) > 0) expected.insert(pair);
+      }
+      REQUIRE_FALSE(found.empty());
+      REQUIRE(found == expected);
+      // And those that come later find them there.
+      const Node next = node_at(make_key('a', 9000), nodes[50].pose.translation());
+      nodes.push_back(next);
+      graph.add_node(next);
+      std::size_t near = 0;
+      for (const Pair& pair : brute_force(nodes, options)) near += pair.first == next.key ? 1 : 0;
+      REQUIRE(generator.on_node(graph, next.key, 9.0).size() == near);
+    }
+  }
 }
 
 TEST_CASE("proximity: bad options and unknown nodes are errors", "[generation][error]") {

@@ -217,6 +217,38 @@ TEST_CASE("module: odometry and priors place their nodes, whatever comes first",
   }
 }
 
+TEST_CASE("module: a prior of the position alone does not turn the path", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 10);
+  LoopClosureModule module(mission.robots, module_options("odom"), {}, {}, with_oracle(mission));
+  for (KeyFrame frame : key_frames(mission)) {
+    frame.priors.clear();
+    REQUIRE(module.add_key_frame(frame));
+  }
+  REQUIRE(module.wait());
+  const PoseGraph before = module.graph();
+  PriorFactor position;
+  position.key = make_key('a', 6);
+  position.pose.translation() << 100.0, 0.0, 0.0;
+  position.information.setZero();
+  position.information.diagonal().head<3>().setConstant(4.0);
+  REQUIRE(module.add_factors({}, {position}));
+  REQUIRE(module.wait());
+  const PoseGraph still = module.graph();
+  for (const Node& node : still.nodes()) {
+    REQUIRE(node.pose.matrix() == before.node(node.key).pose.matrix());
+  }
+  position.information.setIdentity();
+  REQUIRE(module.add_factors({}, {position}));
+  REQUIRE(module.wait());
+  const PoseGraph after = module.graph();
+  REQUIRE(after.node(position.key).pose.matrix() == position.pose.matrix());
+  REQUIRE(after.node(make_key('b', 6)).pose.matrix() == before.node(make_key('b', 6)).pose.matrix());
+  const auto step = [](const PoseGraph& graph) {
+    return (graph.node(make_key('a', 0)).pose.inverse() * graph.node(make_key('a', 9)).pose).matrix().eval();
+  };
+  REQUIRE((step(after) - step(before)).cwiseAbs().maxCoeff() < 1e-9);
+}
+
 TEST_CASE("module: fly-bys of a radio beacon become candidates, whatever comes first", "[pipeline][module]") {
   const Mission mission = two_circles(1, 40);
   ModuleOptions options = module_options("rssi");

@@ -60,7 +60,7 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
   [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
   void on_graph(const PoseGraph& graph) override;
   /// Nodes that on_node() had, and that are elsewhere now: all that is near them where they are, whichever
-  /// came first. Does what on_graph() does.
+  /// came first, by the index of that which came later; the closest of each of them.
   [[nodiscard]] std::vector<LoopCandidate> on_moved(const PoseGraph& graph, const std::vector<Key>& keys,
                                                     double time_s);
 
@@ -78,8 +78,10 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
 
   [[nodiscard]] Cell cell_of(const Eigen::Vector3d& position) const;
   [[nodiscard]] double radius(const Entry& entry, const Entry& other) const;
-  [[nodiscard]] std::vector<LoopCandidate> near(const Entry& entry, double time_s) const;
-  void collect(const Entry& entry, const std::vector<std::size_t>& numbers,
+  /// Of the number's entry, or the next; `most` is the largest index by which a radius may be.
+  [[nodiscard]] std::vector<LoopCandidate> near(const Entry& entry, std::size_t own, std::uint64_t most,
+                                                double time_s) const;
+  void collect(const Entry& entry, std::size_t own, const std::vector<std::size_t>& numbers,
                std::vector<std::pair<double, std::size_t>>& found) const;
 
   ProximityOptions options_;
@@ -87,6 +89,7 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
   std::vector<std::uint64_t> highest_index_;  ///< By robot, of the nodes that arrived.
   double cell_m_;
   std::vector<Entry> entries_;  ///< In order of arrival.
+  std::unordered_map<Key, std::size_t> number_of_;
   std::unordered_map<Cell, std::vector<std::size_t>, CellHash> grid_;
 };
 
