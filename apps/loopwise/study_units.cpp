@@ -235,8 +235,8 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
   }
   ComputedUnit computed{unit_json(about, loaded.mission, unit.config, result, history), 0.0, {}};
   for (const Problem& problem : result.problems.all()) {
-    for (const char* kind :
-         {"scan cannot be read", "registration failed", "registration reached its time limit"}) {
+    for (const char* kind : {"scan cannot be read", "neighbour's scan cannot be read", "registration failed",
+                             "registration reached its time limit"}) {
       if (problem.kind == kind) computed.spoilt.push_back(to_string(problem));
     }
   }

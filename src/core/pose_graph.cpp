@@ -18,10 +18,7 @@ std::string describe(Key key) {
 }
 
 bool is_rigid(const Eigen::Isometry3d& pose) {
-  const Eigen::Matrix3d R = pose.linear();
-  return pose.matrix().allFinite() &&
-         (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() <= 1e-6 &&
-         R.determinant() >= 0.0;
+  return pose.matrix().allFinite() && se3::rotation_defect(pose.linear()) <= 1e-6;
 }
 
 void require_pose(const Eigen::Isometry3d& pose, const std::string& what) {

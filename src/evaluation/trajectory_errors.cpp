@@ -26,9 +26,7 @@ void check_pose(const char* which, Key key, const Eigen::Isometry3d& pose) {
       std::string(which) + ": the pose of key " + std::to_string(key) + " (" + key_name(key) + ")";
   if (!pose.matrix().allFinite()) throw InputError(name + " is not finite");
   // Poses of text files with few digits pass; scaled or mirrored ones do not.
-  const Eigen::Matrix3d R = pose.linear();
-  if (!(R.transpose() * R).isIdentity(1e-3) || R.determinant() < 0.0)
-    throw InputError(name + " has no rotation");
+  if (se3::rotation_defect(pose.linear()) > 1e-3) throw InputError(name + " has no rotation");
 }
 
 std::vector<Pair> common_poses(const PosesByKey& estimate, const PosesByKey& truth) {

@@ -282,10 +282,9 @@ namespace {
 /// Names come from files, folders and topics of whatever encoding; summaries, tables and pictures are UTF-8.
 Mission with_legible_names(Mission mission) {
   const auto mend = [&](std::string& name) {
-    std::string legible = text::legible(name);
-    if (legible == name) return false;
-    mission.problems.add("name is no UTF-8", legible);
-    name = std::move(legible);
+    if (text::is_utf8(name)) return false;
+    name = text::legible(name);
+    mission.problems.add("name is no UTF-8", name);
     return true;
   };
   mend(mission.name);

@@ -8,6 +8,7 @@
 #include <Eigen/SVD>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/se3.hpp>
 
 namespace loopwise::text {
 
@@ -48,6 +49,15 @@ std::size_t character_size(std::string_view text) {
 }
 
 }  // namespace
+
+bool is_utf8(std::string_view text) {
+  while (!text.empty()) {
+    const std::size_t size = character_size(text);
+    if (size == 0) return false;
+    text.remove_prefix(size);
+  }
+  return true;
+}
 
 std::string legible(std::string_view text) {
   constexpr const char* kDigits = "0123456789ABCDEF";
@@ -216,8 +226,8 @@ Pose pose_of(const double* v, const Place& place) {
 Rigid rigid_of(const double* v, const Place& place) {
   Eigen::Matrix3d R;
   R << v[0], v[1], v[2], v[4], v[5], v[6], v[8], v[9], v[10];
-  const double off = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
-  if (!(off <= 0.1) || R.determinant() < 0.0) place.fail("the 3x3 part is no rotation matrix");
+  const double off = se3::rotation_defect(R);
+  if (off > 0.1) place.fail("the 3x3 part is no rotation matrix");
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Rigid out{Eigen::Isometry3d::Identity(), off <= 1e-3};
   out.pose.linear() = svd.matrixU() * svd.matrixV().transpose();

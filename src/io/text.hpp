@@ -24,6 +24,9 @@ namespace loopwise::text {
 /// readable.
 [[nodiscard]] std::string quoted(std::string_view text);
 
+/// Whether it is whole characters in UTF-8.
+[[nodiscard]] bool is_utf8(std::string_view text);
+
 /// The text as UTF-8: each byte that is none becomes '%' and two digits, as in an address. What JSON and XML
 /// cannot hold would otherwise become the same replacement for all.
 [[nodiscard]] std::string legible(std::string_view text);

@@ -229,6 +229,10 @@ void CandidatePool::give_back(const std::vector<LoopCandidate>& candidates) {
   enqueue(returned);
 }
 
+void CandidatePool::forget(const std::vector<std::pair<Key, Key>>& pairs) {
+  for (const auto& [first, second] : pairs) proposed_.erase(std::minmax(first, second));
+}
+
 std::optional<double> CandidatePool::oldest_pending_s() const {
   if (pending_.empty()) return std::nullopt;
   return pending_.begin()->second.time_s;  // ids count up in the order of generation

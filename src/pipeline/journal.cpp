@@ -74,9 +74,7 @@ void put_result(Json& line, const RegistrationResult& result) {
 Eigen::Isometry3d pose_of(const Json& list) {
   Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
   T.affine() = matrix_of<Eigen::Matrix<double, 3, 4>>(list);
-  const Eigen::Matrix3d R = T.linear();
-  if (!((R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff() <= 1e-6) ||
-      R.determinant() < 0.0) {
+  if (se3::rotation_defect(T.linear()) > 1e-6) {
     throw InputError("not an outcome: a pose is not a rigid transform");
   }
   return T;

@@ -117,6 +117,27 @@ void take_weights(const PoseGraph& graph, std::vector<ComputedCandidate>& comput
   }
 }
 
+/// The last closures may have come after the last estimate. Where the back end fails, the poses that the
+/// module had are kept: a mission that was lived through cannot be replayed again.
+void optimize_last(const Config& config, ReplayResult& result) {
+  const std::vector<Edge>& edges = result.graph.edges();
+  if (std::none_of(edges.begin(), edges.end(),
+                   [](const Edge& edge) { return edge.kind == EdgeKind::kLoopClosure; })) {
+    return;
+  }
+  const Stopwatch watch;
+  try {
+    PoseGraphOptimizer optimizer(config.optimization);
+    const GncResult gnc = optimizer.optimize_gnc(result.graph, config.gnc);
+    result.graph.set_poses(gnc.optimization.poses);
+    for (std::size_t e = 0; e < gnc.weights.size(); ++e) result.graph.set_weight(e, gnc.weights[e]);
+    ++result.optimizations;
+  } catch (const std::exception& error) {
+    result.problems.add("live", std::string("the back end failed: ") + error.what());
+  }
+  result.optimization_s = watch.seconds();
+}
+
 void check(const Config& config) {
   validate_config(config);
   const ReplayOptions& r = config.replay;
@@ -220,17 +241,7 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
 
   result.interrupted = hooks.stop.stop_requested();
   result.graph = module.graph();
-  const bool has_closure = std::any_of(result.graph.edges().begin(), result.graph.edges().end(),
-                                       [](const Edge& edge) { return edge.kind == EdgeKind::kLoopClosure; });
-  if (has_closure) {  // the last closures may have come after the last estimate
-    const Stopwatch optimization;
-    PoseGraphOptimizer optimizer(config.optimization);
-    const GncResult gnc = optimizer.optimize_gnc(result.graph, config.gnc);
-    result.graph.set_poses(gnc.optimization.poses);
-    for (std::size_t e = 0; e < gnc.weights.size(); ++e) result.graph.set_weight(e, gnc.weights[e]);
-    ++result.optimizations;
-    result.optimization_s = optimization.seconds();
-  }
+  optimize_last(config, result);
   take_weights(result.graph, result.computed);
   result.odometry.assign(feed.odometry.begin(),
                          feed.odometry.begin() + static_cast<std::ptrdiff_t>(result.graph.nodes().size()));

@@ -82,6 +82,9 @@ struct ScanCommand {
 struct GraphCommand {
   SharedGraph graph;
 };
+struct ForgetCommand {  // pairs that were computed where one of them lay before
+  std::vector<std::pair<Key, Key>> pairs;
+};
 struct ResultCommand {
   RegistrationResult result;
 };
@@ -91,7 +94,8 @@ struct TimeCommand {
 struct DryCommand {  // the computation has nothing to do
   std::vector<LoopCandidate> not_computed;
 };
-using Command = std::variant<AddCommand, ScanCommand, GraphCommand, ResultCommand, TimeCommand, DryCommand>;
+using Command = std::variant<AddCommand, ScanCommand, GraphCommand, ForgetCommand, ResultCommand, TimeCommand,
+                             DryCommand>;
 
 struct BackEndJob {
   PoseGraph graph;
@@ -281,9 +285,8 @@ class LoopClosureModule::Impl {
     for (auto& [key, pose] : rigid.poses) {
       const std::string what = "estimate of node " + key_name(key);
       if (!pose.matrix().allFinite()) throw InputError(what + " is not finite");
-      const Eigen::Matrix3d R = pose.linear();
-      const double off = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
-      if (off > 1e-3 || R.determinant() < 0.0) throw InputError(what + " is not a rigid transform");
+      const double off = se3::rotation_defect(pose.linear());
+      if (off > 1e-3) throw InputError(what + " is not a rigid transform");
       if (off > 1e-9) pose = se3::normalized(pose);  // rounded on its way here
     }
     for (const auto& [key, covariance] : estimate.covariances) {
@@ -618,6 +621,7 @@ class LoopClosureModule::Impl {
     poses.reserve(group.size());
     for (const Key other : group)
       poses.push_back(other == key ? pose : se3::normalized(correction * graph_.node(other).pose));
+    forget_outcomes(group);
     moved_.insert(moved_.end(), group.begin(), group.end());
     moved_since_job_.insert(group.begin(), group.end());
     change_graph([&] {
@@ -629,8 +633,61 @@ class LoopClosureModule::Impl {
       wants_estimate_ = true;
   }
 
-  /// What nodes that moved since are near to now.
+  /// A group moves: what came of its candidates with others says nothing any more. That of those that are
+  /// being computed will not either.
+  void forget_outcomes(const std::vector<Key>& group) {
+    const std::unordered_set<Key> moving(group.begin(), group.end());
+    const auto parted = [&](const LoopCandidate& c) {
+      return (moving.count(c.from) != 0) != (moving.count(c.to) != 0);
+    };
+    for (const Key key : group) {
+      const auto found = rejected_apart_.find(key);
+      if (found == rejected_apart_.end()) continue;
+      for (const LoopCandidate& candidate : found->second) {
+        if (!parted(candidate)) continue;
+        forgotten_.push_back(candidate);
+        const auto other = rejected_apart_.find(candidate.from == key ? candidate.to : candidate.from);
+        if (other == rejected_apart_.end()) continue;
+        std::vector<LoopCandidate>& others = other->second;
+        others.erase(std::remove_if(others.begin(), others.end(),
+                                    [&](const LoopCandidate& c) { return c.id == candidate.id; }),
+                     others.end());
+      }
+      rejected_apart_.erase(key);
+    }
+    for (const auto& [id, candidate] : in_computation_) {
+      if (parted(candidate)) moved_meanwhile_.insert(id);
+    }
+  }
+
+  /// An outcome without a closure: of use as long as its nodes lie so to each other.
+  void keep_rejected(const LoopCandidate& candidate, bool moved_meanwhile) {
+    if (!groups_.apart(candidate.from, candidate.to) && !moved_meanwhile) return;
+    if (moved_meanwhile) {
+      forgotten_.push_back(candidate);
+      moved_.push_back(candidate.from);
+      propose_moved();
+    } else {
+      rejected_apart_[candidate.from].push_back(candidate);
+      rejected_apart_[candidate.to].push_back(candidate);
+    }
+  }
+
+  /// What nodes that moved since are near to now; what others than the generator proposed, whatever is near.
   void propose_moved() {
+    if (!forgotten_.empty()) {
+      ForgetCommand forget;
+      std::vector<LoopCandidate> again;
+      for (LoopCandidate& candidate : forgotten_) {
+        if (vetoed_.count(std::minmax(candidate.from, candidate.to)) != 0) continue;
+        forget.pairs.emplace_back(candidate.from, candidate.to);
+        candidate.time_s = now_s_;
+        if (candidate.source != CandidateSource::kProximity) again.push_back(candidate);
+      }
+      tell(std::move(forget));
+      forgotten_.clear();
+      propose(std::move(again));
+    }
     if (moved_.empty()) return;
     std::sort(moved_.begin(), moved_.end());
     moved_.erase(std::unique(moved_.begin(), moved_.end()), moved_.end());
@@ -711,8 +768,10 @@ class LoopClosureModule::Impl {
     }
     for (const LoopCandidate& candidate : event.candidates) {
       try {
-        tasks.push_back(make_task(graph_, robots_, candidate, config_.task, options_.seed,
-                                  [this](Key key) { return has_scan(key); }));
+        RegistrationTask task = make_task(graph_, robots_, candidate, config_.task, options_.seed,
+                                          [this](Key key) { return has_scan(key); });
+        in_computation_.emplace(candidate.id, candidate);
+        tasks.push_back(std::move(task));
       } catch (const std::exception& error) {  // no memory, or a prioritiser hands out what it was not given
         post_inside(failed_result(candidate, error.what()));
       }
@@ -725,11 +784,18 @@ class LoopClosureModule::Impl {
 
   void on(const RegistrationResult& result) {
     --being_computed_;
+    const bool moved_meanwhile = moved_meanwhile_.erase(result.candidate.id) != 0;
+    const bool was_begun = in_computation_.erase(result.candidate.id) != 0;
     try {
       take(result);
     } catch (const std::exception& error) {  // the account counts it all the same
       problem(error);
     }
+    tell_result(result);
+    if (was_begun && !result.verified()) keep_rejected(result.candidate, moved_meanwhile);
+  }
+
+  void tell_result(const RegistrationResult& result) {
     while (true) {
       try {
         tell(ResultCommand{result});
@@ -762,6 +828,10 @@ class LoopClosureModule::Impl {
   void on(BatchDoneEvent& event) {
     computing_ = false;
     being_computed_ -= event.not_computed.size();
+    for (const LoopCandidate& candidate : event.not_computed) {
+      in_computation_.erase(candidate.id);
+      moved_meanwhile_.erase(candidate.id);
+    }
     set_busy(false);
     try {
       if (graph_is_new_) tell(GraphCommand{snapshot()});
@@ -798,7 +868,11 @@ class LoopClosureModule::Impl {
       // What odometry or a prior has moved since lies where these say, and goes along with what it was tied
       // to.
       const Key key = graph_.nodes()[i].key;
-      if (moved_since_job_.count(key) == 0) named.emplace(key, poses[i]);
+      if (moved_since_job_.count(key) == 0) {
+        named.emplace(key, poses[i]);
+      } else {
+        wants_estimate_ = true;  // what it was tied to may lie elsewhere by then
+      }
     }
     change_graph([&] {
       for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
@@ -1031,6 +1105,7 @@ class LoopClosureModule::Impl {
       std::visit(Overloaded{[&](AddCommand& c) { pool_.add(c.candidates); },
                             [&](ScanCommand& c) { pool_.on_scan(c.scan); },
                             [&](GraphCommand& c) { pool_.on_graph(*c.graph); },
+                            [&](ForgetCommand& c) { pool_.forget(c.pairs); },
                             [&](ResultCommand& c) { pool_.complete(c.result); },
                             [&](TimeCommand& c) {
                               now_of_pool_s_ = std::max(now_of_pool_s_, c.now_s);
@@ -1098,6 +1173,11 @@ class LoopClosureModule::Impl {
   std::vector<Key> moved_;                   // since their neighbours were proposed
   std::unordered_set<Key> moved_since_job_;  // of the back end
   std::unordered_set<Key> closed_;           // nodes with a closure, perhaps taken out since
+  // Candidates of nodes that may still move against each other: without a closure, by each of the two ...
+  std::unordered_map<Key, std::vector<LoopCandidate>> rejected_apart_;
+  std::vector<LoopCandidate> forgotten_;                 // ... and those of them that have moved since
+  std::map<CandidateId, LoopCandidate> in_computation_;  // with their guess
+  std::set<CandidateId> moved_meanwhile_;                // of these
   ProximityGenerator generator_;
   RadioGenerator radio_;
   bool prioritizes_ = true;

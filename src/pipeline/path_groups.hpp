@@ -31,6 +31,12 @@ class PathGroups {
   /// Of the node's group. \pre it was added
   [[nodiscard]] Known known(Key key) const { return groups_.at(group_of_.at(key)).known; }
 
+  /// Whether one of the two may still move without the other. \pre they were added
+  [[nodiscard]] bool apart(Key first, Key second) const {
+    const std::size_t a = group_of_.at(first), b = group_of_.at(second);
+    return a != b && (groups_.at(a).known != Known::kFixed || groups_.at(b).known != Known::kFixed);
+  }
+
   /// A node: of the group that `member` is in, or the first of its own.
   void add(Key key, std::optional<Key> member, Known known) {
     begun_.insert(robots_.of(key));

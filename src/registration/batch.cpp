@@ -43,11 +43,8 @@ RegistrationResult fit_for_graph(RegistrationResult result, const LoopCandidate&
     node.key = key;
     graph.add_node(node);
   }
-  if (closure.T_from_to.matrix().allFinite()) {
-    const Eigen::Matrix3d R = closure.T_from_to.linear();
-    const double off = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
-    if (off > 1e-6 && off < 1e-3) closure.T_from_to = se3::normalized(closure.T_from_to);
-  }
+  const double off = se3::rotation_defect(closure.T_from_to.linear());
+  if (off > 1e-6 && off < 1e-3) closure.T_from_to = se3::normalized(closure.T_from_to);
   graph.add_closure(closure);
   return result;
 }

@@ -79,6 +79,19 @@ TEST_CASE("se3: exp inverts log at a half turn", "[core][se3]") {
   }
 }
 
+TEST_CASE("se3: the defect of a rotation is what rounding and scaling leave", "[core][se3]") {
+  Rng rng(2);
+  for (int i = 0; i < 20; ++i) {
+    const Eigen::Matrix3d R = random_pose(rng).linear();
+    CHECK(se3::rotation_defect(R) < 1e-14);
+    CHECK(se3::rotation_defect(R.cast<float>().cast<double>()) < 1e-6);
+    CHECK(se3::rotation_defect(1.001 * R) == Approx(2.001e-3).epsilon(1e-6));
+    CHECK(std::isinf(se3::rotation_defect(-R)));
+    CHECK(std::isinf(se3::rotation_defect(1e200 * R)));
+    CHECK(std::isinf(se3::rotation_defect(std::nan("") * R)));
+  }
+}
+
 TEST_CASE("se3: adjoint moves a twist to the other side", "[core][se3]") {
   Rng rng(2);
   for (int i = 0; i < 50; ++i) {

@@ -31,6 +31,26 @@ bool ends_without(long n, Call&& call) {
   return ended;
 }
 
+/// Nodes from 0 on, a metre apart, with odometry that says `odometry_m`.
+PoseGraph straight_path(Key nodes, double odometry_m) {
+  PoseGraph graph;
+  for (Key key = 0; key < nodes; ++key) {
+    Node node;
+    node.key = key;
+    node.pose.translation().x() = static_cast<double>(key);
+    graph.add_node(node);
+    if (key == 0) continue;
+    Edge edge;
+    edge.from = key - 1;
+    edge.to = key;
+    edge.T_from_to.translation().x() = odometry_m;
+    edge.information = 100.0 * Matrix6d::Identity();
+    edge.kind = EdgeKind::kOdometry;
+    graph.add_edge(edge);
+  }
+  return graph;
+}
+
 TEST_CASE("without memory: a value of an option that cannot be copied", "[memory][error]") {
   using detail::OptionValue;
   for (const OptionValue& value :
@@ -62,22 +82,7 @@ TEST_CASE("without memory: numbers that cannot be packed", "[memory][error]") {
 }
 
 TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had been asked", "[memory][error]") {
-  PoseGraph before;
-  for (Key key = 0; key < 12; ++key) {
-    Node node;
-    node.key = key;
-    node.pose = Eigen::Isometry3d::Identity();
-    node.pose.translation().x() = static_cast<double>(key);
-    before.add_node(node);
-    Edge edge;
-    edge.from = key - 1;
-    edge.to = key;
-    edge.T_from_to.setIdentity();
-    edge.T_from_to.translation().x() = 1.1;
-    edge.information = 100.0 * Matrix6d::Identity();
-    edge.kind = EdgeKind::kOdometry;
-    if (key > 0) before.add_edge(edge);
-  }
+  const PoseGraph before = straight_path(12, 1.1);
   PoseGraph after = before;
   Edge closure;
   closure.from = 1;
@@ -107,26 +112,10 @@ TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had bee
 }
 
 TEST_CASE("without memory: candidates that could not be chosen among are still there", "[memory][error]") {
-  PoseGraph graph;
-  for (Key key = 0; key < 20; ++key) {
-    Node node;
-    node.key = key;
-    node.pose.translation().x() = static_cast<double>(key);
-    graph.add_node(node);
-    if (key == 0) {
-      PriorFactor prior;
-      prior.information = 1e6 * Matrix6d::Identity();
-      graph.add_prior(prior);
-      continue;
-    }
-    Edge edge;
-    edge.from = key - 1;
-    edge.to = key;
-    edge.T_from_to.translation().x() = 1.0;
-    edge.information = 100.0 * Matrix6d::Identity();
-    edge.kind = EdgeKind::kOdometry;
-    graph.add_edge(edge);
-  }
+  PoseGraph graph = straight_path(20, 1.0);
+  PriorFactor prior;
+  prior.information = 1e6 * Matrix6d::Identity();
+  graph.add_prior(prior);
   std::vector<LoopCandidate> candidates;
   for (Key to = 0; to < 8; ++to) {
     LoopCandidate candidate;

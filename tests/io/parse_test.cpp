@@ -60,10 +60,15 @@ TEST_CASE("parse: stamps at both ends of time are not near", "[io][parse]") {
 }
 
 TEST_CASE("parse: what is no UTF-8 becomes legible, the rest stays", "[io][parse]") {
-  const auto same = [](const std::string& text) { return text::legible(text) == text; };
+  const auto same = [](const std::string& text) {
+    CHECK(text::is_utf8(text) == (text::legible(text) == text));
+    return text::is_utf8(text);
+  };
   CHECK(same(""));
   CHECK(same("plain \x01 %41"));
   CHECK(same("K\xc3\xb6ln \xe2\x82\xac \xf0\x9f\xa4\x96 \xed\x9f\xbf \xf4\x8f\xbf\xbf"));
+  CHECK_FALSE(same("K\xf6ln"));
+  CHECK_FALSE(same("cut\xe2\x82"));
   CHECK(text::legible("K\xf6ln") == "K%F6ln");
   CHECK(text::legible("\xc3") == "%C3");
   CHECK(text::legible("\xe2\x82x") == "%E2%82x");

@@ -127,6 +127,31 @@ TEST_CASE("live replay: scans that vanish before they are asked for are named, n
   REQUIRE(named);
 }
 
+TEST_CASE("live replay: where the back end fails, what was computed is kept", "[pipeline][live][error]") {
+  Mission mission = two_circles();
+  PriorFactor absurd = mission.graph.priors().front();  // its cost is beyond a double
+  absurd.pose.translation().x() += 1e6;
+  absurd.information = 1e300 * Matrix6d::Identity();
+  mission.graph.add_prior(absurd);
+  Config config = live_config("baseline");
+  config.replay.after_mission = true;
+  std::size_t ends = 0;
+  ReplayHooks hooks;
+  hooks.moment = [&](const ReplayMoment& moment) { ends += moment.kind == ReplayMoment::Kind::kEnd ? 1 : 0; };
+  RealClock clock(0.0, 1000.0);
+  const ReplayResult result =
+      replay_live(mission, config, std::make_shared<OracleRegistrar>(mission.ground_truth), clock, 2, hooks);
+  REQUIRE(ends == 1);
+  REQUIRE_FALSE(result.computed.empty());
+  REQUIRE(result.computed.size() == result.accounting.computed);
+  REQUIRE(result.graph.nodes().size() == mission.graph.nodes().size());
+  bool told = false;
+  for (const Problem& problem : result.problems.all())
+    told = told || Contains("the back end failed").match(problem.example);
+  REQUIRE(told);
+  for (const Eigen::Isometry3d& pose : result.graph.poses()) REQUIRE(pose.matrix().allFinite());
+}
+
 TEST_CASE("live replay: landmarks, ranges and gravity take part", "[pipeline][live]") {
   const Mission mission = testing::with_landmark(two_circles());
   RealClock clock(0.0, 1000.0);

@@ -6,6 +6,7 @@
 #pragma once
 
 #include <cmath>
+#include <limits>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -204,6 +205,14 @@ namespace detail {
   Eigen::Isometry3d out = T;
   out.linear() = Eigen::Quaterniond(T.linear()).normalized().toRotationMatrix();
   return out;
+}
+
+/// How far a matrix is from a rotation: the largest entry of |R·Rᵀ − I|; infinite for a reflection and where
+/// numbers are not finite.
+[[nodiscard]] inline double rotation_defect(const Eigen::Matrix3d& R) {
+  const Eigen::Matrix3d off = R * R.transpose() - Eigen::Matrix3d::Identity();
+  if (!off.allFinite() || R.determinant() < 0.0) return std::numeric_limits<double>::infinity();
+  return off.cwiseAbs().maxCoeff();
 }
 
 /// Angle of the rotation, rad, in [0, π].

@@ -26,7 +26,7 @@ namespace loopwise {
 ///
 ///     generated = pruned + expired + waiting + pending + in_flight + computed
 struct CandidateAccounting {
-  std::size_t generated = 0;  ///< Distinct pairs proposed.
+  std::size_t generated = 0;  ///< Distinct pairs proposed; those that were forgotten count again.
   std::size_t pruned = 0;     ///< Refused by every prioritiser.
   std::size_t expired = 0;    ///< Too old, beyond the pool's cap, or a scan never came.
   std::size_t waiting = 0;    ///< A node's scan is not here yet.
@@ -98,6 +98,10 @@ class LOOPWISE_EXPORT CandidatePool {
   void complete(const RegistrationResult& result);
   /// Candidates in flight that will not be computed after all become pending again.
   void give_back(const std::vector<LoopCandidate>& candidates);
+
+  /// Computed candidates whose outcome says nothing any more, as one of their nodes was somewhere else then:
+  /// the pairs may be proposed again.
+  void forget(const std::vector<std::pair<Key, Key>>& pairs);
 
   /// Mission time at which the oldest pending candidate was generated, if any is.
   [[nodiscard]] std::optional<double> oldest_pending_s() const;

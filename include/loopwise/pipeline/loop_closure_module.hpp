@@ -65,7 +65,8 @@ struct ModuleOptions {
 /// A node as a front end hands it over, all at once or with factors and scan following later.
 struct KeyFrame {
   /// The pose counts for a robot's first node only, and where no odometry leads to the node. Odometry and
-  /// priors that come later move the node then, and with it those that odometry has tied to it.
+  /// priors that come later move the node then, and with it those that odometry has tied to it; what was
+  /// rejected between what moves and what stays is forgotten, and proposed again.
   Node node;
   std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
   std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
