@@ -6,6 +6,7 @@
 #include <cmath>
 #include <condition_variable>
 #include <exception>
+#include <iterator>
 #include <mutex>
 #include <new>
 #include <optional>
@@ -441,16 +442,9 @@ class LoopClosureModule::Impl {
       graph_thread_id_ = std::this_thread::get_id();
     }
     while (auto event = inbox_.next(/*expect_inside=*/computing_ || optimizing_ || being_computed_ > 0)) {
-      try {
-        std::visit([this](auto&& e) { on(e); }, *event);
-      } catch (const std::exception& error) {
-        problem(error);
-      }
-      try {
-        keep_busy();
-      } catch (const std::exception& error) {
-        problem(error);
-      }
+      tell_if_fails([&] { std::visit([this](auto&& e) { on(e); }, *event); });
+      tell_if_fails([this] { propose_moved(); });
+      tell_if_fails([this] { keep_busy(); });
       {
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
         ++statistics_.events;
@@ -468,6 +462,27 @@ class LoopClosureModule::Impl {
       end_work();
     }
     publish_account();
+  }
+
+  template <class Function>
+  void tell_if_fails(Function&& function) {
+    try {
+      function();
+    } catch (const std::exception& error) {
+      problem(error);
+    }
+  }
+
+  /// For what must not be left half done. \param function can be called again after std::bad_alloc
+  template <class Function>
+  static void until_memory(Function&& function) {
+    while (true) {
+      try {
+        return function();
+      } catch (const std::bad_alloc&) {
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+      }
+    }
   }
 
   template <class Function>
@@ -529,7 +544,6 @@ class LoopClosureModule::Impl {
     if (options_.proximity && prioritizes_) {
       propose(generator_.on_node(graph_, node.key, now_s_));
     }
-    propose_moved();
     if (const auto early = early_scans_.find(node.key); early != early_scans_.end()) {
       announce({node.key, node.stamp_ns, early->second});
       early_scans_.erase(early);
@@ -552,10 +566,7 @@ class LoopClosureModule::Impl {
     if (prioritizes_) tell(ScanCommand{scan});
   }
 
-  void on(const FactorEvent& event) {
-    add_factors_now(event.factors);
-    propose_moved();
-  }
+  void on(const FactorEvent& event) { add_factors_now(event.factors); }
 
   // ---- where nodes lie: odometry and priors place them, whether they come with their nodes, before or after
 
@@ -598,8 +609,9 @@ class LoopClosureModule::Impl {
     if (tie.moved.empty()) return;
     const bool second = tie.second_moves;
     const Eigen::Isometry3d& fixed = graph_.node(second ? edge.from : edge.to).pose;
-    move_group(tie.moved, second ? edge.to : edge.from,
-               se3::normalized(fixed * (second ? edge.T_from_to : edge.T_from_to.inverse())));
+    const Eigen::Isometry3d pose =
+        se3::normalized(fixed * (second ? edge.T_from_to : edge.T_from_to.inverse()));
+    until_memory([&] { move_group(tie.moved, second ? edge.to : edge.from, pose); });
   }
 
   /// One of the position alone says nothing of the path's direction.
@@ -610,20 +622,21 @@ class LoopClosureModule::Impl {
   void settle(const PriorFactor& prior) {
     if (!places(prior)) return;
     const std::vector<Key> moved = groups_.fix(prior.key);
-    if (!moved.empty()) move_group(moved, prior.key, prior.pose);
+    if (!moved.empty()) until_memory([&] { move_group(moved, prior.key, prior.pose); });
   }
 
-  /// As one, so that `key` lies at `pose`.
+  /// As one, so that `key` lies at `pose`. Without memory nothing has moved yet, and it can be tried again.
   void move_group(const std::vector<Key>& group, Key key, const Eigen::Isometry3d& pose) {
+    // Also where nothing moves: an estimate that is under way does not know that it is held there.
+    moved_since_job_.insert(group.begin(), group.end());
     const Eigen::Isometry3d correction = pose * graph_.node(key).pose.inverse();
     if ((correction.matrix() - Eigen::Matrix4d::Identity()).cwiseAbs().maxCoeff() < 1e-9) return;
     std::vector<Eigen::Isometry3d> poses;
     poses.reserve(group.size());
     for (const Key other : group)
       poses.push_back(other == key ? pose : se3::normalized(correction * graph_.node(other).pose));
-    forget_outcomes(group);
     moved_.insert(moved_.end(), group.begin(), group.end());
-    moved_since_job_.insert(group.begin(), group.end());
+    forget_outcomes(group, correction);
     change_graph([&] {
       for (std::size_t i = 0; i < group.size(); ++i) graph_.set_pose(group[i], poses[i]);
     });
@@ -633,41 +646,51 @@ class LoopClosureModule::Impl {
       wants_estimate_ = true;
   }
 
-  /// A group moves: what came of its candidates with others says nothing any more. That of those that are
-  /// being computed will not either.
-  void forget_outcomes(const std::vector<Key>& group) {
+  /// A group is about to move: what came of its candidates with others says nothing any more. That of those
+  /// that are being computed will not either.
+  void forget_outcomes(const std::vector<Key>& group, const Eigen::Isometry3d& correction) {
+    constexpr double kSame_m = 0.01, kSame_rad = 0.002;  // to a registration
+    const bool turns = se3::rotation_angle(correction) > kSame_rad;
     const std::unordered_set<Key> moving(group.begin(), group.end());
     const auto parted = [&](const LoopCandidate& c) {
-      return (moving.count(c.from) != 0) != (moving.count(c.to) != 0);
+      const bool from = moving.count(c.from) != 0, to = moving.count(c.to) != 0;
+      if (from == to) return false;
+      const Eigen::Vector3d t = graph_.node(from ? c.from : c.to).pose.translation();
+      return turns || (correction * t - t).norm() > kSame_m;
     };
+    std::vector<LoopCandidate> forgotten;
+    std::set<CandidateId> under_way;
     for (const Key key : group) {
       const auto found = rejected_apart_.find(key);
       if (found == rejected_apart_.end()) continue;
-      for (const LoopCandidate& candidate : found->second) {
-        if (!parted(candidate)) continue;
-        forgotten_.push_back(candidate);
-        const auto other = rejected_apart_.find(candidate.from == key ? candidate.to : candidate.from);
-        if (other == rejected_apart_.end()) continue;
-        std::vector<LoopCandidate>& others = other->second;
-        others.erase(std::remove_if(others.begin(), others.end(),
-                                    [&](const LoopCandidate& c) { return c.id == candidate.id; }),
-                     others.end());
-      }
-      rejected_apart_.erase(key);
+      std::copy_if(found->second.begin(), found->second.end(), std::back_inserter(forgotten), parted);
     }
     for (const auto& [id, candidate] : in_computation_) {
-      if (parted(candidate)) moved_meanwhile_.insert(id);
+      if (parted(candidate)) under_way.insert(id);
+    }
+    forgotten_.reserve(forgotten_.size() + forgotten.size());
+    // From here on nothing asks for memory.
+    moved_meanwhile_.merge(under_way);
+    for (const LoopCandidate& candidate : forgotten) {
+      forgotten_.push_back(candidate);
+      for (const Key end : {candidate.from, candidate.to}) {
+        const auto at = rejected_apart_.find(end);
+        if (at == rejected_apart_.end()) continue;
+        std::vector<LoopCandidate>& kept = at->second;
+        kept.erase(std::remove_if(kept.begin(), kept.end(),
+                                  [&](const LoopCandidate& c) { return c.id == candidate.id; }),
+                   kept.end());
+        if (kept.empty()) rejected_apart_.erase(at);
+      }
     }
   }
 
   /// An outcome without a closure: of use as long as its nodes lie so to each other.
   void keep_rejected(const LoopCandidate& candidate, bool moved_meanwhile) {
-    if (!groups_.apart(candidate.from, candidate.to) && !moved_meanwhile) return;
     if (moved_meanwhile) {
-      forgotten_.push_back(candidate);
       moved_.push_back(candidate.from);
-      propose_moved();
-    } else {
+      forgotten_.push_back(candidate);
+    } else if (groups_.apart(candidate.from, candidate.to)) {
       rejected_apart_[candidate.from].push_back(candidate);
       rejected_apart_[candidate.to].push_back(candidate);
     }
@@ -678,15 +701,19 @@ class LoopClosureModule::Impl {
     if (!forgotten_.empty()) {
       ForgetCommand forget;
       std::vector<LoopCandidate> again;
-      for (LoopCandidate& candidate : forgotten_) {
+      for (const LoopCandidate& candidate : forgotten_) {
         if (vetoed_.count(std::minmax(candidate.from, candidate.to)) != 0) continue;
         forget.pairs.emplace_back(candidate.from, candidate.to);
-        candidate.time_s = now_s_;
-        if (candidate.source != CandidateSource::kProximity) again.push_back(candidate);
+        if (candidate.source == CandidateSource::kProximity) continue;
+        again.push_back(candidate);
+        again.back().time_s = now_s_;
+        again.back().distance_m =
+            (graph_.node(candidate.from).pose.translation() - graph_.node(candidate.to).pose.translation())
+                .norm();
       }
       tell(std::move(forget));
-      forgotten_.clear();
       propose(std::move(again));
+      forgotten_.clear();
     }
     if (moved_.empty()) return;
     std::sort(moved_.begin(), moved_.end());
@@ -786,24 +813,9 @@ class LoopClosureModule::Impl {
     --being_computed_;
     const bool moved_meanwhile = moved_meanwhile_.erase(result.candidate.id) != 0;
     const bool was_begun = in_computation_.erase(result.candidate.id) != 0;
-    try {
-      take(result);
-    } catch (const std::exception& error) {  // the account counts it all the same
-      problem(error);
-    }
-    tell_result(result);
+    tell_if_fails([&] { take(result); });                // the account counts it all the same
+    until_memory([&] { tell(ResultCommand{result}); });  // or the candidate would be in flight for ever
     if (was_begun && !result.verified()) keep_rejected(result.candidate, moved_meanwhile);
-  }
-
-  void tell_result(const RegistrationResult& result) {
-    while (true) {
-      try {
-        tell(ResultCommand{result});
-        return;
-      } catch (const std::bad_alloc&) {  // or the candidate would be in flight for ever
-        std::this_thread::sleep_for(std::chrono::milliseconds(10));
-      }
-    }
   }
 
   void take(const RegistrationResult& result) {
@@ -868,17 +880,33 @@ class LoopClosureModule::Impl {
       // What odometry or a prior has moved since lies where these say, and goes along with what it was tied
       // to.
       const Key key = graph_.nodes()[i].key;
-      if (moved_since_job_.count(key) == 0) {
-        named.emplace(key, poses[i]);
-      } else {
-        wants_estimate_ = true;  // what it was tied to may lie elsewhere by then
-      }
+      if (moved_since_job_.count(key) == 0) named.emplace(key, poses[i]);
     }
     change_graph([&] {
       for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
     });
     move_nodes(named);
+    if (is_torn()) wants_estimate_ = true;
     publish();
+  }
+
+  /// Whether what came while the estimate was made does not fit it: odometry or priors that hold what has
+  /// been placed by them since.
+  [[nodiscard]] bool is_torn() const {
+    if (moved_since_job_.empty()) return false;
+    constexpr double kFits = 1e-6;  // m and rad
+    const auto fits = [](const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
+      return se3::log(a.inverse() * b).cwiseAbs().maxCoeff() < kFits;
+    };
+    const auto placed = [this](Key key) { return moved_since_job_.count(key) != 0; };
+    const bool edges_fit = std::all_of(graph_.edges().begin(), graph_.edges().end(), [&](const Edge& edge) {
+      if (edge.kind != EdgeKind::kOdometry || placed(edge.from) == placed(edge.to)) return true;
+      return fits(graph_.node(edge.from).pose * edge.T_from_to, graph_.node(edge.to).pose);
+    });
+    return !edges_fit ||
+           std::any_of(graph_.priors().begin(), graph_.priors().end(), [&](const PriorFactor& prior) {
+             return places(prior) && placed(prior.key) && !fits(prior.pose, graph_.node(prior.key).pose);
+           });
   }
 
   void on(const ExternalEstimate& estimate) {

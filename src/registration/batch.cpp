@@ -29,9 +29,11 @@ RegistrationResult failed_result(const LoopCandidate& candidate, const char* mes
 
 namespace {
 
-/// What a graph takes, whoever's registrar it is of: a rotation that went through single precision is made
-/// one again. \throws InputError if it is none, or there is no such covariance
+/// What a graph takes, whoever's registrar it is of: of the candidate that was asked for, whatever it made of
+/// its copy, and with a rotation again where one went through single precision. \throws InputError if it is
+/// none, or there is no such covariance
 RegistrationResult fit_for_graph(RegistrationResult result, const LoopCandidate& candidate) {
+  result.candidate = candidate;
   if (!result.closure) return result;
   LoopClosure& closure = *result.closure;
   if (closure.from != candidate.from || closure.to != candidate.to) {

@@ -97,6 +97,25 @@ TEST_CASE("compute_or_fail: whatever is thrown is a result that says what", "[ba
   }
 }
 
+TEST_CASE("compute_or_fail: the result is of the candidate, whatever the registrar says", "[batch][error]") {
+  struct Forgetful final : Registrar {
+    [[nodiscard]] std::string_view name() const override { return "forgetful"; }
+    [[nodiscard]] RegistrationResult compute(const RegistrationTask&) const override {
+      RegistrationResult result;
+      result.reason = RejectionReason::kLowOverlap;
+      return result;
+    }
+  };
+  RegistrationTask task = pair_task(5, 3, 1);
+  task.candidate.id = 9;
+  task.candidate.source = CandidateSource::kUser;
+  const RegistrationResult result = compute_or_fail(Forgetful(), task);
+  REQUIRE(result.candidate.id == 9);
+  REQUIRE(result.candidate.from == 5);
+  REQUIRE(result.candidate.to == 3);
+  REQUIRE(result.candidate.source == CandidateSource::kUser);
+}
+
 TEST_CASE("compute_or_fail: closures are what a graph takes, or failed", "[batch][error]") {
   struct Single final : Registrar {  // poses in single precision, as of other libraries
     [[nodiscard]] std::string_view name() const override { return "single"; }

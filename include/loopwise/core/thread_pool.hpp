@@ -25,7 +25,8 @@ class LOOPWISE_EXPORT ThreadPool {
   void resize(int num_threads);
 
   /// Calls body(i) once for every i in [0, count), in any order and on any thread, and returns when all are
-  /// done. If calls throw, the exception of the lowest index is rethrown after the others have finished.
+  /// done; calls from several threads share the workers and may wait for each other. If calls throw, the
+  /// exception of the lowest index is rethrown after the others have finished.
   void for_each(std::size_t count, const std::function<void(std::size_t)>& body);
 
  private:

@@ -71,8 +71,8 @@ class LOOPWISE_EXPORT CandidatePool {
   /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});
 
-  /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before is
-  /// ignored. \returns how many were new.
+  /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before,
+  /// and not forgotten since, is ignored. \returns how many were new.
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
   /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become

@@ -66,7 +66,7 @@ struct ModuleOptions {
 struct KeyFrame {
   /// The pose counts for a robot's first node only, and where no odometry leads to the node. Odometry and
   /// priors that come later move the node then, and with it those that odometry has tied to it; what was
-  /// rejected between what moves and what stays is forgotten, and proposed again.
+  /// rejected between what moves and what stays is forgotten, and proposed again if it is near then.
   Node node;
   std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
   std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
@@ -93,8 +93,9 @@ struct Estimate {
 /// add_* function of the module, but neither wait() nor stop(). Keep them short: the module waits for them.
 /// Any may be empty.
 struct ModuleCallbacks {
-  std::function<void(const LoopClosure& closure)> closure;       ///< A verified closure, not yet optimised.
-  std::function<void(const RegistrationResult& result)> result;  ///< Every computed candidate.
+  std::function<void(const LoopClosure& closure)> closure;  ///< A verified closure, not yet optimised.
+  /// Every computed candidate; a pair again, with another id, after one of its nodes was moved, see KeyFrame.
+  std::function<void(const RegistrationResult& result)> result;
   std::function<void(const std::shared_ptr<const Estimate>& estimate)> estimate;  ///< A new estimate.
   std::function<void(const std::string& problem)> problem;  ///< Something was left out, and why.
 };
