@@ -36,6 +36,12 @@ void require_sigma(double sigma, const std::string& what) {
     throw InputError(what + ": sigma " + std::to_string(sigma) + " is not positive");
 }
 
+/// For one more: without memory it throws, and push_back() does not any more. At least doubles what there is.
+template <class Value>
+void make_room(std::vector<Value>& values) {
+  if (values.size() == values.capacity()) values.reserve(2 * values.size() + 1);
+}
+
 }  // namespace
 
 const char* check_information(const Matrix6d& information) {
@@ -58,6 +64,8 @@ const char* check_information(const Matrix6d& information) {
 
 std::size_t PoseGraph::add_node(const Node& node) {
   require_pose(node.pose, "node " + describe(node.key));
+  make_room(nodes_);
+  make_room(adjacency_);
   if (!index_.emplace(node.key, nodes_.size()).second) {
     throw InputError("node " + describe(node.key) + " is in the graph already");
   }
@@ -82,6 +90,10 @@ std::size_t PoseGraph::add_edge(const Edge& edge) {
   require_information(edge.information, what);
   if (!(edge.weight >= 0.0 && edge.weight <= 1.0)) throw InputError(what + ": weight is outside [0, 1]");
   const std::size_t number = edges_.size();
+  make_room(edges_);
+  make_room(ends_);
+  make_room(adjacency_[ends.from]);
+  make_room(adjacency_[ends.to]);
   edges_.push_back(edge);
   ends_.push_back(ends);
   adjacency_[ends.from].push_back(number);
@@ -133,15 +145,17 @@ std::size_t PoseGraph::add_closure(const LoopClosure& closure) {
 std::size_t PoseGraph::replace_edges(std::vector<Edge> edges) {
   const std::size_t removed = edges_.size() - edges.size();
   if (removed == 0) return 0;
-  edges_ = std::move(edges);
-  ends_.clear();
-  for (auto& list : adjacency_) list.clear();
-  for (std::size_t i = 0; i < edges_.size(); ++i) {
-    const Ends ends{index_of(edges_[i].from), index_of(edges_[i].to)};
-    ends_.push_back(ends);
-    adjacency_[ends.from].push_back(i);
-    adjacency_[ends.to].push_back(i);
+  std::vector<Ends> ends;
+  ends.reserve(edges.size());
+  std::vector<std::vector<std::size_t>> adjacency(nodes_.size());
+  for (std::size_t i = 0; i < edges.size(); ++i) {
+    ends.push_back({index_of(edges[i].from), index_of(edges[i].to)});
+    adjacency[ends[i].from].push_back(i);
+    adjacency[ends[i].to].push_back(i);
   }
+  edges_ = std::move(edges);
+  ends_ = std::move(ends);
+  adjacency_ = std::move(adjacency);
   return removed;
 }
 
