@@ -3,11 +3,24 @@
 
 #include <algorithm>
 #include <exception>
+#include <new>
+#include <string_view>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 
 namespace loopwise {
+namespace {
+
+/// Without memory for its reason a candidate is missing from them alone; the account counts all.
+void tally(std::map<std::string, std::size_t>& reasons, std::string_view reason, std::size_t candidates = 1) {
+  try {
+    reasons[std::string(reason)] += candidates;
+  } catch (const std::bad_alloc&) {
+  }
+}
+
+}  // namespace
 
 std::size_t CandidatePool::PairHash::operator()(const std::pair<Key, Key>& pair) const {
   return static_cast<std::size_t>(combine_seeds(pair.first, pair.second));
@@ -23,83 +36,110 @@ CandidatePool::CandidatePool(const CandidatePoolOptions& options, RoundRobinQueu
 std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
   std::size_t added = 0;
   std::vector<LoopCandidate> ready;
+  ready.reserve(candidates.size());
+  std::exception_ptr failure;
   for (LoopCandidate candidate : candidates) {
-    if (!proposed_.insert(std::minmax(candidate.from, candidate.to)).second) continue;
-    candidate.id = next_id_++;
-    ++added;
-    std::size_t missing = 0;
-    for (const Key key : {candidate.from, candidate.to}) {
-      if (scans_.count(key) != 0) continue;
-      ++missing;
-      waiting_for_[key].push_back(candidate.id);
-    }
-    if (missing == 0) {
-      ready.push_back(candidate);
-    } else {
-      waiting_.emplace(candidate.id, candidate);
+    candidate.id = next_id_;
+    try {
+      const auto taken_in = take_in(candidate);
+      if (!taken_in) continue;
+      if (*taken_in == TakenIn::kReady) ready.push_back(candidate);
+      ++added;
+    } catch (...) {  // those before it are in
+      failure = std::current_exception();
+      break;
     }
   }
   accounting_.generated += added;
   accounting_.waiting = waiting_.size();
   enqueue(ready);
+  if (failure) std::rethrow_exception(failure);
   return added;
 }
 
-void CandidatePool::on_scan(const KeyedScan& scan) {
-  if (!scans_.insert(scan.key).second) return;
-  queue_.on_scan(scan);
-  const auto list = waiting_for_.find(scan.key);
-  if (list == waiting_for_.end()) return;
-  std::vector<LoopCandidate> ready;
-  for (const CandidateId id : list->second) {
-    const auto waiting = waiting_.find(id);
-    if (waiting == waiting_.end()) continue;  // expired meanwhile
-    const LoopCandidate& candidate = waiting->second;
-    if (scans_.count(candidate.from) == 0 || scans_.count(candidate.to) == 0) continue;
-    ready.push_back(candidate);
-    waiting_.erase(waiting);
+std::optional<CandidatePool::TakenIn> CandidatePool::take_in(const LoopCandidate& candidate) {
+  const auto [proposed, is_new] = proposed_.insert(std::minmax(candidate.from, candidate.to));
+  if (!is_new) return std::nullopt;
+  ++next_id_;
+  try {
+    std::size_t missing = 0;
+    for (const Key key : {candidate.from, candidate.to}) {
+      if (scans_.count(key) != 0) continue;
+      ++missing;
+      waiting_for_[key].push_back(candidate.id);  // where it stays behind it is nobody's
+    }
+    if (missing == 0) return TakenIn::kReady;
+    waiting_.emplace(candidate.id, candidate);
+    return TakenIn::kWaiting;
+  } catch (...) {
+    proposed_.erase(proposed);
+    throw;
   }
-  waiting_for_.erase(list);
+}
+
+void CandidatePool::on_scan(const KeyedScan& scan) {
+  if (scans_.count(scan.key) != 0) return;
+  const auto list = waiting_for_.find(scan.key);
+  std::vector<LoopCandidate> ready;
+  if (list != waiting_for_.end()) ready.reserve(list->second.size());
+  queue_.on_scan(scan);
+  scans_.insert(scan.key);
+  // From here on nothing asks for memory before all that waited for this scan alone is pending.
+  if (list != waiting_for_.end()) {
+    for (const CandidateId id : list->second) {
+      const auto waiting = waiting_.find(id);
+      if (waiting == waiting_.end()) continue;  // expired meanwhile
+      const LoopCandidate& candidate = waiting->second;
+      if (scans_.count(candidate.from) == 0 || scans_.count(candidate.to) == 0) continue;
+      ready.push_back(candidate);
+      pending_.insert(waiting_.extract(waiting));
+    }
+    waiting_for_.erase(list);
+  }
   accounting_.waiting = waiting_.size();
+  accounting_.pending = pending_.size();
   enqueue(ready);
 }
 
 void CandidatePool::enqueue(const std::vector<LoopCandidate>& candidates) {
   if (candidates.empty()) return;
-  for (const LoopCandidate& candidate : candidates) pending_.emplace(candidate.id, candidate);
   std::vector<Refusal> refused;
-  std::exception_ptr failure;
   try {
+    for (const LoopCandidate& candidate : candidates) pending_.emplace(candidate.id, candidate);
     refused = queue_.add(candidates);
   } catch (...) {
     // Nobody knows who holds them: all must let go, or they would be pending for ever.
-    failure = std::current_exception();
-    std::vector<CandidateId> ids;
-    for (const LoopCandidate& candidate : candidates) {
-      refused.push_back({candidate.id, "prioritizer_failed"});
-      ids.push_back(candidate.id);
-    }
+    prune(candidates, "prioritizer_failed");
     try {
+      std::vector<CandidateId> ids;
+      for (const LoopCandidate& candidate : candidates) ids.push_back(candidate.id);
       queue_.remove(ids);
     } catch (...) {  // the first failure says more
     }
+    throw;
   }
   for (const Refusal& refusal : refused) {
     pending_.erase(refusal.id);
     ++accounting_.pruned;
-    ++pruned_reasons_[refusal.reason];
+    tally(pruned_reasons_, refusal.reason);
   }
   accounting_.pending = pending_.size();
-  if (failure) std::rethrow_exception(failure);
 }
 
-void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, const std::string& reason) {
+void CandidatePool::prune(const std::vector<LoopCandidate>& candidates, std::string_view reason) {
+  for (const LoopCandidate& candidate : candidates) pending_.erase(candidate.id);
+  accounting_.pruned += candidates.size();
+  accounting_.pending = pending_.size();
+  if (!candidates.empty()) tally(pruned_reasons_, reason, candidates.size());
+}
+
+void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, std::string_view reason) {
   if (ids.empty()) return;
   queue_.remove(ids);
   for (const CandidateId id : ids) pending_.erase(id);
   accounting_.expired += ids.size();
   accounting_.pending = pending_.size();
-  expired_reasons_[reason] += ids.size();
+  tally(expired_reasons_, reason, ids.size());
 }
 
 void CandidatePool::expire(double now_s) {
@@ -108,7 +148,7 @@ void CandidatePool::expire(double now_s) {
       if (now_s - waiting->second.time_s > options_.max_wait_s) {
         waiting = waiting_.erase(waiting);
         ++accounting_.expired;
-        ++expired_reasons_["missing_scan"];
+        tally(expired_reasons_, "missing_scan");
       } else {
         ++waiting;
       }
@@ -118,7 +158,7 @@ void CandidatePool::expire(double now_s) {
   for (const Refusal& refusal : queue_.give_up(now_s)) {
     pending_.erase(refusal.id);
     ++accounting_.expired;
-    ++expired_reasons_[refusal.reason];
+    tally(expired_reasons_, refusal.reason);
   }
   accounting_.pending = pending_.size();
   if (options_.max_age_s > 0.0) {
@@ -142,7 +182,7 @@ void CandidatePool::expire(double now_s) {
 void CandidatePool::expire_waiting() {
   if (waiting_.empty()) return;
   accounting_.expired += waiting_.size();
-  expired_reasons_["missing_scan"] += waiting_.size();
+  tally(expired_reasons_, "missing_scan", waiting_.size());
   waiting_.clear();
   waiting_for_.clear();
   accounting_.waiting = 0;
@@ -177,33 +217,37 @@ bool CandidatePool::redundant(const LoopCandidate& candidate) const {
 }
 
 std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
-  std::vector<LoopCandidate> batch;
-  while (batch.size() < count) {
-    std::vector<LoopCandidate> taken;
-    try {
+  std::vector<LoopCandidate> batch, taken;
+  batch.reserve(std::min(count, pending_.size()));
+  auto next = taken.begin();
+  try {
+    while (batch.size() < count) {
       taken = queue_.take(count - batch.size());
-    } catch (...) {
-      enqueue(batch);  // its own failure would say the same
-      throw;
-    }
-    if (taken.empty()) break;
-    for (const LoopCandidate& handed : taken) {
-      const LoopCandidate candidate = pending_.at(handed.id);  // whatever a prioritiser made of its copy
-      if (options_.redundant_m > 0.0 && redundant(candidate)) {
-        redundant_.push_back(candidate);
-      } else {
-        batch.push_back(candidate);
+      if (taken.empty()) break;
+      for (next = taken.begin(); next != taken.end(); ++next) {
+        const auto pending = pending_.find(next->id);
+        if (pending == pending_.end()) continue;           // pruned, though a prioritiser could not let go
+        const LoopCandidate& candidate = pending->second;  // whatever a prioritiser made of its copy
+        if (options_.redundant_m > 0.0 && redundant(candidate)) {
+          redundant_.push_back(candidate);
+        } else {
+          batch.push_back(candidate);
+        }
       }
     }
+  } catch (...) {
+    for (; next != taken.end(); ++next) {
+      const auto pending = pending_.find(next->id);
+      if (pending != pending_.end()) batch.push_back(pending->second);
+    }
+    enqueue(batch);  // its own failure would say the same
+    throw;
   }
   for (; batch.size() < count && !redundant_.empty(); redundant_.pop_front()) {
     if (pending_.count(redundant_.front().id) != 0)
       batch.push_back(redundant_.front());  // else it has expired
   }
-  for (const LoopCandidate& candidate : batch) {
-    pending_.erase(candidate.id);
-    in_flight_.emplace(candidate.id, candidate);
-  }
+  for (const LoopCandidate& candidate : batch) in_flight_.insert(pending_.extract(candidate.id));
   accounting_.pending = pending_.size();
   accounting_.in_flight = in_flight_.size();
   return batch;
@@ -222,10 +266,26 @@ void CandidatePool::complete(const RegistrationResult& result) {
 
 void CandidatePool::give_back(const std::vector<LoopCandidate>& candidates) {
   std::vector<LoopCandidate> returned;
+  std::exception_ptr failure;
+  try {
+    returned.reserve(candidates.size());
+  } catch (...) {
+    failure = std::current_exception();
+  }
   for (const LoopCandidate& candidate : candidates) {
-    if (in_flight_.erase(candidate.id) != 0) returned.push_back(candidate);
+    const auto in_flight = in_flight_.find(candidate.id);
+    if (in_flight == in_flight_.end()) continue;
+    if (failure) {
+      ++accounting_.pruned;
+      tally(pruned_reasons_, "out_of_memory");
+      in_flight_.erase(in_flight);
+    } else {
+      returned.push_back(candidate);
+      pending_.insert(in_flight_.extract(in_flight));
+    }
   }
   accounting_.in_flight = in_flight_.size();
+  if (failure) std::rethrow_exception(failure);
   enqueue(returned);
 }
 

@@ -12,6 +12,7 @@
 #include <optional>
 #include <set>
 #include <thread>
+#include <type_traits>
 #include <unordered_map>
 #include <unordered_set>
 #include <variant>
@@ -191,10 +192,11 @@ class LoopClosureModule::Impl {
         features_(std::make_shared<FeatureCache>([this](Key key) { return load(key); }, config.features)),
         registrar_(parts.registrar ? parts.registrar
                                    : make_registrar(RegistrarKind::kFast, config_, features_)),
-        inbox_(static_cast<std::size_t>(options.queue_capacity)),
-        commands_(static_cast<std::size_t>(options.queue_capacity)),
-        jobs_(1),
-        batches_(1),
+        patience_(stop_source_.token()),
+        inbox_(static_cast<std::size_t>(options.queue_capacity), patience_),
+        commands_(static_cast<std::size_t>(options.queue_capacity), patience_),
+        jobs_(1, patience_),
+        batches_(1, patience_),
         groups_(robots_),
         generator_(config_.generation, robots_),
         radio_(config_.radio, robots_),
@@ -233,10 +235,22 @@ class LoopClosureModule::Impl {
     {
       const std::lock_guard<std::mutex> lock(entry_mutex_);
       if (nodes_seen_.count(key) != 0) throw InputError("node " + key_name(key) + " was added before");
-      if (frame.cloud) keep_scan(key, frame.cloud);
       nodes_seen_.insert(key);
+      try {
+        if (frame.cloud) keep_scan(key, frame.cloud);
+      } catch (...) {
+        nodes_seen_.erase(key);
+        throw;
+      }
     }
-    return post(frame);
+    try {
+      return post(frame);
+    } catch (...) {  // no memory: whoever tries again is not to be told that it is here
+      const std::lock_guard<std::mutex> lock(entry_mutex_);
+      nodes_seen_.erase(key);
+      if (frame.cloud) let_scan_go(key);
+      throw;
+    }
   }
 
   bool add_scan(Key key, std::shared_ptr<const PointCloud> cloud) {
@@ -247,7 +261,13 @@ class LoopClosureModule::Impl {
       const std::lock_guard<std::mutex> lock(entry_mutex_);
       keep_scan(key, cloud);
     }
-    return post(ScanEvent{{key, 0, std::move(cloud)}});
+    try {
+      return post(ScanEvent{{key, 0, std::move(cloud)}});
+    } catch (...) {
+      const std::lock_guard<std::mutex> lock(entry_mutex_);
+      let_scan_go(key);
+      throw;
+    }
   }
 
   bool add_factors(std::vector<Factor> factors) {
@@ -385,9 +405,12 @@ class LoopClosureModule::Impl {
     return taken;
   }
 
-  void post_inside(Event event) {
-    begin_work();
-    inbox_.post_inside(std::move(event));
+  void post_inside(Event event) { hand_on(inbox_, std::move(event)); }
+
+  /// Work that begins unless there is no memory for it and patience is given up.
+  template <class Message>
+  void hand_on(Mailbox<Message>& mailbox, Message message) {
+    as_work([&] { return mailbox.post_inside(std::move(message)); });
   }
 
   [[nodiscard]] std::thread::id graph_thread_id() const {
@@ -395,18 +418,20 @@ class LoopClosureModule::Impl {
     return graph_thread_id_;
   }
 
-  /// To prioritisation. Waits for room; an improvement that would let too much wait ends early.
+  /// To prioritisation. Waits for memory and for room; an improvement that would let too much wait ends
+  /// early.
   void tell(Command command) {
     const bool dry = std::holds_alternative<DryCommand>(command);
     if (dry || 2 * commands_.size() >= static_cast<std::size_t>(options_.queue_capacity))
       interrupt_improvement();
     if (dry) {
-      begin_work();
-      commands_.post_inside(std::move(command));
+      hand_on(commands_, std::move(command));
       interrupt_improvement();  // also one that has begun in between
       return;
     }
-    as_work([&] { return commands_.post(std::move(command), [this] { interrupt_improvement(); }); });
+    until_memory([&] {
+      as_work([&] { return commands_.post(std::move(command), [this] { interrupt_improvement(); }); });
+    });
   }
 
   void interrupt_improvement() {
@@ -419,7 +444,18 @@ class LoopClosureModule::Impl {
   /// With entry_mutex_ held.
   void keep_scan(Key key, const std::shared_ptr<const PointCloud>& cloud) {
     if (!scans_seen_.insert(key).second) throw InputError("node " + key_name(key) + " has a scan already");
-    if (!scans_) clouds_.emplace(key, cloud);
+    try {
+      if (!scans_) clouds_.emplace(key, cloud);
+    } catch (...) {
+      scans_seen_.erase(key);
+      throw;
+    }
+  }
+
+  /// With entry_mutex_ held.
+  void let_scan_go(Key key) {
+    scans_seen_.erase(key);
+    clouds_.erase(key);
   }
 
   std::shared_ptr<const PointCloud> load(Key key) {
@@ -454,14 +490,16 @@ class LoopClosureModule::Impl {
       end_work();
     }
     // Stopped. A batch that was chosen at the last moment goes back.
+    if (patience_.given_up()) problem(given_up_);
     commands_.close();
     prioritization_.join();
     while (auto event = inbox_.next(false)) {
-      if (const auto* batch = std::get_if<BatchEvent>(&*event)) pool_.give_back(batch->candidates);
+      if (const auto* batch = std::get_if<BatchEvent>(&*event))
+        tell_if_fails([&] { pool_.give_back(batch->candidates); });
       if (const auto* left = std::get_if<ProblemEvent>(&*event)) on(*left);
       end_work();
     }
-    publish_account();
+    tell_if_fails([this] { publish_account(); });
   }
 
   template <class Function>
@@ -475,12 +513,12 @@ class LoopClosureModule::Impl {
 
   /// For what must not be left half done. \param function can be called again after std::bad_alloc
   template <class Function>
-  static void until_memory(Function&& function) {
+  std::invoke_result_t<Function&> until_memory(Function&& function) {
     while (true) {
       try {
         return function();
       } catch (const std::bad_alloc&) {
-        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+        if (!patience_.wait()) throw;
       }
     }
   }
@@ -522,28 +560,32 @@ class LoopClosureModule::Impl {
   void on(const KeyFrame& frame) {
     Node node = frame.node;
     node.covariance.reset();
-    std::vector<Factor> factors = factors_of(frame);
-    for (auto [i, end] = waiting_factors_.equal_range(node.key); i != end; ++i)
-      factors.push_back(i->second.second);
+    std::vector<Factor> own, factors;
+    until_memory([&] {
+      own = factors_of(frame);
+      factors = own;
+      for (auto [i, end] = waiting_factors_.equal_range(node.key); i != end; ++i)
+        factors.push_back(i->second.second);
+    });
     const Place place = place_of(node, factors);
     node.pose = place.pose;
     if (graph_.empty()) first_stamp_ns_ = node.stamp_ns;
     now_s_ = std::max(now_s_, static_cast<double>(node.stamp_ns - first_stamp_ns_) * 1e-9);
-    groups_.add(node.key, place.group, place.known);
+    until_memory([&] { groups_.add(node.key, place.group, place.known); });
     try {
-      change_graph([&] { graph_.add_node(node); });
+      until_memory([&] { change_graph([&] { graph_.add_node(node); }); });
     } catch (...) {
       groups_.take_back(node.key);
       throw;
     }
     graph_is_new_ = true;
-    add_factors_now(factors_of(frame));
+    add_factors_now(own);
     retry_factors(node.key);
 
-    propose(radio_.on_node(graph_, node.key, now_s_));
-    if (options_.proximity && prioritizes_) {
-      propose(generator_.on_node(graph_, node.key, now_s_));
-    }
+    tell_if_fails([&] { propose(radio_.on_node(graph_, node.key, now_s_)); });
+    tell_if_fails([&] {
+      if (options_.proximity && prioritizes_) propose(generator_.on_node(graph_, node.key, now_s_));
+    });
     if (const auto early = early_scans_.find(node.key); early != early_scans_.end()) {
       announce({node.key, node.stamp_ns, early->second});
       early_scans_.erase(early);
@@ -563,7 +605,7 @@ class LoopClosureModule::Impl {
   }
 
   void announce(const KeyedScan& scan) {
-    if (prioritizes_) tell(ScanCommand{scan});
+    if (prioritizes_) until_memory([&] { tell(ScanCommand{scan}); });
   }
 
   void on(const FactorEvent& event) { add_factors_now(event.factors); }
@@ -605,7 +647,7 @@ class LoopClosureModule::Impl {
   /// less of its place moves to the other.
   void tie(const Edge& edge) {
     if (edge.kind != EdgeKind::kOdometry) return;
-    const PathGroups::Tie tie = groups_.tie(edge.from, edge.to);
+    const PathGroups::Tie tie = until_memory([&] { return groups_.tie(edge.from, edge.to); });
     if (tie.moved.empty()) return;
     const bool second = tie.second_moves;
     const Eigen::Isometry3d& fixed = graph_.node(second ? edge.from : edge.to).pose;
@@ -621,7 +663,7 @@ class LoopClosureModule::Impl {
 
   void settle(const PriorFactor& prior) {
     if (!places(prior)) return;
-    const std::vector<Key> moved = groups_.fix(prior.key);
+    const std::vector<Key> moved = until_memory([&] { return groups_.fix(prior.key); });
     if (!moved.empty()) until_memory([&] { move_group(moved, prior.key, prior.pose); });
   }
 
@@ -724,14 +766,14 @@ class LoopClosureModule::Impl {
 
   void add_factors_now(const std::vector<Factor>& factors) {
     for (const Factor& factor : factors) {
-      const std::vector<Key> keys = keys_of(factor);
+      const std::vector<Key> keys = until_memory([&] { return keys_of(factor); });
       const auto missing =
           std::find_if(keys.begin(), keys.end(), [this](Key key) { return !graph_.contains(key); });
       if (missing != keys.end()) {
-        waiting_factors_.emplace(*missing, std::pair(now_s_, factor));
+        until_memory([&] { waiting_factors_.emplace(*missing, std::pair(now_s_, factor)); });
         continue;
       }
-      change_graph([&] { add(graph_, factor); });
+      until_memory([&] { change_graph([&] { add(graph_, factor); }); });
       const Edge* edge = std::get_if<Edge>(&factor);
       if (edge != nullptr) tie(*edge);
       if (const auto* prior = std::get_if<PriorFactor>(&factor)) settle(*prior);
@@ -741,8 +783,11 @@ class LoopClosureModule::Impl {
 
   void retry_factors(Key key) {
     std::vector<Factor> factors;
-    for (auto [i, end] = waiting_factors_.equal_range(key); i != end; ++i)
-      factors.push_back(i->second.second);
+    until_memory([&] {
+      factors.clear();
+      for (auto [i, end] = waiting_factors_.equal_range(key); i != end; ++i)
+        factors.push_back(i->second.second);
+    });
     waiting_factors_.erase(key);
     add_factors_now(factors);
   }
@@ -795,18 +840,19 @@ class LoopClosureModule::Impl {
     }
     for (const LoopCandidate& candidate : event.candidates) {
       try {
-        RegistrationTask task = make_task(graph_, robots_, candidate, config_.task, options_.seed,
-                                          [this](Key key) { return has_scan(key); });
-        in_computation_.emplace(candidate.id, candidate);
-        tasks.push_back(std::move(task));
-      } catch (const std::exception& error) {  // no memory, or a prioritiser hands out what it was not given
+        until_memory([&] {
+          RegistrationTask task = make_task(graph_, robots_, candidate, config_.task, options_.seed,
+                                            [this](Key key) { return has_scan(key); });
+          in_computation_.emplace(candidate.id, candidate);
+          tasks.push_back(std::move(task));
+        });
+      } catch (const std::exception& error) {  // a prioritiser hands out what it was not given
         post_inside(failed_result(candidate, error.what()));
       }
     }
     computing_ = true;
     set_busy(true);
-    begin_work();
-    batches_.post_inside(std::move(tasks));
+    hand_on(batches_, std::move(tasks));
   }
 
   void on(const RegistrationResult& result) {
@@ -820,8 +866,8 @@ class LoopClosureModule::Impl {
 
   void take(const RegistrationResult& result) {
     if (result.verified() && vetoed_.count(std::minmax(result.candidate.from, result.candidate.to)) == 0) {
-      change_graph([&] { graph_.add_closure(*result.closure); });
-      closed_.insert({result.candidate.from, result.candidate.to});
+      until_memory([&] { change_graph([&] { graph_.add_closure(*result.closure); }); });
+      until_memory([&] { closed_.insert({result.candidate.from, result.candidate.to}); });
       wants_estimate_ = true;
       call(callbacks_.closure, *result.closure);
     }
@@ -876,16 +922,18 @@ class LoopClosureModule::Impl {
     }
     const std::vector<Eigen::Isometry3d>& poses = event.gnc.optimization.poses;
     std::map<Key, Eigen::Isometry3d> named;
-    for (std::size_t i = 0; i < poses.size(); ++i) {
-      // What odometry or a prior has moved since lies where these say, and goes along with what it was tied
-      // to.
-      const Key key = graph_.nodes()[i].key;
-      if (moved_since_job_.count(key) == 0) named.emplace(key, poses[i]);
-    }
+    until_memory([&] {
+      for (std::size_t i = 0; i < poses.size(); ++i) {
+        // What odometry or a prior has moved since lies where these say, and goes along with what it was
+        // tied to.
+        const Key key = graph_.nodes()[i].key;
+        if (moved_since_job_.count(key) == 0) named.emplace(key, poses[i]);
+      }
+    });
     change_graph([&] {
       for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
     });
-    move_nodes(named);
+    until_memory([&] { move_nodes(named); });
     if (is_torn()) wants_estimate_ = true;
     publish();
   }
@@ -911,11 +959,14 @@ class LoopClosureModule::Impl {
 
   void on(const ExternalEstimate& estimate) {
     std::map<Key, Eigen::Isometry3d> named;
-    for (const auto& [key, pose] : estimate.poses) {
-      if (graph_.contains(key)) named.emplace(key, pose);
-    }
-    move_nodes(named);
-    for (const auto& [key, pose] : named) static_cast<void>(groups_.fix(key));
+    until_memory([&] {
+      for (const auto& [key, pose] : estimate.poses) {
+        if (graph_.contains(key)) named.emplace(key, pose);
+      }
+    });
+    until_memory([&] { move_nodes(named); });
+    for (const auto& [key, pose] : named)
+      until_memory([&, node = key] { static_cast<void>(groups_.fix(node)); });
     change_graph([&] {
       for (const auto& [key, covariance] : estimate.covariances) {
         if (const auto node = graph_.find(key)) graph_.set_covariance(*node, covariance);
@@ -956,14 +1007,17 @@ class LoopClosureModule::Impl {
   }
 
   void publish() {
-    auto estimate = std::make_shared<Estimate>();
-    estimate->graph = graph_;
+    const auto estimate = until_memory([this] {
+      auto copy = std::make_shared<Estimate>();
+      copy->graph = graph_;
+      return copy;
+    });
     for (const Edge& edge : graph_.edges()) {
       if (edge.kind != EdgeKind::kLoopClosure) continue;
       ++estimate->closures;
       if (edge.weight > 0.5) ++estimate->inliers;
     }
-    generator_.on_graph(graph_);
+    until_memory([this] { generator_.on_graph(graph_); });
     {
       const std::lock_guard<std::mutex> lock(graph_mutex_);
       estimate->revision = estimate_ ? estimate_->revision + 1 : 1;
@@ -988,8 +1042,7 @@ class LoopClosureModule::Impl {
       moved_since_job_.clear();
       wants_estimate_ = false;
       optimizing_ = true;
-      begin_work();
-      jobs_.post_inside(std::move(job));
+      hand_on(jobs_, std::move(job));
     }
   }
 
@@ -1008,7 +1061,7 @@ class LoopClosureModule::Impl {
     while (auto tasks = batches_.next(false)) {
       BatchDoneEvent done;
       try {
-        done.not_computed = crew_.run(*tasks, stop_source_.token());
+        until_memory([&] { done.not_computed = crew_.run(*tasks, stop_source_.token()); });
       } catch (const std::bad_alloc&) {  // before any was begun
         for (const RegistrationTask& task : *tasks)
           post_inside(failed_result(task.candidate, "out of memory"));
@@ -1060,12 +1113,12 @@ class LoopClosureModule::Impl {
   // ---- back end
 
   void optimize() {
-    OptimizerOptions options = config_.optimization;
-    PoseGraphOptimizer optimizer(options);
+    std::optional<PoseGraphOptimizer> optimizer;
     while (auto job = jobs_.next(false)) {
       EstimateEvent done{{}, job->removals, true};
       try {
-        done.gnc = optimizer.optimize_gnc(job->graph, config_.gnc, stop_source_.token());
+        if (!optimizer) optimizer.emplace(config_.optimization);
+        done.gnc = optimizer->optimize_gnc(job->graph, config_.gnc, stop_source_.token());
         done.stopped = done.gnc.optimization.termination == Termination::kStopped;
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
         ++statistics_.optimizations;
@@ -1130,8 +1183,8 @@ class LoopClosureModule::Impl {
 
   void apply(Command& command, bool& dry) {
     guarded([&] {
-      std::visit(Overloaded{[&](AddCommand& c) { pool_.add(c.candidates); },
-                            [&](ScanCommand& c) { pool_.on_scan(c.scan); },
+      std::visit(Overloaded{[&](AddCommand& c) { add_to_pool(c.candidates); },
+                            [&](ScanCommand& c) { until_memory([&] { pool_.on_scan(c.scan); }); },
                             [&](GraphCommand& c) { pool_.on_graph(*c.graph); },
                             [&](ForgetCommand& c) { pool_.forget(c.pairs); },
                             [&](ResultCommand& c) { pool_.complete(c.result); },
@@ -1148,10 +1201,21 @@ class LoopClosureModule::Impl {
     });
   }
 
+  /// What the pool had no memory for is tried once more, and told all the same: some may have been pruned.
+  void add_to_pool(const std::vector<LoopCandidate>& candidates) {
+    try {
+      pool_.add(candidates);
+    } catch (const std::bad_alloc&) {
+      pool_.add(candidates);
+      throw;
+    }
+  }
+
   void hand_out(bool& dry) {
     if (!dry || pool_.accounting().pending == 0 || stop_source_.stop_requested()) return;
     guarded([&] {
-      std::vector<LoopCandidate> batch = pool_.take(static_cast<std::size_t>(options_.batch));
+      std::vector<LoopCandidate> batch =
+          until_memory([&] { return pool_.take(static_cast<std::size_t>(options_.batch)); });
       if (batch.empty()) return post_inside(GraphWantedEvent{});
       dry = false;
       post_inside(BatchEvent{std::move(batch)});
@@ -1179,11 +1243,13 @@ class LoopClosureModule::Impl {
   std::unordered_set<Key> nodes_seen_, scans_seen_;
   std::unordered_map<Key, std::shared_ptr<const PointCloud>> clouds_;
 
+  StopSource stop_source_;
+  Patience patience_;
+  const std::string given_up_ = "out of memory: what was under way when it was stopped is lost";
   Mailbox<Event> inbox_;
   Mailbox<Command> commands_;
   Mailbox<BackEndJob> jobs_;
   Mailbox<std::vector<RegistrationTask>> batches_;
-  StopSource stop_source_;
   std::mutex improvement_mutex_;
   StopSource improvement_;
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <atomic>
 #include <chrono>
 #include <condition_variable>
 #include <cstddef>
@@ -11,18 +12,43 @@
 #include <thread>
 #include <utility>
 
+#include <loopwise/core/stop_token.hpp>
+
 namespace loopwise {
+
+/// How long what must not be lost waits for memory: until there is some, but once a stop is requested not for
+/// ever, or the stop would.
+class Patience {
+ public:
+  explicit Patience(StopToken stop) : stop_(std::move(stop)) {}
+
+  /// After a request that found no memory: waits a moment. \returns false once it is given up, which stays.
+  bool wait() {
+    constexpr auto kMoment = std::chrono::milliseconds(10);
+    constexpr int kMoments = 100;  // after the request
+    if (stop_.stop_requested() && ++moments_ > kMoments) given_up_ = true;
+    if (given_up_) return false;
+    std::this_thread::sleep_for(kMoment);
+    return true;
+  }
+  [[nodiscard]] bool given_up() const { return given_up_; }
+
+ private:
+  const StopToken stop_;
+  std::atomic<int> moments_{0};
+  std::atomic<bool> given_up_{false};
+};
 
 /// Messages for one thread. Producers are held while too many wait; the stages that the thread itself waits
 /// for are not, or they would wait for each other, and their messages come first.
 template <class Message>
 class Mailbox {
  public:
-  explicit Mailbox(std::size_t capacity) : capacity_(capacity) {}
+  Mailbox(std::size_t capacity, Patience& patience) : capacity_(capacity), patience_(patience) {}
 
-  /// Waits for room. \returns false, with the message not taken, once closed.
+  /// Waits for room. \returns false, with the message not taken, once closed; nor is it where this throws.
   template <class OnFull>
-  bool post(Message message, OnFull&& on_full) {
+  bool post(Message&& message, OnFull&& on_full) {
     std::unique_lock<std::mutex> lock(mutex_);
     if (!closed_ && outer_.size() >= capacity_) {
       on_full();
@@ -34,8 +60,8 @@ class Mailbox {
     return true;
   }
 
-  /// Never waits. \returns false, with the message not taken, once closed.
-  bool post_now(Message message) {
+  /// Never waits. \returns false, with the message not taken, once closed; nor is it where this throws.
+  bool post_now(Message&& message) {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (closed_) return false;
     outer_.push_back(std::move(message));
@@ -44,24 +70,31 @@ class Mailbox {
   }
 
   /// From a stage inside: never waits for room, and is taken even when closed. Without memory it tries again
-  /// until there is some: a result that is there must not be lost.
-  void post_inside(Message message) {
+  /// until there is some: a result that is there must not be lost. \returns false, with the message lost,
+  /// once that is given up.
+  bool post_inside(Message message) {
     while (true) {
       try {
         const std::lock_guard<std::mutex> lock(mutex_);
         inner_.push_back(std::move(message));  // does not touch the message if it throws
         some_.notify_one();
-        return;
+        return true;
       } catch (const std::bad_alloc&) {
-        std::this_thread::sleep_for(std::chrono::milliseconds(10));
+        if (patience_.wait()) continue;
+        const std::lock_guard<std::mutex> lock(mutex_);
+        some_.notify_one();
+        return false;
       }
     }
   }
 
-  /// The next message, waiting for one; none once closed, empty, and no more expected from inside.
+  /// The next message, waiting for one; none once closed, empty, and no more expected from inside, where
+  /// nothing is to be expected any more when patience is given up.
   std::optional<Message> next(bool expect_inside) {
     std::unique_lock<std::mutex> lock(mutex_);
-    some_.wait(lock, [&] { return !inner_.empty() || !outer_.empty() || (closed_ && !expect_inside); });
+    some_.wait(lock, [&] {
+      return !inner_.empty() || !outer_.empty() || (closed_ && (!expect_inside || patience_.given_up()));
+    });
     std::deque<Message>& from = inner_.empty() ? outer_ : inner_;
     if (from.empty()) return std::nullopt;
     Message message = std::move(from.front());
@@ -88,6 +121,7 @@ class Mailbox {
 
  private:
   const std::size_t capacity_;
+  Patience& patience_;
   mutable std::mutex mutex_;
   std::condition_variable some_, room_;
   std::deque<Message> outer_, inner_;

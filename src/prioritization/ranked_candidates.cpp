@@ -6,8 +6,14 @@
 namespace loopwise {
 
 void RankedCandidates::insert(const LoopCandidate& candidate, double score) {
-  if (held_.emplace(candidate.id, std::make_pair(candidate, score)).second)
+  const auto [held, is_new] = held_.emplace(candidate.id, std::make_pair(candidate, score));
+  if (!is_new) return;
+  try {
     order_.emplace(-score, candidate.id);
+  } catch (...) {  // held, but never handed out
+    held_.erase(held);
+    throw;
+  }
 }
 
 void RankedCandidates::erase(const std::vector<CandidateId>& ids) {

@@ -88,6 +88,7 @@ std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
 std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
   const std::vector<std::size_t> handed_out = handed_out_;
   std::vector<LoopCandidate> taken;
+  taken.reserve(std::min(count, size()));
   try {
     return take_in_turns(std::min(count, size()), taken);
   } catch (...) {
@@ -103,16 +104,23 @@ std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
 std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, std::size_t count,
                                                      std::vector<LoopCandidate>& taken) {
   std::vector<LoopCandidate> share = prioritizer.take(count);
-  std::vector<CandidateId> ids;
+  // All are noted, for which there is room, before anything can fail: they can be given back then.
+  const LoopCandidate* wrong = share.size() > count ? &share[count] : nullptr;
   for (const LoopCandidate& candidate : share) {
-    if (ids.size() == count || holders_.erase(candidate.id) == 0) {
-      throw Error("prioritizer \"" + std::string(prioritizer.name()) + "\" handed out candidate " +
-                  std::to_string(candidate.id) +
-                  (ids.size() == count ? ", which was not asked for" : ", which is not pending"));
+    if (holders_.erase(candidate.id) != 0) {
+      taken.push_back(candidate);
+    } else if (wrong == nullptr || &candidate < wrong) {
+      wrong = &candidate;
     }
-    ids.push_back(candidate.id);
-    taken.push_back(candidate);
   }
+  if (wrong != nullptr) {
+    throw Error("prioritizer \"" + std::string(prioritizer.name()) + "\" handed out candidate " +
+                std::to_string(wrong->id) +
+                (wrong == share.data() + count ? ", which was not asked for" : ", which is not pending"));
+  }
+  std::vector<CandidateId> ids;
+  ids.reserve(share.size());
+  for (const LoopCandidate& candidate : share) ids.push_back(candidate.id);
   remove(ids);
   return share;
 }

@@ -6,6 +6,8 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/optimization/optimizer.hpp>
+#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/prioritization/baselines.hpp>
 #include <loopwise/prioritization/graph_information.hpp>
 
 #include "allocations.hpp"
@@ -81,6 +83,46 @@ TEST_CASE("without memory: numbers that cannot be packed", "[memory][error]") {
   REQUIRE(training::Field("packed", training::pack(values)).values<double>() == values);
 }
 
+TEST_CASE("without memory: a graph is as it was, and takes the same later", "[memory][error]") {
+  const PoseGraph before = straight_path(6, 1.0);
+  Node node;
+  node.key = 6;
+  Edge edge = before.edges().front();
+  edge.from = 5;
+  edge.to = 6;
+  const auto is_whole = [](const PoseGraph& graph) {
+    std::size_t ends = 0;
+    for (std::size_t i = 0; i < graph.nodes().size(); ++i) {
+      for (const std::size_t e : graph.edges_of(i)) {
+        if (graph.ends(e).from == i || graph.ends(e).to == i) ++ends;
+      }
+    }
+    return ends == 2 * graph.edges().size();
+  };
+  const auto to_the_third = [](const Edge& e) { return e.to == 3; };
+  long n = 1;
+  for (bool ended = false; !ended; ++n) {
+    CAPTURE(n);
+    PoseGraph graph = before;
+    ended = ends_without(n, [&] {
+      graph.add_node(node);
+      graph.add_edge(edge);
+      graph.remove_edges_if(to_the_third);
+    });
+    REQUIRE(is_whole(graph));
+    if (!graph.contains(6)) {
+      REQUIRE(graph.nodes().size() == 6);
+      graph.add_node(node);
+    }
+    if (graph.edges_of(6).empty()) graph.add_edge(edge);
+    graph.remove_edges_if(to_the_third);
+    REQUIRE(is_whole(graph));
+    REQUIRE(graph.nodes().size() == 7);
+    REQUIRE(graph.edges().size() == 5);
+  }
+  REQUIRE(n > 8);
+}
+
 TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had been asked", "[memory][error]") {
   const PoseGraph before = straight_path(12, 1.1);
   PoseGraph after = before;
@@ -151,6 +193,85 @@ TEST_CASE("without memory: candidates that could not be chosen among are still t
     }
     REQUIRE(n > 50);
   }
+}
+
+TEST_CASE("without memory: the account of a pool lacks no candidate", "[memory][error]") {
+  CandidatePoolOptions options;
+  options.max_pending = 7;
+  options.max_wait_s = 50.0;
+  options.redundant_m = 1.5;
+  const PoseGraph graph = straight_path(8, 1.0);
+  const auto pair = [](Key from, Key to, double time_s) {
+    LoopCandidate candidate;
+    candidate.from = from;
+    candidate.to = to;
+    candidate.time_s = time_s;
+    return candidate;
+  };
+  const auto scan_of = [](Key key) {
+    KeyedScan scan;
+    scan.key = key;
+    return scan;
+  };
+  long n = 1;
+  for (bool ended = false; !ended; ++n) {
+    CAPTURE(n);
+    std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+    prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+    CandidatePool pool(options, RoundRobinQueue(std::move(prioritizers)),
+                       Robots::from_keys({0, 1, 2, 3, 4, 5, 6, 7}));
+    std::vector<LoopCandidate> batch, one(1);
+    RegistrationResult result;
+    result.closure = LoopClosure{};
+    ended = true;
+    const auto attempt = [&](auto&& call) {
+      try {
+        call();
+      } catch (const std::bad_alloc&) {
+        ended = false;
+      }
+    };
+    std::vector<LoopCandidate> first{pair(3, 1, 0.0), pair(3, 2, 0.0), pair(2, 1, 0.0), pair(4, 1, 1.0),
+                                     pair(5, 4, 1.0), pair(4, 2, 1.0), pair(7, 6, 1.0)};
+    std::vector<LoopCandidate> second{pair(6, 1, 3.0), pair(6, 2, 3.0), pair(6, 3, 4.0), pair(6, 4, 4.0)};
+    fuzz::allocations_until_none = n;
+    attempt([&] { pool.on_graph(graph); });
+    for (const Key key : {1, 2, 3}) attempt([&] { pool.on_scan(scan_of(key)); });
+    attempt([&] { pool.add(first); });
+    for (const Key key : {4, 5, 6}) attempt([&] { pool.on_scan(scan_of(key)); });
+    attempt([&] { batch = pool.take(4); });
+    for (std::size_t i = 0; i < batch.size(); ++i) {
+      if (i % 2 == 0) {
+        one[0] = batch[i];
+        attempt([&] { pool.give_back(one); });
+        continue;
+      }
+      result.candidate = batch[i];
+      attempt([&] { pool.complete(result); });
+    }
+    attempt([&] { pool.add(second); });
+    attempt([&] { pool.expire(60.0); });
+    attempt([&] { batch = pool.take(3); });
+    fuzz::allocations_until_none = 0;
+
+    REQUIRE(pool.accounting().balanced());
+    if (ended) REQUIRE(pool.accounting().generated == first.size() + second.size());
+    for (const Key key : {1, 2, 3, 4, 5, 6}) pool.on_scan(scan_of(key));
+    pool.expire_waiting();
+    REQUIRE(pool.accounting().balanced());
+    pool.give_back(batch);  // also of a batch that is done, which changes nothing
+    while (!(batch = pool.take(2)).empty()) {
+      for (const LoopCandidate& candidate : batch) {
+        result.candidate = candidate;
+        pool.complete(result);
+      }
+    }
+    REQUIRE(pool.accounting().balanced());
+    REQUIRE(pool.accounting().pending == 0);
+    REQUIRE(pool.accounting().waiting == 0);
+    REQUIRE(pool.accounting().in_flight == 0);
+  }
+  REQUIRE(n > 50);
 }
 
 }  // namespace

@@ -8,6 +8,7 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <unordered_map>
 #include <unordered_set>
 #include <utility>
@@ -65,7 +66,9 @@ struct CandidatePoolOptions {
 };
 
 /// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans
-/// are not here yet, feeds the queue and keeps the account. For one thread at a time.
+/// are not here yet, feeds the queue and keeps the account. For one thread at a time. Where memory runs out
+/// or a prioritiser fails, the exception goes through: candidates that were to be added are then pruned or as
+/// if they had not been proposed, all others stay, and the account lacks none.
 class LOOPWISE_EXPORT CandidatePool {
  public:
   /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
@@ -126,8 +129,12 @@ class LOOPWISE_EXPORT CandidatePool {
   };
   [[nodiscard]] std::optional<Place> place_of(Key from, Key to) const;
   [[nodiscard]] bool redundant(const LoopCandidate& candidate) const;
+  enum class TakenIn { kWaiting, kReady };
+  /// Nothing of a pair that was proposed before. Without memory for it nothing has happened.
+  std::optional<TakenIn> take_in(const LoopCandidate& candidate);
   void enqueue(const std::vector<LoopCandidate>& candidates);
-  void drop_pending(const std::vector<CandidateId>& ids, const std::string& reason);
+  void prune(const std::vector<LoopCandidate>& candidates, std::string_view reason);
+  void drop_pending(const std::vector<CandidateId>& ids, std::string_view reason);
 
   CandidatePoolOptions options_;
   RoundRobinQueue queue_;

@@ -140,7 +140,9 @@ struct ModuleStatistics {
 /// at any moment. A full queue holds its producer until there is room: nothing is dropped. Unlike a replay's,
 /// the outcome depends on when things arrive and on how fast the machine is.
 ///
-/// Bad input throws where it is handed over and leaves the module as it was.
+/// Bad input throws where it is handed over, as does a lack of memory, and leaves the module as it was. What
+/// has no memory later is told as a problem, and what must not be lost, as results, waits until there is
+/// some; from stop() on it waits a second, and is then let go.
 class LOOPWISE_EXPORT LoopClosureModule {
  public:
   /// `config.replay` is not used: its place is taken by `options`.
