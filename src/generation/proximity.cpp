@@ -150,9 +150,16 @@ std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, K
   const std::uint64_t most = std::max(entry.index, highest_index_[entry.robot]);
   std::vector<LoopCandidate> candidates = near(entry, entries_.size(), most, time_s);
   highest_index_[entry.robot] = most;
-  number_of_[key] = entries_.size();
-  grid_[cell_of(entry.position)].push_back(entries_.size());
+  const std::size_t number = entries_.size();
   entries_.push_back(entry);
+  try {
+    number_of_[key] = number;
+    grid_[cell_of(entry.position)].push_back(number);
+  } catch (...) {  // as if it had not come
+    number_of_.erase(key);
+    entries_.pop_back();
+    throw;
+  }
   return candidates;
 }
 

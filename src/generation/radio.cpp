@@ -125,8 +125,9 @@ void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, doubl
   if (current != beacon.current.end() && index <= beacon.fly_bys[current->second].last_index + max_gap) {
     own = current->second;
   } else {
+    beacon.fly_bys.push_back(
+        {robot, index, {}});  // first: who has no memory for the next line has one too many
     beacon.current[robot] = own;
-    beacon.fly_bys.push_back({robot, index, {}});
   }
   beacon.fly_bys[own].nodes.push_back(key);
   beacon.fly_bys[own].last_index = std::max(beacon.fly_bys[own].last_index, index);

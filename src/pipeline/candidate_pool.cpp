@@ -52,6 +52,7 @@ std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
   }
   accounting_.generated += added;
   accounting_.waiting = waiting_.size();
+  accounting_.pending = pending_.size();
   enqueue(ready);
   if (failure) std::rethrow_exception(failure);
   return added;
@@ -68,9 +69,8 @@ std::optional<CandidatePool::TakenIn> CandidatePool::take_in(const LoopCandidate
       ++missing;
       waiting_for_[key].push_back(candidate.id);  // where it stays behind it is nobody's
     }
-    if (missing == 0) return TakenIn::kReady;
-    waiting_.emplace(candidate.id, candidate);
-    return TakenIn::kWaiting;
+    (missing == 0 ? pending_ : waiting_).emplace(candidate.id, candidate);
+    return missing == 0 ? TakenIn::kReady : TakenIn::kWaiting;
   } catch (...) {
     proposed_.erase(proposed);
     throw;
@@ -82,7 +82,14 @@ void CandidatePool::on_scan(const KeyedScan& scan) {
   const auto list = waiting_for_.find(scan.key);
   std::vector<LoopCandidate> ready;
   if (list != waiting_for_.end()) ready.reserve(list->second.size());
-  queue_.on_scan(scan);
+  std::exception_ptr failure;
+  try {
+    queue_.on_scan(scan);
+  } catch (const std::bad_alloc&) {
+    throw;
+  } catch (...) {  // it is here all the same
+    failure = std::current_exception();
+  }
   scans_.insert(scan.key);
   // From here on nothing asks for memory before all that waited for this scan alone is pending.
   if (list != waiting_for_.end()) {
@@ -99,20 +106,23 @@ void CandidatePool::on_scan(const KeyedScan& scan) {
   accounting_.waiting = waiting_.size();
   accounting_.pending = pending_.size();
   enqueue(ready);
+  if (failure) std::rethrow_exception(failure);
 }
 
-void CandidatePool::enqueue(const std::vector<LoopCandidate>& candidates) {
-  if (candidates.empty()) return;
+void CandidatePool::enqueue(const std::vector<LoopCandidate>& pending) {
+  if (pending.empty()) return;
   std::vector<Refusal> refused;
   try {
-    for (const LoopCandidate& candidate : candidates) pending_.emplace(candidate.id, candidate);
-    refused = queue_.add(candidates);
+    refused = queue_.add(pending);
+  } catch (const std::bad_alloc&) {
+    some_unheld_ = true;
+    throw;
   } catch (...) {
     // Nobody knows who holds them: all must let go, or they would be pending for ever.
-    prune(candidates, "prioritizer_failed");
+    prune(pending, "prioritizer_failed");
     try {
       std::vector<CandidateId> ids;
-      for (const LoopCandidate& candidate : candidates) ids.push_back(candidate.id);
+      for (const LoopCandidate& candidate : pending) ids.push_back(candidate.id);
       queue_.remove(ids);
     } catch (...) {  // the first failure says more
     }
@@ -124,6 +134,19 @@ void CandidatePool::enqueue(const std::vector<LoopCandidate>& candidates) {
     tally(pruned_reasons_, refusal.reason);
   }
   accounting_.pending = pending_.size();
+}
+
+/// What is in no prioritiser, for there was no memory for it there, is added anew.
+void CandidatePool::offer_again() {
+  if (!some_unheld_) return;
+  std::unordered_set<CandidateId> last;
+  for (const LoopCandidate& candidate : redundant_) last.insert(candidate.id);
+  std::vector<LoopCandidate> unheld;
+  for (const auto& [id, candidate] : pending_) {
+    if (!queue_.holds(id) && last.count(id) == 0) unheld.push_back(candidate);
+  }
+  some_unheld_ = false;
+  enqueue(unheld);
 }
 
 void CandidatePool::prune(const std::vector<LoopCandidate>& candidates, std::string_view reason) {
@@ -155,7 +178,14 @@ void CandidatePool::expire(double now_s) {
     }
     accounting_.waiting = waiting_.size();
   }
-  for (const Refusal& refusal : queue_.give_up(now_s)) {
+  std::vector<Refusal> given_up;
+  try {
+    given_up = queue_.give_up(now_s);
+  } catch (const std::bad_alloc&) {
+    some_unheld_ = true;
+    throw;
+  }
+  for (const Refusal& refusal : given_up) {
     pending_.erase(refusal.id);
     ++accounting_.expired;
     tally(expired_reasons_, refusal.reason);
@@ -217,31 +247,29 @@ bool CandidatePool::redundant(const LoopCandidate& candidate) const {
 }
 
 std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
-  std::vector<LoopCandidate> batch, taken;
+  offer_again();
+  std::vector<LoopCandidate> batch;
   batch.reserve(std::min(count, pending_.size()));
-  auto next = taken.begin();
-  try {
-    while (batch.size() < count) {
+  while (batch.size() < count) {
+    std::vector<LoopCandidate> taken;
+    try {
       taken = queue_.take(count - batch.size());
       if (taken.empty()) break;
-      for (next = taken.begin(); next != taken.end(); ++next) {
-        const auto pending = pending_.find(next->id);
-        if (pending == pending_.end()) continue;           // pruned, though a prioritiser could not let go
-        const LoopCandidate& candidate = pending->second;  // whatever a prioritiser made of its copy
+      for (const LoopCandidate& handed : taken) {
+        const LoopCandidate candidate = pending_.at(handed.id);  // whatever a prioritiser made of its copy
         if (options_.redundant_m > 0.0 && redundant(candidate)) {
           redundant_.push_back(candidate);
         } else {
           batch.push_back(candidate);
         }
       }
+    } catch (const std::bad_alloc&) {
+      some_unheld_ = true;
+      throw;
+    } catch (...) {
+      enqueue(batch);  // its own failure would say the same
+      throw;
     }
-  } catch (...) {
-    for (; next != taken.end(); ++next) {
-      const auto pending = pending_.find(next->id);
-      if (pending != pending_.end()) batch.push_back(pending->second);
-    }
-    enqueue(batch);  // its own failure would say the same
-    throw;
   }
   for (; batch.size() < count && !redundant_.empty(); redundant_.pop_front()) {
     if (pending_.count(redundant_.front().id) != 0)
@@ -266,26 +294,16 @@ void CandidatePool::complete(const RegistrationResult& result) {
 
 void CandidatePool::give_back(const std::vector<LoopCandidate>& candidates) {
   std::vector<LoopCandidate> returned;
-  std::exception_ptr failure;
-  try {
-    returned.reserve(candidates.size());
-  } catch (...) {
-    failure = std::current_exception();
-  }
+  returned.reserve(candidates.size());
+  // From here on nothing asks for memory before all are pending.
   for (const LoopCandidate& candidate : candidates) {
     const auto in_flight = in_flight_.find(candidate.id);
     if (in_flight == in_flight_.end()) continue;
-    if (failure) {
-      ++accounting_.pruned;
-      tally(pruned_reasons_, "out_of_memory");
-      in_flight_.erase(in_flight);
-    } else {
-      returned.push_back(candidate);
-      pending_.insert(in_flight_.extract(in_flight));
-    }
+    returned.push_back(candidate);
+    pending_.insert(in_flight_.extract(in_flight));
   }
+  accounting_.pending = pending_.size();
   accounting_.in_flight = in_flight_.size();
-  if (failure) std::rethrow_exception(failure);
   enqueue(returned);
 }
 

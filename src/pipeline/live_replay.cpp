@@ -6,8 +6,10 @@
 #include <chrono>
 #include <exception>
 #include <map>
+#include <new>
 #include <optional>
 #include <thread>
+#include <type_traits>
 #include <unordered_map>
 #include <utility>
 
@@ -105,6 +107,20 @@ Feed feed_of(const Mission& mission, const Config& config) {
   return feed;
 }
 
+/// A mission that is lived through cannot be replayed: what finds no memory is tried again for a second.
+template <class Function>
+std::invoke_result_t<Function&> patiently(Function&& function) {
+  constexpr int kTries = 100;
+  for (int tried = 1;; ++tried) {
+    try {
+      return function();
+    } catch (const std::bad_alloc&) {
+      if (tried == kTries) throw;
+      std::this_thread::sleep_for(std::chrono::milliseconds(10));
+    }
+  }
+}
+
 /// Weights of the computed candidates' closures, as the graph has them.
 void take_weights(const PoseGraph& graph, std::vector<ComputedCandidate>& computed) {
   std::map<std::pair<Key, Key>, double> weights;
@@ -176,18 +192,20 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
   LoopClosureModule* running = nullptr;  // for the callbacks, which come once it is fed
   ModuleCallbacks callbacks;
   callbacks.result = [&](const RegistrationResult& computed) {
-    result.computed.push_back({computed, clock.now(), 0.0});
+    patiently([&] { result.computed.push_back({computed, clock.now(), 0.0}); });
     if (hooks.outcome) hooks.outcome(computed);
     write(journal::live_result_line(clock.now(), computed, running->statistics()));
   };
   callbacks.estimate = [&](const std::shared_ptr<const Estimate>& estimate) {
-    take_weights(estimate->graph, result.computed);
+    patiently([&] { take_weights(estimate->graph, result.computed); });
     ++result.optimizations;
     if (!hooks.moment) return;
     hooks.moment({ReplayMoment::Kind::kBatch, clock.now(), estimate->graph, feed.odometry, result.computed,
                   running->statistics().candidates});
   };
-  callbacks.problem = [&](const std::string& problem) { result.problems.add("live", problem); };
+  callbacks.problem = [&](const std::string& problem) {
+    patiently([&] { result.problems.add("live", problem); });
+  };
   ModuleParts parts;
   parts.scans = mission.scans->loader();
   parts.registrar = std::move(registrar);
@@ -197,23 +215,24 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
   std::size_t fed = 0;
   const auto report = [&] {
     if (!hooks.progress) return;
-    const CandidateAccounting a = module.statistics().candidates;
+    const CandidateAccounting a = patiently([&] { return module.statistics(); }).candidates;
     hooks.progress({"key frames", fed, total,
                     std::to_string(a.computed) + " computed, " + std::to_string(a.pending) + " pending"});
   };
   for (const Arrival& arrival : feed.arrivals) {
     clock.wait_until(arrival.time_s, hooks.stop);
     if (hooks.stop.stop_requested()) break;
-    KeyFrame frame = arrival.frame;
+    KeyFrame frame = patiently([&] { return arrival.frame; });
     if (mission.scans->has(frame.node.key)) {
       try {
-        frame.cloud = mission.scans->load(frame.node.key);
+        frame.cloud = patiently([&] { return mission.scans->load(frame.node.key); });
       } catch (const Error&) {  // the store counts it; its candidates wait, then expire
       }
     }
-    module.add_key_frame(frame);
-    for (const BeaconDrop& drop : arrival.drops) module.add_beacon_drop(drop);
-    for (const std::vector<RadioReading>& readings : arrival.readings) module.add_radio(readings);
+    patiently([&] { module.add_key_frame(frame); });
+    for (const BeaconDrop& drop : arrival.drops) patiently([&] { module.add_beacon_drop(drop); });
+    for (const std::vector<RadioReading>& readings : arrival.readings)
+      patiently([&] { module.add_radio(readings); });
     ++fed;
     report();
   }
@@ -227,6 +246,8 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
     try {
       while (!idle && !hooks.stop.stop_requested()) {
         std::this_thread::sleep_for(std::chrono::milliseconds(20));
+        // The module waits for memory until there is some. Where there is none at all, this is to end.
+        static_cast<void>(patiently([&] { return module.statistics(); }));
         report();
       }
     } catch (...) {
@@ -240,12 +261,12 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
   result.mission_time_s = clock.now();
 
   result.interrupted = hooks.stop.stop_requested();
-  result.graph = module.graph();
+  result.graph = patiently([&] { return module.graph(); });
   optimize_last(config, result);
-  take_weights(result.graph, result.computed);
-  result.odometry.assign(feed.odometry.begin(),
-                         feed.odometry.begin() + static_cast<std::ptrdiff_t>(result.graph.nodes().size()));
-  const ModuleStatistics statistics = module.statistics();
+  patiently([&] { take_weights(result.graph, result.computed); });
+  const auto placed = static_cast<std::ptrdiff_t>(result.graph.nodes().size());
+  patiently([&] { result.odometry.assign(feed.odometry.begin(), feed.odometry.begin() + placed); });
+  const ModuleStatistics statistics = patiently([&] { return module.statistics(); });
   result.accounting = statistics.candidates;
   for (const auto& [name, count] : statistics.handed_out) result.handed_out.emplace_back(name, count);
   result.batches = statistics.batches;

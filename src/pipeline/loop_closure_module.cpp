@@ -204,7 +204,10 @@ class LoopClosureModule::Impl {
               robots_),
         crew_(*registrar_, options.threads, options.overdue_after_s, crew_hooks()) {
     prioritizes_ = !pool_.queue().prioritizers().empty();
-    for (const auto& prioritizer : pool_.queue().prioritizers()) names_.emplace_back(prioritizer->name());
+    for (const auto& prioritizer : pool_.queue().prioritizers()) {
+      names_.emplace_back(prioritizer->name());
+      statistics_.handed_out[names_.back()] = 0;
+    }
     try {
       computation_ = std::thread([this] { compute(); });
       back_end_ = std::thread([this] { optimize(); });
@@ -490,16 +493,16 @@ class LoopClosureModule::Impl {
       end_work();
     }
     // Stopped. A batch that was chosen at the last moment goes back.
-    if (patience_.given_up()) problem(given_up_);
     commands_.close();
     prioritization_.join();
     while (auto event = inbox_.next(false)) {
       if (const auto* batch = std::get_if<BatchEvent>(&*event))
-        tell_if_fails([&] { pool_.give_back(batch->candidates); });
+        tell_if_fails([&] { until_memory([&] { pool_.give_back(batch->candidates); }); });
       if (const auto* left = std::get_if<ProblemEvent>(&*event)) on(*left);
       end_work();
     }
-    tell_if_fails([this] { publish_account(); });
+    tell_if_fails([this] { until_memory([this] { publish_account(); }); });
+    if (patience_.given_up()) problem(given_up_);
   }
 
   template <class Function>
@@ -514,13 +517,20 @@ class LoopClosureModule::Impl {
   /// For what must not be left half done. \param function can be called again after std::bad_alloc
   template <class Function>
   std::invoke_result_t<Function&> until_memory(Function&& function) {
-    while (true) {
+    constexpr int kTellAfter = 100;  // a second, and the time that it takes to find no memory
+    for (int tried = 1;; ++tried) {
       try {
         return function();
       } catch (const std::bad_alloc&) {
         if (!patience_.wait()) throw;
+        if (tried == kTellAfter) tell_waiting();
       }
     }
+  }
+
+  void tell_waiting() {
+    if (std::this_thread::get_id() == graph_thread_id()) return problem(waiting_);
+    tell_problem([this] { return waiting_; });
   }
 
   template <class Function>
@@ -584,7 +594,8 @@ class LoopClosureModule::Impl {
 
     tell_if_fails([&] { propose(radio_.on_node(graph_, node.key, now_s_)); });
     tell_if_fails([&] {
-      if (options_.proximity && prioritizes_) propose(generator_.on_node(graph_, node.key, now_s_));
+      if (!options_.proximity || !prioritizes_) return;
+      propose(until_memory([&] { return generator_.on_node(graph_, node.key, now_s_); }));
     });
     if (const auto early = early_scans_.find(node.key); early != early_scans_.end()) {
       announce({node.key, node.stamp_ns, early->second});
@@ -600,7 +611,7 @@ class LoopClosureModule::Impl {
     if (const auto node = graph_.find(event.scan.key)) {
       announce({event.scan.key, graph_.nodes()[*node].stamp_ns, event.scan.cloud});
     } else {
-      early_scans_.emplace(event.scan.key, event.scan.cloud);
+      until_memory([&] { early_scans_.emplace(event.scan.key, event.scan.cloud); });
     }
   }
 
@@ -760,7 +771,8 @@ class LoopClosureModule::Impl {
     if (moved_.empty()) return;
     std::sort(moved_.begin(), moved_.end());
     moved_.erase(std::unique(moved_.begin(), moved_.end()), moved_.end());
-    if (options_.proximity && prioritizes_) propose(generator_.on_moved(graph_, moved_, now_s_));
+    if (options_.proximity && prioritizes_)
+      propose(until_memory([&] { return generator_.on_moved(graph_, moved_, now_s_); }));
     moved_.clear();
   }
 
@@ -900,14 +912,13 @@ class LoopClosureModule::Impl {
   }
 
   void on(const RemovalEvent& event) {
-    vetoed_.insert(std::minmax(event.from, event.to));
+    until_memory([&] { vetoed_.insert(std::minmax(event.from, event.to)); });
     std::size_t removed = 0;
-    change_graph([&] {
-      removed = graph_.remove_edges_if([&](const Edge& edge) {
-        return edge.kind == EdgeKind::kLoopClosure &&
-               std::minmax(edge.from, edge.to) == std::minmax(event.from, event.to);
-      });
-    });
+    const auto is_it = [&](const Edge& edge) {
+      return edge.kind == EdgeKind::kLoopClosure &&
+             std::minmax(edge.from, edge.to) == std::minmax(event.from, event.to);
+    };
+    until_memory([&] { change_graph([&] { removed = graph_.remove_edges_if(is_it); }); });
     if (removed == 0) return;
     ++removals_;
     wants_estimate_ = true;
@@ -1029,7 +1040,7 @@ class LoopClosureModule::Impl {
   }
 
   [[nodiscard]] SharedGraph snapshot() {
-    auto graph = std::make_shared<const PoseGraph>(graph_);
+    auto graph = until_memory([this] { return std::make_shared<const PoseGraph>(graph_); });
     graph_is_new_ = false;
     return graph;
   }
@@ -1038,7 +1049,7 @@ class LoopClosureModule::Impl {
   void keep_busy() {
     const bool stopping = stop_source_.stop_requested();
     if (wants_estimate_ && options_.back_end && !optimizing_ && !computing_ && !stopping) {
-      BackEndJob job{graph_, removals_};
+      BackEndJob job = until_memory([this] { return BackEndJob{graph_, removals_}; });
       moved_since_job_.clear();
       wants_estimate_ = false;
       optimizing_ = true;
@@ -1156,11 +1167,14 @@ class LoopClosureModule::Impl {
       while (!dry && !improved && commands_.size() == 0 && pool_.accounting().pending > 0) {
         improved = true;
         StopToken token;
+        bool can_be_stopped = false;
         guarded([&] {
           const std::lock_guard<std::mutex> lock(improvement_mutex_);
           improvement_ = StopSource();
           token = improvement_.token();
+          can_be_stopped = true;
         });
+        if (!can_be_stopped) break;
         if (commands_.size() > 0 || stop_source_.stop_requested()) break;
         guarded([&] { pool_.improve(static_cast<std::size_t>(options_.batch), token); });
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
@@ -1183,9 +1197,9 @@ class LoopClosureModule::Impl {
 
   void apply(Command& command, bool& dry) {
     guarded([&] {
-      std::visit(Overloaded{[&](AddCommand& c) { add_to_pool(c.candidates); },
+      std::visit(Overloaded{[&](AddCommand& c) { until_memory([&] { pool_.add(c.candidates); }); },
                             [&](ScanCommand& c) { until_memory([&] { pool_.on_scan(c.scan); }); },
-                            [&](GraphCommand& c) { pool_.on_graph(*c.graph); },
+                            [&](GraphCommand& c) { until_memory([&] { pool_.on_graph(*c.graph); }); },
                             [&](ForgetCommand& c) { pool_.forget(c.pairs); },
                             [&](ResultCommand& c) { pool_.complete(c.result); },
                             [&](TimeCommand& c) {
@@ -1194,32 +1208,33 @@ class LoopClosureModule::Impl {
                             },
                             [&](DryCommand& c) {
                               dry = true;
-                              pool_.give_back(c.not_computed);
+                              until_memory([&] { pool_.give_back(c.not_computed); });
                               hand_out(dry);
                             }},
                  command);
     });
   }
 
-  /// What the pool had no memory for is tried once more, and told all the same: some may have been pruned.
-  void add_to_pool(const std::vector<LoopCandidate>& candidates) {
-    try {
-      pool_.add(candidates);
-    } catch (const std::bad_alloc&) {
-      pool_.add(candidates);
-      throw;
-    }
-  }
-
   void hand_out(bool& dry) {
     if (!dry || pool_.accounting().pending == 0 || stop_source_.stop_requested()) return;
     guarded([&] {
-      std::vector<LoopCandidate> batch =
-          until_memory([&] { return pool_.take(static_cast<std::size_t>(options_.batch)); });
+      std::vector<LoopCandidate> batch = choose();
       if (batch.empty()) return post_inside(GraphWantedEvent{});
       dry = false;
       post_inside(BatchEvent{std::move(batch)});
     });
+  }
+
+  /// A choice takes long, and more memory than all else: it is not tried for ever, as others wait meanwhile.
+  std::vector<LoopCandidate> choose() {
+    constexpr int kTries = 4;
+    for (int tried = 1;; ++tried) {
+      try {
+        return pool_.take(static_cast<std::size_t>(options_.batch));
+      } catch (const std::bad_alloc&) {
+        if (tried == kTries || !patience_.wait()) throw;
+      }
+    }
   }
 
   void publish_account() {
@@ -1245,6 +1260,7 @@ class LoopClosureModule::Impl {
 
   StopSource stop_source_;
   Patience patience_;
+  const std::string waiting_ = "out of memory: waiting until there is some";
   const std::string given_up_ = "out of memory: what was under way when it was stopped is lost";
   Mailbox<Event> inbox_;
   Mailbox<Command> commands_;

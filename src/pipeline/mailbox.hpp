@@ -22,20 +22,26 @@ class Patience {
  public:
   explicit Patience(StopToken stop) : stop_(std::move(stop)) {}
 
-  /// After a request that found no memory: waits a moment. \returns false once it is given up, which stays.
+  /// After a request that found no memory: waits a moment. \returns false once it is given up, which stays: a
+  /// second after it was first asked with a stop requested.
   bool wait() {
-    constexpr auto kMoment = std::chrono::milliseconds(10);
-    constexpr int kMoments = 100;  // after the request
-    if (stop_.stop_requested() && ++moments_ > kMoments) given_up_ = true;
+    if (!given_up_ && stop_.stop_requested()) {
+      const Clock::rep now = Clock::now().time_since_epoch().count();
+      Clock::rep first = 0;
+      if (!first_.compare_exchange_strong(first, now) &&
+          Clock::duration(now - first) > std::chrono::seconds(1))
+        given_up_ = true;
+    }
     if (given_up_) return false;
-    std::this_thread::sleep_for(kMoment);
+    std::this_thread::sleep_for(std::chrono::milliseconds(10));
     return true;
   }
   [[nodiscard]] bool given_up() const { return given_up_; }
 
  private:
+  using Clock = std::chrono::steady_clock;
   const StopToken stop_;
-  std::atomic<int> moments_{0};
+  std::atomic<Clock::rep> first_{0};
   std::atomic<bool> given_up_{false};
 };
 

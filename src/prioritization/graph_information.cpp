@@ -87,7 +87,8 @@ void GraphInformationPrioritizer::remove(const std::vector<CandidateId>& ids) {
 }
 
 void GraphInformationPrioritizer::on_graph(const PoseGraph& graph) {
-  graph_ = graph;
+  PoseGraph copy = graph;  // whole before it takes the place of the former
+  graph_ = std::move(copy);
   if (prepared_) prepared_->stale = true;
 }
 
@@ -102,15 +103,11 @@ void GraphInformationPrioritizer::on_result(const RegistrationResult& result) {
 std::vector<Refusal> GraphInformationPrioritizer::give_up(double now_s) {
   std::vector<Refusal> gone;
   if (options_.max_wait_s <= 0.0) return gone;
-  for (auto held = held_.begin(); held != held_.end();) {
-    const LoopCandidate& c = held->second;
-    if (now_s - c.time_s > options_.max_wait_s && !(graph_.contains(c.from) && graph_.contains(c.to))) {
-      gone.push_back({c.id, "missing_node"});
-      held = held_.erase(held);
-    } else {
-      ++held;
-    }
+  for (const auto& [id, c] : held_) {
+    if (now_s - c.time_s > options_.max_wait_s && !(graph_.contains(c.from) && graph_.contains(c.to)))
+      gone.push_back({id, "missing_node"});
   }
+  for (const Refusal& refusal : gone) held_.erase(refusal.id);
   return gone;
 }
 

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <new>
 
 #include <loopwise/core/error.hpp>
 
@@ -16,6 +17,15 @@ RoundRobinQueue::RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prior
 }
 
 std::vector<Refusal> RoundRobinQueue::add(const std::vector<LoopCandidate>& candidates) {
+  try {
+    return add_to_all(candidates);
+  } catch (const std::bad_alloc&) {
+    for (const LoopCandidate& candidate : candidates) holders_.erase(candidate.id);
+    throw;
+  }
+}
+
+std::vector<Refusal> RoundRobinQueue::add_to_all(const std::vector<LoopCandidate>& candidates) {
   std::unordered_map<CandidateId, std::string> reasons;
   for (const LoopCandidate& candidate : candidates) holders_[candidate.id] = prioritizers_.size();
   for (const auto& prioritizer : prioritizers_) {
@@ -75,7 +85,14 @@ void RoundRobinQueue::improve(std::size_t count, const StopToken& stop, std::uin
 std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
   std::vector<Refusal> gone;
   for (const auto& prioritizer : prioritizers_) {
-    for (Refusal& refusal : prioritizer->give_up(now_s)) {
+    std::vector<Refusal> given_up = prioritizer->give_up(now_s);
+    try {
+      gone.reserve(gone.size() + given_up.size());
+    } catch (...) {
+      for (const Refusal& refusal : given_up) holders_.erase(refusal.id);
+      throw;
+    }
+    for (Refusal& refusal : given_up) {
       const auto holders = holders_.find(refusal.id);
       if (holders == holders_.end() || --holders->second > 0) continue;
       holders_.erase(holders);

@@ -66,9 +66,11 @@ struct CandidatePoolOptions {
 };
 
 /// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans
-/// are not here yet, feeds the queue and keeps the account. For one thread at a time. Where memory runs out
-/// or a prioritiser fails, the exception goes through: candidates that were to be added are then pruned or as
-/// if they had not been proposed, all others stay, and the account lacks none.
+/// are not here yet, feeds the queue and keeps the account. For one thread at a time.
+///
+/// What a prioritiser throws goes through; candidates that were to be added to it are then pruned. So does
+/// std::bad_alloc, after which no candidate is lost, and all functions can be called again with the same but
+/// complete(), which counts the result all the same.
 class LOOPWISE_EXPORT CandidatePool {
  public:
   /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
@@ -132,7 +134,8 @@ class LOOPWISE_EXPORT CandidatePool {
   enum class TakenIn { kWaiting, kReady };
   /// Nothing of a pair that was proposed before. Without memory for it nothing has happened.
   std::optional<TakenIn> take_in(const LoopCandidate& candidate);
-  void enqueue(const std::vector<LoopCandidate>& candidates);
+  void enqueue(const std::vector<LoopCandidate>& pending);
+  void offer_again();
   void prune(const std::vector<LoopCandidate>& candidates, std::string_view reason);
   void drop_pending(const std::vector<CandidateId>& ids, std::string_view reason);
 
@@ -150,6 +153,7 @@ class LOOPWISE_EXPORT CandidatePool {
   std::unordered_map<Key, Eigen::Vector3d> positions_;  // by the last estimate; kept for redundant_m alone
   std::vector<std::pair<Key, Key>> closed_;
   std::deque<LoopCandidate> redundant_;  // pending, but in no prioritiser any more
+  bool some_unheld_ = false;             // others may be as well, for lack of memory
   std::map<std::string, std::size_t> pruned_reasons_;
   std::map<std::string, std::size_t> expired_reasons_;
 };

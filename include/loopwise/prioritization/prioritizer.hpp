@@ -31,7 +31,8 @@ class LOOPWISE_EXPORT Prioritizer {
   /// Short and stable: stands in options, tables and journals.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
-  /// New candidates, in order of generation. \returns those it will never hand out.
+  /// New candidates, in order of generation; after a lack of memory also such as it holds already, which
+  /// changes nothing. \returns those it will never hand out.
   virtual std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) = 0;
 
   /// Handed out by another prioritiser, expired or withdrawn. Ids that it does not hold are ignored.
