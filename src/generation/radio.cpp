@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <tuple>
+#include <utility>
 
 namespace loopwise {
 
@@ -27,29 +28,32 @@ RadioGenerator::RadioGenerator(const RadioOptions& options, Robots robots)
 
 std::vector<LoopCandidate> RadioGenerator::on_drop(const PoseGraph& graph, const BeaconDrop& drop,
                                                    double time_s) {
-  std::vector<LoopCandidate> out;
   const auto robot = robots_.find(drop.drop_key);
   if (!robot) {
     problems_.add("beacon dropped at no robot's node", "beacon " + drop.beacon);
-    return out;
+    return {};
   }
-  const auto [found, fresh] = beacons_.emplace(drop.beacon, Beacon{});
-  if (!fresh) {
-    problems_.add("beacon dropped twice", "beacon " + drop.beacon);
-    return out;
-  }
-  Beacon& beacon = found->second;
+  Beacon beacon;
   beacon.drop = drop;
   beacon.drop.robot = *robot;  // the node's owner decides
   beacon.departed_index = robots_.node_index(drop.drop_key);
-  take_up(graph, time_s, out);
-  return out;
+  const auto [found, fresh] = beacons_.emplace(drop.beacon, std::move(beacon));
+  if (!fresh) {
+    problems_.add("beacon dropped twice", "beacon " + drop.beacon);
+    return {};
+  }
+  try {
+    take_up(graph, time_s);
+  } catch (...) {  // all that waited for it still does
+    beacons_.erase(found);
+    throw;
+  }
+  return std::exchange(proposals_, {});
 }
 
 std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
                                                     const std::vector<RadioReading>& readings,
                                                     double time_s) {
-  std::vector<LoopCandidate> out;
   std::map<std::pair<Key, std::string>, std::vector<RadioReading>> groups;
   for (const RadioReading& reading : readings) {
     if (robots_.find(reading.key)) {
@@ -67,7 +71,7 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
     }
     if (loss < options_.max_loss_db) waiting_.emplace(which, arrivals_++);
   }
-  take_up(graph, time_s, out);
+  take_up(graph, time_s);
   while (waiting_.size() > static_cast<std::size_t>(options_.max_waiting)) {
     const auto oldest = std::min_element(waiting_.begin(), waiting_.end(),
                                          [](const auto& a, const auto& b) { return a.second < b.second; });
@@ -75,17 +79,16 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
                   "node " + key_name(oldest->first.first) + ", beacon " + oldest->first.second);
     waiting_.erase(oldest);
   }
-  return out;
+  return std::exchange(proposals_, {});
 }
 
 std::vector<LoopCandidate> RadioGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
   (void)graph.index_of(key);  // throws on an unknown one
-  std::vector<LoopCandidate> out;
-  if (!waiting_.empty() || !beacons_.empty()) take_up(graph, time_s, out);
-  return out;
+  take_up(graph, time_s);
+  return std::exchange(proposals_, {});
 }
 
-void RadioGenerator::take_up(const PoseGraph& graph, double time_s, std::vector<LoopCandidate>& out) {
+void RadioGenerator::take_up(const PoseGraph& graph, double time_s) {
   // What has become known, in the order of the nodes' stamps.
   std::vector<std::tuple<std::int64_t, Key, std::string>> known;
   for (const auto& [which, arrival] : waiting_) {
@@ -95,15 +98,13 @@ void RadioGenerator::take_up(const PoseGraph& graph, double time_s, std::vector<
     if (node) known.emplace_back(graph.nodes()[*node].stamp_ns, which.first, which.second);
   }
   std::sort(known.begin(), known.end());
-  for (const auto& [stamp, key, name] : known) {
-    waiting_.erase({key, name});
-    pass(graph, beacons_.at(name), key, time_s, out);
-  }
+  for (const auto& [stamp, key, name] : known) pass(graph, beacons_.at(name), key, time_s);
+  // From here on nothing asks for memory: until all have passed, all can pass again.
+  for (auto& [stamp, key, name] : known) waiting_.erase({key, std::move(name)});
 }
 
-void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s,
-                          std::vector<LoopCandidate>& out) {
-  if (key == beacon.drop.drop_key || !beacon.seen.insert(key).second) return;
+void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s) {
+  if (key == beacon.drop.drop_key || beacon.seen.count(key) != 0) return;
   const std::size_t robot = robots_.of(key);
   const std::uint64_t index = robots_.node_index(key);
   const auto max_gap = static_cast<std::uint64_t>(options_.max_gap_nodes);
@@ -112,6 +113,7 @@ void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, doubl
     if (beacon.departing) {
       if (index <= beacon.departed_index + max_gap) {
         beacon.departed_index = std::max(beacon.departed_index, index);
+        beacon.seen.insert(key);
         return;
       }
       beacon.departing = false;
@@ -125,29 +127,37 @@ void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, doubl
   if (current != beacon.current.end() && index <= beacon.fly_bys[current->second].last_index + max_gap) {
     own = current->second;
   } else {
-    beacon.fly_bys.push_back(
-        {robot, index, {}});  // first: who has no memory for the next line has one too many
+    // First: who has no memory for the next line has one too many.
+    beacon.fly_bys.push_back({robot, index, {}});
     beacon.current[robot] = own;
   }
-  beacon.fly_bys[own].nodes.push_back(key);
-  beacon.fly_bys[own].last_index = std::max(beacon.fly_bys[own].last_index, index);
+  FlyBy& fly_by = beacon.fly_bys[own];
+  if (fly_by.nodes.empty() || fly_by.nodes.back() != key) fly_by.nodes.push_back(key);
+  fly_by.last_index = std::max(fly_by.last_index, index);
 
   const Eigen::Vector3d position = graph.node(key).pose.translation();
   const auto propose = [&](Key other) {
-    if (!proposed_.insert({std::min(key, other), std::max(key, other)}).second) return;
+    const auto [proposed, is_new] = proposed_.insert({std::min(key, other), std::max(key, other)});
+    if (!is_new) return;
     LoopCandidate candidate;
     candidate.from = key;
     candidate.to = other;
     candidate.source = CandidateSource::kRadio;
     candidate.time_s = time_s;
     candidate.distance_m = (graph.node(other).pose.translation() - position).norm();
-    out.push_back(candidate);
+    try {
+      proposals_.push_back(candidate);
+    } catch (...) {
+      proposed_.erase(proposed);
+      throw;
+    }
   };
   propose(beacon.drop.drop_key);
   for (std::size_t f = 0; f < beacon.fly_bys.size(); ++f) {
     if (f == own) continue;
     for (const Key other : beacon.fly_bys[f].nodes) propose(other);
   }
+  beacon.seen.insert(key);  // last: a pass that found no memory is not one
 }
 
 }  // namespace loopwise

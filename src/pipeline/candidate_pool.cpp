@@ -77,7 +77,7 @@ std::optional<CandidatePool::TakenIn> CandidatePool::take_in(const LoopCandidate
   }
 }
 
-void CandidatePool::on_scan(const KeyedScan& scan) {
+void CandidatePool::on_scan(const KeyedScan& scan, bool whatever_fails) {
   if (scans_.count(scan.key) != 0) return;
   const auto list = waiting_for_.find(scan.key);
   std::vector<LoopCandidate> ready;
@@ -86,7 +86,8 @@ void CandidatePool::on_scan(const KeyedScan& scan) {
   try {
     queue_.on_scan(scan);
   } catch (const std::bad_alloc&) {
-    throw;
+    if (!whatever_fails) throw;
+    failure = std::current_exception();
   } catch (...) {  // it is here all the same
     failure = std::current_exception();
   }
@@ -136,7 +137,7 @@ void CandidatePool::enqueue(const std::vector<LoopCandidate>& pending) {
   accounting_.pending = pending_.size();
 }
 
-/// What is in no prioritiser, for there was no memory for it there, is added anew.
+/// What is in no prioritiser, for there was no memory for it there or one failed, is added anew.
 void CandidatePool::offer_again() {
   if (!some_unheld_) return;
   std::unordered_set<CandidateId> last;
@@ -158,7 +159,12 @@ void CandidatePool::prune(const std::vector<LoopCandidate>& candidates, std::str
 
 void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, std::string_view reason) {
   if (ids.empty()) return;
-  queue_.remove(ids);
+  try {
+    queue_.remove(ids);
+  } catch (...) {
+    some_unheld_ = true;
+    throw;
+  }
   for (const CandidateId id : ids) pending_.erase(id);
   accounting_.expired += ids.size();
   accounting_.pending = pending_.size();
@@ -181,7 +187,7 @@ void CandidatePool::expire(double now_s) {
   std::vector<Refusal> given_up;
   try {
     given_up = queue_.give_up(now_s);
-  } catch (const std::bad_alloc&) {
+  } catch (...) {
     some_unheld_ = true;
     throw;
   }
@@ -263,11 +269,8 @@ std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
           batch.push_back(candidate);
         }
       }
-    } catch (const std::bad_alloc&) {
-      some_unheld_ = true;
-      throw;
     } catch (...) {
-      enqueue(batch);  // its own failure would say the same
+      some_unheld_ = true;  // what was taken before it failed
       throw;
     }
   }

@@ -238,9 +238,11 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
   }
   if (config.replay.after_mission && !hooks.stop.stop_requested()) {
     std::atomic<bool> idle{false};
-    std::thread waiting([&] {
-      static_cast<void>(module.wait());
-      idle = true;
+    std::thread waiting = patiently([&] {
+      return std::thread([&] {
+        static_cast<void>(module.wait());
+        idle = true;
+      });
     });
     std::exception_ptr failure;
     try {
@@ -268,10 +270,14 @@ ReplayResult replay_live(const Mission& mission, const Config& config,
   patiently([&] { result.odometry.assign(feed.odometry.begin(), feed.odometry.begin() + placed); });
   const ModuleStatistics statistics = patiently([&] { return module.statistics(); });
   result.accounting = statistics.candidates;
-  for (const auto& [name, count] : statistics.handed_out) result.handed_out.emplace_back(name, count);
+  patiently([&] { result.handed_out.assign(statistics.handed_out.begin(), statistics.handed_out.end()); });
   result.batches = statistics.batches;
   result.registration_s = statistics.computing_s;
-  result.problems.add(mission.scans->problems());
+  patiently([&] {
+    Problems all = result.problems;  // so that none counts twice
+    all.add(mission.scans->problems());
+    result.problems = std::move(all);
+  });
   try {
     write(journal::end_line(result.mission_time_s, result.interrupted, result.accounting));
     if (hooks.moment) {

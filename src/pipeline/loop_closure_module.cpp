@@ -518,14 +518,38 @@ class LoopClosureModule::Impl {
   template <class Function>
   std::invoke_result_t<Function&> until_memory(Function&& function) {
     constexpr int kTellAfter = 100;  // a second, and the time that it takes to find no memory
+    Patience::Asked asked;
     for (int tried = 1;; ++tried) {
       try {
         return function();
       } catch (const std::bad_alloc&) {
-        if (!patience_.wait()) throw;
+        if (!patience_.wait(asked)) throw;
         if (tried == kTellAfter) tell_waiting();
       }
     }
+  }
+
+  /// For what may ask for more memory than there will ever be, as it depends on data or on code from outside:
+  /// a few times and for a second, or less where others wait.
+  template <class Function, class OthersWait>
+  std::invoke_result_t<Function&> for_a_second(Function&& function, OthersWait&& others_wait) {
+    constexpr int kTries = 4;
+    Patience::Asked asked;
+    std::optional<Patience::Clock::time_point> first;
+    for (int tried = 1;; ++tried) {
+      try {
+        return function();
+      } catch (const std::bad_alloc&) {
+        const auto now = Patience::Clock::now();
+        if (!first) first = now;
+        const bool enough = tried >= kTries && (now - *first > std::chrono::seconds(1) || others_wait());
+        if (enough || !patience_.wait(asked)) throw;
+      }
+    }
+  }
+  template <class Function>
+  std::invoke_result_t<Function&> for_a_second(Function&& function) {
+    return for_a_second(std::forward<Function>(function), [] { return false; });
   }
 
   void tell_waiting() {
@@ -592,7 +616,7 @@ class LoopClosureModule::Impl {
     add_factors_now(own);
     retry_factors(node.key);
 
-    tell_if_fails([&] { propose(radio_.on_node(graph_, node.key, now_s_)); });
+    tell_if_fails([&] { propose(until_memory([&] { return radio_.on_node(graph_, node.key, now_s_); })); });
     tell_if_fails([&] {
       if (!options_.proximity || !prioritizes_) return;
       propose(until_memory([&] { return generator_.on_node(graph_, node.key, now_s_); }));
@@ -741,11 +765,11 @@ class LoopClosureModule::Impl {
   /// An outcome without a closure: of use as long as its nodes lie so to each other.
   void keep_rejected(const LoopCandidate& candidate, bool moved_meanwhile) {
     if (moved_meanwhile) {
-      moved_.push_back(candidate.from);
-      forgotten_.push_back(candidate);
+      until_memory([&] { moved_.push_back(candidate.from); });
+      until_memory([&] { forgotten_.push_back(candidate); });
     } else if (groups_.apart(candidate.from, candidate.to)) {
-      rejected_apart_[candidate.from].push_back(candidate);
-      rejected_apart_[candidate.to].push_back(candidate);
+      for (const Key end : {candidate.from, candidate.to})
+        until_memory([&] { rejected_apart_[end].push_back(candidate); });
     }
   }
 
@@ -754,6 +778,10 @@ class LoopClosureModule::Impl {
     if (!forgotten_.empty()) {
       ForgetCommand forget;
       std::vector<LoopCandidate> again;
+      until_memory([&] {
+        forget.pairs.reserve(forgotten_.size());
+        again.reserve(forgotten_.size());
+      });
       for (const LoopCandidate& candidate : forgotten_) {
         if (vetoed_.count(std::minmax(candidate.from, candidate.to)) != 0) continue;
         forget.pairs.emplace_back(candidate.from, candidate.to);
@@ -819,13 +847,16 @@ class LoopClosureModule::Impl {
     }
   }
 
-  void on(const RadioEvent& event) { propose(radio_.on_radio(graph_, event.readings, now_s_)); }
+  void on(const RadioEvent& event) {
+    propose(until_memory([&] { return radio_.on_radio(graph_, event.readings, now_s_); }));
+  }
 
-  void on(const BeaconDrop& drop) { propose(radio_.on_drop(graph_, drop, now_s_)); }
+  void on(const BeaconDrop& drop) {
+    propose(until_memory([&] { return radio_.on_drop(graph_, drop, now_s_); }));
+  }
 
-  void on(const CandidateEvent& event) {
-    std::vector<LoopCandidate> candidates = event.candidates;
-    for (LoopCandidate& candidate : candidates) {
+  void on(CandidateEvent& event) {
+    for (LoopCandidate& candidate : event.candidates) {
       candidate.source = CandidateSource::kUser;
       candidate.time_s = now_s_;
       const auto from = graph_.find(candidate.from), to = graph_.find(candidate.to);
@@ -833,7 +864,7 @@ class LoopClosureModule::Impl {
         std::swap(candidate.from, candidate.to);
       }
     }
-    propose(candidates);
+    propose(std::move(event.candidates));
   }
 
   void propose(std::vector<LoopCandidate> candidates) {
@@ -845,7 +876,7 @@ class LoopClosureModule::Impl {
     std::vector<RegistrationTask> tasks;
     being_computed_ += event.candidates.size();
     try {
-      tasks.reserve(event.candidates.size());
+      until_memory([&] { tasks.reserve(event.candidates.size()); });
     } catch (const std::bad_alloc&) {  // they become pending again
       post_inside(BatchDoneEvent{std::move(event.candidates)});
       throw;
@@ -945,19 +976,23 @@ class LoopClosureModule::Impl {
       for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
     });
     until_memory([&] { move_nodes(named); });
-    if (is_torn()) wants_estimate_ = true;
+    if (is_torn(poses)) wants_estimate_ = true;
     publish();
   }
 
-  /// Whether what came while the estimate was made does not fit it: odometry or priors that hold what has
-  /// been placed by them since.
-  [[nodiscard]] bool is_torn() const {
+  /// Whether what came while the estimate was made does not fit it: what odometry or priors have placed since
+  /// lies elsewhere than the estimate has it, or they do not hold between that and the rest.
+  [[nodiscard]] bool is_torn(const std::vector<Eigen::Isometry3d>& estimated) const {
     if (moved_since_job_.empty()) return false;
     constexpr double kFits = 1e-6;  // m and rad
     const auto fits = [](const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
       return se3::log(a.inverse() * b).cwiseAbs().maxCoeff() < kFits;
     };
     const auto placed = [this](Key key) { return moved_since_job_.count(key) != 0; };
+    for (std::size_t i = 0; i < estimated.size(); ++i) {
+      const Node& node = graph_.nodes()[i];
+      if (placed(node.key) && !fits(node.pose, estimated[i])) return true;
+    }
     const bool edges_fit = std::all_of(graph_.edges().begin(), graph_.edges().end(), [&](const Edge& edge) {
       if (edge.kind != EdgeKind::kOdometry || placed(edge.from) == placed(edge.to)) return true;
       return fits(graph_.node(edge.from).pose * edge.T_from_to, graph_.node(edge.to).pose);
@@ -1129,7 +1164,8 @@ class LoopClosureModule::Impl {
       EstimateEvent done{{}, job->removals, true};
       try {
         if (!optimizer) optimizer.emplace(config_.optimization);
-        done.gnc = optimizer->optimize_gnc(job->graph, config_.gnc, stop_source_.token());
+        done.gnc = for_a_second(
+            [&] { return optimizer->optimize_gnc(job->graph, config_.gnc, stop_source_.token()); });
         done.stopped = done.gnc.optimization.termination == Termination::kStopped;
         const std::lock_guard<std::mutex> lock(statistics_mutex_);
         ++statistics_.optimizations;
@@ -1198,8 +1234,8 @@ class LoopClosureModule::Impl {
   void apply(Command& command, bool& dry) {
     guarded([&] {
       std::visit(Overloaded{[&](AddCommand& c) { until_memory([&] { pool_.add(c.candidates); }); },
-                            [&](ScanCommand& c) { until_memory([&] { pool_.on_scan(c.scan); }); },
-                            [&](GraphCommand& c) { until_memory([&] { pool_.on_graph(*c.graph); }); },
+                            [&](ScanCommand& c) { take_scan(c.scan); },
+                            [&](GraphCommand& c) { for_a_second([&] { pool_.on_graph(*c.graph); }); },
                             [&](ForgetCommand& c) { pool_.forget(c.pairs); },
                             [&](ResultCommand& c) { pool_.complete(c.result); },
                             [&](TimeCommand& c) {
@@ -1215,6 +1251,16 @@ class LoopClosureModule::Impl {
     });
   }
 
+  /// A scan whose features ask for more memory than there is must not hold all that comes after it.
+  void take_scan(const KeyedScan& scan) {
+    try {
+      for_a_second([&] { pool_.on_scan(scan); });
+    } catch (const std::bad_alloc&) {
+      until_memory([&] { pool_.on_scan(scan, /*whatever_fails=*/true); });
+      throw;
+    }
+  }
+
   void hand_out(bool& dry) {
     if (!dry || pool_.accounting().pending == 0 || stop_source_.stop_requested()) return;
     guarded([&] {
@@ -1225,16 +1271,9 @@ class LoopClosureModule::Impl {
     });
   }
 
-  /// A choice takes long, and more memory than all else: it is not tried for ever, as others wait meanwhile.
   std::vector<LoopCandidate> choose() {
-    constexpr int kTries = 4;
-    for (int tried = 1;; ++tried) {
-      try {
-        return pool_.take(static_cast<std::size_t>(options_.batch));
-      } catch (const std::bad_alloc&) {
-        if (tried == kTries || !patience_.wait()) throw;
-      }
-    }
+    return for_a_second([&] { return pool_.take(static_cast<std::size_t>(options_.batch)); },
+                        [this] { return commands_.size() > 0; });
   }
 
   void publish_account() {

@@ -20,17 +20,19 @@ namespace loopwise {
 /// ever, or the stop would.
 class Patience {
  public:
+  using Clock = std::chrono::steady_clock;
+  /// When a request that finds no memory first asked with a stop requested.
+  using Asked = std::optional<Clock::time_point>;
+
   explicit Patience(StopToken stop) : stop_(std::move(stop)) {}
 
-  /// After a request that found no memory: waits a moment. \returns false once it is given up, which stays: a
-  /// second after it was first asked with a stop requested.
-  bool wait() {
+  /// After a request that found no memory: waits a moment. \returns false once that request has waited a
+  /// second with a stop requested, and from then on, for whoever asks.
+  bool wait(Asked& asked) {
     if (!given_up_ && stop_.stop_requested()) {
-      const Clock::rep now = Clock::now().time_since_epoch().count();
-      Clock::rep first = 0;
-      if (!first_.compare_exchange_strong(first, now) &&
-          Clock::duration(now - first) > std::chrono::seconds(1))
-        given_up_ = true;
+      const Clock::time_point now = Clock::now();
+      if (!asked) asked = now;
+      if (now - *asked > std::chrono::seconds(1)) given_up_ = true;
     }
     if (given_up_) return false;
     std::this_thread::sleep_for(std::chrono::milliseconds(10));
@@ -38,11 +40,13 @@ class Patience {
   }
   [[nodiscard]] bool given_up() const { return given_up_; }
 
+  /// Whether a message was lost: there may be one that waits for an answer to it.
+  void lose() { lost_ = true; }
+  [[nodiscard]] bool lost() const { return lost_; }
+
  private:
-  using Clock = std::chrono::steady_clock;
   const StopToken stop_;
-  std::atomic<Clock::rep> first_{0};
-  std::atomic<bool> given_up_{false};
+  std::atomic<bool> given_up_{false}, lost_{false};
 };
 
 /// Messages for one thread. Producers are held while too many wait; the stages that the thread itself waits
@@ -79,27 +83,28 @@ class Mailbox {
   /// until there is some: a result that is there must not be lost. \returns false, with the message lost,
   /// once that is given up.
   bool post_inside(Message message) {
-    while (true) {
+    for (Patience::Asked asked;;) {
       try {
         const std::lock_guard<std::mutex> lock(mutex_);
         inner_.push_back(std::move(message));  // does not touch the message if it throws
         some_.notify_one();
         return true;
       } catch (const std::bad_alloc&) {
-        if (patience_.wait()) continue;
+        if (patience_.wait(asked)) continue;
         const std::lock_guard<std::mutex> lock(mutex_);
+        patience_.lose();
         some_.notify_one();
         return false;
       }
     }
   }
 
-  /// The next message, waiting for one; none once closed, empty, and no more expected from inside, where
-  /// nothing is to be expected any more when patience is given up.
+  /// The next message, waiting for one; none once closed, empty, and no more expected from inside. Where a
+  /// message from inside was lost, in whatever mailbox, what is expected may never come.
   std::optional<Message> next(bool expect_inside) {
     std::unique_lock<std::mutex> lock(mutex_);
     some_.wait(lock, [&] {
-      return !inner_.empty() || !outer_.empty() || (closed_ && (!expect_inside || patience_.given_up()));
+      return !inner_.empty() || !outer_.empty() || (closed_ && (!expect_inside || patience_.lost()));
     });
     std::deque<Message>& from = inner_.empty() ? outer_ : inner_;
     if (from.empty()) return std::nullopt;

@@ -2,8 +2,10 @@
 // What is left where a request for memory finds none. scripts/fault_check does the same to whole commands.
 #include <filesystem>
 #include <new>
+#include <set>
 #include <utility>
 
+#include <loopwise/generation/radio.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -124,6 +126,63 @@ TEST_CASE("without memory: a graph is as it was, and takes the same later", "[me
   REQUIRE(n > 8);
 }
 
+TEST_CASE("without memory: no passage of a radio beacon is missed", "[memory][error]") {
+  const PoseGraph graph = straight_path(60, 1.0);
+  const auto readings_of = [](const std::vector<Key>& keys) {
+    std::vector<RadioReading> readings;
+    for (const Key key : keys)
+      readings.push_back({key, "a beacon with a name that is long", 28.0, "0", -22.0});
+    return readings;
+  };
+  BeaconDrop drop;
+  drop.beacon = "a beacon with a name that is long";
+  drop.drop_key = 5;
+  using Pairs = std::set<std::pair<Key, Key>>;
+  // Every call is made again until it has memory. Nodes 57 and 58 wait: they come before the drop is known.
+  const auto proposed = [&](long n, bool& ended) {
+    RadioGenerator generator({}, parse_robots("0-29,30-59"));
+    Pairs pairs;
+    std::size_t candidates = 0;
+    const auto attempt = [&](auto&& call) {
+      std::vector<LoopCandidate> found;
+      while (true) {
+        try {
+          found = call();
+          break;
+        } catch (const std::bad_alloc&) {
+          ended = false;
+        }
+      }
+      const long left = fuzz::allocations_until_none.exchange(0);
+      for (const LoopCandidate& c : found) pairs.emplace(c.from, c.to);
+      candidates += found.size();
+      fuzz::allocations_until_none = left;
+    };
+    const auto early = readings_of({57, 58}), out = readings_of({6, 7, 28, 29, 30, 31}),
+               back = readings_of({31, 59});
+    fuzz::allocations_until_none = n;
+    ended = true;
+    attempt([&] { return generator.on_radio(graph, early, 1.0); });
+    attempt([&] { return generator.on_drop(graph, drop, 2.0); });
+    attempt([&] { return generator.on_radio(graph, out, 3.0); });
+    attempt([&] { return generator.on_node(graph, 40, 4.0); });
+    attempt([&] { return generator.on_radio(graph, back, 5.0); });
+    fuzz::allocations_until_none = 0;
+    REQUIRE(candidates == pairs.size());  // none twice
+    REQUIRE(generator.waiting() == 0);
+    return pairs;
+  };
+  bool ended = false;
+  const Pairs wanted = proposed(0, ended);
+  REQUIRE(wanted.size() > 8);
+  long n = 1;
+  for (ended = false; !ended; ++n) {
+    CAPTURE(n);
+    REQUIRE(proposed(n, ended) == wanted);
+  }
+  REQUIRE(n > 30);
+}
+
 TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had been asked", "[memory][error]") {
   const PoseGraph before = straight_path(12, 1.1);
   PoseGraph after = before;
@@ -196,7 +255,60 @@ TEST_CASE("without memory: candidates that could not be chosen among are still t
   }
 }
 
+/// By arrival, without pairs with one node; those with another it holds back, and gives up late.
+class ParticularPrioritizer final : public Prioritizer {
+ public:
+  ParticularPrioritizer(Key refused, Key held_back) : refused_(refused), held_back_(held_back) {}
+  [[nodiscard]] std::string_view name() const override { return "particular"; }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
+    std::vector<Refusal> refusals;
+    std::vector<LoopCandidate> wanted;
+    for (const LoopCandidate& candidate : candidates) {
+      if (candidate.to == refused_) {
+        refusals.push_back({candidate.id, "a reason that is too long for its place in a string"});
+      } else if (candidate.to == held_back_) {
+        held_.insert(candidate.id);
+      } else {
+        wanted.push_back(candidate);
+      }
+    }
+    static_cast<void>(arrival_.add(wanted));
+    return refusals;
+  }
+  void remove(const std::vector<CandidateId>& ids) override {
+    for (const CandidateId id : ids) held_.erase(id);
+    arrival_.remove(ids);
+  }
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return arrival_.take(count); }
+  [[nodiscard]] std::vector<Refusal> give_up(double now_s) override {
+    std::vector<Refusal> given_up;
+    if (now_s < 50.0) return given_up;
+    for (const CandidateId id : held_) given_up.push_back({id, "held back"});
+    held_.clear();
+    return given_up;
+  }
+  [[nodiscard]] std::size_t size() const override { return arrival_.size() + held_.size(); }
+
+ private:
+  Key refused_, held_back_;
+  std::set<CandidateId> held_;
+  ArrivalPrioritizer arrival_;
+};
+
+std::vector<std::unique_ptr<Prioritizer>> some_prioritizers(bool particular) {
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  if (particular) {
+    prioritizers.push_back(std::make_unique<ParticularPrioritizer>(1, 4));
+    prioritizers.push_back(std::make_unique<ParticularPrioritizer>(2, 4));
+    prioritizers.push_back(std::make_unique<ParticularPrioritizer>(3, 4));
+  } else {
+    prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+  }
+  return prioritizers;
+}
+
 TEST_CASE("without memory: the account of a pool lacks no candidate", "[memory][error]") {
+  const bool particular = GENERATE(false, true);
   CandidatePoolOptions options;
   options.max_pending = 7;
   options.max_wait_s = 50.0;
@@ -217,9 +329,7 @@ TEST_CASE("without memory: the account of a pool lacks no candidate", "[memory][
   long n = 1;
   for (bool ended = false; !ended; ++n) {
     CAPTURE(n);
-    std::vector<std::unique_ptr<Prioritizer>> prioritizers;
-    prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
-    CandidatePool pool(options, RoundRobinQueue(std::move(prioritizers)),
+    CandidatePool pool(options, RoundRobinQueue(some_prioritizers(particular)),
                        Robots::from_keys({0, 1, 2, 3, 4, 5, 6, 7}));
     std::vector<LoopCandidate> batch, one(1);
     RegistrationResult result;
@@ -264,6 +374,8 @@ TEST_CASE("without memory: the account of a pool lacks no candidate", "[memory][
     REQUIRE(pool.accounting().balanced());
     REQUIRE(pool.accounting().generated == first.size() + second.size());
     for (const Key key : {1, 2, 3, 4, 5, 6}) pool.on_scan(scan_of(key));
+    static_cast<void>(pool.take(0));  // offers what nobody holds, for lack of memory
+    pool.expire(61.0);
     pool.expire_waiting();
     REQUIRE(pool.accounting().balanced());
     pool.give_back(batch);  // also of a batch that is done, which changes nothing

@@ -357,6 +357,56 @@ TEST_CASE("module: odometry that comes while the back end works is fitted to in 
   }
 }
 
+TEST_CASE("module: a prior that comes while the back end works does not keep its estimate away",
+          "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  std::vector<LoopCandidate> candidates;
+  for (std::uint64_t i = 0; i < 12; i += 2) candidates.push_back(pair(make_key('b', i), make_key('a', i)));
+  // Robot b lies where its front end says, which is wrong, and a weak prior may come late to say the same.
+  const auto run = [&](bool late) {
+    LoopClosureModule* module = nullptr;
+    PriorFactor prior;
+    std::size_t results = 0;
+    ModuleCallbacks callbacks;
+    callbacks.result = [&](const RegistrationResult&) {
+      if (++results < candidates.size() || !late) return;
+      // Behind the end of the batch, by which the back end begins, and before its estimate.
+      while (module->statistics().events_waiting == 0) std::this_thread::yield();
+      if (!module->add_factors({}, {prior})) throw InputError("stopped");
+    };
+    ModuleOptions options = module_options("baseline");
+    options.proximity = false;
+    ModuleParts parts;
+    parts.registrar = std::make_shared<OracleRegistrar>(mission.ground_truth, 0.0, 0.0);
+    LoopClosureModule running(mission.robots, options, module_test_config(), callbacks, std::move(parts));
+    module = &running;
+    for (KeyFrame frame : key_frames(mission)) {
+      if (frame.node.key == make_key('b', 0)) {
+        frame.node.pose = Eigen::Translation3d(1.0, 1.0, 0.0) * frame.node.pose;
+        prior.key = frame.node.key;
+        prior.pose = frame.node.pose;
+        prior.information = 0.1 * Matrix6d::Identity();
+        frame.priors.clear();
+        if (!late) frame.priors.push_back(prior);
+      }
+      REQUIRE(running.add_key_frame(frame));
+    }
+    REQUIRE(running.wait());
+    REQUIRE(running.add_candidates(candidates));
+    REQUIRE(running.wait());
+    REQUIRE(results == candidates.size());
+    return running.graph();
+  };
+  const PoseGraph late = run(true), expected = run(false);
+  for (const Node& node : expected.nodes()) {
+    CAPTURE(key_name(node.key));
+    REQUIRE(testing::difference(late.node(node.key).pose, node.pose) < 1e-3);
+  }
+  REQUIRE((expected.node(make_key('b', 0)).pose.translation() -
+           mission.ground_truth.at(make_key('b', 0)).translation())
+              .norm() < 0.2);
+}
+
 TEST_CASE("module: a prior of the position alone does not turn the path", "[pipeline][module]") {
   const Mission mission = two_circles(1, 10);
   LoopClosureModule module(mission.robots, module_options("odom"), {}, {}, with_oracle(mission));
@@ -633,7 +683,47 @@ class SlowPrioritizer final : public Prioritizer {
   ArrivalPrioritizer arrival_;
 };
 
+/// Never has memory for one scan and for any estimate.
+class NarrowPrioritizer final : public Prioritizer {
+ public:
+  explicit NarrowPrioritizer(Key giant) : giant_(giant) {}
+  [[nodiscard]] std::string_view name() const override { return "narrow"; }
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
+    return arrival_.add(candidates);
+  }
+  void remove(const std::vector<CandidateId>& ids) override { arrival_.remove(ids); }
+  void on_scan(const KeyedScan& scan) override {
+    if (scan.key == giant_) throw std::bad_alloc();
+  }
+  void on_graph(const PoseGraph&) override { throw std::bad_alloc(); }
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return arrival_.take(count); }
+  [[nodiscard]] std::size_t size() const override { return arrival_.size(); }
+
+ private:
+  Key giant_;
+  ArrivalPrioritizer arrival_;
+};
+
 }  // namespace
+
+TEST_CASE("module: what there is never memory for is told, and holds nothing else", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  ModuleParts parts = with_oracle(mission);
+  parts.prioritizers.push_back(std::make_unique<NarrowPrioritizer>(make_key('a', 3)));
+  std::vector<std::string> problems;
+  ModuleCallbacks callbacks;
+  callbacks.problem = [&](const std::string& text) { problems.push_back(text); };
+  LoopClosureModule module(mission.robots, module_options(), module_test_config(), callbacks,
+                           std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  const CandidateAccounting account = module.statistics().candidates;
+  REQUIRE(account.balanced());
+  REQUIRE(account.computed > 20);
+  REQUIRE(account.computed == account.generated);
+  REQUIRE(problems.size() > 1);
+  for (const std::string& problem : problems) REQUIRE(problem == "prioritisation: std::bad_alloc");
+}
 
 TEST_CASE(
     "module: improves the next set beside the computation, stops when it runs dry, keeps what comes "

@@ -51,6 +51,9 @@ struct RadioOptions {
 /// Each node of a fly-by is proposed against the nodes of all other fly-bys of that beacon that are known, in
 /// their order and the order of traversal. Nodes, readings and drops may come in any order: what is still
 /// missing is waited for.
+///
+/// After std::bad_alloc the same can be handed over again, and nothing is lost but that flaws may count
+/// twice.
 class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
  public:
   /// \throws OptionError
@@ -90,8 +93,8 @@ class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
     std::set<Key> seen;
   };
 
-  void take_up(const PoseGraph& graph, double time_s, std::vector<LoopCandidate>& out);
-  void pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s, std::vector<LoopCandidate>& out);
+  void take_up(const PoseGraph& graph, double time_s);
+  void pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s);
 
   RadioOptions options_;
   Robots robots_;
@@ -99,6 +102,7 @@ class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
   std::map<std::pair<Key, std::string>, std::size_t> waiting_;  ///< Near nodes -> number of arrival.
   std::size_t arrivals_ = 0;
   std::set<std::pair<Key, Key>> proposed_;
+  std::vector<LoopCandidate> proposals_;  ///< Of passes since candidates were last returned.
   Problems problems_;
 };
 

@@ -31,7 +31,7 @@ struct CandidateAccounting {
   std::size_t pruned = 0;     ///< Refused by every prioritiser.
   std::size_t expired = 0;    ///< Too old, beyond the pool's cap, or a scan never came.
   std::size_t waiting = 0;    ///< A node's scan is not here yet.
-  std::size_t pending = 0;    ///< Held by at least one prioritiser.
+  std::size_t pending = 0;    ///< Waits for its turn.
   std::size_t in_flight = 0;  ///< Handed out, result not here yet.
   std::size_t computed = 0;   ///< Result here.
 
@@ -81,8 +81,8 @@ class LOOPWISE_EXPORT CandidatePool {
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
   /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
-  /// pending.
-  void on_scan(const KeyedScan& scan);
+  /// pending. \param whatever_fails also if a prioritiser has no memory for it, as if it failed otherwise
+  void on_scan(const KeyedScan& scan, bool whatever_fails = false);
   /// A new estimate is here: the prioritisers learn of it.
   void on_graph(const PoseGraph& graph);
 
@@ -153,7 +153,7 @@ class LOOPWISE_EXPORT CandidatePool {
   std::unordered_map<Key, Eigen::Vector3d> positions_;  // by the last estimate; kept for redundant_m alone
   std::vector<std::pair<Key, Key>> closed_;
   std::deque<LoopCandidate> redundant_;  // pending, but in no prioritiser any more
-  bool some_unheld_ = false;             // others may be as well, for lack of memory
+  bool some_unheld_ = false;             // others may be as well, as something has failed
   std::map<std::string, std::size_t> pruned_reasons_;
   std::map<std::string, std::size_t> expired_reasons_;
 };

@@ -66,7 +66,8 @@ struct ModuleOptions {
 struct KeyFrame {
   /// The pose counts for a robot's first node only, and where no odometry leads to the node. Odometry and
   /// priors that come later move the node then, and with it those that odometry has tied to it; what was
-  /// rejected between what moves and what stays is forgotten, and proposed again if it is near then.
+  /// rejected between what moves and what stays is forgotten, and proposed again if it is near then, or if
+  /// it came from radio or from outside.
   Node node;
   std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
   std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
@@ -141,8 +142,10 @@ struct ModuleStatistics {
 /// the outcome depends on when things arrive and on how fast the machine is.
 ///
 /// Bad input throws where it is handed over, as does a lack of memory, and leaves the module as it was. What
-/// has no memory later is told as a problem, and what must not be lost, as results, waits until there is
-/// some; from stop() on it waits a second, and is then let go.
+/// must not be lost, as results, waits until there is memory; from stop() on it waits a second, and is then
+/// let go. What depends on the size of the data (a prioritiser's view of a scan or an estimate, the choice of
+/// a batch, the optimisation) waits for a second, and is then told as a problem: it is done when there is
+/// reason for it again.
 class LOOPWISE_EXPORT LoopClosureModule {
  public:
   /// `config.replay` is not used: its place is taken by `options`.
@@ -186,7 +189,7 @@ class LOOPWISE_EXPORT LoopClosureModule {
   bool remove_closure(Key from, Key to);
 
   /// Waits until all that was added is handled, nothing is pending or being computed, and the estimate is up
-  /// to date. \returns false if the module was stopped instead.
+  /// to date, but for what was told as a problem. \returns false if the module was stopped instead.
   bool wait();
 
   /// Ends all work soon and joins the threads; what was being computed is finished, however long it takes (a

@@ -23,7 +23,8 @@ struct Refusal {
 };
 
 /// Orders pending candidates: the one interface to implement for a method of your own. Called from one thread
-/// at a time. Nodes and scans of a candidate are announced before the candidate itself.
+/// at a time. Nodes and scans of a candidate are announced before the candidate itself. After std::bad_alloc
+/// from any prioritiser all of them are told the same again.
 class LOOPWISE_EXPORT Prioritizer {
  public:
   virtual ~Prioritizer() = default;
@@ -31,8 +32,8 @@ class LOOPWISE_EXPORT Prioritizer {
   /// Short and stable: stands in options, tables and journals.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
-  /// New candidates, in order of generation; after a lack of memory also such as it holds already, which
-  /// changes nothing. \returns those it will never hand out.
+  /// New candidates, in order of generation; such as it holds already change nothing. \returns those it will
+  /// never hand out.
   virtual std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) = 0;
 
   /// Handed out by another prioritiser, expired or withdrawn. Ids that it does not hold are ignored.
