@@ -514,7 +514,8 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
     serve(units, stop);
     return std::nullopt;
   }
-  if (!open.empty()) {
+  // Other ranks wait for their end, also where all is finished.
+  if (!open.empty() || options_.job != nullptr) {
     // Missions one after the other: no more than needed are in memory, and units of one share its pairs.
     std::stable_sort(open.begin(), open.end(),
                      [&](std::size_t a, std::size_t b) { return units[a].mission < units[b].mission; });
