@@ -81,7 +81,7 @@ class LOOPWISE_EXPORT CandidatePool {
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
   /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
-  /// pending. \param whatever_fails also if a prioritiser has no memory for it, as if it failed otherwise
+  /// pending. With `whatever_fails` also if a prioritiser has no memory for it, as if it failed otherwise.
   void on_scan(const KeyedScan& scan, bool whatever_fails = false);
   /// A new estimate is here: the prioritisers learn of it.
   void on_graph(const PoseGraph& graph);
