@@ -530,11 +530,10 @@ class LoopClosureModule::Impl {
   }
 
   /// For what may ask for more memory than there will ever be, as it depends on data or on code from outside:
-  /// a few times and for a second, or less where others wait.
+  /// for a second, or a few times where others wait, and once where a stop is requested.
   template <class Function, class OthersWait>
   std::invoke_result_t<Function&> for_a_second(Function&& function, OthersWait&& others_wait) {
     constexpr int kTries = 4;
-    Patience::Asked asked;
     std::optional<Patience::Clock::time_point> first;
     for (int tried = 1;; ++tried) {
       try {
@@ -542,8 +541,11 @@ class LoopClosureModule::Impl {
       } catch (const std::bad_alloc&) {
         const auto now = Patience::Clock::now();
         if (!first) first = now;
-        const bool enough = tried >= kTries && (now - *first > std::chrono::seconds(1) || others_wait());
-        if (enough || !patience_.wait(asked)) throw;
+        if (now - *first > std::chrono::seconds(1) || (tried >= kTries && others_wait()) ||
+            stop_source_.stop_requested()) {
+          throw;
+        }
+        std::this_thread::sleep_for(std::chrono::milliseconds(10));
       }
     }
   }
@@ -976,22 +978,27 @@ class LoopClosureModule::Impl {
       for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph_.set_weight(e, event.gnc.weights[e]);
     });
     until_memory([&] { move_nodes(named); });
-    if (is_torn(poses)) wants_estimate_ = true;
+    if (is_torn(poses, event.gnc.weights.size())) wants_estimate_ = true;
     publish();
   }
 
   /// Whether what came while the estimate was made does not fit it: what odometry or priors have placed since
   /// lies elsewhere than the estimate has it, or they do not hold between that and the rest.
-  [[nodiscard]] bool is_torn(const std::vector<Eigen::Isometry3d>& estimated) const {
+  [[nodiscard]] bool is_torn(const std::vector<Eigen::Isometry3d>& estimated,
+                             std::size_t edges_estimated) const {
     if (moved_since_job_.empty()) return false;
     constexpr double kFits = 1e-6;  // m and rad
     const auto fits = [](const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) {
       return se3::log(a.inverse() * b).cwiseAbs().maxCoeff() < kFits;
     };
     const auto placed = [this](Key key) { return moved_since_job_.count(key) != 0; };
-    for (std::size_t i = 0; i < estimated.size(); ++i) {
-      const Node& node = graph_.nodes()[i];
-      if (placed(node.key) && !fits(node.pose, estimated[i])) return true;
+    // Of what odometry alone had tied together, it says no more than where it lay.
+    for (std::size_t e = 0; e < edges_estimated; ++e) {
+      const Edge& edge = graph_.edges()[e];
+      if (edge.kind == EdgeKind::kOdometry) continue;
+      for (const Key end : {edge.from, edge.to}) {
+        if (placed(end) && !fits(graph_.node(end).pose, estimated[*graph_.find(end)])) return true;
+      }
     }
     const bool edges_fit = std::all_of(graph_.edges().begin(), graph_.edges().end(), [&](const Edge& edge) {
       if (edge.kind != EdgeKind::kOdometry || placed(edge.from) == placed(edge.to)) return true;
@@ -1235,7 +1242,7 @@ class LoopClosureModule::Impl {
     guarded([&] {
       std::visit(Overloaded{[&](AddCommand& c) { until_memory([&] { pool_.add(c.candidates); }); },
                             [&](ScanCommand& c) { take_scan(c.scan); },
-                            [&](GraphCommand& c) { for_a_second([&] { pool_.on_graph(*c.graph); }); },
+                            [&](GraphCommand& c) { take_graph(std::move(c.graph)); },
                             [&](ForgetCommand& c) { pool_.forget(c.pairs); },
                             [&](ResultCommand& c) { pool_.complete(c.result); },
                             [&](TimeCommand& c) {
@@ -1261,8 +1268,38 @@ class LoopClosureModule::Impl {
     }
   }
 
+  void take_graph(SharedGraph graph) {
+    graph_owed_ = std::move(graph);
+    try {
+      for_a_second([this] { pool_.on_graph(*graph_owed_); });
+    } catch (const std::bad_alloc&) {
+      throw;
+    } catch (...) {  // another try would end no better
+      graph_owed_.reset();
+      throw;
+    }
+    graph_owed_.reset();
+  }
+
+  /// An estimate that there was no memory for, before the next batch is chosen without it.
+  void try_graph_again() {
+    if (!graph_owed_) return;
+    guarded([this] {
+      try {
+        pool_.on_graph(*graph_owed_);
+      } catch (const std::bad_alloc&) {  // has been told
+        return;
+      } catch (...) {
+        graph_owed_.reset();
+        throw;
+      }
+      graph_owed_.reset();
+    });
+  }
+
   void hand_out(bool& dry) {
     if (!dry || pool_.accounting().pending == 0 || stop_source_.stop_requested()) return;
+    try_graph_again();
     guarded([&] {
       std::vector<LoopCandidate> batch = choose();
       if (batch.empty()) return post_inside(GraphWantedEvent{});
@@ -1344,6 +1381,7 @@ class LoopClosureModule::Impl {
 
   // Prioritisation's thread alone.
   CandidatePool pool_;
+  SharedGraph graph_owed_;  // there was no memory for a prioritiser's view of it
   double now_of_pool_s_ = 0.0;
   std::vector<std::string> names_;
 

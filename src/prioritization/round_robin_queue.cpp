@@ -8,6 +8,23 @@
 #include <loopwise/core/error.hpp>
 
 namespace loopwise {
+namespace {
+
+/// One that fails keeps nothing from those after it. \throws what the first of them threw
+template <class Tell>
+void tell_all(const std::vector<std::unique_ptr<Prioritizer>>& prioritizers, Tell&& tell) {
+  std::exception_ptr failure;
+  for (const auto& prioritizer : prioritizers) {
+    try {
+      tell(*prioritizer);
+    } catch (...) {
+      if (!failure) failure = std::current_exception();
+    }
+  }
+  if (failure) std::rethrow_exception(failure);
+}
+
+}  // namespace
 
 RoundRobinQueue::RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers)
     : prioritizers_(std::move(prioritizers)), handed_out_(prioritizers_.size(), 0) {
@@ -49,27 +66,19 @@ std::vector<Refusal> RoundRobinQueue::add_to_all(const std::vector<LoopCandidate
 
 void RoundRobinQueue::remove(const std::vector<CandidateId>& ids) {
   for (const CandidateId id : ids) holders_.erase(id);
-  std::exception_ptr failure;
-  for (const auto& prioritizer : prioritizers_) {
-    try {
-      prioritizer->remove(ids);
-    } catch (...) {
-      if (!failure) failure = std::current_exception();
-    }
-  }
-  if (failure) std::rethrow_exception(failure);
+  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.remove(ids); });
 }
 
 void RoundRobinQueue::on_graph(const PoseGraph& graph) {
-  for (const auto& prioritizer : prioritizers_) prioritizer->on_graph(graph);
+  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_graph(graph); });
 }
 
 void RoundRobinQueue::on_scan(const KeyedScan& scan) {
-  for (const auto& prioritizer : prioritizers_) prioritizer->on_scan(scan);
+  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_scan(scan); });
 }
 
 void RoundRobinQueue::on_result(const RegistrationResult& result) {
-  for (const auto& prioritizer : prioritizers_) prioritizer->on_result(result);
+  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_result(result); });
 }
 
 void RoundRobinQueue::improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) {

@@ -3,6 +3,9 @@
 #include <atomic>
 #include <chrono>
 #include <condition_variable>
+#include <functional>
+#include <future>
+#include <map>
 #include <mutex>
 #include <set>
 #include <thread>
@@ -407,6 +410,44 @@ TEST_CASE("module: a prior that comes while the back end works does not keep its
               .norm() < 0.2);
 }
 
+TEST_CASE("module: odometry that comes apart from its node is no reason for another estimate",
+          "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  std::vector<LoopCandidate> candidates;
+  for (std::uint64_t i = 0; i < 11; i += 2) candidates.push_back(pair(make_key('b', i), make_key('a', i)));
+  LoopClosureModule* module = nullptr;
+  std::vector<Edge> held;
+  std::size_t results = 0;
+  ModuleCallbacks callbacks;
+  callbacks.result = [&](const RegistrationResult&) {
+    if (++results < candidates.size()) return;
+    // Behind the end of the batch, by which the back end begins, and before its estimate.
+    while (module->statistics().events_waiting == 0) std::this_thread::yield();
+    if (!module->add_factors(held)) throw InputError("stopped");
+  };
+  ModuleOptions options = module_options("baseline");
+  options.proximity = false;
+  LoopClosureModule running(mission.robots, options, module_test_config(), callbacks, with_oracle(mission));
+  module = &running;
+  for (KeyFrame frame : key_frames(mission)) {
+    if (frame.node.key == make_key('b', 0)) {
+      frame.node.pose = Eigen::Translation3d(1.0, 1.0, 0.0) * frame.node.pose;
+      frame.priors.clear();
+    }
+    if (frame.node.key == make_key('b', 11)) held.swap(frame.factors);
+    REQUIRE(running.add_key_frame(frame));
+  }
+  REQUIRE(held.size() == 1);
+  REQUIRE(running.wait());
+  REQUIRE(running.add_candidates(candidates));
+  REQUIRE(running.wait());
+  REQUIRE(results == candidates.size());
+  REQUIRE(running.statistics().optimizations == 1);
+  const PoseGraph graph = running.graph();
+  const Edge& edge = held.front();
+  REQUIRE(testing::difference(graph.node(edge.from).pose * edge.T_from_to, graph.node(edge.to).pose) < 1e-6);
+}
+
 TEST_CASE("module: a prior of the position alone does not turn the path", "[pipeline][module]") {
   const Mission mission = two_circles(1, 10);
   LoopClosureModule module(mission.robots, module_options("odom"), {}, {}, with_oracle(mission));
@@ -683,24 +724,29 @@ class SlowPrioritizer final : public Prioritizer {
   ArrivalPrioritizer arrival_;
 };
 
-/// Never has memory for one scan and for any estimate.
-class NarrowPrioritizer final : public Prioritizer {
+/// Tells of what it is told and asked, and fails as those that hear it do.
+class TellingPrioritizer final : public Prioritizer {
  public:
-  explicit NarrowPrioritizer(Key giant) : giant_(giant) {}
-  [[nodiscard]] std::string_view name() const override { return "narrow"; }
+  struct Heard {
+    std::function<void(Key)> scan = [](Key) {};
+    std::function<void()> graph = [] {}, take = [] {};
+  };
+  explicit TellingPrioritizer(Heard heard) : heard_(std::move(heard)) {}
+  [[nodiscard]] std::string_view name() const override { return "telling"; }
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
     return arrival_.add(candidates);
   }
   void remove(const std::vector<CandidateId>& ids) override { arrival_.remove(ids); }
-  void on_scan(const KeyedScan& scan) override {
-    if (scan.key == giant_) throw std::bad_alloc();
+  void on_scan(const KeyedScan& scan) override { heard_.scan(scan.key); }
+  void on_graph(const PoseGraph&) override { heard_.graph(); }
+  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override {
+    heard_.take();
+    return arrival_.take(count);
   }
-  void on_graph(const PoseGraph&) override { throw std::bad_alloc(); }
-  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return arrival_.take(count); }
   [[nodiscard]] std::size_t size() const override { return arrival_.size(); }
 
  private:
-  Key giant_;
+  const Heard heard_;
   ArrivalPrioritizer arrival_;
 };
 
@@ -709,7 +755,12 @@ class NarrowPrioritizer final : public Prioritizer {
 TEST_CASE("module: what there is never memory for is told, and holds nothing else", "[pipeline][module]") {
   const Mission mission = two_circles(1, 12);
   ModuleParts parts = with_oracle(mission);
-  parts.prioritizers.push_back(std::make_unique<NarrowPrioritizer>(make_key('a', 3)));
+  TellingPrioritizer::Heard heard;
+  heard.scan = [](Key key) {
+    if (key == make_key('a', 3)) throw std::bad_alloc();
+  };
+  heard.graph = [] { throw std::bad_alloc(); };
+  parts.prioritizers.push_back(std::make_unique<TellingPrioritizer>(heard));
   std::vector<std::string> problems;
   ModuleCallbacks callbacks;
   callbacks.problem = [&](const std::string& text) { problems.push_back(text); };
@@ -723,6 +774,61 @@ TEST_CASE("module: what there is never memory for is told, and holds nothing els
   REQUIRE(account.computed == account.generated);
   REQUIRE(problems.size() > 1);
   for (const std::string& problem : problems) REQUIRE(problem == "prioritisation: std::bad_alloc");
+}
+
+TEST_CASE("module: a stop does not try again what there is no memory for", "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  std::map<Key, int> tries;  // read after stop()
+  std::promise<void> begun;
+  TellingPrioritizer::Heard heard;
+  heard.scan = [&](Key key) {
+    if (tries.empty()) begun.set_value();
+    ++tries[key];
+    throw std::bad_alloc();
+  };
+  ModuleParts parts = with_oracle(mission);
+  parts.prioritizers.push_back(std::make_unique<TellingPrioritizer>(heard));
+  LoopClosureModule module(mission.robots, module_options(), module_test_config(), {}, std::move(parts));
+  const std::vector<KeyFrame> frames = key_frames(mission);
+  for (const KeyFrame& frame : frames) REQUIRE(module.add_key_frame(frame));
+  begun.get_future().wait();
+  module.stop();
+  REQUIRE(tries.size() == frames.size());
+  // Those that came when it was stopped already: once, and once whatever fails.
+  const auto few =
+      std::count_if(tries.begin(), tries.end(), [](const auto& tried) { return tried.second <= 2; });
+  REQUIRE(static_cast<std::size_t>(few) + 3 >= frames.size());
+  REQUIRE(module.statistics().candidates.balanced());
+}
+
+TEST_CASE("module: an estimate that there was no memory for is told before the next choice",
+          "[pipeline][module]") {
+  const Mission mission = two_circles(1, 12);
+  std::atomic<bool> memory{false};
+  std::vector<std::string> heard_of;  // with memory; read after wait()
+  TellingPrioritizer::Heard heard;
+  heard.graph = [&] {
+    if (!memory) throw std::bad_alloc();
+    heard_of.emplace_back("graph");
+  };
+  heard.take = [&] {
+    if (memory) heard_of.emplace_back("take");
+  };
+  ModuleOptions options = module_options();
+  options.proximity = false;
+  ModuleParts parts = with_oracle(mission);
+  parts.prioritizers.push_back(std::make_unique<TellingPrioritizer>(heard));
+  LoopClosureModule module(mission.robots, options, module_test_config(), {}, std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.add_candidates({pair(make_key('a', 1), make_key('b', 1))}));
+  REQUIRE(module.wait());
+  memory = true;
+  REQUIRE(module.add_candidates({pair(make_key('a', 2), make_key('b', 2))}));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().candidates.computed == 2);
+  REQUIRE(heard_of.size() >= 2);
+  REQUIRE(heard_of[0] == "graph");
+  REQUIRE(heard_of[1] == "take");
 }
 
 TEST_CASE(

@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
+#include <functional>
 #include <map>
+#include <memory>
+#include <new>
 #include <set>
 
 #include <loopwise/core/error.hpp>
@@ -100,6 +103,34 @@ TEST_CASE("random: a seeded order that does not depend on arrival, every pair as
   }
   for (const auto& [id, count] : first) REQUIRE(std::abs(count - 200) < 67);
   REQUIRE(first.size() == 10);
+}
+
+TEST_CASE("queue: a prioritiser that fails keeps nothing from the others", "[prioritization][queue]") {
+  struct Counting final : Prioritizer {
+    explicit Counting(bool all_fail) : fails(all_fail) {}
+    void count() {
+      ++told;
+      if (fails) throw std::bad_alloc();
+    }
+    std::string_view name() const override { return "counting"; }
+    std::vector<Refusal> add(const std::vector<LoopCandidate>&) override { return {}; }
+    void remove(const std::vector<CandidateId>&) override { count(); }
+    void on_graph(const PoseGraph&) override { count(); }
+    void on_scan(const KeyedScan&) override { count(); }
+    void on_result(const RegistrationResult&) override { count(); }
+    std::vector<LoopCandidate> take(std::size_t) override { return {}; }
+    std::size_t size() const override { return 0; }
+    const bool fails;
+    int told = 0;
+  };
+  auto first = std::make_unique<Counting>(true), second = std::make_unique<Counting>(false);
+  const Counting& other = *second;
+  RoundRobinQueue queue = queue_of(std::move(first), std::move(second));
+  REQUIRE_THROWS_AS(queue.on_graph(PoseGraph()), std::bad_alloc);
+  REQUIRE_THROWS_AS(queue.on_scan(KeyedScan{}), std::bad_alloc);
+  REQUIRE_THROWS_AS(queue.on_result(RegistrationResult{}), std::bad_alloc);
+  REQUIRE_THROWS_AS(queue.remove({1}), std::bad_alloc);
+  REQUIRE(other.told == 4);
 }
 
 TEST_CASE("queue: equal shares, best first, nothing twice", "[prioritization][queue]") {

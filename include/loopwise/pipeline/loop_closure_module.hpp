@@ -126,8 +126,9 @@ struct ModuleStatistics {
   double computing_s = 0.0;       ///< Wall time with a batch in computation, ...
   double idle_s = 0.0;            ///< ... and without, since the start.
   double oldest_pending_s = 0.0;  ///< Age of the oldest pending candidate by the stamps, s.
-  std::map<std::string, std::size_t> handed_out;  ///< By prioritiser.
-  CandidateAccounting candidates;                 ///< Where every candidate is.
+  std::map<std::string, std::size_t>
+      handed_out;                  ///< By prioritiser; given back and taken again counts twice.
+  CandidateAccounting candidates;  ///< Where every candidate is.
 };
 
 /// Generation, prioritisation, computation and back end in parallel:
@@ -143,9 +144,10 @@ struct ModuleStatistics {
 ///
 /// Bad input throws where it is handed over, as does a lack of memory, and leaves the module as it was. What
 /// must not be lost, as results, waits until there is memory; from stop() on it waits a second, and is then
-/// let go. What depends on the size of the data (a prioritiser's view of a scan or an estimate, the choice of
-/// a batch, the optimisation) waits for a second, and is then told as a problem: it is done when there is
-/// reason for it again.
+/// let go. What depends on the size of the data waits for a second only, is not begun again once stopped, and
+/// is told as a problem if nothing comes of it. The optimisation and the choice of a batch are then done when
+/// there is reason for them again, a prioritiser learns of an estimate before the next choice, and of a scan
+/// no more: the candidates of its node go on without.
 class LOOPWISE_EXPORT LoopClosureModule {
  public:
   /// `config.replay` is not used: its place is taken by `options`.

@@ -27,11 +27,11 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
   /// Expired or withdrawn: all prioritisers forget them, and all are told, also if one throws.
   void remove(const std::vector<CandidateId>& ids);
-  /// Hands on to all prioritisers.
+  /// Hands on to all prioritisers, also if one throws.
   void on_graph(const PoseGraph& graph);
-  /// Hands on to all prioritisers.
+  /// Hands on to all prioritisers, also if one throws.
   void on_scan(const KeyedScan& scan);
-  /// Hands on to all prioritisers.
+  /// Hands on to all prioritisers, also if one throws.
   void on_result(const RegistrationResult& result);
 
   /// Lets every prioritiser prepare its share of a batch of `count`.
@@ -56,7 +56,8 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   [[nodiscard]] const std::vector<std::unique_ptr<Prioritizer>>& prioritizers() const {
     return prioritizers_;
   }
-  /// How many candidates each prioritiser has handed out, in their order.
+  /// How many candidates each prioritiser has handed out, in their order; one that was given back counts
+  /// again.
   [[nodiscard]] const std::vector<std::size_t>& handed_out() const { return handed_out_; }
 
  private:
