@@ -123,6 +123,7 @@ void CandidatePool::enqueue(const std::vector<LoopCandidate>& pending) {
     prune(pending, "prioritizer_failed");
     try {
       std::vector<CandidateId> ids;
+      ids.reserve(pending.size());
       for (const LoopCandidate& candidate : pending) ids.push_back(candidate.id);
       queue_.remove(ids);
     } catch (...) {  // the first failure says more
