@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "prioritizer.hpp"
 
+#include <algorithm>
+
 #include <loopwise/core/error.hpp>
 #include <loopwise/generation/proximity.hpp>
 #include <loopwise/prioritization/baselines.hpp>
@@ -23,8 +25,10 @@ class QueuePrioritizer final : public Prioritizer {
   void on_graph(const PoseGraph& graph) override { queue_.on_graph(graph); }
   void on_scan(const KeyedScan& scan) override { queue_.on_scan(scan); }
   void on_result(const RegistrationResult& result) override { queue_.on_result(result); }
-  void improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) override {
-    queue_.improve(count, stop, max_evaluations);
+  std::uint64_t improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) override {
+    const std::vector<std::uint64_t> used = queue_.improve(
+        count, stop, std::vector<std::uint64_t>(queue_.prioritizers().size(), max_evaluations));
+    return used.empty() ? 0 : *std::max_element(used.begin(), used.end());
   }
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return queue_.take(count); }
   [[nodiscard]] std::vector<Refusal> give_up(double now_s) override { return queue_.give_up(now_s); }

@@ -44,10 +44,12 @@ class PythonPrioritizer final : public Prioritizer {
   void on_result(const RegistrationResult& result) override {
     PYBIND11_OVERRIDE(void, Prioritizer, on_result, result);
   }
-  void improve(std::size_t count, const StopToken&, std::uint64_t max_evaluations) override {
+  std::uint64_t improve(std::size_t count, const StopToken&, std::uint64_t max_evaluations) override {
     const py::gil_scoped_acquire acquire;
     const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "improve");
-    if (own) own(count, max_evaluations);
+    if (!own) return 0;
+    const py::object used = own(count, max_evaluations);
+    return used.is_none() ? 0 : used.cast<std::uint64_t>();
   }
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override {
     PYBIND11_OVERRIDE_PURE(std::vector<LoopCandidate>, Prioritizer, take, count);
@@ -71,8 +73,8 @@ class SharedPrioritizer final : public Prioritizer {
   void on_graph(const PoseGraph& graph) override { inner_->on_graph(graph); }
   void on_scan(const KeyedScan& scan) override { inner_->on_scan(scan); }
   void on_result(const RegistrationResult& result) override { inner_->on_result(result); }
-  void improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) override {
-    inner_->improve(count, stop, max_evaluations);
+  std::uint64_t improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) override {
+    return inner_->improve(count, stop, max_evaluations);
   }
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return inner_->take(count); }
   [[nodiscard]] std::vector<Refusal> give_up(double now_s) override { return inner_->give_up(now_s); }

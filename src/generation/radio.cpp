@@ -43,7 +43,7 @@ std::vector<LoopCandidate> RadioGenerator::on_drop(const PoseGraph& graph, const
     return {};
   }
   try {
-    take_up(graph, time_s);
+    take_up(graph, waiting_at(drop.beacon), time_s);
   } catch (...) {  // all that waited for it still does
     beacons_.erase(found);
     throw;
@@ -62,6 +62,7 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
       problems_.add("radio reading of no robot's node", "node " + key_name(reading.key));
     }
   }
+  std::vector<Passage> heard;
   for (const auto& [which, group] : groups) {
     const double loss = mean_path_loss_db(group);
     if (!(loss > 0.0)) {
@@ -69,38 +70,73 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
                     "node " + key_name(which.first) + ", beacon " + which.second);
       continue;
     }
-    if (loss < options_.max_loss_db) waiting_.emplace(which, arrivals_++);
+    if (!(loss < options_.max_loss_db)) continue;
+    heard.push_back(which);
+    waiting_nodes_[which.second].insert(which.first);
+    waiting_by_arrival_.emplace(arrivals_, which);
+    if (waiting_.emplace(which, arrivals_).second) {
+      ++arrivals_;
+    } else {
+      waiting_by_arrival_.erase(arrivals_);
+    }
   }
-  take_up(graph, time_s);
-  while (waiting_.size() > static_cast<std::size_t>(options_.max_waiting)) {
-    const auto oldest = std::min_element(waiting_.begin(), waiting_.end(),
-                                         [](const auto& a, const auto& b) { return a.second < b.second; });
-    problems_.add("radio reading of a node or beacon that never came",
-                  "node " + key_name(oldest->first.first) + ", beacon " + oldest->first.second);
-    waiting_.erase(oldest);
-  }
+  take_up(graph, std::move(heard), time_s);
+  while (waiting_.size() > static_cast<std::size_t>(options_.max_waiting)) drop_oldest();
   return std::exchange(proposals_, {});
 }
 
 std::vector<LoopCandidate> RadioGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
   (void)graph.index_of(key);  // throws on an unknown one
-  take_up(graph, time_s);
+  std::vector<Passage> passages;
+  for (const auto& [name, beacon] : beacons_) {
+    if (beacon.drop.drop_key != key) continue;
+    const std::vector<Passage> here = waiting_at(name);
+    passages.insert(passages.end(), here.begin(), here.end());
+  }
+  for (auto i = waiting_.lower_bound({key, ""}); i != waiting_.end() && i->first.first == key; ++i)
+    passages.push_back(i->first);
+  take_up(graph, std::move(passages), time_s);
   return std::exchange(proposals_, {});
 }
 
-void RadioGenerator::take_up(const PoseGraph& graph, double time_s) {
-  // What has become known, in the order of the nodes' stamps.
-  std::vector<std::tuple<std::int64_t, Key, std::string>> known;
-  for (const auto& [which, arrival] : waiting_) {
-    const auto beacon = beacons_.find(which.second);
+std::vector<RadioGenerator::Passage> RadioGenerator::waiting_at(const std::string& beacon) const {
+  std::vector<Passage> passages;
+  const auto nodes = waiting_nodes_.find(beacon);
+  if (nodes == waiting_nodes_.end()) return passages;
+  for (const Key key : nodes->second) passages.emplace_back(key, beacon);
+  return passages;
+}
+
+void RadioGenerator::drop_oldest() {
+  const auto oldest = waiting_by_arrival_.begin();
+  const auto& [key, beacon] = oldest->second;
+  problems_.add("radio reading of a node or beacon that never came",
+                "node " + key_name(key) + ", beacon " + beacon);
+  waiting_nodes_.at(beacon).erase(key);
+  waiting_.erase(oldest->second);
+  waiting_by_arrival_.erase(oldest);
+}
+
+void RadioGenerator::take_up(const PoseGraph& graph, std::vector<Passage> passages, double time_s) {
+  // In the order of the nodes' stamps.
+  std::set<std::tuple<std::int64_t, Key, std::string>> known;
+  for (const auto& [key, name] : passages) {
+    const auto beacon = beacons_.find(name);
     if (beacon == beacons_.end() || !graph.contains(beacon->second.drop.drop_key)) continue;
-    const auto node = graph.find(which.first);
-    if (node) known.emplace_back(graph.nodes()[*node].stamp_ns, which.first, which.second);
+    const auto node = graph.find(key);
+    if (node) known.emplace(graph.nodes()[*node].stamp_ns, key, name);
   }
-  std::sort(known.begin(), known.end());
   for (const auto& [stamp, key, name] : known) pass(graph, beacons_.at(name), key, time_s);
-  // From here on nothing asks for memory: until all have passed, all can pass again.
-  for (auto& [stamp, key, name] : known) waiting_.erase({key, std::move(name)});
+  // Only now: where a pass found no memory, all can pass again.
+  for (Passage& passage : passages) {
+    const auto node = graph.find(passage.first);
+    if (!node || known.count({graph.nodes()[*node].stamp_ns, passage.first, passage.second}) == 0) continue;
+    const auto waiting = waiting_.find(passage);
+    if (waiting == waiting_.end()) continue;
+    waiting_nodes_.at(passage.second).erase(passage.first);
+    waiting_by_arrival_.erase(waiting->second);
+    waiting_.erase(waiting);
+  }
 }
 
 void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s) {

@@ -155,6 +155,11 @@ std::vector<std::string> method_parts(const std::string& method) {
   return parts;
 }
 
+bool uses_radio(const std::string& method) {
+  const std::vector<std::string> parts = method_parts(method);
+  return std::find(parts.begin(), parts.end(), "rssi") != parts.end();
+}
+
 std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config& config,
                                                 std::shared_ptr<FeatureCache> features) {
   if (kind == RegistrarKind::kFast) {
@@ -165,6 +170,27 @@ std::shared_ptr<const Registrar> make_registrar(RegistrarKind kind, const Config
 #else
   throw OptionError("registrar = \"pcl\": this build was made without PCL");
 #endif
+}
+
+EngineOptions engine_options(const Config& config) {
+  EngineOptions options;
+  options.generation = config.generation;
+  options.radio = config.radio;
+  options.pool = config.pool;
+  options.task = config.task;
+  options.guess = config.replay.guess;
+  options.thin = config.replay.thin;
+  options.seed = config.replay.seed;
+  return options;
+}
+
+ObservabilityPrioritizer::Eigenvalue observability_of(FeatureCache& features, ObservabilityVariant variant) {
+  return [&features, variant](const KeyedScan& scan) {
+    const auto of_scan = features.get(scan.key);
+    if (!of_scan) return 0.0;
+    return variant == ObservabilityVariant::kLamp ? of_scan->observability.min_eigenvalue_lamp
+                                                  : of_scan->observability.min_eigenvalue;
+  };
 }
 
 RoundRobinQueue make_queue(const Config& config, const Robots& robots,

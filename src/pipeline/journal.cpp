@@ -19,7 +19,7 @@ Json account_json(const CandidateAccounting& a) {
           {"computed", a.computed}};
 }
 
-Json event(const char* name, double time_s) {
+Json new_line(const char* name, double time_s) {
   return {{"event", name}, {"time_s", time_s}};
 }
 
@@ -85,7 +85,7 @@ Eigen::Isometry3d pose_of(const Json& list) {
 namespace journal {
 
 std::string start_line(const Mission& mission, const Config& config) {
-  Json line = event("start", 0.0);
+  Json line = new_line("start", 0.0);
   line["format"] = 1;
   line["mission"] = mission.name;
   line["key_frames"] = mission.graph.nodes().size();
@@ -94,14 +94,14 @@ std::string start_line(const Mission& mission, const Config& config) {
 }
 
 std::string key_frame_line(double time_s, Key key, std::size_t candidates, const CandidateAccounting& a) {
-  Json line = event("key_frame", time_s);
+  Json line = new_line("key_frame", time_s);
   line["key"] = std::to_string(key);
   line["candidates"] = candidates;
   return finish(std::move(line), a);
 }
 
 std::string batch_line(double time_s, const std::vector<LoopCandidate>& batch, const CandidateAccounting& a) {
-  Json line = event("batch", time_s);
+  Json line = new_line("batch", time_s);
   Json pairs = Json::array();
   for (const LoopCandidate& candidate : batch) {
     pairs.push_back({std::to_string(candidate.from), std::to_string(candidate.to)});
@@ -111,24 +111,23 @@ std::string batch_line(double time_s, const std::vector<LoopCandidate>& batch, c
 }
 
 std::string result_line(double time_s, const RegistrationResult& result, const CandidateAccounting& a) {
-  Json line = event("result", time_s);
+  Json line = new_line("result", time_s);
   put_result(line, result);
   return finish(std::move(line), a);
 }
 
 std::string live_result_line(double time_s, const RegistrationResult& result,
                              const ModuleStatistics& statistics) {
-  Json line = event("result", time_s);
+  Json line = new_line("result", time_s);
   put_result(line, result);
   line["queues"] = {{"events", statistics.events_waiting},
-                    {"commands", statistics.commands_waiting},
                     {"producer_waits", statistics.producer_waits},
                     {"overdue", statistics.overdue_now}};
   return finish(std::move(line), statistics.candidates);
 }
 
 std::string estimate_line(double time_s, const GncResult& gnc, const CandidateAccounting& a) {
-  Json line = event("estimate", time_s);
+  Json line = new_line("estimate", time_s);
   line["cost"] = gnc.optimization.cost;
   line["inliers"] = gnc.inliers;
   line["outliers"] = gnc.outliers;
@@ -138,7 +137,7 @@ std::string estimate_line(double time_s, const GncResult& gnc, const CandidateAc
 }
 
 std::string end_line(double time_s, bool interrupted, const CandidateAccounting& a) {
-  Json line = event("end", time_s);
+  Json line = new_line("end", time_s);
   line["interrupted"] = interrupted;
   return finish(std::move(line), a);
 }

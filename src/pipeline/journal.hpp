@@ -7,9 +7,9 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/engine/candidate_pool.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/optimization/gnc.hpp>
-#include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/pipeline/config.hpp>
 #include <loopwise/pipeline/loop_closure_module.hpp>
 

@@ -69,13 +69,9 @@ Ranking rank_candidates(const Mission& mission, const Config& config, std::share
   const bool with_radio = std::find(parts.begin(), parts.end(), "rssi") != parts.end();
   const std::vector<LoopCandidate> candidates = generate(mission, config, with_radio);
 
-  const auto eigenvalue = [&](const KeyedScan& scan) {
-    const auto found = features ? features->get(scan.key) : nullptr;
-    if (!found) return 0.0;
-    return config.observability.variant == ObservabilityVariant::kLamp
-               ? found->observability.min_eigenvalue_lamp
-               : found->observability.min_eigenvalue;
-  };
+  const ObservabilityPrioritizer::Eigenvalue eigenvalue =
+      features ? observability_of(*features, config.observability.variant)
+               : [](const KeyedScan&) { return 0.0; };
   RoundRobinQueue queue = make_queue(config, mission.robots, eigenvalue);
   queue.on_graph(mission.graph);
   // A prioritiser of its own tells the scores, whatever the method.
@@ -117,7 +113,7 @@ Ranking rank_candidates(const Mission& mission, const Config& config, std::share
   std::vector<LoopCandidate> ranked;
   while (ranked.size() < wanted && queue.size() > 0 && !stop.stop_requested()) {
     const std::size_t count = std::min(batch, wanted - ranked.size());
-    queue.improve(count, stop, options.evaluations);
+    queue.improve(count, stop, std::vector<std::uint64_t>(queue.prioritizers().size(), options.evaluations));
     const std::vector<LoopCandidate> next = queue.take(count);
     if (next.empty()) break;
     for (const LoopCandidate& c : next) {

@@ -13,7 +13,7 @@
 namespace loopwise {
 namespace {
 
-/// The system's clock could not hold the end of any pause.
+/// A clock could not hold the end of any pause.
 constexpr double kLongestPause_s = 3600.0;
 
 }  // namespace
@@ -114,6 +114,17 @@ void RegistrationCrew::replace_hanging() {
   }
 }
 
+void RegistrationCrew::pause(std::unique_lock<std::mutex>& lock, double seconds) {
+  const auto length = std::chrono::duration<double>(seconds);
+#ifdef __SANITIZE_THREAD__
+  // The thread sanitizer of gcc 12 does not know waits on the steady clock.
+  changed_.wait_until(lock, std::chrono::system_clock::now() +
+                                std::chrono::duration_cast<std::chrono::system_clock::duration>(length));
+#else
+  changed_.wait_for(lock, length);  // by the steady clock, whatever is done to the system's
+#endif
+}
+
 std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> tasks, const StopToken& stop) {
   // Pairs with the same target one after the other, as compute_batch() has them.
   std::sort(tasks.begin(), tasks.end(), [](const RegistrationTask& a, const RegistrationTask& b) {
@@ -139,10 +150,7 @@ std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> t
         soonest_s = std::min(soonest_s, overdue_after_s_ - worker.watch.seconds());
       }
     }
-    // On the system's clock: the thread sanitizer of gcc 12 does not know waits on the steady one.
-    const auto pause = std::chrono::duration<double>(std::max(0.001, soonest_s));
-    changed_.wait_until(lock, std::chrono::system_clock::now() +
-                                  std::chrono::duration_cast<std::chrono::system_clock::duration>(pause));
+    pause(lock, std::max(0.001, soonest_s));
     report_overdue();
     replace_hanging();
   }

@@ -55,6 +55,8 @@ class RegistrationCrew {
   /// With the mutex held: a thread in place of those that hang, if none is left and the system has one.
   void replace_hanging();
   [[nodiscard]] bool finished() const;
+  /// Until something changes, or for so long.
+  void pause(std::unique_lock<std::mutex>& lock, double seconds);
 
   const Registrar& registrar_;
   const double overdue_after_s_;

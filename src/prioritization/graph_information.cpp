@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <numeric>
 #include <optional>
 #include <set>
@@ -25,9 +26,13 @@ std::vector<LoopCandidate> at(const std::vector<LoopCandidate>& all, const std::
   return out;
 }
 
+bool knows_nodes_of(const PoseGraph& graph, const LoopCandidate& candidate) {
+  return graph.contains(candidate.from) && graph.contains(candidate.to);
+}
+
 /// By the estimate, where that knows both nodes.
 double distance_of(const PoseGraph& graph, const LoopCandidate& candidate) {
-  if (!graph.contains(candidate.from) || !graph.contains(candidate.to)) return candidate.distance_m;
+  if (!knows_nodes_of(graph, candidate)) return candidate.distance_m;
   return (graph.node(candidate.from).pose.translation() - graph.node(candidate.to).pose.translation()).norm();
 }
 
@@ -77,18 +82,24 @@ std::vector<Refusal> GraphInformationPrioritizer::add(const std::vector<LoopCand
       continue;
     }
     held_.emplace(candidate.id, candidate);
+    if (!knows_nodes_of(graph_, candidate)) unknown_.emplace(candidate.id, candidate);
   }
   if (prepared_ && !candidates.empty()) prepared_->stale = true;
   return refused;
 }
 
 void GraphInformationPrioritizer::remove(const std::vector<CandidateId>& ids) {
-  for (const CandidateId id : ids) held_.erase(id);
+  for (const CandidateId id : ids) {
+    held_.erase(id);
+    unknown_.erase(id);
+  }
 }
 
 void GraphInformationPrioritizer::on_graph(const PoseGraph& graph) {
-  PoseGraph copy = graph;  // whole before it takes the place of the former
-  graph_ = std::move(copy);
+  graph_ = graph;
+  for (auto unknown = unknown_.begin(); unknown != unknown_.end();) {
+    unknown = knows_nodes_of(graph_, unknown->second) ? unknown_.erase(unknown) : std::next(unknown);
+  }
   if (prepared_) prepared_->stale = true;
 }
 
@@ -103,11 +114,11 @@ void GraphInformationPrioritizer::on_result(const RegistrationResult& result) {
 std::vector<Refusal> GraphInformationPrioritizer::give_up(double now_s) {
   std::vector<Refusal> gone;
   if (options_.max_wait_s <= 0.0) return gone;
-  for (const auto& [id, c] : held_) {
-    if (now_s - c.time_s > options_.max_wait_s && !(graph_.contains(c.from) && graph_.contains(c.to)))
-      gone.push_back({id, "missing_node"});
+  while (!unknown_.empty() && now_s - unknown_.begin()->second.time_s > options_.max_wait_s) {
+    gone.push_back({unknown_.begin()->first, "missing_node"});
+    held_.erase(unknown_.begin()->first);
+    unknown_.erase(unknown_.begin());
   }
-  for (const Refusal& refusal : gone) held_.erase(refusal.id);
   return gone;
 }
 
@@ -163,15 +174,15 @@ std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
   return out;
 }
 
-void GraphInformationPrioritizer::prepare(std::size_t count, const StopToken& stop) {
+void GraphInformationPrioritizer::prepare(std::size_t count) {
   prepared_.reset();  // whatever ends this early leaves none, not a part of one
   auto prepared = std::make_unique<Prepared>();
   prepared->count = count;
-  choose(*prepared, count, stop);
+  choose(*prepared, count);
   prepared_ = std::move(prepared);
 }
 
-void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count, const StopToken& stop) {
+void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
   status_ = {};
   const std::uint64_t seed = combine_seeds(options_.seed, ++round_);
 
@@ -270,7 +281,7 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count, const S
     status_.start_value = status_.value = p.annealing->start_value();
     return;
   }
-  const Selection chosen = greedy(*p.objective, p.midpoints, count, greedy_options_, stop);
+  const Selection chosen = greedy(*p.objective, p.midpoints, count, greedy_options_);
   p.set = chosen.set;
   status_.start_value = status_.value = chosen.value;
   if (options_.selector == SelectorKind::kGreedyAnnealing && !p.set.empty()) {
@@ -278,18 +289,21 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count, const S
   }
 }
 
-void GraphInformationPrioritizer::improve(std::size_t count, const StopToken& stop,
-                                          std::uint64_t max_evaluations) {
-  if (!prepared_ || prepared_->stale || prepared_->handed || prepared_->count != count) prepare(count, stop);
+std::uint64_t GraphInformationPrioritizer::improve(std::size_t count, const StopToken& stop,
+                                                   std::uint64_t max_evaluations) {
+  if (!prepared_ || prepared_->stale || prepared_->handed || prepared_->count != count) prepare(count);
   Prepared& p = *prepared_;
-  if (!p.annealing || max_evaluations == 0) return;
+  if (!p.annealing || max_evaluations == 0) return 0;
   try {
+    const std::uint64_t before = p.annealing->evaluations();
     p.annealing->run(max_evaluations, stop);
+    const std::uint64_t used = p.annealing->evaluations() - before;
     const Selection best = p.annealing->best();
     p.set = best.set;
     status_.value = best.value;
     status_.steps = p.annealing->steps();
     status_.accepted = p.annealing->accepted();
+    return used;
   } catch (...) {
     prepared_.reset();
     throw;
@@ -317,7 +331,7 @@ void GraphInformationPrioritizer::take(std::size_t count,
                                        std::vector<LoopCandidate>& out) {
   const std::size_t missing = count - out.size();
   const bool usable = prepared_ && (prepared_->handed || (!prepared_->stale && prepared_->count >= missing));
-  if (!usable) prepare(missing, {});
+  if (!usable) prepare(missing);
   Prepared& p = *prepared_;
   const auto hand_out = [&](const LoopCandidate& candidate) {
     if (out.size() >= count) return;

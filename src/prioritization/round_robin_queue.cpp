@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <exception>
-#include <new>
 
 #include <loopwise/core/error.hpp>
 
@@ -34,15 +33,6 @@ RoundRobinQueue::RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prior
 }
 
 std::vector<Refusal> RoundRobinQueue::add(const std::vector<LoopCandidate>& candidates) {
-  try {
-    return add_to_all(candidates);
-  } catch (const std::bad_alloc&) {
-    for (const LoopCandidate& candidate : candidates) holders_.erase(candidate.id);
-    throw;
-  }
-}
-
-std::vector<Refusal> RoundRobinQueue::add_to_all(const std::vector<LoopCandidate>& candidates) {
   std::unordered_map<CandidateId, std::string> reasons;
   for (const LoopCandidate& candidate : candidates) holders_[candidate.id] = prioritizers_.size();
   for (const auto& prioritizer : prioritizers_) {
@@ -81,27 +71,25 @@ void RoundRobinQueue::on_result(const RegistrationResult& result) {
   tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_result(result); });
 }
 
-void RoundRobinQueue::improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) {
+std::vector<std::uint64_t> RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
+                                                    const std::vector<std::uint64_t>& max_evaluations) {
   const std::size_t n = prioritizers_.size();
+  std::vector<std::uint64_t> used(n, 0);
   count = std::min(count, size());
   for (std::size_t i = 0; i < n && count > 0; ++i) {
     const std::size_t k = (i + n - turn_) % n;  // its turn in the next batch
     const std::size_t share = count / n + (k < count % n ? 1 : 0);
-    if (share > 0) prioritizers_[i]->improve(share, stop, max_evaluations);
+    const std::uint64_t most =
+        i < max_evaluations.size() ? max_evaluations[i] : std::numeric_limits<std::uint64_t>::max();
+    if (share > 0) used[i] = prioritizers_[i]->improve(share, stop, most);
   }
+  return used;
 }
 
 std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
   std::vector<Refusal> gone;
   for (const auto& prioritizer : prioritizers_) {
-    std::vector<Refusal> given_up = prioritizer->give_up(now_s);
-    try {
-      gone.reserve(gone.size() + given_up.size());
-    } catch (...) {
-      for (const Refusal& refusal : given_up) holders_.erase(refusal.id);
-      throw;
-    }
-    for (Refusal& refusal : given_up) {
+    for (Refusal& refusal : prioritizer->give_up(now_s)) {
       const auto holders = holders_.find(refusal.id);
       if (holders == holders_.end() || --holders->second > 0) continue;
       holders_.erase(holders);

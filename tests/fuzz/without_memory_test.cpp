@@ -5,11 +5,11 @@
 #include <set>
 #include <utility>
 
+#include <loopwise/engine/engine.hpp>
 #include <loopwise/generation/radio.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/optimization/optimizer.hpp>
-#include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 #include <loopwise/prioritization/graph_information.hpp>
 
@@ -213,183 +213,36 @@ TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had bee
   REQUIRE(n > 50);
 }
 
-TEST_CASE("without memory: candidates that could not be chosen among are still there", "[memory][error]") {
-  PoseGraph graph = straight_path(20, 1.0);
-  PriorFactor prior;
-  prior.information = 1e6 * Matrix6d::Identity();
-  graph.add_prior(prior);
-  std::vector<LoopCandidate> candidates;
-  for (Key to = 0; to < 8; ++to) {
-    LoopCandidate candidate;
-    candidate.id = candidates.size();
-    candidate.from = 19 - to;
-    candidate.to = to;
-    candidates.push_back(candidate);
-  }
-  for (const SelectorKind selector : {SelectorKind::kAnnealing, SelectorKind::kGreedy}) {
-    GraphInformationOptions options;
-    options.selector = selector;
-    const auto start = [&] {
-      GraphInformationPrioritizer gi(options, {}, {});
-      gi.on_graph(graph);
-      static_cast<void>(gi.add(candidates));
-      return gi.take(8).size();
-    };
-    REQUIRE(start() == 8);
-    long n = 1;
-    for (bool ended = false; !ended; n += 1 + n / 20) {
-      CAPTURE(n);
-      GraphInformationPrioritizer gi(options, {}, {});
-      gi.on_graph(graph);
-      static_cast<void>(gi.add(candidates));
-      std::size_t taken = 0;
-      ended = ends_without(n, [&] {
-        gi.improve(5, {}, 100);
-        taken += gi.take(5).size();
-      });
-      while (const std::size_t more = gi.take(3).size()) taken += more;
-      REQUIRE(taken == 8);
-      REQUIRE(gi.size() == 0);
-    }
-    REQUIRE(n > 50);
-  }
-}
-
-/// By arrival, without pairs with one node; those with another it holds back, and gives up late.
-class ParticularPrioritizer final : public Prioritizer {
- public:
-  ParticularPrioritizer(Key refused, Key held_back) : refused_(refused), held_back_(held_back) {}
-  [[nodiscard]] std::string_view name() const override { return "particular"; }
-  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
-    std::vector<Refusal> refusals;
-    std::vector<LoopCandidate> wanted;
-    for (const LoopCandidate& candidate : candidates) {
-      if (candidate.to == refused_) {
-        refusals.push_back({candidate.id, "a reason that is too long for its place in a string"});
-      } else if (candidate.to == held_back_) {
-        held_.insert(candidate.id);
-      } else {
-        wanted.push_back(candidate);
-      }
-    }
-    static_cast<void>(arrival_.add(wanted));
-    return refusals;
-  }
-  void remove(const std::vector<CandidateId>& ids) override {
-    for (const CandidateId id : ids) held_.erase(id);
-    arrival_.remove(ids);
-  }
-  [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return arrival_.take(count); }
-  [[nodiscard]] std::vector<Refusal> give_up(double now_s) override {
-    std::vector<Refusal> given_up;
-    if (now_s < 50.0) return given_up;
-    for (const CandidateId id : held_) given_up.push_back({id, "held back"});
-    held_.clear();
-    return given_up;
-  }
-  [[nodiscard]] std::size_t size() const override { return arrival_.size() + held_.size(); }
-
- private:
-  Key refused_, held_back_;
-  std::set<CandidateId> held_;
-  ArrivalPrioritizer arrival_;
-};
-
-std::vector<std::unique_ptr<Prioritizer>> some_prioritizers(bool particular) {
-  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
-  if (particular) {
-    prioritizers.push_back(std::make_unique<ParticularPrioritizer>(1, 4));
-    prioritizers.push_back(std::make_unique<ParticularPrioritizer>(2, 4));
-    prioritizers.push_back(std::make_unique<ParticularPrioritizer>(3, 4));
-  } else {
-    prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
-  }
-  return prioritizers;
-}
-
-TEST_CASE("without memory: the account of a pool lacks no candidate", "[memory][error]") {
-  const bool particular = GENERATE(false, true);
-  CandidatePoolOptions options;
-  options.max_pending = 7;
-  options.max_wait_s = 50.0;
-  options.redundant_m = 1.5;
-  const PoseGraph graph = straight_path(8, 1.0);
-  const auto pair = [](Key from, Key to, double time_s) {
-    LoopCandidate candidate;
-    candidate.from = from;
-    candidate.to = to;
-    candidate.time_s = time_s;
-    return candidate;
+TEST_CASE("without memory: an engine keeps the events before the one that failed", "[memory][error]") {
+  const PoseGraph path = straight_path(12, 1.0);
+  EngineOptions options;
+  options.generation.skip_recent = 2;
+  const auto frame_of = [&path](std::size_t i) {
+    KeyFrame frame;
+    frame.node = path.nodes()[i];
+    if (i > 0) frame.factors.push_back(path.edges()[i - 1]);
+    frame.cloud = std::make_shared<const PointCloud>();
+    return frame;
   };
-  const auto scan_of = [](Key key) {
-    KeyedScan scan;
-    scan.key = key;
-    return scan;
-  };
+  std::vector<KeyFrame> frames;
+  for (std::size_t i = 0; i < path.nodes().size(); ++i) frames.push_back(frame_of(i));
   long n = 1;
   for (bool ended = false; !ended; ++n) {
     CAPTURE(n);
-    CandidatePool pool(options, RoundRobinQueue(some_prioritizers(particular)),
-                       Robots::from_keys({0, 1, 2, 3, 4, 5, 6, 7}));
-    std::vector<LoopCandidate> batch, one(1);
-    RegistrationResult result;
-    result.closure = LoopClosure{};
-    ended = true;
-    const auto attempt = [&](auto&& call) {
-      try {
-        call();
-      } catch (const std::bad_alloc&) {
-        ended = false;
+    std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+    prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
+    Engine engine(Robots::from_keys(path.keys()), options, RoundRobinQueue(std::move(prioritizers)));
+    std::size_t handled = 0;
+    ended = ends_without(n, [&] {
+      for (const KeyFrame& frame : frames) {
+        static_cast<void>(engine.handle(frame, static_cast<double>(handled)));
+        ++handled;
       }
-    };
-    const auto attempt_again = [&](auto&& call) {
-      const bool before = std::exchange(ended, true);
-      attempt(call);
-      if (!ended) call();
-      ended = ended && before;
-    };
-    std::vector<LoopCandidate> first{pair(3, 1, 0.0), pair(3, 2, 0.0), pair(2, 1, 0.0), pair(4, 1, 1.0),
-                                     pair(5, 4, 1.0), pair(4, 2, 1.0), pair(7, 6, 1.0)};
-    std::vector<LoopCandidate> second{pair(6, 1, 3.0), pair(6, 2, 3.0), pair(6, 3, 4.0), pair(6, 4, 4.0)};
-    fuzz::allocations_until_none = n;
-    attempt_again([&] { pool.on_graph(graph); });
-    for (const Key key : {1, 2, 3}) attempt_again([&] { pool.on_scan(scan_of(key)); });
-    attempt_again([&] { pool.add(first); });
-    for (const Key key : {4, 5, 6}) attempt_again([&] { pool.on_scan(scan_of(key)); });
-    attempt_again([&] { batch = pool.take(4); });
-    for (std::size_t i = 0; i < batch.size(); ++i) {
-      if (i % 2 == 0) {
-        one[0] = batch[i];
-        attempt_again([&] { pool.give_back(one); });
-        continue;
-      }
-      result.candidate = batch[i];
-      attempt([&] { pool.complete(result); });
-    }
-    attempt_again([&] { pool.add(second); });
-    attempt_again([&] { pool.expire(60.0); });
-    attempt_again([&] { batch = pool.take(3); });
-    fuzz::allocations_until_none = 0;
-
-    REQUIRE(pool.accounting().balanced());
-    REQUIRE(pool.accounting().generated == first.size() + second.size());
-    for (const Key key : {1, 2, 3, 4, 5, 6}) pool.on_scan(scan_of(key));
-    static_cast<void>(pool.take(0));  // offers what nobody holds, for lack of memory
-    pool.expire(61.0);
-    pool.expire_waiting();
-    REQUIRE(pool.accounting().balanced());
-    pool.give_back(batch);  // also of a batch that is done, which changes nothing
-    while (!(batch = pool.take(2)).empty()) {
-      for (const LoopCandidate& candidate : batch) {
-        result.candidate = candidate;
-        pool.complete(result);
-      }
-    }
-    REQUIRE(pool.accounting().balanced());
-    REQUIRE(pool.accounting().pruned == 0);
-    REQUIRE(pool.accounting().pending == 0);
-    REQUIRE(pool.accounting().waiting == 0);
-    REQUIRE(pool.accounting().in_flight == 0);
+    });
+    REQUIRE(engine.graph().nodes().size() >= handled);
+    REQUIRE(engine.graph().nodes().size() <= handled + 1);
+    REQUIRE(engine.graph().edges().size() + 1 >= handled);
+    for (std::size_t i = 0; i < handled; ++i) REQUIRE(engine.graph().nodes()[i].key == path.nodes()[i].key);
   }
   REQUIRE(n > 50);
 }

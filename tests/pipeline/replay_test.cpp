@@ -701,4 +701,42 @@ TEST_CASE("replay: radio candidates come first with method rssi, all others are 
   REQUIRE_THROWS_AS(validate_config(config), OptionError);
 }
 
+TEST_CASE("replay: position fixes neither turn the path nor are left out of the estimate",
+          "[pipeline][replay]") {
+  const Mission plain = two_circles(1, 20);
+  Mission fixed = plain;
+  for (std::uint64_t i = 4; i < 20; i += 4) {
+    PriorFactor prior;  // as of GNSS: the rotation is made up
+    prior.key = make_key('a', i);
+    prior.pose.linear() = se3::so3_exp(Eigen::Vector3d(0.0, 0.0, 2.0));
+    prior.pose.translation() = plain.ground_truth.at(prior.key).translation();
+    prior.information.setZero();
+    prior.information.diagonal().head<3>().setConstant(1e4);
+    fixed.graph.add_prior(prior);
+  }
+  Config config;
+  config.replay.method = "odom";
+  const auto registrar = std::make_shared<OracleRegistrar>(plain.ground_truth);
+  const auto run = [&](const Mission& mission) {
+    const auto features = std::make_shared<FeatureCache>(mission.scans->loader());
+    ThreadPool threads(1);
+    return MissionReplay(mission, config, features, registrar).run(threads);
+  };
+  const ReplayResult by_odometry = run(plain), by_fixes = run(fixed);
+  for (std::size_t i = 0; i < by_odometry.odometry.size(); ++i)
+    REQUIRE(by_fixes.odometry[i].matrix() == by_odometry.odometry[i].matrix());
+  REQUIRE(by_odometry.optimizations == 0);
+  REQUIRE(by_fixes.optimizations == 1);
+  const auto error = [&](const ReplayResult& result) {
+    double sum = 0.0;
+    for (std::uint64_t i = 0; i < 20; ++i) {
+      const Key key = make_key('a', i);
+      sum += (result.graph.node(key).pose.translation() - plain.ground_truth.at(key).translation()).norm();
+    }
+    return sum / 20.0;
+  };
+  CAPTURE(error(by_odometry), error(by_fixes));
+  REQUIRE(error(by_fixes) < 0.5 * error(by_odometry));
+}
+
 }  // namespace loopwise

@@ -371,7 +371,7 @@ TEST_CASE("queue: shares stay equal when graph information and others want the s
   while (queue.size() > 0) {
     const bool radio_left = queue.prioritizers()[2]->size() >= 4;
     const auto before = queue.handed_out();
-    queue.improve(11, {}, 20);
+    queue.improve(11, {}, {20, 20, 20});
     for (const LoopCandidate& c : queue.take(11)) REQUIRE(seen.insert(c.id).second);
     if (radio_left) {
       for (std::size_t i = 0; i < 3; ++i) {

@@ -4,11 +4,11 @@
 #include <cstdio>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/engine/candidate_pool.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/generation/proximity.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/optimization/gnc.hpp>
-#include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 #include <loopwise/prioritization/ranked_candidates.hpp>
 #include <loopwise/registration/batch.hpp>

@@ -11,13 +11,13 @@
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
+#include <loopwise/engine/engine.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/generation/proximity.hpp>
 #include <loopwise/generation/radio.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/optimizer.hpp>
-#include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/prioritization/graph_information.hpp>
 #include <loopwise/prioritization/observability.hpp>
 #include <loopwise/registration/fast_registrar.hpp>
@@ -25,15 +25,6 @@
 #include <loopwise/registration/task.hpp>
 
 namespace loopwise {
-
-/// Which relative pose a registration is compared with, and may start from.
-enum class GuessSource {
-  kEstimate,  ///< The back end's estimate when the candidate is handed out.
-  kOdometry,  ///< Odometry alone: the outcome of a pair then never depends on other closures.
-};
-[[nodiscard]] inline EnumNames<GuessSource> enum_names(GuessSource) {
-  return {{GuessSource::kEstimate, "estimate"}, {GuessSource::kOdometry, "odometry"}};
-}
 
 /// Which implementation computes the candidates.
 enum class RegistrarKind {
@@ -184,9 +175,20 @@ struct ConfigEntry {
 /// "odom" is none. \throws OptionError naming the methods there are.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> method_parts(const std::string& method);
 
+/// Whether a method has candidates of radio beacons. \throws OptionError as method_parts()
+[[nodiscard]] LOOPWISE_EXPORT bool uses_radio(const std::string& method);
+
 /// The registrar of a kind over these features. \throws OptionError if this build has it not.
 [[nodiscard]] LOOPWISE_EXPORT std::shared_ptr<const Registrar> make_registrar(
     RegistrarKind kind, const Config& config, std::shared_ptr<FeatureCache> features);
+
+/// The options of the engine that a configuration asks for.
+[[nodiscard]] LOOPWISE_EXPORT EngineOptions engine_options(const Config& config);
+
+/// The smallest eigenvalue of a scan's observability, from the cache; 0 if the scan cannot be read.
+/// `features` must outlive it.
+[[nodiscard]] LOOPWISE_EXPORT ObservabilityPrioritizer::Eigenvalue observability_of(
+    FeatureCache& features, ObservabilityVariant variant);
 
 /// The prioritisers of a method, joined in a queue. `eigenvalue` serves the observability score.
 /// \throws OptionError naming the methods there are.

@@ -15,6 +15,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/clock.hpp>
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/loop_candidate.hpp>
@@ -22,8 +23,8 @@
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/registration_result.hpp>
 #include <loopwise/core/robots.hpp>
-#include <loopwise/io/mission.hpp>
-#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/engine/candidate_pool.hpp>
+#include <loopwise/engine/events.hpp>
 #include <loopwise/pipeline/config.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/registration/registrar.hpp>
@@ -54,7 +55,7 @@ struct ModuleOptions {
     field("proximity", self.proximity, any_value(),
           "Propose nodes that are near. Without, candidates come from add_candidates() and radio alone.");
     field("max_factor_wait_s", self.max_factor_wait_s, at_least(0.0),
-          "Factors to nodes that have not come for this long (stamps, s) are dropped and counted; 0: never.");
+          "Factors to nodes that have not come for this long, s, are dropped and counted; 0: never.");
     field("overdue_after_s", self.overdue_after_s, at_least(0.0),
           "A registration that has run for so long, s of wall time, is reported as a problem, and its batch "
           "goes on without it and its thread; what it comes to in the end still counts. 0: never.");
@@ -62,33 +63,9 @@ struct ModuleOptions {
   }
 };
 
-/// A node as a front end hands it over, all at once or with factors and scan following later.
-struct KeyFrame {
-  /// The pose counts for a robot's first node only, and where no odometry leads to the node. Odometry and
-  /// priors that come later move the node then, and with it those that odometry has tied to it; what was
-  /// rejected between what moves and what stays is forgotten, and proposed again if it is near then, or if
-  /// it came from radio or from outside.
-  Node node;
-  std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
-  std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
-  std::shared_ptr<const PointCloud> cloud;  ///< Null: add_scan() brings it later, or nobody does.
-  std::vector<RangeFactor> ranges;          ///< From or to it; the other node must be known.
-  std::vector<GravityFactor> gravities;     ///< At it.
-};
-
-/// Poses and, where known, marginal covariances from a back end other than ours.
-struct ExternalEstimate {
-  std::map<Key, Eigen::Isometry3d> poses;  ///< T_world_body by node, in the common frame of the priors.
-  std::map<Key, Matrix6d> covariances;     ///< Right perturbation, [translation, rotation].
-};
-
-/// What the back end, ours or another, made of the graph. Shared: it never changes.
-struct Estimate {
-  PoseGraph graph;             ///< As it was optimised: nodes added since are missing.
-  std::uint64_t revision = 0;  ///< Counts up.
-  std::size_t closures = 0;    ///< Of the edges, loop closures.
-  std::size_t inliers = 0;     ///< Of these, with a weight above 0.5.
-};
+/// The options of the module's engine.
+[[nodiscard]] LOOPWISE_EXPORT EngineOptions engine_options(const Config& config,
+                                                           const ModuleOptions& options);
 
 /// Calls back from a thread of the module, one call at a time, in the order of events. They may call any
 /// add_* function of the module, but neither wait() nor stop(). Keep them short: the module waits for them.
@@ -107,47 +84,53 @@ struct ModuleParts {
   ScanLoader scans;
   std::shared_ptr<const Registrar> registrar;              ///< Computes the candidates; must be thread-safe.
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;  ///< Order the candidates; several take turns.
+  /// Tells when candidates, factors and scans have waited too long; must allow now() from another thread.
+  /// Null: seconds since the module was made, by the steady clock.
+  std::shared_ptr<const Clock> clock;
+  /// Is shown each event that the engine has handled, with the time: an Engine that is fed the same comes to
+  /// the same graph and closures, to the bit. From the module's thread.
+  std::function<void(const Event& event, double now_s)> on_event;
 };
 
 /// How busy each stage is. Counts are since the start.
 struct ModuleStatistics {
-  std::size_t events_waiting = 0;    ///< Taken from producers, not handled yet.
-  std::size_t commands_waiting = 0;  ///< Between the graph and prioritisation.
-  std::size_t events = 0;            ///< Handled.
-  std::size_t producer_waits = 0;    ///< Times that a producer was held because of a full queue.
-  std::size_t batches = 0;           ///< Batches handed to the computation.
-  std::size_t optimizations = 0;     ///< Estimates made by the back end.
-  std::size_t improvements = 0;      ///< Times that prioritisation improved its next set meanwhile.
-  std::size_t factors_waiting = 0;   ///< For their nodes.
-  std::size_t factors_dropped = 0;   ///< Waited too long for their nodes.
+  std::size_t events_waiting = 0;   ///< Taken from producers, not handled yet.
+  std::size_t events = 0;           ///< Handled.
+  std::size_t producer_waits = 0;   ///< Times that a producer was held because of a full queue.
+  std::size_t batches = 0;          ///< Batches handed to the computation.
+  std::size_t optimizations = 0;    ///< Estimates made by the back end.
+  std::size_t improvements = 0;     ///< Times that prioritisation improved its next set meanwhile.
+  std::size_t factors_waiting = 0;  ///< For their nodes.
+  std::size_t factors_dropped = 0;  ///< Waited too long for their nodes.
   /// Registrations that ran for longer than ModuleOptions::overdue_after_s, ...
   std::size_t overdue = 0;
   std::size_t overdue_now = 0;    ///< ... and those of them that have not come back, each on a thread.
   double computing_s = 0.0;       ///< Wall time with a batch in computation, ...
   double idle_s = 0.0;            ///< ... and without, since the start.
-  double oldest_pending_s = 0.0;  ///< Age of the oldest pending candidate by the stamps, s.
+  double oldest_pending_s = 0.0;  ///< Age of the oldest pending candidate by the module's clock, s.
+  std::size_t problems = 0;       ///< Reported, whether or not there is a callback for them.
+  std::vector<std::string> last_problems;  ///< The last 20 of them, oldest first.
   std::map<std::string, std::size_t>
       handed_out;                  ///< By prioritiser; given back and taken again counts twice.
   CandidateAccounting candidates;  ///< Where every candidate is.
 };
 
-/// Generation, prioritisation, computation and back end in parallel:
+/// The Engine with threads: one runs the engine, some compute registrations, one optimises.
 ///
-///     add_*() ─► bounded queue ─► graph, generation ─► bounded queue ─► pool, prioritisation ─► batches
-///                                   ▲   │   ▲                                                     │
-///                       estimates ──┘   └───┴─────────── results ◄──────── computation ◄──────────┘
+///     add_*() ─► bounded queue ─► engine ─► batches ─► registration ─┐
+///                                 ▲ ▲ └──► snapshots ─► back end ─┐  │
+///                                 │ └────── estimates ◄───────────┘  │
+///                                 └──────── results ◄────────────────┘
 ///
-/// Prioritisation improves its next set while the computation is busy and is stopped when that runs dry; what
-/// arrives meanwhile is kept and delivered before the next set. All functions may be called from any thread
-/// at any moment. A full queue holds its producer until there is room: nothing is dropped. Unlike a replay's,
-/// the outcome depends on when things arrive and on how fast the machine is.
+/// While a batch is computed, the engine's thread improves the next set. Events from outside then wait: until
+/// the set cannot be improved further, the computation runs dry, or the queue is half full. All functions may
+/// be called from any thread at any moment. A full queue holds its producer until there is room: nothing is
+/// dropped. Unlike a replay's, the outcome depends on when things arrive and on how fast the machine is; see
+/// ModuleParts::on_event for how a run is repeated.
 ///
-/// Bad input throws where it is handed over, as does a lack of memory, and leaves the module as it was. What
-/// must not be lost, as results, waits until there is memory; from stop() on it waits a second, and is then
-/// let go. What depends on the size of the data waits for a second only, is not begun again once stopped, and
-/// is told as a problem if nothing comes of it. The optimisation and the choice of a batch are then done when
-/// there is reason for them again, a prioritiser learns of an estimate before the next choice, and of a scan
-/// no more: the candidates of its node go on without.
+/// Bad input throws where it is handed over and changes nothing. A std::bad_alloc in add_* goes to the
+/// caller; in a thread of the module it stops the module with one problem, and wait() returns false. The
+/// graph, the estimate and the statistics stay readable.
 class LOOPWISE_EXPORT LoopClosureModule {
  public:
   /// `config.replay` is not used: its place is taken by `options`.

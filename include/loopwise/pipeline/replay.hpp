@@ -20,8 +20,8 @@
 #include <loopwise/core/progress.hpp>
 #include <loopwise/core/stop_token.hpp>
 #include <loopwise/core/thread_pool.hpp>
+#include <loopwise/engine/candidate_pool.hpp>
 #include <loopwise/io/mission.hpp>
-#include <loopwise/pipeline/candidate_pool.hpp>
 #include <loopwise/pipeline/config.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/registration/registrar.hpp>

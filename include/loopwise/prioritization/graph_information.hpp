@@ -128,8 +128,10 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
   void remove(const std::vector<CandidateId>& ids) override;
   void on_graph(const PoseGraph& graph) override;
   void on_result(const RegistrationResult& result) override;
-  void improve(std::size_t count, const StopToken& stop,
-               std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max()) override;
+  /// Bound and result count swaps of the annealing. The first call for a set chooses it greedily, which is
+  /// not bound and does not stop.
+  std::uint64_t improve(std::size_t count, const StopToken& stop,
+                        std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max()) override;
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override;
   [[nodiscard]] std::size_t size() const override { return held_.size(); }
   [[nodiscard]] std::vector<Refusal> give_up(double now_s) override;
@@ -159,8 +161,8 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
     double distance_m = 0.0;  // by the estimate before
     bool verified = false;
   };
-  void prepare(std::size_t count, const StopToken& stop);
-  void choose(Prepared& prepared, std::size_t count, const StopToken& stop);
+  void prepare(std::size_t count);
+  void choose(Prepared& prepared, std::size_t count);
   /// The next of them, to `count` in `out`; what `held_` had of them goes to `taken`.
   void take(std::size_t count, std::vector<std::map<CandidateId, LoopCandidate>::node_type>& taken,
             std::vector<LoopCandidate>& out);
@@ -175,8 +177,9 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
   std::shared_ptr<const GraphNetwork> network_;
   std::shared_ptr<const EffectNetwork> effect_network_;
   PoseGraph graph_;
-  std::map<CandidateId, LoopCandidate> held_;  // in order of generation
-  std::vector<Vector6d> accepted_;             // diagonals of the covariances of verified closures
+  std::map<CandidateId, LoopCandidate> held_;     // in order of generation
+  std::map<CandidateId, LoopCandidate> unknown_;  // of them, those with a node that the graph does not have
+  std::vector<Vector6d> accepted_;                // diagonals of the covariances of verified closures
   std::vector<Computed> computed_;
   std::unique_ptr<Prepared> prepared_;
   std::uint64_t round_ = 0;  // sets chosen so far: each has its own seed

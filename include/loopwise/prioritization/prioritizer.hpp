@@ -23,8 +23,8 @@ struct Refusal {
 };
 
 /// Orders pending candidates: the one interface to implement for a method of your own. Called from one thread
-/// at a time. Nodes and scans of a candidate are announced before the candidate itself. After std::bad_alloc
-/// from any prioritiser all of them are told the same again.
+/// at a time. Scans of a candidate are announced before the candidate itself, nodes before improve() and
+/// take().
 class LOOPWISE_EXPORT Prioritizer {
  public:
   virtual ~Prioritizer() = default;
@@ -43,10 +43,14 @@ class LOOPWISE_EXPORT Prioritizer {
   virtual void on_scan(const KeyedScan& /*scan*/) {}               ///< A new keyed scan arrived.
   virtual void on_result(const RegistrationResult& /*result*/) {}  ///< A candidate was computed.
 
-  /// Anytime: prepares the best set of `count` until it is done, asked to stop, or has evaluated so many
-  /// sets: a bound that does not depend on the machine, for runs that must repeat. take() works without it.
-  virtual void improve(std::size_t /*count*/, const StopToken& /*stop*/,
-                       std::uint64_t /*max_evaluations*/ = std::numeric_limits<std::uint64_t>::max()) {}
+  /// Anytime: prepares the best set of `count` until it is done, asked to stop, or has used so many
+  /// evaluations. take() works without it. \returns the evaluations used: another call with that bound and
+  /// no stop request must come to the same state, so that a recorded run can be repeated.
+  virtual std::uint64_t improve(
+      std::size_t /*count*/, const StopToken& /*stop*/,
+      std::uint64_t /*max_evaluations*/ = std::numeric_limits<std::uint64_t>::max()) {
+    return 0;
+  }
 
   /// Removes and returns up to `count` candidates, most valuable first; fewer only if it holds fewer, or
   /// holds some back whose nodes are not known yet.

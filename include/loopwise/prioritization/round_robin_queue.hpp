@@ -22,8 +22,7 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   explicit RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers);
 
   /// \returns the candidates that every prioritiser refused, with their reasons joined. \throws what a
-  /// prioritiser throws: then call remove(), or some may still hold them; or, after std::bad_alloc, add()
-  /// again
+  /// prioritiser throws: then call remove(), or some may still hold them
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
   /// Expired or withdrawn: all prioritisers forget them, and all are told, also if one throws.
   void remove(const std::vector<CandidateId>& ids);
@@ -34,9 +33,10 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   /// Hands on to all prioritisers, also if one throws.
   void on_result(const RegistrationResult& result);
 
-  /// Lets every prioritiser prepare its share of a batch of `count`.
-  void improve(std::size_t count, const StopToken& stop,
-               std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max());
+  /// Lets every prioritiser prepare its share of a batch of `count`, with a bound of evaluations each; those
+  /// without a bound are not bound. \returns the evaluations that each used, see Prioritizer::improve()
+  std::vector<std::uint64_t> improve(std::size_t count, const StopToken& stop,
+                                     const std::vector<std::uint64_t>& max_evaluations = {});
 
   /// \returns the candidates that were held back and are not waited for any longer, as give_up() of the
   /// prioritisers says, and that no other prioritiser holds.
@@ -50,8 +50,6 @@ class LOOPWISE_EXPORT RoundRobinQueue {
 
   /// Candidates that at least one prioritiser holds.
   [[nodiscard]] std::size_t size() const { return holders_.size(); }
-  /// Whether it is one of them. It may be none after a lack of memory, wherever that was told.
-  [[nodiscard]] bool holds(CandidateId id) const { return holders_.count(id) != 0; }
   /// In the order of their turns.
   [[nodiscard]] const std::vector<std::unique_ptr<Prioritizer>>& prioritizers() const {
     return prioritizers_;
@@ -61,7 +59,6 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   [[nodiscard]] const std::vector<std::size_t>& handed_out() const { return handed_out_; }
 
  private:
-  [[nodiscard]] std::vector<Refusal> add_to_all(const std::vector<LoopCandidate>& candidates);
   /// All that is taken on the way stands in `taken`, also if it throws.
   [[nodiscard]] std::vector<LoopCandidate> take_in_turns(std::size_t count,
                                                          std::vector<LoopCandidate>& taken);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/core/error.hpp>
-#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/engine/candidate_pool.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 
 #include "testing.hpp"

@@ -1,27 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include <loopwise/pipeline/candidate_pool.hpp>
+#include <loopwise/engine/candidate_pool.hpp>
 
 #include <algorithm>
 #include <exception>
-#include <new>
 #include <string_view>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 
 namespace loopwise {
-namespace {
-
-/// Without memory for its reason a candidate is missing from them alone; the account counts all.
-void tally(std::map<std::string, std::size_t>& reasons, std::string_view reason, std::size_t candidates = 1) {
-  try {
-    reasons[std::string(reason)] += candidates;
-  } catch (const std::bad_alloc&) {
-  }
-}
-
-}  // namespace
-
 std::size_t CandidatePool::PairHash::operator()(const std::pair<Key, Key>& pair) const {
   return static_cast<std::size_t>(combine_seeds(pair.first, pair.second));
 }
@@ -36,64 +23,38 @@ CandidatePool::CandidatePool(const CandidatePoolOptions& options, RoundRobinQueu
 std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
   std::size_t added = 0;
   std::vector<LoopCandidate> ready;
-  ready.reserve(candidates.size());
-  std::exception_ptr failure;
   for (LoopCandidate candidate : candidates) {
-    candidate.id = next_id_;
-    try {
-      const auto taken_in = take_in(candidate);
-      if (!taken_in) continue;
-      if (*taken_in == TakenIn::kReady) ready.push_back(candidate);
-      ++added;
-    } catch (...) {  // those before it are in
-      failure = std::current_exception();
-      break;
+    if (!proposed_.insert(std::minmax(candidate.from, candidate.to)).second) continue;
+    candidate.id = next_id_++;
+    candidate.time_s = latest_s_ = std::max(latest_s_, candidate.time_s);
+    bool complete = true;
+    for (const Key key : {candidate.from, candidate.to}) {
+      if (scans_.count(key) != 0) continue;
+      complete = false;
+      waiting_for_[key].push_back(candidate.id);
     }
+    (complete ? pending_ : waiting_)
+        .emplace_hint((complete ? pending_ : waiting_).end(), candidate.id, candidate);
+    if (complete) ready.push_back(candidate);
+    ++added;
   }
   accounting_.generated += added;
   accounting_.waiting = waiting_.size();
   accounting_.pending = pending_.size();
   enqueue(ready);
-  if (failure) std::rethrow_exception(failure);
   return added;
 }
 
-std::optional<CandidatePool::TakenIn> CandidatePool::take_in(const LoopCandidate& candidate) {
-  const auto [proposed, is_new] = proposed_.insert(std::minmax(candidate.from, candidate.to));
-  if (!is_new) return std::nullopt;
-  ++next_id_;
-  try {
-    std::size_t missing = 0;
-    for (const Key key : {candidate.from, candidate.to}) {
-      if (scans_.count(key) != 0) continue;
-      ++missing;
-      waiting_for_[key].push_back(candidate.id);  // where it stays behind it is nobody's
-    }
-    (missing == 0 ? pending_ : waiting_).emplace(candidate.id, candidate);
-    return missing == 0 ? TakenIn::kReady : TakenIn::kWaiting;
-  } catch (...) {
-    proposed_.erase(proposed);
-    throw;
-  }
-}
-
-void CandidatePool::on_scan(const KeyedScan& scan, bool whatever_fails) {
-  if (scans_.count(scan.key) != 0) return;
-  const auto list = waiting_for_.find(scan.key);
-  std::vector<LoopCandidate> ready;
-  if (list != waiting_for_.end()) ready.reserve(list->second.size());
+void CandidatePool::on_scan(const KeyedScan& scan) {
+  if (!scans_.insert(scan.key).second) return;
   std::exception_ptr failure;
   try {
     queue_.on_scan(scan);
-  } catch (const std::bad_alloc&) {
-    if (!whatever_fails) throw;
-    failure = std::current_exception();
   } catch (...) {  // it is here all the same
     failure = std::current_exception();
   }
-  scans_.insert(scan.key);
-  // From here on nothing asks for memory before all that waited for this scan alone is pending.
-  if (list != waiting_for_.end()) {
+  std::vector<LoopCandidate> ready;
+  if (const auto list = waiting_for_.find(scan.key); list != waiting_for_.end()) {
     for (const CandidateId id : list->second) {
       const auto waiting = waiting_.find(id);
       if (waiting == waiting_.end()) continue;  // expired meanwhile
@@ -115,9 +76,6 @@ void CandidatePool::enqueue(const std::vector<LoopCandidate>& pending) {
   std::vector<Refusal> refused;
   try {
     refused = queue_.add(pending);
-  } catch (const std::bad_alloc&) {
-    some_unheld_ = true;
-    throw;
   } catch (...) {
     // Nobody knows who holds them: all must let go, or they would be pending for ever.
     prune(pending, "prioritizer_failed");
@@ -133,75 +91,48 @@ void CandidatePool::enqueue(const std::vector<LoopCandidate>& pending) {
   for (const Refusal& refusal : refused) {
     pending_.erase(refusal.id);
     ++accounting_.pruned;
-    tally(pruned_reasons_, refusal.reason);
+    ++pruned_reasons_[refusal.reason];
   }
   accounting_.pending = pending_.size();
-}
-
-/// What is in no prioritiser, for there was no memory for it there or one failed, is added anew.
-void CandidatePool::offer_again() {
-  if (!some_unheld_) return;
-  std::unordered_set<CandidateId> last;
-  for (const LoopCandidate& candidate : redundant_) last.insert(candidate.id);
-  std::vector<LoopCandidate> unheld;
-  for (const auto& [id, candidate] : pending_) {
-    if (!queue_.holds(id) && last.count(id) == 0) unheld.push_back(candidate);
-  }
-  some_unheld_ = false;
-  enqueue(unheld);
 }
 
 void CandidatePool::prune(const std::vector<LoopCandidate>& candidates, std::string_view reason) {
   for (const LoopCandidate& candidate : candidates) pending_.erase(candidate.id);
   accounting_.pruned += candidates.size();
   accounting_.pending = pending_.size();
-  if (!candidates.empty()) tally(pruned_reasons_, reason, candidates.size());
+  if (!candidates.empty()) pruned_reasons_[std::string(reason)] += candidates.size();
 }
 
 void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, std::string_view reason) {
   if (ids.empty()) return;
-  try {
-    queue_.remove(ids);
-  } catch (...) {
-    some_unheld_ = true;
-    throw;
-  }
   for (const CandidateId id : ids) pending_.erase(id);
   accounting_.expired += ids.size();
   accounting_.pending = pending_.size();
-  tally(expired_reasons_, reason, ids.size());
+  expired_reasons_[std::string(reason)] += ids.size();
+  queue_.remove(ids);
 }
 
 void CandidatePool::expire(double now_s) {
+  // Ids and times count up together: those that are due come first.
   if (options_.max_wait_s > 0.0) {
-    for (auto waiting = waiting_.begin(); waiting != waiting_.end();) {
-      if (now_s - waiting->second.time_s > options_.max_wait_s) {
-        waiting = waiting_.erase(waiting);
-        ++accounting_.expired;
-        tally(expired_reasons_, "missing_scan");
-      } else {
-        ++waiting;
-      }
+    while (!waiting_.empty() && now_s - waiting_.begin()->second.time_s > options_.max_wait_s) {
+      waiting_.erase(waiting_.begin());
+      ++accounting_.expired;
+      ++expired_reasons_["missing_scan"];
     }
     accounting_.waiting = waiting_.size();
   }
-  std::vector<Refusal> given_up;
-  try {
-    given_up = queue_.give_up(now_s);
-  } catch (...) {
-    some_unheld_ = true;
-    throw;
-  }
-  for (const Refusal& refusal : given_up) {
+  for (const Refusal& refusal : queue_.give_up(now_s)) {
     pending_.erase(refusal.id);
     ++accounting_.expired;
-    tally(expired_reasons_, refusal.reason);
+    ++expired_reasons_[refusal.reason];
   }
   accounting_.pending = pending_.size();
   if (options_.max_age_s > 0.0) {
     std::vector<CandidateId> old;
     for (const auto& [id, candidate] : pending_) {
-      if (now_s - candidate.time_s > options_.max_age_s) old.push_back(id);
+      if (now_s - candidate.time_s <= options_.max_age_s) break;
+      old.push_back(id);
     }
     drop_pending(old, "too_old");
   }
@@ -219,7 +150,7 @@ void CandidatePool::expire(double now_s) {
 void CandidatePool::expire_waiting() {
   if (waiting_.empty()) return;
   accounting_.expired += waiting_.size();
-  tally(expired_reasons_, "missing_scan", waiting_.size());
+  expired_reasons_["missing_scan"] += waiting_.size();
   waiting_.clear();
   waiting_for_.clear();
   accounting_.waiting = 0;
@@ -254,13 +185,11 @@ bool CandidatePool::redundant(const LoopCandidate& candidate) const {
 }
 
 std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
-  offer_again();
   std::vector<LoopCandidate> batch;
-  batch.reserve(std::min(count, pending_.size()));
-  while (batch.size() < count) {
-    std::vector<LoopCandidate> taken;
-    try {
-      taken = queue_.take(count - batch.size());
+  const std::size_t redundant_before = redundant_.size();
+  try {
+    while (batch.size() < count) {
+      const std::vector<LoopCandidate> taken = queue_.take(count - batch.size());
       if (taken.empty()) break;
       for (const LoopCandidate& handed : taken) {
         const LoopCandidate candidate = pending_.at(handed.id);  // whatever a prioritiser made of its copy
@@ -270,10 +199,13 @@ std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
           batch.push_back(candidate);
         }
       }
-    } catch (...) {
-      some_unheld_ = true;  // what was taken before it failed
-      throw;
     }
+  } catch (...) {  // those taken before it failed are offered again
+    batch.insert(batch.end(), redundant_.begin() + static_cast<std::ptrdiff_t>(redundant_before),
+                 redundant_.end());
+    redundant_.resize(redundant_before);
+    enqueue(batch);
+    throw;
   }
   for (; batch.size() < count && !redundant_.empty(); redundant_.pop_front()) {
     if (pending_.count(redundant_.front().id) != 0)
@@ -298,12 +230,10 @@ void CandidatePool::complete(const RegistrationResult& result) {
 
 void CandidatePool::give_back(const std::vector<LoopCandidate>& candidates) {
   std::vector<LoopCandidate> returned;
-  returned.reserve(candidates.size());
-  // From here on nothing asks for memory before all are pending.
   for (const LoopCandidate& candidate : candidates) {
     const auto in_flight = in_flight_.find(candidate.id);
     if (in_flight == in_flight_.end()) continue;
-    returned.push_back(candidate);
+    returned.push_back(in_flight->second);
     pending_.insert(in_flight_.extract(in_flight));
   }
   accounting_.pending = pending_.size();

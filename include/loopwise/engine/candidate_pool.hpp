@@ -68,33 +68,33 @@ struct CandidatePoolOptions {
 /// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans
 /// are not here yet, feeds the queue and keeps the account. For one thread at a time.
 ///
-/// What a prioritiser throws goes through; candidates that were to be added to it are then pruned. So does
-/// std::bad_alloc, after which no candidate is lost, and all functions can be called again with the same but
-/// complete(), which counts the result all the same.
+/// Exceptions of a prioritiser go through. Candidates that were to be added to it are then pruned.
 class LOOPWISE_EXPORT CandidatePool {
  public:
   /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});
 
   /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before,
-  /// and not forgotten since, is ignored. \returns how many were new.
+  /// and not forgotten since, is ignored. A time before that of an earlier candidate counts as that.
+  /// \returns how many were new.
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
   /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
-  /// pending. With `whatever_fails` also if a prioritiser has no memory for it, as if it failed otherwise.
-  void on_scan(const KeyedScan& scan, bool whatever_fails = false);
+  /// pending.
+  void on_scan(const KeyedScan& scan);
   /// A new estimate is here: the prioritisers learn of it.
   void on_graph(const PoseGraph& graph);
 
-  /// Expires what is too old, waits too long, or exceeds the cap at mission time `now_s`.
+  /// Expires what is too old, waits too long, or exceeds the cap at mission time `now_s`. Takes time for what
+  /// is due, not for all that is there.
   void expire(double now_s);
   /// No more scans will come: everything that waits expires.
   void expire_waiting();
 
-  /// Lets the prioritisers prepare the next batch, see Prioritizer::improve().
-  void improve(std::size_t count, const StopToken& stop,
-               std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max()) {
-    queue_.improve(count, stop, max_evaluations);
+  /// Lets the prioritisers prepare the next batch, see RoundRobinQueue::improve().
+  std::vector<std::uint64_t> improve(std::size_t count, const StopToken& stop,
+                                     const std::vector<std::uint64_t>& max_evaluations = {}) {
+    return queue_.improve(count, stop, max_evaluations);
   }
 
   /// The next batch of up to `count` candidates.
@@ -131,11 +131,7 @@ class LOOPWISE_EXPORT CandidatePool {
   };
   [[nodiscard]] std::optional<Place> place_of(Key from, Key to) const;
   [[nodiscard]] bool redundant(const LoopCandidate& candidate) const;
-  enum class TakenIn { kWaiting, kReady };
-  /// Nothing of a pair that was proposed before. Without memory for it nothing has happened.
-  std::optional<TakenIn> take_in(const LoopCandidate& candidate);
   void enqueue(const std::vector<LoopCandidate>& pending);
-  void offer_again();
   void prune(const std::vector<LoopCandidate>& candidates, std::string_view reason);
   void drop_pending(const std::vector<CandidateId>& ids, std::string_view reason);
 
@@ -144,6 +140,7 @@ class LOOPWISE_EXPORT CandidatePool {
   Robots robots_;
   CandidateAccounting accounting_;
   CandidateId next_id_ = 0;
+  double latest_s_ = 0.0;  // candidates are ordered by id and by time
   std::unordered_set<std::pair<Key, Key>, PairHash> proposed_;
   std::unordered_set<Key> scans_;
   std::map<CandidateId, LoopCandidate> waiting_;
@@ -153,7 +150,6 @@ class LOOPWISE_EXPORT CandidatePool {
   std::unordered_map<Key, Eigen::Vector3d> positions_;  // by the last estimate; kept for redundant_m alone
   std::vector<std::pair<Key, Key>> closed_;
   std::deque<LoopCandidate> redundant_;  // pending, but in no prioritiser any more
-  bool some_unheld_ = false;             // others may be as well, as something has failed
   std::map<std::string, std::size_t> pruned_reasons_;
   std::map<std::string, std::size_t> expired_reasons_;
 };

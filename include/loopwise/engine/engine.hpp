@@ -1,0 +1,110 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// The one state machine behind the batch replay and the online module.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <map>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/problems.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/engine/candidate_pool.hpp>
+#include <loopwise/engine/events.hpp>
+#include <loopwise/generation/proximity.hpp>
+#include <loopwise/generation/radio.hpp>
+#include <loopwise/prioritization/round_robin_queue.hpp>
+#include <loopwise/registration/task.hpp>
+
+namespace loopwise {
+
+/// Which relative pose a registration is compared with, and may start from.
+enum class GuessSource {
+  kEstimate,  ///< The back end's estimate when the candidate is handed out.
+  kOdometry,  ///< Odometry alone: the outcome of a pair then never depends on other closures.
+};
+[[nodiscard]] inline EnumNames<GuessSource> enum_names(GuessSource) {
+  return {{GuessSource::kEstimate, "estimate"}, {GuessSource::kOdometry, "odometry"}};
+}
+
+/// The policies of an engine, with the options of the stages that it owns.
+struct EngineOptions {
+  ProximityOptions generation;                 ///< Candidates by proximity.
+  RadioOptions radio;                          ///< Candidates by radio beacons.
+  CandidatePoolOptions pool;                   ///< Expiry of candidates.
+  TaskOptions task;                            ///< Scans and guesses that a registration is given.
+  GuessSource guess = GuessSource::kEstimate;  ///< Of the registrations.
+  bool proximity = true;                       ///< Propose nodes that are near.
+  bool back_end = true;                        ///< Ask for estimates; off: they come from outside.
+  std::int64_t thin = 1;                       ///< Keep one candidate in this many, drawn by pair and seed.
+  double max_factor_wait_s = 0.0;  ///< Factors to nodes that do not come are dropped, s; 0: never.
+  std::uint64_t seed = 1;          ///< Of everything random.
+};
+
+/// Decides everything about a mission: where nodes lie, which candidates there are, which are computed next,
+/// when the graph is optimised, and what becomes of results and estimates. Events in, effects out. It knows
+/// neither threads, clocks nor files: a driver brings the time and carries out the effects. The same events
+/// give the same effects, to the bit.
+///
+/// For one thread at a time. An event that is invalid throws and changes nothing. A prioritiser that throws
+/// is reported as an effect::Problem. std::bad_alloc goes through: the engine must not be given further
+/// events then, but can still be read. The event that failed may be in the graph in part.
+class LOOPWISE_EXPORT Engine {
+ public:
+  /// `queue` holds the prioritisers; without any, nothing is proposed. \throws OptionError
+  Engine(const Robots& robots, const EngineOptions& options, RoundRobinQueue queue);
+  ~Engine();
+  Engine(Engine&&) noexcept;
+  Engine& operator=(Engine&&) noexcept;
+
+  /// Handles one event. \returns its effects, in the order in which they happened
+  /// \param event the event
+  /// \param now_s mission time; an earlier one than before counts as that
+  /// \throws InputError on a node that is known, a factor that PoseGraph refuses, or a result of a candidate
+  /// that is not in flight; UnknownKeyError if no robot owns a key
+  [[nodiscard]] std::vector<Effect> handle(Event event, double now_s);
+
+  /// Whether event::Choose would bring a batch, as far as is known.
+  [[nodiscard]] bool wants_batch() const;
+  /// Whether the graph is not at its estimate: event::Settle would start one, unless one is under way.
+  [[nodiscard]] bool wants_estimate() const;
+  /// Whether a batch is being computed.
+  [[nodiscard]] bool computing() const;
+  /// Whether an estimate is being made.
+  [[nodiscard]] bool optimizing() const;
+  /// Registrations whose result will still come, also of batches that are done.
+  [[nodiscard]] std::size_t in_computation() const;
+
+  /// All nodes, factors and verified closures, at the last estimate.
+  [[nodiscard]] const PoseGraph& graph() const;
+  /// Poses by odometry and full priors alone, in the order of graph().nodes().
+  [[nodiscard]] const std::vector<Eigen::Isometry3d>& odometry() const;
+  /// The candidates, and where each is.
+  [[nodiscard]] const CandidatePool& pool() const;
+  /// Evaluations that each prioritiser used in the last event::Improve.
+  [[nodiscard]] const std::vector<std::uint64_t>& evaluations() const;
+  /// Mission time.
+  [[nodiscard]] double now_s() const;
+  /// Factors that wait for a node.
+  [[nodiscard]] std::size_t factors_waiting() const;
+  /// Factors that have waited too long and were dropped.
+  [[nodiscard]] std::size_t factors_dropped() const;
+  /// Flaws of the radio data.
+  [[nodiscard]] const Problems& radio_problems() const;
+
+ private:
+  class Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loopwise
