@@ -13,46 +13,74 @@ Function* find_symbol(const char* name) {
   return reinterpret_cast<Function*>(dlsym(RTLD_DEFAULT, name));
 }
 
-struct Shared {
+struct OpenMp {
+  void (*const set_levels)(int) = find_symbol<void(int)>("omp_set_max_active_levels");
+  int (*const get_levels)() = find_symbol<int()>("omp_get_max_active_levels");
+  void (*const set_threads)(int) = find_symbol<void(int)>("omp_set_num_threads");
+  int (*const get_threads)() = find_symbol<int()>("omp_get_max_threads");
+  const bool found =
+      set_levels != nullptr && get_levels != nullptr && set_threads != nullptr && get_threads != nullptr;
+};
+
+const OpenMp& open_mp() {
+  static const OpenMp instance;
+  return instance;
+}
+
+struct OpenBlas {
   std::mutex mutex;
   int users = 0;
   int saved_threads = 1;
-  int saved_levels = 1;
   void (*const set_threads)(int) = find_symbol<void(int)>("openblas_set_num_threads");
   int (*const get_threads)() = find_symbol<int()>("openblas_get_num_threads");
-  void (*const set_levels)(int) = find_symbol<void(int)>("omp_set_max_active_levels");
-  int (*const get_levels)() = find_symbol<int()>("omp_get_max_active_levels");
+  const bool found = set_threads != nullptr && get_threads != nullptr;
 };
 
 // The setting that this guards belongs to the process, so its bookkeeping has to as well.
-Shared& shared() {
-  static Shared instance;
+OpenBlas& open_blas() {
+  static OpenBlas instance;
   return instance;
+}
+
+/// An OpenBLAS made with OpenMP sets the calling thread's number as well, which is not its to set.
+void set_threads_of(const OpenBlas& blas, int count) {
+  const OpenMp& omp = open_mp();
+  const int own = omp.found ? omp.get_threads() : 0;
+  blas.set_threads(count);
+  if (omp.found && omp.get_threads() != own) omp.set_threads(own);
 }
 
 }  // namespace
 
 SingleThreadedBlas::SingleThreadedBlas() {
-  Shared& s = shared();
-  const std::lock_guard<std::mutex> lock(s.mutex);
-  if (s.users++ > 0) return;
-  if (s.set_threads != nullptr && s.get_threads != nullptr) {
-    s.saved_threads = s.get_threads();
-    if (s.saved_threads != 1) s.set_threads(1);
+  OpenBlas& blas = open_blas();
+  if (blas.found) {
+    const std::lock_guard<std::mutex> lock(blas.mutex);
+    if (blas.users++ == 0) {
+      blas.saved_threads = blas.get_threads();
+      if (blas.saved_threads != 1) set_threads_of(blas, 1);
+    }
   }
-  if (s.set_levels != nullptr && s.get_levels != nullptr) {
-    s.saved_levels = s.get_levels();
-    s.set_levels(0);
-  }
+  // CHOLMOD asks for a number of threads at its loops, which only the levels overrule. A thread that finds
+  // none leaves them alone, here and at the end: before GCC 11 libgomp has one number of levels for the whole
+  // process, and those that changed it restore it.
+  const OpenMp& omp = open_mp();
+  if (!omp.found) return;
+  levels_ = omp.get_levels();
+  threads_ = omp.get_threads();
+  if (levels_ > 0) omp.set_levels(0);
+  if (threads_ > 1) omp.set_threads(1);
 }
 
 SingleThreadedBlas::~SingleThreadedBlas() {
-  Shared& s = shared();
-  const std::lock_guard<std::mutex> lock(s.mutex);
-  if (--s.users > 0) return;
-  if (s.set_threads != nullptr && s.get_threads != nullptr && s.saved_threads != 1)
-    s.set_threads(s.saved_threads);
-  if (s.set_levels != nullptr && s.get_levels != nullptr) s.set_levels(s.saved_levels);
+  OpenBlas& blas = open_blas();
+  if (blas.found) {
+    const std::lock_guard<std::mutex> lock(blas.mutex);
+    if (--blas.users == 0 && blas.saved_threads != 1) set_threads_of(blas, blas.saved_threads);
+  }
+  const OpenMp& omp = open_mp();
+  if (levels_ > 0) omp.set_levels(levels_);
+  if (threads_ > 1) omp.set_threads(threads_);
 }
 
 }  // namespace loopwise::detail
