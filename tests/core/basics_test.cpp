@@ -4,6 +4,10 @@
 #include <set>
 #include <thread>
 
+#ifdef LOOPWISE_TEST_TBB
+#include <tbb/global_control.h>
+#endif
+
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/key.hpp>
@@ -162,6 +166,45 @@ TEST_CASE("thread pool: as many threads as asked for, more than processors too",
     while (arrived < 4) std::this_thread::yield();
   });
   REQUIRE(arrived == 4);
+}
+
+#ifdef LOOPWISE_TEST_TBB
+TEST_CASE("thread pool: TBB's setting of the process is its host's", "[core][threads]") {
+  const auto allowed = [] {
+    return tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism);
+  };
+  const std::size_t before = allowed();
+  for (const int threads : {1, 2, 7}) {
+    ThreadPool pool(threads);
+    REQUIRE(allowed() == before);
+    std::atomic<int> calls{0}, others{0};
+    pool.for_each(20, [&](std::size_t) {
+      ++calls;
+      if (allowed() != before) ++others;
+    });
+    REQUIRE(calls == 20);
+    REQUIRE(others == 0);
+  }
+  REQUIRE(allowed() == before);
+}
+#endif
+
+TEST_CASE("thread pool: several callers share the threads, each waits for its own", "[core][threads]") {
+  ThreadPool pool(3);
+  constexpr std::size_t kCallers = 4, kCount = 200;
+  std::vector<std::vector<int>> calls(kCallers, std::vector<int>(kCount, 0));
+  std::vector<int> complete(kCallers, 0);
+  std::vector<std::thread> callers;
+  for (std::size_t c = 0; c < kCallers; ++c) {
+    callers.emplace_back([&, c] {
+      for (int round = 1; round <= 20; ++round) {
+        pool.for_each(kCount, [&](std::size_t i) { ++calls[c][i]; });
+        complete[c] += calls[c] == std::vector<int>(kCount, round) ? 1 : 0;
+      }
+    });
+  }
+  for (std::thread& caller : callers) caller.join();
+  REQUIRE(complete == std::vector<int>(kCallers, 20));
 }
 
 TEST_CASE("clock: virtual time jumps forward only; a stop ends a real wait", "[core][clock]") {
