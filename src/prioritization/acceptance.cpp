@@ -7,6 +7,8 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 
+#include "cell.hpp"
+
 namespace loopwise {
 namespace {
 
@@ -58,15 +60,7 @@ double AcceptanceModel::probability(double distance_m, const Eigen::Vector3d& fr
 
 /// The same whichever of the two is named first.
 std::uint64_t AcceptanceModel::places(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const {
-  const auto cell = [&](const Eigen::Vector3d& position) {
-    std::uint64_t hash = 0;
-    for (int k = 0; k < 3; ++k) {
-      hash = combine_seeds(
-          hash, static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(position[k] / cell_m_))));
-    }
-    return hash;
-  };
-  const std::uint64_t a = cell(from), b = cell(to);
+  const std::uint64_t a = detail::cell_of(from, cell_m_), b = detail::cell_of(to, cell_m_);
   return combine_seeds(std::min(a, b), std::max(a, b));
 }
 

@@ -12,6 +12,7 @@
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/prioritization/covariance_objective.hpp>
 
+#include "cell.hpp"
 #include "closure_factor.hpp"
 #include "closure_set.hpp"
 
@@ -160,18 +161,10 @@ std::vector<std::size_t> spread_shortlist(const PoseGraph& graph,
   for (std::size_t i = 0; i < order.size(); ++i) order[i] = i;
   if (count >= candidates.size()) return order;
 
-  const auto cell = [&](Key key) {
-    const Eigen::Vector3d p = graph.node(key).pose.translation() / cell_m;
-    std::uint64_t hash = 0;
-    for (int k = 0; k < 3; ++k) {
-      hash = combine_seeds(hash, static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(p[k]))));
-    }
-    return hash;
-  };
   std::unordered_map<Key, std::uint64_t> cells;
   const auto cell_of = [&](Key key) {
     const auto [found, fresh] = cells.emplace(key, 0);
-    if (fresh) found->second = cell(key);
+    if (fresh) found->second = detail::cell_of(graph.node(key).pose.translation(), cell_m);
     return found->second;
   };
   const auto better = [&](std::size_t a, std::size_t b) {

@@ -315,6 +315,19 @@ TEST_CASE("shortlist: the best of each pair of places first", "[prioritization][
   REQUIRE(spread_shortlist(graph, {}, {}, 9).empty());
 }
 
+TEST_CASE("shortlist: places as far off as numbers go", "[prioritization][graph][error]") {
+  PoseGraph graph;
+  for (Key key = 0; key < 4; ++key) {
+    Node node;
+    node.key = key;
+    if (key > 0) node.pose.translation().x() = key == 3 ? -1e300 : 1e300;
+    graph.add_node(node);
+  }
+  const std::vector<LoopCandidate> candidates{testing::candidate_of(0, 1, 1), testing::candidate_of(0, 2, 2),
+                                              testing::candidate_of(0, 3, 3)};
+  REQUIRE(spread_shortlist(graph, candidates, {10.0, 9.0, 1.0}, 2) == std::vector<std::size_t>{0, 2});
+}
+
 TEST_CASE("graph objectives: bad input", "[prioritization][graph][error]") {
   Rng rng(1);
   const PoseGraph graph = testing::random_graph(rng).graph;

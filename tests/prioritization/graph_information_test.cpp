@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/prioritization/graph_information.hpp>
 
+#include <cmath>
+#include <limits>
 #include <set>
 
 #include <loopwise/core/error.hpp>
@@ -313,6 +315,22 @@ TEST_CASE("acceptance: shares by distance and by place", "[prioritization][gi]")
   REQUIRE(model.probability(12.0, elsewhere, elsewhere) == Approx(0.25).margin(0.005));
   REQUIRE(model.probability(1e6, a, b) > 0.0);
   REQUIRE_THROWS_AS(AcceptanceModel(0.0), OptionError);
+}
+
+TEST_CASE("acceptance: places as far off as numbers go", "[prioritization][gi][error]") {
+  const Eigen::Vector3d a(1.0, 2.0, 0.0);
+  for (const double far : {1e19, 1e300, std::numeric_limits<double>::infinity()}) {
+    CAPTURE(far);
+    AcceptanceModel model(1e-3);
+    const Eigen::Vector3d one_way(far, 0.0, 0.0), the_other(-far, 0.0, 0.0);
+    for (int k = 0; k < 6; ++k) model.add(4.0, a, one_way, false);
+    const double there = model.probability(4.0, a, one_way);
+    REQUIRE(there > 0.0);
+    REQUIRE(there < model.probability(4.0, a, the_other));
+    REQUIRE(model.probability(4.0, a, the_other) == model.probability(4.0, a, a));
+  }
+  const AcceptanceModel model(10.0);
+  REQUIRE(model.probability(4.0, a, Eigen::Vector3d::Constant(std::nan(""))) == model.probability(4.0, a, a));
 }
 
 TEST_CASE("graph information: bad input", "[prioritization][gi][error]") {

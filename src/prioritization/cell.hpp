@@ -1,0 +1,27 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+
+#include <Eigen/Core>
+
+#include <loopwise/core/random.hpp>
+
+namespace loopwise::detail {
+
+/// The cube of this edge length that a position lies in, as a hash of its three numbers. Beyond ±2⁶² cubes,
+/// of which no integer tells any more, is the last cube; what is no number counts as 0.
+inline std::uint64_t cell_of(const Eigen::Vector3d& position, double cell_m) {
+  constexpr double kLast = 4611686018427387904.0;  // 2⁶²
+  std::uint64_t hash = 0;
+  for (int k = 0; k < 3; ++k) {
+    const double place = std::floor(position[k] / cell_m);
+    const double within = std::isnan(place) ? 0.0 : std::clamp(place, -kLast, kLast);
+    hash = combine_seeds(hash, static_cast<std::uint64_t>(static_cast<std::int64_t>(within)));
+  }
+  return hash;
+}
+
+}  // namespace loopwise::detail
