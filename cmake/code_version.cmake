@@ -1,17 +1,15 @@
 # Run at build time: writes the header OUTPUT with hashes of the library's sources under ROOT. What was computed by one
 # version of the code is then never taken for another's.
 
+include(${CMAKE_CURRENT_LIST_DIR}/code_files.cmake)
+
 # Sets `result` to the hash of all sources and headers of the components.
 function(hash_components result)
   set(hashes "")
-  foreach(component IN LISTS ARGN)
-    file(GLOB_RECURSE files LIST_DIRECTORIES false RELATIVE ${ROOT}
-         ${ROOT}/src/${component}/*.cpp ${ROOT}/src/${component}/*.hpp ${ROOT}/include/loopwise/${component}/*.hpp)
-    list(SORT files)
-    foreach(file IN LISTS files)
-      file(SHA256 ${ROOT}/${file} hash)
-      string(APPEND hashes "${file} ${hash}\n")
-    endforeach()
+  loopwise_code_files(files ${ROOT} "" ${ARGN})
+  foreach(file IN LISTS files)
+    file(SHA256 ${ROOT}/${file} hash)
+    string(APPEND hashes "${file} ${hash}\n")
   endforeach()
   string(SHA256 hash "${hashes}")
   string(SUBSTRING ${hash} 0 32 hash)

@@ -1,0 +1,40 @@
+# cmake -DSOURCE=... -DOUT=... -P code_version.cmake
+# The hashes of the code change with every file that it is compiled from, and with no other.
+file(REMOVE_RECURSE ${OUT})
+
+function(hashes result)
+  execute_process(COMMAND ${CMAKE_COMMAND} -DROOT=${OUT} -DOUTPUT=${OUT}/hashes.hpp
+                          -P ${SOURCE}/cmake/code_version.cmake COMMAND_ERROR_IS_FATAL ANY)
+  file(READ ${OUT}/hashes.hpp text)
+  set(${result} ${text} PARENT_SCOPE)
+endfunction()
+
+set(files src/core/a.cpp src/core/a.hpp src/core/kernels.inc include/loopwise/core/a.hpp include/loopwise/core/a.inc)
+foreach(file IN LISTS files)
+  file(WRITE ${OUT}/${file} "1")
+endforeach()
+hashes(before)
+foreach(file IN LISTS files)
+  file(WRITE ${OUT}/${file} "2")
+  hashes(after)
+  if(after STREQUAL before)
+    message(FATAL_ERROR "${file} does not count")
+  endif()
+  set(before ${after})
+endforeach()
+file(WRITE ${OUT}/src/core/CMakeLists.txt "1")
+hashes(after)
+if(NOT after STREQUAL before)
+  message(FATAL_ERROR "a file that is not compiled counts")
+endif()
+
+# No source of the library includes a kind of file that is not counted.
+file(GLOB_RECURSE sources ${SOURCE}/src/*.cpp ${SOURCE}/src/*.hpp ${SOURCE}/src/*.inc ${SOURCE}/include/*.hpp)
+foreach(source IN LISTS sources)
+  file(STRINGS ${source} includes REGEX "^ *# *include +\"[^\"]*\"")
+  foreach(line IN LISTS includes)
+    if(NOT line MATCHES "\\.(hpp|inc)\"")
+      message(FATAL_ERROR "${source}: ${line}")
+    endif()
+  endforeach()
+endforeach()
