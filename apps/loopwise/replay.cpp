@@ -103,6 +103,7 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   json["graph"] = to_string(hash_of(mission.graph));
   json["scans"] = mission.scans->size();
   json["options"] = parse_json(config_json(config), "options");
+  json["content"] = to_string(ContentHasher().text(config_key(config)).finish());
   json["code"] = replay_code_version();
   return json_text(json);
 }

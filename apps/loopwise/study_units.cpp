@@ -390,7 +390,7 @@ UnitFiles Study::files_of(const StudyUnit& unit) const {
                                        .integer(static_cast<std::uint64_t>(kUnitFormat))
                                        .integer(mission.content.high)
                                        .integer(mission.content.low)
-                                       .text(config_json(unit.config))
+                                       .text(config_key(unit.config))
                                        .text(replay_code_version())
                                        .finish());
   const std::string name = plain(mission.name) + "-" + plain(unit.label) + "-s" +
@@ -415,7 +415,7 @@ std::string Study::greeting(const std::vector<StudyUnit>& units) const {
   ContentHasher hasher;
   for (const StudyMission& mission : missions_)
     hasher.integer(mission.content.high).integer(mission.content.low);
-  for (const StudyUnit& unit : units) hasher.integer(unit.mission).text(config_json(unit.config));
+  for (const StudyUnit& unit : units) hasher.integer(unit.mission).text(config_key(unit.config));
   return "study " + replay_code_version() + " " + to_string(hasher.finish());
 }
 

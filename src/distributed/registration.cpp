@@ -205,7 +205,7 @@ std::string replay_greeting(const Mission& mission, const Config& config) {
   }
   for (const Key key : mission.scans->keys()) hasher.integer(key);
   return "replay " + replay_code_version() + " " + to_string(hasher.finish()) + " " +
-         to_string(ContentHasher().text(config_json(config)).finish());
+         to_string(ContentHasher().text(config_key(config)).finish());
 }
 
 BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,

@@ -2,9 +2,11 @@
 #include <loopwise/pipeline/config.hpp>
 
 #include <algorithm>
+#include <fstream>
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/io/json_options.hpp>
@@ -113,6 +115,19 @@ std::string config_json(const Config& config) {
   Config::visit_sections(config,
                          [&all](const char* name, const auto& section) { all[name] = to_json(section); });
   return all.dump(2) + "\n";
+}
+
+std::string config_key(const Config& config) {
+  std::string key = config_json(config);
+  const std::string& weights = config.graph_information.gnn_weights;
+  if (weights.empty()) return key;
+  ContentHasher hasher;
+  std::ifstream in(weights, std::ios::binary);
+  std::string piece(1 << 16, '\0');
+  while (in.read(piece.data(), static_cast<std::streamsize>(piece.size())) || in.gcount() > 0) {
+    hasher.bytes(piece.data(), static_cast<std::size_t>(in.gcount()));
+  }
+  return key + "gnn_weights " + (in.eof() ? to_string(hasher.finish()) : "unreadable") + "\n";
 }
 
 std::vector<ConfigEntry> describe_config(const Config& config) {

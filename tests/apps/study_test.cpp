@@ -324,6 +324,43 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
   }
 }
 
+TEST_CASE("study, replay: what a network's file holds counts, not where it lies", "[apps][study][resume]") {
+  const TemporaryFolder folder;
+  write_mission(folder / "m", small_mission(6));
+  const fs::path network = folder / "weights.json";
+  fs::copy_file(fs::path(LOOPWISE_SOURCE_DIR) / "data" / "gnn" / "loopwise.json", network);
+  const std::vector<std::string> common = with(kQuick, {"--set", "graph_information.objective=gnn", "--set",
+                                                        "graph_information.gnn_weights=" + network.string()});
+  const auto study = [&] {
+    return run_program(with(
+        {"study", "ablation", (folder / "m").string(), "-o", (folder / "out").string(), "--methods", "gi"},
+        common));
+  };
+  const auto replay = [&] {
+    return run_program(with(
+        {"replay", (folder / "m").string(), "-o", (folder / "run").string(), "--method", "gi", "--resume"},
+        common));
+  };
+  const ProgramRun first = study();
+  INFO(first.err);
+  REQUIRE(first.status == kDone);
+  REQUIRE_THAT(first.err, !Contains("finished already"));
+  REQUIRE_THAT(study().err, Contains("1 of 1 runs are finished already"));
+  REQUIRE(replay().status == kDone);
+  REQUIRE(replay().status == kDone);
+
+  testing::write_text(network, testing::read_text(network) + "\n");  // trained anew
+  const ProgramRun changed = study();
+  INFO(changed.err);
+  REQUIRE(changed.status == kDone);
+  REQUIRE_THAT(changed.err, !Contains("finished already"));
+  REQUIRE_THAT(study().err, Contains("1 of 1 runs are finished already"));
+  const ProgramRun refused = replay();
+  INFO(refused.err);
+  REQUIRE(refused.status == kBadUsage);
+  REQUIRE_THAT(refused.err, Contains("other content of graph_information.gnn_weights"));
+}
+
 TEST_CASE("study budget and rssi: tables agree with the curves and robots", "[apps][study]") {
   const TemporaryFolder folder;
   const std::vector<std::string> missions = write_missions(folder);

@@ -157,6 +157,11 @@ LOOPWISE_EXPORT void set_config_option(const std::string& assignment, Config& co
 /// The whole configuration as indented JSON that read_config() takes.
 [[nodiscard]] LOOPWISE_EXPORT std::string config_json(const Config& config);
 
+/// A text for all that results depend on in a configuration: config_json(), and hashes of the content of the
+/// files that its options name, since other content may come to lie at the same path. A file that cannot be
+/// read counts as such.
+[[nodiscard]] LOOPWISE_EXPORT std::string config_key(const Config& config);
+
 /// One option for people: "generation.rate_m", its value, bounds and meaning.
 struct ConfigEntry {
   std::string name;    ///< "section.field"
