@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
-#include <tuple>
 #include <utility>
 
 namespace loopwise {
@@ -118,19 +117,18 @@ void RadioGenerator::drop_oldest() {
 }
 
 void RadioGenerator::take_up(const PoseGraph& graph, std::vector<Passage> passages, double time_s) {
-  // In the order of the nodes' stamps.
-  std::set<std::tuple<std::int64_t, Key, std::string>> known;
-  for (const auto& [key, name] : passages) {
-    const auto beacon = beacons_.find(name);
-    if (beacon == beacons_.end() || !graph.contains(beacon->second.drop.drop_key)) continue;
-    const auto node = graph.find(key);
-    if (node) known.emplace(graph.nodes()[*node].stamp_ns, key, name);
-  }
-  for (const auto& [stamp, key, name] : known) pass(graph, beacons_.at(name), key, time_s);
-  // Only now: where a pass found no memory, all can pass again.
+  std::vector<std::pair<std::int64_t, Passage>> known;  // by the nodes' stamps
   for (Passage& passage : passages) {
+    const auto beacon = beacons_.find(passage.second);
+    if (beacon == beacons_.end() || !graph.contains(beacon->second.drop.drop_key)) continue;
     const auto node = graph.find(passage.first);
-    if (!node || known.count({graph.nodes()[*node].stamp_ns, passage.first, passage.second}) == 0) continue;
+    if (node) known.emplace_back(graph.nodes()[*node].stamp_ns, std::move(passage));
+  }
+  std::sort(known.begin(), known.end());
+  known.erase(std::unique(known.begin(), known.end()), known.end());
+  for (const auto& [stamp, passage] : known) pass(graph, beacons_.at(passage.second), passage.first, time_s);
+  // From here on nothing asks for memory: until all have passed, all can pass again.
+  for (const auto& [stamp, passage] : known) {
     const auto waiting = waiting_.find(passage);
     if (waiting == waiting_.end()) continue;
     waiting_nodes_.at(passage.second).erase(passage.first);

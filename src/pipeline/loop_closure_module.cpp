@@ -273,6 +273,7 @@ class LoopClosureModule::Impl {
           carry_out(std::get<effect::Problem>(*message));
         }
         keep_busy();
+        ++events_;
         publish_statistics();
         end_work();
       }
@@ -427,7 +428,7 @@ class LoopClosureModule::Impl {
     const std::optional<double> oldest = pool.oldest_pending_s();
     if (busy_ && !engine_.computing()) set_busy(false);
     const std::lock_guard<std::mutex> lock(statistics_mutex_);
-    ++statistics_.events;
+    statistics_.events = events_;
     statistics_.factors_waiting = engine_.factors_waiting();
     statistics_.factors_dropped = engine_.factors_dropped();
     statistics_.candidates = pool.accounting();
@@ -541,6 +542,7 @@ class LoopClosureModule::Impl {
   bool improving_ = false;  // the next set is being prepared ...
   bool improved_ = false;   // ... and is as good as it can be
   double last_tick_s_ = 0.0;
+  std::size_t events_ = 0;  // handled
 
   mutable std::mutex statistics_mutex_;
   ModuleStatistics statistics_;
