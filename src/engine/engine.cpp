@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <exception>
 #include <iterator>
+#include <map>
 #include <new>
 #include <set>
 #include <unordered_map>
@@ -79,7 +80,7 @@ class Engine::Impl {
   bool prioritizes_;
   double now_s_ = 0.0;
   bool wants_estimate_ = false, optimizing_ = false, computing_ = false;
-  std::unordered_multimap<Key, std::pair<double, Factor>> waiting_factors_;  // by a missing node; since when
+  std::multimap<Key, std::pair<double, Factor>> waiting_factors_;  // by a missing node; since when
   std::size_t factors_dropped_ = 0;
   std::unordered_map<CandidateId, LoopCandidate> in_computation_;
   std::vector<std::uint64_t> evaluations_;
@@ -172,7 +173,7 @@ class Engine::Impl {
           std::find_if(keys.begin(), keys.end(), [this](Key key) { return !graph_.contains(key); });
       if (missing != keys.end()) {
         waiting_factors_.emplace(*missing, std::pair(now_s_, factor));
-        factor_ages_.emplace(now_s_, *missing);
+        if (options_.max_factor_wait_s > 0.0) factor_ages_.emplace(now_s_, *missing);
         continue;
       }
       add_factor(change_graph(), factor);
@@ -190,7 +191,6 @@ class Engine::Impl {
   }
 
   void drop_old_factors() {
-    if (options_.max_factor_wait_s <= 0.0) return;
     while (!factor_ages_.empty() && now_s_ - factor_ages_.begin()->first > options_.max_factor_wait_s) {
       const auto [since, key] = *factor_ages_.begin();
       factor_ages_.erase(factor_ages_.begin());

@@ -55,9 +55,9 @@ class Placement {
   [[nodiscard]] const std::vector<Eigen::Isometry3d>& odometry() const { return odometry_; }
 
  private:
-  /// How surely a group lies where it does.
+  /// How well the place of a group is known.
   enum class Place {
-    kGiven,  ///< As the front end said.
+    kGiven,  ///< By the front end alone.
     kFirst,  ///< With its robot's first node, which defines the robot's frame.
     kFixed,  ///< By a full prior or an estimate.
   };

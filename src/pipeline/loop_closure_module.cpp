@@ -324,7 +324,9 @@ class LoopClosureModule::Impl {
           std::holds_alternative<event::Choose>(event) || std::holds_alternative<event::Improve>(event);
       if (!chooses) lock.lock();
       effects = engine_.handle(std::move(event), now_s);
-    } catch (const Error& error) {
+    } catch (const std::bad_alloc&) {
+      throw;
+    } catch (const std::exception& error) {
       return problem(error.what());
     }
     if (on_event_) {
@@ -332,7 +334,7 @@ class LoopClosureModule::Impl {
         improve->stop = StopToken();
         improve->max_evaluations = engine_.evaluations();
       }
-      on_event_(record, now_s);
+      call(on_event_, record, now_s);
     }
     for (Effect& effect : effects) std::visit([this](auto& e) { carry_out(e); }, effect);
   }

@@ -146,6 +146,7 @@ class Run {
     write(journal::batch_line(now_s_, candidates_of(batch_), account()));
     config_.replay.measured_time ? compute_measured() : compute_modelled();
     next_result_ += batch_.size();
+    if (batch_.empty()) feed(event::BatchDone{});  // none could become a task
   }
 
   // ---- key frames

@@ -188,4 +188,30 @@ TEST_CASE("trace: what the module's threads brought about, the engine repeats to
   REQUIRE(improvements > 0);
 }
 
+TEST_CASE("trace: an observer of events that throws is reported, and the module goes on",
+          "[pipeline][module][trace][error]") {
+  const Mission mission = two_circles(1, 12);
+  ModuleOptions options;
+  options.method = "random";
+  options.threads = 1;
+  Config config;
+  config.generation.skip_recent = 3;
+  ModuleParts parts;
+  parts.registrar = std::make_shared<OracleRegistrar>(mission.ground_truth);
+  std::size_t seen = 0;
+  parts.on_event = [&](const Event&, double) {
+    ++seen;
+    throw std::runtime_error("no room for a trace");
+  };
+  LoopClosureModule module(mission.robots, options, config, {}, std::move(parts));
+  produce(module, mission, 0, 1);
+  produce(module, mission, 1, 2);
+  REQUIRE(module.wait());
+  module.stop();
+  REQUIRE(module.graph().nodes().size() == mission.graph.nodes().size());
+  REQUIRE(seen > mission.graph.nodes().size());
+  REQUIRE(module.statistics().problems >= seen);
+  REQUIRE(module.statistics().last_problems.back() == "a callback threw: no room for a trace");
+}
+
 }  // namespace loopwise

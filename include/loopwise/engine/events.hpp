@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the engine is told (events) and what it asks for or reports (effects).
+/// Events that the engine handles, and effects that it returns: requests and reports.
 #pragma once
 
 #include <cstddef>
