@@ -16,7 +16,7 @@
 #include <nlohmann/json_fwd.hpp>
 
 #include <loopwise/io/json_options.hpp>
-#include <loopwise/pipeline/config.hpp>
+#include <loopwise/replay/config.hpp>
 
 #include "console.hpp"
 

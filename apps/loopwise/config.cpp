@@ -17,6 +17,10 @@ const std::string& section_text(const std::string& section) {
        "Candidates by proximity. In a file the key `preset` names a preset that the other keys then change: "
        "`lamp_base` (the defaults), `lamp_2022_01`, `lamp_robot` or `paper`."},
       {"radio", "Candidates by passes of radio beacons."},
+      {"engine", "Decisions about the whole mission: seed, guesses, estimates."},
+      {"prioritization", "Which prioritisers order the candidates."},
+      {"registration", "What computes the candidates."},
+      {"cost", "How much mission time the computation takes on the virtual clock."},
       {"features", "How scans are made ready for all stages, once each."},
       {"pool", "When candidates expire, and which come last."},
       {"observability", "Prioritiser `obs`: scans that constrain a registration best come first."},

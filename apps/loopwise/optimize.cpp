@@ -158,15 +158,17 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config defaults;
-  defaults.optimization = OptimizerOptions();  // a file has no earlier estimates to suffer from
-  defaults.gnc = GncOptions();
+  defaults.replay.back_end.optimization =
+      OptimizerOptions();  // a file has no earlier estimates to suffer from
+  defaults.replay.back_end.gnc = GncOptions();
   Config config = load_config(options.common, defaults);
-  config.optimization.num_threads = thread_count(options.common);
+  config.replay.back_end.optimization.num_threads = thread_count(options.common);
   if (!options.initialization.empty()) {
-    config.optimization.initialization =
+    config.replay.back_end.optimization.initialization =
         parse_enum<Initialization>("--initialization", options.initialization);
   }
-  if (options.inlier_probability > 0.0) config.gnc.inlier_probability = options.inlier_probability;
+  if (options.inlier_probability > 0.0)
+    config.replay.back_end.gnc.inlier_probability = options.inlier_probability;
   validate_config(config);
 
   PoseGraph graph;
@@ -192,7 +194,8 @@ int run(const Options& options) {
   std::vector<double> weights(graph.edges().size(), 1.0);
   std::string text;
   if (options.gnc) {
-    GncResult gnc = optimize_gnc(graph, config.optimization, config.gnc, interrupt.token());
+    GncResult gnc = optimize_gnc(graph, config.replay.back_end.optimization, config.replay.back_end.gnc,
+                                 interrupt.token());
     result = std::move(gnc.optimization);
     weights = gnc.weights;
     json["gnc"] = {{"outer_iterations", gnc.outer_iterations},
@@ -202,14 +205,14 @@ int run(const Options& options) {
     text += "closures     " + std::to_string(gnc.inliers) + " inliers, " + std::to_string(gnc.outliers) +
             " outliers, " + std::to_string(gnc.outer_iterations) + " outer iterations\n";
   } else {
-    result = optimize(graph, config.optimization, interrupt.token());
+    result = optimize(graph, config.replay.back_end.optimization, interrupt.token());
   }
   graph.set_poses(result.poses);
   for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
   const double optimized_s = watch.seconds();
 
   if (!options.marginals.empty()) {
-    const Marginals covariances = marginals(graph, config.optimization);
+    const Marginals covariances = marginals(graph, config.replay.back_end.optimization);
     write_marginals(options.marginals, graph, covariances);
     json["marginals"] = {{"trace_translation", covariances.trace_translation},
                          {"trace_full", covariances.trace_full}};

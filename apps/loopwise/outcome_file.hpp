@@ -8,7 +8,7 @@
 #include <fstream>
 #include <string>
 
-#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/replay/replay.hpp>
 
 namespace loopwise::cli {
 

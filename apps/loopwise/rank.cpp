@@ -6,7 +6,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
-#include <loopwise/pipeline/rank.hpp>
+#include <loopwise/replay/rank.hpp>
 
 #include "command.hpp"
 
@@ -31,12 +31,12 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
-  if (!options.preset.empty()) config.generation = proximity_preset(options.preset);
+  if (!options.preset.empty()) config.replay.engine.generation = proximity_preset(options.preset);
   if (!options.robots.empty()) config.mission.robots = options.robots;
-  if (!options.method.empty()) config.replay.method = options.method;
+  if (!options.method.empty()) config.replay.prioritization.method = parse_method(options.method);
   if (options.batch) config.replay.batch = *options.batch;
-  if (options.seed) config.replay.seed = *options.seed;
-  config.closure_model.num_threads = thread_count(options.common);
+  if (options.seed) config.replay.engine.seed = *options.seed;
+  config.replay.prioritization.closure_model.num_threads = thread_count(options.common);
   validate_config(config);
   const Mission mission =
       read_mission(options.mission, config.mission, console.progress_callback(), interrupt.token());
@@ -44,9 +44,9 @@ int run(const Options& options) {
 
   std::shared_ptr<FeatureCache> features;
   if (!mission.scans->empty()) {
-    features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+    features = std::make_shared<FeatureCache>(mission.scans->loader(), config.replay.registration.features);
   }
-  const Ranking ranking = rank_candidates(mission, config, features, options.rank,
+  const Ranking ranking = rank_candidates(mission, config.replay, features, options.rank,
                                           console.progress_callback(), interrupt.token());
   if (!ranking.problem.empty()) console.warn("no gains: " + ranking.problem);
   console.warn(mission.scans->problems());
@@ -64,8 +64,8 @@ int run(const Options& options) {
 
   Json json = Json::object();
   json["mission"] = mission.name;
-  json["method"] = config.replay.method;
-  json["seed"] = config.replay.seed;
+  json["method"] = to_string(config.replay.prioritization.method);
+  json["seed"] = config.replay.engine.seed;
   json["candidates"] = ranking.candidates.size();
   json["ranked"] = ranking.ranked;
   json["refused"] = ranking.refused;
@@ -93,7 +93,7 @@ int run(const Options& options) {
   std::string text = table(rows);
   if (ranking.ranked > kShown) text += "... " + std::to_string(ranking.ranked - kShown) + " more ranked\n";
   text += std::to_string(ranking.candidates.size()) + " candidates, " + std::to_string(ranking.ranked) +
-          " ranked by method " + config.replay.method;
+          " ranked by method " + to_string(config.replay.prioritization.method);
   for (const auto& [reason, count] : ranking.refused)
     text += ", " + std::to_string(count) + " refused: " + reason;
   text += "\ntrace of the covariances " + fixed(ranking.trace_m2, 4) + " m² now, " +

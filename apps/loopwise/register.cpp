@@ -40,9 +40,10 @@ PointCloud moved(const PointCloud& cloud, const Eigen::Isometry3d& T) {
 int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
-  const Config config = load_config(options.common);
-  const auto kind = options.registrar.empty() ? config.replay.registrar
-                                              : parse_enum<RegistrarKind>("--registrar", options.registrar);
+  RegistrationOptions registration = load_config(options.common).replay.registration;
+  if (!options.registrar.empty()) {
+    registration.registrar = parse_enum<RegistrarKind>("--registrar", options.registrar);
+  }
 
   // The pair as two nodes: the source is the newer one.
   constexpr Key kTarget = 0, kSource = 1;
@@ -55,9 +56,8 @@ int run(const Options& options) {
 
   const auto source_cloud = std::make_shared<const PointCloud>(source.cloud);
   const auto target_cloud = std::make_shared<const PointCloud>(target.cloud);
-  const auto features = std::make_shared<FeatureCache>(
-      [&](Key key) { return key == kSource ? source_cloud : target_cloud; }, config.features);
-  const RegistrationResult result = make_registrar(kind, config, features)->compute(task);
+  const auto scans = [&](Key key) { return key == kSource ? source_cloud : target_cloud; };
+  const RegistrationResult result = make_registration(registration, scans).registrar->compute(task);
 
   Json json = Json::object();
   json["status"] = result.verified() ? "verified" : "rejected";

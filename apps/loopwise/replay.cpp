@@ -18,10 +18,11 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
-#include <loopwise/pipeline/code_version.hpp>
-#include <loopwise/pipeline/live_replay.hpp>
-#include <loopwise/pipeline/outcome_store.hpp>
-#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/replay/code_version.hpp>
+#include <loopwise/replay/live_replay.hpp>
+#include <loopwise/replay/outcome_store.hpp>
+#include <loopwise/replay/replay.hpp>
+#include <loopwise/replay/trace.hpp>
 
 #ifdef LOOPWISE_HAS_MPI
 #include <loopwise/distributed/registration.hpp>
@@ -44,6 +45,7 @@ struct Options {
   std::string output;
   std::optional<std::string> method;
   std::string clock = "virtual";
+  std::string trace, record_trace;
   ReplayArguments replay;
   std::optional<std::int64_t> workers;
   std::optional<double> rate;
@@ -57,8 +59,8 @@ struct Options {
 Config configured(const Options& o) {
   Config config = load_config(o.common);
   apply(o.replay, config);
-  if (o.method) config.replay.method = *o.method;
-  if (o.workers) config.replay.workers = *o.workers;
+  if (o.method) config.replay.prioritization.method = parse_method(*o.method);
+  if (o.workers) config.replay.cost.workers = *o.workers;
   if (!o.frames.empty()) config.mission.frames = o.frames;
   if (o.start_together) config.mission.start_together = true;
   if (o.after_mission) config.replay.after_mission = true;
@@ -66,6 +68,9 @@ Config configured(const Options& o) {
   if (o.clock == "real" && o.job != nullptr)
     throw OptionError("--clock real: one process alone has a real clock");
   if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
+  if (!o.record_trace.empty() && o.clock != "real") {
+    throw OptionError("--record-trace needs --clock real: a run on the virtual clock repeats by itself");
+  }
   if (o.clock == "real") {
     if (o.resume) throw OptionError("--resume: what a real clock made cannot be made again");
     for (const auto& [given, name] :
@@ -115,7 +120,7 @@ std::string reasons_text(const std::string& what, const std::map<std::string, st
   return text.empty() ? text : what + std::string(13 - what.size(), ' ') + text + "\n";
 }
 
-std::string results_text(const Config& config, const ReplayResult& result, const RunEvaluation& e) {
+std::string results_text(const ReplayOptions& options, const ReplayResult& result, const RunEvaluation& e) {
   const CandidateAccounting& a = result.accounting;
   const auto share = [&](std::size_t count) {
     return std::to_string(count) + " (" + fixed(percent(count, a.queued()), 2) + " % of queued)";
@@ -148,12 +153,13 @@ std::string results_text(const Config& config, const ReplayResult& result, const
   }
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
-          fixed(result.optimization_s, 1) + " s optimisation, method " + config.replay.method + "\n";
+          fixed(result.optimization_s, 1) + " s optimisation, method " +
+          to_string(options.prioritization.method) + "\n";
   if (result.interrupted) return text;
-  const auto most = static_cast<std::size_t>(config.replay.max_registrations);
+  const auto most = static_cast<std::size_t>(options.max_registrations);
   if (a.pending > 0 && most > 0 && a.computed >= most) {
     text += "pending      " + std::to_string(a.pending) + " after as many as --max-registrations allows\n";
-  } else if (a.pending > 0 && !config.replay.after_mission) {
+  } else if (a.pending > 0 && !options.after_mission) {
     text += "pending      " + std::to_string(a.pending) +
             " not begun or not finished when the mission's clock ended: --after-mission computes them too\n";
   } else if (a.pending == 0 && a.computed > 0) {
@@ -170,6 +176,12 @@ std::vector<fs::path> former_trajectories(const fs::path& folder) {
     if (entry.path().extension() == ".tum") files.push_back("trajectories" / entry.path().filename());
   }
   return files;
+}
+
+/// Null if outcomes are not kept.
+std::shared_ptr<OutcomeStore> open_store(const ReplayArguments& arguments) {
+  if (arguments.outcomes.empty()) return nullptr;
+  return std::make_shared<OutcomeStore>(arguments.outcomes, arguments.outcomes_bound);
 }
 
 #ifdef LOOPWISE_HAS_MPI
@@ -200,16 +212,12 @@ int serve(const Options& options) {
     const Config config = configured(options);
     const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
     const Mission mission = read_missions(paths, config.mission);
-    const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
     const LateRegistrar registrar([&]() -> std::shared_ptr<const Registrar> {
-      std::shared_ptr<const Registrar> made = make_registrar(config.replay.registrar, config, features);
-      if (options.replay.outcomes.empty()) return made;
-      const auto store =
-          std::make_shared<OutcomeStore>(options.replay.outcomes, options.replay.outcomes_bound);
-      return std::make_shared<StoredRegistrar>(made, store, mission.scans->loader(),
-                                               registration_context(config.replay.registrar, config));
+      return make_registration(config.replay.registration, mission.scans->loader(),
+                               open_store(options.replay))
+          .registrar;
     });
-    serve_registrations(*options.job, replay_greeting(mission, config), registrar);
+    serve_registrations(*options.job, replay_greeting(mission, config.replay), registrar);
     return kDone;
   } catch (const Error& error) {
     report_failure(*options.job, error.what());
@@ -240,7 +248,68 @@ void note_ranks(Console& console, const WorkStatistics& statistics, Json& json) 
 }
 #endif
 
+/// The first line of a trace.
+TraceHeader trace_header(const fs::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  std::string line;
+  if (!in || !std::getline(in, line)) throw IoError(file.string(), "cannot be read");
+  try {
+    return parse_trace_header(line);
+  } catch (const Error& error) {
+    throw ParseError(file.string(), 1, error.what());
+  }
+}
+
+/// Of the trace itself: nodes without scans and truth.
+Mission mission_of(const TraceHeader& header, const fs::path& file) {
+  Mission mission;
+  mission.name = file.stem().string();
+  mission.robots = header.robots;
+  return mission;
+}
+
+/// Repeats a run of the online module.
+int run_trace(const Options& options) {
+  Console console(options.common.quiet);
+  const InterruptGuard interrupt;
+  const Config config = configured(options);
+  const TraceHeader header = trace_header(options.trace);
+  ReplayOptions recorded;
+  recorded.engine = header.options.engine;
+  recorded.prioritization = header.options.prioritization;
+  recorded.back_end = header.options.back_end;
+  Mission mission = mission_of(header, options.trace);
+  if (!options.missions.empty()) {
+    const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
+    mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+    console.warn(mission.problems);
+  }
+  const fs::path folder(options.output);
+  std::vector<std::string> sources = options.missions;
+  sources.push_back(options.trace);
+  refuse_recording(folder, sources);
+  prepare_output_folder(folder, options.overwrite, "; --overwrite replaces it");
+  ReplayHooks hooks;
+  RunHistory history(mission);
+  hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
+  hooks.progress = console.progress_callback();
+  hooks.stop = interrupt.token();
+  ReplayResult result = replay_trace(options.trace, hooks);
+  const RunEvaluation evaluation = evaluate_run(mission, result);
+  const PointCloud map =
+      stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
+  add_scan_problems(result, *mission.scans);
+  console.warn(result.problems);
+  write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map);
+  print_results(options.common,
+                parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
+                results_text(recorded, result, evaluation) + "results      " + folder.string() + "\n");
+  return interrupt.interrupted() ? kInterrupted : kDone;
+}
+
 int run(const Options& options) {
+  if (!options.trace.empty()) return run_trace(options);
+  if (options.missions.empty()) throw OptionError("MISSION is missing: what to replay");
 #ifdef LOOPWISE_HAS_MPI
   std::shared_ptr<WorkServer> server;
   if (options.job != nullptr && options.job->rank() > 0) return serve(options);
@@ -258,10 +327,10 @@ int run(const Options& options) {
     if (!mended) problems.add(problem.kind, problem.example, problem.count);
   }
   console.warn(problems);
-  if (config.replay.method == "rssi" && mission.radio.empty()) {
+  if (config.replay.prioritization.method == Method{PrioritizerKind::kRssi} && mission.radio.empty()) {
     console.warn("the mission has no radio readings: method rssi has no candidates");
   }
-  if (mission.scans->empty() && config.replay.method != "odom") {
+  if (mission.scans->empty() && !config.replay.prioritization.method.empty()) {
     console.warn("the mission has no scans: no candidate can be computed");
   }
 
@@ -306,14 +375,9 @@ int run(const Options& options) {
                  std::to_string(outcomes->lost()));
   }
 
-  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
-  std::shared_ptr<const Registrar> registrar = make_registrar(config.replay.registrar, config, features);
-  std::shared_ptr<OutcomeStore> store;
-  if (!options.replay.outcomes.empty()) {
-    store = std::make_shared<OutcomeStore>(options.replay.outcomes, options.replay.outcomes_bound);
-    registrar = std::make_shared<StoredRegistrar>(registrar, store, mission.scans->loader(),
-                                                  registration_context(config.replay.registrar, config));
-  }
+  const std::shared_ptr<OutcomeStore> store = open_store(options.replay);
+  const Registration registration =
+      make_registration(config.replay.registration, mission.scans->loader(), store);
   ReplayHooks hooks;
   hooks.journal = [&](const std::string& line) {
     journal << line + "\n" << std::flush;
@@ -324,21 +388,34 @@ int run(const Options& options) {
   hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
   hooks.progress = console.progress_callback();
   hooks.stop = interrupt.token();
+  std::ofstream trace_file;
+  std::optional<TraceWriter> trace;
+  if (!options.record_trace.empty()) {
+    trace_file.open(options.record_trace, std::ios::binary | std::ios::trunc);
+    if (!trace_file) throw IoError(options.record_trace, "cannot be written");
+    trace.emplace(mission.robots, module_options(config.replay), [&](const std::string& line) {
+      trace_file << line + "\n" << std::flush;
+      if (!trace_file) throw IoError(options.record_trace, "cannot be written");
+    });
+    hooks.event = [&](const HandledEvent& handled) { trace->add(handled); };
+  }
   ReplayResult result = [&] {
     if (live) {
       RealClock clock(0.0, options.rate.value_or(1.0));
-      return replay_live(mission, config, registrar, clock, thread_count(options.common), hooks);
+      return replay_live(mission, config.replay, registration.registrar, clock, thread_count(options.common),
+                         hooks);
     }
     ThreadPool threads(options.job == nullptr ? thread_count(options.common) : 1);
 #ifdef LOOPWISE_HAS_MPI
     if (options.job != nullptr) {
       WorkOptions limits;
       if (options.replay.rank_time_limit_s) limits.time_limit_s = *options.replay.rank_time_limit_s;
-      server = std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config), limits);
-      hooks.compute = distributed_batches(server, registrar, std::max(1, options.common.threads));
+      server = std::make_shared<WorkServer>(*options.job, replay_greeting(mission, config.replay), limits);
+      hooks.compute =
+          distributed_batches(server, registration.registrar, std::max(1, options.common.threads));
     }
 #endif
-    return MissionReplay(mission, config, features, registrar).run(threads, hooks, outcomes->known());
+    return MissionReplay(mission, config.replay, registration).run(threads, hooks, outcomes->known());
   }();
   if (store) note_outcomes(console, *store);
   const RunEvaluation evaluation = evaluate_run(mission, result);
@@ -362,15 +439,15 @@ int run(const Options& options) {
   console.warn(result.problems);
   attempt([&] { finish_log(journal, folder / "journal.jsonl"); });
   if (outcomes) outcomes->finish();
-  write_run_folder(folder, mission, config, result, evaluation, history.rows(),
+  write_run_folder(folder, mission, config.replay, result, evaluation, history.rows(),
                    interrupt.interrupted() ? PointCloud{} : map);
   if (failure) std::rethrow_exception(failure);
-  Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");
+  Json summary = parse_json(run_summary_json(mission, config.replay, result, evaluation), "summary");
 #ifdef LOOPWISE_HAS_MPI
   if (server) note_ranks(console, server->statistics(), summary);
 #endif
   print_results(options.common, summary,
-                results_text(config, result, evaluation) + "results      " + folder.string() + "\n");
+                results_text(config.replay, result, evaluation) + "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +
                  (live ? "" : "; --resume goes on"));
@@ -393,6 +470,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       "  loopwise replay my_mission -o out --method obs\n"
       "  loopwise replay my_session -o out --set generation.skip_recent=2 --odometry-noise 0.05 0.01 --seed "
       "3\n"
+      "  loopwise replay --trace run.trace -o again\n"
       "DIR gets summary.json, closures.csv, history.csv, graph.g2o, trajectories/, map.pcd, picture.svg "
       "and journal.jsonl.");
   command
@@ -400,7 +478,6 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
           "mission", options->missions,
           "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map; several bags, or several "
           "missions of one robot, are one")
-      ->required()
       ->type_name("MISSION");
   command->add_option("-o,--output", options->output, "Folder for the results")->required()->type_name("DIR");
   command
@@ -421,6 +498,17 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->type_name("R")
       ->check(CLI::PositiveNumber);
   command
+      ->add_option(
+          "--record-trace", options->record_trace,
+          "Real clock: record all events in this file, from which --trace repeats the run to the bit")
+      ->type_name("FILE");
+  command
+      ->add_option(
+          "--trace", options->trace,
+          "Repeat a recorded run of the online module; MISSION, which may be left out, adds truth and "
+          "map")
+      ->type_name("FILE");
+  command
       ->add_option("--workers", options->workers,
                    "Registrations at a time on the mission's clock (default 10)")
       ->type_name("N");
@@ -431,6 +519,14 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
   command->add_flag("--resume", options->resume, "Continue a run that was interrupted or killed in DIR");
   command->add_flag("--overwrite", options->overwrite,
                     "Replace the results of an earlier run in DIR; other files stay");
+  // All that a trace says itself.
+  CLI::Option* trace = command->get_option("--trace");
+  for (const char* other :
+       {"--method", "--clock", "--rate", "--record-trace", "--workers", "--after-mission", "--resume",
+        "--preset", "--skip-recent", "--thin", "--batch", "--registration-time", "--gi-evaluation-time",
+        "--max-registrations", "--odometry-noise", "--registrar", "--guess", "--outcomes", "--seed"}) {
+    trace->excludes(command->get_option(other));
+  }
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -64,27 +64,29 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
 }
 
 void apply(const ReplayArguments& a, Config& config) {
-  if (!a.preset.empty()) config.generation = proximity_preset(a.preset);
-  if (a.skip_recent) config.generation.skip_recent = *a.skip_recent;
-  if (!a.robots.empty()) config.mission.robots = a.robots;
   ReplayOptions& replay = config.replay;
-  if (!a.guess.empty()) replay.guess = parse_enum<GuessSource>("--guess", a.guess);
-  if (!a.registrar.empty()) replay.registrar = parse_enum<RegistrarKind>("--registrar", a.registrar);
+  if (!a.preset.empty()) replay.engine.generation = proximity_preset(a.preset);
+  if (a.skip_recent) replay.engine.generation.skip_recent = *a.skip_recent;
+  if (!a.robots.empty()) config.mission.robots = a.robots;
+  if (!a.guess.empty()) replay.engine.guess = parse_enum<GuessSource>("--guess", a.guess);
+  if (!a.registrar.empty()) {
+    replay.registration.registrar = parse_enum<RegistrarKind>("--registrar", a.registrar);
+  }
   if (a.batch) replay.batch = *a.batch;
   if (a.max_registrations) replay.max_registrations = *a.max_registrations;
-  if (a.thin) replay.thin = *a.thin;
+  if (a.thin) replay.engine.thin = *a.thin;
   if (a.registration_time == "measured") {
-    replay.measured_time = true;
+    replay.cost.measured_time = true;
   } else if (!a.registration_time.empty()) {
-    set_config_option("replay.registration_time_s=" + a.registration_time, config);
-    replay.measured_time = false;
+    set_config_option("cost.registration_time_s=" + a.registration_time, config);
+    replay.cost.measured_time = false;
   }
-  if (a.gi_evaluation_time) replay.gi_evaluation_time_s = *a.gi_evaluation_time;
+  if (a.gi_evaluation_time) replay.cost.gi_evaluation_time_s = *a.gi_evaluation_time;
   if (!a.odometry_noise.empty()) {
     replay.odometry_noise_m_per_m = a.odometry_noise[0];
     replay.odometry_noise_rad_per_m = a.odometry_noise[1];
   }
-  if (a.seed) replay.seed = *a.seed;
+  if (a.seed) replay.engine.seed = *a.seed;
 }
 
 void note_outcomes(Console& console, const OutcomeStore& store) {

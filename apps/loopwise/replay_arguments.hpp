@@ -8,7 +8,7 @@
 #include <string>
 #include <vector>
 
-#include <loopwise/pipeline/outcome_store.hpp>
+#include <loopwise/replay/outcome_store.hpp>
 
 #include "command.hpp"
 

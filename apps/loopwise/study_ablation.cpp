@@ -92,16 +92,17 @@ class Figures {
           const std::vector<Column>& columns) {
     std::set<std::pair<std::size_t, std::uint64_t>> seen;
     const bool has_odometry = std::any_of(units.begin(), units.end(), [](const StudyUnit& unit) {
-      return unit.config.replay.method == kOdometry;
+      return unit.config.replay.prioritization.method.empty();
     });
     for (std::size_t i = 0; i < units.size(); ++i) {
       const ReplayOptions& replay = units[i].config.replay;
       const Json& summary = results[i].summary;
       for (const Column& column : columns) {
-        values_[{replay.method, column.name, units[i].mission}].push_back(column.value(summary));
+        values_[{to_string(replay.prioritization.method), column.name, units[i].mission}].push_back(
+            column.value(summary));
       }
       // Odometry is the same in every run of a mission and seed.
-      if (has_odometry || !seen.emplace(units[i].mission, replay.seed).second) continue;
+      if (has_odometry || !seen.emplace(units[i].mission, replay.engine.seed).second) continue;
       for (const char* name : {"ate_m", "ate_se3_m"}) {
         values_[{kOdometry, name, units[i].mission}].push_back(figure(summary, {name, "odometry"}));
       }
@@ -157,10 +158,10 @@ std::string runs_csv(const Study& study, const std::vector<StudyUnit>& units,
   return csv.text();
 }
 
-int run(const Options& options) {
+int run(Options options) {
   Console console(options.study.common.quiet);
   const InterruptGuard interrupt;
-  require_methods(options.methods);
+  options.methods = canonical_methods(options.methods);
   Study study("ablation", options.study, console);
   const std::vector<StudyUnit> units = units_by_method(study, options.methods, options.workers);
   const auto results = study.run(units, interrupt.token());

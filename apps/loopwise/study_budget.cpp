@@ -94,11 +94,11 @@ std::vector<double> by_mission(const std::vector<Run>& runs, std::size_t mission
   return out;
 }
 
-int run(const Options& options) {
+int run(Options options) {
   Console console(options.study.common.quiet);
   const InterruptGuard interrupt;
-  require_methods(options.methods);
-  if (options.everything != "none") static_cast<void>(method_parts(options.everything));
+  options.methods = canonical_methods(options.methods);
+  if (options.everything != "none") static_cast<void>(parse_method(options.everything));
   if (options.workers.empty()) throw OptionError("--workers names none");
   for (std::size_t i = 0; i < options.workers.size(); ++i) {
     if (std::count(options.workers.begin(), options.workers.end(), options.workers[i]) > 1) {
@@ -106,13 +106,13 @@ int run(const Options& options) {
     }
   }
   Study study("budget", options.study, console);
-  const std::int64_t thin = study.config().replay.thin;
+  const std::int64_t thin = study.config().replay.engine.thin;
   if (thin > 1 && options.everything == "none")
     throw OptionError("--thin thins what is computed after the mission, which --everything none leaves out");
   // The everything-run comes after the mission in any case: the computer decides how soon, not what it finds.
   const bool has_usual = std::find(options.workers.begin(), options.workers.end(),
-                                   study.config().replay.workers) != options.workers.end();
-  const std::int64_t usual = has_usual ? study.config().replay.workers : options.workers.front();
+                                   study.config().replay.cost.workers) != options.workers.end();
+  const std::int64_t usual = has_usual ? study.config().replay.cost.workers : options.workers.front();
 
   std::vector<Role> roles;
   for (const std::int64_t workers : options.workers) {
@@ -126,11 +126,11 @@ int run(const Options& options) {
     for (const std::uint64_t seed : study.seeds()) {
       for (const Role& role : roles) {
         StudyUnit unit{m, label(role), study.config()};
-        unit.config.replay.method = role.method;
-        unit.config.replay.workers = role.workers;
-        unit.config.replay.seed = seed;
+        unit.config.replay.prioritization.method = parse_method(role.method);
+        unit.config.replay.cost.workers = role.workers;
+        unit.config.replay.engine.seed = seed;
         unit.config.replay.after_mission = role.everything;
-        unit.config.replay.thin = role.everything ? thin : 1;
+        unit.config.replay.engine.thin = role.everything ? thin : 1;
         units.push_back(unit);
         role_of.push_back(role);
       }
@@ -163,8 +163,8 @@ int run(const Options& options) {
   json["everything"] = {{"method", options.everything}, {"workers", usual}, {"thin", thin}};
   json["worlds"] = Json::array();
   Config shown = study.config();
-  shown.replay.workers = usual;
-  shown.replay.thin = 1;
+  shown.replay.cost.workers = usual;
+  shown.replay.engine.thin = 1;
   std::string text =
       "# Errors against computation\n\n" + budget_text(shown) +
       " Other numbers of workers are named. Medians over missions and seeds, quartiles in brackets; ATE "

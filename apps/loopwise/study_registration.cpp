@@ -11,8 +11,9 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/io/atomic_file.hpp>
-#include <loopwise/pipeline/replay.hpp>
 #include <loopwise/registration/batch.hpp>
+#include <loopwise/replay/rank.hpp>
+#include <loopwise/replay/registration.hpp>
 
 #include "study.hpp"
 #include "study_statistics.hpp"
@@ -35,27 +36,6 @@ struct Options {
 
 Json number(double value) {
   return std::isfinite(value) ? Json(value) : Json();
-}
-
-/// All candidates by the poses of the mission's graph, in the order of arrival.
-std::vector<LoopCandidate> all_candidates(const Mission& mission, const Config& config) {
-  const std::vector<double> arrivals = arrival_times(mission);
-  std::vector<std::size_t> order(arrivals.size());
-  std::iota(order.begin(), order.end(), 0);
-  std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-    const auto& nodes = mission.graph.nodes();
-    return std::pair(arrivals[a], nodes[a].key) < std::pair(arrivals[b], nodes[b].key);
-  });
-  ProximityGenerator generator(config.generation, mission.robots);
-  std::vector<LoopCandidate> candidates;
-  for (const std::size_t i : order) {
-    for (const LoopCandidate& c :
-         generator.on_node(mission.graph, mission.graph.nodes()[i].key, arrivals[i])) {
-      candidates.push_back(c);
-      candidates.back().id = candidates.size() - 1;
-    }
-  }
-  return candidates;
 }
 
 /// Share of the source's points with a point of the target within 0.5 m under T_to_from. Both as the
@@ -173,8 +153,8 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
-  if (!options.preset.empty()) config.generation = proximity_preset(options.preset);
-  if (options.no_guess) config.task.use_guess = false;
+  if (!options.preset.empty()) config.replay.engine.generation = proximity_preset(options.preset);
+  if (options.no_guess) config.replay.engine.task.use_guess = false;
   std::vector<RegistrarKind> kinds;
   if (options.registrar == "both") {
     kinds = {RegistrarKind::kFast, RegistrarKind::kPcl};
@@ -187,7 +167,7 @@ int run(const Options& options) {
   if (mission.ground_truth.empty())
     throw InputError(options.mission + ": has no ground truth to compare with");
 
-  std::vector<LoopCandidate> sample = all_candidates(mission, config);
+  std::vector<LoopCandidate> sample = all_candidates(mission, config.replay);
   const std::size_t generated = sample.size();
   sample.erase(std::remove_if(sample.begin(), sample.end(),
                               [&](const LoopCandidate& c) {
@@ -200,14 +180,15 @@ int run(const Options& options) {
   if (options.count > 0 && sample.size() > options.count) sample.resize(options.count);
 
   ThreadPool threads(thread_count(options.common));
-  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  const auto features =
+      std::make_shared<FeatureCache>(mission.scans->loader(), config.replay.registration.features);
   std::vector<StudyPair> pairs(sample.size());
   std::vector<RegistrationTask> tasks(sample.size());
   std::vector<Eigen::Isometry3d> truths(sample.size());
   threads.for_each(sample.size(), [&](std::size_t i) {
     const LoopCandidate& c = sample[i];
     const Eigen::Isometry3d truth = mission.ground_truth.at(c.from).inverse() * mission.ground_truth.at(c.to);
-    tasks[i] = make_task(mission.graph, mission.robots, c, config.task, options.seed,
+    tasks[i] = make_task(mission.graph, mission.robots, c, config.replay.engine.task, options.seed,
                          [&](Key key) { return mission.scans->has(key); });
     pairs[i].candidate = c;
     pairs[i].distance_m = truth.translation().norm();
@@ -230,7 +211,9 @@ int run(const Options& options) {
       "weak_sigma_m,weak_error,features_s,global_s,refine_s\n";
   for (const RegistrarKind kind : kinds) {
     const std::string name = enum_name(kind);
-    const auto registrar = make_registrar(kind, config, features);
+    RegistrationOptions of_kind = config.replay.registration;
+    of_kind.registrar = kind;
+    const auto registrar = make_registration(of_kind, mission.scans->loader()).registrar;
     std::vector<RegistrationTask> own = tasks;
     if (kind == RegistrarKind::kPcl && options.pcl_count > 0 && own.size() > options.pcl_count) {
       own.resize(options.pcl_count);

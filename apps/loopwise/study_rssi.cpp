@@ -35,10 +35,10 @@ RobotFigures figures_of(const Json& robot, const char* which) {
           figure(robot, {which, "rotation_deg_per_m"}), kDegrees * figure(robot, {which, "ate_rad", "max"})};
 }
 
-int run(const Options& options) {
+int run(Options options) {
   Console console(options.study.common.quiet);
   const InterruptGuard interrupt;
-  require_methods(options.methods);
+  options.methods = canonical_methods(options.methods);
   Study study("rssi", options.study, console);
   for (const StudyMission& mission : study.missions()) {
     if (!mission.has_radio) console.warn(mission.path + ": has no radio readings, so rssi finds nothing");
@@ -76,7 +76,7 @@ int run(const Options& options) {
     for (std::size_t i = 0; i < units.size(); ++i) {
       const std::size_t m = units[i].mission;
       if (std::find(world.missions.begin(), world.missions.end(), m) == world.missions.end()) continue;
-      const std::string& method = units[i].config.replay.method;
+      const std::string method = to_string(units[i].config.replay.prioritization.method);
       const auto add = [&](const std::string& robot, const Json& of_robot, const std::string& as,
                            const char* which) {
         const RobotFigures f = figures_of(of_robot, which);

@@ -58,25 +58,26 @@ std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit, co
           m.name,
           m.seed,
           m.parameters_sha256,
-          r.method,
-          std::to_string(r.seed),
-          r.measured_time ? "measured" : number_text(r.registration_time_s),
-          std::to_string(r.workers),
-          std::to_string(r.thin),
+          to_string(r.prioritization.method),
+          std::to_string(r.engine.seed),
+          r.cost.measured_time ? "measured" : number_text(r.cost.registration_time_s),
+          std::to_string(r.cost.workers),
+          std::to_string(r.engine.thin),
           r.after_mission ? "1" : "0",
           number_text(figure(result.summary, {"mission_end_s"})),
           number_text(figure(result.summary, {"mission_time_s"}))};
 }
 
-void require_methods(const std::vector<std::string>& methods) {
+std::vector<std::string> canonical_methods(const std::vector<std::string>& methods) {
   if (methods.empty()) throw OptionError("--methods names none");
-  for (std::size_t i = 0; i < methods.size(); ++i) {
-    static_cast<void>(method_parts(methods[i]));
-    if (std::find(methods.begin(), methods.begin() + static_cast<std::ptrdiff_t>(i), methods[i]) !=
-        methods.begin() + static_cast<std::ptrdiff_t>(i)) {
-      throw OptionError("--methods names \"" + methods[i] + "\" twice");
+  std::vector<std::string> canonical;
+  for (const std::string& method : methods) {
+    canonical.push_back(to_string(parse_method(method)));
+    if (std::find(canonical.begin(), canonical.end() - 1, canonical.back()) != canonical.end() - 1) {
+      throw OptionError("--methods names \"" + method + "\" twice");
     }
   }
+  return canonical;
 }
 
 Json number_json(double value) {
@@ -137,14 +138,15 @@ std::string describe(const World& world) {
 
 std::string budget_text(const Config& config) {
   const ReplayOptions& r = config.replay;
-  std::string text = r.measured_time ? "A registration takes what it took here"
-                                     : "A registration takes " + fixed(r.registration_time_s, 3) + " s";
-  text += " of mission time on one of " + std::to_string(r.workers) + " workers; batches of " +
+  std::string text = r.cost.measured_time
+                         ? "A registration takes as long as it took here"
+                         : "A registration takes " + fixed(r.cost.registration_time_s, 3) + " s";
+  text += " of mission time on one of " + std::to_string(r.cost.workers) + " workers; batches of " +
           std::to_string(r.batch) + "; an evaluation of graph information takes " +
-          fixed(r.gi_evaluation_time_s, 3) + " s.";
-  if (r.thin > 1) {
-    text +=
-        " Candidates are thinned: one in " + std::to_string(r.thin) + ", drawn uniformly by pair and seed.";
+          fixed(r.cost.gi_evaluation_time_s, 3) + " s.";
+  if (r.engine.thin > 1) {
+    text += " Candidates are thinned: one in " + std::to_string(r.engine.thin) +
+            ", drawn uniformly by pair and seed.";
   }
   if (r.max_registrations > 0)
     text += " No more than " + std::to_string(r.max_registrations) + " registrations.";

@@ -30,8 +30,9 @@ namespace loopwise::cli {
 [[nodiscard]] std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit,
                                                  const UnitResult& result);
 
-/// \throws OptionError if there is none, one is unknown, or one comes twice.
-void require_methods(const std::vector<std::string>& methods);
+/// The names as to_string(Method) has them: "full" for "gi+obs". \throws OptionError if there is none, one is
+/// unknown, or one comes twice.
+[[nodiscard]] std::vector<std::string> canonical_methods(const std::vector<std::string>& methods);
 
 /// The object of this name within another, empty if there was none. JSON of null becomes an object by itself
 /// where it is indexed, but where there is no memory for it the library leaves a value that cannot go.

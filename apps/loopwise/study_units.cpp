@@ -19,8 +19,8 @@
 #endif
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
-#include <loopwise/pipeline/code_version.hpp>
-#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/replay/code_version.hpp>
+#include <loopwise/replay/replay.hpp>
 
 #include "outcome_file.hpp"
 
@@ -83,19 +83,15 @@ StudyMission described(const std::string& path, const Mission& mission) {
 /// A mission in memory with what its units share.
 struct Loaded {
   Mission mission;
-  std::shared_ptr<FeatureCache> features;
-  std::shared_ptr<const Registrar> registrar;
+  Registration registration;
 };
 
 std::shared_ptr<const Loaded> load(const std::string& path, const Config& config,
                                    const std::shared_ptr<OutcomeStore>& store) {
   auto loaded = std::make_shared<Loaded>();
   loaded->mission = read_mission(path, config.mission);
-  const ScanLoader scans = loaded->mission.scans->loader();
-  loaded->features = std::make_shared<FeatureCache>(scans, config.features);
-  loaded->registrar =
-      std::make_shared<StoredRegistrar>(make_registrar(config.replay.registrar, config, loaded->features),
-                                        store, scans, registration_context(config.replay.registrar, config));
+  loaded->registration =
+      make_registration(config.replay.registration, loaded->mission.scans->loader(), store);
   return loaded;
 }
 
@@ -128,10 +124,10 @@ class LoadedMissions {
   std::vector<Slot> slots_;
 };
 
-Json unit_json(const StudyMission& about, const Mission& mission, const Config& config,
+Json unit_json(const StudyMission& about, const Mission& mission, const ReplayOptions& options,
                const ReplayResult& result, const RunHistory& history) {
   const RunEvaluation evaluation = evaluate_run(mission, result);
-  Json summary = parse_json(run_summary_json(mission, config, result, evaluation), "summary");
+  Json summary = parse_json(run_summary_json(mission, options, result, evaluation), "summary");
   summary.erase("seconds");
   // Scans are read by all units of a mission: which of them meets a flaw first is chance.
   summary.erase("problems");
@@ -158,7 +154,7 @@ Json unit_json(const StudyMission& about, const Mission& mission, const Config& 
 
 Config study_defaults() {
   Config config;
-  config.replay.guess = GuessSource::kOdometry;
+  config.replay.engine.guess = GuessSource::kOdometry;
   return config;
 }
 
@@ -223,17 +219,17 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
   }
   ThreadPool one(1);
   ReplayResult result =
-      MissionReplay(loaded.mission, unit.config, loaded.features, loaded.registrar).run(one, hooks);
+      MissionReplay(loaded.mission, unit.config.replay, loaded.registration).run(one, hooks);
   if (result.interrupted) return std::nullopt;
   if (keep_run) {
     finish_log(journal, files.run / "journal.jsonl");
     const PointCloud map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop);
     if (stop.stop_requested()) return std::nullopt;
     add_scan_problems(result, *loaded.mission.scans);
-    write_run_folder(files.run, loaded.mission, unit.config, result, evaluate_run(loaded.mission, result),
-                     history.rows(), map);
+    write_run_folder(files.run, loaded.mission, unit.config.replay, result,
+                     evaluate_run(loaded.mission, result), history.rows(), map);
   }
-  ComputedUnit computed{unit_json(about, loaded.mission, unit.config, result, history), 0.0, {}};
+  ComputedUnit computed{unit_json(about, loaded.mission, unit.config.replay, result, history), 0.0, {}};
   for (const Problem& problem : result.problems.all()) {
     for (const char* kind : {"scan cannot be read", "neighbour's scan cannot be read", "registration failed",
                              "registration reached its time limit"}) {
@@ -299,7 +295,7 @@ Study::Study(std::string name, const StudyOptions& options, Console& console)
 std::vector<std::uint64_t> Study::seeds() const {
   std::vector<std::uint64_t> seeds;
   for (std::int64_t i = 0; i < options_.seeds; ++i) {
-    seeds.push_back(config_.replay.seed + static_cast<std::uint64_t>(i));
+    seeds.push_back(config_.replay.engine.seed + static_cast<std::uint64_t>(i));
   }
   return seeds;
 }
@@ -394,7 +390,7 @@ UnitFiles Study::files_of(const StudyUnit& unit) const {
                                        .text(replay_code_version())
                                        .finish());
   const std::string name = plain(mission.name) + "-" + plain(unit.label) + "-s" +
-                           std::to_string(unit.config.replay.seed) + "-" + id.substr(0, 8);
+                           std::to_string(unit.config.replay.engine.seed) + "-" + id.substr(0, 8);
   return {folder_ / "units" / (id + ".json"), folder_ / "units" / (id + ".seconds"), folder_ / "runs" / name};
 }
 
@@ -536,7 +532,7 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
   for (std::size_t i = 0; i < units.size(); ++i) {
     all.push_back(*std::move(results[i]));
     const std::string seconds = fs::exists(files[i].seconds) ? read_file(files[i].seconds) : "";
-    timings.row(missions_[units[i].mission].name, units[i].label, units[i].config.replay.seed,
+    timings.row(missions_[units[i].mission].name, units[i].label, units[i].config.replay.engine.seed,
                 seconds.substr(0, seconds.find('\n')));
   }
   write_file(folder_ / (name_ + "_timings.csv"), timings.text());
@@ -550,9 +546,9 @@ std::vector<StudyUnit> units_by_method(const Study& study, const std::vector<std
     for (const std::uint64_t seed : study.seeds()) {
       for (const std::string& method : methods) {
         StudyUnit unit{m, method, study.config()};
-        unit.config.replay.method = method;
-        unit.config.replay.seed = seed;
-        if (workers) unit.config.replay.workers = *workers;
+        unit.config.replay.prioritization.method = parse_method(method);
+        unit.config.replay.engine.seed = seed;
+        if (workers) unit.config.replay.cost.workers = *workers;
         units.push_back(unit);
       }
     }

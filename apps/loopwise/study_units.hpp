@@ -14,8 +14,8 @@
 
 #include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/stop_token.hpp>
-#include <loopwise/pipeline/config.hpp>
-#include <loopwise/pipeline/outcome_store.hpp>
+#include <loopwise/replay/config.hpp>
+#include <loopwise/replay/outcome_store.hpp>
 
 #include "command.hpp"
 #include "replay_arguments.hpp"

@@ -9,7 +9,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/mission.hpp>
-#include <loopwise/pipeline/code_version.hpp>
+#include <loopwise/replay/code_version.hpp>
 #ifdef LOOPWISE_HAS_SIMULATION
 #include <loopwise/simulation/simulate.hpp>
 #endif

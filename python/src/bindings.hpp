@@ -20,7 +20,7 @@
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/problems.hpp>
 #include <loopwise/core/se3.hpp>
-#include <loopwise/pipeline/config.hpp>
+#include <loopwise/replay/config.hpp>
 
 namespace loopwise::python {
 
@@ -65,6 +65,6 @@ void bind_io(py::module_& module);
 void bind_optimization(py::module_& module);
 void bind_prioritization(py::module_& module);
 void bind_registration(py::module_& module);
-void bind_pipeline(py::module_& module);
+void bind_replay(py::module_& module);
 
 }  // namespace loopwise::python

@@ -153,5 +153,5 @@ PYBIND11_MODULE(_loopwise, module) {
   loopwise::python::bind_optimization(module);
   loopwise::python::bind_prioritization(module);
   loopwise::python::bind_registration(module);
-  loopwise::python::bind_pipeline(module);
+  loopwise::python::bind_replay(module);
 }

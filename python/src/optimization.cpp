@@ -45,10 +45,10 @@ void bind_optimization(py::module_& module) {
       "optimize",
       [](const PoseGraph& graph, const py::object& options) {
         Config config;
-        config.optimization = OptimizerOptions();  // begins with the graph's poses, as in C++
+        config.replay.back_end.optimization = OptimizerOptions();  // begins with the graph's poses, as in C++
         apply_section(config, "optimization", options);
         const py::gil_scoped_release release;
-        return optimize(graph, config.optimization);
+        return optimize(graph, config.replay.back_end.optimization);
       },
       py::arg("graph"), py::arg("options") = py::none(),
       "Least squares over the poses. The graph is not changed: graph.poses = result.poses. Options are those "
@@ -58,12 +58,12 @@ void bind_optimization(py::module_& module) {
       "optimize_gnc",
       [](const PoseGraph& graph, const py::object& options, const py::object& gnc) {
         Config config;
-        config.optimization = OptimizerOptions();
-        config.gnc = GncOptions();
+        config.replay.back_end.optimization = OptimizerOptions();
+        config.replay.back_end.gnc = GncOptions();
         apply_section(config, "optimization", options);
         apply_section(config, "gnc", gnc);
         const py::gil_scoped_release release;
-        return optimize_gnc(graph, config.optimization, config.gnc);
+        return optimize_gnc(graph, config.replay.back_end.optimization, config.replay.back_end.gnc);
       },
       py::arg("graph"), py::arg("options") = py::none(), py::arg("gnc") = py::none(),
       "Robust: finds out which loop closures are false. Options of the sections \"optimization\" and "

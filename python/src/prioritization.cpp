@@ -12,7 +12,7 @@
 namespace loopwise::python {
 namespace {
 
-/// The prioritisers of a method as one, for use without a pipeline.
+/// The prioritisers of a method as one, for use without an engine.
 class QueuePrioritizer final : public Prioritizer {
  public:
   QueuePrioritizer(std::string name, RoundRobinQueue queue)
@@ -42,15 +42,16 @@ class QueuePrioritizer final : public Prioritizer {
 std::shared_ptr<Prioritizer> prioritizer_of(const std::string& method, const Robots& robots,
                                             const py::object& config_value) {
   const Config config = config_from(config_value);
-  Config chosen = config;
-  chosen.replay.method = method;
-  const FeatureOptions features = config.features;
-  const bool lamp = config.observability.variant == ObservabilityVariant::kLamp;
-  auto queue = make_queue(chosen, robots, [features, lamp](const KeyedScan& scan) {
+  PrioritizationOptions chosen = config.replay.prioritization;
+  chosen.method = parse_method(method);
+  const FeatureOptions features = config.replay.registration.features;
+  const bool lamp = config.replay.prioritization.observability.variant == ObservabilityVariant::kLamp;
+  const auto eigenvalue = [features, lamp](const KeyedScan& scan) {
     const Observability observability = compute_features(*scan.cloud, features).observability;
     return lamp ? observability.min_eigenvalue_lamp : observability.min_eigenvalue;
-  });
-  return std::make_shared<QueuePrioritizer>(method, std::move(queue));
+  };
+  return std::make_shared<QueuePrioritizer>(
+      method, RoundRobinQueue(make_prioritizers(chosen, config.replay.engine.seed, robots, eigenvalue)));
 }
 
 }  // namespace
@@ -108,7 +109,7 @@ void bind_prioritization(py::module_& module) {
             robots.is_none() ? Robots::from_keys(graph.keys())
                              : (py::isinstance<py::str>(robots) ? parse_robots(robots.cast<std::string>())
                                                                 : robots.cast<Robots>());
-        ProximityGenerator generator(config.generation, owners);
+        ProximityGenerator generator(config.replay.engine.generation, owners);
         std::vector<LoopCandidate> all;
         for (const Node& node : graph.nodes()) {
           for (LoopCandidate candidate :
@@ -132,7 +133,7 @@ void bind_prioritization(py::module_& module) {
         std::vector<double> gains;
         {
           const py::gil_scoped_release release;
-          CovarianceObjective objective(graph, candidates, config.closure_model);
+          CovarianceObjective objective(graph, candidates, config.replay.prioritization.closure_model);
           gains = objective.add_changes();
         }
         for (double& gain : gains) gain = -gain;

@@ -12,7 +12,8 @@ void bind_registration(py::module_& module) {
          std::uint64_t seed, const py::object& source_normals, const py::object& target_normals,
          const py::object& config_value) {
         constexpr Key kTarget = 0, kSource = 1;
-        const Config config = config_from(config_value);
+        RegistrationOptions options = config_from(config_value).replay.registration;
+        options.registrar = parse_enum<RegistrarKind>("registrar", registrar);
         const auto source_cloud =
             std::make_shared<const PointCloud>(cloud_from(source, source_normals, py::none()));
         const auto target_cloud =
@@ -20,13 +21,11 @@ void bind_registration(py::module_& module) {
         // As a pair of nodes: `from` is the newer one, the source.
         RegistrationTask task = pair_task(kSource, kTarget, seed);
         if (!guess.is_none()) task.guess_from_to = pose_from(guess.cast<RowMatrix4d>(), "guess").inverse();
-        const auto kind = parse_enum<RegistrarKind>("registrar", registrar);
         RegistrationResult result;
         {
           const py::gil_scoped_release release;
-          const auto features = std::make_shared<FeatureCache>(
-              [&](Key key) { return key == kSource ? source_cloud : target_cloud; }, config.features);
-          result = make_registrar(kind, config, features)->compute(task);
+          const auto scans = [&](Key key) { return key == kSource ? source_cloud : target_cloud; };
+          result = make_registration(options, scans).registrar->compute(task);
         }
         py::dict out;
         out["verified"] = result.verified();

@@ -11,7 +11,7 @@
 
 #include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
-#include <loopwise/pipeline/code_version.hpp>
+#include <loopwise/replay/code_version.hpp>
 #include <loopwise/registration/batch.hpp>
 
 namespace loopwise {
@@ -198,14 +198,14 @@ RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& ca
   return result;
 }
 
-std::string replay_greeting(const Mission& mission, const Config& config) {
+std::string replay_greeting(const Mission& mission, const ReplayOptions& options) {
   ContentHasher hasher;
   for (const Node& node : mission.graph.nodes()) {
     hasher.integer(node.key).integer(static_cast<std::uint64_t>(node.stamp_ns));
   }
   for (const Key key : mission.scans->keys()) hasher.integer(key);
   return "replay " + replay_code_version() + " " + to_string(hasher.finish()) + " " +
-         to_string(ContentHasher().text(config_key(config)).finish());
+         to_string(ContentHasher().text(options_key(options)).finish());
 }
 
 BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,

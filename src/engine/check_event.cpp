@@ -19,9 +19,7 @@ class Checker {
     scratch.add_node(frame.node);
     factors(factors_of(frame));
   }
-  void operator()(const event::Factors& f) const {
-    factors(factors_of(f.edges, f.priors, f.ranges, f.gravities));
-  }
+  void operator()(const Factors& f) const { factors(factors_of(f)); }
   void operator()(const event::Scan& event) const {
     owned(event.scan.key);
     if (!event.scan.cloud) {

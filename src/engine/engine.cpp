@@ -149,7 +149,7 @@ class Engine::Impl {
 
     // Radio's first, so that a pair that both propose counts as radio's.
     std::vector<LoopCandidate> candidates = radio_.on_node(graph_, node.key, now_s_);
-    if (options_.proximity && prioritizes_) {
+    if (options_.use_proximity && prioritizes_) {
       const std::vector<LoopCandidate> near = generator_.on_node(graph_, node.key, now_s_);
       candidates.insert(candidates.end(), near.begin(), near.end());
     }
@@ -162,9 +162,7 @@ class Engine::Impl {
     }
   }
 
-  void on(event::Factors& event) {
-    add_factors(factors_of(event.edges, event.priors, event.ranges, event.gravities));
-  }
+  void on(Factors& factors) { add_factors(factors_of(factors)); }
 
   void add_factors(const std::vector<Factor>& factors) {
     for (const Factor& factor : factors) {
@@ -292,7 +290,7 @@ class Engine::Impl {
     if (moved_.empty()) return;
     std::sort(moved_.begin(), moved_.end());
     moved_.erase(std::unique(moved_.begin(), moved_.end()), moved_.end());
-    if (options_.proximity && prioritizes_) propose(generator_.on_moved(graph_, moved_, now_s_));
+    if (options_.use_proximity && prioritizes_) propose(generator_.on_moved(graph_, moved_, now_s_));
     moved_.clear();
   }
 
@@ -466,7 +464,7 @@ class Engine::Impl {
   }
 
   void start_estimate() {
-    if (!wants_estimate_ || !options_.back_end || optimizing_) return;
+    if (!wants_estimate_ || !options_.use_back_end || optimizing_) return;
     wants_estimate_ = removed_since_job_ = false;
     moved_since_job_.clear();
     optimizing_ = true;
@@ -524,7 +522,8 @@ class Engine::Impl {
   }
 
   void on(ExternalEstimate& estimate) {
-    if (options_.back_end) throw InputError("an estimate from outside needs the option back_end to be off");
+    if (options_.use_back_end)
+      throw InputError("an estimate from outside needs the option engine.use_back_end to be off");
     std::unordered_map<Key, Eigen::Isometry3d> named;
     for (const auto& [key, pose] : estimate.poses) {
       if (!graph_.contains(key)) continue;
@@ -612,7 +611,7 @@ bool Engine::wants_batch() const {
   return impl_->wants_batch();
 }
 bool Engine::wants_estimate() const {
-  return impl_->wants_estimate_ && impl_->options_.back_end;
+  return impl_->wants_estimate_ && impl_->options_.use_back_end;
 }
 bool Engine::computing() const {
   return impl_->computing_;

@@ -12,20 +12,22 @@ namespace loopwise {
 /// Any factor of a pose graph.
 using Factor = std::variant<Edge, PriorFactor, RangeFactor, GravityFactor>;
 
-[[nodiscard]] inline std::vector<Factor> factors_of(const std::vector<Edge>& edges,
-                                                    const std::vector<PriorFactor>& priors,
-                                                    const std::vector<RangeFactor>& ranges,
-                                                    const std::vector<GravityFactor>& gravities) {
-  // Priors before edges, so that a path is placed before it is tied; gravity before ranges.
-  std::vector<Factor> factors(priors.begin(), priors.end());
-  factors.insert(factors.end(), edges.begin(), edges.end());
-  factors.insert(factors.end(), gravities.begin(), gravities.end());
-  factors.insert(factors.end(), ranges.begin(), ranges.end());
+/// Of a KeyFrame or of Factors. Priors before edges, so that a path is placed before it is tied; gravity
+/// before ranges.
+template <class Source>
+[[nodiscard]] std::vector<Factor> factors_of(const Source& source) {
+  std::vector<Factor> factors(source.priors.begin(), source.priors.end());
+  const auto add = [&factors](const std::vector<BetweenFactor>& between, EdgeKind kind) {
+    for (const BetweenFactor& f : between) {
+      factors.push_back(Edge{f.from, f.to, f.T_from_to, f.information, kind, f.trusted, 1.0});
+    }
+  };
+  add(source.odometry, EdgeKind::kOdometry);
+  add(source.closures, EdgeKind::kLoopClosure);
+  add(source.landmarks, EdgeKind::kLandmark);
+  factors.insert(factors.end(), source.gravities.begin(), source.gravities.end());
+  factors.insert(factors.end(), source.ranges.begin(), source.ranges.end());
   return factors;
-}
-
-[[nodiscard]] inline std::vector<Factor> factors_of(const KeyFrame& frame) {
-  return factors_of(frame.factors, frame.priors, frame.ranges, frame.gravities);
 }
 
 [[nodiscard]] inline std::vector<Key> keys_of(const Factor& factor) {

@@ -25,7 +25,7 @@
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/trajectory.hpp>
-#include <loopwise/pipeline/config.hpp>
+#include <loopwise/replay/config.hpp>
 
 #include "report_parts.hpp"
 #include "report_template.hpp"

@@ -122,17 +122,18 @@ std::vector<StudyCurve> read_units(const fs::path& folder) {
   for (const fs::path& path : paths) {
     try {
       const Json unit = parse_json(read_file(path), path.string());
-      const Json &summary = unit.at("summary"), &replay = summary.at("options").at("replay");
+      const Json& summary = unit.at("summary");
+      const Json &options = summary.at("options"), &cost = options.at("cost");
       StudyCurve curve;
       curve.run = {{"world", unit.at("mission").at("world")},
                    {"mission", summary.at("mission")},
                    {"method", summary.at("method")},
                    {"seed", summary.at("seed")},
-                   {"registration_time_s", replay.at("registration_time_s")},
-                   {"workers", replay.at("workers")},
-                   {"thin", replay.value("thin", 1)},
-                   {"after_mission", replay.at("after_mission").get<bool>() ? 1 : 0}};
-      if (replay.value("measured_time", false)) curve.run["registration_time_s"] = "measured";
+                   {"registration_time_s", cost.at("registration_time_s")},
+                   {"workers", cost.at("workers")},
+                   {"thin", options.at("engine").value("thin", 1)},
+                   {"after_mission", options.at("replay").at("after_mission").get<bool>() ? 1 : 0}};
+      if (cost.value("measured_time", false)) curve.run["registration_time_s"] = "measured";
       if (summary.contains("ate_m") && summary["ate_m"].is_object())
         curve.run["ate_m"] = summary["ate_m"].value("optimized", Json());
       const double end_s = summary.at("mission_end_s").get<double>();

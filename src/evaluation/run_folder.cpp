@@ -99,13 +99,13 @@ RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result) {
   return evaluation;
 }
 
-std::string run_summary_json(const Mission& mission, const Config& config, const ReplayResult& result,
+std::string run_summary_json(const Mission& mission, const ReplayOptions& options, const ReplayResult& result,
                              const RunEvaluation& e) {
   const CandidateAccounting& a = result.accounting;
   Json json = Json::object();
   json["mission"] = mission.name;
-  json["method"] = config.replay.method;
-  json["seed"] = config.replay.seed;
+  json["method"] = to_string(options.prioritization.method);
+  json["seed"] = options.engine.seed;
   json["interrupted"] = result.interrupted;
   json["mission_time_s"] = result.mission_time_s;
   json["mission_end_s"] = result.mission_end_s;
@@ -144,7 +144,7 @@ std::string run_summary_json(const Mission& mission, const Config& config, const
   json["seconds"] = {{"total", result.total_s},
                      {"registration", result.registration_s},
                      {"optimization", result.optimization_s}};
-  json["options"] = parse_json(config_json(config), "options");
+  json["options"] = parse_json(options_json(options), "options");
   Json problems = Json::array();
   for (const Problems* list : {&mission.problems, &result.problems}) {
     for (const Problem& problem : list->all()) problems.push_back(to_string(problem));
@@ -206,7 +206,7 @@ void add_scan_problems(ReplayResult& result, const ScanStore& scans) {
   }
 }
 
-void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const Config& config,
+void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const ReplayOptions& options,
                       const ReplayResult& result, const RunEvaluation& evaluation,
                       const std::vector<HistoryRow>& history, const PointCloud& map) {
   write_g2o(folder / "graph.g2o", result.graph);
@@ -240,7 +240,7 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
     write_pcd(folder / "map.pcd", map);
     write_file(folder / "picture.svg", run_picture_svg(mission, result, map));
   }
-  write_file(folder / "summary.json", run_summary_json(mission, config, result, evaluation));
+  write_file(folder / "summary.json", run_summary_json(mission, options, result, evaluation));
 }
 
 }  // namespace loopwise

@@ -20,8 +20,6 @@ namespace {
 /// Values are copied, compared and written by functions that call themselves: beyond this the stack might not
 /// do.
 constexpr int kDeepest = 200;
-/// Longer names are no slips of a known one, and comparing takes time by their length.
-constexpr std::size_t kLongestGuessed = 200;
 
 std::size_t line_of(std::string_view text, std::size_t byte) {
   const auto end = text.begin() + static_cast<std::ptrdiff_t>(std::min(byte, text.size()));
@@ -33,22 +31,6 @@ std::string reason(const std::string& what) {
   const std::size_t column = what.find("column ");
   const std::size_t colon = what.find(": ", column == std::string::npos ? 0 : column);
   return colon == std::string::npos ? what : what.substr(colon + 2);
-}
-
-/// Levenshtein's distance.
-std::size_t edit_distance(std::string_view a, std::string_view b) {
-  std::vector<std::size_t> row(b.size() + 1);
-  std::iota(row.begin(), row.end(), std::size_t{0});
-  for (std::size_t i = 0; i < a.size(); ++i) {
-    std::size_t diagonal = row[0];
-    row[0] = i + 1;
-    for (std::size_t j = 0; j < b.size(); ++j) {
-      const std::size_t replaced = diagonal + (a[i] == b[j] ? 0 : 1);
-      diagonal = row[j + 1];
-      row[j + 1] = std::min({replaced, row[j] + 1, diagonal + 1});
-    }
-  }
-  return row.back();
 }
 
 [[noreturn]] void wrong_type(const std::string& name, const Json& value, const std::string& expected) {
@@ -134,24 +116,6 @@ Json read_json_file(const std::filesystem::path& path) {
   return parse_json(read_file(path), path.string());
 }
 
-void throw_unknown_name(std::string_view what, std::string_view name, const std::vector<std::string>& known) {
-  const std::string* nearest = nullptr;
-  std::size_t least = std::max<std::size_t>(2, name.size() / 3) + 1;
-  for (const std::string& candidate : known) {
-    if (name.size() > kLongestGuessed) break;
-    const std::size_t distance = edit_distance(name, candidate);
-    if (distance < least) {
-      least = distance;
-      nearest = &candidate;
-    }
-  }
-  std::string message = "unknown " + std::string(what) + " " + std::string(name);
-  if (nearest != nullptr) message += ", did you mean " + *nearest + "?";
-  message += nearest != nullptr ? " Known: " : "; known: ";
-  for (std::size_t i = 0; i < known.size(); ++i) message += (i > 0 ? ", " : "") + known[i];
-  throw OptionError(message);
-}
-
 namespace detail {
 
 bool json_to_bool(const Json& value, const std::string& name) {
@@ -187,6 +151,13 @@ double json_to_double(const Json& value, const std::string& name) {
 std::string json_to_text(const Json& value, const std::string& name) {
   if (!value.is_string()) wrong_type(name, value, "text in quotes");
   return value.get<std::string>();
+}
+
+std::string json_to_words(const Json& value, const std::string& name) {
+  if (!value.is_array()) return json_to_text(value, name);
+  std::string text;
+  for (const Json& word : value) text += (text.empty() ? "" : "+") + json_to_text(word, name);
+  return text;
 }
 
 std::vector<double> json_to_doubles(const Json& value, const std::string& name) {

@@ -13,6 +13,8 @@
 #include <loopwise/core/random.hpp>
 #include <loopwise/optimization/marginals.hpp>
 #include <loopwise/prioritization/acceptance.hpp>
+#include <loopwise/prioritization/effect_network.hpp>
+#include <loopwise/prioritization/gnn.hpp>
 
 #include "closure_factor.hpp"
 

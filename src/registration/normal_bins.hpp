@@ -7,6 +7,7 @@
 
 #include <Eigen/Core>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 
 namespace loopwise {
@@ -31,6 +32,6 @@ inline constexpr std::size_t kUnknownNormal = 13;
 
 /// `count` points with a normal, drawn in turn from the bins; all of them if they are fewer. Those drawn
 /// first are spread like the rest, so a prefix is a draw of its own. Depends on the cloud alone.
-[[nodiscard]] std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud, std::size_t count);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud, std::size_t count);
 
 }  // namespace loopwise

@@ -5,6 +5,7 @@
 #include <optional>
 #include <vector>
 
+#include <loopwise/core/export.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/registration/registrar.hpp>
 
@@ -18,7 +19,7 @@ struct Part {
 };
 
 /// One side of a registration: its scans, and their union in the centre's frame.
-class Submap {
+class LOOPWISE_EXPORT Submap {
  public:
   /// The features of the members, in order, until there are enough points (0: of all); or nothing if the
   /// first, which is the node itself, is missing: then `result` says why. Others that cannot be read are left

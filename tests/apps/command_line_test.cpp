@@ -538,7 +538,7 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   same_results("two");
 
   require_failure(replay("one", {}), kBadUsage, "not empty");
-  require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options: replay.seed was 1");
+  require_failure(replay("two", {"--resume", "--seed", "9"}), kBadUsage, "other options: engine.seed was 1");
   require_failure(replay("two", {"--resume", "--overwrite"}), kBadUsage, "give one of them");
   for (const char* kept : {"summary.json", "map.pcd", "picture.svg", "journal.jsonl"}) {
     CAPTURE(kept);

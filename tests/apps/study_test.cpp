@@ -224,6 +224,18 @@ TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[
   require_same(results_of(folder / "one"), whole);
 }
 
+namespace {
+
+void require_failure(const std::vector<std::string>& arguments, int status, const std::string& why) {
+  const ProgramRun run = run_program(arguments);
+  CAPTURE(arguments);
+  REQUIRE(run.status == status);
+  REQUIRE(run.out.empty());
+  REQUIRE_THAT(run.err, Contains(why));
+}
+
+}  // namespace
+
 TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   const TemporaryFolder folder;
   Mission mission = small_mission(4);
@@ -231,14 +243,6 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   write_mission(path, mission);
   mission.ground_truth.clear();
   write_mission(folder / "untrue", mission);
-  const auto require_failure = [](const std::vector<std::string>& arguments, int status,
-                                  const std::string& why) {
-    const ProgramRun run = run_program(arguments);
-    CAPTURE(arguments);
-    REQUIRE(run.status == status);
-    REQUIRE(run.out.empty());
-    REQUIRE_THAT(run.err, Contains(why));
-  };
   require_failure({"study", "ablation", path}, kBadUsage, "output");
   require_failure({"study", "ablation", path, "-o", out, "--methods", "best"}, kBadUsage, "best");
   require_failure({"study", "ablation", path, "-o", out, "--methods", "full,full"}, kBadUsage, "twice");
@@ -246,11 +250,11 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   require_failure({"study", "ablation", path, "-o", out, "--registration-time", "soon"}, kBadUsage,
                   "registration_time_s");
   require_failure({"study", "ablation", path, path, "-o", out}, kBadUsage, "same mission");
-  require_failure({"study", "budget", path, "-o", out, "--workers", "2,0"}, kBadUsage, "replay.workers = 0");
+  require_failure({"study", "budget", path, "-o", out, "--workers", "2,0"}, kBadUsage, "cost.workers = 0");
   require_failure({"study", "budget", path, "-o", out, "--everything", "best"}, kBadUsage, "best");
   require_failure({"study", "budget", path, "-o", out, "--thin", "2", "--everything", "none"}, kBadUsage,
                   "--thin");
-  require_failure({"study", "ablation", path, "-o", out, "--workers", "0"}, kBadUsage, "replay.workers = 0");
+  require_failure({"study", "ablation", path, "-o", out, "--workers", "0"}, kBadUsage, "cost.workers = 0");
   require_failure({"study", "rssi", (folder / "untrue").string(), "-o", out}, kBadInput, "ground truth");
   require_failure({"study", "ablation", (folder / "absent").string(), "-o", out}, kBadInput, "absent");
   require_failure({"study", "ablation", path, "-o", path}, kBadUsage, "not empty");
@@ -292,10 +296,10 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
         run_program(with({"study", "ablation", (folder / "m").string(), "-o", (folder / "out").string(),
                           "--methods", "odom", "--quiet", "--json", "-"},
                          more));
-    return parse_json(run.out, "standard output").at("options").at("replay").at("guess");
+    return parse_json(run.out, "standard output").at("options").at("engine").at("guess");
   };
   REQUIRE(guess({}) == "odometry");
-  REQUIRE(guess({"--set", "replay.guess=estimate"}) == "estimate");
+  REQUIRE(guess({"--set", "engine.guess=estimate"}) == "estimate");
   REQUIRE(guess({"--guess", "estimate"}) == "estimate");
   REQUIRE(run_program({"replay", "-o", (folder / "run").string(), "--method", "odom", "--odometry-noise",
                        "0.01", "0.001", (folder / "m").string()})
@@ -518,9 +522,10 @@ TEST_CASE("replay: on a real clock the folder is the same in kind", "[apps][live
   const TemporaryFolder folder;
   write_mission(folder / "mission", small_mission());
   const fs::path out = folder / "out";
-  const ProgramRun run = run_program({"replay", (folder / "mission").string(), "-o", out.string(), "--method",
-                                      "random", "--clock", "real", "--rate", "200", "--after-mission",
-                                      "--skip-recent", "2", "--quiet", "--json", "-"});
+  const ProgramRun run =
+      run_program({"replay", (folder / "mission").string(), "-o", out.string(), "--method", "random",
+                   "--clock", "real", "--rate", "200", "--after-mission", "--skip-recent", "2", "--quiet",
+                   "--json", "-", "--record-trace", (folder / "run.trace").string()});
   INFO(run.err);
   REQUIRE(run.status == kDone);
   const Json summary = parse_json(run.out, "standard output");
@@ -542,6 +547,29 @@ TEST_CASE("replay: on a real clock the folder is the same in kind", "[apps][live
   REQUIRE_THAT(again.err, Contains("--overwrite replaces it"));
   REQUIRE(fs::exists(out / "summary.json"));
   REQUIRE(fs::exists(out / "map.pcd"));
+
+  // Its trace repeats it, with the mission or without.
+  const std::string trace = (folder / "run.trace").string();
+  for (const std::string& mission : {(folder / "mission").string(), std::string()}) {
+    CAPTURE(mission);
+    const fs::path repeated = folder / (mission.empty() ? "alone" : "with_mission");
+    std::vector<std::string> words{"replay", "--trace", trace, "-o", repeated.string(), "--quiet"};
+    if (!mission.empty()) words.push_back(mission);
+    const ProgramRun once_more = run_program(words);
+    INFO(once_more.err);
+    REQUIRE(once_more.status == kDone);
+    for (const char* file : {"closures.csv", "graph.g2o", "trajectories/a.tum"}) {
+      CAPTURE(file);
+      REQUIRE(testing::read_text(repeated / file) == testing::read_text(out / file));
+    }
+  }
+  require_failure({"replay", "--trace", trace, "-o", out.string(), "--method", "obs"}, kBadUsage, "--method");
+  require_failure({"replay", "--trace", (folder / "none").string(), "-o", (folder / "x").string()}, kBadInput,
+                  "none");
+  require_failure({"replay", "-o", (folder / "x").string()}, kBadUsage, "MISSION is missing");
+  require_failure(
+      {"replay", (folder / "mission").string(), "-o", (folder / "x").string(), "--record-trace", trace},
+      kBadUsage, "--record-trace needs --clock real");
 }
 
 }  // namespace loopwise

@@ -6,7 +6,7 @@
 
 #include <loopwise/core/error.hpp>
 
-#include "pipeline/testing_mission.hpp"
+#include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
 namespace loopwise {
@@ -102,11 +102,11 @@ TEST_CASE("messages: a result of every reason comes through, one that does not e
 
 TEST_CASE("replay: any number of ranks gives the same journal", "[distributed]") {
   const Mission mission = testing::two_circles();
-  Config config;
-  config.replay.method = "full";
-  config.replay.batch = 20;
-  config.observability.min_sum = 0.0;
-  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+  ReplayOptions config;
+  config.prioritization.method = parse_method("full");
+  config.batch = 20;
+  config.prioritization.observability.min_sum = 0.0;
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.registration.features);
   const auto registrar = std::make_shared<testing::OracleRegistrar>(mission.ground_truth);
   const auto journal_of = [&](const BatchComputer& compute) {
     std::string journal;
@@ -116,7 +116,7 @@ TEST_CASE("replay: any number of ranks gives the same journal", "[distributed]")
     hooks.outcome = [&](const RegistrationResult&) { ++outcomes; };
     hooks.compute = compute;
     ThreadPool pool(1);
-    const ReplayResult result = MissionReplay(mission, config, features, registrar).run(pool, hooks);
+    const ReplayResult result = MissionReplay(mission, config, {features, registrar}).run(pool, hooks);
     REQUIRE(outcomes == result.computed.size());
     REQUIRE(outcomes > 50);
     return journal;
@@ -138,8 +138,8 @@ TEST_CASE("replay: any number of ranks gives the same journal", "[distributed]")
     }
     for (std::thread& rank : ranks) rank.join();
   }
-  Config other = config;
-  other.task.target_neighbours = 0;
+  ReplayOptions other = config;
+  other.engine.task.target_neighbours = 0;
   REQUIRE(replay_greeting(mission, other) != replay_greeting(mission, config));
 }
 

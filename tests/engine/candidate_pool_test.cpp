@@ -38,7 +38,7 @@ RegistrationResult result_of(const LoopCandidate& candidate) {
 
 }  // namespace
 
-TEST_CASE("pool: a pair counts once, whichever way round and whoever proposes it", "[pipeline][pool]") {
+TEST_CASE("pool: a pair counts once, whichever way round and whoever proposes it", "[engine][pool]") {
   CandidatePool pool = arrival_pool();
   for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
   REQUIRE(pool.add({pair(3, 1), pair(1, 3), pair(3, 2), pair(3, 1)}) == 2);
@@ -53,7 +53,7 @@ TEST_CASE("pool: a pair counts once, whichever way round and whoever proposes it
   REQUIRE_THROWS_AS(pool.complete(result_of(batch[0])), InputError);
 }
 
-TEST_CASE("pool: candidates wait for both scans", "[pipeline][pool]") {
+TEST_CASE("pool: candidates wait for both scans", "[engine][pool]") {
   CandidatePool pool = arrival_pool();
   pool.add({pair(3, 1), pair(3, 2), pair(2, 1)});
   REQUIRE(pool.accounting().waiting == 3);
@@ -72,7 +72,7 @@ TEST_CASE("pool: candidates wait for both scans", "[pipeline][pool]") {
   REQUIRE(pool.accounting().balanced());
 }
 
-TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason", "[pipeline][pool]") {
+TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason", "[engine][pool]") {
   CandidatePoolOptions options;
   options.max_age_s = 100.0;
   options.max_wait_s = 50.0;
@@ -96,7 +96,7 @@ TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason",
 }
 
 TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pending for ever",
-          "[pipeline][pool][error]") {
+          "[engine][pool][error]") {
   /// As arrival, but for a function that throws when it is told to.
   class Fragile final : public Prioritizer {
    public:
@@ -153,7 +153,7 @@ TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pend
   REQUIRE(pool.accounting().balanced());
 }
 
-TEST_CASE("pool: what is given back is pending again", "[pipeline][pool]") {
+TEST_CASE("pool: what is given back is pending again", "[engine][pool]") {
   CandidatePool pool = arrival_pool();
   for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
   pool.add({pair(2, 1), pair(3, 1), pair(3, 2)});
@@ -166,7 +166,7 @@ TEST_CASE("pool: what is given back is pending again", "[pipeline][pool]") {
   REQUIRE(pool.take(2)[0].id == batch[1].id);
 }
 
-TEST_CASE("pool: the account balances through random work", "[pipeline][pool][property]") {
+TEST_CASE("pool: the account balances through random work", "[engine][pool][property]") {
   for (const std::uint64_t seed : {1, 2, 3, 4, 5}) {
     CAPTURE(seed);
     Rng rng(seed);
@@ -216,7 +216,7 @@ TEST_CASE("pool: the account balances through random work", "[pipeline][pool][pr
   }
 }
 
-TEST_CASE("pool: what lies near a verified closure comes last", "[pipeline][pool]") {
+TEST_CASE("pool: what lies near a verified closure comes last", "[engine][pool]") {
   const Robots robots = parse_robots("0-9,10-19,20-29");
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;
   prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
@@ -256,7 +256,7 @@ TEST_CASE("pool: what lies near a verified closure comes last", "[pipeline][pool
   REQUIRE(order == std::vector<std::pair<Key, Key>>{{17, 5}, {25, 5}, {19, 9}, {16, 4}, {6, 14}});
 }
 
-TEST_CASE("pool: a candidate put last expires like any other", "[pipeline][pool]") {
+TEST_CASE("pool: a candidate put last expires like any other", "[engine][pool]") {
   CandidatePoolOptions options;
   options.redundant_m = 100.0;
   options.max_age_s = 10.0;

@@ -14,11 +14,10 @@ namespace {
 
 constexpr std::size_t kNodes = 10;
 
-Edge odometry(Key from, Key to) {
-  Edge edge;
+BetweenFactor odometry(Key from, Key to) {
+  BetweenFactor edge;
   edge.from = from;
   edge.to = to;
-  edge.kind = EdgeKind::kOdometry;
   edge.T_from_to.translation().x() = 1.0;
   edge.T_from_to.linear() = se3::so3_exp(Eigen::Vector3d(0.0, 0.0, 0.1));
   edge.information = 100.0 * Matrix6d::Identity();
@@ -29,7 +28,7 @@ KeyFrame frame_of(std::uint64_t i) {
   KeyFrame frame;
   frame.node.key = make_key('a', i);
   frame.node.stamp_ns = static_cast<std::int64_t>(i) * 1000000000;
-  if (i > 0) frame.factors.push_back(odometry(make_key('a', i - 1), make_key('a', i)));
+  if (i > 0) frame.odometry.push_back(odometry(make_key('a', i - 1), make_key('a', i)));
   return frame;
 }
 
@@ -43,6 +42,18 @@ PriorFactor position_fix(Key key, const Eigen::Vector3d& at, double rotation_inf
   prior.information.diagonal() << Eigen::Vector3d::Constant(4.0),
       Eigen::Vector3d::Constant(rotation_information);
   return prior;
+}
+
+Factors prior_alone(const PriorFactor& prior) {
+  Factors factors;
+  factors.priors = {prior};
+  return factors;
+}
+
+Factors odometry_alone(const BetweenFactor& odometry) {
+  Factors factors;
+  factors.odometry = {odometry};
+  return factors;
 }
 
 Engine engine_with(const EngineOptions& options = {}) {
@@ -99,7 +110,7 @@ TEST_CASE("engine: a full prior that comes late moves the path and its odometry 
   Engine engine = engine_with();
   for (std::uint64_t i = 0; i < kNodes; ++i) static_cast<void>(engine.handle(frame_of(i), 0.0));
   PriorFactor prior = position_fix(make_key('a', 4), {50.0, 2.0, 1.0}, 4.0);
-  static_cast<void>(engine.handle(event::Factors{{}, {prior}, {}, {}}, 0.0));
+  static_cast<void>(engine.handle(prior_alone(prior), 0.0));
   REQUIRE(engine.graph().node(prior.key).pose.matrix() == prior.pose.matrix());
   for (std::size_t i = 1; i < kNodes; ++i) {
     const Eigen::Isometry3d step = odometry(0, 1).T_from_to;
@@ -109,7 +120,7 @@ TEST_CASE("engine: a full prior that comes late moves the path and its odometry 
   }
   REQUIRE_FALSE(engine.wants_estimate());  // the path is where the prior has it
   prior.pose.translation().x() += 1.0;     // another that contradicts it
-  static_cast<void>(engine.handle(event::Factors{{}, {prior}, {}, {}}, 0.0));
+  static_cast<void>(engine.handle(prior_alone(prior), 0.0));
   REQUIRE(engine.wants_estimate());
 }
 
@@ -121,7 +132,7 @@ TEST_CASE("engine: an event that is invalid changes nothing", "[engine][error]")
   frame.node.key = make_key('z', 0);
   REQUIRE_THROWS_AS(engine.handle(frame, 0.0), UnknownKeyError);
   frame = frame_of(3);
-  frame.factors[0].information(2, 2) = -5.0;
+  frame.odometry[0].information(2, 2) = -5.0;
   REQUIRE_THROWS_AS(engine.handle(frame, 0.0), InputError);
   REQUIRE_THROWS_AS(engine.handle(event::Scan{}, 0.0), UnknownKeyError);
   REQUIRE_THROWS_AS(engine.handle(RegistrationResult{}, 0.0), InputError);
@@ -141,8 +152,7 @@ TEST_CASE("engine: time never goes back, and waiting is measured by it alone", "
   options.pool.max_wait_s = 20.0;
   options.generation.skip_recent = 2;
   Engine engine = engine_with(options);
-  static_cast<void>(
-      engine.handle(event::Factors{{odometry(make_key('b', 0), make_key('b', 1))}, {}, {}, {}}, 5.0));
+  static_cast<void>(engine.handle(odometry_alone(odometry(make_key('b', 0), make_key('b', 1))), 5.0));
   KeyFrame ahead = frame_of(0);
   ahead.node.stamp_ns = std::numeric_limits<std::int64_t>::max();
   static_cast<void>(engine.handle(ahead, 6.0));

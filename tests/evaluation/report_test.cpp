@@ -14,7 +14,7 @@
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
 
-#include "pipeline/testing_mission.hpp"
+#include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
 namespace loopwise {
@@ -24,10 +24,11 @@ namespace {
 class Run {
  public:
   explicit Run(const Mission& mission, const std::string& method = "random") {
-    Config config;
-    config.replay.method = method;
-    config.replay.max_registrations = 60;
-    const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+    ReplayOptions config;
+    config.prioritization.method = parse_method(method);
+    config.max_registrations = 60;
+    const auto features =
+        std::make_shared<FeatureCache>(mission.scans->loader(), config.registration.features);
     const auto registrar = std::make_shared<testing::OracleRegistrar>(testing::two_circles().ground_truth);
     ThreadPool pool(1);
     RunHistory history(mission);
@@ -35,7 +36,7 @@ class Run {
     std::string journal;
     hooks.journal = [&](const std::string& line) { journal += line + "\n"; };
     hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
-    result = MissionReplay(mission, config, features, registrar).run(pool, hooks);
+    result = MissionReplay(mission, config, {features, registrar}).run(pool, hooks);
     testing::write_text(folder / "journal.jsonl", journal);
     map = stitch_map(result.graph, *mission.scans, 0.2);
     write_run_folder(folder.path(), mission, config, result, evaluate_run(mission, result), history.rows(),
@@ -365,7 +366,8 @@ TEST_CASE("report: studies become medians over mission time", "[evaluation][repo
   const std::string unit =
       R"({"mission": {"world": "w"}, "summary": {"mission": "m1", "method": "obs", "seed": 1, "mission_end_s": 100,
           "ate_m": {"optimized": 2.0},
-          "options": {"replay": {"registration_time_s": 1.3, "workers": 10, "thin": 1, "after_mission": false}}},
+          "options": {"replay": {"after_mission": false}, "engine": {"thin": 1},
+                      "cost": {"registration_time_s": 1.3, "workers": 10}}},
           "history": [[0, 1, 0, 0, 0, 0, 0, 0, 0, 0, 0], [50, 9, 9, 100, 10, 8, 5, 4, 4, 1, 3]]})";
   testing::write_text(folder / "units" / "a.json", unit);
   std::string other = unit;

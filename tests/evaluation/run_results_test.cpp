@@ -11,27 +11,27 @@
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/trajectory.hpp>
 
-#include "pipeline/testing_mission.hpp"
+#include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
 namespace loopwise {
 namespace {
 
-ReplayResult replayed(const Mission& mission, const Config& config, RunHistory* history = nullptr) {
-  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.features);
+ReplayResult replayed(const Mission& mission, const ReplayOptions& config, RunHistory* history = nullptr) {
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.registration.features);
   std::map<Key, Eigen::Isometry3d> truth = mission.ground_truth;
   if (truth.empty()) truth = testing::two_circles().ground_truth;
   const auto registrar = std::make_shared<testing::OracleRegistrar>(truth);
   ThreadPool pool(1);
   ReplayHooks hooks;
   if (history) hooks.moment = [history](const ReplayMoment& moment) { history->add(moment); };
-  return MissionReplay(mission, config, features, registrar).run(pool, hooks);
+  return MissionReplay(mission, config, {features, registrar}).run(pool, hooks);
 }
 
-Config short_config() {
-  Config config;
-  config.replay.method = "random";
-  config.replay.max_registrations = 60;
+ReplayOptions short_config() {
+  ReplayOptions config;
+  config.prioritization.method = parse_method("random");
+  config.max_registrations = 60;
   return config;
 }
 
@@ -45,7 +45,7 @@ std::size_t occurrences(const std::string& text, const std::string& part) {
 
 TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evaluation][run]") {
   const Mission mission = testing::two_circles();
-  const Config config = short_config();
+  const ReplayOptions config = short_config();
   RunHistory history(mission);
   const ReplayResult result = replayed(mission, config, &history);
   const RunEvaluation evaluation = evaluate_run(mission, result);
@@ -102,7 +102,7 @@ TEST_CASE("run results: robots whose names make one file name keep files of thei
   ReplayResult result;
   result.graph = mission.graph;
   result.odometry = mission.graph.poses();
-  write_run_folder(folder.path(), mission, Config(), result, evaluate_run(mission, result), {}, {});
+  write_run_folder(folder.path(), mission, ReplayOptions(), result, evaluate_run(mission, result), {}, {});
   std::size_t files = 0;
   for (const auto& entry : testing::fs::directory_iterator(folder / "trajectories")) {
     REQUIRE(read_tum(entry.path()).size() == 40);
@@ -115,9 +115,9 @@ TEST_CASE("run history: counts never fall, the rows are dense, the last one is t
           "[evaluation][run]") {
   const Mission mission = testing::two_circles();
   const std::string method = GENERATE("odom", "random");
-  Config config = short_config();
-  config.replay.method = method;
-  config.replay.batch = 10;
+  ReplayOptions config = short_config();
+  config.prioritization.method = parse_method(method);
+  config.batch = 10;
   RunHistory history(mission);
   const ReplayResult result = replayed(mission, config, &history);
   const RunEvaluation evaluation = evaluate_run(mission, result);
@@ -157,7 +157,7 @@ TEST_CASE("run history: counts never fall, the rows are dense, the last one is t
 TEST_CASE("run folder: without ground truth errors are null, not zero", "[evaluation][run]") {
   Mission mission = testing::two_circles();
   mission.ground_truth.clear();
-  const Config config = short_config();
+  const ReplayOptions config = short_config();
   const ReplayResult result = replayed(mission, config);
   const RunEvaluation evaluation = evaluate_run(mission, result);
   REQUIRE_FALSE(evaluation.has_truth);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // The first byte chooses: a configuration file, the text of --set, or a list of robots.
 #include <loopwise/core/robots.hpp>
-#include <loopwise/pipeline/config.hpp>
+#include <loopwise/replay/config.hpp>
 
 #include "target.hpp"
 

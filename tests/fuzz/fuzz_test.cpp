@@ -18,7 +18,7 @@ namespace fs = std::filesystem;
 const fuzz::Seeds& all_seeds() {
   static const fuzz::Seeds seeds = [] {
     fuzz::Seeds all = fuzz::io_seeds();
-    all.merge(fuzz::pipeline_seeds());
+    all.merge(fuzz::replay_seeds());
     return all;
   }();
   return seeds;

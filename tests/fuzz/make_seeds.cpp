@@ -12,7 +12,7 @@ int main(int argc, char** argv) {
   }
   std::size_t count = 0;
   loopwise::fuzz::Seeds all = loopwise::fuzz::io_seeds();
-  all.merge(loopwise::fuzz::pipeline_seeds());
+  all.merge(loopwise::fuzz::replay_seeds());
   for (const auto& [target, list] : all) {
     const std::filesystem::path folder = std::filesystem::path(argv[1]) / target;
     std::filesystem::create_directories(folder);

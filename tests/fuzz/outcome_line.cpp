@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Lines of outcomes, as a run that is resumed reads them, and the first one of their file, which says whose
 // they are.
-#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/replay/replay.hpp>
 
 #include "checks.hpp"
 #include "outcome_file.hpp"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // The first byte chooses: a file of a store as it stands, or the payload of a record whose checksum is right.
-#include <loopwise/pipeline/outcome_store.hpp>
+#include <loopwise/replay/outcome_store.hpp>
 
 #include "target.hpp"
 

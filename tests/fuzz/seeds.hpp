@@ -18,7 +18,7 @@ using Seeds = std::map<std::string, std::vector<Seed>>;
 /// By target, always the same: of the readers in io.
 [[nodiscard]] Seeds io_seeds();
 /// Of those in the components that stand on it.
-[[nodiscard]] Seeds pipeline_seeds();
+[[nodiscard]] Seeds replay_seeds();
 
 /// The byte by which a target chooses, then what it chooses for.
 [[nodiscard]] inline std::string with_choice(std::size_t choice, const std::string& bytes) {

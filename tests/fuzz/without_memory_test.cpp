@@ -220,7 +220,10 @@ TEST_CASE("without memory: an engine keeps the events before the one that failed
   const auto frame_of = [&path](std::size_t i) {
     KeyFrame frame;
     frame.node = path.nodes()[i];
-    if (i > 0) frame.factors.push_back(path.edges()[i - 1]);
+    if (i > 0) {
+      const Edge& edge = path.edges()[i - 1];
+      frame.odometry.push_back({edge.from, edge.to, edge.T_from_to, edge.information});
+    }
     frame.cloud = std::make_shared<const PointCloud>();
     return frame;
   };

@@ -210,7 +210,7 @@ class Newest(lw.Prioritizer):
 
 
 class Replay(unittest.TestCase):
-    CONFIG = {"replay": {"registration_time_s": 13.0, "batch": 20}}
+    CONFIG = {"replay": {"batch": 20}, "cost": {"registration_time_s": 13.0}}
 
     def setUp(self):
         self.mission = lw.read_mission(SAMPLE)

@@ -5,12 +5,13 @@
 #include <algorithm>
 #include <cstdio>
 #include <deque>
+#include <stdexcept>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/mission.hpp>
+#include <loopwise/online/loop_closure_module.hpp>
 #include <loopwise/optimization/optimizer.hpp>
-#include <loopwise/pipeline/loop_closure_module.hpp>
 
 using namespace loopwise;
 
@@ -21,7 +22,8 @@ KeyFrame key_frame(const Mission& mission, const Node& node) {
   KeyFrame frame;
   frame.node = node;
   for (const Edge& edge : mission.graph.edges()) {
-    if (edge.kind == EdgeKind::kOdometry && edge.to == node.key) frame.factors.push_back(edge);
+    if (edge.kind != EdgeKind::kOdometry || edge.to != node.key) continue;
+    frame.odometry.push_back({edge.from, edge.to, edge.T_from_to, edge.information});
   }
   for (const PriorFactor& prior : mission.graph.priors()) {
     if (prior.key == node.key) frame.priors.push_back(prior);
@@ -31,9 +33,12 @@ KeyFrame key_frame(const Mission& mission, const Node& node) {
 }
 
 void drive(const Mission& mission, LoopClosureModule& module) {
-  for (const Node& node : mission.graph.nodes()) module.add_key_frame(key_frame(mission, node));
-  for (const BeaconDrop& drop : mission.beacons) module.add_beacon_drop(drop);
-  module.add_radio(mission.radio);
+  // Each add_* function returns false once the module has stopped.
+  bool taken = true;
+  for (const Node& node : mission.graph.nodes()) taken &= module.add_key_frame(key_frame(mission, node));
+  for (const BeaconDrop& drop : mission.beacons) taken &= module.add_beacon_drop(drop);
+  taken &= module.add_radio(mission.radio);
+  if (!taken) throw std::runtime_error("the module has stopped");
 }
 
 void report(const char* what, const Mission& mission, const LoopClosureModule& module) {
@@ -49,25 +54,25 @@ void report(const char* what, const Mission& mission, const LoopClosureModule& m
 /// Fewer and faster than one would choose on a robot: this runs in a test.
 ModuleOptions options(const char* method) {
   ModuleOptions options;
-  options.method = method;
+  options.prioritization.method = parse_method(method);
+  options.engine.generation.radius_min_m = options.engine.generation.radius_max_m = 8.0;
+  options.engine.generation.n_closest = 3;
   options.batch = 20;
   return options;
 }
 
-Config config() {
-  Config config;
-  config.generation.radius_min_m = config.generation.radius_max_m = 8.0;
-  config.generation.n_closest = 3;
-  return config;
+/// A robot would not wait: it reads estimate() or has it delivered.
+void wait(LoopClosureModule& module) {
+  if (!module.wait()) throw std::runtime_error("the module has stopped");
 }
 
 void all_parts_ours(const Mission& mission) {
   ModuleCallbacks callbacks;
   std::size_t closures = 0;
-  callbacks.closure = [&](const LoopClosure&) { ++closures; };  // to a viewer, a log, another robot
-  LoopClosureModule module(mission.robots, options("full"), config(), callbacks);
+  callbacks.on_closure = [&](const LoopClosure&) { ++closures; };  // to a viewer, a log, another robot
+  LoopClosureModule module(mission.robots, options("full"), callbacks);
   drive(mission, module);
-  module.wait();  // a robot would not: it reads estimate() or has them delivered
+  wait(module);
   report("all parts ours", mission, module);
   std::printf("%-24s %zu closures, %zu kept\n", "", closures,
               module.estimate() ? module.estimate()->inliers : 0);
@@ -75,13 +80,13 @@ void all_parts_ours(const Mission& mission) {
 
 void own_back_end(const Mission& mission) {
   ModuleOptions with_own = options("obs");
-  with_own.back_end = false;
+  with_own.engine.use_back_end = false;
   std::vector<LoopClosure> closures;  // what the stack's own back end is given
   ModuleCallbacks callbacks;
-  callbacks.closure = [&](const LoopClosure& closure) { closures.push_back(closure); };
-  LoopClosureModule module(mission.robots, with_own, config(), callbacks);
+  callbacks.on_closure = [&](const LoopClosure& closure) { closures.push_back(closure); };
+  LoopClosureModule module(mission.robots, with_own, callbacks);
   drive(mission, module);
-  module.wait();
+  wait(module);
   // The stack optimises in its own way, for example by GTSAM; then its poses come back, and generation and
   // prioritisation go by them.
   PoseGraph graph = mission.graph;
@@ -90,15 +95,15 @@ void own_back_end(const Mission& mission) {
   ExternalEstimate estimate;
   for (std::size_t i = 0; i < graph.nodes().size(); ++i)
     estimate.poses[graph.nodes()[i].key] = optimum.poses[i];
-  module.set_estimate(estimate);
-  module.wait();
+  if (!module.set_estimate(estimate)) throw std::runtime_error("the module has stopped");
+  wait(module);
   report("a back end of your own", mission, module);
 }
 
 void own_place_recognition(const Mission& mission) {
   ModuleOptions with_own = options("obs");
-  with_own.proximity = false;
-  LoopClosureModule module(mission.robots, with_own, config());
+  with_own.engine.use_proximity = false;
+  LoopClosureModule module(mission.robots, with_own);
   drive(mission, module);
   // A real one compares the scans. A few pairs of the two robots do here, which left the same gate.
   std::vector<LoopCandidate> candidates;
@@ -108,8 +113,8 @@ void own_place_recognition(const Mission& mission) {
     candidate.to = mission.robots[0].first + i;
     candidates.push_back(candidate);
   }
-  module.add_candidates(candidates);
-  module.wait();
+  if (!module.add_candidates(candidates)) throw std::runtime_error("the module has stopped");
+  wait(module);
   report("your place recognition", mission, module);
 }
 
@@ -141,9 +146,9 @@ class NewestFirst final : public Prioritizer {
 void own_prioritizer(const Mission& mission) {
   ModuleParts parts;
   parts.prioritizers.push_back(std::make_unique<NewestFirst>());
-  LoopClosureModule module(mission.robots, options("full"), config(), {}, std::move(parts));
+  LoopClosureModule module(mission.robots, options("full"), {}, std::move(parts));
   drive(mission, module);
-  module.wait();
+  wait(module);
   report("a prioritiser of your own", mission, module);
 }
 
@@ -164,7 +169,7 @@ int main(int argc, char** argv) {
     own_place_recognition(mission);
     own_prioritizer(mission);
     return 0;
-  } catch (const Error& error) {
+  } catch (const std::exception& error) {
     std::fprintf(stderr, "%s\n", error.what());
     return 1;
   }

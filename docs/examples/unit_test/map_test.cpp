@@ -9,24 +9,17 @@
 #endif
 
 #include <loopwise/evaluation/run_folder.hpp>
-#include <loopwise/registration/fast_registrar.hpp>
+#include <loopwise/replay/replay.hpp>
 
 using namespace loopwise;
 
 namespace {
 
-Config config() {
-  Config config;
-  set_config_option("replay.max_registrations=60", config);  // keeps the test short
-  set_config_option("replay.registration_time_s=5", config);
-  return config;
-}
-
-ReplayResult replay(const Mission& mission, int num_threads) {
-  const auto features = std::make_shared<FeatureCache>(mission.scans->loader());
-  const auto registrar = std::make_shared<FastRegistrar>(features);
-  ThreadPool threads(num_threads);
-  return MissionReplay(mission, config(), features, registrar).run(threads);
+ReplayResult replayed(const Mission& mission, int threads) {
+  ReplayOptions options;
+  options.max_registrations = 60;  // keeps the test short
+  options.cost.registration_time_s = 5.0;
+  return replay(mission, options, {}, threads);
 }
 
 }  // namespace
@@ -34,7 +27,7 @@ ReplayResult replay(const Mission& mission, int num_threads) {
 TEST_CASE("the map of the recorded mission is as good as it was") {
   const Mission mission = read_mission(MISSION);
   REQUIRE(mission.problems.empty());
-  const RunEvaluation evaluation = evaluate_run(mission, replay(mission, 2));
+  const RunEvaluation evaluation = evaluate_run(mission, replayed(mission, 2));
 
   CHECK(evaluation.closures.verified >= 10);
   CHECK(evaluation.closures.true_inliers >= 0.9 * static_cast<double>(evaluation.closures.verified));
@@ -43,8 +36,8 @@ TEST_CASE("the map of the recorded mission is as good as it was") {
 
 TEST_CASE("the number of threads changes nothing") {
   const Mission mission = read_mission(MISSION);
-  CHECK(closures_csv(replay(mission, 1)).size() > 1000);
-  const ReplayResult one = replay(mission, 1), four = replay(mission, 4);
+  CHECK(closures_csv(replayed(mission, 1)).size() > 1000);
+  const ReplayResult one = replayed(mission, 1), four = replayed(mission, 4);
   REQUIRE(one.graph.nodes().size() == four.graph.nodes().size());
   for (std::size_t i = 0; i < one.graph.nodes().size(); ++i) {
     REQUIRE(one.graph.nodes()[i].pose.matrix() == four.graph.nodes()[i].pose.matrix());  // every bit

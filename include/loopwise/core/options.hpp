@@ -9,7 +9,8 @@
 ///     }
 ///
 /// where Self is the struct or its const form. A field may be bool, an integer, double, std::string, an enum
-/// with an `enum_names` overload, or a std::vector<double>.
+/// with an `enum_names` overload, a std::vector<double>, or a std::vector of such an enum with the overloads
+/// `parse_option(name, text, field)` and `option_text(field)`.
 #pragma once
 
 #include <cmath>
@@ -96,6 +97,13 @@ template <class E>
 
 namespace detail {
 
+template <class T>
+struct IsListOfWords : std::false_type {};
+template <class E>
+struct IsListOfWords<std::vector<E>> : std::is_enum<E> {};
+template <class T>
+inline constexpr bool is_list_of_words = IsListOfWords<T>::value;
+
 inline void check_bounds(std::string_view name, double value, const Bounds& bounds) {
   if (bounds.contains(value)) return;
   std::ostringstream out;
@@ -120,6 +128,19 @@ struct BoundsVisitor {
 template <class Options>
 void validate(const Options& options) {
   Options::visit(options, detail::BoundsVisitor{});
+}
+
+/// Checks a struct of several sections, which a static member template `visit_sections(self, visitor)` hands
+/// to visitor(name, section). \throws OptionError naming "section.field" of the first bad field.
+template <class Sections>
+void validate_sections(const Sections& sections) {
+  Sections::visit_sections(sections, [](std::string_view name, const auto& section) {
+    try {
+      validate(section);
+    } catch (const OptionError& error) {
+      throw OptionError(std::string(name) + "." + error.what());
+    }
+  });
 }
 
 }  // namespace loopwise

@@ -61,7 +61,17 @@ enum class EdgeKind {
   kLandmark,     ///< From a key frame to a landmark that it saw. Robust optimisation may doubt it.
 };
 
-/// A measured relative pose: r = Log(T_from_to⁻¹ · T_from⁻¹ · T_to), cost ½·weight·rᵀΩr.
+/// A measured relative pose, as a front end or a place recognition hands it over. See Edge for the residual.
+struct BetweenFactor {
+  Key from = 0;  ///< Node whose frame the measurement is given in.
+  Key to = 0;    ///< Node that was measured.
+  Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();  ///< Pose of `to` in the frame of `from`.
+  /// Ω, order [translation, rotation], symmetric, not indefinite.
+  Matrix6d information = Matrix6d::Identity();
+  bool trusted = false;  ///< A known inlier: robust optimisation keeps its weight at 1. Odometry always is.
+};
+
+/// A measured relative pose in a graph: r = Log(T_from_to⁻¹ · T_from⁻¹ · T_to), cost ½·weight·rᵀΩr.
 struct Edge {
   Key from = 0;  ///< Node whose frame the measurement is given in.
   Key to = 0;    ///< Node that was measured.

@@ -7,8 +7,8 @@
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/distributed/work.hpp>
-#include <loopwise/pipeline/replay.hpp>
 #include <loopwise/registration/registrar.hpp>
+#include <loopwise/replay/replay.hpp>
 
 namespace loopwise {
 
@@ -24,7 +24,8 @@ namespace loopwise {
 
 /// What the ranks of a replay must agree on: the version of the code, the options, the mission's graph and
 /// which scans it has.
-[[nodiscard]] LOOPWISE_EXPORT std::string replay_greeting(const Mission& mission, const Config& config);
+[[nodiscard]] LOOPWISE_EXPORT std::string replay_greeting(const Mission& mission,
+                                                          const ReplayOptions& options);
 
 /// Computes batches over all ranks: what MissionReplay takes in place of its own threads. Results are those
 /// of one machine. Pairs go where their target was last. `threads` compute here, on rank 0.

@@ -39,16 +39,40 @@ enum class GuessSource {
 
 /// The policies of an engine, with the options of the stages that it owns.
 struct EngineOptions {
-  ProximityOptions generation;                 ///< Candidates by proximity.
-  RadioOptions radio;                          ///< Candidates by radio beacons.
-  CandidatePoolOptions pool;                   ///< Expiry of candidates.
-  TaskOptions task;                            ///< Scans and guesses that a registration is given.
-  GuessSource guess = GuessSource::kEstimate;  ///< Of the registrations.
-  bool proximity = true;                       ///< Propose nodes that are near.
-  bool back_end = true;                        ///< Ask for estimates; off: they come from outside.
-  std::int64_t thin = 1;                       ///< Keep one candidate in this many, drawn by pair and seed.
-  double max_factor_wait_s = 0.0;  ///< Factors to nodes that do not come are dropped, s; 0: never.
-  std::uint64_t seed = 1;          ///< Of everything random.
+  ProximityOptions generation;  ///< Candidates by proximity.
+  RadioOptions radio;           ///< Candidates by radio beacons.
+  CandidatePoolOptions pool;    ///< Expiry of candidates.
+  TaskOptions task;             ///< Scans and guesses that a registration is given.
+  GuessSource guess = GuessSource::kEstimate;
+  bool use_proximity = true;
+  bool use_back_end = true;
+  std::int64_t thin = 1;
+  double max_factor_wait_s = 600.0;
+  std::uint64_t seed = 1;
+
+  /// Calls visitor(name, section) for these options and those of the stages.
+  template <class Self, class Visitor>
+  static void visit_sections(Self& self, Visitor&& visitor) {
+    visitor("engine", self);
+    visitor("generation", self.generation);
+    visitor("radio", self.radio);
+    visitor("pool", self.pool);
+    visitor("task", self.task);
+  }
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("guess", self.guess, any_value(),
+          "Relative pose that registrations are given: estimate or odometry.");
+    field("use_proximity", self.use_proximity, any_value(),
+          "Propose nodes that are near. Without, candidates come from outside and from radio alone.");
+    field("use_back_end", self.use_back_end, any_value(),
+          "Optimise the graph after each batch with a closure. Without, estimates come from outside.");
+    field("thin", self.thin, at_least(1), "Keep one candidate in this many, drawn by pair and seed; 1: all.");
+    field("max_factor_wait_s", self.max_factor_wait_s, at_least(0.0),
+          "Factors to nodes that have not come for this long, s, are dropped and counted; 0: never.");
+    field("seed", self.seed, at_least(0), "Of everything random.");
+  }
 };
 
 /// Decides everything about a mission: where nodes lie, which candidates there are, which are computed next,

@@ -8,6 +8,7 @@
 #include <exception>
 #include <map>
 #include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <variant>
@@ -35,11 +36,23 @@ struct KeyFrame {
   /// Registrations between the moved and the other nodes that were rejected are then forgotten. Their pairs
   /// are proposed again if they are near, or if they came from radio or from outside.
   Node node;
-  std::vector<Edge> factors;        ///< Odometry from the previous node, by kind; other edges are closures.
+  std::vector<BetweenFactor> odometry;   ///< From the robot's previous node, as a rule.
+  std::vector<BetweenFactor> closures;   ///< Loop closures that the front end has found itself.
+  std::vector<BetweenFactor> landmarks;  ///< Sightings of landmarks, which are nodes too.
   std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
-  std::shared_ptr<const PointCloud> cloud;  ///< Null: the scan follows later, or never.
-  std::vector<RangeFactor> ranges;          ///< From or to it; the other node may follow.
+  std::vector<RangeFactor> ranges;  ///< From or to it; the other node may follow.
   std::vector<GravityFactor> gravities;     ///< At it.
+  std::shared_ptr<const PointCloud> cloud;  ///< Null: the scan follows later, or never.
+};
+
+/// Factors of nodes that have come or will come.
+struct Factors {
+  std::vector<BetweenFactor> odometry;   ///< From a robot's node to its next.
+  std::vector<BetweenFactor> closures;   ///< Loop closures from elsewhere.
+  std::vector<BetweenFactor> landmarks;  ///< Sightings of landmarks.
+  std::vector<PriorFactor> priors;       ///< Of the pose or of the position alone.
+  std::vector<RangeFactor> ranges;       ///< Measured distances.
+  std::vector<GravityFactor> gravities;  ///< Measured directions of gravity.
 };
 
 /// Poses and, where known, marginal covariances from a back end other than ours.
@@ -56,20 +69,13 @@ struct Estimate {
   std::size_t inliers = 0;     ///< Of these, with a weight above 0.5.
 };
 
-/// Events: what Engine::handle() takes. Those that are not listed here are KeyFrame, BeaconDrop,
-/// RegistrationResult and ExternalEstimate.
+/// Events: what Engine::handle() takes. Those that are not listed here are KeyFrame, Factors,
+/// BeaconDrop, RegistrationResult and ExternalEstimate.
 namespace event {
 
 /// The cloud of a node that has come or will come.
 struct Scan {
   KeyedScan scan;  ///< Its stamp is taken from the node.
-};
-/// Factors of nodes that have come or will come.
-struct Factors {
-  std::vector<Edge> edges;               ///< Odometry, closures, sightings of landmarks.
-  std::vector<PriorFactor> priors;       ///< Of the pose or of the position alone.
-  std::vector<RangeFactor> ranges;       ///< Measured distances.
-  std::vector<GravityFactor> gravities;  ///< Measured directions of gravity.
 };
 /// Radio readings, of any nodes.
 struct Radio {
@@ -116,9 +122,19 @@ struct NoMoreScans {};
 
 /// One of the events.
 using Event =
-    std::variant<KeyFrame, event::Scan, event::Factors, event::Radio, BeaconDrop, event::Candidates,
+    std::variant<KeyFrame, Factors, event::Scan, event::Radio, BeaconDrop, event::Candidates,
                  RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, event::Veto,
                  event::Tick, event::Improve, event::Choose, event::Settle, event::NoMoreScans>;
+
+/// An event that an engine has handled. Another engine that is fed the same events at the same times
+/// comes to the same graph and closures, to the bit.
+struct HandledEvent {
+  const Event& event;  ///< An event::Improve has the number of evaluations that were used.
+  double now_s = 0.0;  ///< By the driver's clock, s.
+  /// Smallest eigenvalue of the observability matrix of the scan that came with the event, if the method
+  /// asked for it.
+  std::optional<double> observability;
+};
 
 /// What can be told of an event by itself, before the engine has it: numbers, keys, information. Clouds are
 /// not looked at. \throws InputError; UnknownKeyError if no robot owns a key

@@ -12,8 +12,8 @@
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/mission.hpp>
-#include <loopwise/pipeline/config.hpp>
-#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/replay/options.hpp>
+#include <loopwise/replay/replay.hpp>
 
 namespace loopwise {
 
@@ -31,7 +31,8 @@ struct RunEvaluation {
 [[nodiscard]] LOOPWISE_EXPORT RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
 
 /// What summary.json holds, as indented JSON: candidates, closures, reasons, errors, times, options.
-[[nodiscard]] LOOPWISE_EXPORT std::string run_summary_json(const Mission& mission, const Config& config,
+[[nodiscard]] LOOPWISE_EXPORT std::string run_summary_json(const Mission& mission,
+                                                           const ReplayOptions& options,
                                                            const ReplayResult& result,
                                                            const RunEvaluation& evaluation);
 
@@ -50,7 +51,7 @@ LOOPWISE_EXPORT void add_scan_problems(ReplayResult& result, const ScanStore& sc
 /// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
 /// and, last, summary.json: where that is missing the folder is not whole. \throws IoError
 LOOPWISE_EXPORT void write_run_folder(const std::filesystem::path& folder, const Mission& mission,
-                                      const Config& config, const ReplayResult& result,
+                                      const ReplayOptions& options, const ReplayResult& result,
                                       const RunEvaluation& evaluation, const std::vector<HistoryRow>& history,
                                       const PointCloud& map);
 

@@ -11,7 +11,7 @@
 #include <loopwise/core/export.hpp>
 #include <loopwise/evaluation/closure_statistics.hpp>
 #include <loopwise/io/mission.hpp>
-#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/replay/replay.hpp>
 
 namespace loopwise {
 

@@ -6,7 +6,7 @@
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/io/mission.hpp>
-#include <loopwise/pipeline/replay.hpp>
+#include <loopwise/replay/replay.hpp>
 
 namespace loopwise {
 

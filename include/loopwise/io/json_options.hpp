@@ -21,6 +21,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/export.hpp>
+#include <loopwise/core/names.hpp>
 #include <loopwise/core/options.hpp>
 
 namespace loopwise {
@@ -42,16 +43,11 @@ using Json = nlohmann::ordered_json;
 /// One option, for people.
 struct OptionDescription {
   std::string name;           ///< Of the field, and the key in JSON.
-  std::string type;           ///< "bool", "integer", "number", "text", "word", "numbers"
+  std::string type;           ///< "bool", "integer", "number", "text", "word", "words", "numbers"
   std::string default_value;  ///< As JSON.
   std::string bounds;         ///< "> 0", "one of: fast, pcl"; empty if any value will do.
   std::string doc;            ///< Meaning and unit.
 };
-
-/// Throws an OptionError that lists what is allowed and puts the nearest first, if it is near:
-/// "unknown option generation.rate, did you mean generation.rate_m? Known: …".
-[[noreturn]] LOOPWISE_EXPORT void throw_unknown_name(std::string_view what, std::string_view name,
-                                                     const std::vector<std::string>& known);
 
 namespace detail {
 
@@ -65,6 +61,8 @@ namespace detail {
                                                     const std::string& name);  // also "inf", "-inf", "nan"
 [[nodiscard]] LOOPWISE_EXPORT std::string json_to_text(const Json& value, const std::string& name);
 [[nodiscard]] LOOPWISE_EXPORT std::vector<double> json_to_doubles(const Json& value, const std::string& name);
+/// A text as it is; a list of words joined by "+".
+[[nodiscard]] LOOPWISE_EXPORT std::string json_to_words(const Json& value, const std::string& name);
 
 LOOPWISE_EXPORT void require_object(const Json& value, const std::string& name);
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> json_keys(const Json& object);
@@ -112,6 +110,8 @@ void from_json_value(const Json& value, const std::string& name, T& field) {
     field = static_cast<T>(json_to_double(value, name));
   } else if constexpr (std::is_same_v<T, std::string>) {
     field = json_to_text(value, name);
+  } else if constexpr (is_list_of_words<T>) {
+    parse_option(name, json_to_words(value, name), field);
   } else {
     static_assert(std::is_same_v<T, std::vector<double>>, "a field type that options do not have");
     field = json_to_doubles(value, name);
@@ -133,6 +133,8 @@ void from_text_value(std::string_view text, const std::string& name, T& field) {
     field = static_cast<T>(text_to_double(text, name));
   } else if constexpr (std::is_same_v<T, std::string>) {
     field = text_to_text(text, name);
+  } else if constexpr (is_list_of_words<T>) {
+    parse_option(name, text, field);
   } else {
     field = text_to_doubles(text, name);
   }
@@ -148,6 +150,8 @@ template <class T>
     return static_cast<double>(field);
   } else if constexpr (std::is_same_v<T, std::vector<double>>) {
     return OptionNumbers{field};
+  } else if constexpr (is_list_of_words<T>) {
+    return option_text(field);
   } else {
     return field;
   }
@@ -160,6 +164,7 @@ template <class T>
   if constexpr (std::is_integral_v<T>) return "integer";
   if constexpr (std::is_floating_point_v<T>) return "number";
   if constexpr (std::is_same_v<T, std::string>) return "text";
+  if constexpr (is_list_of_words<T>) return "words";
   return "numbers";
 }
 
@@ -170,7 +175,7 @@ template <class T>
     for (const auto& [enumerator, word] : enum_names(T{}))
       words += (words.empty() ? "" : ", ") + std::string(word);
     return "one of: " + words;
-  } else if constexpr (std::is_same_v<T, std::string> || std::is_same_v<T, bool>) {
+  } else if constexpr (std::is_same_v<T, std::string> || std::is_same_v<T, bool> || is_list_of_words<T>) {
     return "";
   } else {
     return to_string(bounds);

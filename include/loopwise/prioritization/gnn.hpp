@@ -16,20 +16,10 @@
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
+#include <loopwise/prioritization/gnn_features.hpp>
 #include <loopwise/prioritization/graph_objective.hpp>
 
 namespace loopwise {
-
-/// What a graph network is fed with.
-enum class GnnFeatures {
-  kWorld,  ///< The paper's: diagonal of the translational covariance in the world frame (m²), position, 1;
-           ///< candidates have the edge type of closures.
-  kLamp,   ///< What LAMP's code feeds: rotational variances in the body frame (rad²), position, 1, as single
-           ///< precision; candidates have the edge type of odometry.
-};
-[[nodiscard]] inline EnumNames<GnnFeatures> enum_names(GnnFeatures) {
-  return {{GnnFeatures::kWorld, "world"}, {GnnFeatures::kLamp, "lamp"}};
-}
 
 /// The paper's network (§III-B), any number of layers and kernels:
 ///

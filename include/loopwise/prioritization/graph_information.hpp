@@ -14,12 +14,14 @@
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/prioritization/covariance_objective.hpp>
-#include <loopwise/prioritization/effect_network.hpp>
-#include <loopwise/prioritization/gnn.hpp>
+#include <loopwise/prioritization/gnn_features.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/prioritization/selection.hpp>
 
 namespace loopwise {
+
+class EffectNetwork;
+class GraphNetwork;
 
 /// What a set of closures is scored by.
 enum class ObjectiveKind {

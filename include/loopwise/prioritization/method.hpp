@@ -1,0 +1,111 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// The methods by name: which prioritisers decide the order of the candidates.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <utility>
+#include <vector>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/prioritization/covariance_objective.hpp>
+#include <loopwise/prioritization/graph_information.hpp>
+#include <loopwise/prioritization/observability.hpp>
+#include <loopwise/prioritization/prioritizer.hpp>
+#include <loopwise/prioritization/selection.hpp>
+
+namespace loopwise {
+
+/// The prioritisers that a method is made of.
+enum class PrioritizerKind {
+  kArrival,           ///< ArrivalPrioritizer, the paper's Bsln.
+  kRandom,            ///< RandomPrioritizer, the paper's Rand.
+  kObservability,     ///< ObservabilityPrioritizer
+  kGraphInformation,  ///< GraphInformationPrioritizer
+  kRssi,              ///< RssiPrioritizer
+};
+[[nodiscard]] inline EnumNames<PrioritizerKind> enum_names(PrioritizerKind) {
+  return {{PrioritizerKind::kArrival, "baseline"},
+          {PrioritizerKind::kRandom, "random"},
+          {PrioritizerKind::kObservability, "obs"},
+          {PrioritizerKind::kGraphInformation, "gi"},
+          {PrioritizerKind::kRssi, "rssi"}};
+}
+
+/// Prioritisers in the order of their turns. None: no candidate is computed.
+using Method = std::vector<PrioritizerKind>;
+
+/// The names that parse_method() knows: those of the prioritisers, "full" (obs and gi) and "odom" (none).
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> method_names();
+
+/// One name, or several joined by "+", as "gi+rssi". The turns are in the order of PrioritizerKind.
+/// \throws OptionError that lists the names
+[[nodiscard]] LOOPWISE_EXPORT Method parse_method(std::string_view text);
+
+/// What parse_method() takes: "full", "obs+rssi", "odom".
+[[nodiscard]] LOOPWISE_EXPORT std::string to_string(const Method& method);
+
+/// Whether the method takes candidates of radio beacons.
+[[nodiscard]] LOOPWISE_EXPORT bool uses_radio(const Method& method);
+
+/// Reads an option that is a method, see core/options.hpp. \throws OptionError
+inline void parse_option(std::string_view /*name*/, std::string_view text, Method& method) {
+  method = parse_method(text);
+}
+/// The text of an option that is a method, see core/options.hpp.
+[[nodiscard]] inline std::string option_text(const Method& method) {
+  return to_string(method);
+}
+
+/// The method, and the options of the prioritisers that it names.
+struct PrioritizationOptions {
+  Method method = {PrioritizerKind::kObservability, PrioritizerKind::kGraphInformation};
+  ObservabilityPriorityOptions observability;  ///< Of `obs`.
+  GraphInformationOptions graph_information;   ///< Of `gi`.
+  ClosureModelOptions closure_model;           ///< The closure that `gi` expects of a candidate.
+  AnnealingOptions annealing;                  ///< Simulated annealing of `gi`.
+  GreedyOptions greedy;                        ///< Greedy choice of `gi`.
+
+  /// Calls visitor(name, section) for these options and those of the prioritisers.
+  template <class Self, class Visitor>
+  static void visit_sections(Self& self, Visitor&& visitor) {
+    visitor("prioritization", self);
+    visitor("observability", self.observability);
+    visitor("graph_information", self.graph_information);
+    visitor("closure_model", self.closure_model);
+    visitor("annealing", self.annealing);
+    visitor("greedy", self.greedy);
+  }
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field(
+        "method", self.method, any_value(),
+        "What decides the order: odom (no closures), baseline, random, obs, gi, full (obs and gi), rssi, or "
+        "several of them joined by +.");
+  }
+};
+
+/// Options of a method with the defaults of its prioritisers.
+[[nodiscard]] inline PrioritizationOptions prioritization_by(Method method) {
+  PrioritizationOptions options;
+  options.method = std::move(method);
+  return options;
+}
+
+/// The prioritisers of a method, in the order of their turns.
+/// \param options the method and its prioritisers' options
+/// \param seed of everything random
+/// \param robots whose nodes the candidates join
+/// \param eigenvalue serves the observability score; may be empty if the method does without
+/// \throws OptionError if a prioritiser is named twice, or on its options
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::unique_ptr<Prioritizer>> make_prioritizers(
+    const PrioritizationOptions& options, std::uint64_t seed, const Robots& robots,
+    const ObservabilityPrioritizer::Eigenvalue& eigenvalue);
+
+}  // namespace loopwise

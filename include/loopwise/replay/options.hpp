@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstdint>
+#include <string>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/engine/engine.hpp>
+#include <loopwise/optimization/back_end.hpp>
+#include <loopwise/prioritization/method.hpp>
+#include <loopwise/replay/registration.hpp>
+
+namespace loopwise {
+
+/// How much mission time the computation takes on the virtual clock.
+struct CostModel {
+  std::int64_t workers = 10;
+  double registration_time_s = 1.3;
+  bool measured_time = false;
+  double gi_evaluation_time_s = 0.02;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("workers", self.workers, at_least(1), "Registrations that run at a time on the mission's clock.");
+    field("registration_time_s", self.registration_time_s, above(0.0),
+          "Mission time that one registration takes on one worker, s.");
+    field(
+        "measured_time", self.measured_time, any_value(),
+        "A registration takes as long as it took on this machine, as recorded with its outcome, in place of "
+        "registration_time_s.");
+    field("gi_evaluation_time_s", self.gi_evaluation_time_s, above(0.0),
+          "Mission time of one evaluation while graph information improves its next set, s: as many as fit "
+          "between two batches.");
+  }
+};
+
+/// All options of a replay.
+struct ReplayOptions {
+  EngineOptions engine;  ///< Decisions.
+  PrioritizationOptions prioritization =
+      prioritization_by({PrioritizerKind::kObservability});  ///< Order of candidates.
+  RegistrationOptions registration;                          ///< Computation of candidates.
+  BackEndOptions back_end;                                   ///< Estimates.
+  CostModel cost;                                            ///< Virtual clock.
+  std::int64_t batch = 100;
+  std::int64_t max_registrations = 0;
+  bool after_mission = false;
+  double odometry_noise_m_per_m = 0.0;
+  double odometry_noise_rad_per_m = 0.0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("batch", self.batch, at_least(1), "Candidates handed out each time the computation runs dry.");
+    field("max_registrations", self.max_registrations, at_least(0),
+          "The run ends after this many; 0: no bound.");
+    field("after_mission", self.after_mission, any_value(),
+          "Go on after the last key frame until nothing is pending.");
+    field("odometry_noise_m_per_m", self.odometry_noise_m_per_m, at_least(0.0),
+          "Added to the odometry: sigma of each axis after 1 m, m; grows with the root of the distance.");
+    field(
+        "odometry_noise_rad_per_m", self.odometry_noise_rad_per_m, at_least(0.0),
+        "Added to the odometry: sigma about each axis after 1 m, rad; grows with the root of the distance.");
+  }
+
+  /// Calls visitor(name, section) for each part that has fields of its own, as core/options.hpp does for
+  /// fields.
+  template <class Self, class Visitor>
+  static void visit_sections(Self& self, Visitor&& visitor) {
+    EngineOptions::visit_sections(self.engine, visitor);
+    PrioritizationOptions::visit_sections(self.prioritization, visitor);
+    visitor("registration", self.registration);
+    visitor("features", self.registration.features);
+    visitor("fast_registrar", self.registration.fast);
+    visitor("pcl_registrar", self.registration.pcl);
+    BackEndOptions::visit_sections(self.back_end, visitor);
+    visitor("cost", self.cost);
+    visitor("replay", self);
+  }
+};
+
+/// Checks every field. \throws OptionError naming "section.field"
+LOOPWISE_EXPORT void validate_replay(const ReplayOptions& options);
+
+/// The options as indented JSON, an object of sections as read_config() takes it.
+[[nodiscard]] LOOPWISE_EXPORT std::string options_json(const ReplayOptions& options);
+
+/// A text for all that results depend on in the options: options_json(), and hashes of the content of the
+/// files that they name, since other content may come to lie at the same path. A file that cannot be read
+/// counts as such.
+[[nodiscard]] LOOPWISE_EXPORT std::string options_key(const ReplayOptions& options);
+
+}  // namespace loopwise

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Features and the registrar over them, made together from one configuration.
+#pragma once
+
+#include <memory>
+#include <string>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/features/feature_cache.hpp>
+#include <loopwise/registration/fast_registrar.hpp>
+#include <loopwise/registration/pcl_registrar.hpp>
+#include <loopwise/registration/registrar.hpp>
+
+namespace loopwise {
+
+class OutcomeStore;
+
+/// Which implementation computes the candidates.
+enum class RegistrarKind {
+  kFast,  ///< FastRegistrar
+  kPcl,   ///< PclRegistrar, the reference
+};
+[[nodiscard]] inline EnumNames<RegistrarKind> enum_names(RegistrarKind) {
+  return {{RegistrarKind::kFast, "fast"}, {RegistrarKind::kPcl, "pcl"}};
+}
+
+/// How scans are prepared and pairs of them registered.
+struct RegistrationOptions {
+  RegistrarKind registrar = RegistrarKind::kFast;
+  FeatureOptions features;    ///< Voxels, normals, cache.
+  FastRegistrarOptions fast;  ///< Of the registrar `fast`.
+  PclRegistrarOptions pcl;    ///< Of the registrar `pcl`, the reference.
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("registrar", self.registrar, any_value(), "What computes the candidates: fast or pcl.");
+  }
+};
+
+/// A registrar, with the features that it works on.
+struct Registration {
+  std::shared_ptr<FeatureCache> features;      ///< Of the scans; also serve the observability score.
+  std::shared_ptr<const Registrar> registrar;  ///< Over these features. Thread-safe.
+};
+
+/// \param options of features and registrar
+/// \param scans reads the scan of a node
+/// \param store where outcomes are kept and taken from, under a key of all that they depend on; may be null
+/// \throws OptionError, also if this build lacks the registrar
+[[nodiscard]] LOOPWISE_EXPORT Registration make_registration(const RegistrationOptions& options,
+                                                             const ScanLoader& scans,
+                                                             std::shared_ptr<OutcomeStore> store = nullptr);
+
+/// All that the outcome of a registration depends on besides its task and scans, as a text: the registrar's
+/// kind and options, those of the features, and the version of the code.
+[[nodiscard]] LOOPWISE_EXPORT std::string registration_context(const RegistrationOptions& options);
+
+}  // namespace loopwise

@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Traces of the online module: all events that its engine has handled, as text. A run in the field is
+/// repeated from its trace, to the bit, without its scans and without its registrations.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <string>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/engine/events.hpp>
+#include <loopwise/online/loop_closure_module.hpp>
+#include <loopwise/replay/replay.hpp>
+
+namespace loopwise {
+
+/// Makes the lines of a trace. Its add() is what ModuleParts::on_event calls:
+///
+///     TraceWriter trace(robots, options, [&](const std::string& line) { file << line << '\n'; });
+///     parts.on_event = [&](const HandledEvent& handled) { trace.add(handled); };
+///
+/// The first line holds the version, the robots and the options, each other line one event. For one thread at
+/// a time.
+class LOOPWISE_EXPORT TraceWriter {
+ public:
+  /// \param robots of the module
+  /// \param options of the module
+  /// \param line takes each line, without its end
+  TraceWriter(const Robots& robots, const ModuleOptions& options,
+              std::function<void(const std::string& line)> line);
+  /// Writes a line.
+  void add(const HandledEvent& handled);
+
+ private:
+  std::function<void(const std::string& line)> line_;
+};
+
+/// What a trace was recorded with.
+struct TraceHeader {
+  Robots robots;          ///< Of the module.
+  ModuleOptions options;  ///< Decisions, order and estimates; the other parts have their defaults.
+  std::string code;       ///< Version of the code that recorded it.
+};
+
+/// An event of a trace.
+struct TraceEvent {
+  Event event;         ///< Clouds are empty; an event::Optimized has no result, see estimate_hash.
+  double now_s = 0.0;  ///< By the module's clock.
+  std::optional<double> observability;  ///< As HandledEvent::observability.
+  std::string estimate_hash;            ///< Of an estimate: a hash of its poses and weights. Else empty.
+};
+
+/// Reads the first line of a trace. \throws InputError, OptionError
+[[nodiscard]] LOOPWISE_EXPORT TraceHeader parse_trace_header(const std::string& line);
+/// Reads any other line. \throws InputError, OptionError
+[[nodiscard]] LOOPWISE_EXPORT TraceEvent parse_trace_event(const std::string& line);
+
+/// Hands the events of a trace to an engine, which comes to the same graph, closures and estimates. Estimates
+/// are computed again; one that differs from the recorded one is a problem of the result, as is another
+/// version of the code. Of the hooks, `journal`, `moment`, `progress` and `stop` are used. \param file trace,
+/// as TraceWriter makes it; a last line that is cut short is left out, and reported \param hooks to watch the
+/// run, or to stop it \param prioritizers of the module, if they were not those of its method \throws
+/// IoError; ParseError naming the line that cannot be read, or is not of a run with these prioritisers
+[[nodiscard]] LOOPWISE_EXPORT ReplayResult replay_trace(const std::filesystem::path& file,
+                                                        const ReplayHooks& hooks = {},
+                                                        const PrioritizerFactory& prioritizers = {});
+
+}  // namespace loopwise

@@ -1,0 +1,194 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "engine_thread.hpp"
+
+#include <exception>
+#include <new>
+#include <utility>
+
+namespace loopwise {
+
+void EngineThread::start(Engine engine, Workers workers) {
+  engine_.emplace(std::move(engine));
+  workers_ = std::move(workers);
+  statistics_.publish(*engine_, 0);
+  thread_ = std::thread([this] { run(); });
+}
+
+void EngineThread::end() {
+  no_more_batches_.request_stop();
+  interrupt_improvement();
+  inbox_.close();
+  if (thread_.joinable()) thread_.join();
+}
+
+bool EngineThread::post(Event event) {
+  work_.begin();
+  bool taken = false;
+  try {
+    // Callbacks and prioritisers run in the thread that would make room.
+    if (std::this_thread::get_id() == id_) {
+      taken = inbox_.post_now(std::move(event));
+    } else {
+      taken = inbox_.post(std::move(event), [this] { statistics_.producer_waits(); });
+      if (half_full()) interrupt_improvement();
+    }
+  } catch (...) {
+    work_.end();
+    throw;
+  }
+  if (!taken) work_.end();
+  return taken;
+}
+
+void EngineThread::post_inside(Message message) {
+  try {
+    work_.begin();
+    try {
+      inbox_.post_inside(std::move(message));
+    } catch (...) {
+      work_.end();
+      throw;
+    }
+    interrupt_improvement();
+  } catch (const std::bad_alloc&) {
+    give_up();
+  }
+}
+
+void EngineThread::give_up() {
+  out_of_memory_ = true;
+  inbox_.close(/*abandon=*/true);
+}
+
+PoseGraph EngineThread::graph() const {
+  const std::lock_guard<std::mutex> lock(graph_mutex_);
+  return engine_->graph();
+}
+
+std::shared_ptr<const Estimate> EngineThread::estimate() const {
+  const std::lock_guard<std::mutex> lock(graph_mutex_);
+  return estimate_;
+}
+
+void EngineThread::interrupt_improvement() {
+  const std::lock_guard<std::mutex> lock(improvement_mutex_);
+  improvement_.request_stop();
+}
+
+void EngineThread::run() {
+  id_ = std::this_thread::get_id();
+  try {
+    while (auto message = next_message()) {
+      if (auto* event = std::get_if<Event>(&*message)) {
+        if (!std::holds_alternative<RegistrationResult>(*event)) improved_ = improving_ = false;
+        feed(std::move(*event));
+      } else {
+        carry_out(std::get<effect::Problem>(*message));
+      }
+      keep_busy();
+      ++events_;
+      statistics_.publish(*engine_, events_);
+      work_.end();
+    }
+    statistics_.publish(*engine_, events_);
+  } catch (const std::bad_alloc&) {
+    out_of_memory_ = true;
+  }
+  if (out_of_memory_) end_without_memory();
+}
+
+/// While a batch is computed, the next set is improved. Events from outside wait meanwhile, so that a
+/// prepared set is handed out before they make it old: until the set cannot be improved further, the
+/// computation runs dry, or the inbox is half full.
+std::optional<EngineThread::Message> EngineThread::next_message() {
+  while (engine_->computing() && !improved_ && engine_->pool().accounting().pending > 0 &&
+         (improving_ ? !half_full() : inbox_.size() == 0) && !no_more_batches_.stop_requested()) {
+    if (auto message = inbox_.try_next_inside()) return message;
+    improving_ = true;
+    improve();
+  }
+  return inbox_.next(engine_->computing() || engine_->optimizing() || engine_->in_computation() > 0);
+}
+
+void EngineThread::improve() {
+  StopToken token;
+  {
+    const std::lock_guard<std::mutex> lock(improvement_mutex_);
+    improvement_ = StopSource();
+    token = improvement_.token();
+  }
+  if (inbox_.inside_waits() || half_full() || no_more_batches_.stop_requested()) return;
+  improved_ = true;  // unless it is interrupted
+  feed(event::Improve{settings_.batch, token, {}});
+  improved_ = !token.stop_requested();
+  statistics_.improved();
+}
+
+/// The one way into the engine.
+void EngineThread::feed(Event event) {
+  Event record = settings_.on_event ? event : Event();
+  const double now_s = settings_.clock->now();
+  observability_.reset();
+  std::vector<Effect> effects;
+  try {
+    std::unique_lock<std::mutex> lock(graph_mutex_, std::defer_lock);
+    // These two may take long, and leave the graph alone.
+    const bool chooses =
+        std::holds_alternative<event::Choose>(event) || std::holds_alternative<event::Improve>(event);
+    if (!chooses) lock.lock();
+    effects = engine_->handle(std::move(event), now_s);
+  } catch (const std::bad_alloc&) {
+    throw;
+  } catch (const std::exception& error) {
+    return reporter_.problem(error.what());
+  }
+  if (settings_.on_event) {
+    if (auto* improve = std::get_if<event::Improve>(&record)) {
+      improve->stop = StopToken();
+      improve->max_evaluations = engine_->evaluations();
+    }
+    reporter_.call(settings_.on_event, HandledEvent{record, now_s, observability_});
+  }
+  for (Effect& effect : effects) std::visit([this](auto& e) { carry_out(e); }, effect);
+}
+
+/// After each event: starts what there is reason for.
+void EngineThread::keep_busy() {
+  constexpr double kTick_s = 1.0;
+  if (settings_.clock->now() >= last_tick_s_ + kTick_s) {
+    last_tick_s_ = settings_.clock->now();
+    feed(event::Tick{});
+  }
+  if (engine_->wants_estimate() && !engine_->optimizing() && !engine_->computing()) feed(event::Settle{});
+  if (engine_->wants_batch() && !no_more_batches_.stop_requested()) feed(event::Choose{settings_.batch});
+}
+
+void EngineThread::carry_out(effect::Compute& compute) {
+  improved_ = improving_ = false;
+  statistics_.batch_begins();
+  work_.begin();
+  workers_.compute(std::move(compute.tasks));
+}
+
+void EngineThread::carry_out(effect::Optimize& optimize) {
+  work_.begin();
+  workers_.optimize(std::move(optimize.graph));
+}
+
+void EngineThread::carry_out(effect::EstimateReady& ready) {
+  {
+    const std::lock_guard<std::mutex> lock(graph_mutex_);
+    estimate_ = ready.estimate;
+  }
+  reporter_.estimate(ready.estimate);
+}
+
+/// The graph and the account stay readable.
+void EngineThread::end_without_memory() {
+  inbox_.close(/*abandon=*/true);
+  no_more_batches_.request_stop();
+  reporter_.problem("out of memory: the module has stopped");
+  work_.stop();
+}
+
+}  // namespace loopwise

@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <exception>
+#include <string>
+#include <utility>
+
+#include <loopwise/online/loop_closure_module.hpp>
+
+#include "statistics_board.hpp"
+
+namespace loopwise {
+
+/// Calls the callbacks of a module. What they throw becomes a problem. For the engine's thread alone.
+class Reporter {
+ public:
+  Reporter(ModuleCallbacks callbacks, StatisticsBoard& statistics)
+      : callbacks_(std::move(callbacks)), statistics_(statistics) {}
+
+  void closure(const LoopClosure& closure) { call(callbacks_.on_closure, closure); }
+  void result(const RegistrationResult& result) { call(callbacks_.on_result, result); }
+  void estimate(const std::shared_ptr<const Estimate>& estimate) { call(callbacks_.on_estimate, estimate); }
+
+  /// Counts the problem, and keeps it for the statistics.
+  void problem(const std::string& text) {
+    statistics_.problem(text);
+    if (!callbacks_.on_problem) return;
+    try {
+      callbacks_.on_problem(text);
+    } catch (...) {  // nobody is left to report to
+    }
+  }
+
+  template <class Callback, class... Arguments>
+  void call(const Callback& callback, const Arguments&... arguments) {
+    if (!callback) return;
+    try {
+      callback(arguments...);
+    } catch (const std::exception& error) {
+      problem(std::string("a callback threw: ") + error.what());
+    } catch (...) {
+      problem("a callback threw something that is not a std::exception");
+    }
+  }
+
+ private:
+  const ModuleCallbacks callbacks_;
+  StatisticsBoard& statistics_;
+};
+
+}  // namespace loopwise

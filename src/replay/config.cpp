@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/replay/config.hpp>
+
+#include <algorithm>
+#include <fstream>
+#include <map>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/json_options.hpp>
+
+namespace loopwise {
+namespace {
+
+std::vector<std::string> section_names(const Config& config) {
+  std::vector<std::string> names;
+  Config::visit_sections(config, [&names](const char* name, const auto&) { names.emplace_back(name); });
+  return names;
+}
+
+/// Calls visit(section) for the section of this name. \throws OptionError if there is none.
+template <class Visitor>
+void with_section(Config& config, const std::string& name, Visitor&& visit) {
+  bool found = false;
+  Config::visit_sections(config, [&](const char* own, auto& section) {
+    if (name != own) return;
+    found = true;
+    visit(section);
+  });
+  if (!found) throw_unknown_name("section", name, section_names(config));
+}
+
+template <class Sections>
+std::string sections_json(const Sections& sections) {
+  Json all = Json::object();
+  Sections::visit_sections(sections,
+                           [&all](const char* name, const auto& section) { all[name] = to_json(section); });
+  return all.dump(2) + "\n";
+}
+
+/// Keys of earlier versions, and what has taken their place.
+const std::map<std::string, std::string>& renamed_keys() {
+  static const std::map<std::string, std::string> keys{
+      {"replay.method", "prioritization.method"},
+      {"replay.registration_time_s", "cost.registration_time_s"},
+      {"replay.measured_time", "cost.measured_time"},
+      {"replay.workers", "cost.workers"},
+      {"replay.gi_evaluation_time_s", "cost.gi_evaluation_time_s"},
+      {"replay.thin", "engine.thin"},
+      {"replay.guess", "engine.guess"},
+      {"replay.seed", "engine.seed"},
+      {"replay.registrar", "registration.registrar"},
+  };
+  return keys;
+}
+
+/// \throws OptionError if the key is one of an earlier version
+void refuse_renamed(const std::string& section, const std::string& key) {
+  const auto found = renamed_keys().find(section + "." + key);
+  if (found == renamed_keys().end()) return;
+  throw OptionError("unknown option " + found->first + ": its name is " + found->second + " now");
+}
+
+}  // namespace
+
+void validate_replay(const ReplayOptions& options) {
+  validate_sections(options);
+  try {
+    validate_proximity(options.engine.generation);
+  } catch (const OptionError& error) {
+    throw OptionError(std::string("generation.") + error.what());
+  }
+}
+
+void validate_config(const Config& config) {
+  validate_sections(config);
+  validate_replay(config.replay);
+}
+
+namespace {
+
+void apply_file(const Json& file, const std::string& source, Config& config) {
+  Config changed = config;
+  try {
+    if (!file.is_object()) throw OptionError("expected an object of sections");
+    for (const auto& item : file.items()) {
+      const std::string& name = item.key();
+      Json section_json = item.value();
+      if (name == "generation" && section_json.is_object() && section_json.contains("preset")) {
+        if (!section_json["preset"].is_string()) throw OptionError("generation.preset must be a word");
+        changed.replay.engine.generation = proximity_preset(section_json["preset"].get<std::string>());
+        section_json.erase("preset");
+      }
+      if (section_json.is_object()) {
+        for (const auto& field : section_json.items()) refuse_renamed(name, field.key());
+      }
+      with_section(changed, name, [&](auto& section) { apply_json(section_json, name, section); });
+    }
+    validate_config(changed);
+  } catch (const OptionError& error) {
+    throw OptionError(source + ": " + error.what());
+  }
+  config = changed;
+}
+
+}  // namespace
+
+void read_config(const std::filesystem::path& path, Config& config) {
+  apply_file(read_json_file(path), path.string(), config);
+}
+
+void parse_config(std::string_view json, const std::string& source, Config& config) {
+  apply_file(parse_json(json, source), source, config);
+}
+
+void set_config_option(const std::string& assignment, Config& config) {
+  const std::size_t equals = assignment.find('='), dot = assignment.find('.');
+  if (equals == std::string::npos || dot == std::string::npos || dot > equals) {
+    throw OptionError("\"" + assignment +
+                      "\": expected SECTION.FIELD=VALUE, for example generation.rate_m=0.3");
+  }
+  const std::string section_name = assignment.substr(0, dot);
+  const std::string field = assignment.substr(dot + 1, equals - dot - 1);
+  const std::string value = assignment.substr(equals + 1);
+  if (section_name == "generation" && field == "preset") {
+    config.replay.engine.generation = proximity_preset(value);
+    return;
+  }
+  refuse_renamed(section_name, field);
+  with_section(config, section_name, [&](auto& section) { set_option(section_name, field, value, section); });
+}
+
+std::string config_json(const Config& config) {
+  return sections_json(config);
+}
+
+std::string options_json(const ReplayOptions& options) {
+  return sections_json(options);
+}
+
+std::string options_key(const ReplayOptions& options) {
+  std::string key = options_json(options);
+  const std::string& weights = options.prioritization.graph_information.gnn_weights;
+  if (weights.empty()) return key;
+  ContentHasher hasher;
+  std::ifstream in(weights, std::ios::binary);
+  std::string piece(1 << 16, '\0');
+  while (in.read(piece.data(), static_cast<std::streamsize>(piece.size())) || in.gcount() > 0) {
+    hasher.bytes(piece.data(), static_cast<std::size_t>(in.gcount()));
+  }
+  return key + "gnn_weights " + (in.eof() ? to_string(hasher.finish()) : "unreadable") + "\n";
+}
+
+std::string config_key(const Config& config) {
+  return json_text(to_json(config.mission)) + options_key(config.replay);
+}
+
+std::vector<ConfigEntry> describe_config(const Config& config) {
+  std::vector<ConfigEntry> entries;
+  Config::visit_sections(config, [&entries](const char* name, const auto& section) {
+    for (const OptionDescription& option : describe(section)) {
+      entries.push_back({std::string(name) + "." + option.name, option.type, option.default_value,
+                         option.bounds, option.doc});
+    }
+  });
+  return entries;
+}
+
+}  // namespace loopwise

@@ -1,0 +1,356 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/replay/replay.hpp>
+
+#include <algorithm>
+#include <exception>
+#include <limits>
+#include <optional>
+#include <set>
+#include <tuple>
+#include <utility>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/error.hpp>
+#include <loopwise/engine/engine.hpp>
+#include <loopwise/engine/observability.hpp>
+#include <loopwise/optimization/gnc.hpp>
+
+#include "batch_computation.hpp"
+#include "journal.hpp"
+#include "mission_feed.hpp"
+
+namespace loopwise {
+namespace {
+
+/// Order of events of the same time.
+enum class EventKind { kKeyFrame, kResult };
+
+struct TimedEvent {
+  double time_s;
+  EventKind kind;
+  std::uint64_t number;  ///< Key of the key frame; place of the result within the run.
+  std::size_t index;     ///< Arrival of the feed; result of the batch.
+
+  bool operator<(const TimedEvent& other) const {
+    return std::tie(time_s, kind, number) < std::tie(other.time_s, other.kind, other.number);
+  }
+};
+
+std::vector<LoopCandidate> candidates_of(const std::vector<RegistrationTask>& tasks) {
+  std::vector<LoopCandidate> candidates;
+  candidates.reserve(tasks.size());
+  for (const RegistrationTask& task : tasks) candidates.push_back(task.candidate);
+  return candidates;
+}
+
+RoundRobinQueue queue_of(const Robots& robots, const ReplayOptions& options, const Registration& registration,
+                         const PrioritizerFactory& own) {
+  if (own) return RoundRobinQueue(own());
+  return RoundRobinQueue(make_prioritizers(
+      options.prioritization, options.engine.seed, robots,
+      observability_of(*registration.features, options.prioritization.observability.variant)));
+}
+
+OptimizerOptions with_threads(OptimizerOptions options, int num_threads) {
+  options.num_threads = num_threads;
+  return options;
+}
+
+/// One run: the engine on a virtual clock.
+class Run {
+ public:
+  Run(const Mission& mission, const ReplayOptions& options, const Registration& registration,
+      const PrioritizerFactory& prioritizers, ThreadPool& threads, const ReplayHooks& hooks,
+      const KnownOutcomes& known)
+      : mission_(mission),
+        options_(options),
+        hooks_(hooks),
+        feed_(mission_feed(mission, options)),
+        engine_(mission.robots, options.engine,
+                queue_of(mission.robots, options, registration, prioritizers)),
+        computation_(*registration.registrar, threads, hooks, known),
+        optimizer_(with_threads(options.back_end.optimization, threads.num_threads())) {}
+
+  ReplayResult execute() {
+    const Stopwatch watch;
+    double mission_end = 0.0;
+    for (std::size_t i = 0; i < feed_.size(); ++i) {
+      events_.insert({feed_[i].time_s, EventKind::kKeyFrame, feed_[i].frame.node.key, i});
+      mission_end = std::max(mission_end, feed_[i].time_s);
+    }
+    result_.mission_end_s = mission_end;
+    end_s_ = options_.after_mission ? std::numeric_limits<double>::infinity() : mission_end;
+    write(journal::start_line(mission_, options_));
+
+    while (!events_.empty() && events_.begin()->time_s <= end_s_ && !hooks_.stop.stop_requested()) {
+      now_s_ = events_.begin()->time_s;
+      while (!events_.empty() && events_.begin()->time_s == now_s_) {
+        const TimedEvent event = *events_.begin();
+        events_.erase(events_.begin());
+        event.kind == EventKind::kKeyFrame ? on_key_frame(feed_[event.index]) : on_result(event.index);
+      }
+      feed(event::Tick{});
+      if (batch_.empty()) start_batch();
+      show(now_s_ == mission_end ? ReplayMoment::Kind::kMissionEnd : ReplayMoment::Kind::kKeyFrame);
+    }
+
+    result_.interrupted = hooks_.stop.stop_requested();
+    finish();
+    result_.total_s = watch.seconds();
+    return std::move(result_);
+  }
+
+ private:
+  [[nodiscard]] const CandidateAccounting& account() const { return engine_.pool().accounting(); }
+
+  void feed(Event event) {
+    for (Effect& effect : engine_.handle(std::move(event), now_s_)) {
+      std::visit([this](auto& e) { carry_out(e); }, effect);
+    }
+  }
+
+  // ---- effects
+
+  void carry_out(effect::Closure& /*closure*/) {
+    // Its result comes next.
+    closure_edges_.emplace_back(engine_.graph().edges().size() - 1, result_.computed.size());
+  }
+
+  void carry_out(effect::Computed& computed) {
+    result_.computed.push_back({computed.result, now_s_, 0.0});
+    write(journal::result_line(now_s_, computed.result, account()));
+  }
+
+  void carry_out(effect::Problem& problem) {
+    if (problem.cause) std::rethrow_exception(problem.cause);
+    result_.problems.add(problem.topic, problem.detail);
+  }
+
+  void carry_out(effect::Optimize& optimize) {
+    const Stopwatch watch;
+    const GncResult gnc = optimizer_.optimize_gnc(*optimize.graph, options_.back_end.gnc);
+    for (const auto& [edge, computed] : closure_edges_) result_.computed[computed].weight = gnc.weights[edge];
+    feed(event::Optimized{gnc, false, {}});
+    ++result_.optimizations;
+    result_.optimization_s += watch.seconds();
+    write(journal::estimate_line(now_s_, gnc, account()));
+  }
+
+  void carry_out(effect::EstimateReady& /*estimate*/) {}
+
+  void carry_out(effect::Compute& compute) {
+    ++result_.batches;
+    batch_ = std::move(compute.tasks);
+    write(journal::batch_line(now_s_, candidates_of(batch_), account()));
+    options_.cost.measured_time ? compute_measured() : compute_modelled();
+    next_result_ += batch_.size();
+    if (batch_.empty()) feed(event::BatchDone{});  // none could become a task
+  }
+
+  // ---- key frames
+
+  void on_key_frame(const Arrival& arrival) {
+    const std::size_t generated = account().generated;
+    for (const BeaconDrop& drop : arrival.drops) feed(drop);
+    if (!arrival.readings.empty()) feed(event::Radio{arrival.readings});
+    feed(arrival.frame);
+    const std::size_t added = account().generated - generated;
+    announce_scan(arrival.frame.node);
+    write(journal::key_frame_line(now_s_, arrival.frame.node.key, added, account()));
+    ++key_frames_;
+    report(account().computed);
+  }
+
+  void announce_scan(const Node& node) {
+    if (engine_.pool().queue().prioritizers().empty() || !mission_.scans->has(node.key)) return;
+    KeyedScan scan{node.key, node.stamp_ns, nullptr};
+    try {
+      scan.cloud = mission_.scans->load(node.key);
+    } catch (const Error& error) {  // its candidates wait, then expire with the reason
+      result_.problems.add("unreadable scan", error.what());
+      return;
+    }
+    if (scan.cloud) feed(event::Scan{std::move(scan)});
+  }
+
+  // ---- registration
+
+  void start_batch() {
+    std::size_t count = static_cast<std::size_t>(options_.batch);
+    if (const auto bound = static_cast<std::size_t>(options_.max_registrations); bound > 0) {
+      const std::size_t used = account().computed;
+      if (used >= bound) return;
+      count = std::min(count, bound - used);
+    }
+    if (!engine_.wants_batch()) return;
+    // While the last batch was computed the next one could be improved: as far as mission time allowed.
+    const double evaluations = (now_s_ - batch_began_s_) / options_.cost.gi_evaluation_time_s;
+    const std::vector<std::uint64_t> bounds(engine_.pool().queue().prioritizers().size(),
+                                            static_cast<std::uint64_t>(std::min(evaluations, 1e12)));
+    feed(event::Improve{count, hooks_.stop, bounds});
+    batch_began_s_ = now_s_;
+    feed(event::Choose{count});
+  }
+
+  /// Worker k of W computes the batch's candidates k, k + W, …; those that would end after the mission are
+  /// not computed.
+  void compute_modelled() {
+    const auto workers = static_cast<std::size_t>(options_.cost.workers);
+    std::size_t paid = 0;
+    for (; paid < batch_.size(); ++paid) {
+      const auto turns = static_cast<double>(paid / workers + 1);
+      const double finish_s = now_s_ + turns * options_.cost.registration_time_s;
+      if (finish_s > end_s_) break;
+      events_.insert({finish_s, EventKind::kResult, next_result_ + paid, paid});
+    }
+    outstanding_ = paid;
+    compute(paid);
+  }
+
+  /// The time of a registration is known once it is computed: all are, each then takes its turn on the worker
+  /// that is free first, and the results of those that would end after the mission are not looked at.
+  void compute_measured() {
+    compute(batch_.size());
+    std::vector<double> free_s(static_cast<std::size_t>(options_.cost.workers), now_s_);
+    outstanding_ = 0;
+    for (std::size_t i = 0; i < batch_.size(); ++i) {
+      if (!results_[i]) continue;  // a stop request came first
+      const auto worker = std::min_element(free_s.begin(), free_s.end());
+      *worker += results_[i]->seconds();
+      if (*worker > end_s_) {
+        results_[i].reset();
+        continue;
+      }
+      events_.insert({*worker, EventKind::kResult, next_result_ + i, i});
+      ++outstanding_;
+    }
+  }
+
+  /// The first `count` tasks of the batch.
+  void compute(std::size_t count) {
+    const std::vector<RegistrationTask> tasks(batch_.begin(),
+                                              batch_.begin() + static_cast<std::ptrdiff_t>(count));
+    const std::size_t before = account().computed;
+    results_ = computation_.run(tasks, [&](std::size_t done) { report(before + done); });
+    results_.resize(batch_.size());
+  }
+
+  void on_result(std::size_t index) {
+    --outstanding_;
+    // Otherwise a stop request came first; the candidate is given back at the end.
+    if (results_[index]) feed(*results_[index]);
+    if (outstanding_ > 0) return;
+    // Those that would end after the mission stay in flight until the run ends.
+    if (not_computed().empty()) batch_.clear();
+    feed(event::BatchDone{});
+    show(ReplayMoment::Kind::kBatch);
+  }
+
+  [[nodiscard]] std::vector<LoopCandidate> not_computed() const {
+    std::vector<LoopCandidate> rest;
+    for (std::size_t i = 0; i < batch_.size(); ++i) {
+      if (!results_[i]) rest.push_back(batch_[i].candidate);
+    }
+    return rest;
+  }
+
+  void finish() {
+    // After a stop request: what the batch had computed by then counts.
+    const std::set<TimedEvent> left = std::exchange(events_, {});
+    for (const TimedEvent& event : left) {
+      if (!result_.interrupted || event.kind != EventKind::kResult || !results_[event.index]) continue;
+      now_s_ = event.time_s;
+      on_result(event.index);
+    }
+    feed(event::NoMoreScans{});
+    feed(event::BatchDone{not_computed()});
+    feed(event::Settle{});
+    const CandidatePool& pool = engine_.pool();
+    result_.accounting = pool.accounting();
+    result_.pruned = pool.pruned_reasons();
+    result_.expired = pool.expired_reasons();
+    for (std::size_t i = 0; i < pool.queue().prioritizers().size(); ++i) {
+      result_.handed_out.emplace_back(pool.queue().prioritizers()[i]->name(), pool.queue().handed_out()[i]);
+    }
+    result_.mission_time_s = now_s_;
+    result_.registration_s = computation_.seconds();
+    result_.problems.add(mission_.scans->problems());
+    result_.problems.add(engine_.radio_problems());
+    write(journal::end_line(now_s_, result_.interrupted, account()));
+    show(ReplayMoment::Kind::kEnd);
+    result_.graph = engine_.graph();
+    result_.odometry = engine_.odometry();
+  }
+
+  // ---- helpers
+
+  void write(const std::string& line) const {
+    if (hooks_.journal) hooks_.journal(line);
+  }
+
+  void show(ReplayMoment::Kind kind) const {
+    if (!hooks_.moment) return;
+    hooks_.moment({kind, now_s_, engine_.graph(), engine_.odometry(), result_.computed, account()});
+  }
+
+  void report(std::size_t computed) const {
+    if (!hooks_.progress) return;
+    const CandidateAccounting& a = account();
+    std::size_t total = a.computed + a.in_flight + a.pending;
+    if (options_.max_registrations > 0) {
+      total = std::min(total, static_cast<std::size_t>(options_.max_registrations));
+    }
+    const std::size_t verified = closure_edges_.size();
+    hooks_.progress({"registering", computed, std::max(total, computed),
+                     std::to_string(verified) + " accepted, " + std::to_string(a.computed - verified) +
+                         " rejected, " + std::to_string(key_frames_) + "/" +
+                         std::to_string(mission_.graph.nodes().size()) + " key frames"});
+  }
+
+  const Mission& mission_;
+  const ReplayOptions& options_;
+  const ReplayHooks& hooks_;
+
+  const std::vector<Arrival> feed_;
+  Engine engine_;
+  BatchComputation computation_;
+  PoseGraphOptimizer optimizer_;
+  std::set<TimedEvent> events_;
+  double now_s_ = 0.0;
+  double end_s_ = 0.0;
+  std::vector<RegistrationTask> batch_;  // being computed; empty when the computation is dry
+  std::vector<std::optional<RegistrationResult>> results_;  // of the batch, by place
+  double batch_began_s_ = 0.0;
+  std::size_t outstanding_ = 0;  // results of the batch still to come
+  std::uint64_t next_result_ = 0;
+  std::vector<std::pair<std::size_t, std::size_t>> closure_edges_;  // edge of the graph, place in `computed`
+  std::size_t key_frames_ = 0;
+  ReplayResult result_;
+};
+
+}  // namespace
+
+MissionReplay::MissionReplay(const Mission& mission, const ReplayOptions& options, Registration registration,
+                             PrioritizerFactory prioritizers)
+    : mission_(mission),
+      options_(options),
+      registration_(std::move(registration)),
+      prioritizers_(std::move(prioritizers)) {
+  validate_replay(options_);
+  if (!registration_.features) throw InputError("MissionReplay needs a feature cache");
+  if (!registration_.registrar) throw InputError("MissionReplay needs a registrar");
+}
+
+ReplayResult MissionReplay::run(ThreadPool& threads, const ReplayHooks& hooks,
+                                const KnownOutcomes& known) const {
+  return Run(mission_, options_, registration_, prioritizers_, threads, hooks, known).execute();
+}
+
+ReplayResult replay(const Mission& mission, const ReplayOptions& options, const ReplayHooks& hooks,
+                    int threads) {
+  ThreadPool pool(threads);
+  return MissionReplay(mission, options, make_registration(options.registration, mission.scans->loader()))
+      .run(pool, hooks);
+}
+
+}  // namespace loopwise
