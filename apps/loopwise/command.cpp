@@ -11,11 +11,11 @@
 #include <exception>
 #include <iostream>
 #include <new>
-#include <thread>
 
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/atomic_file.hpp>
 
 namespace loopwise::cli {
@@ -79,8 +79,7 @@ Config load_config(const CommonOptions& options, const Config& defaults) {
 }
 
 int thread_count(const CommonOptions& options) {
-  if (options.threads > 0) return options.threads;
-  return static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  return resolve_threads(options.threads);
 }
 
 bool is_recording(const std::filesystem::path& path) {

@@ -162,7 +162,7 @@ int run(const Options& options) {
       OptimizerOptions();  // a file has no earlier estimates to suffer from
   defaults.replay.back_end.gnc = GncOptions();
   Config config = load_config(options.common, defaults);
-  config.replay.back_end.optimization.num_threads = thread_count(options.common);
+  config.replay.back_end.optimization.threads = thread_count(options.common);
   if (!options.initialization.empty()) {
     config.replay.back_end.optimization.initialization =
         parse_enum<Initialization>("--initialization", options.initialization);

@@ -36,7 +36,7 @@ int run(const Options& options) {
   if (!options.method.empty()) config.replay.prioritization.method = parse_method(options.method);
   if (options.batch) config.replay.batch = *options.batch;
   if (options.seed) config.replay.engine.seed = *options.seed;
-  config.replay.prioritization.closure_model.num_threads = thread_count(options.common);
+  config.replay.prioritization.closure_model.threads = thread_count(options.common);
   validate_config(config);
   const Mission mission =
       read_mission(options.mission, config.mission, console.progress_callback(), interrupt.token());

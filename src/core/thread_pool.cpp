@@ -109,7 +109,7 @@ struct ThreadPool::Impl {
     ending = false;
   }
 
-  int num_threads = 1;
+  int threads = 1;
   std::mutex mutex;  // of all below, and of the loops
   std::condition_variable some;
   std::vector<std::thread> workers;
@@ -117,26 +117,30 @@ struct ThreadPool::Impl {
   bool ending = false;
 };
 
-ThreadPool::ThreadPool(int num_threads) : impl_(std::make_unique<Impl>()) {
-  resize(num_threads);
+int resolve_threads(int threads) {
+  if (threads < 0) throw OptionError("threads = " + std::to_string(threads) + ", must be >= 0");
+  return threads > 0 ? threads : static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+}
+
+ThreadPool::ThreadPool(int threads) : impl_(std::make_unique<Impl>()) {
+  resize(threads);
 }
 ThreadPool::~ThreadPool() = default;
 
 int ThreadPool::num_threads() const {
-  return impl_->num_threads;
+  return impl_->threads;
 }
 
-void ThreadPool::resize(int num_threads) {
-  if (num_threads < 0) throw OptionError("threads = " + std::to_string(num_threads) + ", must be >= 0");
-  if (num_threads == 0) num_threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
-  if (num_threads != impl_->num_threads) impl_->end();
-  impl_->num_threads = num_threads;
+void ThreadPool::resize(int threads) {
+  threads = resolve_threads(threads);
+  if (threads != impl_->threads) impl_->end();
+  impl_->threads = threads;
 }
 
 void ThreadPool::for_each(std::size_t count, const std::function<void(std::size_t)>& body) {
   if (count == 0) return;
   Impl& pool = *impl_;
-  const auto threads = static_cast<std::size_t>(pool.num_threads);
+  const auto threads = static_cast<std::size_t>(pool.threads);
   Loop loop(count, body);
   {
     std::unique_lock<std::mutex> lock(pool.mutex);

@@ -11,8 +11,8 @@
 
 #include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
-#include <loopwise/replay/code_version.hpp>
 #include <loopwise/registration/batch.hpp>
+#include <loopwise/replay/code_version.hpp>
 
 namespace loopwise {
 namespace {
@@ -209,42 +209,43 @@ std::string replay_greeting(const Mission& mission, const ReplayOptions& options
 }
 
 BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
-                                  std::shared_ptr<const Registrar> registrar, int threads) {
-  return [server = std::move(server), registrar = std::move(registrar), threads](
-             const std::vector<RegistrationTask>& tasks, const StopToken& stop,
-             const ProgressCallback& progress,
-             const std::function<void(const RegistrationResult&)>& on_result) {
-    // By target, then source: pairs that share scans go to one rank one after the other.
-    std::vector<std::size_t> order(tasks.size());
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
-      const LoopCandidate &x = tasks[a].candidate, &y = tasks[b].candidate;
-      return std::tie(x.to, x.from, a) < std::tie(y.to, y.from, b);
-    });
-    std::vector<Work> work;
-    work.reserve(order.size());
-    for (const std::size_t i : order) work.push_back({pack_task(tasks[i]), tasks[i].candidate.to});
-    std::vector<std::optional<RegistrationResult>> results(tasks.size());
-    std::mutex mutex;
-    std::size_t accepted = 0, rejected = 0;
-    const auto take = [&](std::size_t i, RegistrationResult result) {
-      const std::lock_guard<std::mutex> lock(mutex);
-      results[i] = std::move(result);
-      if (on_result) on_result(*results[i]);
-      ++(results[i]->verified() ? accepted : rejected);
-      if (progress) {
-        progress({"registering", accepted + rejected, tasks.size(),
-                  std::to_string(accepted) + " accepted, " + std::to_string(rejected) + " rejected"});
-      }
-    };
-    server->run(
-        work, threads, [&](std::size_t k) { take(order[k], compute_or_fail(*registrar, tasks[order[k]])); },
-        [&](int, std::size_t k, std::string_view answer) {
-          take(order[k], unpack_result(answer, tasks[order[k]].candidate));
-        },
-        stop);
-    return results;
-  };
+                                  std::shared_ptr<const Registrar> registrar, int local_workers) {
+  return
+      [server = std::move(server), registrar = std::move(registrar), local_workers](
+          const std::vector<RegistrationTask>& tasks, const StopToken& stop, const ProgressCallback& progress,
+          const std::function<void(const RegistrationResult&)>& on_result) {
+        // By target, then source: pairs that share scans go to one rank one after the other.
+        std::vector<std::size_t> order(tasks.size());
+        std::iota(order.begin(), order.end(), std::size_t{0});
+        std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
+          const LoopCandidate &x = tasks[a].candidate, &y = tasks[b].candidate;
+          return std::tie(x.to, x.from, a) < std::tie(y.to, y.from, b);
+        });
+        std::vector<Work> work;
+        work.reserve(order.size());
+        for (const std::size_t i : order) work.push_back({pack_task(tasks[i]), tasks[i].candidate.to});
+        std::vector<std::optional<RegistrationResult>> results(tasks.size());
+        std::mutex mutex;
+        std::size_t accepted = 0, rejected = 0;
+        const auto take = [&](std::size_t i, RegistrationResult result) {
+          const std::lock_guard<std::mutex> lock(mutex);
+          results[i] = std::move(result);
+          if (on_result) on_result(*results[i]);
+          ++(results[i]->verified() ? accepted : rejected);
+          if (progress) {
+            progress({"registering", accepted + rejected, tasks.size(),
+                      std::to_string(accepted) + " accepted, " + std::to_string(rejected) + " rejected"});
+          }
+        };
+        server->run(
+            work, local_workers,
+            [&](std::size_t k) { take(order[k], compute_or_fail(*registrar, tasks[order[k]])); },
+            [&](int, std::size_t k, std::string_view answer) {
+              take(order[k], unpack_result(answer, tasks[order[k]].candidate));
+            },
+            stop);
+        return results;
+      };
 }
 
 void serve_registrations(Transport& transport, std::string_view greeting, const Registrar& registrar) {

@@ -185,11 +185,12 @@ WorkServer::~WorkServer() {
   }
 }
 
-void WorkServer::run(const std::vector<Work>& work, int threads, const std::function<void(std::size_t)>& here,
+void WorkServer::run(const std::vector<Work>& work, int local_workers,
+                     const std::function<void(std::size_t)>& here,
                      const std::function<void(int, std::size_t, std::string_view)>& there,
                      const StopToken& stop) {
-  if (transport_.size() == 1) threads = std::max(threads, 1);
-  Round round(*this, work, threads > 0);
+  if (transport_.size() == 1) local_workers = std::max(local_workers, 1);
+  Round round(*this, work, local_workers > 0);
   std::mutex mutex;
   std::exception_ptr failure;
   const auto fail = [&] {
@@ -283,11 +284,11 @@ void WorkServer::run(const std::vector<Work>& work, int threads, const std::func
   std::vector<std::thread> all;
   try {
     if (transport_.size() > 1) all.emplace_back(serve);
-    for (int t = 1; t < threads; ++t) all.emplace_back(compute);
+    for (int t = 1; t < local_workers; ++t) all.emplace_back(compute);
   } catch (...) {  // the system has no more threads: those that there are end, and then it is said
     fail();
   }
-  if (threads > 0) compute();
+  if (local_workers > 0) compute();
   for (std::thread& thread : all) thread.join();
   if (failure) std::rethrow_exception(failure);
 }

@@ -88,7 +88,7 @@ class Target {
 template <class Write>
 std::size_t write_scans(const Mission& mission, const std::vector<Key>& keys, const ConvertOptions& options,
                         Write&& write) {
-  ThreadPool threads(std::max(1, options.threads));
+  ThreadPool threads(options.threads);
   std::atomic<std::size_t> written{0};
   std::size_t done = 0;
   std::mutex mutex;

@@ -8,6 +8,7 @@
 #include <tuple>
 #include <utility>
 
+#include <loopwise/core/thread_pool.hpp>
 #include <loopwise/registration/batch.hpp>
 
 namespace loopwise {
@@ -21,7 +22,7 @@ constexpr double kLongestPause_s = 3600.0;
 RegistrationCrew::RegistrationCrew(const Registrar& registrar, int threads, double overdue_after_s,
                                    Hooks hooks)
     : registrar_(registrar), overdue_after_s_(overdue_after_s), hooks_(std::move(hooks)) {
-  if (threads == 0) threads = static_cast<int>(std::max(1U, std::thread::hardware_concurrency()));
+  threads = resolve_threads(threads);
   threads_ = static_cast<std::size_t>(threads);
   try {
     for (int i = 0; i < threads; ++i) {

@@ -93,7 +93,7 @@ HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& opt
   validate(options);
   const detail::SingleThreadedBlas guard;
   const detail::PoseProblem problem(graph);
-  ThreadPool pool(options.num_threads);
+  ThreadPool pool(options.threads);
   detail::NormalEquations equations(options.factorization);
   equations.set_structure(problem);
   const auto poses = problem.poses_of(graph.poses());

@@ -41,7 +41,7 @@ struct PoseGraphOptimizer::Impl {
   ThreadPool pool;
   detail::NormalEquations equations;
 
-  explicit Impl(const OptimizerOptions& o) : options(o), pool(o.num_threads), equations(o.factorization) {}
+  explicit Impl(const OptimizerOptions& o) : options(o), pool(o.threads), equations(o.factorization) {}
 };
 
 PoseGraphOptimizer::PoseGraphOptimizer(OptimizerOptions options) {

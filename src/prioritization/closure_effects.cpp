@@ -146,7 +146,7 @@ ClosureEffects closure_effects(const PoseGraph& graph, const std::vector<LoopCan
   out.gain = Eigen::VectorXd::Zero(L);
   out.connecting.resize(candidates.size());
   const detail::ClosureFactor& factor = closures.factor();
-  ThreadPool pool(options.num_threads);
+  ThreadPool pool(options.threads);
   pool.for_each((candidates.size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
     std::vector<double> x;
     for (std::size_t c = chunk * kChunk; c < std::min(candidates.size(), (chunk + 1) * kChunk); ++c) {

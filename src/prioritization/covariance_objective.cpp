@@ -65,7 +65,7 @@ GainBlocks blocks_of(const ClosureSet& closures, const ClosureFactor& factor, st
 struct CovarianceObjective::Impl {
   Impl(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const ClosureModelOptions& given,
        const ClosureModel& model)
-      : options(given), closures(graph, candidates, given, model), pool(given.num_threads) {
+      : options(given), closures(graph, candidates, given, model), pool(given.threads) {
     dense = options.holding == Holding::kDense ||
             (options.holding == Holding::kAutomatic && candidates.size() <= kDenseUpTo);
   }

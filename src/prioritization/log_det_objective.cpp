@@ -36,7 +36,7 @@ std::optional<double> log_det(const Matrix6d& m) {
 struct LogDetObjective::Impl {
   Impl(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
        const ClosureModelOptions& options, const ClosureModel& model)
-      : closures(graph, candidates, options, model), pool(options.num_threads) {}
+      : closures(graph, candidates, options, model), pool(options.threads) {}
 
   ClosureSet closures;
   ThreadPool pool;

@@ -41,7 +41,7 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
   const std::size_t groups = (probes + kWidth - 1) / kWidth;
   const double scale = 1.0 / std::sqrt(static_cast<double>(groups * kWidth));
   std::vector<std::vector<double>> U(groups), V(groups);
-  ThreadPool pool(options.num_threads);
+  ThreadPool pool(options.threads);
   pool.for_each(2 * groups, [&](std::size_t task) {
     const std::size_t group = task / 2;
     const bool counted = task % 2 != 0;

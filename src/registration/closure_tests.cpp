@@ -15,7 +15,6 @@ namespace {
 
 /// Cosine of the angle within which two normals agree.
 constexpr float kAgreeing = 0.7F;
-constexpr double kDegree = 3.14159265358979323846 / 180.0;
 
 /// max_sigma of each coordinate: with them as units a free direction has variance 1 or more.
 Vector6d units(const ClosureTestOptions& options) {
@@ -221,14 +220,14 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
   }
   if (guess_from_to) {
     const Vector6d moved = se3::log(guess_from_to->inverse() * *result.T_from_to);
-    const double rotation_deg = moved.tail<3>().norm() / kDegree;
+    const double rotation_rad = moved.tail<3>().norm();
     if (!(moved.head<3>().norm() <= options.max_translation_m)) {
       return reject(RejectionReason::kTransformThreshold,
                     beyond("moved by", moved.head<3>().norm(), "<=", options.max_translation_m, " m"));
     }
-    if (!(rotation_deg <= options.max_rotation_deg)) {
+    if (!(rotation_rad <= options.max_rotation_rad)) {
       return reject(RejectionReason::kTransformThreshold,
-                    beyond("turned by", rotation_deg, "<=", options.max_rotation_deg, " deg"));
+                    beyond("turned by", rotation_rad, "<=", options.max_rotation_rad, " rad"));
     }
   }
   result.reason = RejectionReason::kNone;

@@ -111,7 +111,7 @@ std::vector<Match> match(const KeyPoints& source, const KeyPoints& target, std::
 void drop_impossible(std::vector<Match>& matches, const Eigen::Isometry3d& guess_target_source,
                      const FastRegistrarOptions& options) {
   constexpr double kNormalNoise = 20.0 * kDegree;
-  const double turn = std::min(kPi, options.tests.max_rotation_deg * kDegree);
+  const double turn = std::min(kPi, options.tests.max_rotation_rad);
   const auto least_cosine = static_cast<float>(std::cos(std::min(kPi, turn + kNormalNoise)));
   const auto arc = static_cast<float>(2.0 * std::sin(0.5 * turn));
   const auto slack = static_cast<float>(options.tests.max_translation_m + options.coarse_reach_m);
@@ -340,7 +340,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     if (!task.guess_from_to) return true;
     const Eigen::Isometry3d moved = *task.guess_from_to * T_target_source;
     return moved.translation().norm() <= options.tests.max_translation_m + options.coarse_reach_m &&
-           se3::rotation_angle(moved) <= (options.tests.max_rotation_deg + 5.0) * kDegree;
+           se3::rotation_angle(moved) <= options.tests.max_rotation_rad + 5.0 * kDegree;
   };
   const double expected_on_plane = 0.5 * (source.share.on_plane + target.share.on_plane);
   const double expected_share = expected_on_plane * target.share.overlap;

@@ -45,11 +45,12 @@ std::string key_frame_line(double time_s, Key key, std::size_t candidates, const
   return finish(std::move(line), a);
 }
 
-std::string batch_line(double time_s, const std::vector<LoopCandidate>& batch, const CandidateAccounting& a) {
+std::string batch_line(double time_s, const std::vector<RegistrationTask>& batch,
+                       const CandidateAccounting& a) {
   Json line = new_line("batch", time_s);
   Json pairs = Json::array();
-  for (const LoopCandidate& candidate : batch) {
-    pairs.push_back({std::to_string(candidate.from), std::to_string(candidate.to)});
+  for (const RegistrationTask& task : batch) {
+    pairs.push_back({std::to_string(task.candidate.from), std::to_string(task.candidate.to)});
   }
   line["pairs"] = std::move(pairs);
   return finish(std::move(line), a);

@@ -11,6 +11,7 @@
 #include <loopwise/io/mission.hpp>
 #include <loopwise/online/loop_closure_module.hpp>
 #include <loopwise/optimization/gnc.hpp>
+#include <loopwise/registration/registrar.hpp>
 #include <loopwise/replay/options.hpp>
 
 namespace loopwise::journal {
@@ -18,7 +19,7 @@ namespace loopwise::journal {
 [[nodiscard]] std::string start_line(const Mission& mission, const ReplayOptions& options);
 [[nodiscard]] std::string key_frame_line(double time_s, Key key, std::size_t candidates,
                                          const CandidateAccounting& a);
-[[nodiscard]] std::string batch_line(double time_s, const std::vector<LoopCandidate>& batch,
+[[nodiscard]] std::string batch_line(double time_s, const std::vector<RegistrationTask>& batch,
                                      const CandidateAccounting& a);
 [[nodiscard]] std::string result_line(double time_s, const RegistrationResult& result,
                                       const CandidateAccounting& a);

@@ -310,7 +310,7 @@ double void_distance(const Shape& s, const Eigen::Vector3d& p, double relief, do
 }
 
 TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& ground, double cell,
-                             std::uint64_t seed, int num_threads, const StopToken& stop) {
+                             std::uint64_t seed, int threads, const StopToken& stop) {
   // Each tile knows the shapes that can reach it. The margin is wide enough that neighbours who share samples
   // agree.
   std::map<Cell3, std::vector<std::size_t>> near;
@@ -334,7 +334,7 @@ TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& gro
   for (const auto& [tile, list] : near) tiles.emplace_back(tile, &list);
 
   std::vector<TriangleMesh> parts(tiles.size());
-  ThreadPool pool(num_threads);
+  ThreadPool pool(threads);
   pool.for_each(tiles.size(), [&](std::size_t i) {
     if (stop.stop_requested()) return;
     parts[i] = tile_surface(tiles[i].first, Field(shapes, *tiles[i].second, ground, seed), cell);

@@ -49,7 +49,7 @@ using Ground = std::function<double(double, double)>;
 
 /// The boundary of the union by dual contouring (Ju et al. 2002) with cells of `cell` metres, tile by tile.
 [[nodiscard]] TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& ground,
-                                           double cell, std::uint64_t seed, int num_threads,
+                                           double cell, std::uint64_t seed, int threads,
                                            const StopToken& stop);
 
 }  // namespace loopwise::simulation_detail

@@ -168,13 +168,13 @@ class Builder {
     foot_.push_back({floor, -1.0});
   }
 
-  World build(WorldKind kind, double cell, int num_threads, const StopToken& stop) {
+  World build(WorldKind kind, double cell, int threads, const StopToken& stop) {
     World world;
     world.kind = kind;
     mark_dead_ends();
     world.mesh = simulation_detail::extract_surface(
-        shapes_, [this](double x, double y) { return ground(x, y); }, cell, combine_seeds(seed_, 3),
-        num_threads, stop);
+        shapes_, [this](double x, double y) { return ground(x, y); }, cell, combine_seeds(seed_, 3), threads,
+        stop);
     for (std::size_t i = 0; i < things_.size(); ++i) {
       if (foot_[i].radius < 0.0 || out_of_the_way(foot_[i])) things_[i](world.mesh);
     }
@@ -842,8 +842,7 @@ double World::passage_length_m() const {
   return sum;
 }
 
-World make_world(WorldKind kind, double length_m, std::uint64_t seed, int num_threads,
-                 const StopToken& stop) {
+World make_world(WorldKind kind, double length_m, std::uint64_t seed, int threads, const StopToken& stop) {
   detail::check_bounds("length_m", length_m, between(60.0, 60000.0));
   Builder builder(combine_seeds(seed, static_cast<std::uint64_t>(kind)));
   const double target = parameters::kPassagesPerDrivenLength * length_m;
@@ -865,7 +864,7 @@ World make_world(WorldKind kind, double length_m, std::uint64_t seed, int num_th
       plan_mine(builder, target);
       break;
   }
-  return builder.build(kind, cell, num_threads, stop);
+  return builder.build(kind, cell, threads, stop);
 }
 
 }  // namespace loopwise

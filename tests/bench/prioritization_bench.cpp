@@ -167,7 +167,7 @@ void first_batch(std::size_t poses, std::size_t count, std::size_t batch, int th
   const PoseGraph graph = bare(bench::streets(poses, 0, 4, 1).graph);
   const auto candidates = nearby_pairs(graph, count, 0.0, 1);
   ClosureModelOptions closures;
-  closures.num_threads = threads;
+  closures.threads = threads;
   const double start = wall();
   GraphInformationPrioritizer gi({}, closures, {});
   gi.on_graph(graph);

@@ -17,6 +17,10 @@
 namespace loopwise {
 namespace {
 
+// It keeps a reference to its mission.
+static_assert(std::is_constructible_v<RunHistory, Mission&>);
+static_assert(!std::is_constructible_v<RunHistory, Mission>);
+
 ReplayResult replayed(const Mission& mission, const ReplayOptions& config, RunHistory* history = nullptr) {
   const auto features = std::make_shared<FeatureCache>(mission.scans->loader(), config.registration.features);
   std::map<Key, Eigen::Isometry3d> truth = mission.ground_truth;

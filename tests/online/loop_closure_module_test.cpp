@@ -131,6 +131,39 @@ TEST_CASE("module: closes loops, keeps account, tells of everything", "[online][
   }
 }
 
+TEST_CASE("module: a registrar of the user's own gets the clouds that the module keeps", "[online][module]") {
+  /// Verifies pairs whose clouds are both there.
+  class Looking final : public Registrar {
+   public:
+    Looking(ScanLoader scans, std::map<Key, Eigen::Isometry3d> truth)
+        : scans_(std::move(scans)), oracle_(std::move(truth), 0.0, 0.0) {}
+    [[nodiscard]] std::string_view name() const override { return "looking"; }
+    [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
+      if (!scans_(task.candidate.from) || !scans_(task.candidate.to)) throw InputError("a cloud is missing");
+      return oracle_.compute(task);
+    }
+
+   private:
+    ScanLoader scans_;
+    OracleRegistrar oracle_;
+  };
+  const Mission mission = two_circles(1, 12);
+  ModuleParts parts;
+  parts.registrar = [&](const ScanLoader& scans) {
+    return std::make_shared<const Looking>(scans, mission.ground_truth);
+  };
+  ModuleOptions options = module_options();
+  options.engine.generation.skip_recent = 3;
+  LoopClosureModule module(mission.robots, options, {}, std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().candidates.computed > 10);
+  REQUIRE(module.statistics().problems == 0);
+  REQUIRE(module.graph().edges().size() > mission.graph.edges().size());
+  parts.registrar = [](const ScanLoader&) { return std::shared_ptr<const Registrar>(); };
+  REQUIRE_THROWS_AS(LoopClosureModule(mission.robots, options, {}, std::move(parts)), InputError);
+}
+
 TEST_CASE("module: finish makes a last estimate with all closures", "[online][module]") {
   const Mission mission = two_circles(1, 30);
   std::atomic<std::size_t> closures{0};

@@ -360,7 +360,7 @@ TEST_CASE("gnc: true closures come back where odometry drifts more than its info
       REQUIRE(error(grown) < error(before));
 
       OptimizerOptions threads;
-      threads.num_threads = 4;
+      threads.threads = 4;
       const GncResult same = optimize_gnc(corridor.graph, threads, gnc);
       REQUIRE(same.weights == grown.weights);
       REQUIRE(same.truncated_cost == grown.truncated_cost);

@@ -114,7 +114,7 @@ TEST_CASE("optimize: the same bits for any number of threads", "[optimization][p
   const testing::RandomGraph random = testing::random_graph(rng, shape);
   OptimizerOptions one, three;
   one.max_iterations = three.max_iterations = 4;
-  three.num_threads = 3;
+  three.threads = 3;
   const OptimizationResult a = optimize(random.graph, one), b = optimize(random.graph, three);
   REQUIRE(a.cost == b.cost);
   for (std::size_t i = 0; i < a.poses.size(); ++i) REQUIRE(a.poses[i].matrix() == b.poses[i].matrix());

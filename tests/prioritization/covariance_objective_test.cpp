@@ -114,7 +114,7 @@ TEST_CASE("covariance objective: bulk gains follow a growing set", "[prioritizat
     ClosureModelOptions options;
     options.holding = holding;
     CovarianceObjective one(graph, candidates, options);
-    options.num_threads = 2;
+    options.threads = 2;
     CovarianceObjective two(graph, candidates, options);
     for (int k = 0; k < 40; ++k) {
       const std::vector<double> changes = one.add_changes();
@@ -290,7 +290,7 @@ TEST_CASE("sketched gains: near the exact ones, better with more probes", "[prio
   REQUIRE(rough < 0.25);
   REQUIRE(fine < 0.07);
   ClosureModelOptions threads;
-  threads.num_threads = 2;
+  threads.threads = 2;
   REQUIRE(sketched_gains(graph, candidates, threads, closure_model({}), 64, 3) ==
           sketched_gains(graph, candidates, {}, closure_model({}), 64, 3));
 }

@@ -117,7 +117,7 @@ TEST_CASE("effects: the world frame and the threads do not show", "[prioritizati
   REQUIRE(network->evaluate(there, {1, 5, 9}) == Approx(value).epsilon(1e-5));
 
   ClosureModelOptions threaded = options;
-  threaded.num_threads = 4;
+  threaded.threads = 4;
   const ClosureEffects again = closure_effects(p.graph, p.candidates, threaded, model);
   REQUIRE(again.relief == effects.relief);
   REQUIRE(again.gain == effects.gain);

@@ -28,6 +28,10 @@ ReplayOptions fast_config(const std::string& method = "random") {
   return config;
 }
 
+// It keeps a reference to its mission.
+static_assert(std::is_constructible_v<MissionReplay, Mission&, ReplayOptions, Registration>);
+static_assert(!std::is_constructible_v<MissionReplay, Mission, ReplayOptions, Registration>);
+
 struct Recorded {
   ReplayResult result;
   std::vector<Json> journal;

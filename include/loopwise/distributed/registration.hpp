@@ -28,10 +28,10 @@ namespace loopwise {
                                                           const ReplayOptions& options);
 
 /// Computes batches over all ranks: what MissionReplay takes in place of its own threads. Results are those
-/// of one machine. Pairs go where their target was last. `threads` compute here, on rank 0.
+/// of one machine. Pairs go where their target was last. `local_workers` threads compute here, on rank 0.
 [[nodiscard]] LOOPWISE_EXPORT BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
                                                                 std::shared_ptr<const Registrar> registrar,
-                                                                int threads);
+                                                                int local_workers);
 
 /// Every other rank of a replay: computes tasks until rank 0 ends it.
 LOOPWISE_EXPORT void serve_registrations(Transport& transport, std::string_view greeting,

@@ -61,13 +61,13 @@ class LOOPWISE_EXPORT WorkServer {
   WorkServer(const WorkServer&) = delete;
   WorkServer& operator=(const WorkServer&) = delete;
 
-  /// Does all of the work, here by `here(i)` on `threads` threads (0: all goes to the others, if there are
-  /// any) and elsewhere by messages, whose answers `there(rank, i, answer)` takes. Both are called from
+  /// Does all of the work, here by `here(i)` on `local_workers` threads (0: all goes to the others, if there
+  /// are any) and elsewhere by messages, whose answers `there(rank, i, answer)` takes. Both are called from
   /// several threads, `there` by one at a time. After a stop request nothing more is begun; what was begun is
   /// finished. Who does what depends on timing. \throws what `here` or `there` throws; Error naming a rank
   /// that reports a failure or stays silent for too long. What had been begun elsewhere is then not waited
   /// for.
-  void run(const std::vector<Work>& work, int threads, const std::function<void(std::size_t)>& here,
+  void run(const std::vector<Work>& work, int local_workers, const std::function<void(std::size_t)>& here,
            const std::function<void(int, std::size_t, std::string_view)>& there, const StopToken& stop = {});
 
   /// Since the start, over all calls of run().

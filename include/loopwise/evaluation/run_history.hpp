@@ -38,6 +38,7 @@ class LOOPWISE_EXPORT RunHistory {
  public:
   /// `mission` must outlive it. \throws OptionError
   explicit RunHistory(const Mission& mission, const ClosureClassOptions& options = {});
+  RunHistory(const Mission&&, const ClosureClassOptions& = {}) = delete;
 
   /// Takes in a moment; those between two rows cost little.
   void add(const ReplayMoment& moment);

@@ -31,9 +31,9 @@ enum class MissionFormat {
 /// How a mission is written.
 struct ConvertOptions {
   PcdEncoding encoding = PcdEncoding::kBinaryCompressed;  ///< Of the clouds.
-  int threads = 1;                                        ///< >= 1. What is written does not depend on it.
-  ProgressCallback progress;                              ///< Is told how many scans are written.
-  StopToken stop;  ///< Ends it early: convert_mission() then throws StoppedError.
+  int threads = 1;            ///< 0: one per processor. What is written does not depend on it.
+  ProgressCallback progress;  ///< Is told how many scans are written.
+  StopToken stop;             ///< Ends it early: convert_mission() then throws StoppedError.
 };
 
 /// What a conversion came to.

@@ -38,7 +38,7 @@ struct Marginals {
 /// exactly: their rows and columns of Σ are zero. Immutable; const calls are safe from several threads.
 class LOOPWISE_EXPORT HessianFactor {
  public:
-  /// Linearises, orders and factorises. Of the options, factorization and num_threads are used.
+  /// Linearises, orders and factorises. Of the options, factorization and threads are used.
   /// \throws InputError naming a node if H is singular there.
   explicit HessianFactor(const PoseGraph& graph, const OptimizerOptions& options = {});
   ~HessianFactor();

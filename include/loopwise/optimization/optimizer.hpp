@@ -53,7 +53,7 @@ struct OptimizerOptions {
   double initial_damping = 0.0;
   Initialization initialization = Initialization::kFile;
   Factorization factorization = Factorization::kAutomatic;
-  int num_threads = 1;
+  int threads = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -70,8 +70,8 @@ struct OptimizerOptions {
     field("initialization", self.initialization, any_value(), "First estimate: file, odometry or chordal.");
     field("factorization", self.factorization, any_value(),
           "Sparse Cholesky: automatic, multifrontal, simplicial or supernodal.");
-    field("num_threads", self.num_threads, at_least(1),
-          "Threads. Changes the run time, never a bit of the result.");
+    field("threads", self.threads, between(0, 1024),
+          "Threads; 0: one per processor. They change the run time, never a result.");
   }
 };
 

@@ -42,7 +42,7 @@ struct ClosureModelOptions {
   TraceKind trace = TraceKind::kTranslation;
   Holding holding = Holding::kAutomatic;
   std::int64_t dense_refresh = 64;
-  int num_threads = 1;
+  int threads = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -53,7 +53,8 @@ struct ClosureModelOptions {
     field("holding", self.holding, any_value(), "How blocks are held: automatic, columns or dense.");
     field("dense_refresh", self.dense_refresh, at_least(1),
           "Holding dense: moves between two fresh factorisations.");
-    field("num_threads", self.num_threads, at_least(1), "Threads. Changes the run time, never a result.");
+    field("threads", self.threads, between(0, 1024),
+          "Threads; 0: one per processor. They change the run time, never a result.");
   }
 };
 

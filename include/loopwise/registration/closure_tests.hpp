@@ -31,7 +31,7 @@ struct ClosureTestOptions {
   double min_consistency = 0.0;
   int max_free_directions = 2;
   double max_translation_m = 20.0;
-  double max_rotation_deg = 50.0;
+  double max_rotation_rad = 50.0 * 3.14159265358979323846 / 180.0;
   double point_sigma_m = 0.05;
   double normal_sigma_rad = 0.05;
   double points_per_sample = 10.0;
@@ -68,7 +68,7 @@ struct ClosureTestOptions {
           "two.");
     field("max_translation_m", self.max_translation_m, above(0.0),
           "Closures further than this from the graph's relative pose are refused, m.");
-    field("max_rotation_deg", self.max_rotation_deg, above(0.0), "The same for the rotation, degrees.");
+    field("max_rotation_rad", self.max_rotation_rad, above(0.0), "The same for the rotation, rad.");
     field("point_sigma_m", self.point_sigma_m, above(0.0),
           "Least standard deviation of a point's distance to the target's plane, m.");
     field(

@@ -72,10 +72,10 @@ struct LOOPWISE_EXPORT World {
 
 /// Builds a world in which robots can drive `length_m` in total as an exploring team does: passages for about
 /// half of it. The same arguments give the same bits for any number of threads.
-/// `num_threads` = 0 takes the number of processors.
+/// `threads` 0: one per processor.
 /// \throws OptionError unless 60 <= length_m <= 60000.
 /// \returns an unfinished mesh if a stop is requested; whoever asks for it throws the result away.
 [[nodiscard]] LOOPWISE_EXPORT World make_world(WorldKind kind, double length_m, std::uint64_t seed,
-                                               int num_threads = 0, const StopToken& stop = {});
+                                               int threads = 0, const StopToken& stop = {});
 
 }  // namespace loopwise

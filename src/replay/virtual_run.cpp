@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include <loopwise/replay/replay.hpp>
+#include "virtual_run.hpp"
 
 #include <algorithm>
 #include <exception>
 #include <limits>
 #include <optional>
 #include <set>
-#include <tuple>
 #include <utility>
 
 #include <loopwise/core/clock.hpp>
@@ -18,30 +17,11 @@
 #include "batch_computation.hpp"
 #include "journal.hpp"
 #include "mission_feed.hpp"
+#include "run_log.hpp"
+#include "timed_event.hpp"
 
 namespace loopwise {
 namespace {
-
-/// Order of events of the same time.
-enum class EventKind { kKeyFrame, kResult };
-
-struct TimedEvent {
-  double time_s;
-  EventKind kind;
-  std::uint64_t number;  ///< Key of the key frame; place of the result within the run.
-  std::size_t index;     ///< Arrival of the feed; result of the batch.
-
-  bool operator<(const TimedEvent& other) const {
-    return std::tie(time_s, kind, number) < std::tie(other.time_s, other.kind, other.number);
-  }
-};
-
-std::vector<LoopCandidate> candidates_of(const std::vector<RegistrationTask>& tasks) {
-  std::vector<LoopCandidate> candidates;
-  candidates.reserve(tasks.size());
-  for (const RegistrationTask& task : tasks) candidates.push_back(task.candidate);
-  return candidates;
-}
 
 RoundRobinQueue queue_of(const Robots& robots, const ReplayOptions& options, const Registration& registration,
                          const PrioritizerFactory& own) {
@@ -51,8 +31,8 @@ RoundRobinQueue queue_of(const Robots& robots, const ReplayOptions& options, con
       observability_of(*registration.features, options.prioritization.observability.variant)));
 }
 
-OptimizerOptions with_threads(OptimizerOptions options, int num_threads) {
-  options.num_threads = num_threads;
+OptimizerOptions with_threads(OptimizerOptions options, int threads) {
+  options.threads = threads;
   return options;
 }
 
@@ -69,7 +49,8 @@ class Run {
         engine_(mission.robots, options.engine,
                 queue_of(mission.robots, options, registration, prioritizers)),
         computation_(*registration.registrar, threads, hooks, known),
-        optimizer_(with_threads(options.back_end.optimization, threads.num_threads())) {}
+        optimizer_(with_threads(options.back_end.optimization, threads.num_threads())),
+        log_(hooks, engine_, result_, mission.graph.nodes().size(), options.max_registrations) {}
 
   ReplayResult execute() {
     const Stopwatch watch;
@@ -80,7 +61,7 @@ class Run {
     }
     result_.mission_end_s = mission_end;
     end_s_ = options_.after_mission ? std::numeric_limits<double>::infinity() : mission_end;
-    write(journal::start_line(mission_, options_));
+    log_.write(journal::start_line(mission_, options_));
 
     while (!events_.empty() && events_.begin()->time_s <= end_s_ && !hooks_.stop.stop_requested()) {
       now_s_ = events_.begin()->time_s;
@@ -91,7 +72,8 @@ class Run {
       }
       feed(event::Tick{});
       if (batch_.empty()) start_batch();
-      show(now_s_ == mission_end ? ReplayMoment::Kind::kMissionEnd : ReplayMoment::Kind::kKeyFrame);
+      log_.show(now_s_ == mission_end ? ReplayMoment::Kind::kMissionEnd : ReplayMoment::Kind::kKeyFrame,
+                now_s_);
     }
 
     result_.interrupted = hooks_.stop.stop_requested();
@@ -118,7 +100,7 @@ class Run {
 
   void carry_out(effect::Computed& computed) {
     result_.computed.push_back({computed.result, now_s_, 0.0});
-    write(journal::result_line(now_s_, computed.result, account()));
+    log_.write(journal::result_line(now_s_, computed.result, account()));
   }
 
   void carry_out(effect::Problem& problem) {
@@ -133,7 +115,7 @@ class Run {
     feed(event::Optimized{gnc, false, {}});
     ++result_.optimizations;
     result_.optimization_s += watch.seconds();
-    write(journal::estimate_line(now_s_, gnc, account()));
+    log_.write(journal::estimate_line(now_s_, gnc, account()));
   }
 
   void carry_out(effect::EstimateReady& /*estimate*/) {}
@@ -141,7 +123,7 @@ class Run {
   void carry_out(effect::Compute& compute) {
     ++result_.batches;
     batch_ = std::move(compute.tasks);
-    write(journal::batch_line(now_s_, candidates_of(batch_), account()));
+    log_.write(journal::batch_line(now_s_, batch_, account()));
     options_.cost.measured_time ? compute_measured() : compute_modelled();
     next_result_ += batch_.size();
     if (batch_.empty()) feed(event::BatchDone{});  // none could become a task
@@ -156,9 +138,8 @@ class Run {
     feed(arrival.frame);
     const std::size_t added = account().generated - generated;
     announce_scan(arrival.frame.node);
-    write(journal::key_frame_line(now_s_, arrival.frame.node.key, added, account()));
-    ++key_frames_;
-    report(account().computed);
+    log_.write(journal::key_frame_line(now_s_, arrival.frame.node.key, added, account()));
+    log_.report(account().computed, closure_edges_.size());
   }
 
   void announce_scan(const Node& node) {
@@ -231,7 +212,8 @@ class Run {
     const std::vector<RegistrationTask> tasks(batch_.begin(),
                                               batch_.begin() + static_cast<std::ptrdiff_t>(count));
     const std::size_t before = account().computed;
-    results_ = computation_.run(tasks, [&](std::size_t done) { report(before + done); });
+    results_ =
+        computation_.run(tasks, [&](std::size_t done) { log_.report(before + done, closure_edges_.size()); });
     results_.resize(batch_.size());
   }
 
@@ -243,7 +225,7 @@ class Run {
     // Those that would end after the mission stay in flight until the run ends.
     if (not_computed().empty()) batch_.clear();
     feed(event::BatchDone{});
-    show(ReplayMoment::Kind::kBatch);
+    log_.show(ReplayMoment::Kind::kBatch, now_s_);
   }
 
   [[nodiscard]] std::vector<LoopCandidate> not_computed() const {
@@ -276,35 +258,10 @@ class Run {
     result_.registration_s = computation_.seconds();
     result_.problems.add(mission_.scans->problems());
     result_.problems.add(engine_.radio_problems());
-    write(journal::end_line(now_s_, result_.interrupted, account()));
-    show(ReplayMoment::Kind::kEnd);
+    log_.write(journal::end_line(now_s_, result_.interrupted, account()));
+    log_.show(ReplayMoment::Kind::kEnd, now_s_);
     result_.graph = engine_.graph();
     result_.odometry = engine_.odometry();
-  }
-
-  // ---- helpers
-
-  void write(const std::string& line) const {
-    if (hooks_.journal) hooks_.journal(line);
-  }
-
-  void show(ReplayMoment::Kind kind) const {
-    if (!hooks_.moment) return;
-    hooks_.moment({kind, now_s_, engine_.graph(), engine_.odometry(), result_.computed, account()});
-  }
-
-  void report(std::size_t computed) const {
-    if (!hooks_.progress) return;
-    const CandidateAccounting& a = account();
-    std::size_t total = a.computed + a.in_flight + a.pending;
-    if (options_.max_registrations > 0) {
-      total = std::min(total, static_cast<std::size_t>(options_.max_registrations));
-    }
-    const std::size_t verified = closure_edges_.size();
-    hooks_.progress({"registering", computed, std::max(total, computed),
-                     std::to_string(verified) + " accepted, " + std::to_string(a.computed - verified) +
-                         " rejected, " + std::to_string(key_frames_) + "/" +
-                         std::to_string(mission_.graph.nodes().size()) + " key frames"});
   }
 
   const Mission& mission_;
@@ -324,33 +281,16 @@ class Run {
   std::size_t outstanding_ = 0;  // results of the batch still to come
   std::uint64_t next_result_ = 0;
   std::vector<std::pair<std::size_t, std::size_t>> closure_edges_;  // edge of the graph, place in `computed`
-  std::size_t key_frames_ = 0;
   ReplayResult result_;
+  const RunLog log_;
 };
 
 }  // namespace
 
-MissionReplay::MissionReplay(const Mission& mission, const ReplayOptions& options, Registration registration,
-                             PrioritizerFactory prioritizers)
-    : mission_(mission),
-      options_(options),
-      registration_(std::move(registration)),
-      prioritizers_(std::move(prioritizers)) {
-  validate_replay(options_);
-  if (!registration_.features) throw InputError("MissionReplay needs a feature cache");
-  if (!registration_.registrar) throw InputError("MissionReplay needs a registrar");
-}
-
-ReplayResult MissionReplay::run(ThreadPool& threads, const ReplayHooks& hooks,
-                                const KnownOutcomes& known) const {
-  return Run(mission_, options_, registration_, prioritizers_, threads, hooks, known).execute();
-}
-
-ReplayResult replay(const Mission& mission, const ReplayOptions& options, const ReplayHooks& hooks,
-                    int threads) {
-  ThreadPool pool(threads);
-  return MissionReplay(mission, options, make_registration(options.registration, mission.scans->loader()))
-      .run(pool, hooks);
+ReplayResult run_on_virtual_clock(const Mission& mission, const ReplayOptions& options,
+                                  const Registration& registration, const PrioritizerFactory& prioritizers,
+                                  ThreadPool& threads, const ReplayHooks& hooks, const KnownOutcomes& known) {
+  return Run(mission, options, registration, prioritizers, threads, hooks, known).execute();
 }
 
 }  // namespace loopwise
