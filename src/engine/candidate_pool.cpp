@@ -9,6 +9,21 @@
 #include <loopwise/core/random.hpp>
 
 namespace loopwise {
+namespace {
+
+/// Candidates of more than this age: the first, as ids and times count up together.
+std::vector<CandidateId> older_than(const IdTable<LoopCandidate>& candidates, double now_s, double age_s) {
+  std::vector<CandidateId> old;
+  candidates.visit([&](CandidateId id, const LoopCandidate& candidate) {
+    if (now_s - candidate.time_s <= age_s) return false;
+    old.push_back(id);
+    return true;
+  });
+  return old;
+}
+
+}  // namespace
+
 std::size_t CandidatePool::PairHash::operator()(const std::pair<Key, Key>& pair) const {
   return static_cast<std::size_t>(combine_seeds(pair.first, pair.second));
 }
@@ -33,8 +48,7 @@ std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
       complete = false;
       waiting_for_[key].push_back(candidate.id);
     }
-    (complete ? pending_ : waiting_)
-        .emplace_hint((complete ? pending_ : waiting_).end(), candidate.id, candidate);
+    (complete ? pending_ : waiting_).set(candidate.id, candidate);
     if (complete) ready.push_back(candidate);
     ++added;
   }
@@ -56,12 +70,12 @@ void CandidatePool::on_scan(const KeyedScan& scan) {
   std::vector<LoopCandidate> ready;
   if (const auto list = waiting_for_.find(scan.key); list != waiting_for_.end()) {
     for (const CandidateId id : list->second) {
-      const auto waiting = waiting_.find(id);
-      if (waiting == waiting_.end()) continue;  // expired meanwhile
-      const LoopCandidate& candidate = waiting->second;
-      if (scans_.count(candidate.from) == 0 || scans_.count(candidate.to) == 0) continue;
-      ready.push_back(candidate);
-      pending_.insert(waiting_.extract(waiting));
+      const LoopCandidate* waiting = waiting_.find(id);
+      if (waiting == nullptr) continue;  // expired meanwhile
+      if (scans_.count(waiting->from) == 0 || scans_.count(waiting->to) == 0) continue;
+      ready.push_back(*waiting);
+      pending_.set(id, *waiting);
+      waiting_.erase(id);
     }
     waiting_for_.erase(list);
   }
@@ -115,11 +129,10 @@ void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, std::strin
 void CandidatePool::expire(double now_s) {
   // Ids and times count up together: those that are due come first.
   if (options_.max_wait_s > 0.0) {
-    while (!waiting_.empty() && now_s - waiting_.begin()->second.time_s > options_.max_wait_s) {
-      waiting_.erase(waiting_.begin());
-      ++accounting_.expired;
-      ++expired_reasons_["missing_scan"];
-    }
+    const std::vector<CandidateId> old = older_than(waiting_, now_s, options_.max_wait_s);
+    for (const CandidateId id : old) waiting_.erase(id);
+    accounting_.expired += old.size();
+    if (!old.empty()) expired_reasons_["missing_scan"] += old.size();
     accounting_.waiting = waiting_.size();
   }
   for (const Refusal& refusal : queue_.give_up(now_s)) {
@@ -129,20 +142,15 @@ void CandidatePool::expire(double now_s) {
   }
   accounting_.pending = pending_.size();
   if (options_.max_age_s > 0.0) {
-    std::vector<CandidateId> old;
-    for (const auto& [id, candidate] : pending_) {
-      if (now_s - candidate.time_s <= options_.max_age_s) break;
-      old.push_back(id);
-    }
-    drop_pending(old, "too_old");
+    drop_pending(older_than(pending_, now_s, options_.max_age_s), "too_old");
   }
   const auto cap = static_cast<std::size_t>(options_.max_pending);
   if (cap > 0 && pending_.size() > cap) {
     std::vector<CandidateId> oldest;
-    for (const auto& [id, candidate] : pending_) {
-      if (oldest.size() == pending_.size() - cap) break;
+    pending_.visit([&](CandidateId id, const LoopCandidate&) {
       oldest.push_back(id);
-    }
+      return oldest.size() < pending_.size() - cap;
+    });
     drop_pending(oldest, "pool_full");
   }
 }
@@ -192,7 +200,7 @@ std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
       const std::vector<LoopCandidate> taken = queue_.take(count - batch.size());
       if (taken.empty()) break;
       for (const LoopCandidate& handed : taken) {
-        const LoopCandidate candidate = pending_.at(handed.id);  // whatever a prioritiser made of its copy
+        const LoopCandidate candidate = *pending_.find(handed.id);  // whatever a prioritiser made of its copy
         if (options_.redundant_m > 0.0 && redundant(candidate)) {
           redundant_.push_back(candidate);
         } else {
@@ -208,17 +216,19 @@ std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
     throw;
   }
   for (; batch.size() < count && !redundant_.empty(); redundant_.pop_front()) {
-    if (pending_.count(redundant_.front().id) != 0)
-      batch.push_back(redundant_.front());  // else it has expired
+    if (pending_.contains(redundant_.front().id)) batch.push_back(redundant_.front());  // else it has expired
   }
-  for (const LoopCandidate& candidate : batch) in_flight_.insert(pending_.extract(candidate.id));
+  for (const LoopCandidate& candidate : batch) {
+    in_flight_.set(candidate.id, candidate);
+    pending_.erase(candidate.id);
+  }
   accounting_.pending = pending_.size();
   accounting_.in_flight = in_flight_.size();
   return batch;
 }
 
 void CandidatePool::complete(const RegistrationResult& result) {
-  if (in_flight_.erase(result.candidate.id) == 0) {
+  if (!in_flight_.erase(result.candidate.id)) {
     throw InputError("candidate " + std::to_string(result.candidate.id) +
                      " has a result but is not in flight");
   }
@@ -231,10 +241,11 @@ void CandidatePool::complete(const RegistrationResult& result) {
 void CandidatePool::give_back(const std::vector<LoopCandidate>& candidates) {
   std::vector<LoopCandidate> returned;
   for (const LoopCandidate& candidate : candidates) {
-    const auto in_flight = in_flight_.find(candidate.id);
-    if (in_flight == in_flight_.end()) continue;
-    returned.push_back(in_flight->second);
-    pending_.insert(in_flight_.extract(in_flight));
+    const LoopCandidate* in_flight = in_flight_.find(candidate.id);
+    if (in_flight == nullptr) continue;
+    returned.push_back(*in_flight);
+    pending_.set(candidate.id, *in_flight);
+    in_flight_.erase(candidate.id);
   }
   accounting_.pending = pending_.size();
   accounting_.in_flight = in_flight_.size();
@@ -246,8 +257,12 @@ void CandidatePool::forget(const std::vector<std::pair<Key, Key>>& pairs) {
 }
 
 std::optional<double> CandidatePool::oldest_pending_s() const {
-  if (pending_.empty()) return std::nullopt;
-  return pending_.begin()->second.time_s;  // ids count up in the order of generation
+  std::optional<double> oldest;
+  pending_.visit([&oldest](CandidateId, const LoopCandidate& candidate) {
+    oldest = candidate.time_s;  // ids count up in the order of generation
+    return false;
+  });
+  return oldest;
 }
 
 }  // namespace loopwise

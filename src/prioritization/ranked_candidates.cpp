@@ -6,35 +6,50 @@
 namespace loopwise {
 
 void RankedCandidates::insert(const LoopCandidate& candidate, double score) {
-  const auto [held, is_new] = held_.emplace(candidate.id, std::make_pair(candidate, score));
-  if (!is_new) return;
+  if (held_.contains(candidate.id)) return;
+  if (erased_.contains(candidate.id)) compact();  // its old entry must not stand for it
+  heap_.push_back({score, candidate});
   try {
-    order_.emplace(-score, candidate.id);
-  } catch (...) {  // held, but never handed out
-    held_.erase(held);
+    held_.set(candidate.id, 1);
+  } catch (...) {
+    heap_.pop_back();
     throw;
   }
+  std::push_heap(heap_.begin(), heap_.end());
 }
 
 void RankedCandidates::erase(const std::vector<CandidateId>& ids) {
   for (const CandidateId id : ids) {
-    const auto held = held_.find(id);
-    if (held == held_.end()) continue;
-    order_.erase({-held->second.second, id});
-    held_.erase(held);
+    if (held_.contains(id)) {
+      erased_.set(id, 1);
+      held_.erase(id);
+    }
   }
+  if (erased_.size() > held_.size()) compact();
 }
 
 std::vector<LoopCandidate> RankedCandidates::take(std::size_t count) {
   std::vector<LoopCandidate> taken;
   taken.reserve(std::min(count, held_.size()));
-  while (taken.size() < count && !order_.empty()) {
-    const auto held = held_.find(order_.begin()->second);
-    taken.push_back(held->second.first);
-    held_.erase(held);
-    order_.erase(order_.begin());
+  while (taken.size() < count && !heap_.empty()) {
+    std::pop_heap(heap_.begin(), heap_.end());
+    const LoopCandidate candidate = heap_.back().candidate;
+    heap_.pop_back();
+    if (held_.erase(candidate.id)) {
+      taken.push_back(candidate);
+    } else {
+      erased_.erase(candidate.id);
+    }
   }
   return taken;
+}
+
+void RankedCandidates::compact() {
+  heap_.erase(std::remove_if(heap_.begin(), heap_.end(),
+                             [this](const Entry& entry) { return !held_.contains(entry.candidate.id); }),
+              heap_.end());
+  std::make_heap(heap_.begin(), heap_.end());
+  erased_.clear();
 }
 
 }  // namespace loopwise

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <unordered_map>
 
 #include <loopwise/core/error.hpp>
 
@@ -34,21 +35,21 @@ RoundRobinQueue::RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prior
 
 std::vector<Refusal> RoundRobinQueue::add(const std::vector<LoopCandidate>& candidates) {
   std::unordered_map<CandidateId, std::string> reasons;
-  for (const LoopCandidate& candidate : candidates) holders_[candidate.id] = prioritizers_.size();
+  for (const LoopCandidate& candidate : candidates) holders_.set(candidate.id, prioritizers_.size());
   for (const auto& prioritizer : prioritizers_) {
     for (const Refusal& refusal : prioritizer->add(candidates)) {
-      const auto holders = holders_.find(refusal.id);
-      if (holders == holders_.end() || holders->second == 0) continue;
-      --holders->second;
+      std::size_t* holders = holders_.find(refusal.id);
+      if (holders == nullptr || *holders == 0) continue;
+      --*holders;
       std::string& joined = reasons[refusal.id];
       if (joined != refusal.reason) joined += (joined.empty() ? "" : ";") + refusal.reason;
     }
   }
   std::vector<Refusal> refused;
   for (const LoopCandidate& candidate : candidates) {
-    const auto holders = holders_.find(candidate.id);
-    if (holders == holders_.end() || holders->second > 0) continue;
-    holders_.erase(holders);
+    const std::size_t* holders = holders_.find(candidate.id);
+    if (holders == nullptr || *holders > 0) continue;
+    holders_.erase(candidate.id);
     refused.push_back({candidate.id, prioritizers_.empty() ? "no_prioritizer" : reasons[candidate.id]});
   }
   return refused;
@@ -90,9 +91,9 @@ std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
   std::vector<Refusal> gone;
   for (const auto& prioritizer : prioritizers_) {
     for (Refusal& refusal : prioritizer->give_up(now_s)) {
-      const auto holders = holders_.find(refusal.id);
-      if (holders == holders_.end() || --holders->second > 0) continue;
-      holders_.erase(holders);
+      std::size_t* holders = holders_.find(refusal.id);
+      if (holders == nullptr || --*holders > 0) continue;
+      holders_.erase(refusal.id);
       gone.push_back(std::move(refusal));
     }
   }
@@ -121,7 +122,7 @@ std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, s
   // All are noted, for which there is room, before anything can fail: they can be given back then.
   const LoopCandidate* wrong = share.size() > count ? &share[count] : nullptr;
   for (const LoopCandidate& candidate : share) {
-    if (holders_.erase(candidate.id) != 0) {
+    if (holders_.erase(candidate.id)) {
       taken.push_back(candidate);
     } else if (wrong == nullptr || &candidate < wrong) {
       wrong = &candidate;

@@ -5,6 +5,7 @@
 #include <memory>
 #include <new>
 #include <set>
+#include <utility>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/prioritization/baselines.hpp>
@@ -231,6 +232,45 @@ TEST_CASE("queue: without prioritisers every candidate is refused", "[prioritiza
   REQUIRE(queue.take(5).empty());
   std::vector<std::unique_ptr<Prioritizer>> with_null(1);
   REQUIRE_THROWS_AS(RoundRobinQueue(std::move(with_null)), InputError);
+}
+
+TEST_CASE("ranked candidates: as a sorted set, through random work", "[prioritization][property]") {
+  for (const double erasing : {0.0, 0.3, 0.6}) {
+    CAPTURE(erasing);
+    Rng rng(11);
+    RankedCandidates ranked;
+    std::set<std::pair<double, CandidateId>> order;  // (-score, id)
+    std::map<CandidateId, double> held;
+    for (int step = 0; step < 20000; ++step) {
+      const CandidateId id = rng.below(3000);
+      const double what = rng.uniform();
+      if (what < erasing) {
+        ranked.erase({id});
+        if (held.count(id) != 0) order.erase({-held.at(id), id});
+        held.erase(id);
+      } else if (what < 0.95) {
+        if (held.count(id) != 0) continue;
+        LoopCandidate candidate;
+        candidate.id = id;
+        const double score = static_cast<double>(rng.below(50));  // many are equal
+        ranked.insert(candidate, score);
+        held[id] = score;
+        order.emplace(-score, id);
+      } else {
+        for (const LoopCandidate& taken : ranked.take(rng.below(20))) {
+          REQUIRE(taken.id == order.begin()->second);
+          order.erase(order.begin());
+          held.erase(taken.id);
+        }
+      }
+      REQUIRE(ranked.size() == held.size());
+    }
+    for (const LoopCandidate& taken : ranked.take(held.size() + 1)) {
+      REQUIRE(taken.id == order.begin()->second);
+      order.erase(order.begin());
+    }
+    REQUIRE(order.empty());
+  }
 }
 
 }  // namespace loopwise

@@ -17,6 +17,7 @@
 #include <Eigen/Core>
 
 #include <loopwise/core/export.hpp>
+#include <loopwise/core/id_table.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/prioritization/round_robin_queue.hpp>
@@ -143,10 +144,10 @@ class LOOPWISE_EXPORT CandidatePool {
   double latest_s_ = 0.0;  // candidates are ordered by id and by time
   std::unordered_set<std::pair<Key, Key>, PairHash> proposed_;
   std::unordered_set<Key> scans_;
-  std::map<CandidateId, LoopCandidate> waiting_;
+  IdTable<LoopCandidate> waiting_;
   std::unordered_map<Key, std::vector<CandidateId>> waiting_for_;  // missing scan -> candidates, in order
-  std::map<CandidateId, LoopCandidate> pending_;
-  std::map<CandidateId, LoopCandidate> in_flight_;
+  IdTable<LoopCandidate> pending_;
+  IdTable<LoopCandidate> in_flight_;
   std::unordered_map<Key, Eigen::Vector3d> positions_;  // by the last estimate; kept for redundant_m alone
   std::vector<std::pair<Key, Key>> closed_;
   std::deque<LoopCandidate> redundant_;  // pending, but in no prioritiser any more

@@ -6,10 +6,10 @@
 #include <limits>
 #include <memory>
 #include <string>
-#include <unordered_map>
 #include <vector>
 
 #include <loopwise/core/export.hpp>
+#include <loopwise/core/id_table.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 
 namespace loopwise {
@@ -67,8 +67,7 @@ class LOOPWISE_EXPORT RoundRobinQueue {
 
   std::vector<std::unique_ptr<Prioritizer>> prioritizers_;
   std::vector<std::size_t> handed_out_;
-  std::unordered_map<CandidateId, std::size_t>
-      holders_;  // pending candidate -> how many prioritisers hold it
+  IdTable<std::size_t> holders_;  // pending candidate -> how many prioritisers hold it
   std::size_t turn_ = 0;
 };
 
