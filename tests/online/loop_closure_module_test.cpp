@@ -906,8 +906,12 @@ TEST_CASE(
   registrar->open();
   REQUIRE(module.wait());
   const std::lock_guard<std::mutex> lock(log->mutex);
-  REQUIRE(std::vector<std::string>(log->calls.begin(), log->calls.begin() + 5) ==
-          std::vector<std::string>{"add", "take", "improve", "take", "add"});
+  // Each of the two results interrupts the improvement, which may begin again in between.
+  std::vector<std::string> calls = log->calls;
+  calls.erase(std::unique(calls.begin(), calls.end()), calls.end());
+  REQUIRE(calls.size() >= 5);
+  calls.resize(5);
+  REQUIRE(calls == std::vector<std::string>{"add", "take", "improve", "take", "add"});
   REQUIRE(module.statistics().candidates.computed == 6);
 }
 
