@@ -234,7 +234,6 @@ void CandidatePool::complete(const RegistrationResult& result) {
   }
   accounting_.in_flight = in_flight_.size();
   ++accounting_.computed;
-  if (result.verified()) closed_.emplace_back(result.candidate.from, result.candidate.to);
   queue_.on_result(result);
 }
 

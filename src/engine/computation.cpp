@@ -21,7 +21,7 @@ void Engine::Impl::announce_graph() {
 void Engine::Impl::on(event::Improve& event) {
   announce_graph();
   evaluations_.clear();
-  guarded([&] { evaluations_ = pool_.improve(event.count, event.stop, event.max_evaluations); });
+  guarded([&] { pool_.improve(event.count, event.stop, event.max_evaluations, evaluations_); });
 }
 
 void Engine::Impl::on(event::Choose& event) {
@@ -91,6 +91,7 @@ void Engine::Impl::take(const LoopClosure& closure) {
     return;
   }
   closed_.insert({closure.from, closure.to});
+  pool_.closure_added(closure.from, closure.to);
   wants_estimate_ = true;
   emit(effect::Closure{closure});
 }
@@ -113,6 +114,7 @@ void Engine::Impl::on(event::Veto& event) {
            pair_of(edge.from, edge.to) == pair_of(event.from, event.to);
   });
   if (removed == 0) return;
+  pool_.closure_removed(event.from, event.to);
   removed_since_job_ = wants_estimate_ = true;
 }
 

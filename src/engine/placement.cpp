@@ -5,6 +5,7 @@
 
 #include <Eigen/Eigenvalues>
 
+#include <loopwise/core/error.hpp>
 #include <loopwise/core/se3.hpp>
 
 namespace loopwise {
@@ -48,9 +49,14 @@ Eigen::Isometry3d Placement::add(const PoseGraph& graph, const Node& node, const
     return prior->pose;
   }
   if (const auto step = step_to(graph, node.key, known)) {
+    const Eigen::Isometry3d odometry = odometry_[step->node] * step->T;
+    const Eigen::Isometry3d pose = graph.nodes()[step->node].pose * step->T;
+    if (!odometry.matrix().allFinite() || !pose.matrix().allFinite()) {
+      throw InputError("odometry leads node " + key_name(node.key) + " out of all numbers");
+    }
     join(node.key, graph.nodes()[step->node].key, Place::kGiven);
-    odometry_.push_back(se3::normalized(odometry_[step->node] * step->T));
-    return se3::normalized(graph.nodes()[step->node].pose * step->T);
+    odometry_.push_back(se3::normalized(odometry));
+    return se3::normalized(pose);
   }
   Eigen::Isometry3d pose = node.pose;
   if (first && !known.priors.empty() && known.priors.front()->key == node.key) {

@@ -58,6 +58,9 @@ void EngineThread::post_inside(Message message) {
 void EngineThread::give_up() {
   out_of_memory_ = true;
   inbox_.close(/*abandon=*/true);
+  no_more_batches_.request_stop();
+  interrupt_improvement();
+  work_.stop();  // something is lost: whoever waits for all of it must not be told that it is done
 }
 
 PoseGraph EngineThread::graph() const {
@@ -185,10 +188,11 @@ void EngineThread::carry_out(effect::EstimateReady& ready) {
 
 /// The graph and the account stay readable.
 void EngineThread::end_without_memory() {
-  inbox_.close(/*abandon=*/true);
-  no_more_batches_.request_stop();
-  reporter_.problem("out of memory: the module has stopped");
-  work_.stop();
+  give_up();
+  try {
+    reporter_.problem("out of memory: the module has stopped");
+  } catch (const std::bad_alloc&) {  // not even for that
+  }
 }
 
 }  // namespace loopwise

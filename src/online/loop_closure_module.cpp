@@ -170,6 +170,9 @@ class LoopClosureModule::Impl {
       done.gnc = optimizer_->optimize_gnc(graph, options_.back_end.gnc, stop_source_.token());
       done.stopped = done.gnc.optimization.termination == Termination::kStopped;
       statistics_.optimized(watch.seconds());
+    } catch (const std::bad_alloc&) {
+      engine_thread_.give_up();
+      return;
     } catch (const std::exception& error) {
       done.failure = error.what();
     }

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <exception>
+#include <new>
 #include <string>
 #include <utility>
 
@@ -36,6 +37,8 @@ class Reporter {
     if (!callback) return;
     try {
       callback(arguments...);
+    } catch (const std::bad_alloc&) {
+      throw;  // ends the module
     } catch (const std::exception& error) {
       problem(std::string("a callback threw: ") + error.what());
     } catch (...) {

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <exception>
+#include <new>
 #include <unordered_map>
 
 #include <loopwise/core/error.hpp>
@@ -17,6 +18,8 @@ void tell_all(const std::vector<std::unique_ptr<Prioritizer>>& prioritizers, Tel
   for (const auto& prioritizer : prioritizers) {
     try {
       tell(*prioritizer);
+    } catch (const std::bad_alloc&) {
+      throw;
     } catch (...) {
       if (!failure) failure = std::current_exception();
     }
@@ -72,30 +75,39 @@ void RoundRobinQueue::on_result(const RegistrationResult& result) {
   tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_result(result); });
 }
 
-std::vector<std::uint64_t> RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
-                                                    const std::vector<std::uint64_t>& max_evaluations) {
+void RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
+                              const std::vector<std::uint64_t>& max_evaluations,
+                              std::vector<std::uint64_t>& used) {
   const std::size_t n = prioritizers_.size();
-  std::vector<std::uint64_t> used(n, 0);
+  used.assign(n, 0);
   count = std::min(count, size());
-  for (std::size_t i = 0; i < n && count > 0; ++i) {
+  if (count == 0) return;
+  std::size_t next = 0;
+  tell_all(prioritizers_, [&](Prioritizer& prioritizer) {
+    const std::size_t i = next++;
     const std::size_t k = (i + n - turn_) % n;  // its turn in the next batch
     const std::size_t share = count / n + (k < count % n ? 1 : 0);
     const std::uint64_t most =
         i < max_evaluations.size() ? max_evaluations[i] : std::numeric_limits<std::uint64_t>::max();
-    if (share > 0) used[i] = prioritizers_[i]->improve(share, stop, most);
-  }
-  return used;
+    if (share > 0) used[i] = prioritizer.improve(share, stop, most);
+  });
 }
 
 std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
   std::vector<Refusal> gone;
-  for (const auto& prioritizer : prioritizers_) {
-    for (Refusal& refusal : prioritizer->give_up(now_s)) {
-      std::size_t* holders = holders_.find(refusal.id);
-      if (holders == nullptr || --*holders > 0) continue;
-      holders_.erase(refusal.id);
-      gone.push_back(std::move(refusal));
-    }
+  try {
+    tell_all(prioritizers_, [&](Prioritizer& prioritizer) {
+      for (Refusal& refusal : prioritizer.give_up(now_s)) {
+        std::size_t* holders = holders_.find(refusal.id);
+        if (holders == nullptr || --*holders > 0) continue;
+        holders_.erase(refusal.id);
+        gone.push_back(std::move(refusal));
+      }
+    });
+  } catch (const std::bad_alloc&) {
+    throw;
+  } catch (...) {
+    if (gone.empty()) throw;  // else it will throw again, when nothing else is to be told
   }
   return gone;
 }

@@ -34,6 +34,10 @@ namespace {
 /// none, or there is no such covariance
 RegistrationResult fit_for_graph(RegistrationResult result, const LoopCandidate& candidate) {
   result.candidate = candidate;
+  if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
+    throw InputError(
+        "the registrar returned a verified result without a closure, or a rejected one with one");
+  }
   if (!result.closure) return result;
   LoopClosure& closure = *result.closure;
   if (closure.from != candidate.from || closure.to != candidate.to) {

@@ -75,9 +75,11 @@ RegistrationResult outcome_from(const Json& json, bool any_numbers) {
   result.gicp_fitness_m2 = number_or_nan(json.at("gicp_fitness_m2"));
   result.overlap = number_or_nan(json.at("overlap"));
   const Json& seconds = json.at("seconds");
-  result.features_s = seconds.at(0).get<double>();
-  result.global_s = seconds.at(1).get<double>();
-  result.refine_s = seconds.at(2).get<double>();
+  double* const parts[] = {&result.features_s, &result.global_s, &result.refine_s};
+  for (std::size_t i = 0; i < 3; ++i) {
+    *parts[i] = number_or_nan(seconds.at(i));
+    if (!any_numbers && !(*parts[i] >= 0.0)) throw InputError("a time is not a number >= 0");
+  }
   if (json.contains("incomplete")) result.incomplete = json["incomplete"].get<bool>();
   if (json.contains("task")) result.task_hash = parse_key(json["task"].get<std::string>());
   if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {

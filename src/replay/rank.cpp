@@ -111,7 +111,8 @@ std::vector<LoopCandidate> order_of(Queue& queue, std::size_t batch, const RankO
   std::vector<LoopCandidate> ranked;
   while (ranked.size() < wanted && queue.size() > 0 && !stop.stop_requested()) {
     const std::size_t count = std::min(batch, wanted - ranked.size());
-    queue.improve(count, stop, bounds);
+    std::vector<std::uint64_t> used;
+    queue.improve(count, stop, bounds, used);
     const std::vector<LoopCandidate> next = queue.take(count);
     if (next.empty()) break;
     ranked.insert(ranked.end(), next.begin(), next.end());

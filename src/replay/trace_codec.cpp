@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "trace_codec.hpp"
 
+#include <limits>
 #include <utility>
 
 #include <loopwise/core/content_hash.hpp>
@@ -21,6 +22,14 @@ Json key_json(Key key) {
 }
 Key key_from(const Json& json, const char* name) {
   return parse_key(json.at(name).get<std::string>());
+}
+
+std::uint64_t whole_from(const Json& json, const char* name) {
+  return detail::json_to_uint64(json.at(name), name, std::numeric_limits<std::uint64_t>::max());
+}
+std::int64_t stamp_from(const Json& json) {
+  using Limits = std::numeric_limits<std::int64_t>;
+  return detail::json_to_int64(json.at("stamp_ns"), "stamp_ns", Limits::min(), Limits::max());
 }
 
 Json pose_json(const Eigen::Isometry3d& pose) {
@@ -91,7 +100,7 @@ Json candidate_json(const LoopCandidate& c) {
           {"time_s", c.time_s},   {"distance_m", c.distance_m}};
 }
 LoopCandidate candidate_from(const Json& json) {
-  return {json.at("id").get<CandidateId>(),
+  return {whole_from(json, "id"),
           key_from(json, "from"),
           key_from(json, "to"),
           parse_enum<CandidateSource>("source", json.at("source").get<std::string>()),
@@ -224,7 +233,7 @@ KeyFrame key_frame_from(const Json& line) {
   KeyFrame frame;
   frame.node.key = key_from(line, "key");
   frame.node.pose = pose_from(line, "pose");
-  frame.node.stamp_ns = line.at("stamp_ns").get<std::int64_t>();
+  frame.node.stamp_ns = stamp_from(line);
   if (line.contains("scan")) frame.cloud = empty_cloud();
   take_factors(line, frame);
   return frame;
@@ -250,15 +259,15 @@ Event event_from(const Json& line) {
   if (name == "scan") return event::Scan{{key_from(line, "key"), 0, empty_cloud()}};
   if (name == "radio") return event::Radio{list_from<RadioReading>(line, "readings", reading_from)};
   if (name == "beacon_drop") {
-    return BeaconDrop{line.at("beacon").get<std::string>(), line.at("robot").get<std::size_t>(),
-                      key_from(line, "drop_key"), line.at("stamp_ns").get<std::int64_t>()};
+    return BeaconDrop{line.at("beacon").get<std::string>(), whole_from(line, "robot"),
+                      key_from(line, "drop_key"), stamp_from(line)};
   }
   if (name == "candidates") {
     return event::Candidates{list_from<LoopCandidate>(line, "candidates", candidate_from)};
   }
   if (name == "result") {
     RegistrationResult result = outcome_from(line.at("outcome"), /*any_numbers=*/true);
-    result.candidate.id = line.at("id").get<CandidateId>();
+    result.candidate.id = whole_from(line, "id");
     return result;
   }
   if (name == "batch_done") {
@@ -274,11 +283,14 @@ Event event_from(const Json& line) {
   if (name == "veto") return event::Veto{key_from(line, "from"), key_from(line, "to")};
   if (name == "tick") return event::Tick{};
   if (name == "improve") {
-    return event::Improve{line.at("count").get<std::size_t>(),
+    return event::Improve{whole_from(line, "count"),
                           {},
-                          line.at("max_evaluations").get<std::vector<std::uint64_t>>()};
+                          list_from<std::uint64_t>(line, "max_evaluations", [](const Json& most) {
+                            return detail::json_to_uint64(most, "max_evaluations",
+                                                          std::numeric_limits<std::uint64_t>::max());
+                          })};
   }
-  if (name == "choose") return event::Choose{line.at("count").get<std::size_t>()};
+  if (name == "choose") return event::Choose{whole_from(line, "count")};
   if (name == "settle") return event::Settle{};
   if (name == "no_more_scans") return event::NoMoreScans{};
   throw InputError("unknown event \"" + name + "\"");
@@ -336,7 +348,14 @@ void TraceWriter::add(const HandledEvent& handled) {
   line["now_s"] = handled.now_s;
   std::visit(Encoder{line}, handled.event);
   if (handled.observability) line["observability"] = *handled.observability;
-  line_(json_text(line));
+  if (broken_) throw InputError("the trace has ended: a line before could not be written");
+  broken_ = true;  // unless this line gets through: a trace may end early, but has no gaps
+  try {
+    line_(line.dump());
+  } catch (const Json::exception&) {
+    throw InputError("a name in an event is not UTF-8: the trace ends before it");
+  }
+  broken_ = false;
 }
 
 TraceHeader parse_trace_header(const std::string& line) {

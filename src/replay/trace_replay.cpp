@@ -69,7 +69,10 @@ class TraceRun {
 
  private:
   bool next_line(std::string& line) {
-    if (!std::getline(in_, line)) return false;
+    if (!std::getline(in_, line)) {
+      if (in_.bad()) throw IoError(file_.string(), "cannot be read");
+      return false;
+    }
     ++line_number_;
     return true;
   }
@@ -89,6 +92,7 @@ class TraceRun {
     observability_ = traced.observability;
     now_s_ = traced.now_s;
     if (auto* optimized = std::get_if<event::Optimized>(&traced.event)) estimate(traced, *optimized);
+    if (auto* improve = std::get_if<event::Improve>(&traced.event)) improve->stop = hooks_.stop;
     for (Effect& effect : engine_->handle(std::move(traced.event), traced.now_s)) {
       std::visit([this](auto& e) { carry_out(e); }, effect);
     }
@@ -96,10 +100,17 @@ class TraceRun {
 
   void estimate(const TraceEvent& traced, event::Optimized& optimized) {
     if (!asked_) throw InputError("an estimate that was not asked for");
-    if (traced.estimate_hash.empty()) return;
+    if (traced.estimate_hash.empty()) {
+      if (!optimized.stopped && optimized.failure.empty()) throw InputError("an estimate without its hash");
+      return;
+    }
     const Stopwatch watch;
-    optimized.gnc = optimizer_->optimize_gnc(*asked_, header_.options.back_end.gnc);
+    optimized.gnc = optimizer_->optimize_gnc(*asked_, header_.options.back_end.gnc, hooks_.stop);
     asked_.reset();
+    if (optimized.gnc.optimization.termination == Termination::kStopped) {
+      optimized.stopped = true;
+      return;
+    }
     ++result_.optimizations;
     result_.optimization_s += watch.seconds();
     if (estimate_hash(optimized.gnc) != traced.estimate_hash) {

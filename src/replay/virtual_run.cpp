@@ -2,6 +2,7 @@
 #include "virtual_run.hpp"
 
 #include <algorithm>
+#include <cmath>
 #include <exception>
 #include <limits>
 #include <optional>
@@ -34,6 +35,14 @@ RoundRobinQueue queue_of(const Robots& robots, const ReplayOptions& options, con
 OptimizerOptions with_threads(OptimizerOptions options, int threads) {
   options.threads = threads;
   return options;
+}
+
+/// \throws InputError if a registrar tells no time
+double measured_s(const RegistrationResult& result) {
+  const double seconds = result.seconds();
+  if (seconds >= 0.0 && std::isfinite(seconds)) return seconds;
+  throw InputError("registration " + key_name(result.candidate.from) + " - " + key_name(result.candidate.to) +
+                   " says that it took " + std::to_string(seconds) + " s; cost.measured_time needs the time");
 }
 
 /// One run: the engine on a virtual clock.
@@ -197,7 +206,7 @@ class Run {
     for (std::size_t i = 0; i < batch_.size(); ++i) {
       if (!results_[i]) continue;  // a stop request came first
       const auto worker = std::min_element(free_s.begin(), free_s.end());
-      *worker += results_[i]->seconds();
+      *worker += measured_s(*results_[i]);
       if (*worker > end_s_) {
         results_[i].reset();
         continue;

@@ -243,6 +243,7 @@ TEST_CASE("pool: what lies near a verified closure comes last", "[engine][pool]"
   closed.closure->from = 15;
   closed.closure->to = 5;
   pool.complete(closed);
+  pool.closure_added(15, 5);
 
   // Near: both ends within 3 m, also the other way round. Not: one end far, another robot.
   pool.add({pair(16, 4), pair(6, 14), pair(17, 5), pair(25, 5), pair(19, 9)});
@@ -254,6 +255,13 @@ TEST_CASE("pool: what lies near a verified closure comes last", "[engine][pool]"
     REQUIRE(pool.accounting().balanced());
   }
   REQUIRE(order == std::vector<std::pair<Key, Key>>{{17, 5}, {25, 5}, {19, 9}, {16, 4}, {6, 14}});
+
+  // Once the closure has been taken out, nothing lies near one.
+  pool.closure_removed(5, 15);
+  pool.add({pair(16, 5), pair(25, 6)});
+  const auto batch = pool.take(2);
+  REQUIRE(batch.at(0).from == 16);
+  REQUIRE(batch.at(1).from == 25);
 }
 
 TEST_CASE("pool: a candidate put last expires like any other", "[engine][pool]") {

@@ -134,16 +134,24 @@ TEST_CASE("engine: an event that is invalid changes nothing", "[engine][error]")
   frame = frame_of(3);
   frame.odometry[0].information(2, 2) = -5.0;
   REQUIRE_THROWS_AS(engine.handle(frame, 0.0), InputError);
+  frame = frame_of(3);
+  frame.odometry[0].T_from_to.translation().x() = 1.7e308;
+  static_cast<void>(engine.handle(frame, 0.0));
+  frame = frame_of(4);
+  frame.odometry[0].T_from_to.translation().x() = 1.7e308;
+  REQUIRE_THROWS_AS(engine.handle(frame, 0.0), InputError);  // out of all numbers
+  REQUIRE(engine.odometry().size() == 4);
   REQUIRE_THROWS_AS(engine.handle(event::Scan{}, 0.0), UnknownKeyError);
   REQUIRE_THROWS_AS(engine.handle(RegistrationResult{}, 0.0), InputError);
   REQUIRE_THROWS_AS(engine.handle(event::Optimized{}, 0.0), InputError);
   REQUIRE_THROWS_AS(engine.handle(ExternalEstimate{}, 0.0), InputError);
-  REQUIRE(engine.graph().nodes().size() == 3);
-  REQUIRE(engine.graph().edges().size() == 2);
-  REQUIRE(engine.odometry().size() == 3);
-  REQUIRE(engine.factors_waiting() == 0);
-  static_cast<void>(engine.handle(frame_of(3), 0.0));
   REQUIRE(engine.graph().nodes().size() == 4);
+  REQUIRE(engine.graph().edges().size() == 3);
+  REQUIRE(engine.odometry().size() == 4);
+  REQUIRE(engine.factors_waiting() == 0);
+  static_cast<void>(engine.handle(frame_of(4), 0.0));
+  REQUIRE(engine.graph().nodes().size() == 5);
+  REQUIRE(engine.odometry().size() == 5);
 }
 
 TEST_CASE("engine: time never goes back, and waiting is measured by it alone", "[engine]") {

@@ -389,7 +389,9 @@ TEST_CASE("queue: shares stay equal when graph information and others want the s
   while (queue.size() > 0) {
     const bool radio_left = queue.prioritizers()[2]->size() >= 4;
     const auto before = queue.handed_out();
-    queue.improve(11, {}, {20, 20, 20});
+    std::vector<std::uint64_t> used;
+    queue.improve(11, {}, {20, 20, 20}, used);
+    REQUIRE((used.size() == 3 && used[1] <= 20));
     for (const LoopCandidate& c : queue.take(11)) REQUIRE(seen.insert(c.id).second);
     if (radio_left) {
       for (std::size_t i = 0; i < 3; ++i) {

@@ -5,6 +5,7 @@
 #include <memory>
 #include <new>
 #include <set>
+#include <stdexcept>
 #include <utility>
 
 #include <loopwise/core/error.hpp>
@@ -111,7 +112,7 @@ TEST_CASE("queue: a prioritiser that fails keeps nothing from the others", "[pri
     explicit Counting(bool all_fail) : fails(all_fail) {}
     void count() {
       ++told;
-      if (fails) throw std::bad_alloc();
+      if (fails) throw std::runtime_error("failed");
     }
     std::string_view name() const override { return "counting"; }
     std::vector<Refusal> add(const std::vector<LoopCandidate>&) override { return {}; }
@@ -127,11 +128,38 @@ TEST_CASE("queue: a prioritiser that fails keeps nothing from the others", "[pri
   auto first = std::make_unique<Counting>(true), second = std::make_unique<Counting>(false);
   const Counting& other = *second;
   RoundRobinQueue queue = queue_of(std::move(first), std::move(second));
-  REQUIRE_THROWS_AS(queue.on_graph(PoseGraph()), std::bad_alloc);
-  REQUIRE_THROWS_AS(queue.on_scan(KeyedScan{}), std::bad_alloc);
-  REQUIRE_THROWS_AS(queue.on_result(RegistrationResult{}), std::bad_alloc);
-  REQUIRE_THROWS_AS(queue.remove({1}), std::bad_alloc);
+  REQUIRE_THROWS_AS(queue.on_graph(PoseGraph()), std::runtime_error);
+  REQUIRE_THROWS_AS(queue.on_scan(KeyedScan{}), std::runtime_error);
+  REQUIRE_THROWS_AS(queue.on_result(RegistrationResult{}), std::runtime_error);
+  REQUIRE_THROWS_AS(queue.remove({1}), std::runtime_error);
   REQUIRE(other.told == 4);
+}
+
+TEST_CASE("queue: what was improved counts although another prioritiser fails", "[prioritization][queue]") {
+  struct Improving final : Prioritizer {
+    explicit Improving(std::function<std::uint64_t()> work) : work_(std::move(work)) {}
+    std::string_view name() const override { return "improving"; }
+    std::vector<Refusal> add(const std::vector<LoopCandidate>&) override { return {}; }
+    void remove(const std::vector<CandidateId>&) override {}
+    std::uint64_t improve(std::size_t, const StopToken&, std::uint64_t) override { return work_(); }
+    std::vector<LoopCandidate> take(std::size_t) override { return {}; }
+    std::size_t size() const override { return 1; }
+    std::function<std::uint64_t()> work_;
+  };
+  bool no_memory = false;
+  const auto fail = [&]() -> std::uint64_t {
+    if (no_memory) throw std::bad_alloc();
+    throw std::runtime_error("failed");
+  };
+  RoundRobinQueue queue =
+      queue_of(std::make_unique<Improving>([] { return 300; }), std::make_unique<Improving>(fail),
+               std::make_unique<Improving>([] { return 7; }));
+  REQUIRE(queue.add(candidates(0, 9)).empty());
+  std::vector<std::uint64_t> used;
+  REQUIRE_THROWS_AS(queue.improve(9, {}, {}, used), std::runtime_error);
+  REQUIRE(used == std::vector<std::uint64_t>{300, 0, 7});
+  no_memory = true;  // is no failure of a prioritiser
+  REQUIRE_THROWS_AS(queue.improve(9, {}, {}, used), std::bad_alloc);
 }
 
 TEST_CASE("queue: equal shares, best first, nothing twice", "[prioritization][queue]") {

@@ -131,6 +131,8 @@ TEST_CASE("compute_or_fail: closures are what a graph takes, or failed", "[batch
       if (task.candidate.from == 4) result.closure->covariance.setZero();
       if (task.candidate.from == 5) result.closure->covariance(0, 0) = std::nan("");
       if (task.candidate.from == 6) result.closure->to = 7;
+      if (task.candidate.from == 7) result.reason = RejectionReason::kLowOverlap;
+      if (task.candidate.from == 8) result.closure.reset();
       return result;
     }
   };
@@ -138,9 +140,14 @@ TEST_CASE("compute_or_fail: closures are what a graph takes, or failed", "[batch
   REQUIRE(rounded.verified());
   const Eigen::Matrix3d R = rounded.closure->T_from_to.linear();
   REQUIRE((R * R.transpose() - Eigen::Matrix3d::Identity()).norm() < 1e-12);
-  const std::vector<std::string> words{"not a rigid transform", "not finite", "not positive definite",
-                                       "not positive definite", "other nodes than the candidate's"};
-  for (Key from = 2; from <= 6; ++from) {
+  const std::vector<std::string> words{"not a rigid transform",
+                                       "not finite",
+                                       "not positive definite",
+                                       "not positive definite",
+                                       "other nodes than the candidate's",
+                                       "a rejected one with one",
+                                       "without a closure"};
+  for (Key from = 2; from <= 8; ++from) {
     const RegistrationResult result = compute_or_fail(Single(), pair_task(from, 0, 1));
     CAPTURE(from, result.message);
     REQUIRE(result.reason == RejectionReason::kFailed);

@@ -159,8 +159,7 @@ TEST_CASE("replay: the same bits for any number of threads", "[replay][replay][t
   }
 }
 
-TEST_CASE("replay: closures bring the estimate to the truth, false ones get no weight",
-          "[replay][replay]") {
+TEST_CASE("replay: closures bring the estimate to the truth, false ones get no weight", "[replay][replay]") {
   const Mission mission = two_circles();
   ReplayOptions config = fast_config();
   config.after_mission = true;
@@ -228,18 +227,30 @@ TEST_CASE("replay: the cost model decides how much is computed", "[replay][repla
 /// The oracle, with durations by pair: what a machine measured.
 class TimedRegistrar final : public Registrar {
  public:
-  explicit TimedRegistrar(const Mission& mission) : oracle_(mission.ground_truth) {}
+  explicit TimedRegistrar(const Mission& mission, double features_s = 0.5)
+      : oracle_(mission.ground_truth), features_s_(features_s) {}
   std::string_view name() const override { return "timed"; }
   RegistrationResult compute(const RegistrationTask& task) const override {
     RegistrationResult result = oracle_.compute(task);
-    result.features_s = 0.5;
+    result.features_s = features_s_;
     result.refine_s = Rng(task.seed).uniform(0.0, 3.0);
     return result;
   }
 
  private:
   OracleRegistrar oracle_;
+  double features_s_;
 };
+
+TEST_CASE("replay: measured times that are none are refused", "[replay][replay][error]") {
+  const Mission mission = two_circles();
+  ReplayOptions config = fast_config();
+  config.cost.measured_time = true;
+  for (const double none : {std::nan(""), -100.0}) {
+    const auto registrar = std::make_shared<TimedRegistrar>(mission, none);
+    REQUIRE_THROWS_WITH(run_replay(mission, config, 2, {}, registrar), Contains("cost.measured_time"));
+  }
+}
 
 TEST_CASE("replay: with measured times each worker is busy for as long as it took", "[replay][replay]") {
   const Mission mission = two_circles();
@@ -579,8 +590,7 @@ TEST_CASE("replay: a registrar that throws rejects its candidates", "[replay][re
   REQUIRE_THAT(to_string(run.result.problems.all().front()), Contains("out of order"));
 }
 
-TEST_CASE("replay: landmarks, ranges and gravity hold the map and are never candidates",
-          "[replay][replay]") {
+TEST_CASE("replay: landmarks, ranges and gravity hold the map and are never candidates", "[replay][replay]") {
   const Mission mission = testing::with_landmark(two_circles());
   const Recorded without = run_replay(two_circles(), fast_config("odom")),
                  with = run_replay(mission, fast_config("odom"));
@@ -676,8 +686,7 @@ TEST_CASE("replay: with full each prioritiser has its share of every batch while
   REQUIRE(std::max(obs, gi) - std::min(obs, gi) <= 1);
 }
 
-TEST_CASE("replay: graph information spends the evaluations that fit into mission time",
-          "[replay][replay]") {
+TEST_CASE("replay: graph information spends the evaluations that fit into mission time", "[replay][replay]") {
   const Mission mission = two_circles();
   ReplayOptions config = fast_config("gi");
   const auto order = [&] {
@@ -696,8 +705,7 @@ TEST_CASE("replay: graph information spends the evaluations that fit into missio
   REQUIRE(order() == greedy_alone);
 }
 
-TEST_CASE("replay: radio candidates come first with method rssi, all others are pruned",
-          "[replay][replay]") {
+TEST_CASE("replay: radio candidates come first with method rssi, all others are pruned", "[replay][replay]") {
   const Recorded run = run_replay(with_radio(two_circles()), fast_config("rssi"));
   // Two fly-bys of four nodes: each against the drop, and against each other.
   REQUIRE(run.result.computed.size() == 8 + 16);

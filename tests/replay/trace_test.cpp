@@ -251,7 +251,20 @@ TEST_CASE("trace: a line that cannot be read is named, one that a kill cut short
                       Contains(":3:") && Contains("unknown event \"dance\""));
   REQUIRE_THROWS_WITH(replay_of(with_line(3, R"({"now_s": 0, "event": "veto", "from": "1"})")),
                       Contains(":3:") && Contains("to"));
+  REQUIRE_THROWS_WITH(replay_of(with_line(3, R"({"now_s": 0, "event": "choose", "count": 1e300})")),
+                      Contains(":3:") && Contains("count"));
+  REQUIRE_THROWS_WITH(replay_of(with_line(3, R"({"now_s": 0, "event": "choose", "count": -1})")),
+                      Contains(":3:") && Contains("count"));
   REQUIRE_THROWS_AS(replay_trace(folder / "missing.jsonl"), IoError);
+  REQUIRE_THROWS_AS(replay_trace(folder.path()), IoError);  // opens, but cannot be read
+
+  // An estimate without its hash could not be compared with anything.
+  std::vector<std::string> without_hash = lines;
+  for (std::string& line : without_hash) {
+    const std::size_t at = line.find("\"estimate\":");
+    if (at != std::string::npos) line.replace(at, 10, "\"remark\"");
+  }
+  REQUIRE_THROWS_WITH(replay_of(joined(without_hash)), Contains("without its hash"));
 
   // An estimate that another machine or version computes otherwise is said to differ.
   std::vector<std::string> changed = lines;
@@ -307,6 +320,30 @@ TEST_CASE("trace: an observer of events that throws is reported, and the module 
   REQUIRE(seen > mission.graph.nodes().size());
   REQUIRE(module.statistics().problems >= seen);
   REQUIRE(module.statistics().last_problems.back() == "a callback threw: no room for a trace");
+}
+
+TEST_CASE("trace: one that could not be written to its end has no gaps", "[replay][trace][error]") {
+  const Mission mission = two_circles(1, 8);
+  std::size_t room = 3;
+  std::vector<std::string> lines;
+  TraceWriter writer(mission.robots, {}, [&](const std::string& line) {
+    if (lines.size() == room) throw std::runtime_error("no room");
+    lines.push_back(line);
+  });
+  const Event tick = event::Tick{};
+  const HandledEvent handled{tick, 1.0, std::nullopt};
+  writer.add(handled);
+  writer.add(handled);
+  REQUIRE_THROWS_WITH(writer.add(handled), "no room");
+  room = 10;  // too late: a line is missing
+  REQUIRE_THROWS_AS(writer.add(handled), InputError);
+  REQUIRE(lines.size() == 3);
+  TraceWriter other(mission.robots, {}, [](const std::string&) {});
+  const Event drop = BeaconDrop{
+      "K\xfc"
+      "che",
+      0, mission.graph.nodes()[0].key, 0};
+  REQUIRE_THROWS_WITH(other.add({drop, 1.0, std::nullopt}), Contains("UTF-8"));
 }
 
 }  // namespace loopwise

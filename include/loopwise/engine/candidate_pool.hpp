@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <algorithm>
 #include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <limits>
 #include <map>
 #include <optional>
+#include <set>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -93,15 +95,19 @@ class LOOPWISE_EXPORT CandidatePool {
   void expire_waiting();
 
   /// Lets the prioritisers prepare the next batch, see RoundRobinQueue::improve().
-  std::vector<std::uint64_t> improve(std::size_t count, const StopToken& stop,
-                                     const std::vector<std::uint64_t>& max_evaluations = {}) {
-    return queue_.improve(count, stop, max_evaluations);
+  void improve(std::size_t count, const StopToken& stop, const std::vector<std::uint64_t>& max_evaluations,
+               std::vector<std::uint64_t>& used) {
+    queue_.improve(count, stop, max_evaluations, used);
   }
 
   /// The next batch of up to `count` candidates.
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
   /// \throws InputError if the result's candidate is not in flight.
   void complete(const RegistrationResult& result);
+  /// The graph has a closure between two nodes: candidates near it are redundant from now on.
+  void closure_added(Key from, Key to) { closed_.insert(std::minmax(from, to)); }
+  /// The graph has none any more.
+  void closure_removed(Key from, Key to) { closed_.erase(std::minmax(from, to)); }
   /// Candidates in flight that will not be computed after all become pending again.
   void give_back(const std::vector<LoopCandidate>& candidates);
 
@@ -149,8 +155,8 @@ class LOOPWISE_EXPORT CandidatePool {
   IdTable<LoopCandidate> pending_;
   IdTable<LoopCandidate> in_flight_;
   std::unordered_map<Key, Eigen::Vector3d> positions_;  // by the last estimate; kept for redundant_m alone
-  std::vector<std::pair<Key, Key>> closed_;
-  std::deque<LoopCandidate> redundant_;  // pending, but in no prioritiser any more
+  std::set<std::pair<Key, Key>> closed_;                // pairs with a closure
+  std::deque<LoopCandidate> redundant_;                 // pending, but in no prioritiser any more
   std::map<std::string, std::size_t> pruned_reasons_;
   std::map<std::string, std::size_t> expired_reasons_;
 };

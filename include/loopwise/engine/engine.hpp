@@ -80,6 +80,11 @@ struct EngineOptions {
 /// neither threads, clocks nor files: a driver brings the time and carries out the effects. The same events
 /// give the same effects, to the bit.
 ///
+/// What a driver owes it: after each event, event::Settle if wants_estimate() and neither optimizing() nor
+/// computing(), and event::Choose if wants_batch(); event::Tick about once a second. An effect::Compute, even
+/// without tasks, is answered by a result for each task and one event::BatchDone; an effect::Optimize by one
+/// event::Optimized of that very graph. Nothing is chosen while a batch is computed.
+///
 /// For one thread at a time. An event that is invalid throws and changes nothing. A prioritiser that throws
 /// is reported as an effect::Problem. std::bad_alloc goes through: the engine must not be given further
 /// events then, but can still be read. The event that failed may be in the graph in part.
@@ -111,7 +116,8 @@ class LOOPWISE_EXPORT Engine {
 
   /// All nodes, factors and verified closures, at the last estimate.
   [[nodiscard]] const PoseGraph& graph() const;
-  /// Poses by odometry and full priors alone, in the order of graph().nodes().
+  /// Poses by odometry and full priors (those that fix position and rotation) alone, in the order of
+  /// graph().nodes().
   [[nodiscard]] const std::vector<Eigen::Isometry3d>& odometry() const;
   /// The candidates, and where each is.
   [[nodiscard]] const CandidatePool& pool() const;

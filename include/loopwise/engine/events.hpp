@@ -58,7 +58,9 @@ struct Factors {
 /// Poses and, where known, marginal covariances from a back end other than ours.
 struct ExternalEstimate {
   std::map<Key, Eigen::Isometry3d> poses;  ///< T_world_body by node, in the common frame of the priors.
-  std::map<Key, Matrix6d> covariances;     ///< Right perturbation, [translation, rotation].
+  /// By node; of the right perturbation, order [translation, rotation], m² and rad². They are not looked at
+  /// beyond being finite. GTSAM has rotation first: se3::swap_tangent_order() turns it round.
+  std::map<Key, Matrix6d> covariances;
 };
 
 /// What the back end, ours or another, made of the graph. Shared: it never changes.
@@ -83,7 +85,8 @@ struct Radio {
 };
 /// Pairs from a place recognition outside.
 struct Candidates {
-  std::vector<LoopCandidate> candidates;  ///< Ids, times and sources are given by the engine.
+  /// Ids, times and sources are given by the engine; the newer node by stamp becomes `from`.
+  std::vector<LoopCandidate> candidates;
 };
 /// The batch is done, but for registrations that have not come back and are no longer waited for.
 struct BatchDone {
@@ -95,7 +98,7 @@ struct Optimized {
   bool stopped = false;  ///< It ended early, without an estimate.
   std::string failure;   ///< Why there is no estimate; empty if there is, or if it was stopped.
 };
-/// Takes out every closure between two nodes; the pair is not computed again.
+/// Takes out every closure between two nodes, and takes in none that is computed later.
 struct Veto {
   Key from = 0;  ///< One of the nodes.
   Key to = 0;    ///< The other.
@@ -126,10 +129,10 @@ using Event =
                  RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, event::Veto,
                  event::Tick, event::Improve, event::Choose, event::Settle, event::NoMoreScans>;
 
-/// An event that an engine has handled. Another engine that is fed the same events at the same times
-/// comes to the same graph and closures, to the bit.
+/// An event that an engine has handled. Holds during the call alone. Another engine that is fed the same
+/// events, times and observabilities comes to the same graph and closures, to the bit.
 struct HandledEvent {
-  const Event& event;  ///< An event::Improve has the number of evaluations that were used.
+  const Event& event;  ///< An event::Improve has as `max_evaluations` what was used.
   double now_s = 0.0;  ///< By the driver's clock, s.
   /// Smallest eigenvalue of the observability matrix of the scan that came with the event, if the method
   /// asked for it.

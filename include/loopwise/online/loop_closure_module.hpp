@@ -71,9 +71,10 @@ struct ModuleOptions {
   }
 };
 
-/// Calls back from a thread of the module, one call at a time, in the order of events. They may call any
-/// add_* function of the module, but neither wait() nor stop(). Keep them short: the module waits for them.
-/// Any may be empty.
+/// Called from the engine's thread of the module, one at a time, in the order of events: what they share with
+/// the stack's own threads needs a lock. They may call everything but wait(), finish(), stop() and the
+/// destructor. Keep them short: the module waits for them. What they throw is reported as a problem, but for
+/// std::bad_alloc, which ends the module. Any may be empty.
 struct ModuleCallbacks {
   /// A verified closure, not yet optimised.
   std::function<void(const LoopClosure& closure)> on_closure;
@@ -87,12 +88,16 @@ struct ModuleCallbacks {
 
 /// Parts that a stack may bring of its own; what is left empty is made from the options.
 struct ModuleParts {
-  /// Reads the scan of a node. Empty: the module keeps the clouds that it is given in memory.
+  /// Reads the scan of a node again when it is needed; the module then keeps no clouds. Each scan must still
+  /// be announced, by KeyFrame::cloud or add_scan(): candidates of a node without an announced scan are not
+  /// computed. Empty: the module keeps the clouds that it is given in memory.
   ScanLoader scans;
-  /// Makes the registrar that computes the candidates; it must be thread-safe. `scans` gives it the clouds,
-  /// wherever they are kept; it must not be called after the module's end.
+  /// Makes the registrar that computes the candidates. The registrar must be thread-safe. It gets the clouds
+  /// by `scans`, wherever they are kept, and may use it until the module ends.
   std::function<std::shared_ptr<const Registrar>(const ScanLoader& scans)> registrar;
-  std::vector<std::unique_ptr<Prioritizer>> prioritizers;  ///< Order the candidates; several take turns.
+  /// Order the candidates; several take turns. They run in the engine's thread, and may call back add_*,
+  /// set_estimate() and remove_closure() alone.
+  std::vector<std::unique_ptr<Prioritizer>> prioritizers;
   /// Tells when candidates, factors and scans have waited too long; must allow now() from another thread.
   /// Null: seconds since the module was made, by the steady clock.
   std::shared_ptr<const Clock> clock;
@@ -133,16 +138,20 @@ struct ModuleStatistics {
 ///
 /// While a batch is computed, the engine's thread improves the next set. Events from outside then wait: until
 /// the set cannot be improved further, the computation runs dry, or the queue is half full. All functions may
-/// be called from any thread at any moment. A full queue holds its producer until there is room: nothing is
-/// dropped. Unlike a replay's, the outcome depends on when things arrive and on how fast the machine is; see
-/// ModuleParts::on_event for how a run is repeated.
+/// be called from any thread at any moment, but see ModuleCallbacks. A full queue holds its producer until
+/// there is room: nothing is dropped. Unlike a replay's, the outcome depends on when things arrive and on how
+/// fast the machine is; see ModuleParts::on_event for how a run is repeated.
 ///
 /// Bad input throws where it is handed over and changes nothing. A std::bad_alloc in add_* goes to the
 /// caller; in a thread of the module it stops the module with one problem, and wait() returns false. The
 /// graph, the estimate and the statistics stay readable.
 class LOOPWISE_EXPORT LoopClosureModule {
  public:
-  /// \throws OptionError, naming "section.field"
+  /// \param robots all that will ever take part; keys of others are refused
+  /// \param options of the module; a replay's have other defaults, see module_options()
+  /// \param callbacks that tell the stack of closures and estimates
+  /// \param parts of the stack's own
+  /// \throws OptionError, naming "section.field"; InputError if `parts.registrar` makes none; what it throws
   explicit LoopClosureModule(const Robots& robots, const ModuleOptions& options = {},
                              ModuleCallbacks callbacks = {}, ModuleParts parts = {});
   /// As stop().
@@ -161,7 +170,8 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// Factors of nodes that have come or will. \throws InputError as PoseGraph does; UnknownKeyError if no
   /// robot owns a key.
   [[nodiscard]] bool add_factors(const Factors& factors);
-  /// Received powers, all of one node and beacon together, in any order with nodes and drops. Readings of
+  /// Received powers, all of one node and beacon together, in any order with nodes and drops. They
+  /// propose candidates whatever the method is: do not add them if radio is not wanted. Readings of
   /// unknown nodes or beacons wait within RadioOptions' bound. \throws UnknownKeyError if no robot owns a
   /// key.
   [[nodiscard]] bool add_radio(const std::vector<RadioReading>& readings);
@@ -171,18 +181,22 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// not matter. Nodes that have not come are waited for, see CandidatePoolOptions::max_wait_s. \throws
   /// InputError if a candidate joins a node with itself; UnknownKeyError if no robot owns a key.
   [[nodiscard]] bool add_candidates(const std::vector<LoopCandidate>& candidates);
-  /// Poses of a back end of the stack's own. Nodes that are not named move with the nearest named one before
+  /// Poses of a back end of the stack's own. Keys that have not come are ignored. Weights of closures stay 1:
+  /// tell rejected ones by remove_closure(). Nodes that are not named move with the nearest named one before
   /// them on their robot's path. Rotations that were rounded are made rotations again. \throws InputError if
   /// our back end is on, a number is not finite, or a pose is no rigid transform to 1e-3.
   [[nodiscard]] bool set_estimate(const ExternalEstimate& estimate);
-  /// Takes out every closure between two nodes, as after a human's veto; the pair is not computed again.
+  /// Takes out every closure between two nodes, as after a human's veto, the front end's too, and takes in
+  /// none that is computed later. Keys that have not come are ignored.
   [[nodiscard]] bool remove_closure(Key from, Key to);
 
-  /// Waits until all that was added is handled, nothing is pending or being computed, and the estimate is up
-  /// to date, but for what was told as a problem. \returns false if the module was stopped instead.
+  /// Waits until nothing more would happen without new input: all that was added is handled, and the estimate
+  /// is up to date, but for what was told as a problem. Candidates whose scan has not come, or that a
+  /// prioritiser holds back, are not waited for. \returns false if the module was stopped instead.
   [[nodiscard]] bool wait();
 
-  /// As stop(), but with a last estimate if closures have come since the one before.
+  /// As stop(), but with a last estimate if closures have come since the one before. For all pending
+  /// candidates to be computed, call wait() before it.
   void finish();
   /// Ends all work soon and joins the threads; what was being computed is finished, however long it takes (a
   /// thread cannot be taken from a registrar: see RegistrationTask::time_limit_s), what was pending stays so

@@ -33,10 +33,11 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   /// Hands on to all prioritisers, also if one throws.
   void on_result(const RegistrationResult& result);
 
-  /// Lets every prioritiser prepare its share of a batch of `count`, with a bound of evaluations each; those
-  /// without a bound are not bound. \returns the evaluations that each used, see Prioritizer::improve()
-  std::vector<std::uint64_t> improve(std::size_t count, const StopToken& stop,
-                                     const std::vector<std::uint64_t>& max_evaluations = {});
+  /// Lets every prioritiser prepare its share of a batch of `count`, also if one throws, with a bound of
+  /// evaluations each; those without a bound are not bound. `used` becomes the evaluations that each used,
+  /// see Prioritizer::improve(); 0 for one that threw.
+  void improve(std::size_t count, const StopToken& stop, const std::vector<std::uint64_t>& max_evaluations,
+               std::vector<std::uint64_t>& used);
 
   /// \returns the candidates that were held back and are not waited for any longer, as give_up() of the
   /// prioritisers says, and that no other prioritiser holds.

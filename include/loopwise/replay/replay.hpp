@@ -30,8 +30,9 @@
 
 namespace loopwise {
 
-/// Outcomes by (from, to) that a replay takes instead of computing them again, unless their task_hash says
-/// that they came of another task: with other closures before it the guess of a pair is another.
+/// Outcomes by (from, to) that a replay takes instead of computing them. One whose task_hash differs from the
+/// present task's is computed again, since with other closures before it the guess is another; 0 matches
+/// every task.
 using KnownOutcomes = std::map<std::pair<Key, Key>, RegistrationResult>;
 
 /// A candidate that was computed, when, and what the back end made of it.
@@ -87,11 +88,11 @@ struct ReplayHooks {
 /// What a run came to.
 struct ReplayResult {
   PoseGraph graph;  ///< Last estimate: priors, odometry, verified closures with weights.
-  std::vector<Eigen::Isometry3d> odometry;     ///< Poses by odometry alone, in the order of graph.nodes().
-  std::vector<ComputedCandidate> computed;     ///< In the order of their results.
-  CandidateAccounting accounting;              ///< At the end nothing waits or is in flight.
-  std::map<std::string, std::size_t> pruned;   ///< By reason.
-  std::map<std::string, std::size_t> expired;  ///< By reason.
+  std::vector<Eigen::Isometry3d> odometry;  ///< By odometry and full priors alone, as graph.nodes().
+  std::vector<ComputedCandidate> computed;  ///< In the order of their results.
+  CandidateAccounting accounting;  ///< After a run on the virtual clock nothing waits or is in flight.
+  std::map<std::string, std::size_t> pruned;                    ///< By reason.
+  std::map<std::string, std::size_t> expired;                   ///< By reason.
   std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
   double mission_time_s = 0.0;                                  ///< When the run ended.
   double mission_end_s = 0.0;                                   ///< When the last key frame arrives.
@@ -141,6 +142,8 @@ class LOOPWISE_EXPORT MissionReplay {
 /// \param options of everything
 /// \param hooks to watch the run, or to stop it
 /// \param threads that compute registrations; 0: one per processor
+/// \throws OptionError naming the option; InputError if the graph cannot be optimised; what a hook or a
+/// prioritiser throws. A scan that cannot be read is a problem of the result instead.
 [[nodiscard]] LOOPWISE_EXPORT ReplayResult replay(const Mission& mission, const ReplayOptions& options = {},
                                                   const ReplayHooks& hooks = {}, int threads = 0);
 

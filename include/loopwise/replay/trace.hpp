@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// Traces of the online module: all events that its engine has handled, as text. A run in the field is
-/// repeated from its trace, to the bit, without its scans and without its registrations.
+/// repeated from its trace, without its scans and without its registrations: to the bit with the same build
+/// on the same type of processor; elsewhere estimates may differ, which is then reported. Prioritisers that
+/// look at clouds cannot be repeated.
 #pragma once
 
 #include <filesystem>
@@ -18,11 +20,14 @@ namespace loopwise {
 
 /// Makes the lines of a trace. Its add() is what ModuleParts::on_event calls:
 ///
-///     TraceWriter trace(robots, options, [&](const std::string& line) { file << line << '\n'; });
+///     TraceWriter trace(robots, options, [&](const std::string& line) {
+///       file << line << std::endl;  // at once: a crash is what it is kept for
+///       if (!file) throw IoError("run.trace", "cannot be written");
+///     });
 ///     parts.on_event = [&](const HandledEvent& handled) { trace.add(handled); };
 ///
-/// The first line holds the version, the robots and the options, each other line one event. For one thread at
-/// a time.
+/// Writer and file must outlive the module. The first line holds the version, the robots and the options,
+/// each other line one event. For one thread at a time.
 class LOOPWISE_EXPORT TraceWriter {
  public:
   /// \param robots of the module
@@ -30,11 +35,13 @@ class LOOPWISE_EXPORT TraceWriter {
   /// \param line takes each line, without its end
   TraceWriter(const Robots& robots, const ModuleOptions& options,
               std::function<void(const std::string& line)> line);
-  /// Writes a line.
+  /// Writes a line. \throws what the taker of lines throws, and InputError on a name that is not UTF-8; the
+  /// trace has then ended, and every further event is refused with an InputError
   void add(const HandledEvent& handled);
 
  private:
   std::function<void(const std::string& line)> line_;
+  bool broken_ = false;
 };
 
 /// What a trace was recorded with.
@@ -59,10 +66,12 @@ struct TraceEvent {
 
 /// Hands the events of a trace to an engine, which comes to the same graph, closures and estimates. Estimates
 /// are computed again; one that differs from the recorded one is a problem of the result, as is another
-/// version of the code. Of the hooks, `journal`, `moment`, `progress` and `stop` are used. \param file trace,
-/// as TraceWriter makes it; a last line that is cut short is left out, and reported \param hooks to watch the
-/// run, or to stop it \param prioritizers of the module, if they were not those of its method \throws
-/// IoError; ParseError naming the line that cannot be read, or is not of a run with these prioritisers
+/// version of the code. Of the hooks, `moment`, `progress` and `stop` are used.
+/// \param file trace, as TraceWriter makes it; a last line that is cut short is left out, and reported
+/// \param hooks to watch the run, or to stop it
+/// \param prioritizers of the module, if they were not those of its method
+/// \throws IoError; ParseError naming the line that cannot be read, or is not of a run with these
+/// prioritisers
 [[nodiscard]] LOOPWISE_EXPORT ReplayResult replay_trace(const std::filesystem::path& file,
                                                         const ReplayHooks& hooks = {},
                                                         const PrioritizerFactory& prioritizers = {});
