@@ -26,8 +26,9 @@ class QueuePrioritizer final : public Prioritizer {
   void on_scan(const KeyedScan& scan) override { queue_.on_scan(scan); }
   void on_result(const RegistrationResult& result) override { queue_.on_result(result); }
   std::uint64_t improve(std::size_t count, const StopToken& stop, std::uint64_t max_evaluations) override {
-    const std::vector<std::uint64_t> used = queue_.improve(
-        count, stop, std::vector<std::uint64_t>(queue_.prioritizers().size(), max_evaluations));
+    std::vector<std::uint64_t> used;
+    queue_.improve(count, stop, std::vector<std::uint64_t>(queue_.prioritizers().size(), max_evaluations),
+                   used);
     return used.empty() ? 0 : *std::max_element(used.begin(), used.end());
   }
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return queue_.take(count); }
