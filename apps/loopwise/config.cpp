@@ -23,6 +23,8 @@ const std::string& section_text(const std::string& section) {
       {"cost", "How much mission time the computation takes on the virtual clock."},
       {"features", "How scans are made ready for all stages, once each."},
       {"pool", "When candidates expire, and which come last."},
+      {"expected",
+       "Prioritisers `expected` and `likely`: candidates drawn by what they are expected to give."},
       {"observability", "Prioritiser `obs`: scans that constrain a registration best come first."},
       {"graph_information", "Prioritiser `gi`: the set that makes the whole graph most certain comes first."},
       {"closure_model", "What `gi` takes a candidate's closure for."},

@@ -120,7 +120,49 @@ std::string reasons_text(const std::string& what, const std::map<std::string, st
   return text.empty() ? text : what + std::string(13 - what.size(), ' ') + text + "\n";
 }
 
-std::string results_text(const ReplayOptions& options, const ReplayResult& result, const RunEvaluation& e) {
+/// How long all candidates would take here, by those that were computed: whether the order matters on a
+/// machine like this.
+std::string order_text(const ReplayResult& result, int threads) {
+  double sum_s = 0.0;
+  std::size_t measured = 0;
+  for (const ComputedCandidate& computed : result.computed) {
+    const double seconds = computed.result.seconds();
+    if (!(seconds > 0.0)) continue;
+    sum_s += seconds;
+    ++measured;
+  }
+  const std::size_t all = result.accounting.queued();
+  if (measured == 0 || result.accounting.pending == 0) return {};
+  const double all_s = sum_s / static_cast<double>(measured) * static_cast<double>(all) / threads;
+  const double mission_s = result.mission_end_s;
+  return "all of them  " + std::to_string(all) + " candidates: " + fixed(all_s / 60.0, 1) + " min on " +
+         std::to_string(threads) + " threads of this machine, the mission lasts " +
+         fixed(mission_s / 60.0, 1) + ": " +
+         (all_s <= mission_s ? "a live run can compute them all, and every order ends at the same map\n"
+                             : "the order decides\n");
+}
+
+/// Chances that were said of candidates, against what came.
+std::string calibration_text(const ReplayResult& result) {
+  std::string text;
+  for (const auto& [name, calibration] : result.calibration) {
+    double expected = 0.0;
+    std::size_t verified = 0, count = 0;
+    for (const Calibration::Bin& bin : calibration.bins()) {
+      expected += bin.expected;
+      verified += bin.verified;
+      count += bin.count;
+    }
+    if (count == 0) continue;
+    text += "chances      " + fixed(100.0 * expected / static_cast<double>(count), 1) + " % said by " + name +
+            ", " + fixed(100.0 * static_cast<double>(verified) / static_cast<double>(count), 1) +
+            " % came true, Brier score " + fixed(calibration.brier(), 3) + "\n";
+  }
+  return text;
+}
+
+std::string results_text(const ReplayOptions& options, const ReplayResult& result, const RunEvaluation& e,
+                         int threads) {
   const CandidateAccounting& a = result.accounting;
   const auto share = [&](std::size_t count) {
     return std::to_string(count) + " (" + fixed(percent(count, a.queued()), 2) + " % of queued)";
@@ -138,7 +180,7 @@ std::string results_text(const ReplayOptions& options, const ReplayResult& resul
   }
   std::map<std::string, std::size_t> rejected;
   for (const auto& [reason, count] : e.closures.rejected) rejected[std::string(enum_name(reason))] = count;
-  text += reasons_text("rejected", rejected);
+  text += reasons_text("rejected", rejected) + calibration_text(result);
   if (e.has_truth && !judged) {
     text +=
         "ATE          not judged: odometry and truth are the same poses; --odometry-noise 0.05 0.01 makes "
@@ -153,9 +195,10 @@ std::string results_text(const ReplayOptions& options, const ReplayResult& resul
   }
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
-          fixed(result.optimization_s, 1) + " s optimisation, method " +
-          to_string(options.prioritization.method) + "\n";
+          fixed(result.optimization_s, 1) + " s optimisation, " + fixed(result.decision_s, 1) +
+          " s candidates and their order, method " + to_string(options.prioritization.method) + "\n";
   if (result.interrupted) return text;
+  text += order_text(result, threads);
   const auto most = static_cast<std::size_t>(options.max_registrations);
   if (a.pending > 0 && most > 0 && a.computed >= most) {
     text += "pending      " + std::to_string(a.pending) + " after as many as --max-registrations allows\n";
@@ -303,7 +346,8 @@ int run_trace(const Options& options) {
   write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map);
   print_results(options.common,
                 parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
-                results_text(recorded, result, evaluation) + "results      " + folder.string() + "\n");
+                results_text(recorded, result, evaluation, thread_count(options.common)) + "results      " +
+                    folder.string() + "\n");
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 
@@ -447,7 +491,8 @@ int run(const Options& options) {
   if (server) note_ranks(console, server->statistics(), summary);
 #endif
   print_results(options.common, summary,
-                results_text(config.replay, result, evaluation) + "results      " + folder.string() + "\n");
+                results_text(config.replay, result, evaluation, thread_count(options.common)) +
+                    "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +
                  (live ? "" : "; --resume goes on"));

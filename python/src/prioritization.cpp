@@ -47,12 +47,14 @@ std::shared_ptr<Prioritizer> prioritizer_of(const std::string& method, const Rob
   chosen.method = parse_method(method);
   const FeatureOptions features = config.replay.registration.features;
   const bool lamp = config.replay.prioritization.observability.variant == ObservabilityVariant::kLamp;
-  const auto eigenvalue = [features, lamp](const KeyedScan& scan) {
+  ScanInsight insight;
+  insight.eigenvalue = [features, lamp](const KeyedScan& scan) {
     const Observability observability = compute_features(*scan.cloud, features).observability;
     return lamp ? observability.min_eigenvalue_lamp : observability.min_eigenvalue;
   };
+  insight.signature = [](const KeyedScan& scan) { return ScanSignature(*scan.cloud); };
   return std::make_shared<QueuePrioritizer>(
-      method, RoundRobinQueue(make_prioritizers(chosen, config.replay.engine.seed, robots, eigenvalue)));
+      method, RoundRobinQueue(make_prioritizers(chosen, config.replay.engine.seed, robots, insight)));
 }
 
 }  // namespace

@@ -99,6 +99,26 @@ RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result) {
   return evaluation;
 }
 
+namespace {
+
+/// Brier score and reliability table.
+Json calibration_json(const Calibration& calibration) {
+  Json table = Json::array();
+  for (std::size_t i = 0; i < calibration.bins().size(); ++i) {
+    const Calibration::Bin& bin = calibration.bins()[i];
+    if (bin.count == 0) continue;
+    table.push_back({{"from", static_cast<double>(i) / 10.0},
+                     {"to", static_cast<double>(i + 1) / 10.0},
+                     {"count", bin.count},
+                     {"expected", bin.expected / static_cast<double>(bin.count)},
+                     {"verified", static_cast<double>(bin.verified) / static_cast<double>(bin.count)}});
+  }
+  const double brier = calibration.brier();
+  return {{"brier", std::isnan(brier) ? Json(nullptr) : Json(brier)}, {"table", table}};
+}
+
+}  // namespace
+
 std::string run_summary_json(const Mission& mission, const ReplayOptions& options, const ReplayResult& result,
                              const RunEvaluation& e) {
   const CandidateAccounting& a = result.accounting;
@@ -126,6 +146,9 @@ std::string run_summary_json(const Mission& mission, const ReplayOptions& option
   Json handed_out = Json::object();
   for (const auto& [name, count] : result.handed_out) handed_out[name] = count;
   json["handed_out"] = handed_out;
+  for (const auto& [name, calibration] : result.calibration) {
+    json["calibration"][name] = calibration_json(calibration);
+  }
   if (e.has_truth) {
     json["ate_m"] = {{"odometry", e.odometry.ate_m.mean}, {"optimized", e.optimized.ate_m.mean}};
     json["ate_rad"] = {{"odometry", e.odometry.ate_rad.mean}, {"optimized", e.optimized.ate_rad.mean}};
@@ -206,9 +229,10 @@ void add_scan_problems(ReplayResult& result, const ScanStore& scans) {
   }
 }
 
-void write_run_folder(const std::filesystem::path& folder, const Mission& mission, const ReplayOptions& options,
-                      const ReplayResult& result, const RunEvaluation& evaluation,
-                      const std::vector<HistoryRow>& history, const PointCloud& map) {
+void write_run_folder(const std::filesystem::path& folder, const Mission& mission,
+                      const ReplayOptions& options, const ReplayResult& result,
+                      const RunEvaluation& evaluation, const std::vector<HistoryRow>& history,
+                      const PointCloud& map) {
   write_g2o(folder / "graph.g2o", result.graph);
   std::error_code failure;
   std::filesystem::create_directories(folder / "trajectories", failure);

@@ -3,11 +3,14 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <limits>
 #include <numeric>
+#include <set>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/se3.hpp>
 
 namespace loopwise {
 namespace {
@@ -24,7 +27,7 @@ struct Preset {
 
 const std::vector<Preset>& presets() {
   static const std::vector<Preset> all{
-      {"paper", {0.2, 0.0, 0.0, 0, 0}},
+      {"paper", {0.2, 0.0, 0.0, 0, 0, 0.0}},
       {"lamp_2022_01", {0.2, 0.0, 30.0, 10, 10}},
       {"lamp_base", {0.2, 30.0, 30.0, 10, 0}},
       {"lamp_robot", {0.2, 5.0, 80.0, 15, 3}},
@@ -63,7 +66,11 @@ std::size_t ProximityGenerator::CellHash::operator()(const Cell& cell) const {
 }
 
 ProximityGenerator::ProximityGenerator(const ProximityOptions& options, Robots robots)
-    : options_(options), robots_(std::move(robots)), highest_index_(robots_.size(), 0) {
+    : options_(options),
+      robots_(std::move(robots)),
+      highest_index_(robots_.size(), 0),
+      path_(robots_.size()),
+      left_out_(robots_.size()) {
   validate_proximity(options_);
   // About a quarter of the largest radius: few cells to visit, few nodes visited in vain.
   constexpr double kFewestMetres = 2.0, kMostMetres = 20.0;
@@ -142,8 +149,28 @@ std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, std::siz
   return candidates;
 }
 
+bool ProximityGenerator::takes_part(const PoseGraph& graph, Key key) const {
+  if (options_.spacing_m <= 0.0) return true;
+  const std::map<std::uint64_t, Key>& path = path_[robots_.of(key)];
+  const Eigen::Isometry3d& pose = graph.node(key).pose;
+  const auto far_from = [&](Key other) {
+    const Eigen::Isometry3d step = graph.node(other).pose.inverse() * pose;
+    return step.translation().norm() >= options_.spacing_m ||
+           se3::rotation_angle(step) >= options_.spacing_rad;
+  };
+  const auto after = path.lower_bound(robots_.node_index(key));
+  return (after == path.end() || far_from(after->second)) &&
+         (after == path.begin() || far_from(std::prev(after)->second));
+}
+
 std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
   if (robots_.is_landmark(key)) return {};
+  if (takes_part(graph, key)) return take_in(graph, key, time_s);
+  left_out_[robots_.of(key)].emplace(robots_.node_index(key), key);
+  return {};
+}
+
+std::vector<LoopCandidate> ProximityGenerator::take_in(const PoseGraph& graph, Key key, double time_s) {
   const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
   // The largest radius that any older node could get bounds the cells to visit. Within the robot the index
   // gap may exceed the node's own index when nodes arrive out of order.
@@ -154,9 +181,11 @@ std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, K
   entries_.push_back(entry);
   try {
     number_of_[key] = number;
+    path_[entry.robot][entry.index] = key;
     grid_[cell_of(entry.position)].push_back(number);
   } catch (...) {  // as if it had not come
     number_of_.erase(key);
+    path_[entry.robot].erase(entry.index);
     entries_.pop_back();
     throw;
   }
@@ -183,6 +212,21 @@ std::vector<LoopCandidate> ProximityGenerator::on_moved(const PoseGraph& graph, 
     for (LoopCandidate& candidate : near(entries_[own->second], own->second, most, time_s)) {
       if (number_of_.at(candidate.to) > own->second) std::swap(candidate.from, candidate.to);
       candidates.push_back(candidate);
+    }
+  }
+  std::set<std::size_t> robots;
+  for (const Key key : keys) {
+    if (!robots_.is_landmark(key)) robots.insert(robots_.of(key));
+  }
+  for (const std::size_t robot : robots) {
+    for (auto other = left_out_[robot].begin(); other != left_out_[robot].end();) {
+      if (!takes_part(graph, other->second)) {
+        ++other;
+        continue;
+      }
+      const std::vector<LoopCandidate> own = take_in(graph, other->second, time_s);
+      candidates.insert(candidates.end(), own.begin(), own.end());
+      other = left_out_[robot].erase(other);
     }
   }
   return candidates;

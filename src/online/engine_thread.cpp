@@ -132,6 +132,7 @@ void EngineThread::feed(Event event) {
   Event record = settings_.on_event ? event : Event();
   const double now_s = settings_.clock->now();
   observability_.reset();
+  signature_.reset();
   std::vector<Effect> effects;
   try {
     std::unique_lock<std::mutex> lock(graph_mutex_, std::defer_lock);
@@ -150,7 +151,7 @@ void EngineThread::feed(Event event) {
       improve->stop = StopToken();
       improve->max_evaluations = engine_->evaluations();
     }
-    reporter_.call(settings_.on_event, HandledEvent{record, now_s, observability_});
+    reporter_.call(settings_.on_event, HandledEvent{record, now_s, observability_, signature_});
   }
   for (Effect& effect : effects) std::visit([this](auto& e) { carry_out(e); }, effect);
 }

@@ -62,6 +62,7 @@ class EngineThread {
 
   /// An eigenvalue that a prioritiser has asked for while an event is handled.
   void note_observability(double eigenvalue) { observability_ = eigenvalue; }
+  void note_signature(const ScanSignature& signature) { signature_ = signature; }
 
   [[nodiscard]] std::size_t waiting() const { return inbox_.size(); }
   [[nodiscard]] PoseGraph graph() const;
@@ -102,6 +103,7 @@ class EngineThread {
 
   // Of this thread alone, but for the graph, which others read with the mutex held.
   std::optional<double> observability_;  // of the scan that the last event brought
+  std::optional<ScanSignature> signature_;
   mutable std::mutex graph_mutex_;
   std::optional<Engine> engine_;
   std::shared_ptr<const Estimate> estimate_;

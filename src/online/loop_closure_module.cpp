@@ -11,7 +11,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/stop_token.hpp>
 #include <loopwise/engine/engine.hpp>
-#include <loopwise/engine/observability.hpp>
+#include <loopwise/engine/scan_insight.hpp>
 #include <loopwise/optimization/gnc.hpp>
 
 #include "engine_thread.hpp"
@@ -115,13 +115,19 @@ class LoopClosureModule::Impl {
 
   [[nodiscard]] RoundRobinQueue make_queue(std::vector<std::unique_ptr<Prioritizer>> own) {
     if (!own.empty()) return RoundRobinQueue(std::move(own));
-    const auto eigenvalue = observability_of(*features_, options_.prioritization.observability.variant);
-    return RoundRobinQueue(make_prioritizers(options_.prioritization, options_.engine.seed, robots_,
-                                             [this, eigenvalue](const KeyedScan& scan) {
-                                               const double value = eigenvalue(scan);
-                                               engine_thread_.note_observability(value);
-                                               return value;
-                                             }));
+    ScanInsight insight = scan_insight(*features_, options_.prioritization.observability.variant);
+    insight.eigenvalue = [this, of = std::move(insight.eigenvalue)](const KeyedScan& scan) {
+      const double value = of(scan);
+      engine_thread_.note_observability(value);
+      return value;
+    };
+    insight.signature = [this, of = std::move(insight.signature)](const KeyedScan& scan) {
+      ScanSignature signature = of(scan);
+      engine_thread_.note_signature(signature);
+      return signature;
+    };
+    return RoundRobinQueue(
+        make_prioritizers(options_.prioritization, options_.engine.seed, robots_, insight));
   }
 
   [[nodiscard]] Event checked(Event event) const {

@@ -4,64 +4,103 @@
 #include <algorithm>
 #include <cmath>
 
-#include <loopwise/core/error.hpp>
-#include <loopwise/core/random.hpp>
+#include <Eigen/Cholesky>
+#include <Eigen/Core>
 
-#include "cell.hpp"
+#include <loopwise/core/error.hpp>
 
 namespace loopwise {
 namespace {
 
-constexpr std::array<double, 7> kDistances_m{2.5,  5.0,  7.5, 10.0,
-                                             15.0, 20.0, 30.0};  // upper ends of the bins
-constexpr double kDistanceStrength = 10.0;  // computed candidates that the guess by distance stands for
-constexpr double kPlacesStrength = 4.0;     // and that by a bin of distance
-constexpr double kReach_m = 15.0;           // scale of the first guess: lidar scans overlap less far apart
+using Vector = Eigen::Matrix<double, AcceptanceModel::kTerms, 1>;
+using Matrix = Eigen::Matrix<double, AcceptanceModel::kTerms, AcceptanceModel::kTerms>;
 
-std::size_t bin_of(double distance_m) {
-  return static_cast<std::size_t>(std::upper_bound(kDistances_m.begin(), kDistances_m.end(), distance_m) -
-                                  kDistances_m.begin());
+Eigen::Map<const Vector> as_vector(const AcceptanceModel::Terms& terms) {
+  return Eigen::Map<const Vector>(terms.data());
 }
 
-/// Before anything is known.
-double first_guess(std::size_t bin) {
-  const double middle = bin == 0                     ? 0.5 * kDistances_m[0]
-                        : bin == kDistances_m.size() ? 1.5 * kDistances_m.back()
-                                                     : 0.5 * (kDistances_m[bin - 1] + kDistances_m[bin]);
-  return 0.5 * std::exp(-middle / kReach_m);
+double logistic(double x) {
+  return 1.0 / (1.0 + std::exp(-std::clamp(x, -30.0, 30.0)));
 }
 
 }  // namespace
 
-AcceptanceModel::AcceptanceModel(double cell_m) : cell_m_(cell_m) {
-  if (!(cell_m > 0.0) || !std::isfinite(cell_m)) throw OptionError("cell_m must be finite and > 0");
-}
-
-void AcceptanceModel::add(double distance_m, const Eigen::Vector3d& from, const Eigen::Vector3d& to,
-                          bool accepted) {
-  for (Share* share : {&by_distance_[bin_of(distance_m)], &by_places_[places(from, to)]}) {
-    share->count += 1.0;
-    share->accepted += accepted ? 1.0 : 0.0;
+AcceptanceModel::AcceptanceModel(const Terms& weights, double prior_strength)
+    : prior_(weights), strength_(prior_strength), weights_(weights) {
+  if (!as_vector(weights).allFinite()) throw OptionError("a weight of the acceptance model is not finite");
+  if (!(prior_strength > 0.0) || !std::isfinite(prior_strength)) {
+    throw OptionError("prior_strength must be finite and > 0");
   }
 }
 
-double AcceptanceModel::probability(double distance_m, const Eigen::Vector3d& from,
-                                    const Eigen::Vector3d& to) const {
-  const std::size_t bin = bin_of(distance_m);
-  const Share& distance = by_distance_[bin];
-  double p =
-      (distance.accepted + kDistanceStrength * first_guess(bin)) / (distance.count + kDistanceStrength);
-  const auto here = by_places_.find(places(from, to));
-  if (here != by_places_.end()) {
-    p = (here->second.accepted + kPlacesStrength * p) / (here->second.count + kPlacesStrength);
-  }
-  return p;
+std::array<const char*, AcceptanceModel::kTerms> AcceptanceModel::term_names() {
+  return {"constant", "overlap", "overlap_squared", "overlap_unknown", "distance", "from_outside"};
 }
 
-/// The same whichever of the two is named first.
-std::uint64_t AcceptanceModel::places(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const {
-  const std::uint64_t a = detail::cell_of(from, cell_m_), b = detail::cell_of(to, cell_m_);
-  return combine_seeds(std::min(a, b), std::max(a, b));
+AcceptanceModel::Terms AcceptanceModel::terms(const CandidateEvidence& evidence) {
+  if (evidence.from_outside) return {0.0, 0.0, 0.0, 0.0, 0.0, 1.0};
+  constexpr double kScale_m = 10.0, kFarthest = 10.0;
+  const bool known = std::isfinite(evidence.overlap);
+  const double overlap = known ? std::clamp(evidence.overlap, 0.0, 1.0) : 0.0;
+  const double distance = std::isfinite(evidence.distance_m)
+                              ? std::clamp(evidence.distance_m / kScale_m, 0.0, kFarthest)
+                              : kFarthest;
+  return {1.0, overlap, overlap * overlap, known ? 0.0 : 1.0, distance, 0.0};
+}
+
+const AcceptanceModel::Terms& AcceptanceModel::shipped_verified() {
+  static const Terms weights{0.4, 10.1, -3.6, 2.0, -2.7, -1.0};
+  return weights;
+}
+
+const AcceptanceModel::Terms& AcceptanceModel::shipped_right() {
+  static const Terms weights{0.9, 15.8, 0.4, 3.0, -1.5, 1.0};
+  return weights;
+}
+
+double AcceptanceModel::probability(const CandidateEvidence& evidence) const {
+  const Terms x = terms(evidence);
+  return logistic(as_vector(weights_).dot(as_vector(x)));
+}
+
+void AcceptanceModel::fit(const std::vector<std::pair<CandidateEvidence, bool>>& results) {
+  // Newton's method on the log posterior, which is concave, from where the last fit ended. The prior's
+  // information is that of strength_ results of chance ½ at a term of 1.
+  constexpr int kSteps = 8;
+  std::vector<Terms> x;
+  x.reserve(results.size());
+  for (const auto& result : results) x.push_back(terms(result.first));
+  Vector w = as_vector(weights_);
+  const Vector w0 = as_vector(prior_);
+  const double prior_information = 0.25 * strength_;
+  for (int step = 0; step < kSteps; ++step) {
+    Vector gradient = prior_information * (w0 - w);
+    Matrix information = prior_information * Matrix::Identity();
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      const Eigen::Map<const Vector> terms = as_vector(x[i]);
+      const double p = logistic(w.dot(terms));
+      gradient += ((results[i].second ? 1.0 : 0.0) - p) * terms;
+      information.noalias() += std::max(p * (1.0 - p), 1e-3) * terms * terms.transpose();
+    }
+    const Vector change = information.llt().solve(gradient);
+    w += change;
+    if (!(change.cwiseAbs().maxCoeff() > 1e-6)) break;
+  }
+  if (w.allFinite()) Eigen::Map<Vector>(weights_.data()) = w;
+}
+
+void Calibration::add(double probability, bool verified) {
+  const double p = std::clamp(probability, 0.0, 1.0);
+  Bin& bin = bins_[std::min<std::size_t>(static_cast<std::size_t>(10.0 * p), 9)];
+  ++bin.count;
+  bin.verified += verified ? 1 : 0;
+  bin.expected += p;
+  squares_ += (p - (verified ? 1.0 : 0.0)) * (p - (verified ? 1.0 : 0.0));
+  ++count_;
+}
+
+double Calibration::brier() const {
+  return count_ > 0 ? squares_ / static_cast<double>(count_) : std::numeric_limits<double>::quiet_NaN();
 }
 
 }  // namespace loopwise

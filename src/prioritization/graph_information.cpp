@@ -6,13 +6,11 @@
 #include <iterator>
 #include <numeric>
 #include <optional>
-#include <set>
 #include <utility>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/optimization/marginals.hpp>
-#include <loopwise/prioritization/acceptance.hpp>
 #include <loopwise/prioritization/effect_network.hpp>
 #include <loopwise/prioritization/gnn.hpp>
 
@@ -30,12 +28,6 @@ std::vector<LoopCandidate> at(const std::vector<LoopCandidate>& all, const std::
 
 bool knows_nodes_of(const PoseGraph& graph, const LoopCandidate& candidate) {
   return graph.contains(candidate.from) && graph.contains(candidate.to);
-}
-
-/// By the estimate, where that knows both nodes.
-double distance_of(const PoseGraph& graph, const LoopCandidate& candidate) {
-  if (!knows_nodes_of(graph, candidate)) return candidate.distance_m;
-  return (graph.node(candidate.from).pose.translation() - graph.node(candidate.to).pose.translation()).norm();
 }
 
 }  // namespace
@@ -106,8 +98,6 @@ void GraphInformationPrioritizer::on_graph(const PoseGraph& graph) {
 }
 
 void GraphInformationPrioritizer::on_result(const RegistrationResult& result) {
-  const LoopCandidate& candidate = result.candidate;
-  computed_.push_back({candidate.from, candidate.to, distance_of(graph_, candidate), result.verified()});
   if (!result.closure) return;
   const Vector6d variances = result.closure->covariance.diagonal();
   if (variances.allFinite() && variances.minCoeff() > 0.0) accepted_.push_back(variances);
@@ -138,29 +128,6 @@ ClosureModel GraphInformationPrioritizer::model() const {
   return model;
 }
 
-/// That each becomes a closure which holds; empty where that is not asked for.
-std::vector<double> GraphInformationPrioritizer::chances(const std::vector<LoopCandidate>& candidates) const {
-  if (options_.acceptance == Acceptance::kSure) return {};
-  std::set<std::pair<Key, Key>> refuted;
-  for (const Edge& edge : graph_.edges()) {
-    if (edge.weight < 0.5) refuted.emplace(edge.from, edge.to);
-  }
-  AcceptanceModel model(options_.cell_m);
-  for (const Computed& c : computed_) {
-    if (!graph_.contains(c.from) || !graph_.contains(c.to)) continue;
-    const bool holds = c.verified && refuted.count({c.from, c.to}) == 0 && refuted.count({c.to, c.from}) == 0;
-    model.add(c.distance_m, graph_.node(c.from).pose.translation(), graph_.node(c.to).pose.translation(),
-              holds);
-  }
-  std::vector<double> out;
-  out.reserve(candidates.size());
-  for (const LoopCandidate& c : candidates) {
-    out.push_back(model.probability(distance_of(graph_, c), graph_.node(c.from).pose.translation(),
-                                    graph_.node(c.to).pose.translation()));
-  }
-  return out;
-}
-
 std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
   std::vector<LoopCandidate> known;
   std::map<CandidateId, double> out;
@@ -169,10 +136,10 @@ std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
     if (graph_.contains(c.from) && graph_.contains(c.to)) known.push_back(c);
   }
   if (known.empty()) return out;
-  const ExpectedGains expected =
-      expected_gains(graph_, known, closure_options_, model(), chances(known),
-                     static_cast<std::size_t>(options_.probes), combine_seeds(options_.seed, 0));
-  for (std::size_t i = 0; i < known.size(); ++i) out[known[i].id] = expected.gains[i];
+  const std::vector<double> gains =
+      sketched_gains(graph_, known, closure_options_, model(), static_cast<std::size_t>(options_.probes),
+                     combine_seeds(options_.seed, 0));
+  for (std::size_t i = 0; i < known.size(); ++i) out[known[i].id] = gains[i];
   return out;
 }
 
@@ -227,19 +194,15 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
       p.set = largest_covariance(graph_, others, marginals(graph_).covariances, count);
       return;
     }
-    ClosureModel closures = model();
+    const ClosureModel closures = model();
     const auto longest = static_cast<std::size_t>(
         std::ceil(options_.shortlist * static_cast<double>(std::max<std::size_t>(count, 1))));
-    const std::vector<double> chance = chances(others);
-    ExpectedGains expected;
-    if (others.size() > longest || !chance.empty()) {
-      expected = expected_gains(graph_, others, closure_options_, closures, chance,
-                                static_cast<std::size_t>(options_.probes), seed);
-    }
     std::vector<std::size_t> shortlist(others.size());
     std::iota(shortlist.begin(), shortlist.end(), std::size_t{0});
     if (others.size() > longest) {
-      shortlist = spread_shortlist(graph_, others, expected.gains, longest, options_.cell_m);
+      const std::vector<double> gains = sketched_gains(graph_, others, closure_options_, closures,
+                                                       static_cast<std::size_t>(options_.probes), seed);
+      shortlist = spread_shortlist(graph_, others, gains, longest, options_.cell_m);
       std::vector<bool> listed(others.size(), false);
       for (const std::size_t i : shortlist) listed[i] = true;
       for (std::size_t i = 0; i < others.size(); ++i) {
@@ -247,10 +210,6 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
       }
     }
     p.list = at(others, shortlist);
-    if (!chance.empty()) {
-      for (const std::size_t i : shortlist)
-        closures.information_factors.push_back(expected.information_factors[i]);
-    }
     status_.shortlist = p.list.size();
     switch (options_.objective) {
       case ObjectiveKind::kCovariance:

@@ -18,7 +18,7 @@ const Method kFull{PrioritizerKind::kObservability, PrioritizerKind::kGraphInfor
 }  // namespace
 
 std::vector<std::string> method_names() {
-  return {"odom", "baseline", "random", "obs", "gi", "full", "rssi"};
+  return {"odom", "baseline", "random", "obs", "gi", "full", "rssi", "likely", "expected"};
 }
 
 Method parse_method(std::string_view text) {
@@ -54,9 +54,9 @@ bool uses_radio(const Method& method) {
   return std::find(method.begin(), method.end(), PrioritizerKind::kRssi) != method.end();
 }
 
-std::vector<std::unique_ptr<Prioritizer>> make_prioritizers(
-    const PrioritizationOptions& options, std::uint64_t seed, const Robots& robots,
-    const ObservabilityPrioritizer::Eigenvalue& eigenvalue) {
+std::vector<std::unique_ptr<Prioritizer>> make_prioritizers(const PrioritizationOptions& options,
+                                                            std::uint64_t seed, const Robots& robots,
+                                                            const ScanInsight& scans) {
   if (std::set<PrioritizerKind>(options.method.begin(), options.method.end()).size() !=
       options.method.size()) {
     throw OptionError("method \"" + to_string(options.method) + "\": a prioritiser is named twice");
@@ -68,12 +68,19 @@ std::vector<std::unique_ptr<Prioritizer>> make_prioritizers(
       case PrioritizerKind::kRandom:
         return std::make_unique<RandomPrioritizer>(seed);
       case PrioritizerKind::kObservability:
-        return std::make_unique<ObservabilityPrioritizer>(options.observability, robots, eigenvalue);
+        return std::make_unique<ObservabilityPrioritizer>(options.observability, robots, scans.eigenvalue);
       case PrioritizerKind::kGraphInformation: {
         GraphInformationOptions gi = options.graph_information;
         gi.seed = combine_seeds(seed, gi.seed);
         return std::make_unique<GraphInformationPrioritizer>(gi, options.closure_model, options.annealing,
                                                              options.greedy);
+      }
+      case PrioritizerKind::kLikely:
+      case PrioritizerKind::kExpected: {
+        ExpectedOptions expected = options.expected;
+        if (kind == PrioritizerKind::kLikely) expected.gain_exponent = 0.0;
+        return std::make_unique<ExpectedPrioritizer>(expected, options.closure_model, robots, scans.signature,
+                                                     seed, enum_name(kind));
       }
       case PrioritizerKind::kRssi:
         break;

@@ -91,29 +91,6 @@ void check_count(const char* what, std::size_t count, std::size_t candidates) {
                    std::to_string(candidates) + " or none");
 }
 
-/// The factor of the information with which the gain is `p` times that of all of it. Along the eigenvectors
-/// of S the gain is the sum of f·m/(1 + f·λ): rising and concave, so that Newton's method from 0, below the
-/// root, climbs to it without passing it.
-double expected_information(const detail::GainBlocks& blocks, double p) {
-  if (p >= 1.0) return 1.0;
-  if (!(p > 0.0)) return 0.0;
-  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(blocks.S);
-  const Vector6d lambda = eigen.eigenvalues().cwiseMax(0.0);
-  const Vector6d m =
-      (eigen.eigenvectors().transpose() * blocks.M * eigen.eigenvectors()).diagonal().cwiseMax(0.0);
-  const auto gain = [&](double f) { return (f * m.array() / (1.0 + f * lambda.array())).sum(); };
-  const double wanted = p * gain(1.0);
-  double f = 0.0;
-  for (int k = 0; k < 100; ++k) {
-    const double slope = (m.array() / (1.0 + f * lambda.array()).square()).sum();
-    if (!(slope > 0.0)) return p;  // gains nothing, whatever it is
-    const double step = (wanted - gain(f)) / slope;
-    f = std::clamp(f + step, 0.0, p);
-    if (!(std::abs(step) > 1e-9 * f)) break;
-  }
-  return f;
-}
-
 }  // namespace
 
 std::vector<double> sketched_gains(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
@@ -129,26 +106,6 @@ std::vector<double> sketched_gains(const PoseGraph& graph, const std::vector<Loo
         gains[i] = blocks.gain();
       });
   return gains;
-}
-
-ExpectedGains expected_gains(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
-                             const ClosureModelOptions& options, const ClosureModel& model,
-                             const std::vector<double>& p_accept, std::size_t probes, std::uint64_t seed) {
-  check_count("p_accept", p_accept.size(), candidates.size());
-  for (std::size_t i = 0; i < p_accept.size(); ++i) {
-    if (p_accept[i] >= 0.0 && p_accept[i] <= 1.0) continue;
-    throw InputError("p_accept of candidate " + std::to_string(i) + " is not in [0, 1]");
-  }
-  ExpectedGains out;
-  out.gains.assign(candidates.size(), 0.0);
-  out.information_factors = p_accept.empty() ? std::vector<double>(candidates.size(), 1.0) : p_accept;
-  for_each_sketch(graph, candidates, options, model, probes, seed,
-                  [&](std::size_t i, const detail::GainBlocks& blocks) {
-                    const double p = out.information_factors[i];
-                    out.gains[i] = p * blocks.gain();
-                    out.information_factors[i] = expected_information(blocks, p);
-                  });
-  return out;
 }
 
 std::vector<std::size_t> spread_shortlist(const PoseGraph& graph,

@@ -62,7 +62,13 @@ const std::map<std::string, std::string>& renamed_keys() {
 
 /// \throws OptionError if the key is one of an earlier version
 void refuse_renamed(const std::string& section, const std::string& key) {
-  const auto found = renamed_keys().find(section + "." + key);
+  const std::string name = section + "." + key;
+  if (name == "graph_information.acceptance") {
+    throw OptionError("unknown option " + name +
+                      ": it is gone, gi takes every candidate for a closure; the methods expected and likely "
+                      "weigh the chance");
+  }
+  const auto found = renamed_keys().find(name);
   if (found == renamed_keys().end()) return;
   throw OptionError("unknown option " + found->first + ": its name is " + found->second + " now");
 }

@@ -10,7 +10,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/engine/engine.hpp>
-#include <loopwise/engine/observability.hpp>
+#include <loopwise/engine/scan_insight.hpp>
 
 #include "mission_feed.hpp"
 
@@ -157,13 +157,16 @@ Ranking rank_candidates(const Mission& mission, const ReplayOptions& replay,
   validate_replay(replay);
   const std::vector<LoopCandidate> candidates = all_candidates(mission, replay);
   const PrioritizationOptions& order = replay.prioritization;
-  const ObservabilityPrioritizer::Eigenvalue eigenvalue =
-      features ? observability_of(*features, order.observability.variant)
-               : [](const KeyedScan&) { return 0.0; };
-  Queue queue(make_prioritizers(order, replay.engine.seed, mission.robots, eigenvalue));
+  ScanInsight insight;
+  if (features) {
+    insight = scan_insight(*features, order.observability.variant);
+  } else {
+    insight.eigenvalue = [](const KeyedScan&) { return 0.0; };
+  }
+  Queue queue(make_prioritizers(order, replay.engine.seed, mission.robots, insight));
   queue.on_graph(mission.graph);
   // A prioritiser of its own has the scores, whatever the method.
-  ObservabilityPrioritizer observability(order.observability, mission.robots, eigenvalue);
+  ObservabilityPrioritizer observability(order.observability, mission.robots, insight.eigenvalue);
   std::set<Key> scanned;
   if (features) {
     scanned = announce_scans(mission, candidates, *features, observability, queue, progress, stop);

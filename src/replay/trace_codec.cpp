@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "trace_codec.hpp"
 
+#include <cstring>
 #include <limits>
 #include <utility>
 
@@ -30,6 +31,27 @@ std::uint64_t whole_from(const Json& json, const char* name) {
 std::int64_t stamp_from(const Json& json) {
   using Limits = std::numeric_limits<std::int64_t>;
   return detail::json_to_int64(json.at("stamp_ns"), "stamp_ns", Limits::min(), Limits::max());
+}
+
+/// Eight digits a word.
+std::string hex(const std::vector<std::uint32_t>& words) {
+  std::string text;
+  text.reserve(8 * words.size());
+  for (const std::uint32_t word : words) {
+    for (int shift = 28; shift >= 0; shift -= 4) text += "0123456789abcdef"[(word >> shift) & 0xFU];
+  }
+  return text;
+}
+std::vector<std::uint32_t> words_from(const std::string& text) {
+  if (text.size() % 8 != 0) throw InputError("a scan's signature is cut short");
+  std::vector<std::uint32_t> words(text.size() / 8, 0);
+  for (std::size_t i = 0; i < text.size(); ++i) {
+    const char* const digits = "0123456789abcdef";
+    const char* const digit = std::strchr(digits, text[i]);
+    if (digit == nullptr || *digit == '\0') throw InputError("a scan's signature has no such digit");
+    words[i / 8] = words[i / 8] << 4U | static_cast<std::uint32_t>(digit - digits);
+  }
+  return words;
 }
 
 Json pose_json(const Eigen::Isometry3d& pose) {
@@ -348,6 +370,7 @@ void TraceWriter::add(const HandledEvent& handled) {
   line["now_s"] = handled.now_s;
   std::visit(Encoder{line}, handled.event);
   if (handled.observability) line["observability"] = *handled.observability;
+  if (handled.signature) line["signature"] = hex(handled.signature->words());
   if (broken_) throw InputError("the trace has ended: a line before could not be written");
   broken_ = true;  // unless this line gets through: a trace may end early, but has no gaps
   try {
@@ -388,6 +411,9 @@ TraceEvent parse_trace_event(const std::string& line) {
     out.now_s = json.at("now_s").get<double>();
     out.event = event_from(json);
     if (json.contains("observability")) out.observability = json["observability"].get<double>();
+    if (json.contains("signature")) {
+      out.signature = ScanSignature::from_words(words_from(json["signature"].get<std::string>()));
+    }
     if (json.contains("estimate")) out.estimate_hash = json["estimate"].get<std::string>();
     return out;
   });

@@ -12,6 +12,7 @@
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/replay/code_version.hpp>
 
+#include "account.hpp"
 #include "closure_weights.hpp"
 #include "trace_codec.hpp"
 
@@ -42,12 +43,14 @@ class TraceRun {
     if (header_.code != replay_code_version()) {
       result_.problems.add("trace", "recorded by another version of the program: results may differ");
     }
-    const auto eigenvalue = [this](const KeyedScan&) { return observability_.value_or(0.0); };
+    ScanInsight insight;
+    insight.eigenvalue = [this](const KeyedScan&) { return observability_.value_or(0.0); };
+    insight.signature = [this](const KeyedScan&) { return signature_.value_or(ScanSignature()); };
     engine_.emplace(
         header_.robots, header_.options.engine,
         RoundRobinQueue(own ? own()
                             : make_prioritizers(header_.options.prioritization, header_.options.engine.seed,
-                                                header_.robots, eigenvalue)));
+                                                header_.robots, insight)));
     optimizer_.emplace(header_.options.back_end.optimization);
   }
 
@@ -90,6 +93,7 @@ class TraceRun {
 
   void feed(TraceEvent traced) {
     observability_ = traced.observability;
+    signature_ = std::move(traced.signature);
     now_s_ = traced.now_s;
     if (auto* optimized = std::get_if<event::Optimized>(&traced.event)) estimate(traced, *optimized);
     if (auto* improve = std::get_if<event::Improve>(&traced.event)) improve->stop = hooks_.stop;
@@ -135,12 +139,7 @@ class TraceRun {
     result_.odometry = engine_->odometry();
     take_weights(result_.graph, result_.computed);
     const CandidatePool& pool = engine_->pool();
-    result_.accounting = pool.accounting();
-    result_.pruned = pool.pruned_reasons();
-    result_.expired = pool.expired_reasons();
-    for (std::size_t i = 0; i < pool.queue().prioritizers().size(); ++i) {
-      result_.handed_out.emplace_back(pool.queue().prioritizers()[i]->name(), pool.queue().handed_out()[i]);
-    }
+    take_account(pool, result_);
     result_.mission_time_s = result_.mission_end_s = now_s_;
     result_.problems.add(engine_->radio_problems());
     if (hooks_.moment) show(ReplayMoment::Kind::kEnd, result_.graph);
@@ -157,6 +156,7 @@ class TraceRun {
   std::size_t line_number_ = 0;
   TraceHeader header_;
   std::optional<double> observability_;
+  std::optional<ScanSignature> signature_;
   std::optional<Engine> engine_;
   std::optional<PoseGraphOptimizer> optimizer_;
   std::shared_ptr<const PoseGraph> asked_;

@@ -12,9 +12,10 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/engine/engine.hpp>
-#include <loopwise/engine/observability.hpp>
+#include <loopwise/engine/scan_insight.hpp>
 #include <loopwise/optimization/gnc.hpp>
 
+#include "account.hpp"
 #include "batch_computation.hpp"
 #include "journal.hpp"
 #include "mission_feed.hpp"
@@ -27,9 +28,9 @@ namespace {
 RoundRobinQueue queue_of(const Robots& robots, const ReplayOptions& options, const Registration& registration,
                          const PrioritizerFactory& own) {
   if (own) return RoundRobinQueue(own());
-  return RoundRobinQueue(make_prioritizers(
-      options.prioritization, options.engine.seed, robots,
-      observability_of(*registration.features, options.prioritization.observability.variant)));
+  return RoundRobinQueue(
+      make_prioritizers(options.prioritization, options.engine.seed, robots,
+                        scan_insight(*registration.features, options.prioritization.observability.variant)));
 }
 
 OptimizerOptions with_threads(OptimizerOptions options, int threads) {
@@ -95,7 +96,10 @@ class Run {
   [[nodiscard]] const CandidateAccounting& account() const { return engine_.pool().accounting(); }
 
   void feed(Event event) {
-    for (Effect& effect : engine_.handle(std::move(event), now_s_)) {
+    const Stopwatch watch;
+    std::vector<Effect> effects = engine_.handle(std::move(event), now_s_);
+    result_.decision_s += watch.seconds();
+    for (Effect& effect : effects) {
       std::visit([this](auto& e) { carry_out(e); }, effect);
     }
   }
@@ -257,12 +261,7 @@ class Run {
     feed(event::BatchDone{not_computed()});
     feed(event::Settle{});
     const CandidatePool& pool = engine_.pool();
-    result_.accounting = pool.accounting();
-    result_.pruned = pool.pruned_reasons();
-    result_.expired = pool.expired_reasons();
-    for (std::size_t i = 0; i < pool.queue().prioritizers().size(); ++i) {
-      result_.handed_out.emplace_back(pool.queue().prioritizers()[i]->name(), pool.queue().handed_out()[i]);
-    }
+    take_account(pool, result_);
     result_.mission_time_s = now_s_;
     result_.registration_s = computation_.seconds();
     result_.problems.add(mission_.scans->problems());

@@ -5,6 +5,8 @@
 ///     loopwise_prioritization_bench annealing GRAPH.g2o        Algorithm 1 on |L| = 500, B = 250, exact
 ///     loopwise_prioritization_bench holding GRAPH.g2o          the two ways to hold blocks, by |L|
 ///     loopwise_prioritization_bench first-batch POSES L B THREADS   sketch, shortlist and greedy choice
+///     loopwise_prioritization_bench choosing POSES L BATCHES THREADS   batches of 100, expected against gi
+///     loopwise_prioritization_bench signatures                 of scans: to make, and a pair
 ///     loopwise_prioritization_bench sketch GRAPH.g2o           error of the probes
 ///     loopwise_prioritization_bench gnn GRAPH.g2o WEIGHTS.json swap evaluations of the network
 #include <sys/resource.h>
@@ -22,6 +24,8 @@
 
 #include <loopwise/core/random.hpp>
 #include <loopwise/optimization/marginals.hpp>
+#include <loopwise/prioritization/expected.hpp>
+#include <loopwise/prioritization/gnn.hpp>
 #include <loopwise/prioritization/graph_information.hpp>
 
 #include "optimization_graphs.hpp"
@@ -183,6 +187,103 @@ void first_batch(std::size_t poses, std::size_t count, std::size_t batch, int th
       status.value, marginals(graph).trace_translation, memory_mb());
 }
 
+/// A sweep of a street: its ground and its walls.
+PointCloud sweep(std::size_t points, std::uint64_t seed) {
+  Rng rng(seed);
+  PointCloud cloud;
+  for (std::size_t i = 0; i < points; ++i) {
+    const double x = 60.0 * rng.normal() * 0.4, y = i % 3 == 0   ? 8.0 * rng.uniform(-1.0, 1.0)
+                                                    : i % 3 == 1 ? 8.0
+                                                                 : -8.0;
+    cloud.points.emplace_back(x, y, i % 3 == 0 ? 0.0 : 6.0 * rng.uniform());
+  }
+  return cloud;
+}
+
+void signatures() {
+  constexpr int kScans = 200, kPairs = 200000;
+  for (const std::size_t points : {1500U, 30000U, 120000U}) {
+    std::vector<PointCloud> clouds;
+    for (std::uint64_t k = 0; k < 10; ++k) clouds.push_back(sweep(points, k));
+    std::vector<ScanSignature> made(10);
+    double start = cpu();
+    for (int k = 0; k < kScans; ++k) made[k % 10] = ScanSignature(clouds[k % 10]);
+    const double to_make = (cpu() - start) / kScans;
+    Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+    double sum = 0.0;
+    start = cpu();
+    for (int k = 0; k < kPairs; ++k) {
+      T.translation().x() = 1e-4 * k;
+      sum += predicted_overlap(made[k % 10], made[(k / 10) % 10], T);
+    }
+    const double pair = (cpu() - start) / kPairs;
+    std::printf("sweep of %zu points: signature %.3f ms, %zu bytes; a pair %.2f us (mean overlap %.2f)\n",
+                points, 1e3 * to_make, made[0].bytes(), 1e6 * pair, sum / kPairs);
+  }
+}
+
+/// Batches of 100 while a graph gets closures and moves: the time of the first, and of the others.
+void choosing_by(Prioritizer& method, PoseGraph graph, const std::vector<LoopCandidate>& candidates,
+                 int batches) {
+  Rng rng(7);
+  std::vector<double> seconds;
+  const double before = memory_mb();
+  for (int b = 0; b < batches; ++b) {
+    const double start = wall();
+    method.on_graph(graph);
+    if (b == 0 && !method.add(candidates).empty()) std::abort();
+    method.improve(100, {}, 0);
+    const auto batch = method.take(100);
+    seconds.push_back(wall() - start);
+    std::vector<Edge> closures;
+    for (const LoopCandidate& candidate : batch) {
+      RegistrationResult result;
+      result.candidate = candidate;
+      result.reason = RejectionReason::kLowOverlap;
+      if (rng.uniform() < 0.5) {
+        Edge edge;
+        edge.from = candidate.from;
+        edge.to = candidate.to;
+        edge.T_from_to = graph.node(edge.from).pose.inverse() * graph.node(edge.to).pose;
+        edge.information = closure_model({}).covariance.inverse();
+        closures.push_back(edge);
+        result.reason = RejectionReason::kNone;
+        result.closure = LoopClosure{edge.from, edge.to, edge.T_from_to};
+      }
+      method.on_result(result);
+    }
+    for (const Edge& edge : closures) graph.add_edge(edge);
+    for (std::size_t i = 0; i < graph.nodes().size(); ++i) {
+      Eigen::Isometry3d pose = graph.nodes()[i].pose;
+      pose.translation() += 0.02 * Eigen::Vector3d(rng.normal(), rng.normal(), rng.normal());
+      graph.set_pose(graph.nodes()[i].key, pose);
+    }
+  }
+  std::vector<double> later(seconds.begin() + 1, seconds.end());
+  std::sort(later.begin(), later.end());
+  std::printf("%-9s first batch %.2f s, later ones %.3f s (median; at most %.3f), %.0f MB more\n",
+              std::string(method.name()).c_str(), seconds[0], later[later.size() / 2], later.back(),
+              memory_mb() - before);
+}
+
+void choosing(std::size_t poses, std::size_t count, int batches, int threads) {
+  const PoseGraph graph = bare(bench::streets(poses, 0, 4, 1).graph);
+  const auto candidates = nearby_pairs(graph, count, 0.0, 1);
+  ClosureModelOptions closures;
+  closures.threads = threads;
+  std::printf("%zu poses, %zu candidates, %d threads, wall time\n", graph.nodes().size(), candidates.size(),
+              threads);
+  const auto signature = [](const KeyedScan& scan) { return ScanSignature(sweep(2000, scan.key)); };
+  Robot robot;
+  robot.name = "all";
+  robot.last = ~Key{0};
+  ExpectedPrioritizer expected({}, closures, Robots({robot}), signature, 1);
+  for (const Node& node : graph.nodes()) expected.on_scan({node.key, 0, nullptr});
+  choosing_by(expected, graph, candidates, batches);
+  GraphInformationPrioritizer gi({}, closures, {});
+  choosing_by(gi, graph, candidates, batches);
+}
+
 void sketch(const std::string& path) {
   const PoseGraph graph = bare(bench::read_bench_graph(path).graph);
   const auto candidates = nearby_pairs(graph, 1000, 30.0, 1);
@@ -241,12 +342,17 @@ int main(int argc, char** argv) {
     holding(words[1]);
   } else if (what == "first-batch" && words.size() == 5) {
     first_batch(std::stoul(words[1]), std::stoul(words[2]), std::stoul(words[3]), std::stoi(words[4]));
+  } else if (what == "choosing" && words.size() == 5) {
+    choosing(std::stoul(words[1]), std::stoul(words[2]), std::stoi(words[3]), std::stoi(words[4]));
+  } else if (what == "signatures" && words.size() == 1) {
+    signatures();
   } else if (what == "sketch" && words.size() == 2) {
     sketch(words[1]);
   } else if (what == "gnn" && words.size() == 3) {
     gnn(words[1], words[2]);
   } else {
-    std::cerr << "annealing GRAPH | holding GRAPH | first-batch POSES L B THREADS | sketch GRAPH | gnn GRAPH "
+    std::cerr << "annealing GRAPH | holding GRAPH | first-batch POSES L B THREADS | choosing POSES L BATCHES "
+                 "THREADS | signatures | sketch GRAPH | gnn GRAPH "
                  "WEIGHTS\n";
     return 2;
   }

@@ -81,7 +81,8 @@ TEST_CASE("proximity: every preset equals the definition", "[generation][propert
       CAPTURE(name, seed);
       Rng rng(seed);
       const std::vector<Node> nodes = random_nodes(rng, 500, 150.0);
-      const ProximityOptions options = proximity_preset(name);
+      ProximityOptions options = proximity_preset(name);
+      options.spacing_m = 0.0;
       ProximityGenerator generator(options, parse_robots("a,b"));
       PoseGraph graph;
       const auto pairs = generate(generator, graph, nodes);
@@ -95,9 +96,11 @@ TEST_CASE("proximity: large worlds use the grid and still equal the definition",
   Rng rng(4);
   const std::vector<Node> nodes = random_nodes(rng, 6000, 2000.0);
   for (const char* name : {"lamp_base", "lamp_robot"}) {
-    ProximityGenerator generator(proximity_preset(name), parse_robots("a,b"));
+    ProximityOptions options = proximity_preset(name);
+    options.spacing_m = 0.0;
+    ProximityGenerator generator(options, parse_robots("a,b"));
     PoseGraph graph;
-    REQUIRE(generate(generator, graph, nodes) == brute_force(nodes, proximity_preset(name)));
+    REQUIRE(generate(generator, graph, nodes) == brute_force(nodes, options));
   }
 }
 
@@ -109,6 +112,47 @@ TEST_CASE("proximity: nodes that arrive late are proposed like any other", "[gen
   REQUIRE(generator.on_node(graph, make_key('a', 40), 0.0).empty());
   graph.add_node(node_at(make_key('a', 5), Eigen::Vector3d(6.9, 0, 0)));  // radius 0.2 · 35 = 7 m
   REQUIRE(generator.on_node(graph, make_key('a', 5), 0.0).size() == 1);
+}
+
+TEST_CASE("proximity: of nodes close together on a path some take part", "[generation]") {
+  // Twice round a square of 40 m with a node every 0.25 m, standing still for a while at each corner.
+  const auto candidates_of = [](const ProximityOptions& options, bool turns) {
+    ProximityGenerator generator(options, parse_robots("a"));
+    PoseGraph graph;
+    std::set<Key> taking_part;
+    std::size_t candidates = 0;
+    std::uint64_t next = 0;
+    const auto add = [&](const Eigen::Vector3d& position, double yaw) {
+      Node node = node_at(make_key('a', next++), position);
+      node.pose.linear() = se3::so3_exp(Eigen::Vector3d(0.0, 0.0, turns ? yaw : 0.0));
+      graph.add_node(node);
+      for (const LoopCandidate& c : generator.on_node(graph, node.key, 0.0)) {
+        taking_part.insert({c.from, c.to});
+        ++candidates;
+      }
+    };
+    const Eigen::Vector3d corners[] = {{0, 0, 0}, {40, 0, 0}, {40, 40, 0}, {0, 40, 0}};
+    for (int side = 0; side < 8; ++side) {
+      const Eigen::Vector3d from = corners[side % 4], to = corners[(side + 1) % 4];
+      for (int i = 0; i < 160; ++i) add(from + i / 160.0 * (to - from), 1.5 * side);
+      for (int i = 0; i < 20; ++i) add(to, 1.5 * side + 0.075 * i);
+    }
+    return std::pair(candidates, taking_part.size());
+  };
+  ProximityOptions all = proximity_preset("lamp_base");
+  all.spacing_m = 0.0;
+  const auto [every, every_node] = candidates_of(all, false);
+  ProximityOptions apart = proximity_preset("lamp_base");
+  apart.spacing_m = 0.99;  // 1 m but for rounding
+  const auto [some, some_nodes] = candidates_of(apart, false);
+  REQUIRE(every_node == 1440);
+  REQUIRE(some_nodes <= 321);  // one a metre
+  REQUIRE(some_nodes >= 310);
+  REQUIRE(some < every / 12);
+  // Turning on the spot shows other things: 1.5 rad at each corner are one or two more nodes.
+  const auto [turned, turned_nodes] = candidates_of(apart, true);
+  REQUIRE(turned_nodes >= some_nodes + 8);
+  REQUIRE(turned_nodes <= some_nodes + 8 * 3);
 }
 
 TEST_CASE("proximity: distances follow the current estimate", "[generation]") {
@@ -129,6 +173,7 @@ TEST_CASE("proximity: nodes that move are proposed where they are, as the defini
       CAPTURE(name, count);
       Rng rng(8);
       ProximityOptions options = proximity_preset(name);
+      options.spacing_m = 0.0;
       options.n_closest = 0;  // counts for each node that moves
       if (options.radius_max_m == 0.0) options.radius_max_m = 100.0;
       std::vector<Node> nodes = random_nodes(rng, count, 10.0 * std::sqrt(count));

@@ -187,36 +187,6 @@ TEST_CASE("covariance objective: a factor scales information, and gains to first
   REQUIRE(doubtful.remove_change(3) == 0.0);
 }
 
-TEST_CASE("covariance objective: expected gains of candidates that may fail", "[prioritization][graph]") {
-  Rng rng(6);
-  const PoseGraph graph = testing::random_graph(rng).graph;
-  const auto candidates = random_candidates(graph, 25, rng);
-  ClosureModelOptions options;
-  options.sigma_m = options.sigma_rad = GENERATE(0.01, 0.1, 10.0);
-  ClosureModel model = closure_model(options);
-  std::vector<double> p;
-  for (std::size_t i = 0; i < candidates.size(); ++i) p.push_back(static_cast<double>(i % 5) / 4.0);
-  const std::size_t probes = 8192;  // so many that the sketch is near the truth
-  const std::vector<double> sure = sketched_gains(graph, candidates, options, model, probes);
-  const ExpectedGains expected = expected_gains(graph, candidates, options, model, p, probes);
-  model.information_factors = expected.information_factors;
-  CovarianceObjective objective(graph, candidates, options, model);
-  const std::vector<double> sketched = sketched_gains(graph, candidates, options, model, probes);
-  const std::vector<double> exact = objective.add_changes();
-  for (std::size_t i = 0; i < candidates.size(); ++i) {
-    REQUIRE(expected.gains[i] == Approx(p[i] * sure[i]).epsilon(1e-12));
-    REQUIRE(sketched[i] == Approx(expected.gains[i]).epsilon(1e-6).margin(1e-15));  // of the same probes
-    REQUIRE(-exact[i] == Approx(expected.gains[i]).epsilon(0.15).margin(1e-9));
-    REQUIRE(expected.information_factors[i] <= p[i] + 1e-12);
-  }
-  REQUIRE(expected_gains(graph, candidates, options, model, {}, 64).information_factors ==
-          std::vector<double>(candidates.size(), 1.0));
-  p[3] = 1.5;
-  REQUIRE_THROWS_AS(expected_gains(graph, candidates, options, model, p), InputError);
-  p.pop_back();
-  REQUIRE_THROWS_AS(expected_gains(graph, candidates, options, model, p), InputError);
-}
-
 TEST_CASE("covariance objective: parts without a prior count for themselves, what ties them comes apart",
           "[prioritization][graph]") {
   // Two chains; the first has a prior, the second floats. A third node floats alone.

@@ -6,7 +6,6 @@
 #include <set>
 
 #include <loopwise/core/error.hpp>
-#include <loopwise/prioritization/acceptance.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 #include <loopwise/prioritization/round_robin_queue.hpp>
 #include <loopwise/prioritization/rssi.hpp>
@@ -49,7 +48,6 @@ TEST_CASE("graph information: hands out a set that lowers the trace, each candid
   const auto candidates = candidates_of(graph, 60);
   GraphInformationOptions options;
   options.selector = selector;
-  options.acceptance = Acceptance::kSure;
   GraphInformationPrioritizer gi(options, {}, {});
   REQUIRE(gi.add(candidates).empty());
   REQUIRE(gi.take(5).empty());  // no graph yet: held back
@@ -234,103 +232,6 @@ TEST_CASE("graph information: covariance of the closures verified so far", "[pri
   REQUIRE(gi.sketch().at(0) == uninformative);
   gi.on_result(RegistrationResult{});
   REQUIRE(gi.take(3).size() == 3);
-}
-
-TEST_CASE("graph information: learns where candidates fail", "[prioritization][gi]") {
-  // A robot drives along two walls 8 m apart and back. Candidates of the half near its start, which would
-  // be worth most, always fail.
-  PoseGraph graph;
-  const auto at = [](double x, double y) {
-    Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-    T.translation() << x, y, 0.0;
-    return T;
-  };
-  for (Key key = 0; key < 80; ++key) {
-    Node node;
-    node.key = key;
-    const auto i = static_cast<double>(key);
-    node.pose = key < 40 ? at(2.0 * i, 0.0) : at(2.0 * (79.0 - i), 8.0);
-    graph.add_node(node);
-    if (key == 0) continue;
-    Edge edge;
-    edge.from = key - 1;
-    edge.to = key;
-    edge.T_from_to = graph.node(key - 1).pose.inverse() * node.pose;
-    edge.information = 400.0 * Matrix6d::Identity();
-    graph.add_edge(edge);
-  }
-  graph.add_prior({0, graph.node(0).pose, 1e6 * Matrix6d::Identity()});
-  std::vector<LoopCandidate> candidates;
-  for (Key older = 0; older < 40; ++older) {
-    for (int k = -3; k <= 3; ++k) {
-      const auto newer = static_cast<std::int64_t>(79 - older) + k;
-      if (newer < 40 || newer >= 80) continue;
-      LoopCandidate c;
-      c.id = candidates.size();
-      c.from = static_cast<Key>(newer);
-      c.to = older;
-      candidates.push_back(c);
-    }
-  }
-  const auto verified = [&](Acceptance acceptance) {
-    GraphInformationOptions options;
-    options.acceptance = acceptance;
-    GraphInformationPrioritizer gi(options, {}, {});
-    gi.on_graph(graph);
-    REQUIRE(gi.add(candidates).empty());
-    std::size_t count = 0;
-    for (int round = 0; round < 10; ++round) {
-      gi.improve(5, {}, 200);
-      for (const LoopCandidate& c : gi.take(5)) {
-        RegistrationResult result;
-        result.candidate = c;
-        result.reason = RejectionReason::kGicpFitness;
-        if (c.to >= 20) {
-          result.reason = RejectionReason::kNone;
-          result.closure = LoopClosure{c.from, c.to, {}, 0.01 * Matrix6d::Identity()};
-          ++count;
-        }
-        gi.on_result(result);
-      }
-      gi.on_graph(graph);
-    }
-    return count;
-  };
-  REQUIRE(verified(Acceptance::kLearned) > verified(Acceptance::kSure));
-}
-
-TEST_CASE("acceptance: shares by distance and by place", "[prioritization][gi]") {
-  AcceptanceModel model(10.0);
-  const Eigen::Vector3d a(1.0, 2.0, 0.0), b(5.0, 2.0, 0.0), elsewhere(55.0, 2.0, 0.0);
-  REQUIRE(model.probability(1.0, a, b) > model.probability(12.0, a, b));
-  const double before = model.probability(4.0, a, b);
-  for (int k = 0; k < 6; ++k) model.add(4.0, a, b, false);
-  REQUIRE(model.probability(4.0, a, b) < 0.5 * before);
-  REQUIRE(model.probability(4.0, b, a) == model.probability(4.0, a, b));
-  // Elsewhere the distance alone speaks, and less loudly; other distances are not touched there.
-  REQUIRE(model.probability(4.0, a, elsewhere) > model.probability(4.0, a, b));
-  REQUIRE(model.probability(4.0, a, elsewhere) < before);
-  REQUIRE(model.probability(12.0, a, elsewhere) == AcceptanceModel(10.0).probability(12.0, a, elsewhere));
-  for (int k = 0; k < 1000; ++k) model.add(12.0, elsewhere, elsewhere, k % 4 == 0);
-  REQUIRE(model.probability(12.0, elsewhere, elsewhere) == Approx(0.25).margin(0.005));
-  REQUIRE(model.probability(1e6, a, b) > 0.0);
-  REQUIRE_THROWS_AS(AcceptanceModel(0.0), OptionError);
-}
-
-TEST_CASE("acceptance: places as far off as numbers go", "[prioritization][gi][error]") {
-  const Eigen::Vector3d a(1.0, 2.0, 0.0);
-  for (const double far : {1e19, 1e300, std::numeric_limits<double>::infinity()}) {
-    CAPTURE(far);
-    AcceptanceModel model(1e-3);
-    const Eigen::Vector3d one_way(far, 0.0, 0.0), the_other(-far, 0.0, 0.0);
-    for (int k = 0; k < 6; ++k) model.add(4.0, a, one_way, false);
-    const double there = model.probability(4.0, a, one_way);
-    REQUIRE(there > 0.0);
-    REQUIRE(there < model.probability(4.0, a, the_other));
-    REQUIRE(model.probability(4.0, a, the_other) == model.probability(4.0, a, a));
-  }
-  const AcceptanceModel model(10.0);
-  REQUIRE(model.probability(4.0, a, Eigen::Vector3d::Constant(std::nan(""))) == model.probability(4.0, a, a));
 }
 
 TEST_CASE("graph information: bad input", "[prioritization][gi][error]") {

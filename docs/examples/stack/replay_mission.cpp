@@ -7,7 +7,7 @@ int main(int, char** argv) {
   using namespace loopwise;
   const Mission mission = read_mission(argv[1]);
   ReplayOptions options;
-  options.prioritization.method = parse_method("full");
+  options.prioritization.method = parse_method("expected");
   const ReplayResult result = replay(mission, options);
   for (const ComputedCandidate& computed : result.computed) {
     const LoopCandidate& pair = computed.result.candidate;

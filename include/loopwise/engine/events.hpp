@@ -23,6 +23,7 @@
 #include <loopwise/core/registration_result.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/core/stop_token.hpp>
+#include <loopwise/features/scan_signature.hpp>
 #include <loopwise/generation/radio.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/registration/registrar.hpp>
@@ -130,13 +131,15 @@ using Event =
                  event::Tick, event::Improve, event::Choose, event::Settle, event::NoMoreScans>;
 
 /// An event that an engine has handled. Holds during the call alone. Another engine that is fed the same
-/// events, times and observabilities comes to the same graph and closures, to the bit.
+/// events, times and insights into scans comes to the same graph and closures, to the bit.
 struct HandledEvent {
   const Event& event;  ///< An event::Improve has as `max_evaluations` what was used.
   double now_s = 0.0;  ///< By the driver's clock, s.
   /// Smallest eigenvalue of the observability matrix of the scan that came with the event, if the method
   /// asked for it.
-  std::optional<double> observability;
+  std::optional<double> observability = std::nullopt;
+  /// Signature of that scan, if the method asked for it.
+  std::optional<ScanSignature> signature = std::nullopt;
 };
 
 /// What can be told of an event by itself, before the engine has it: numbers, keys, information. Clouds are

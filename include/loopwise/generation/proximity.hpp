@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <map>
 #include <string>
 #include <string_view>
 #include <unordered_map>
@@ -25,6 +26,8 @@ struct ProximityOptions {
   double radius_max_m = 30.0;
   std::int64_t skip_recent = 10;
   std::int64_t n_closest = 0;
+  double spacing_m = 1.0;
+  double spacing_rad = 0.5;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -36,6 +39,11 @@ struct ProximityOptions {
           "Nodes of one robot are left out unless their indices differ by at least this much.");
     field("n_closest", self.n_closest, at_least(0.0),
           "Only so many of the nearest, for each new node; 0: all.");
+    field("spacing_m", self.spacing_m, at_least(0.0),
+          "Nodes nearer than this to the last one of their robot that takes part take none, unless they are "
+          "turned, m; 0: all take part.");
+    field("spacing_rad", self.spacing_rad, at_least(0.0),
+          "A node that is turned by this against the last one of its robot takes part, however near, rad.");
   }
 };
 
@@ -49,7 +57,9 @@ LOOPWISE_EXPORT void validate_proximity(const ProximityOptions& options);
 /// The presets' names.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> proximity_preset_names();
 
-/// Proposes older nodes within a radius of the current estimate, ordered by their arrival. Positions are kept
+/// Proposes older nodes within a radius of the current estimate, ordered by their arrival. Of nodes that lie
+/// close on a path only some take part, see ProximityOptions::spacing_m: the others say the same again, and
+/// are held by odometry. Positions are kept
 /// in a hash grid: a new node costs the nodes near it, not all nodes; a new estimate re-sorts them in O(n).
 class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
  public:
@@ -60,7 +70,8 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
   [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
   void on_graph(const PoseGraph& graph) override;
   /// Nodes that on_node() had, and that are elsewhere now: all that is near them where they are, whichever
-  /// came first, by the index of that which came later; the closest of each of them.
+  /// came first, by the index of that which came later; the closest of each of them. Nodes of
+  /// the same robots that took no part do so now if they have come away from the others on the path.
   [[nodiscard]] std::vector<LoopCandidate> on_moved(const PoseGraph& graph, const std::vector<Key>& keys,
                                                     double time_s);
 
@@ -71,6 +82,10 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
     std::uint64_t index;  ///< Among the robot's own nodes.
     Eigen::Vector3d position;
   };
+  /// Whether a node is far enough from those before and after it on its robot's path that take part.
+  [[nodiscard]] bool takes_part(const PoseGraph& graph, Key key) const;
+  /// A node takes part from now on. \returns what is near it
+  std::vector<LoopCandidate> take_in(const PoseGraph& graph, Key key, double time_s);
   using Cell = Eigen::Vector3i;
   struct CellHash {
     std::size_t operator()(const Cell& cell) const;
@@ -86,7 +101,9 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
 
   ProximityOptions options_;
   Robots robots_;
-  std::vector<std::uint64_t> highest_index_;  ///< By robot, of the nodes that arrived.
+  std::vector<std::uint64_t> highest_index_;            ///< By robot, of the nodes that arrived.
+  std::vector<std::map<std::uint64_t, Key>> path_;      ///< By robot: nodes that take part, by index.
+  std::vector<std::map<std::uint64_t, Key>> left_out_;  ///< The other ones.
   double cell_m_;
   std::vector<Entry> entries_;  ///< In order of arrival.
   std::unordered_map<Key, std::size_t> number_of_;

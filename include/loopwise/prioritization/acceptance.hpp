@@ -1,43 +1,88 @@
 // SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// How likely a candidate becomes a closure, learned while a mission runs.
 #pragma once
 
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <unordered_map>
-
-#include <Eigen/Core>
+#include <deque>
+#include <limits>
+#include <utility>
+#include <vector>
 
 #include <loopwise/core/export.hpp>
 
 namespace loopwise {
 
-/// How likely a candidate becomes a closure once it is computed, learned from what came of others: from those
-/// whose nodes were as far apart, and from those between the same two places. Shares of few are drawn towards
-/// the wider group, which is the mean of a beta-binomial model: between two places p = (s + a·p_d)/(n + a),
-/// with s of n accepted there and p_d that of the distance, itself drawn towards a first guess that falls
-/// with it.
+/// What is known of a candidate before it is computed.
+struct CandidateEvidence {
+  /// predicted_overlap() of the two scans at the guess, in [0, 1]; NaN if a scan is missing.
+  double overlap = std::numeric_limits<double>::quiet_NaN();
+  double distance_m = 0.0;  ///< Between the nodes, by the estimate.
+  /// A place recognition or a radio beacon proposed it: then neither distance nor overlap at the guess say
+  /// much.
+  bool from_outside = false;
+};
+
+/// A chance by evidence: a logistic model whose weights begin at those of simulated missions and follow the
+/// results of the run, as the maximum of the posterior. The prior of the weights stands for `prior_strength`
+/// results. The same results in the same order give the same model. One tells whether a candidate is
+/// verified, another whether a verified closure is right: robust optimisation believes it.
 class LOOPWISE_EXPORT AcceptanceModel {
  public:
-  /// \throws OptionError unless `cell_m`, the size of a place, is finite and > 0.
-  explicit AcceptanceModel(double cell_m);
+  static constexpr std::size_t kTerms = 6;          ///< Of the model, the constant one included.
+  using Terms = std::array<double, kTerms>;         ///< One number a term.
+  static constexpr double kDefaultStrength = 50.0;  ///< See prior_strength().
 
-  /// A computed candidate between two positions, which the estimate before had `distance_m` apart.
-  void add(double distance_m, const Eigen::Vector3d& from, const Eigen::Vector3d& to, bool accepted);
+  /// With weights to begin with: shipped_verified(), shipped_right(), or others. \throws OptionError on one
+  /// that is not finite, or a strength that is not finite and > 0
+  explicit AcceptanceModel(const Terms& weights, double prior_strength = kDefaultStrength);
 
-  /// In (0, 1). Before anything is known 0.5·exp(−distance / 15 m).
-  [[nodiscard]] double probability(double distance_m, const Eigen::Vector3d& from,
-                                   const Eigen::Vector3d& to) const;
+  /// The chance, in (0, 1).
+  [[nodiscard]] double probability(const CandidateEvidence& evidence) const;
+
+  /// Fits the weights anew. `results` has the evidence and the outcome of all that counts.
+  void fit(const std::vector<std::pair<CandidateEvidence, bool>>& results);
+
+  /// The weights as they stand, one for each term.
+  [[nodiscard]] const Terms& weights() const { return weights_; }
+  /// The terms that the evidence comes to.
+  [[nodiscard]] static Terms terms(const CandidateEvidence& evidence);
+  /// Names of the terms, in order.
+  [[nodiscard]] static std::array<const char*, kTerms> term_names();
+  /// That a candidate is verified, fitted to simulated missions, see docs/prioritization.md.
+  [[nodiscard]] static const Terms& shipped_verified();
+  /// That a verified closure is right, likewise.
+  [[nodiscard]] static const Terms& shipped_right();
 
  private:
-  struct Share {
-    double accepted = 0.0, count = 0.0;
-  };
-  [[nodiscard]] std::uint64_t places(const Eigen::Vector3d& from, const Eigen::Vector3d& to) const;
+  Terms prior_;
+  double strength_;
+  Terms weights_;
+};
 
-  double cell_m_;
-  std::array<Share, 8> by_distance_{};
-  std::unordered_map<std::uint64_t, Share> by_places_;
+/// How well chances that were said beforehand agree with what came.
+class LOOPWISE_EXPORT Calibration {
+ public:
+  /// Chances of one tenth.
+  struct Bin {
+    std::size_t count = 0;     ///< Of results.
+    std::size_t verified = 0;  ///< Of them, verified.
+    double expected = 0.0;     ///< Sum of the chances that were said.
+  };
+
+  /// A result of which `probability` was said.
+  void add(double probability, bool verified);
+  /// Mean squared difference between chance and outcome, in [0, 1]; NaN without results.
+  [[nodiscard]] double brier() const;
+  /// The reliability table: chances of [0, 0.1), [0.1, 0.2), …
+  [[nodiscard]] const std::array<Bin, 10>& bins() const { return bins_; }
+
+ private:
+  std::array<Bin, 10> bins_{};
+  double squares_ = 0.0;
+  std::size_t count_ = 0;
 };
 
 }  // namespace loopwise

@@ -62,8 +62,8 @@ struct ClosureModelOptions {
 /// the sigmas or a covariance.
 struct ClosureModel {
   Matrix6d covariance;  ///< Of every candidate, [translation, rotation], m² and rad².
-  /// Factor of each candidate's information, in [0, 1]; empty: 1. Below 1 for candidates that may fail, see
-  /// expected_gains().
+  /// Factor of each candidate's information, in [0, 1]; empty: 1. Below 1 for those that would be less
+  /// certain.
   std::vector<double> information_factors;
 };
 
@@ -155,24 +155,6 @@ class LOOPWISE_EXPORT LogDetObjective final : public GraphObjective {
 [[nodiscard]] LOOPWISE_EXPORT std::vector<double> sketched_gains(
     const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const ClosureModelOptions& options,
     const ClosureModel& model, std::size_t probes = 64, std::uint64_t seed = 1);
-
-/// What candidates that may fail promise.
-struct ExpectedGains {
-  std::vector<double> gains;  ///< p · gain of the closure
-  /// Factor of each one's information with which an objective gives it that gain on the bare graph: sets of
-  /// them have a value, less than that of sure closures, and what repeats a doubtful closure keeps some of
-  /// its own. p itself where the closure gains little, far less where it gains much.
-  std::vector<double> information_factors;
-};
-
-/// As sketched_gains(), of candidates that are accepted with the probabilities `p_accept`, once computed;
-/// empty: 1. The model's own factors are not looked at. \throws InputError on a probability out of [0, 1].
-[[nodiscard]] LOOPWISE_EXPORT ExpectedGains expected_gains(const PoseGraph& graph,
-                                                           const std::vector<LoopCandidate>& candidates,
-                                                           const ClosureModelOptions& options,
-                                                           const ClosureModel& model,
-                                                           const std::vector<double>& p_accept,
-                                                           std::size_t probes = 64, std::uint64_t seed = 1);
 
 /// Up to `count` candidates that promise most and lie spread over the graph: within each pair of cells of
 /// `cell_m` that candidates join the best by gain, then the second best of each, and so on, each round by

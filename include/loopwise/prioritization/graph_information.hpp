@@ -60,21 +60,11 @@ enum class ClosureCovariance {
   return {{ClosureCovariance::kSigmas, "sigmas"}, {ClosureCovariance::kMedian, "median"}};
 }
 
-/// Whether a candidate counts as what it may fail to become.
-enum class Acceptance {
-  kSure,     ///< As a closure: the paper's way.
-  kLearned,  ///< By its chance to become one, learned from those computed so far, see AcceptanceModel.
-};
-[[nodiscard]] inline EnumNames<Acceptance> enum_names(Acceptance) {
-  return {{Acceptance::kSure, "sure"}, {Acceptance::kLearned, "learned"}};
-}
-
 /// How graph information chooses its sets.
 struct GraphInformationOptions {
   ObjectiveKind objective = ObjectiveKind::kCovariance;
   SelectorKind selector = SelectorKind::kGreedyAnnealing;
   ClosureCovariance covariance = ClosureCovariance::kSigmas;
-  Acceptance acceptance = Acceptance::kLearned;
   double shortlist = 4.0;
   std::int64_t probes = 64;
   double cell_m = 10.0;
@@ -90,14 +80,11 @@ struct GraphInformationOptions {
           "How the set is chosen: greedy_annealing, greedy, annealing, separated or largest_covariance.");
     field("covariance", self.covariance, any_value(),
           "Covariance of a hypothetical closure: sigmas, or median of those verified so far.");
-    field("acceptance", self.acceptance, any_value(),
-          "A candidate counts as a closure (sure), or by its chance to become one (learned).");
     field("shortlist", self.shortlist, at_least(1.0),
           "The set is chosen among this many times its size, by sketched gains and spread over the graph.");
     field("probes", self.probes, at_least(1),
           "Random probes of the sketch; the error is about sqrt(2 / probes).");
-    field("cell_m", self.cell_m, above(0.0),
-          "Cells that the shortlist is spread over, and places of acceptance, m.");
+    field("cell_m", self.cell_m, above(0.0), "Cells that the shortlist is spread over, m.");
     field("max_wait_s", self.max_wait_s, at_least(0.0),
           "Candidates to nodes that the graph does not have are given up after this, s; 0: never.");
     field("gnn_weights", self.gnn_weights, any_value(),
@@ -110,9 +97,8 @@ struct GraphInformationOptions {
 
 /// Chooses sets that lower the uncertainty of the whole graph (paper §III-B). The set is chosen among all
 /// pending candidates, or, when they are many, a shortlist; improve() makes it better for as long as it may.
-/// Far most candidates of a mission never become closures, the less the more they would be worth: with
-/// acceptance by chance a set lowers what the graph's uncertainty is expected to be. A verified closure that
-/// robust optimisation does not believe counts as failed.
+/// Every candidate counts as the closure that it would be: the paper's way. ExpectedPrioritizer weighs the
+/// chance that it becomes one.
 ///
 /// A set belongs to the candidates, the graph and the count that it was chosen for: when one of them has
 /// changed, the next improve() or take() starts anew.
@@ -157,12 +143,6 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
 
  private:
   struct Prepared;
-  /// What came of a candidate.
-  struct Computed {
-    Key from = 0, to = 0;
-    double distance_m = 0.0;  // by the estimate before
-    bool verified = false;
-  };
   void prepare(std::size_t count);
   void choose(Prepared& prepared, std::size_t count);
   /// The next of them, to `count` in `out`; what `held_` had of them goes to `taken`.
@@ -170,7 +150,6 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
             std::vector<LoopCandidate>& out);
   void finish();
   [[nodiscard]] ClosureModel model() const;
-  [[nodiscard]] std::vector<double> chances(const std::vector<LoopCandidate>& candidates) const;
 
   GraphInformationOptions options_;
   ClosureModelOptions closure_options_;
@@ -182,7 +161,6 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
   std::map<CandidateId, LoopCandidate> held_;     // in order of generation
   std::map<CandidateId, LoopCandidate> unknown_;  // of them, those with a node that the graph does not have
   std::vector<Vector6d> accepted_;                // diagonals of the covariances of verified closures
-  std::vector<Computed> computed_;
   std::unique_ptr<Prepared> prepared_;
   std::uint64_t round_ = 0;  // sets chosen so far: each has its own seed
   Status status_;

@@ -14,6 +14,7 @@
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/prioritization/covariance_objective.hpp>
+#include <loopwise/prioritization/expected.hpp>
 #include <loopwise/prioritization/graph_information.hpp>
 #include <loopwise/prioritization/observability.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
@@ -28,13 +29,14 @@ enum class PrioritizerKind {
   kObservability,     ///< ObservabilityPrioritizer
   kGraphInformation,  ///< GraphInformationPrioritizer
   kRssi,              ///< RssiPrioritizer
+  kLikely,            ///< ExpectedPrioritizer, by the chance alone.
+  kExpected,          ///< ExpectedPrioritizer
 };
 [[nodiscard]] inline EnumNames<PrioritizerKind> enum_names(PrioritizerKind) {
-  return {{PrioritizerKind::kArrival, "baseline"},
-          {PrioritizerKind::kRandom, "random"},
-          {PrioritizerKind::kObservability, "obs"},
-          {PrioritizerKind::kGraphInformation, "gi"},
-          {PrioritizerKind::kRssi, "rssi"}};
+  return {{PrioritizerKind::kArrival, "baseline"},  {PrioritizerKind::kRandom, "random"},
+          {PrioritizerKind::kObservability, "obs"}, {PrioritizerKind::kGraphInformation, "gi"},
+          {PrioritizerKind::kRssi, "rssi"},         {PrioritizerKind::kLikely, "likely"},
+          {PrioritizerKind::kExpected, "expected"}};
 }
 
 /// Prioritisers in the order of their turns. None: no candidate is computed.
@@ -64,10 +66,11 @@ inline void parse_option(std::string_view /*name*/, std::string_view text, Metho
 
 /// The method, and the options of the prioritisers that it names.
 struct PrioritizationOptions {
-  Method method = {PrioritizerKind::kObservability, PrioritizerKind::kGraphInformation};
+  Method method = {PrioritizerKind::kExpected};
+  ExpectedOptions expected;                    ///< Of `expected` and `likely`.
   ObservabilityPriorityOptions observability;  ///< Of `obs`.
   GraphInformationOptions graph_information;   ///< Of `gi`.
-  ClosureModelOptions closure_model;           ///< The closure that `gi` expects of a candidate.
+  ClosureModelOptions closure_model;           ///< The closure that `gi` and `expected` take a candidate for.
   AnnealingOptions annealing;                  ///< Simulated annealing of `gi`.
   GreedyOptions greedy;                        ///< Greedy choice of `gi`.
 
@@ -75,6 +78,7 @@ struct PrioritizationOptions {
   template <class Self, class Visitor>
   static void visit_sections(Self& self, Visitor&& visitor) {
     visitor("prioritization", self);
+    visitor("expected", self.expected);
     visitor("observability", self.observability);
     visitor("graph_information", self.graph_information);
     visitor("closure_model", self.closure_model);
@@ -86,26 +90,24 @@ struct PrioritizationOptions {
   static void visit(Self& self, Visitor&& field) {
     field(
         "method", self.method, any_value(),
-        "What decides the order: odom (no closures), baseline, random, obs, gi, full (obs and gi), rssi, or "
-        "several of them joined by +.");
+        "What decides the order: expected, likely, odom (no closures), baseline, random, obs, gi, full (obs "
+        "and gi), rssi, or several of them joined by +.");
   }
 };
 
-/// Options of a method with the defaults of its prioritisers.
-[[nodiscard]] inline PrioritizationOptions prioritization_by(Method method) {
-  PrioritizationOptions options;
-  options.method = std::move(method);
-  return options;
-}
+/// What prioritisers are told of a scan. Each may be asked once a scan.
+struct ScanInsight {
+  ObservabilityPrioritizer::Eigenvalue eigenvalue;  ///< For `obs`; may be empty if the method is without.
+  ExpectedPrioritizer::Signature signature;         ///< For `expected` and `likely`; may be empty: see there.
+};
 
 /// The prioritisers of a method, in the order of their turns.
 /// \param options the method and its prioritisers' options
 /// \param seed of everything random
 /// \param robots whose nodes the candidates join
-/// \param eigenvalue serves the observability score; may be empty if the method does without
+/// \param scans what they are told of scans
 /// \throws OptionError if a prioritiser is named twice, or on its options
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::unique_ptr<Prioritizer>> make_prioritizers(
-    const PrioritizationOptions& options, std::uint64_t seed, const Robots& robots,
-    const ObservabilityPrioritizer::Eigenvalue& eigenvalue);
+    const PrioritizationOptions& options, std::uint64_t seed, const Robots& robots, const ScanInsight& scans);
 
 }  // namespace loopwise

@@ -16,6 +16,8 @@
 
 namespace loopwise {
 
+class Calibration;
+
 /// A candidate that a prioritiser does not want.
 struct Refusal {
   CandidateId id = 0;  ///< The candidate.
@@ -58,6 +60,9 @@ class LOOPWISE_EXPORT Prioritizer {
 
   /// Candidates that it holds back and, at mission time `now_s`, does not wait for any longer. They leave it.
   [[nodiscard]] virtual std::vector<Refusal> give_up(double /*now_s*/) { return {}; }
+
+  /// What it has said of candidates that were computed, against what came; null if it says nothing.
+  [[nodiscard]] virtual const Calibration* calibration() const { return nullptr; }
 
   /// How many candidates it holds.
   [[nodiscard]] virtual std::size_t size() const = 0;

@@ -37,12 +37,11 @@ struct CostModel {
 
 /// All options of a replay.
 struct ReplayOptions {
-  EngineOptions engine;  ///< Decisions.
-  PrioritizationOptions prioritization =
-      prioritization_by({PrioritizerKind::kObservability});  ///< Order of candidates.
-  RegistrationOptions registration;                          ///< Computation of candidates.
-  BackEndOptions back_end;                                   ///< Estimates.
-  CostModel cost;                                            ///< Virtual clock.
+  EngineOptions engine;                  ///< Decisions.
+  PrioritizationOptions prioritization;  ///< Order of candidates.
+  RegistrationOptions registration;      ///< Computation of candidates.
+  BackEndOptions back_end;               ///< Estimates.
+  CostModel cost;                        ///< Virtual clock.
   std::int64_t batch = 100;
   std::int64_t max_registrations = 0;
   bool after_mission = false;

@@ -23,6 +23,7 @@
 #include <loopwise/engine/candidate_pool.hpp>
 #include <loopwise/engine/events.hpp>
 #include <loopwise/io/mission.hpp>
+#include <loopwise/prioritization/acceptance.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 #include <loopwise/registration/registrar.hpp>
 #include <loopwise/replay/options.hpp>
@@ -94,15 +95,18 @@ struct ReplayResult {
   std::map<std::string, std::size_t> pruned;                    ///< By reason.
   std::map<std::string, std::size_t> expired;                   ///< By reason.
   std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
-  double mission_time_s = 0.0;                                  ///< When the run ended.
-  double mission_end_s = 0.0;                                   ///< When the last key frame arrives.
-  std::size_t batches = 0;                                      ///< Handed to the computation.
-  std::size_t optimizations = 0;                                ///< Estimates made by the back end.
-  bool interrupted = false;     ///< A stop was requested: the result is what there was until then.
-  Problems problems;            ///< Flaws of the mission that the run met.
-  double registration_s = 0.0;  ///< Wall time by stage. For reports only.
-  double optimization_s = 0.0;  ///< Of the back end.
-  double total_s = 0.0;         ///< Of the whole run.
+  /// Of the prioritisers that say chances: what was said against what came, by name.
+  std::vector<std::pair<std::string, Calibration>> calibration;
+  double mission_time_s = 0.0;    ///< When the run ended.
+  double mission_end_s = 0.0;     ///< When the last key frame arrives.
+  std::size_t batches = 0;        ///< Handed to the computation.
+  std::size_t optimizations = 0;  ///< Estimates made by the back end.
+  bool interrupted = false;       ///< A stop was requested: the result is what there was until then.
+  Problems problems;              ///< Flaws of the mission that the run met.
+  double registration_s = 0.0;    ///< Wall time by stage. For reports only.
+  double optimization_s = 0.0;    ///< Of the back end.
+  double decision_s = 0.0;        ///< Of the engine: which candidates there are, and their order.
+  double total_s = 0.0;           ///< Of the whole run.
 };
 
 /// Makes the prioritisers of one run, in the order of their turns.

@@ -55,8 +55,9 @@ struct TraceHeader {
 struct TraceEvent {
   Event event;         ///< Clouds are empty; an event::Optimized has no result, see estimate_hash.
   double now_s = 0.0;  ///< By the module's clock.
-  std::optional<double> observability;  ///< As HandledEvent::observability.
-  std::string estimate_hash;            ///< Of an estimate: a hash of its poses and weights. Else empty.
+  std::optional<double> observability;     ///< As HandledEvent::observability.
+  std::optional<ScanSignature> signature;  ///< As HandledEvent::signature.
+  std::string estimate_hash;               ///< Of an estimate: a hash of its poses and weights. Else empty.
 };
 
 /// Reads the first line of a trace. \throws InputError, OptionError

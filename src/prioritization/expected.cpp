@@ -1,0 +1,526 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/prioritization/expected.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+#include <limits>
+#include <map>
+#include <string>
+#include <unordered_map>
+#include <unordered_set>
+#include <utility>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/random.hpp>
+#include <loopwise/core/se3.hpp>
+
+#include "closure_factor.hpp"
+#include "place_pairs.hpp"
+#include "relative_sketch.hpp"
+
+namespace loopwise {
+namespace {
+
+using detail::GroupMember;
+
+constexpr double kMoved_m = 0.15, kMoved_rad = 0.02;  // of a guess: the overlap is predicted anew
+constexpr std::size_t kLookedAt = 4;                  // members whose overlap stands for a group
+constexpr std::size_t kMostMembers = 64;              // of a group among which the best is looked for
+constexpr double kPlaceStrength = 2.0;                // results that the chance by evidence stands for
+constexpr double kRefreshed = 1.05;  // growth of the graph after which gains are sketched anew
+constexpr double kMostChance = 0.98;
+constexpr std::size_t kRefreshBudget = 8192;  // groups with an old value that are looked at in one go
+
+struct PairHash {
+  std::size_t operator()(const std::pair<std::uint32_t, std::uint32_t>& pair) const {
+    return static_cast<std::size_t>(mix64((static_cast<std::uint64_t>(pair.first) << 32) | pair.second));
+  }
+};
+struct KeyPairHash {
+  std::size_t operator()(const std::pair<Key, Key>& pair) const {
+    return static_cast<std::size_t>(combine_seeds(pair.first, pair.second));
+  }
+};
+
+/// Standard Gumbel noise: the largest of log-weights with it is drawn with odds by weight.
+double gumbel(std::uint64_t bits) {
+  const double uniform = (static_cast<double>(bits >> 11) + 0.5) * 0x1.0p-53;
+  return -std::log(-std::log(uniform));
+}
+
+/// Candidates between the same two places.
+struct Group {
+  std::vector<GroupMember> members;
+  // What was last made of it.
+  CandidateEvidence evidence;  // of the most promising of those looked at
+  detail::RepeatedGain gain;
+  Eigen::Isometry3f guess = Eigen::Isometry3f::Identity();  // between the two nodes of that one
+  std::uint32_t from = 0, to = 0;                           // its nodes
+  bool looked_at = false;
+  bool connecting = false;
+  std::uint32_t sketch = 0;  // that the gain is of
+  // What came of those that were computed.
+  double expected = 0.0;        // sum of their chances by evidence
+  double expected_right = 0.0;  // of the verified ones, sum of their chances to be right by evidence
+  std::uint32_t verified = 0, refuted = 0;
+  std::uint32_t closures_in_gain = 0;  // verified when the gain was made
+  double in_flight = 0.0;              // closures expected of those whose results are still to come
+};
+
+/// A candidate that was handed out or computed.
+struct Computed {
+  std::uint32_t group = 0;
+  Key from = 0, to = 0;
+  CandidateEvidence evidence;
+  double by_evidence = 0.0;  // chance to be verified
+  double said = 0.0;         // the same with what had come of its group
+  double right = 0.0;        // chance to be right if verified, by evidence
+  bool verified = false, refuted = false;
+};
+
+}  // namespace
+
+struct ExpectedPrioritizer::Impl {
+  Impl(const ExpectedOptions& given, const ClosureModelOptions& closures, Robots robots, Signature of_scan,
+       std::uint64_t seed, std::string_view name)
+      : options_(given),
+        closures_(closures),
+        robots_(robots),
+        signature_(std::move(of_scan)),
+        seed_(seed),
+        name_(name),
+        places_(std::move(robots), given.place_m) {
+    validate(options_);
+    validate(closures_);
+  }
+
+  // ---- what comes in
+
+  std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) {
+    std::vector<Refusal> refused;
+    for (const LoopCandidate& candidate : candidates) {
+      if (candidate.from == candidate.to) {
+        refused.push_back({candidate.id, "same_node"});
+      } else if (!held_.contains(candidate.id) && unknown_.count(candidate.id) == 0) {
+        place(candidate);
+      }
+    }
+    return refused;
+  }
+
+  void place(const LoopCandidate& candidate) {
+    const auto from = node_.find(candidate.from), to = node_.find(candidate.to);
+    if (from == node_.end() || to == node_.end()) {
+      unknown_.emplace(candidate.id, candidate);
+      return;
+    }
+    const std::uint32_t a = places_.place_of(from->second), b = places_.place_of(to->second);
+    const auto [found, fresh] =
+        by_places_.emplace(std::minmax(a, b), static_cast<std::uint32_t>(groups_.size()));
+    if (fresh) groups_.emplace_back();
+    groups_[found->second].members.push_back({candidate, from->second, to->second, -1.0F});
+    held_.set(candidate.id, found->second);
+  }
+
+  void remove(const std::vector<CandidateId>& ids) {
+    for (const CandidateId id : ids) {
+      unknown_.erase(id);
+      const std::uint32_t* group = held_.find(id);
+      if (group == nullptr) continue;
+      std::vector<GroupMember>& members = groups_[*group].members;
+      members.erase(std::find_if(members.begin(), members.end(),
+                                 [id](const GroupMember& m) { return m.candidate.id == id; }));
+      held_.erase(id);
+    }
+  }
+
+  void on_scan(const KeyedScan& scan) {
+    if (!signature_) return;
+    ScanSignature signature = signature_(scan);
+    if (!signature.empty()) signatures_.emplace(scan.key, std::move(signature));
+  }
+
+  void on_graph(const PoseGraph& graph) {
+    poses_.resize(graph.nodes().size());
+    for (std::size_t i = 0; i < poses_.size(); ++i) poses_[i] = graph.nodes()[i].pose;
+    for (std::size_t i = places_.nodes(); i < poses_.size(); ++i) {
+      node_.emplace(graph.nodes()[i].key, static_cast<std::uint32_t>(i));
+      keys_.push_back(graph.nodes()[i].key);
+    }
+    places_.add_nodes(graph);
+    sketch_graph(graph);
+    learn(graph);
+    std::vector<LoopCandidate> known;
+    for (const auto& [id, candidate] : unknown_) {
+      if (node_.count(candidate.from) != 0 && node_.count(candidate.to) != 0) known.push_back(candidate);
+    }
+    for (const LoopCandidate& candidate : known) {
+      unknown_.erase(candidate.id);
+      place(candidate);
+    }
+  }
+
+  void on_result(const RegistrationResult& result) {
+    const auto found = in_flight_.find(result.candidate.id);
+    if (found == in_flight_.end()) return;
+    Computed computed = found->second;
+    in_flight_.erase(found);
+    computed.verified = result.verified();
+    Group& group = groups_[computed.group];
+    group.in_flight = std::max(0.0, group.in_flight - computed.said);
+    group.expected += computed.by_evidence;
+    if (computed.verified) {
+      ++group.verified;
+      group.expected_right += computed.right;
+    }
+    calibration_.add(computed.said, computed.verified);
+    computed_.push_back(computed);
+    learned_ = false;
+  }
+
+  /// Given back without a result.
+  void forget_in_flight(CandidateId id) {
+    const auto found = in_flight_.find(id);
+    if (found == in_flight_.end()) return;
+    Group& group = groups_[found->second.group];
+    group.in_flight = std::max(0.0, group.in_flight - found->second.said);
+    in_flight_.erase(found);
+  }
+
+  // ---- what is learned
+
+  void learn(const PoseGraph& graph) {
+    std::unordered_set<std::pair<Key, Key>, KeyPairHash> refuted;
+    for (const Edge& edge : graph.edges()) {
+      if (edge.kind == EdgeKind::kLoopClosure && edge.weight < 0.5) {
+        refuted.insert(std::minmax(edge.from, edge.to));
+      }
+    }
+    for (Computed& computed : computed_) {
+      if (!computed.verified) continue;
+      const bool now = refuted.count(std::minmax(computed.from, computed.to)) != 0;
+      if (now == computed.refuted) continue;
+      computed.refuted = now;
+      groups_[computed.group].refuted += now ? 1U : ~0U;
+      learned_ = false;
+    }
+    if (std::exchange(learned_, true)) return;
+    std::vector<std::pair<CandidateEvidence, bool>> verified, right;
+    verified.reserve(computed_.size());
+    for (const Computed& computed : computed_) {
+      verified.emplace_back(computed.evidence, computed.verified);
+      if (computed.verified) right.emplace_back(computed.evidence, !computed.refuted);
+    }
+    verified_.fit(verified);
+    right_.fit(right);
+  }
+
+  void sketch_graph(const PoseGraph& graph) {
+    if (options_.gain_exponent <= 0.0 && sketches_ > 0) return;
+    const auto size = static_cast<double>(graph.nodes().size() + graph.edges().size());
+    if (sketches_ > 0 && size < kRefreshed * sketched_size_) return;
+    sketched_size_ = size;
+    ++sketches_;
+    try {
+      sketch_ = detail::RelativeSketch(graph, closures_, static_cast<std::size_t>(options_.probes),
+                                       combine_seeds(seed_, sketches_));
+    } catch (const InputError&) {  // it leaves a pose undetermined: there is no gain to speak of
+      sketch_ = {};
+    }
+    parts_.emplace(graph);
+  }
+
+  // ---- groups
+
+  [[nodiscard]] Eigen::Isometry3d guess(std::uint32_t from, std::uint32_t to) const {
+    return poses_[from].inverse() * poses_[to];
+  }
+
+  [[nodiscard]] std::uint32_t sketched(std::uint32_t node) const {
+    while (node >= sketch_.nodes() && places_.before(node) != node) node = places_.before(node);
+    return node;
+  }
+
+  [[nodiscard]] const ScanSignature* signature_of(std::uint32_t node) const {
+    const auto found = signatures_.find(keys_[node]);
+    return found == signatures_.end() ? nullptr : &found->second;
+  }
+
+  [[nodiscard]] float overlap_of(const GroupMember& member, const Eigen::Isometry3d& T) const {
+    const ScanSignature *from = signature_of(member.from), *to = signature_of(member.to);
+    if (!options_.use_overlap || from == nullptr || to == nullptr)
+      return std::numeric_limits<float>::quiet_NaN();
+    return static_cast<float>(predicted_overlap(*from, *to, T));
+  }
+
+  /// All but the overlap's use of it is by the estimate now.
+  [[nodiscard]] CandidateEvidence evidence_of(GroupMember& member) const {
+    const Eigen::Isometry3d T = guess(member.from, member.to);
+    if (member.overlap < 0.0F) member.overlap = overlap_of(member, T);
+    CandidateEvidence out;
+    out.overlap = static_cast<double>(member.overlap);
+    out.distance_m = T.translation().norm();
+    out.from_outside = member.candidate.source != CandidateSource::kProximity;
+    return out;
+  }
+
+  /// Whether the guess of the group has moved since it was looked at.
+  [[nodiscard]] bool moved(const Group& group) const {
+    const Eigen::Isometry3f now = guess(group.from, group.to).cast<float>();
+    if ((now.translation() - group.guess.translation()).squaredNorm() >
+        static_cast<float>(kMoved_m * kMoved_m))
+      return true;
+    // |R − R'|² = 4(1 − cos angle)
+    return (now.linear() - group.guess.linear()).squaredNorm() >
+           static_cast<float>(2.0 * kMoved_rad * kMoved_rad);
+  }
+
+  void look_at(Group& group) {
+    for (GroupMember& member : group.members) member.overlap = -1.0F;
+    const std::size_t n = group.members.size(), looked = std::min(n, kLookedAt);
+    GroupMember& middle = group.members[n / 2];
+    make_gain(group, middle.from, middle.to);
+    double best = -1.0;
+    for (std::size_t k = 0; k < looked; ++k) {
+      GroupMember& member = group.members[(2 * k + 1) * n / (2 * looked)];
+      const CandidateEvidence evidence = evidence_of(member);
+      const double p = verified_.probability(evidence) * right_of(evidence);
+      if (p <= best) continue;
+      best = p;
+      group.evidence = evidence;
+      group.from = member.from;
+      group.to = member.to;
+    }
+    group.guess = guess(group.from, group.to).cast<float>();
+    group.looked_at = true;
+  }
+
+  [[nodiscard]] double right_of(const CandidateEvidence& evidence) const {
+    return options_.use_right ? right_.probability(evidence) : 1.0;
+  }
+
+  void make_gain(Group& group, std::uint32_t from, std::uint32_t to) {
+    const std::uint32_t a = sketched(from), b = sketched(to);
+    group.connecting =
+        parts_ && a < parts_->component.size() && b < parts_->component.size() && parts_->connecting(a, b);
+    group.gain = group.connecting ? detail::RepeatedGain() : sketch_.gain(a, b, guess(to, from));
+    group.sketch = sketches_;
+    group.closures_in_gain = group.verified;
+  }
+
+  /// A chance by evidence, with what came of the group where `expected` had been expected.
+  [[nodiscard]] double with_group(double by_evidence, double came, double expected) const {
+    const double factor = options_.use_places ? (came + kPlaceStrength) / (expected + kPlaceStrength) : 1.0;
+    return std::min(kMostChance, by_evidence * factor);
+  }
+  [[nodiscard]] double chance(const Group& group, double by_evidence) const {
+    return with_group(by_evidence, group.verified, group.expected);
+  }
+  [[nodiscard]] double chance_right(const Group& group) const {
+    if (!options_.use_right) return 1.0;
+    return with_group(right_.probability(group.evidence), group.verified - group.refuted,
+                      group.expected_right);
+  }
+
+  /// Of the next candidate of a group: chance times gain, the gain to a power that says how much it counts.
+  [[nodiscard]] double value(const Group& group) const {
+    const double p = chance(group, verified_.probability(group.evidence)) * chance_right(group);
+    if (options_.gain_exponent <= 0.0) return p;
+    const double had = group.verified - std::min(group.verified, group.closures_in_gain) + group.in_flight;
+    const double gain =
+        group.connecting ? largest_gain_ * p / (1.0 + had) : group.gain.of(had + p) - group.gain.of(had);
+    return std::pow(std::max(gain / p, 1e-30), options_.gain_exponent) * p;
+  }
+
+  // ---- the draw
+
+  struct Entry {
+    double key;
+    std::uint32_t group;
+    bool operator<(const Entry& other) const {
+      return key != other.key ? key < other.key : group > other.group;
+    }
+  };
+
+  [[nodiscard]] double key_of(std::uint32_t g, std::uint64_t draw) const {
+    const double noise = gumbel(combine_seeds(combine_seeds(seed_, round_), (draw << 32) | g));
+    return std::log(std::max(value(groups_[g]), 1e-300)) + options_.spread * noise;
+  }
+
+  /// Groups whose value is not known, and some of those whose value is old.
+  void refresh() {
+    std::size_t budget = kRefreshBudget;
+    largest_gain_ = 0.0;
+    for (std::uint32_t g = 0; g < groups_.size(); ++g) {
+      Group& group = groups_[g];
+      if (group.members.empty()) continue;
+      if (!group.looked_at) look_at(group);
+      if (!group.connecting) largest_gain_ = std::max(largest_gain_, group.gain.of(1.0));
+    }
+    const std::size_t n = groups_.size();
+    for (std::size_t k = 0; k < n && budget > 0; ++k, next_refreshed_ = (next_refreshed_ + 1) % n) {
+      Group& group = groups_[next_refreshed_ % n];
+      if (group.members.empty()) continue;
+      if (!old(group)) continue;
+      bring_up_to_date(group);
+      --budget;
+    }
+  }
+
+  [[nodiscard]] bool old(const Group& group) const { return group.sketch != sketches_ || moved(group); }
+  void bring_up_to_date(Group& group) {
+    if (moved(group)) {
+      look_at(group);
+    } else {
+      make_gain(group, group.from, group.to);
+    }
+  }
+
+  std::vector<LoopCandidate> take(std::size_t count) {
+    std::vector<LoopCandidate> out;
+    if (count == 0 || held_.size() == 0) return out;
+    ++round_;
+    refresh();
+    std::vector<Entry> heap;
+    for (std::uint32_t g = 0; g < groups_.size(); ++g) {
+      if (!groups_[g].members.empty()) heap.push_back({key_of(g, 0), g});
+    }
+    std::make_heap(heap.begin(), heap.end());
+    std::unordered_map<std::uint32_t, std::uint64_t> draws;
+    while (out.size() < count && !heap.empty()) {
+      std::pop_heap(heap.begin(), heap.end());
+      const std::uint32_t g = heap.back().group;
+      heap.pop_back();
+      Group& group = groups_[g];
+      std::uint64_t& draw = draws[g];
+      if (old(group)) {
+        bring_up_to_date(group);
+      } else {
+        out.push_back(hand_out(g));
+        ++draw;
+      }
+      if (group.members.empty()) continue;
+      heap.push_back({key_of(g, draw), g});
+      std::push_heap(heap.begin(), heap.end());
+    }
+    return out;
+  }
+
+  /// The most promising of a group.
+  LoopCandidate hand_out(std::uint32_t g) {
+    Group& group = groups_[g];
+    const std::size_t n = group.members.size(), step = (n + kMostMembers - 1) / kMostMembers;
+    std::size_t best = 0;
+    double most = -1.0;
+    CandidateEvidence of_best;
+    for (std::size_t k = 0; k < n; k += step) {
+      const CandidateEvidence evidence = evidence_of(group.members[k]);
+      const double p = verified_.probability(evidence) * right_of(evidence);
+      if (p <= most) continue;
+      most = p;
+      best = k;
+      of_best = evidence;
+    }
+    const LoopCandidate candidate = group.members[best].candidate;
+    Computed computed;
+    computed.group = g;
+    computed.from = candidate.from;
+    computed.to = candidate.to;
+    computed.evidence = of_best;
+    computed.by_evidence = verified_.probability(of_best);
+    computed.said = chance(group, computed.by_evidence);
+    computed.right = right_.probability(of_best);
+    group.in_flight += computed.said;
+    in_flight_[candidate.id] = computed;
+    group.members.erase(group.members.begin() + static_cast<std::ptrdiff_t>(best));
+    held_.erase(candidate.id);
+    return candidate;
+  }
+
+  std::vector<Refusal> give_up(double now_s) {
+    std::vector<Refusal> gone;
+    if (options_.max_wait_s <= 0.0) return gone;
+    while (!unknown_.empty() && now_s - unknown_.begin()->second.time_s > options_.max_wait_s) {
+      gone.push_back({unknown_.begin()->first, "missing_node"});
+      unknown_.erase(unknown_.begin());
+    }
+    return gone;
+  }
+
+  const ExpectedOptions options_;
+  const ClosureModelOptions closures_;
+  const Robots robots_;
+  const Signature signature_;
+  const std::uint64_t seed_;
+  const std::string name_;
+
+  detail::Places places_;
+  std::unordered_map<Key, std::uint32_t> node_;  // of the graph
+  std::vector<Key> keys_;
+  std::vector<Eigen::Isometry3d> poses_;
+  std::unordered_map<Key, ScanSignature> signatures_;
+
+  std::map<CandidateId, LoopCandidate> unknown_;  // with a node that the graph does not have
+  IdTable<std::uint32_t> held_;                   // group
+  std::vector<Group> groups_;
+  std::unordered_map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t, PairHash> by_places_;
+
+  std::unordered_map<CandidateId, Computed> in_flight_;
+  std::vector<Computed> computed_;
+  bool learned_ = true;  // the models know all that was computed
+  AcceptanceModel verified_{AcceptanceModel::shipped_verified()};
+  AcceptanceModel right_{AcceptanceModel::shipped_right()};
+  Calibration calibration_;
+
+  detail::RelativeSketch sketch_;
+  std::optional<detail::GraphComponents> parts_;
+  std::uint32_t sketches_ = 0;
+  double sketched_size_ = 0.0;
+  double largest_gain_ = 0.0;
+  std::size_t next_refreshed_ = 0;
+  std::uint64_t round_ = 0;
+};
+
+ExpectedPrioritizer::ExpectedPrioritizer(const ExpectedOptions& options, const ClosureModelOptions& closures,
+                                         Robots robots, Signature signature, std::uint64_t seed,
+                                         std::string_view name)
+    : impl_(std::make_unique<Impl>(options, closures, std::move(robots), std::move(signature), seed, name)) {}
+ExpectedPrioritizer::~ExpectedPrioritizer() = default;
+
+std::string_view ExpectedPrioritizer::name() const {
+  return impl_->name_;
+}
+std::vector<Refusal> ExpectedPrioritizer::add(const std::vector<LoopCandidate>& candidates) {
+  for (const LoopCandidate& candidate : candidates) impl_->forget_in_flight(candidate.id);
+  return impl_->add(candidates);
+}
+void ExpectedPrioritizer::remove(const std::vector<CandidateId>& ids) {
+  impl_->remove(ids);
+}
+void ExpectedPrioritizer::on_graph(const PoseGraph& graph) {
+  impl_->on_graph(graph);
+}
+void ExpectedPrioritizer::on_scan(const KeyedScan& scan) {
+  impl_->on_scan(scan);
+}
+void ExpectedPrioritizer::on_result(const RegistrationResult& result) {
+  impl_->on_result(result);
+}
+std::vector<LoopCandidate> ExpectedPrioritizer::take(std::size_t count) {
+  return impl_->take(count);
+}
+std::vector<Refusal> ExpectedPrioritizer::give_up(double now_s) {
+  return impl_->give_up(now_s);
+}
+std::size_t ExpectedPrioritizer::size() const {
+  return impl_->held_.size() + impl_->unknown_.size();
+}
+const Calibration* ExpectedPrioritizer::calibration() const {
+  return &impl_->calibration_;
+}
+const AcceptanceModel& ExpectedPrioritizer::acceptance() const {
+  return impl_->verified_;
+}
+
+}  // namespace loopwise

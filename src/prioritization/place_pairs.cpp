@@ -1,0 +1,25 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "place_pairs.hpp"
+
+namespace loopwise::detail {
+
+void Places::add_nodes(const PoseGraph& graph) {
+  for (std::size_t node = place_.size(); node < graph.nodes().size(); ++node) {
+    const Eigen::Vector3d position = graph.nodes()[node].pose.translation();
+    const std::size_t robot = robots_.of(graph.nodes()[node].key);
+    const auto [found, fresh] =
+        ends_.try_emplace(robot, End{next_place_, static_cast<std::uint32_t>(node), position});
+    End& end = found->second;
+    if (fresh) {
+      ++next_place_;
+    } else if ((position - end.begin).norm() > place_m_) {
+      end = {next_place_++, end.node, position};
+    }
+    place_.push_back(end.place);
+    before_.push_back(end.node);
+    robot_.push_back(robot);
+    end.node = static_cast<std::uint32_t>(node);
+  }
+}
+
+}  // namespace loopwise::detail

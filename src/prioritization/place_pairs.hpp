@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/id_table.hpp>
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/robots.hpp>
+
+namespace loopwise::detail {
+
+/// Cuts the paths of robots into places: stretches of consecutive nodes.
+class Places {
+ public:
+  Places(Robots robots, double place_m) : robots_(std::move(robots)), place_m_(place_m) {}
+
+  /// Nodes that are new in the graph get places, by their poses now. \pre nodes keep their numbers
+  void add_nodes(const PoseGraph& graph);
+
+  [[nodiscard]] std::size_t nodes() const { return place_.size(); }
+  [[nodiscard]] std::uint32_t place_of(std::size_t node) const { return place_[node]; }
+  [[nodiscard]] std::size_t robot_of(std::size_t node) const { return robot_[node]; }
+  /// The robot's node before this one, or the node itself.
+  [[nodiscard]] std::uint32_t before(std::size_t node) const { return before_[node]; }
+
+ private:
+  struct End {
+    std::uint32_t place, node;
+    Eigen::Vector3d begin;
+  };
+  Robots robots_;
+  double place_m_;
+  std::uint32_t next_place_ = 0;
+  std::vector<std::uint32_t> place_, before_;
+  std::vector<std::size_t> robot_;
+  std::unordered_map<std::size_t, End> ends_;  // of the path so far, by robot
+};
+
+/// A candidate as its group holds it.
+struct GroupMember {
+  LoopCandidate candidate;
+  std::uint32_t from = 0, to = 0;  ///< Nodes of the graph.
+  float overlap = -1.0F;           ///< As predicted when the group was last looked at; < 0: not yet.
+};
+
+}  // namespace loopwise::detail
