@@ -136,7 +136,7 @@ std::string order_text(const ReplayResult& result, int threads) {
   const double all_s = sum_s / static_cast<double>(measured) * static_cast<double>(all) / threads;
   const double mission_s = result.mission_end_s;
   return "all of them  " + std::to_string(all) + " candidates: " + fixed(all_s / 60.0, 1) + " min on " +
-         std::to_string(threads) + " threads of this machine, the mission lasts " +
+         std::to_string(threads) + " threads as they were measured, the mission lasts " +
          fixed(mission_s / 60.0, 1) + ": " +
          (all_s <= mission_s ? "a live run can compute them all, and every order ends at the same map\n"
                              : "the order decides\n");
@@ -198,7 +198,7 @@ std::string results_text(const ReplayOptions& options, const ReplayResult& resul
           fixed(result.optimization_s, 1) + " s optimisation, " + fixed(result.decision_s, 1) +
           " s candidates and their order, method " + to_string(options.prioritization.method) + "\n";
   if (result.interrupted) return text;
-  text += order_text(result, threads);
+  if (threads > 0) text += order_text(result, threads);
   const auto most = static_cast<std::size_t>(options.max_registrations);
   if (a.pending > 0 && most > 0 && a.computed >= most) {
     text += "pending      " + std::to_string(a.pending) + " after as many as --max-registrations allows\n";
@@ -344,10 +344,9 @@ int run_trace(const Options& options) {
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
   write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map);
-  print_results(options.common,
-                parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
-                results_text(recorded, result, evaluation, thread_count(options.common)) + "results      " +
-                    folder.string() + "\n");
+  print_results(
+      options.common, parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
+      results_text(recorded, result, evaluation, /*threads=*/0) + "results      " + folder.string() + "\n");
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 

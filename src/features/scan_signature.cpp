@@ -2,6 +2,7 @@
 #include <loopwise/features/scan_signature.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstring>
 #include <utility>
@@ -25,7 +26,8 @@ std::vector<Eigen::Vector3f> thinned(const PointCloud& cloud) {
   std::vector<Eigen::Vector3f> out;
   out.reserve(kMostLookedAt);
   for (std::size_t i = 0; i < cloud.size(); i += step) {
-    if (cloud.points[i].cwiseAbs().maxCoeff() < kFarthest_m) out.push_back(cloud.points[i]);
+    const Eigen::Vector3f& point = cloud.points[i];
+    if (point.allFinite() && point.cwiseAbs().maxCoeff() < kFarthest_m) out.push_back(point);
   }
   return out;
 }

@@ -6,7 +6,6 @@
 #include <iterator>
 #include <limits>
 #include <numeric>
-#include <set>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
@@ -214,12 +213,20 @@ std::vector<LoopCandidate> ProximityGenerator::on_moved(const PoseGraph& graph, 
       candidates.push_back(candidate);
     }
   }
-  std::set<std::size_t> robots;
+  std::map<std::size_t, std::pair<std::uint64_t, std::uint64_t>> moved;  // by robot: first and last index
   for (const Key key : keys) {
-    if (!robots_.is_landmark(key)) robots.insert(robots_.of(key));
+    if (robots_.is_landmark(key)) continue;
+    const std::uint64_t index = robots_.node_index(key);
+    const auto [range, first] = moved.try_emplace(robots_.of(key), index, index);
+    if (!first) range->second = {std::min(range->second.first, index), std::max(range->second.second, index)};
   }
-  for (const std::size_t robot : robots) {
-    for (auto other = left_out_[robot].begin(); other != left_out_[robot].end();) {
+  for (const auto& [robot, range] : moved) {
+    // Those between the nodes that take part before and after the moved ones.
+    const std::map<std::uint64_t, Key>& path = path_[robot];
+    const auto before = path.lower_bound(range.first), after = path.upper_bound(range.second);
+    const std::uint64_t begin = before == path.begin() ? 0 : std::prev(before)->first;
+    auto end = after == path.end() ? left_out_[robot].end() : left_out_[robot].lower_bound(after->first);
+    for (auto other = left_out_[robot].lower_bound(begin); other != end;) {
       if (!takes_part(graph, other->second)) {
         ++other;
         continue;

@@ -64,15 +64,24 @@ double AcceptanceModel::probability(const CandidateEvidence& evidence) const {
 }
 
 void AcceptanceModel::fit(const std::vector<std::pair<CandidateEvidence, bool>>& results) {
-  // Newton's method on the log posterior, which is concave, from where the last fit ended. The prior's
-  // information is that of strength_ results of chance ½ at a term of 1.
-  constexpr int kSteps = 8;
+  // Newton's method on the log posterior, which is concave, from where the last fit ended; a step that would
+  // lower it is halved. The prior's information is that of strength_ results of chance ½ at a term of 1.
+  constexpr int kSteps = 20, kHalvings = 30;
   std::vector<Terms> x;
   x.reserve(results.size());
   for (const auto& result : results) x.push_back(terms(result.first));
   Vector w = as_vector(weights_);
   const Vector w0 = as_vector(prior_);
   const double prior_information = 0.25 * strength_;
+  const auto log_posterior = [&](const Vector& at) {
+    double sum = -0.5 * prior_information * (at - w0).squaredNorm();
+    for (std::size_t i = 0; i < x.size(); ++i) {
+      const double logit = (results[i].second ? 1.0 : -1.0) * at.dot(as_vector(x[i]));
+      sum -= logit > 0.0 ? std::log1p(std::exp(-logit)) : std::log1p(std::exp(logit)) - logit;
+    }
+    return sum;
+  };
+  double value = log_posterior(w);
   for (int step = 0; step < kSteps; ++step) {
     Vector gradient = prior_information * (w0 - w);
     Matrix information = prior_information * Matrix::Identity();
@@ -80,13 +89,20 @@ void AcceptanceModel::fit(const std::vector<std::pair<CandidateEvidence, bool>>&
       const Eigen::Map<const Vector> terms = as_vector(x[i]);
       const double p = logistic(w.dot(terms));
       gradient += ((results[i].second ? 1.0 : 0.0) - p) * terms;
-      information.noalias() += std::max(p * (1.0 - p), 1e-3) * terms * terms.transpose();
+      information.noalias() += p * (1.0 - p) * terms * terms.transpose();
     }
-    const Vector change = information.llt().solve(gradient);
+    Vector change = information.llt().solve(gradient);
+    double next = log_posterior(w + change);
+    for (int half = 0; half < kHalvings && !(next >= value); ++half) {
+      change *= 0.5;
+      next = log_posterior(w + change);
+    }
+    if (!(next >= value)) break;
     w += change;
+    value = next;
     if (!(change.cwiseAbs().maxCoeff() > 1e-6)) break;
   }
-  if (w.allFinite()) Eigen::Map<Vector>(weights_.data()) = w;
+  Eigen::Map<Vector>(weights_.data()) = w;
 }
 
 void Calibration::add(double probability, bool verified) {

@@ -14,6 +14,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/se3.hpp>
+#include <loopwise/core/thread_pool.hpp>
 
 #include "closure_factor.hpp"
 #include "place_pairs.hpp"
@@ -30,6 +31,7 @@ constexpr std::size_t kMostMembers = 64;              // of a group among which 
 constexpr double kPlaceStrength = 2.0;                // results that the chance by evidence stands for
 constexpr double kRefreshed = 1.05;  // growth of the graph after which gains are sketched anew
 constexpr double kMostChance = 0.98;
+constexpr std::size_t kChunk = 256;           // groups looked at by one task of the pool
 constexpr std::size_t kRefreshBudget = 8192;  // groups with an old value that are looked at in one go
 
 struct PairHash {
@@ -45,7 +47,7 @@ struct KeyPairHash {
 
 /// Standard Gumbel noise: the largest of log-weights with it is drawn with odds by weight.
 double gumbel(std::uint64_t bits) {
-  const double uniform = (static_cast<double>(bits >> 11) + 0.5) * 0x1.0p-53;
+  const double uniform = (static_cast<double>(bits >> 12) + 0.5) * 0x1.0p-52;
   return -std::log(-std::log(uniform));
 }
 
@@ -64,8 +66,10 @@ struct Group {
   double expected = 0.0;        // sum of their chances by evidence
   double expected_right = 0.0;  // of the verified ones, sum of their chances to be right by evidence
   std::uint32_t verified = 0, refuted = 0;
-  std::uint32_t closures_in_gain = 0;  // verified when the gain was made
-  double in_flight = 0.0;              // closures expected of those whose results are still to come
+  std::uint32_t closures_in_sketch = 0;  // believed when the gains were sketched
+  double in_flight = 0.0;                // right closures expected of those whose results are still to come
+
+  [[nodiscard]] std::uint32_t believed() const { return verified - refuted; }
 };
 
 /// A candidate that was handed out or computed.
@@ -76,6 +80,7 @@ struct Computed {
   double by_evidence = 0.0;  // chance to be verified
   double said = 0.0;         // the same with what had come of its group
   double right = 0.0;        // chance to be right if verified, by evidence
+  double counted = 0.0;      // right closures that were expected of it while it was in flight
   bool verified = false, refuted = false;
 };
 
@@ -88,6 +93,7 @@ struct ExpectedPrioritizer::Impl {
         closures_(closures),
         robots_(robots),
         signature_(std::move(of_scan)),
+        pool_(closures.threads),
         seed_(seed),
         name_(name),
         places_(std::move(robots), given.place_m) {
@@ -119,20 +125,31 @@ struct ExpectedPrioritizer::Impl {
     const auto [found, fresh] =
         by_places_.emplace(std::minmax(a, b), static_cast<std::uint32_t>(groups_.size()));
     if (fresh) groups_.emplace_back();
-    groups_[found->second].members.push_back({candidate, from->second, to->second, -1.0F});
+    Group& group = groups_[found->second];
+    group.members.push_back({candidate, from->second, to->second, -1.0F});
+    group.looked_at = false;  // it may be the most promising
     held_.set(candidate.id, found->second);
   }
 
   void remove(const std::vector<CandidateId>& ids) {
     for (const CandidateId id : ids) {
       unknown_.erase(id);
+      forget_in_flight(id);
       const std::uint32_t* group = held_.find(id);
       if (group == nullptr) continue;
-      std::vector<GroupMember>& members = groups_[*group].members;
-      members.erase(std::find_if(members.begin(), members.end(),
-                                 [id](const GroupMember& m) { return m.candidate.id == id; }));
-      held_.erase(id);
+      const std::vector<GroupMember>& members = groups_[*group].members;
+      const auto member = std::find_if(members.begin(), members.end(),
+                                       [id](const GroupMember& m) { return m.candidate.id == id; });
+      erase(groups_[*group], static_cast<std::size_t>(member - members.begin()));
     }
+  }
+
+  /// One that stood for its group leaves: the next is looked for.
+  void erase(Group& group, std::size_t place) {
+    const GroupMember& member = group.members[place];
+    if (member.from == group.from && member.to == group.to) group.looked_at = false;
+    held_.erase(member.candidate.id);
+    group.members.erase(group.members.begin() + static_cast<std::ptrdiff_t>(place));
   }
 
   void on_scan(const KeyedScan& scan) {
@@ -149,6 +166,9 @@ struct ExpectedPrioritizer::Impl {
       keys_.push_back(graph.nodes()[i].key);
     }
     places_.add_nodes(graph);
+    const std::size_t parts = parts_ ? parts_->anchored.size() : 0;
+    parts_.emplace(graph);
+    if (parts_->anchored.size() < parts) sketched_size_ = 0.0;  // parts were tied: gains are others now
     sketch_graph(graph);
     learn(graph);
     std::vector<LoopCandidate> known;
@@ -163,18 +183,43 @@ struct ExpectedPrioritizer::Impl {
 
   void on_result(const RegistrationResult& result) {
     const auto found = in_flight_.find(result.candidate.id);
-    if (found == in_flight_.end()) return;
+    if (found == in_flight_.end()) return on_result_of_others(result);
     Computed computed = found->second;
     in_flight_.erase(found);
     computed.verified = result.verified();
+    calibration_.add(computed.said, computed.verified);
     Group& group = groups_[computed.group];
-    group.in_flight = std::max(0.0, group.in_flight - computed.said);
+    group.in_flight = std::max(0.0, group.in_flight - computed.counted);
+    note(computed);
+  }
+
+  /// Of a candidate that another prioritiser of the method has chosen.
+  void on_result_of_others(const RegistrationResult& result) {
+    const LoopCandidate& candidate = result.candidate;
+    const auto from = node_.find(candidate.from), to = node_.find(candidate.to);
+    if (from == node_.end() || to == node_.end()) return;
+    const auto group =
+        by_places_.find(std::minmax(places_.place_of(from->second), places_.place_of(to->second)));
+    if (group == by_places_.end()) return;
+    GroupMember member{candidate, from->second, to->second, -1.0F};
+    Computed computed;
+    computed.group = group->second;
+    computed.from = candidate.from;
+    computed.to = candidate.to;
+    computed.evidence = evidence_of(member);
+    computed.by_evidence = verified_.probability(computed.evidence);
+    computed.right = right_.probability(computed.evidence);
+    computed.verified = result.verified();
+    note(computed);
+  }
+
+  void note(const Computed& computed) {
+    Group& group = groups_[computed.group];
     group.expected += computed.by_evidence;
     if (computed.verified) {
       ++group.verified;
       group.expected_right += computed.right;
     }
-    calibration_.add(computed.said, computed.verified);
     computed_.push_back(computed);
     learned_ = false;
   }
@@ -184,7 +229,7 @@ struct ExpectedPrioritizer::Impl {
     const auto found = in_flight_.find(id);
     if (found == in_flight_.end()) return;
     Group& group = groups_[found->second.group];
-    group.in_flight = std::max(0.0, group.in_flight - found->second.said);
+    group.in_flight = std::max(0.0, group.in_flight - found->second.counted);
     in_flight_.erase(found);
   }
 
@@ -217,7 +262,7 @@ struct ExpectedPrioritizer::Impl {
   }
 
   void sketch_graph(const PoseGraph& graph) {
-    if (options_.gain_exponent <= 0.0 && sketches_ > 0) return;
+    if (options_.gain_exponent <= 0.0) return;
     const auto size = static_cast<double>(graph.nodes().size() + graph.edges().size());
     if (sketches_ > 0 && size < kRefreshed * sketched_size_) return;
     sketched_size_ = size;
@@ -228,7 +273,7 @@ struct ExpectedPrioritizer::Impl {
     } catch (const InputError&) {  // it leaves a pose undetermined: there is no gain to speak of
       sketch_ = {};
     }
-    parts_.emplace(graph);
+    for (Group& group : groups_) group.closures_in_sketch = group.believed();
   }
 
   // ---- groups
@@ -238,6 +283,7 @@ struct ExpectedPrioritizer::Impl {
   }
 
   [[nodiscard]] std::uint32_t sketched(std::uint32_t node) const {
+    if (sketch_.empty()) return node;
     while (node >= sketch_.nodes() && places_.before(node) != node) node = places_.before(node);
     return node;
   }
@@ -276,8 +322,10 @@ struct ExpectedPrioritizer::Impl {
            static_cast<float>(2.0 * kMoved_rad * kMoved_rad);
   }
 
-  void look_at(Group& group) {
-    for (GroupMember& member : group.members) member.overlap = -1.0F;
+  void look_at(Group& group, bool has_moved) {
+    if (has_moved) {
+      for (GroupMember& member : group.members) member.overlap = -1.0F;
+    }
     const std::size_t n = group.members.size(), looked = std::min(n, kLookedAt);
     GroupMember& middle = group.members[n / 2];
     make_gain(group, middle.from, middle.to);
@@ -301,12 +349,11 @@ struct ExpectedPrioritizer::Impl {
   }
 
   void make_gain(Group& group, std::uint32_t from, std::uint32_t to) {
-    const std::uint32_t a = sketched(from), b = sketched(to);
-    group.connecting =
-        parts_ && a < parts_->component.size() && b < parts_->component.size() && parts_->connecting(a, b);
-    group.gain = group.connecting ? detail::RepeatedGain() : sketch_.gain(a, b, guess(to, from));
     group.sketch = sketches_;
-    group.closures_in_gain = group.verified;
+    if (options_.gain_exponent <= 0.0) return;
+    const std::uint32_t a = sketched(from), b = sketched(to);
+    group.connecting = parts_ && parts_->connecting(from, to);
+    group.gain = group.connecting ? detail::RepeatedGain() : sketch_.gain(a, b, guess(to, from));
   }
 
   /// A chance by evidence, with what came of the group where `expected` had been expected.
@@ -327,7 +374,8 @@ struct ExpectedPrioritizer::Impl {
   [[nodiscard]] double value(const Group& group) const {
     const double p = chance(group, verified_.probability(group.evidence)) * chance_right(group);
     if (options_.gain_exponent <= 0.0) return p;
-    const double had = group.verified - std::min(group.verified, group.closures_in_gain) + group.in_flight;
+    const double had =
+        group.believed() - std::min(group.believed(), group.closures_in_sketch) + group.in_flight;
     const double gain =
         group.connecting ? largest_gain_ * p / (1.0 + had) : group.gain.of(had + p) - group.gain.of(had);
     return std::pow(std::max(gain / p, 1e-30), options_.gain_exponent) * p;
@@ -351,13 +399,16 @@ struct ExpectedPrioritizer::Impl {
   /// Groups whose value is not known, and some of those whose value is old.
   void refresh() {
     std::size_t budget = kRefreshBudget;
-    largest_gain_ = 0.0;
+    std::vector<std::uint32_t> fresh;
     for (std::uint32_t g = 0; g < groups_.size(); ++g) {
-      Group& group = groups_[g];
-      if (group.members.empty()) continue;
-      if (!group.looked_at) look_at(group);
-      if (!group.connecting) largest_gain_ = std::max(largest_gain_, group.gain.of(1.0));
+      if (!groups_[g].members.empty() && !groups_[g].looked_at) fresh.push_back(g);
     }
+    const std::size_t chunks = (fresh.size() + kChunk - 1) / kChunk;
+    pool_.for_each(chunks, [&](std::size_t chunk) {
+      for (std::size_t k = chunk * kChunk; k < std::min(fresh.size(), (chunk + 1) * kChunk); ++k) {
+        look_at(groups_[fresh[k]], /*has_moved=*/false);
+      }
+    });
     const std::size_t n = groups_.size();
     for (std::size_t k = 0; k < n && budget > 0; ++k, next_refreshed_ = (next_refreshed_ + 1) % n) {
       Group& group = groups_[next_refreshed_ % n];
@@ -366,12 +417,21 @@ struct ExpectedPrioritizer::Impl {
       bring_up_to_date(group);
       --budget;
     }
+    largest_gain_ = 0.0;
+    for (const Group& group : groups_) {
+      if (!group.members.empty() && !group.connecting)
+        largest_gain_ = std::max(largest_gain_, group.gain.of(1.0));
+    }
   }
 
-  [[nodiscard]] bool old(const Group& group) const { return group.sketch != sketches_ || moved(group); }
+  [[nodiscard]] bool old(const Group& group) const {
+    return !group.looked_at || group.sketch != sketches_ || moved(group);
+  }
   void bring_up_to_date(Group& group) {
-    if (moved(group)) {
-      look_at(group);
+    if (!group.looked_at) {
+      look_at(group, moved(group));
+    } else if (moved(group)) {
+      look_at(group, /*has_moved=*/true);
     } else {
       make_gain(group, group.from, group.to);
     }
@@ -431,10 +491,10 @@ struct ExpectedPrioritizer::Impl {
     computed.by_evidence = verified_.probability(of_best);
     computed.said = chance(group, computed.by_evidence);
     computed.right = right_.probability(of_best);
-    group.in_flight += computed.said;
+    computed.counted = computed.said * chance_right(group);
+    group.in_flight += computed.counted;
     in_flight_[candidate.id] = computed;
-    group.members.erase(group.members.begin() + static_cast<std::ptrdiff_t>(best));
-    held_.erase(candidate.id);
+    erase(group, best);
     return candidate;
   }
 
@@ -452,6 +512,7 @@ struct ExpectedPrioritizer::Impl {
   const ClosureModelOptions closures_;
   const Robots robots_;
   const Signature signature_;
+  ThreadPool pool_;
   const std::uint64_t seed_;
   const std::string name_;
 

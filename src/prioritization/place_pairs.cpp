@@ -8,13 +8,15 @@ void Places::add_nodes(const PoseGraph& graph) {
     const Eigen::Vector3d position = graph.nodes()[node].pose.translation();
     const std::size_t robot = robots_.of(graph.nodes()[node].key);
     const auto [found, fresh] =
-        ends_.try_emplace(robot, End{next_place_, static_cast<std::uint32_t>(node), position});
+        ends_.try_emplace(robot, End{next_place_, static_cast<std::uint32_t>(node), position, 0.0});
     End& end = found->second;
     if (fresh) {
       ++next_place_;
-    } else if ((position - end.begin).norm() > place_m_) {
-      end = {next_place_++, end.node, position};
+    } else {
+      end.length_m += (position - end.position).norm();
+      if (end.length_m > place_m_) end = {next_place_++, end.node, position, 0.0};
     }
+    end.position = position;
     place_.push_back(end.place);
     before_.push_back(end.node);
     robot_.push_back(robot);

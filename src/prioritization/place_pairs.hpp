@@ -34,7 +34,8 @@ class Places {
  private:
   struct End {
     std::uint32_t place, node;
-    Eigen::Vector3d begin;
+    Eigen::Vector3d position;
+    double length_m;  ///< Of the place so far.
   };
   Robots robots_;
   double place_m_;

@@ -148,7 +148,9 @@ std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, s
   std::vector<CandidateId> ids;
   ids.reserve(share.size());
   for (const LoopCandidate& candidate : share) ids.push_back(candidate.id);
-  remove(ids);
+  tell_all(prioritizers_, [&](Prioritizer& other) {
+    if (&other != &prioritizer) other.remove(ids);
+  });
   return share;
 }
 

@@ -5,8 +5,8 @@
 ///     loopwise_prioritization_bench annealing GRAPH.g2o        Algorithm 1 on |L| = 500, B = 250, exact
 ///     loopwise_prioritization_bench holding GRAPH.g2o          the two ways to hold blocks, by |L|
 ///     loopwise_prioritization_bench first-batch POSES L B THREADS   sketch, shortlist and greedy choice
-///     loopwise_prioritization_bench choosing POSES L BATCHES THREADS   batches of 100, expected against gi
-///     loopwise_prioritization_bench signatures                 of scans: to make, and a pair
+///     loopwise_prioritization_bench choosing METHOD POSES L BATCHES THREADS   batches of 100, by expected,
+///     gi or both loopwise_prioritization_bench signatures                 of scans: to make, and a pair
 ///     loopwise_prioritization_bench sketch GRAPH.g2o           error of the probes
 ///     loopwise_prioritization_bench gnn GRAPH.g2o WEIGHTS.json swap evaluations of the network
 #include <sys/resource.h>
@@ -264,15 +264,22 @@ void choosing_by(Prioritizer& method, PoseGraph graph, const std::vector<LoopCan
   std::printf("%-9s first batch %.2f s, later ones %.3f s (median; at most %.3f), %.0f MB more\n",
               std::string(method.name()).c_str(), seconds[0], later[later.size() / 2], later.back(),
               memory_mb() - before);
+  std::fflush(stdout);
 }
 
-void choosing(std::size_t poses, std::size_t count, int batches, int threads) {
+void choosing(const std::string& method, std::size_t poses, std::size_t count, int batches, int threads) {
   const PoseGraph graph = bare(bench::streets(poses, 0, 4, 1).graph);
   const auto candidates = nearby_pairs(graph, count, 0.0, 1);
   ClosureModelOptions closures;
   closures.threads = threads;
   std::printf("%zu poses, %zu candidates, %d threads, wall time\n", graph.nodes().size(), candidates.size(),
               threads);
+  std::fflush(stdout);
+  if (method != "expected") {
+    GraphInformationPrioritizer gi({}, closures, {});
+    choosing_by(gi, graph, candidates, batches);
+  }
+  if (method == "gi") return;
   const auto signature = [](const KeyedScan& scan) { return ScanSignature(sweep(2000, scan.key)); };
   Robot robot;
   robot.name = "all";
@@ -280,8 +287,6 @@ void choosing(std::size_t poses, std::size_t count, int batches, int threads) {
   ExpectedPrioritizer expected({}, closures, Robots({robot}), signature, 1);
   for (const Node& node : graph.nodes()) expected.on_scan({node.key, 0, nullptr});
   choosing_by(expected, graph, candidates, batches);
-  GraphInformationPrioritizer gi({}, closures, {});
-  choosing_by(gi, graph, candidates, batches);
 }
 
 void sketch(const std::string& path) {
@@ -342,8 +347,8 @@ int main(int argc, char** argv) {
     holding(words[1]);
   } else if (what == "first-batch" && words.size() == 5) {
     first_batch(std::stoul(words[1]), std::stoul(words[2]), std::stoul(words[3]), std::stoi(words[4]));
-  } else if (what == "choosing" && words.size() == 5) {
-    choosing(std::stoul(words[1]), std::stoul(words[2]), std::stoi(words[3]), std::stoi(words[4]));
+  } else if (what == "choosing" && words.size() == 6) {
+    choosing(words[1], std::stoul(words[2]), std::stoul(words[3]), std::stoi(words[4]), std::stoi(words[5]));
   } else if (what == "signatures" && words.size() == 1) {
     signatures();
   } else if (what == "sketch" && words.size() == 2) {
@@ -351,7 +356,8 @@ int main(int argc, char** argv) {
   } else if (what == "gnn" && words.size() == 3) {
     gnn(words[1], words[2]);
   } else {
-    std::cerr << "annealing GRAPH | holding GRAPH | first-batch POSES L B THREADS | choosing POSES L BATCHES "
+    std::cerr << "annealing GRAPH | holding GRAPH | first-batch POSES L B THREADS | choosing METHOD POSES L "
+                 "BATCHES "
                  "THREADS | signatures | sketch GRAPH | gnn GRAPH "
                  "WEIGHTS\n";
     return 2;

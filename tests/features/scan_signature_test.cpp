@@ -94,7 +94,11 @@ TEST_CASE("scan signature: what is no point is left out", "[features][overlap][e
   REQUIRE(predicted_overlap(none, clean, Eigen::Isometry3d::Identity()) == 0.0);
   constexpr float kInf = std::numeric_limits<float>::infinity();
   for (const float bad : {std::nanf(""), kInf, -kInf, 1e30F, -1e30F}) {
-    for (int k = 0; k < 50; ++k) cloud.points.emplace_back(bad, 1.0F, 1.0F);
+    for (int k = 0; k < 50; ++k) {
+      cloud.points.emplace_back(bad, 1.0F, 1.0F);
+      cloud.points.emplace_back(1.0F, bad, 1.0F);
+      cloud.points.emplace_back(1.0F, 1.0F, bad);
+    }
   }
   REQUIRE(predicted_overlap(clean, ScanSignature(cloud), Eigen::Isometry3d::Identity()) > 0.9);
   PointCloud only_bad;

@@ -211,6 +211,10 @@ std::string trace_lines() {
   LoopCandidate candidate;
   candidate.from = make_key('a', 1);
   candidate.to = make_key('b', 1);
+  PointCloud corner;
+  for (int i = 0; i < 20; ++i)
+    corner.points.emplace_back(0.5F * static_cast<float>(i), i % 2 == 0 ? 0.0F : 3.0F, 1.0F);
+  const ScanSignature signature(corner);
   ExternalEstimate estimate;
   estimate.poses[make_key('a', 1)] = Eigen::Isometry3d::Identity();
   estimate.covariances[make_key('a', 1)] = Matrix6d::Identity();
@@ -221,7 +225,7 @@ std::string trace_lines() {
            event::Optimized{{}, false, "singular"}, estimate, event::Veto{make_key('a', 1), make_key('b', 1)},
            event::Tick{}, event::Improve{5, {}, {7}}, event::Choose{5}, event::Settle{},
            event::NoMoreScans{}}) {
-    writer.add({event, 1.5, 0.25});
+    writer.add({event, 1.5, 0.25, signature});
   }
   return text;
 }

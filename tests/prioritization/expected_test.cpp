@@ -221,6 +221,48 @@ TEST_CASE("expected: what was said and what came is kept", "[prioritization][exp
   REQUIRE(expected.acceptance().weights() != AcceptanceModel::shipped_verified());
 }
 
+TEST_CASE("expected: what other prioritisers have had computed counts too", "[prioritization][expected]") {
+  const auto share_of_first_half = [](bool told) {
+    ExpectedOptions options;
+    options.gain_exponent = 0.0;
+    ExpectedPrioritizer expected(options, {}, parse_robots("a,b"), {}, 3);
+    const std::vector<LoopCandidate> all = across(4);
+    REQUIRE(expected.add(all).empty());
+    expected.on_graph(two_streets());
+    std::vector<CandidateId> others;
+    for (const LoopCandidate& c : all) {
+      if (c.id % 3 == 0) others.push_back(c.id);
+    }
+    expected.remove(others);
+    for (const CandidateId id : others) {
+      if (told) expected.on_result(result_of(all[id], index_of(all[id].from) < kNodes / 2));
+    }
+    expected.on_graph(two_streets());
+    std::size_t first_half = 0;
+    for (const LoopCandidate& c : expected.take(60)) first_half += index_of(c.from) < kNodes / 2 ? 1 : 0;
+    return static_cast<double>(first_half) / 60.0;
+  };
+  REQUIRE(share_of_first_half(true) > share_of_first_half(false) + 0.2);
+}
+
+TEST_CASE("expected: a better candidate of the same places makes them more valuable",
+          "[prioritization][expected]") {
+  ExpectedOptions options = best_first();
+  options.gain_exponent = 0.0;
+  ExpectedPrioritizer expected(options, {}, parse_robots("a,b"), {}, 1);
+  const PoseGraph graph = two_streets();
+  // Of the first place a pair that lies far apart, of the last one a nearer one.
+  REQUIRE(expected
+              .add({testing::candidate_of(0, make_key('b', 0), make_key('a', 5)),
+                    testing::candidate_of(1, make_key('b', 58), make_key('a', 55)),
+                    testing::candidate_of(2, make_key('b', 59), make_key('a', 55))})
+              .empty());
+  expected.on_graph(graph);
+  REQUIRE(ids(expected.take(1)) == std::vector<CandidateId>{1});
+  REQUIRE(expected.add({testing::candidate_of(3, make_key('b', 3), make_key('a', 3))}).empty());
+  REQUIRE(ids(expected.take(1)) == std::vector<CandidateId>{3});
+}
+
 TEST_CASE("expected: the same calls give the same order, another seed another",
           "[prioritization][expected]") {
   const auto order_of = [](std::uint64_t seed) {
