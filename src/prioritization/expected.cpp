@@ -169,8 +169,8 @@ struct ExpectedPrioritizer::Impl {
     const std::size_t parts = parts_ ? parts_->anchored.size() : 0;
     parts_.emplace(graph);
     if (parts_->anchored.size() < parts) sketched_size_ = 0.0;  // parts were tied: gains are others now
+    learn(graph);  // first: the sketch has the closures that are believed now
     sketch_graph(graph);
-    learn(graph);
     std::vector<LoopCandidate> known;
     for (const auto& [id, candidate] : unknown_) {
       if (node_.count(candidate.from) != 0 && node_.count(candidate.to) != 0) known.push_back(candidate);

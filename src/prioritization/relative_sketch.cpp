@@ -11,26 +11,13 @@
 #include <loopwise/core/thread_pool.hpp>
 
 #include "closure_factor.hpp"
+#include "probes.hpp"
 
 namespace loopwise::detail {
 namespace {
 
 constexpr int kWidth = 16;  // probes solved for at a time
 using Rows = Eigen::Matrix<float, 6, Eigen::Dynamic, Eigen::RowMajor>;
-
-/// Random signs, the same for equal seeds.
-void fill_signs(std::vector<double>& x, std::size_t nodes, std::size_t rows, double scale, Rng rng) {
-  x.assign(nodes * 6 * kWidth, 0.0);
-  for (std::size_t node = 0; node < nodes; ++node) {
-    double* block = x.data() + node * 6 * kWidth;
-    std::uint64_t bits = 0;
-    for (std::size_t i = 0; i < rows * kWidth; ++i) {
-      if (i % 64 == 0) bits = rng();
-      block[i] = (bits & 1U) != 0 ? scale : -scale;
-      bits >>= 1U;
-    }
-  }
-}
 
 }  // namespace
 
@@ -52,8 +39,8 @@ RelativeSketch::RelativeSketch(const PoseGraph& graph, const ClosureModelOptions
     const std::size_t group = task / 2;
     const bool of_trace = task % 2 != 0;
     std::vector<double> x;
-    fill_signs(x, factor.free_nodes(), of_trace ? counted : 6, scale,
-               Rng(combine_seeds(combine_seeds(seed, group), of_trace ? 1 : 0)));
+    fill_probes(x, factor.free_nodes(), kWidth, of_trace ? counted : 6, scale,
+                Rng(combine_seeds(combine_seeds(seed, group), of_trace ? 1 : 0)));
     of_trace ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
     std::vector<float>& out = of_trace ? V_ : U_;
     for (std::size_t node = 0; node < nodes; ++node) {

@@ -15,6 +15,7 @@
 #include "cell.hpp"
 #include "closure_factor.hpp"
 #include "closure_set.hpp"
+#include "probes.hpp"
 
 namespace loopwise {
 namespace {
@@ -45,19 +46,10 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
   pool.for_each(2 * groups, [&](std::size_t task) {
     const std::size_t group = task / 2;
     const bool counted = task % 2 != 0;
-    Rng rng(combine_seeds(combine_seeds(seed, group), counted ? 1 : 0));
     std::vector<double>& x = counted ? V[group] : U[group];
-    x.assign(factor.free_nodes() * 6 * kWidth, 0.0);
-    const std::size_t rows = counted && options.trace == TraceKind::kTranslation ? 3 : 6;
-    for (std::size_t node = 0; node < factor.free_nodes(); ++node) {
-      double* block = x.data() + node * 6 * kWidth;
-      std::uint64_t bits = 0;
-      for (std::size_t i = 0; i < rows * kWidth; ++i) {
-        if (i % 64 == 0) bits = rng();
-        block[i] = (bits & 1U) != 0 ? scale : -scale;
-        bits >>= 1U;
-      }
-    }
+    detail::fill_probes(x, factor.free_nodes(), kWidth,
+                        counted && options.trace == TraceKind::kTranslation ? 3 : 6, scale,
+                        Rng(combine_seeds(combine_seeds(seed, group), counted ? 1 : 0)));
     counted ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
   });
 

@@ -120,7 +120,8 @@ TEST_CASE("acceptance: without overlap it goes by distance, from outside by the 
           Approx(AcceptanceModel(AcceptanceModel::shipped_verified()).probability(near)));
 }
 
-TEST_CASE("acceptance: numbers that are none do no harm", "[prioritization][acceptance][error]") {
+TEST_CASE("acceptance: evidence that is not finite gives a probability all the same",
+          "[prioritization][acceptance][error]") {
   constexpr double kInf = std::numeric_limits<double>::infinity();
   const AcceptanceModel model(AcceptanceModel::shipped_verified());
   for (const double bad : {std::nan(""), kInf, -kInf, 1e300}) {

@@ -242,7 +242,7 @@ class TimedRegistrar final : public Registrar {
   double features_s_;
 };
 
-TEST_CASE("replay: measured times that are none are refused", "[replay][replay][error]") {
+TEST_CASE("replay: measured times that are negative or not finite are refused", "[replay][replay][error]") {
   const Mission mission = two_circles();
   ReplayOptions config = fast_config();
   config.cost.measured_time = true;

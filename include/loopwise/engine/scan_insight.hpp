@@ -7,9 +7,9 @@
 
 namespace loopwise {
 
-/// What prioritisers are told of scans: the smallest eigenvalue of the observability matrix, from the cache,
-/// and the signature of the cloud that is announced, or of the one that the cache loads. 0 and empty if the
-/// scan cannot be read. `features` must outlive what is returned.
+/// Describes scans to the prioritisers. The smallest eigenvalue of the observability matrix comes from the
+/// cache; it is 0 if the scan is missing. The signature is that of the announced cloud, or of the cloud that
+/// the cache loads; it is empty if the scan is missing. `features` must outlive the returned functions.
 [[nodiscard]] LOOPWISE_EXPORT ScanInsight scan_insight(FeatureCache& features, ObservabilityVariant variant);
 
 }  // namespace loopwise

@@ -6,7 +6,6 @@
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <deque>
 #include <limits>
 #include <utility>
 #include <vector>
@@ -25,15 +24,15 @@ struct CandidateEvidence {
   bool from_outside = false;
 };
 
-/// A chance by evidence: a logistic model whose weights begin at those of simulated missions and follow the
-/// results of the run, as the maximum of the posterior. The prior of the weights stands for `prior_strength`
-/// results. The same results in the same order give the same model. One tells whether a candidate is
-/// verified, another whether a verified closure is right: robust optimisation believes it.
+/// A logistic model of the probability that a candidate succeeds. Its weights start from a prior and are
+/// fitted to the results of the run (maximum a posteriori). The prior counts for `prior_strength` results.
+/// The same results in the same order give the same model. ExpectedPrioritizer has two: one predicts whether
+/// a candidate is verified, the other whether robust optimisation keeps a verified closure.
 class LOOPWISE_EXPORT AcceptanceModel {
  public:
   static constexpr std::size_t kTerms = 6;          ///< Of the model, the constant one included.
   using Terms = std::array<double, kTerms>;         ///< One number a term.
-  static constexpr double kDefaultStrength = 50.0;  ///< See prior_strength().
+  static constexpr double kDefaultStrength = 50.0;  ///< Results that the prior counts for.
 
   /// With weights to begin with: shipped_verified(), shipped_right(), or others. \throws OptionError on one
   /// that is not finite, or a strength that is not finite and > 0

@@ -51,13 +51,13 @@ struct ExpectedOptions {
   }
 };
 
-/// Draws candidates by what they are expected to give: chance that the closure is verified, times the chance
-/// that robust optimisation believes it, times what it takes from the graph's uncertainty, for the time that
-/// it costs. Candidates between the same two places form a group; what one of them will give lowers the
-/// value of the others before it is computed. See docs/prioritization.md.
+/// Draws candidates at random, with odds that rise with their expected value. The value combines three
+/// factors: the probability that the closure is verified, the probability that robust optimisation keeps it,
+/// and the reduction of the graph's uncertainty. Candidates between the same two places form a group. A
+/// closure that is expected from one member lowers the value of the others. See docs/prioritization.md.
 class LOOPWISE_EXPORT ExpectedPrioritizer final : public Prioritizer {
  public:
-  /// The shape of a scan; empty if there is none.
+  /// Makes the signature of a scan. An empty signature means that the scan is missing.
   using Signature = std::function<ScanSignature(const KeyedScan&)>;
 
   /// \param options of the draw
@@ -83,7 +83,7 @@ class LOOPWISE_EXPORT ExpectedPrioritizer final : public Prioritizer {
 
   [[nodiscard]] const Calibration* calibration() const override;
 
-  /// The chance that a candidate is verified, as it has been learned.
+  /// The learned probability that a candidate is verified.
   [[nodiscard]] const AcceptanceModel& acceptance() const;
 
  private:

@@ -95,7 +95,7 @@ struct PrioritizationOptions {
   }
 };
 
-/// What prioritisers are told of a scan. Each may be asked once a scan.
+/// Functions that describe a scan to the prioritisers. Each is called at most once for a scan.
 struct ScanInsight {
   ObservabilityPrioritizer::Eigenvalue eigenvalue;  ///< For `obs`; may be empty if the method is without.
   ExpectedPrioritizer::Signature signature;         ///< For `expected` and `likely`; may be empty: see there.
@@ -105,7 +105,7 @@ struct ScanInsight {
 /// \param options the method and its prioritisers' options
 /// \param seed of everything random
 /// \param robots whose nodes the candidates join
-/// \param scans what they are told of scans
+/// \param scans describes scans to the prioritisers
 /// \throws OptionError if a prioritiser is named twice, or on its options
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::unique_ptr<Prioritizer>> make_prioritizers(
     const PrioritizationOptions& options, std::uint64_t seed, const Robots& robots, const ScanInsight& scans);
