@@ -11,6 +11,7 @@
 #include <loopwise/io/trajectory.hpp>
 
 #include "command.hpp"
+#include "evaluate_map.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -22,6 +23,7 @@ struct Options {
   std::string alignment = "none";
   std::string robots;
   double max_time_difference_s = 0.02;
+  bool map = false;
 };
 
 Json statistics_json(const Statistics& s) {
@@ -90,6 +92,7 @@ Input read_input(const Options& options, const Config& config, Console& console,
 }
 
 int run(const Options& options) {
+  if (options.map) return evaluate_map(options.common, options.estimate, options.truth);
   constexpr double kDegrees = 57.29577951308232;
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -180,6 +183,10 @@ void add_evaluate(CLI::App& app, Action& chosen) {
       ->add_option("--alignment", options->alignment,
                    "none: common frame; first: first poses agree; se3: best rigid motion (default none)")
       ->type_name("WORD");
+  command->add_flag(
+      "--map", options->map,
+      "Without truth: how well scans of TRUTH, a recording, agree at revisits, by its own poses and "
+      "by those of ESTIMATE");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   command

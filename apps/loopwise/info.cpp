@@ -11,6 +11,7 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/mission.hpp>
+#include <loopwise/replay/cost_forecast.hpp>
 
 #include "command.hpp"
 
@@ -25,6 +26,7 @@ struct Options {
   std::string robots;
   std::string picture;
   CandidateStatisticsOptions candidates;
+  std::int64_t timed = 40;
   bool read_scans = true;
 };
 
@@ -139,6 +141,19 @@ void add_candidates(const Mission& mission, const Options& options, Json& json, 
   text += "\n";
 }
 
+/// How long all of them would take here.
+void add_cost(const Mission& mission, const Options& options, const ReplayOptions& replay,
+              const StopToken& stop, Json& json, std::string& text) {
+  if (!options.read_scans || options.timed <= 0 || mission.scans->size() == 0) return;
+  const CostForecast forecast = forecast_cost(mission, replay, static_cast<std::size_t>(options.timed), stop);
+  const int threads = thread_count(options.common);
+  if (forecast.measured == 0) return;
+  json["all_candidates"] = {{"candidates", forecast.candidates},         {"measured", forecast.measured},
+                            {"registration_s", forecast.registration_s}, {"threads", threads},
+                            {"all_s", forecast.all_s(threads)},          {"mission_s", forecast.mission_s}};
+  text += "all of them  " + forecast_text(forecast, threads) + "\n";
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -244,6 +259,7 @@ int run(const Options& options) {
           std::to_string(mission.radio.size()) + " readings, " + std::to_string(mission.beacons.size()) +
           " beacons, " + std::to_string(mission.gaps.size()) + " communication gaps\n";
   add_candidates(mission, options, json, text);
+  add_cost(mission, options, config.replay, interrupt.token(), json, text);
   add_drift(mission, json, text);
   if (!options.picture.empty()) write_file(options.picture, mission_picture_svg(mission));
   for (const Problem& problem : problems.all()) text += "problem      " + to_string(problem) + "\n";
@@ -272,6 +288,11 @@ void add_info(CLI::App& app, Action& chosen) {
   command
       ->add_option("--pairs", options->candidates.pairs,
                    "Candidates whose scans are compared at the true poses (default 1000)")
+      ->type_name("N");
+  command
+      ->add_option("--timed", options->timed,
+                   "Candidates to compute, to tell how long all would take; 0: do not (default 40)")
+      ->check(CLI::Range(0, 1000000))
       ->type_name("N");
   add_joining_options(*command, options->frames, options->start_together);
   command->add_option("--picture", options->picture, "Draw the mission from above, as SVG")

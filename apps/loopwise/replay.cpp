@@ -19,6 +19,7 @@
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/replay/code_version.hpp>
+#include <loopwise/replay/cost_forecast.hpp>
 #include <loopwise/replay/live_replay.hpp>
 #include <loopwise/replay/outcome_store.hpp>
 #include <loopwise/replay/replay.hpp>
@@ -120,28 +121,6 @@ std::string reasons_text(const std::string& what, const std::map<std::string, st
   return text.empty() ? text : what + std::string(13 - what.size(), ' ') + text + "\n";
 }
 
-/// How long all candidates would take here, by those that were computed: whether the order matters on a
-/// machine like this.
-std::string order_text(const ReplayResult& result, int threads) {
-  double sum_s = 0.0;
-  std::size_t measured = 0;
-  for (const ComputedCandidate& computed : result.computed) {
-    const double seconds = computed.result.seconds();
-    if (!(seconds > 0.0)) continue;
-    sum_s += seconds;
-    ++measured;
-  }
-  const std::size_t all = result.accounting.queued();
-  if (measured == 0 || result.accounting.pending == 0) return {};
-  const double all_s = sum_s / static_cast<double>(measured) * static_cast<double>(all) / threads;
-  const double mission_s = result.mission_end_s;
-  return "all of them  " + std::to_string(all) + " candidates: " + fixed(all_s / 60.0, 1) + " min on " +
-         std::to_string(threads) + " threads as they were measured, the mission lasts " +
-         fixed(mission_s / 60.0, 1) + ": " +
-         (all_s <= mission_s ? "a live run can compute them all, and every order ends at the same map\n"
-                             : "the order decides\n");
-}
-
 /// Chances that were said of candidates, against what came.
 std::string calibration_text(const ReplayResult& result) {
   std::string text;
@@ -198,7 +177,10 @@ std::string results_text(const ReplayOptions& options, const ReplayResult& resul
           fixed(result.optimization_s, 1) + " s optimisation, " + fixed(result.decision_s, 1) +
           " s candidates and their order, method " + to_string(options.prioritization.method) + "\n";
   if (result.interrupted) return text;
-  if (threads > 0) text += order_text(result, threads);
+  if (threads > 0 && a.pending > 0) {
+    const std::string all = forecast_text(forecast_cost(result), threads);
+    if (!all.empty()) text += "all of them  " + all + "\n";
+  }
   const auto most = static_cast<std::size_t>(options.max_registrations);
   if (a.pending > 0 && most > 0 && a.computed >= most) {
     text += "pending      " + std::to_string(a.pending) + " after as many as --max-registrations allows\n";

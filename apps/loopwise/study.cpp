@@ -11,6 +11,7 @@ void add_study(CLI::App& app, Action& chosen, Transport* job) {
   add_budget_study(*command, chosen, job);
   add_rssi_study(*command, chosen, job);
   add_registration_study(*command, chosen);
+  add_acceptance_study(*command, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -2,7 +2,10 @@
 #include <loopwise/prioritization/acceptance.hpp>
 
 #include <algorithm>
+#include <charconv>
 #include <cmath>
+#include <string>
+#include <system_error>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Core>
@@ -55,6 +58,26 @@ const AcceptanceModel::Terms& AcceptanceModel::shipped_verified() {
 
 const AcceptanceModel::Terms& AcceptanceModel::shipped_right() {
   static const Terms weights{0.9, 15.8, 0.4, 3.0, -1.5, 1.0};
+  return weights;
+}
+
+AcceptanceModel::Terms AcceptanceModel::parse(std::string_view text, std::string_view option) {
+  Terms weights{};
+  std::size_t count = 0;
+  for (const char *at = text.data(), *end = at + text.size(); at <= end; ++count) {
+    const char* const comma = std::find(at, end, ',');
+    double value = 0.0;
+    const auto [stop, error] = std::from_chars(at, comma, value);
+    if (error != std::errc() || stop != comma || !std::isfinite(value)) {
+      throw OptionError(std::string(option) + ": \"" + std::string(at, comma) + "\" is not a number");
+    }
+    if (count < kTerms) weights[count] = value;
+    at = comma + 1;
+  }
+  if (count != kTerms) {
+    throw OptionError(std::string(option) + ": " + std::to_string(count) + " numbers, " +
+                      std::to_string(kTerms) + " are needed");
+  }
   return weights;
 }
 

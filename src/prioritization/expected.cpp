@@ -34,11 +34,6 @@ constexpr double kMostChance = 0.98;
 constexpr std::size_t kChunk = 256;           // groups looked at by one task of the pool
 constexpr std::size_t kRefreshBudget = 8192;  // groups with an old value that are looked at in one go
 
-struct PairHash {
-  std::size_t operator()(const std::pair<std::uint32_t, std::uint32_t>& pair) const {
-    return static_cast<std::size_t>(mix64((static_cast<std::uint64_t>(pair.first) << 32) | pair.second));
-  }
-};
 struct KeyPairHash {
   std::size_t operator()(const std::pair<Key, Key>& pair) const {
     return static_cast<std::size_t>(combine_seeds(pair.first, pair.second));
@@ -51,17 +46,21 @@ double gumbel(std::uint64_t bits) {
   return -std::log(-std::log(uniform));
 }
 
+AcceptanceModel prior(const std::string& given, const char* option, const AcceptanceModel::Terms& shipped) {
+  return AcceptanceModel(given.empty() ? shipped : AcceptanceModel::parse(given, option));
+}
+
 /// Candidates between the same two places.
 struct Group {
   std::vector<GroupMember> members;
+  bool looked_at = false;  // beside `members`: both are touched for each candidate that comes
+  bool connecting = false;
   // What was last made of it.
   CandidateEvidence evidence;  // of the most promising of those looked at
   detail::RepeatedGain gain;
   Eigen::Isometry3f guess = Eigen::Isometry3f::Identity();  // between the two nodes of that one
   std::uint32_t from = 0, to = 0;                           // its nodes
-  bool looked_at = false;
-  bool connecting = false;
-  std::uint32_t sketch = 0;  // that the gain is of
+  std::uint32_t sketch = 0;                                 // that the gain is of
   // What came of those that were computed.
   double expected = 0.0;        // sum of their chances by evidence
   double expected_right = 0.0;  // of the verified ones, sum of their chances to be right by evidence
@@ -96,7 +95,10 @@ struct ExpectedPrioritizer::Impl {
         pool_(closures.threads),
         seed_(seed),
         name_(name),
-        places_(std::move(robots), given.place_m) {
+        places_(std::move(robots), given.place_m),
+        verified_(
+            prior(given.verified_weights, "expected.verified_weights", AcceptanceModel::shipped_verified())),
+        right_(prior(given.right_weights, "expected.right_weights", AcceptanceModel::shipped_right())) {
     validate(options_);
     validate(closures_);
   }
@@ -121,14 +123,12 @@ struct ExpectedPrioritizer::Impl {
       unknown_.emplace(candidate.id, candidate);
       return;
     }
-    const std::uint32_t a = places_.place_of(from->second), b = places_.place_of(to->second);
-    const auto [found, fresh] =
-        by_places_.emplace(std::minmax(a, b), static_cast<std::uint32_t>(groups_.size()));
-    if (fresh) groups_.emplace_back();
-    Group& group = groups_[found->second];
+    const std::uint32_t g = pairs_.number_of(places_.place_of(from->second), places_.place_of(to->second));
+    if (g == groups_.size()) groups_.emplace_back();
+    Group& group = groups_[g];
     group.members.push_back({candidate, from->second, to->second, -1.0F});
     group.looked_at = false;  // it may be the most promising
-    held_.set(candidate.id, found->second);
+    held_.set(candidate.id, g);
   }
 
   void remove(const std::vector<CandidateId>& ids) {
@@ -155,7 +155,10 @@ struct ExpectedPrioritizer::Impl {
   void on_scan(const KeyedScan& scan) {
     if (!signature_) return;
     ScanSignature signature = signature_(scan);
-    if (!signature.empty()) signatures_.emplace(scan.key, std::move(signature));
+    if (signature.empty()) return;
+    const ScanSignature& kept = signatures_.emplace(scan.key, std::move(signature)).first->second;
+    const auto node = node_.find(scan.key);
+    if (node != node_.end()) signature_of_[node->second] = &kept;
   }
 
   void on_graph(const PoseGraph& graph) {
@@ -163,7 +166,8 @@ struct ExpectedPrioritizer::Impl {
     for (std::size_t i = 0; i < poses_.size(); ++i) poses_[i] = graph.nodes()[i].pose;
     for (std::size_t i = places_.nodes(); i < poses_.size(); ++i) {
       node_.emplace(graph.nodes()[i].key, static_cast<std::uint32_t>(i));
-      keys_.push_back(graph.nodes()[i].key);
+      const auto signature = signatures_.find(graph.nodes()[i].key);
+      signature_of_.push_back(signature == signatures_.end() ? nullptr : &signature->second);
     }
     places_.add_nodes(graph);
     const std::size_t parts = parts_ ? parts_->anchored.size() : 0;
@@ -198,12 +202,12 @@ struct ExpectedPrioritizer::Impl {
     const LoopCandidate& candidate = result.candidate;
     const auto from = node_.find(candidate.from), to = node_.find(candidate.to);
     if (from == node_.end() || to == node_.end()) return;
-    const auto group =
-        by_places_.find(std::minmax(places_.place_of(from->second), places_.place_of(to->second)));
-    if (group == by_places_.end()) return;
+    const std::uint32_t* const group =
+        pairs_.find(places_.place_of(from->second), places_.place_of(to->second));
+    if (group == nullptr) return;
     GroupMember member{candidate, from->second, to->second, -1.0F};
     Computed computed;
-    computed.group = group->second;
+    computed.group = *group;
     computed.from = candidate.from;
     computed.to = candidate.to;
     computed.evidence = evidence_of(member);
@@ -288,13 +292,8 @@ struct ExpectedPrioritizer::Impl {
     return node;
   }
 
-  [[nodiscard]] const ScanSignature* signature_of(std::uint32_t node) const {
-    const auto found = signatures_.find(keys_[node]);
-    return found == signatures_.end() ? nullptr : &found->second;
-  }
-
   [[nodiscard]] float overlap_of(const GroupMember& member, const Eigen::Isometry3d& T) const {
-    const ScanSignature *from = signature_of(member.from), *to = signature_of(member.to);
+    const ScanSignature *from = signature_of_[member.from], *to = signature_of_[member.to];
     if (!options_.use_overlap || from == nullptr || to == nullptr)
       return std::numeric_limits<float>::quiet_NaN();
     return static_cast<float>(predicted_overlap(*from, *to, T));
@@ -518,20 +517,19 @@ struct ExpectedPrioritizer::Impl {
 
   detail::Places places_;
   std::unordered_map<Key, std::uint32_t> node_;  // of the graph
-  std::vector<Key> keys_;
   std::vector<Eigen::Isometry3d> poses_;
   std::unordered_map<Key, ScanSignature> signatures_;
+  std::vector<const ScanSignature*> signature_of_;  // node; null: not known
 
   std::map<CandidateId, LoopCandidate> unknown_;  // with a node that the graph does not have
   IdTable<std::uint32_t> held_;                   // group
   std::vector<Group> groups_;
-  std::unordered_map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t, PairHash> by_places_;
+  detail::PlacePairs pairs_;  // the number of a pair is its group's
 
   std::unordered_map<CandidateId, Computed> in_flight_;
   std::vector<Computed> computed_;
   bool learned_ = true;  // the models know all that was computed
-  AcceptanceModel verified_{AcceptanceModel::shipped_verified()};
-  AcceptanceModel right_{AcceptanceModel::shipped_right()};
+  AcceptanceModel verified_, right_;
   Calibration calibration_;
 
   detail::RelativeSketch sketch_;

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "place_pairs.hpp"
 
+#include <algorithm>
+
 namespace loopwise::detail {
 
 void Places::add_nodes(const PoseGraph& graph) {
@@ -22,6 +24,24 @@ void Places::add_nodes(const PoseGraph& graph) {
     robot_.push_back(robot);
     end.node = static_cast<std::uint32_t>(node);
   }
+}
+
+std::uint32_t PlacePairs::number_of(std::uint32_t a, std::uint32_t b) {
+  const auto [low, high] = std::minmax(a, b);
+  if (rows_.size() <= high) rows_.resize(high + 1);
+  Row& row = rows_[high];
+  const auto at = std::lower_bound(row.begin(), row.end(), std::pair(low, std::uint32_t{0}));
+  if (at != row.end() && at->first == low) return at->second;
+  row.insert(at, {low, size_});
+  return size_++;
+}
+
+const std::uint32_t* PlacePairs::find(std::uint32_t a, std::uint32_t b) const {
+  const auto [low, high] = std::minmax(a, b);
+  if (rows_.size() <= high) return nullptr;
+  const Row& row = rows_[high];
+  const auto at = std::lower_bound(row.begin(), row.end(), std::pair(low, std::uint32_t{0}));
+  return at != row.end() && at->first == low ? &at->second : nullptr;
 }
 
 }  // namespace loopwise::detail

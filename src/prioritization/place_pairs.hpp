@@ -45,6 +45,23 @@ class Places {
   std::unordered_map<std::size_t, End> ends_;  // of the path so far, by robot
 };
 
+/// Numbers unordered pairs of places. A row for each place lies in one piece of memory: candidates come node
+/// by node, so that the row is in the cache for most of them.
+class PlacePairs {
+ public:
+  /// The number of a pair. A pair that is new gets size().
+  std::uint32_t number_of(std::uint32_t a, std::uint32_t b);
+  /// Null if the pair has no number.
+  [[nodiscard]] const std::uint32_t* find(std::uint32_t a, std::uint32_t b) const;
+  /// How many pairs have a number.
+  [[nodiscard]] std::uint32_t size() const { return size_; }
+
+ private:
+  using Row = std::vector<std::pair<std::uint32_t, std::uint32_t>>;  // the smaller place, the pair's number
+  std::vector<Row> rows_;  // by the larger place, in the order of the smaller one
+  std::uint32_t size_ = 0;
+};
+
 /// A candidate as its group holds it.
 struct GroupMember {
   LoopCandidate candidate;

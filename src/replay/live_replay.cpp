@@ -26,6 +26,7 @@ void check(const ReplayOptions& options) {
   };
   if (options.max_registrations > 0) refuse("replay.max_registrations");
   if (options.cost.measured_time) refuse("cost.measured_time");
+  if (options.cost.refused_time_share != 1.0) refuse("cost.refused_time_share");
 }
 
 /// One run: the module, fed by the clock.

@@ -137,7 +137,8 @@ class Run {
     ++result_.batches;
     batch_ = std::move(compute.tasks);
     log_.write(journal::batch_line(now_s_, batch_, account()));
-    options_.cost.measured_time ? compute_measured() : compute_modelled();
+    const bool alike = !options_.cost.measured_time && options_.cost.refused_time_share == 1.0;
+    alike ? compute_alike() : compute_timed();
     next_result_ += batch_.size();
     if (batch_.empty()) feed(event::BatchDone{});  // none could become a task
   }
@@ -186,9 +187,9 @@ class Run {
     feed(event::Choose{count});
   }
 
-  /// Worker k of W computes the batch's candidates k, k + W, …; those that would end after the mission are
-  /// not computed.
-  void compute_modelled() {
+  /// All take the same time: worker k of W computes the batch's candidates k, k + W, …; those that would end
+  /// after the mission are not computed.
+  void compute_alike() {
     const auto workers = static_cast<std::size_t>(options_.cost.workers);
     std::size_t paid = 0;
     for (; paid < batch_.size(); ++paid) {
@@ -201,16 +202,22 @@ class Run {
     compute(paid);
   }
 
+  /// Mission time of one registration.
+  [[nodiscard]] double duration_s(const RegistrationResult& result) const {
+    if (options_.cost.measured_time) return measured_s(result);
+    return options_.cost.registration_time_s * (result.verified() ? 1.0 : options_.cost.refused_time_share);
+  }
+
   /// The time of a registration is known once it is computed: all are, each then takes its turn on the worker
   /// that is free first, and the results of those that would end after the mission are not looked at.
-  void compute_measured() {
+  void compute_timed() {
     compute(batch_.size());
     std::vector<double> free_s(static_cast<std::size_t>(options_.cost.workers), now_s_);
     outstanding_ = 0;
     for (std::size_t i = 0; i < batch_.size(); ++i) {
       if (!results_[i]) continue;  // a stop request came first
       const auto worker = std::min_element(free_s.begin(), free_s.end());
-      *worker += measured_s(*results_[i]);
+      *worker += duration_s(*results_[i]);
       if (*worker > end_s_) {
         results_[i].reset();
         continue;

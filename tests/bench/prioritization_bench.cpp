@@ -269,7 +269,12 @@ void choosing_by(Prioritizer& method, PoseGraph graph, const std::vector<LoopCan
 
 void choosing(const std::string& method, std::size_t poses, std::size_t count, int batches, int threads) {
   const PoseGraph graph = bare(bench::streets(poses, 0, 4, 1).graph);
-  const auto candidates = nearby_pairs(graph, count, 0.0, 1);
+  auto candidates = nearby_pairs(graph, count, 0.0, 1);
+  // As they come in a run: node by node.
+  std::sort(candidates.begin(), candidates.end(), [](const LoopCandidate& a, const LoopCandidate& b) {
+    return std::pair(a.from, a.to) < std::pair(b.from, b.to);
+  });
+  for (std::size_t i = 0; i < candidates.size(); ++i) candidates[i].id = i;
   ClosureModelOptions closures;
   closures.threads = threads;
   std::printf("%zu poses, %zu candidates, %d threads, wall time\n", graph.nodes().size(), candidates.size(),

@@ -137,6 +137,17 @@ TEST_CASE("acceptance: evidence that is not finite gives a probability all the s
   REQUIRE_THROWS_AS(AcceptanceModel(AcceptanceModel::Terms{}, 0.0), OptionError);
 }
 
+TEST_CASE("acceptance: weights as an option has them", "[prioritization][acceptance][error]") {
+  REQUIRE(AcceptanceModel::parse("0.4,10.1,-3.6,2,-2.7,-1", "o") ==
+          AcceptanceModel::Terms{0.4, 10.1, -3.6, 2.0, -2.7, -1.0});
+  REQUIRE_THROWS_WITH(AcceptanceModel::parse("1,2,3", "expected.right_weights"),
+                      "expected.right_weights: 3 numbers, 6 are needed");
+  REQUIRE_THROWS_WITH(AcceptanceModel::parse("1,2,3,4,5,6,7", "o"), Contains("7 numbers"));
+  REQUIRE_THROWS_WITH(AcceptanceModel::parse("1,2,x,4,5,6", "o"), "o: \"x\" is not a number");
+  for (const char* bad : {"", ",", "1,2,3,4,5,", "1,2,3,4,5,nan", "1,2,3,4,5,inf", "1, 2,3,4,5,6"})
+    REQUIRE_THROWS_AS(AcceptanceModel::parse(bad, "o"), OptionError);
+}
+
 TEST_CASE("calibration: reliability and Brier score", "[prioritization][acceptance]") {
   Calibration calibration;
   REQUIRE(std::isnan(calibration.brier()));

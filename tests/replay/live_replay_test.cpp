@@ -230,6 +230,7 @@ TEST_CASE("live replay: options of the virtual clock alone are refused", "[repla
   };
   require_refused([](ReplayOptions& r) { r.max_registrations = 5; }, "replay.max_registrations");
   require_refused([](ReplayOptions& r) { r.cost.measured_time = true; }, "cost.measured_time");
+  require_refused([](ReplayOptions& r) { r.cost.refused_time_share = 0.0; }, "cost.refused_time_share");
   REQUIRE_THROWS_AS(replay_live(mission, live_config("random"), nullptr, clock, 1), InputError);
 }
 

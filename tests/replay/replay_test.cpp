@@ -288,6 +288,29 @@ TEST_CASE("replay: with measured times each worker is busy for as long as it too
   REQUIRE(all.result.accounting.pending == 0);
 }
 
+TEST_CASE("replay: a refused registration may take a share of the time, or none", "[replay][replay]") {
+  const Mission mission = two_circles();
+  ReplayOptions config = fast_config();
+  config.cost.workers = 1;
+  config.batch = 1;  // the worker is always busy
+  const auto at_share = [&](double share) {
+    config.cost.refused_time_share = share;
+    return run_replay(mission, config).result;
+  };
+  std::size_t before = 0;
+  for (const double share : {2.0, 1.0, 0.5, 0.0}) {
+    const ReplayResult run = at_share(share);
+    REQUIRE(run.accounting.balanced());
+    double busy_s = 0.0;
+    for (const ComputedCandidate& c : run.computed)
+      busy_s += config.cost.registration_time_s * (c.result.verified() ? 1.0 : share);
+    REQUIRE(busy_s <= run.mission_end_s);
+    REQUIRE(busy_s > 0.8 * run.mission_end_s);
+    REQUIRE(run.computed.size() > before);
+    before = run.computed.size();
+  }
+}
+
 TEST_CASE("replay: thinning keeps a uniform share of the pairs, the same for every method",
           "[replay][replay]") {
   const Mission mission = two_circles();

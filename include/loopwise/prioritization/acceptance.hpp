@@ -7,6 +7,7 @@
 #include <cstddef>
 #include <cstdint>
 #include <limits>
+#include <string_view>
 #include <utility>
 #include <vector>
 
@@ -54,6 +55,9 @@ class LOOPWISE_EXPORT AcceptanceModel {
   [[nodiscard]] static const Terms& shipped_verified();
   /// That a verified closure is right, likewise.
   [[nodiscard]] static const Terms& shipped_right();
+  /// Weights as an option has them, by commas: "0.4,10.1,-3.6,2,-2.7,-1". \throws OptionError that names
+  /// `option`
+  [[nodiscard]] static Terms parse(std::string_view text, std::string_view option);
 
  private:
   Terms prior_;

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -28,6 +29,8 @@ struct ExpectedOptions {
   bool use_right = true;
   std::int64_t probes = 32;
   double max_wait_s = 600.0;
+  std::string verified_weights;
+  std::string right_weights;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -48,6 +51,11 @@ struct ExpectedOptions {
           "Random probes of the gain; the error is about sqrt(2 / probes).");
     field("max_wait_s", self.max_wait_s, at_least(0.0),
           "Candidates to nodes that the graph does not have are given up after this, s; 0: never.");
+    field("verified_weights", self.verified_weights, any_value(),
+          "Prior of the chance that a candidate is verified: six numbers by commas, as `study acceptance` "
+          "fits them; empty: the shipped ones.");
+    field("right_weights", self.right_weights, any_value(),
+          "Prior of the chance that a verified closure is kept, likewise.");
   }
 };
 

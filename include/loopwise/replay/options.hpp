@@ -17,6 +17,7 @@ namespace loopwise {
 struct CostModel {
   std::int64_t workers = 10;
   double registration_time_s = 1.3;
+  double refused_time_share = 1.0;
   bool measured_time = false;
   double gi_evaluation_time_s = 0.02;
 
@@ -25,6 +26,9 @@ struct CostModel {
     field("workers", self.workers, at_least(1), "Registrations that run at a time on the mission's clock.");
     field("registration_time_s", self.registration_time_s, above(0.0),
           "Mission time that one registration takes on one worker, s.");
+    field("refused_time_share", self.refused_time_share, at_least(0.0),
+          "Mission time of a registration that is refused, in units of registration_time_s. 0: refusals are "
+          "free, as if an oracle knew them beforehand; no order of computation can do better than that.");
     field(
         "measured_time", self.measured_time, any_value(),
         "A registration takes as long as it took on this machine, as recorded with its outcome, in place of "

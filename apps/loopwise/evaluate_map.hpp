@@ -1,0 +1,13 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <string>
+
+#include "command.hpp"
+
+namespace loopwise::cli {
+
+/// `evaluate --map`: scans at revisits of the recording, by its own poses and by the estimate's.
+int evaluate_map(const CommonOptions& common, const std::string& estimate, const std::string& recording);
+
+}  // namespace loopwise::cli

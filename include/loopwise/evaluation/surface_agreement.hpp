@@ -1,0 +1,65 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// How well a map agrees with itself, where no truth is known: whether scans of one place that were taken at
+/// different times lie on each other's surfaces.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <utility>
+#include <vector>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/evaluation/closure_statistics.hpp>
+#include <loopwise/io/mission.hpp>
+
+namespace loopwise {
+
+/// Which pairs are revisits, and when a point lies on a surface.
+struct SurfaceAgreementOptions {
+  double reach_m = 3.0;
+  double apart_m = 20.0;
+  double near_m = 0.12;
+  std::int64_t pairs = 400;
+  std::int64_t points = 500;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("reach_m", self.reach_m, above(0.0),
+          "Nodes this near, by the poses that choose, are a revisit, m.");
+    field("apart_m", self.apart_m, at_least(0.0),
+          "Nodes of one robot are a revisit only if its path between them is this long, m.");
+    field("near_m", self.near_m, above(0.0),
+          "A point lies on a surface if the other scan has one this near, m.");
+    field("pairs", self.pairs, at_least(1), "Revisits to look at, drawn evenly from all.");
+    field("points", self.points, at_least(1), "Points of each scan to look at, drawn evenly.");
+  }
+};
+
+/// Pairs of nodes that saw one place at different times.
+using Revisits = std::vector<std::pair<Key, Key>>;
+
+/// Revisits by these poses. Maps are compared on the same revisits: choose them once, by the odometry's poses
+/// for instance. \throws OptionError
+[[nodiscard]] LOOPWISE_EXPORT Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
+                                                     const SurfaceAgreementOptions& options = {});
+
+/// What the agreement of a map came to.
+struct SurfaceAgreement {
+  std::vector<double> shares;  ///< Of each revisit: share of the points that lie on the other scan's
+                               ///< surfaces; NaN where a pose or a scan is missing.
+  std::size_t revisits = 0;    ///< With a share.
+  double mean = 0.0;           ///< Of the shares; NaN without revisits.
+};
+
+/// Agreement of a map with poses T_world_body. \throws OptionError. A scan that cannot be read is left out,
+/// and a problem of the mission's scans.
+[[nodiscard]] LOOPWISE_EXPORT SurfaceAgreement surface_agreement(const Mission& mission,
+                                                                 const PosesByKey& poses,
+                                                                 const Revisits& revisits,
+                                                                 const SurfaceAgreementOptions& options = {},
+                                                                 const StopToken& stop = {});
+
+}  // namespace loopwise

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// How long all candidates of a mission would take on this machine, before or after a run.
+#pragma once
+
+#include <cstddef>
+#include <string>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/replay/options.hpp>
+#include <loopwise/replay/replay.hpp>
+
+namespace loopwise {
+
+/// Computing time of all candidates, estimated from registrations that were measured.
+struct CostForecast {
+  std::size_t candidates = 0;   ///< With a scan at both ends.
+  std::size_t measured = 0;     ///< Registrations that the mean is of.
+  double registration_s = 0.0;  ///< Mean of one registration, one thread, s.
+  std::size_t scans = 0;        ///< To be prepared beside that, once each.
+  double preparation_s = 0.0;   ///< Mean of the preparation of a scan (normals, features), one thread, s.
+  double mission_s = 0.0;       ///< Length of the mission.
+
+  /// Of all candidates on so many threads, s.
+  [[nodiscard]] double all_s(int threads) const {
+    return (registration_s * static_cast<double>(candidates) + preparation_s * static_cast<double>(scans)) /
+           threads;
+  }
+  /// Whether all candidates are computed by the time that the mission ends. The order then does not matter.
+  [[nodiscard]] bool all_in_time(int threads) const { return all_s(threads) <= mission_s; }
+};
+
+/// Before a run: candidates by the mission's odometry, and a random sample of them computed on one thread.
+/// Odometry drifts, so a run that closes loops generates somewhat other candidates.
+/// \param mission with its scans
+/// \param options of the run
+/// \param sample candidates to compute
+/// \param stop ends the measuring early; the forecast is then of the registrations that were done
+/// \throws OptionError; InputError
+[[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
+                                                         std::size_t sample, const StopToken& stop = {});
+
+/// After a run: its candidates and its registrations, those from a store with the time that was stored. The
+/// mean has the preparation of scans in it as it fell to those registrations.
+[[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const ReplayResult& result);
+
+/// A sentence for people: "12 500 candidates: 1.9 min on 2 threads, …". Empty if nothing was measured.
+[[nodiscard]] LOOPWISE_EXPORT std::string forecast_text(const CostForecast& forecast, int threads);
+
+}  // namespace loopwise

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/replay/cost_forecast.hpp>
+
+#include "testing_mission.hpp"
+
+namespace loopwise {
+
+TEST_CASE("cost forecast: all candidates of the mission, by a sample of registrations",
+          "[replay][forecast]") {
+  const Mission mission = testing::two_circles();
+  ReplayOptions options;
+  const CostForecast forecast = forecast_cost(mission, options, 5);
+  REQUIRE(forecast.measured == 5);
+  REQUIRE(forecast.registration_s > 0.0);
+  REQUIRE(forecast.mission_s == Approx(78.5));
+  REQUIRE(forecast.scans == mission.scans->size());
+  REQUIRE(forecast.all_s(2) == Approx(0.5 * forecast.all_s(1)));
+
+  // As many as a replay generates whose estimate stays at the odometry.
+  options.prioritization.method = parse_method("baseline");
+  options.max_registrations = 1;
+  const auto registrar = std::make_shared<testing::OracleRegistrar>(mission.ground_truth, 0.0, 1.0);
+  const auto features =
+      std::make_shared<FeatureCache>(mission.scans->loader(), options.registration.features);
+  ThreadPool threads(1);
+  const ReplayResult run = MissionReplay(mission, options, {features, registrar}).run(threads);
+  REQUIRE(forecast.candidates == run.accounting.queued());
+
+  const CostForecast none = forecast_cost(mission, options, 0);
+  REQUIRE(none.candidates == forecast.candidates);
+  REQUIRE(none.measured == 0);
+  REQUIRE(forecast_text(none, 2).empty());
+}
+
+TEST_CASE("cost forecast: the sentence says whether the order matters", "[replay][forecast]") {
+  const CostForecast quick{1000, 40, 0.01, 100, 0.02, 60.0};
+  REQUIRE(quick.all_in_time(1));
+  REQUIRE(forecast_text(quick, 1) ==
+          "1000 candidates: 0.2 min on 1 thread by 40 registrations measured, the mission lasts 1.0: a live "
+          "run can compute them all, and every order ends at the same map");
+  const CostForecast slow{100000, 40, 0.01, 100, 0.02, 60.0};
+  REQUIRE_FALSE(slow.all_in_time(2));
+  REQUIRE(forecast_text(slow, 2) ==
+          "100000 candidates: 8.3 min on 2 threads by 40 registrations measured, the mission lasts 1.0: the "
+          "order decides");
+}
+
+TEST_CASE("cost forecast: after a run it is of its registrations", "[replay][forecast]") {
+  ReplayResult result;
+  result.mission_end_s = 100.0;
+  result.accounting.generated = 10;
+  REQUIRE(forecast_cost(result).measured == 0);
+  result.computed.resize(3);
+  result.computed[0].result.refine_s = 2.0;
+  result.computed[1].result.features_s = 1.0;  // the third took no time: it is an outcome that was known
+  const CostForecast forecast = forecast_cost(result);
+  REQUIRE(forecast.measured == 2);
+  REQUIRE(forecast.registration_s == Approx(1.5));
+}
+
+}  // namespace loopwise
