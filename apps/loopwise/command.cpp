@@ -58,6 +58,8 @@ void add_common_options(CLI::App& command, CommonOptions& options) {
       .add_option("--threads", options.threads, "Threads; 0 takes all processors. Never changes the results")
       ->type_name("N")
       ->check(CLI::Range(0, 4096));
+  command.add_flag("--strict", options.strict,
+                   "Input of which a measurement would be repaired, guessed or left out is an error");
   command.add_flag("--quiet", options.quiet, "No progress and no notes; warnings and errors remain");
 }
 
@@ -74,6 +76,7 @@ Config load_config(const CommonOptions& options, const Config& defaults) {
   Config config = defaults;
   if (!options.config.empty()) read_config(options.config, config);
   for (const std::string& assignment : options.set) set_config_option(assignment, config);
+  if (options.strict) config.mission.strict = true;
   validate_config(config);
   return config;
 }

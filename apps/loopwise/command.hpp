@@ -34,6 +34,7 @@ struct CommonOptions {
   std::string config;
   std::vector<std::string> set;
   int threads = 0;
+  bool strict = false;
   bool quiet = false;
 };
 

@@ -99,7 +99,10 @@ int run(const Options& options) {
   const Config config = load_config(options.common);
   const auto alignment = parse_enum<Alignment>("--alignment", options.alignment);
   const Input input = read_input(options, config, console, interrupt.token());
-  for (const Trajectory* trajectory : {&input.estimate, &input.truth}) console.warn(trajectory->problems);
+  for (const Trajectory* trajectory : {&input.estimate, &input.truth}) {
+    if (config.mission.strict) require_unaltered(trajectory->problems);
+    console.warn(trajectory->problems);
+  }
   const PosePairs pairs = associate(input.estimate, input.truth, options.max_time_difference_s);
   console.warn(pairs.problems);
 

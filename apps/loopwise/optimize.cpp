@@ -181,9 +181,11 @@ int run(const Options& options) {
     if (options.odometry != "consecutive" || !options.robots.empty()) mark_odometry(graph, options);
   } else {
     G2oFile file = read_g2o(of_run.empty() ? std::filesystem::path(options.input) : of_run);
+    if (config.mission.strict) require_unaltered(file.problems);
     console.warn(file.problems);
     graph = std::move(file.graph);
     mark_odometry(graph, options);
+    fill_information(graph, file.without_information, config.mission);
   }
   PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
   add_priors(graph, options, console);

@@ -210,6 +210,12 @@ void PoseGraph::set_weight(std::size_t edge, double weight) {
   edges_.at(edge).weight = weight;
 }
 
+void PoseGraph::set_information(std::size_t edge, const Matrix6d& information) {
+  Edge& changed = edges_.at(edge);
+  require_information(information, "edge " + describe(changed.from) + " to " + describe(changed.to));
+  changed.information = information;
+}
+
 std::vector<std::size_t> connected_components(const PoseGraph& graph) {
   // Union-find with path halving; the smallest node number of a component is its root.
   std::vector<std::size_t> parent(graph.nodes().size());

@@ -366,7 +366,7 @@ class Walk {
       }
       message.indexed = true;
       if (stamp.sec == 0 && stamp.nsec == 0) {
-        problems_.add("message at time 0 left out", name_ + ": byte " + std::to_string(record.at));
+        problems_.add_altered("message at time 0 left out", name_ + ": byte " + std::to_string(record.at));
       }
     }
     auto& indexed = chunks_.back().indexed;

@@ -14,6 +14,7 @@
 #include "bag.hpp"
 #include "bag_check.hpp"
 #include "cloud_files.hpp"
+#include "file_kind.hpp"
 #include "lamp_messages.hpp"
 #include "point_cloud2.hpp"
 #include "zip_archive.hpp"
@@ -99,6 +100,7 @@ Recording recording_of(const std::vector<fs::path>& paths, Problems& problems) {
   Recording recording;
   std::set<fs::path> seen;  // one that is given by name and found beside as well is read once
   const auto add = [&](const fs::path& file) {
+    refuse_foreign_file(file, {FileKind::kBag}, "a ROS 1 bag");
     if (seen.insert(fs::weakly_canonical(file)).second) recording.files.push_back(file);
   };
   parts::TruthFiles truth;
@@ -115,7 +117,8 @@ Recording recording_of(const std::vector<fs::path>& paths, Problems& problems) {
     for (const fs::path& entry : parts::entries(path)) {
       if (!fs::is_regular_file(entry)) continue;
       if (entry.extension() == ".bag") add(entry);
-      if (entry.extension() == ".active") problems.add("bag that was never closed left out", entry.string());
+      if (entry.extension() == ".active")
+        problems.add_altered("bag that was never closed left out", entry.string());
     }
     if (recording.files.size() == before) throw InputError(path.string() + ": no bag in it");
   }
@@ -227,7 +230,7 @@ Mission read_bags(const std::vector<fs::path>& paths, const MissionOptions& opti
           }
           take(gatherer, where, connection, bag, value, message.stamp_ns);
         } catch (const InputError& error) {
-          problems.add("message cannot be read", where + ": " + error.what());
+          problems.add_altered("message cannot be read", where + ": " + error.what());
         }
         return false;
       },
@@ -270,7 +273,7 @@ void read_bag_truth(Mission& mission, const std::vector<fs::path>& files, const 
           take(gatherer, where, connection, bag, ros1::Value(*schemas.of(message.connection), message.bytes),
                message.stamp_ns);
         } catch (const InputError& error) {
-          mission.problems.add("message cannot be read", where + ": " + error.what());
+          mission.problems.add_altered("message cannot be read", where + ": " + error.what());
         }
         return false;
       },

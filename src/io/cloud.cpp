@@ -15,6 +15,7 @@
 #include <loopwise/io/atomic_file.hpp>
 
 #include "cloud_points.hpp"
+#include "file_kind.hpp"
 #include "lzf.hpp"
 #include "text.hpp"
 
@@ -457,13 +458,26 @@ bool is_cloud_file(const fs::path& path) {
 
 CloudFile points::parse_cloud(const std::string& name, const std::string& contents) {
   const fs::path extension = fs::path(name).extension();
-  if (extension == ".pcd") return read_pcd(name, contents);
-  if (extension == ".ply") return read_ply(name, contents);
-  if (extension == ".bin") return read_kitti_bin(name, contents);
+  if (extension == ".pcd") {
+    refuse_foreign(contents, name, {FileKind::kPcd, FileKind::kEmpty}, "a PCD cloud, as its name says");
+    return read_pcd(name, contents);
+  }
+  if (extension == ".ply") {
+    refuse_foreign(contents, name, {FileKind::kPly, FileKind::kEmpty}, "a PLY cloud, as its name says");
+    return read_ply(name, contents);
+  }
+  if (extension == ".bin") {
+    refuse_foreign_numbers(contents, name, "numbers of points alone, as its name says");
+    return read_kitti_bin(name, contents);
+  }
   throw InputError(name + ": not a kind of cloud that can be read, expected .pcd, .ply or .bin");
 }
 
 CloudFile read_cloud(const fs::path& path) {
+  if (!is_cloud_file(path)) {
+    refuse_foreign_file(path, {FileKind::kPcd, FileKind::kPly, FileKind::kEmpty},
+                        "a cloud in a file .pcd, .ply or .bin");
+  }
   return parse_cloud(path.string(), is_cloud_file(path) ? read_file(path) : std::string());
 }
 

@@ -8,6 +8,7 @@
 #include <loopwise/io/atomic_file.hpp>
 
 #include "cloud_points.hpp"
+#include "file_kind.hpp"
 #include "text.hpp"
 #include "zip_archive.hpp"
 
@@ -46,6 +47,7 @@ FileSource files_of_folder(const fs::path& folder) {
 }
 
 FileSource files_of_archive(const fs::path& file) {
+  refuse_foreign_file(file, {FileKind::kZip}, "a zip archive");
   const ZipArchive archive(file);
   FileSource files;
   files.where = file.string();

@@ -6,6 +6,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
 
+#include "file_kind.hpp"
 #include "text.hpp"
 
 namespace loopwise {
@@ -70,6 +71,10 @@ CsvTable CsvTable::parse(std::string_view text, const std::string& source, std::
 
 CsvTable::CsvTable(std::string source, std::string_view text, std::vector<std::string> columns)
     : file_(std::move(source)), columns_(std::move(columns)) {
+  refuse_foreign(text, file_,
+                 {FileKind::kEmpty, FileKind::kTum, FileKind::kKitti, FileKind::kG2o, FileKind::kJson,
+                  FileKind::kMarkup},
+                 "a table with the header \"" + joined(columns_) + "\"");
   text::Lines lines(text);
   bool has_header = false;
   for (std::string_view line; lines.next(line);) {

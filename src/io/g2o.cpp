@@ -9,23 +9,23 @@
 #include <unordered_map>
 #include <vector>
 
-#include <Eigen/Eigenvalues>
-
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/io/atomic_file.hpp>
 
+#include "file_kind.hpp"
 #include "g2o_text.hpp"
+#include "information.hpp"
+#include "mission_parts.hpp"
 #include "text.hpp"
 
 namespace loopwise {
 namespace {
 
+constexpr const char* kWanted = "a g2o graph";
 constexpr double kFixedSigma = 1e-4;
 constexpr std::size_t kPoseNumbers = 7;
 constexpr std::size_t kFactorNumbers = 28;  // a pose and the upper triangle of a 6x6 matrix
-// Six printed digits leave a semi-definite matrix indefinite by about 1e-6 of its diagonal.
-constexpr double kRounding = 1e-5;
 
 using PoseNumbers = std::array<double, kPoseNumbers>;
 using FactorNumbers = std::array<double, kFactorNumbers>;
@@ -39,6 +39,7 @@ struct EdgeLine {
   Key from;
   Key to;
   FactorNumbers numbers;
+  bool has_information;
 };
 struct PriorLine {
   std::size_t line;
@@ -57,22 +58,35 @@ struct OffsetLine {
 
 class Reader {
  public:
-  explicit Reader(std::string file) : file_(std::move(file)) {}
+  explicit Reader(std::string file, bool unfinished = false)
+      : file_(std::move(file)), unfinished_(unfinished) {}
 
   G2oFile read(std::string_view contents) {
+    refuse_foreign(contents, file_, {FileKind::kG2o, FileKind::kEmpty}, kWanted);
     text::Lines lines(contents);
     for (std::string_view line; lines.next(line);) {
       line_ = lines.number();
-      read_line(line);
+      try {
+        read_line(line);
+      } catch (const ParseError&) {
+        if (!unfinished_ || lines.ended()) throw;
+        out_.problems.add_altered("unfinished last line left out", here());
+      }
     }
-    if (out_.graph.empty()) throw InputError(file_ + ": no VERTEX_SE3:QUAT line");
-    if (!lines.ended()) out_.problems.add("no line end after the last line", here());
+    if (out_.graph.empty()) {
+      throw InputError(file_ + (contents.empty() ? ": is empty, " : ": ") + "no VERTEX_SE3:QUAT line");
+    }
+    if (!lines.ended()) {
+      out_.problems.add("no line end after the last line", here());
+      refuse_cut_edge();
+    }
     add_priors();
     add_edges();
     for (const auto& [tag, met] : unknown_tags_) {
-      out_.problems.add("unknown tag " + tag, text::Place{file_, met.first_line}.str(), met.count);
+      out_.problems.add_altered("unknown tag " + tag, text::Place{file_, met.first_line}.str(), met.count);
     }
     classify_edges(out_.graph, Robots::from_keys(out_.graph.keys()));
+    fill_information(out_.graph, out_.without_information, {});
     return std::move(out_);
   }
 
@@ -84,9 +98,7 @@ class Reader {
     const std::string_view tag = text::next_word(line);
     if (tag.empty()) return;
     if (tag == "EDGE_SE3:QUAT") {
-      EdgeLine edge{line_, id(tag, line), id(tag, line), {}};
-      numbers(tag, line, edge.numbers);
-      edges_.push_back(edge);
+      read_edge(tag, line);
     } else if (tag == "VERTEX_SE3:QUAT") {
       read_vertex(tag, line);
     } else if (tag == "EDGE_SE3_PRIOR") {
@@ -107,8 +119,36 @@ class Reader {
         fixed_.push_back({line_, id(tag, line)});
       }
     } else {
-      read_other(tag);
+      read_other(tag, line);
     }
+  }
+
+  void read_edge(std::string_view tag, std::string_view line) {
+    EdgeLine edge{line_, id(tag, line), id(tag, line), {}, true};
+    const std::size_t found = text::read_numbers(line, edge.numbers.data(), kFactorNumbers, place());
+    edge.has_information = found != kPoseNumbers;
+    if (edge.has_information && found != kFactorNumbers) {
+      place().fail(
+          "EDGE_SE3:QUAT needs 28 values after the ids (7 of the pose, 21 of the information) or the "
+          "7 alone, found " +
+          std::to_string(found));
+    }
+    edges_.push_back(edge);
+  }
+
+  /// A last edge that lacks what all others have was cut, and its last number perhaps as well.
+  void refuse_cut_edge() {
+    if (edges_.empty() || edges_.back().line != line_ || edges_.back().has_information) return;
+    const bool others_have = std::all_of(edges_.begin(), edges_.end() - 1,
+                                         [](const EdgeLine& edge) { return edge.has_information; });
+    if (edges_.size() == 1 || !others_have) return;
+    if (!unfinished_) {
+      place().fail(
+          "EDGE_SE3:QUAT needs 28 values after the ids as the other edges have, found 7: the file is "
+          "cut short");
+    }
+    edges_.pop_back();
+    out_.problems.add_altered("unfinished last line left out", here());
   }
 
   void read_vertex(std::string_view tag, std::string_view line) {
@@ -135,7 +175,7 @@ class Reader {
     vertices_.push_back(vertex);
   }
 
-  void read_other(std::string_view tag) {
+  void read_other(std::string_view tag, std::string_view line) {
     static constexpr std::string_view kPlanar[] = {"VERTEX_SE2",     "EDGE_SE2", "VERTEX_XY", "EDGE_SE2_XY",
                                                    "EDGE_PRIOR_SE2", "VERTEX2",  "EDGE2"};
     static constexpr std::string_view kOtherForms[] = {"VERTEX3", "EDGE3", "VERTEX_SE3:EULER",
@@ -159,6 +199,26 @@ class Reader {
     }
     UnknownTag& met = unknown_tags_[std::string(tag)];
     if (met.count++ == 0) met.first_line = line_;
+    Key key = 0;
+    const bool is_vertex = tag.substr(0, 6) == "VERTEX";
+    if (is_vertex && text::parse_id(text::next_word(line), key) == nullptr) other_vertices_.emplace(key, tag);
+  }
+
+  /// Whether a factor of this node cannot be used because the node is a vertex of a kind that is not read.
+  bool hangs_on_other_vertex(std::string_view tag, std::size_t line, Key key) {
+    const auto other = other_vertices_.find(key);
+    if (other == other_vertices_.end() || out_.graph.contains(key)) return false;
+    out_.problems.add_altered(std::string(tag) + " of " + other->second + " left out",
+                              text::Place{file_, line}.str());
+    return true;
+  }
+
+  /// Whether a factor to this node was written before the node was.
+  bool hangs_on_missing_vertex(std::size_t line, Key key) {
+    if (!unfinished_ || out_.graph.contains(key)) return false;
+    out_.problems.add_altered("edge to a missing vertex left out",
+                              text::Place{file_, line}.str() + ": vertex " + std::to_string(key));
+    return true;
   }
 
   Key id(std::string_view tag, std::string_view& line) const {
@@ -184,7 +244,7 @@ class Reader {
   Eigen::Isometry3d pose(const double* values, std::size_t line) {
     const text::Place at{file_, line};
     const text::Pose parsed = text::pose_of(values, at);
-    if (!parsed.was_unit) out_.problems.add("non-unit quaternion", at.str());
+    if (!parsed.was_unit) out_.problems.add_altered("non-unit quaternion", at.str());
     return parsed.pose;
   }
 
@@ -193,34 +253,29 @@ class Reader {
     for (int i = 0; i < 6; ++i) {
       for (int j = i; j < 6; ++j) out(i, j) = out(j, i) = *triangle++;
     }
-    if (check_information(out) == nullptr) return out;
-    return repaired_information(out, line);
+    const SoundInformation sound = nearest_information(out);
+    const std::string at = text::Place{file_, line}.str();
+    if (sound.flaw == InformationFlaw::kRounded) out_.problems.add("rounded information", at);
+    if (sound.flaw == InformationFlaw::kIndefinite) out_.problems.add_altered("indefinite information", at);
+    return sound.matrix;
   }
 
-  // Called for the few matrices that are not semi-definite as they stand.
-  Matrix6d repaired_information(const Matrix6d& information, std::size_t line) {
-    const text::Place at{file_, line};
-    const Vector6d diagonal = information.diagonal();
-    const double scale = diagonal.maxCoeff();
-    if (diagonal.minCoeff() < 0.0 || !(scale > 0.0)) at.fail("information is indefinite");
-    // Judged with a unit diagonal, so that metres and radians of very different size count alike.
-    const Vector6d d =
-        diagonal.unaryExpr([scale](double v) { return v > 0.0 ? std::sqrt(v) : std::sqrt(scale); });
-    const Matrix6d scaled = d.cwiseInverse().asDiagonal() * information * d.cwiseInverse().asDiagonal();
-    const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(scaled);
-    if (!(solver.eigenvalues().minCoeff() > -kRounding)) at.fail("information is indefinite");
-    out_.problems.add("rounded information", at.str());
-    const Matrix6d V = d.asDiagonal() * solver.eigenvectors();
-    const Matrix6d fixed = V * solver.eigenvalues().cwiseMax(0.0).asDiagonal() * V.transpose();
-    return 0.5 * (fixed + fixed.transpose());
+  /// Nothing depends on a factor of zero information: it would only seem to tie its nodes.
+  bool says_nothing(const Matrix6d& information, const char* what, std::size_t line) {
+    if (!information.isZero(0.0)) return false;
+    out_.problems.add_altered(std::string(what) + " of zero information left out",
+                              text::Place{file_, line}.str());
+    return true;
   }
 
   void add_priors() {
     for (const PriorLine& line : priors_) {
+      if (hangs_on_other_vertex("EDGE_SE3_PRIOR", line.line, line.key)) continue;
       PriorFactor prior;
       prior.key = line.key;
       prior.pose = pose(line.numbers.data(), line.line);
       prior.information = information(line.numbers.data() + kPoseNumbers, line.line);
+      if (says_nothing(prior.information, "prior", line.line)) continue;
       const auto offset = offsets_.find(line.parameter);
       if (offset == offsets_.end()) {
         text::Place{file_, line.line}.fail("parameter " + std::to_string(line.parameter) +
@@ -237,6 +292,7 @@ class Reader {
       add(line.line, [&] { out_.graph.add_prior(prior); });
     }
     for (const FixLine& line : fixed_) {
+      if (hangs_on_other_vertex("FIX", line.line, line.key)) continue;
       add(line.line, [&] {
         out_.graph.add_prior(
             {line.key, out_.graph.node(line.key).pose, Matrix6d::Identity() / (kFixedSigma * kFixedSigma)});
@@ -249,11 +305,22 @@ class Reader {
     seen.reserve(edges_.size());
     for (std::size_t i = 0; i < edges_.size(); ++i) {
       const EdgeLine& line = edges_[i];
+      const bool cannot_be_used = hangs_on_other_vertex("EDGE_SE3:QUAT", line.line, line.from) ||
+                                  hangs_on_other_vertex("EDGE_SE3:QUAT", line.line, line.to) ||
+                                  hangs_on_missing_vertex(line.line, line.from) ||
+                                  hangs_on_missing_vertex(line.line, line.to);
+      if (cannot_be_used) continue;
       Edge edge;
       edge.from = line.from;
       edge.to = line.to;
       edge.T_from_to = pose(line.numbers.data(), line.line);
-      edge.information = information(line.numbers.data() + kPoseNumbers, line.line);
+      if (line.has_information) {
+        edge.information = information(line.numbers.data() + kPoseNumbers, line.line);
+        if (says_nothing(edge.information, "edge", line.line)) continue;
+      } else {
+        out_.without_information.push_back(out_.graph.edges().size());
+        out_.problems.add_altered("edge without information", text::Place{file_, line.line}.str());
+      }
       add(line.line, [&] { out_.graph.add_edge(edge); });
 
       const auto [first, is_new] = seen.emplace(hash(line), i);
@@ -265,7 +332,8 @@ class Reader {
   }
 
   static bool same(const EdgeLine& a, const EdgeLine& b) {
-    return a.from == b.from && a.to == b.to && a.numbers == b.numbers;
+    return a.from == b.from && a.to == b.to && a.has_information == b.has_information &&
+           a.numbers == b.numbers;
   }
 
   static std::uint64_t hash(const EdgeLine& edge) {
@@ -295,6 +363,7 @@ class Reader {
   };
 
   std::string file_;
+  bool unfinished_;
   std::size_t line_ = 0;
   G2oFile out_;
   std::vector<VertexLine> vertices_;  // as the nodes of the graph
@@ -303,6 +372,7 @@ class Reader {
   std::vector<FixLine> fixed_;
   std::map<Key, OffsetLine> offsets_;
   std::map<std::string, UnknownTag> unknown_tags_;
+  std::unordered_map<Key, std::string> other_vertices_;  // tags of vertices that are not read
 };
 
 void append_information(std::string& out, const Matrix6d& information) {
@@ -351,7 +421,13 @@ G2oFile parse_g2o(std::string_view text, const std::string& source) {
   return Reader(source).read(text);
 }
 
+G2oFile parse_unfinished_g2o(std::string_view text, const std::string& source) {
+  return Reader(source, true).read(text);
+}
+
 G2oFile read_g2o(const std::filesystem::path& path) {
+  // Before all of a large recording is read.
+  refuse_foreign_file(path, {FileKind::kG2o, FileKind::kEmpty}, kWanted);
   return parse_g2o(read_file(path), path.string());
 }
 

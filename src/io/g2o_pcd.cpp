@@ -9,6 +9,7 @@
 
 #include "bag.hpp"
 #include "cloud_files.hpp"
+#include "hdl_graph_slam.hpp"
 #include "zip_archive.hpp"
 
 namespace loopwise::parts {
@@ -53,6 +54,13 @@ struct Found {
   KeyTable table;
   NamedClouds clouds;
 };
+
+Found clouds_of_key_frames(const KeyFrameFolders& key_frames) {
+  Found found{key_frames.files, {}, {}};
+  found.table.stamps = key_frames.stamps;
+  found.clouds.by_key = key_frames.clouds;
+  return found;
+}
 
 /// The first place that holds clouds of nodes. A key table may lie there or in the folder itself.
 Found find_clouds(const fs::path& folder, Problems& problems) {
@@ -194,10 +202,14 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   const fs::path file = g2o_of_folder(folder);
   if (file.empty()) throw InputError(folder.string() + ": no g2o file");
   G2oFile g2o = read_g2o(file);
+  Problems of_key_frames;
+  const auto folders = find_key_frame_folders(folder, of_key_frames);
+  if (folders) g2o = without_anchors(std::move(g2o), *folders, file.string());
   mission.problems = g2o.problems;
+  mission.problems.add(of_key_frames);
   if (fs::is_regular_file(folder / kRanges)) read_ranges(folder / kRanges, g2o.graph);
   if (fs::is_regular_file(folder / kGravity)) read_gravity(folder / kGravity, g2o.graph);
-  const Found found = find_clouds(folder, mission.problems);
+  const Found found = folders ? clouds_of_key_frames(*folders) : find_clouds(folder, mission.problems);
   const std::map<Key, Key> full = full_keys(g2o.graph, found.clouds, file.string(), options);
   const PoseGraph graph = renamed(g2o.graph, full);
   mission.robots =
@@ -221,6 +233,7 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   std::vector<PriorFactor> priors = graph.priors();
   complete_priors(graph, mission.robots, options, file.string(), priors, mission.problems);
   mission.graph = assemble(graph, stamps, priors, mission.robots);
+  fill_information(mission.graph, g2o.without_information, options);
   check_stamps(mission);
 
   const TruthFiles truth = find_truth(folder);

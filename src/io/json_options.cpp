@@ -12,6 +12,7 @@
 
 #include <loopwise/io/atomic_file.hpp>
 
+#include "file_kind.hpp"
 #include "text.hpp"
 
 namespace loopwise {
@@ -113,7 +114,9 @@ std::string json_text(const Json& json, int indent) {
 }
 
 Json read_json_file(const std::filesystem::path& path) {
-  return parse_json(read_file(path), path.string());
+  const std::string text = read_file(path);
+  refuse_foreign(text, path.string(), {FileKind::kJson, FileKind::kEmpty}, "JSON");
+  return parse_json(text, path.string());
 }
 
 namespace detail {

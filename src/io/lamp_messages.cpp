@@ -28,8 +28,7 @@ enum EdgeType : std::int64_t {
   kUwbBetween = 6,
 };
 
-/// Where a covariance says nothing: what a closure is worth before it is computed.
-constexpr double kClosureSigmas[] = {0.1, 0.1, 0.1, 0.02, 0.02, 0.02};
+/// Where a covariance says nothing.
 constexpr double kSightingSigmas[] = {0.5, 0.5, 0.5, 100.0, 100.0, 100.0};
 constexpr double kRangeSigma = 0.5;
 constexpr double kGravitySigma = 0.1;
@@ -100,7 +99,7 @@ void add_once(Known& known, std::vector<Seen>& list, Seen seen, const typename K
   if (is_new) {
     list.push_back(std::move(seen));
   } else if (!same(list[first->second], seen)) {
-    problems.add("repeated edge with other numbers", seen.where);
+    problems.add_altered("repeated edge with other numbers", seen.where);
   }
 }
 
@@ -181,7 +180,7 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
   }
   const Vector6d variances = covariance.diagonal();
   if (!covariance.allFinite() || !(variances.minCoeff() > 0.0)) {
-    problems_.add("unusable covariance", seen.where);
+    problems_.add_altered("unusable covariance", seen.where);
     return std::nullopt;
   }
   if (check_order && variances.tail<3>().sum() > kSwapped * kSwapped * variances.head<3>().sum()) {
@@ -194,7 +193,7 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
   }
   const auto finite = [&](const Matrix6d& inverse) -> std::optional<Matrix6d> {
     if (inverse.allFinite()) return inverse;
-    problems_.add("unusable covariance", seen.where);
+    problems_.add_altered("unusable covariance", seen.where);
     return std::nullopt;
   };
   if (covariance == Matrix6d(variances.asDiagonal())) {
@@ -206,7 +205,7 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
   const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(scaled, Eigen::EigenvaluesOnly);
   const Eigen::LLT<Matrix6d> factor(scaled);
   if (factor.info() != Eigen::Success || !(eigen.eigenvalues().minCoeff() > kLeastEigenvalue)) {
-    problems_.add("unusable covariance", seen.where);
+    problems_.add_altered("unusable covariance", seen.where);
     return std::nullopt;
   }
   const Matrix6d inverse = scale.asDiagonal() * factor.solve(Matrix6d::Identity()) * scale.asDiagonal();
@@ -252,7 +251,7 @@ void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
   } else if (type == kArtifact || type == kUwbBetween) {
     list = &graph_.sightings;
   } else {
-    problems_.add("edge of unknown type left out", seen.where + ", type " + std::to_string(type));
+    problems_.add_altered("edge of unknown type left out", seen.where + ", type " + std::to_string(type));
     return;
   }
   const auto [known, is_new] = known_.emplace(std::make_tuple(type, seen.from, seen.to), list->size());
@@ -266,7 +265,7 @@ void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
   // What the optimiser sends round has no poses; a graph that is sent again is the same each time.
   if (first != nullptr && !seen.pose) return;
   if (first != nullptr && first->pose) {
-    if (!same(*first, seen)) problems_.add("repeated edge with other numbers", seen.where);
+    if (!same(*first, seen)) problems_.add_altered("repeated edge with other numbers", seen.where);
     return;
   }
   if (seen.pose) seen.information = information(seen, translation_first, type == kOdom);
@@ -315,7 +314,7 @@ void Gatherer::add_truth(const std::vector<std::string>& source, const ros1::Val
   if (const auto pose = pose_of(message.at("pose").at("pose"))) {
     truth->poses.emplace_back(stamp_of(message, recorded_ns), *pose);
   } else {
-    problems_.add("true pose unusable", source.front());
+    problems_.add_altered("true pose unusable", source.front());
   }
 }
 
@@ -360,7 +359,7 @@ void Gatherer::finish(Mission& mission, const std::string& name) const {
   PoseGraph graph;
   for (const auto& [key, seen] : graph_.nodes) {
     if (!seen.pose) {
-      problems_.add("node without usable pose", seen.where + ": " + key_name(key));
+      problems_.add_altered("node without usable pose", seen.where + ": " + key_name(key));
       continue;
     }
     if (!seen.has_stamp) problems_.add("node without stamp", seen.where + ": " + key_name(key));
@@ -452,11 +451,12 @@ Gatherer::Landmarks Gatherer::held_landmarks(const PoseGraph& key_frames) const 
   for (const auto& [key, seen] : graph_.landmarks) {
     if (held.poses.count(key) != 0) continue;
     const auto nodes = ranged.find(key);
-    problems_.add("landmark left out",
-                  seen.where + ": " + key_name(key) + ", " +
-                      (seen.pose ? "not sighted, ranged from " : "without usable pose, ranged from ") +
-                      std::to_string(nodes == ranged.end() ? 0 : nodes->second.size()) + " of the " +
-                      std::to_string(kLeastRanges) + " nodes that it takes");
+    problems_.add_altered(
+        "landmark left out",
+        seen.where + ": " + key_name(key) + ", " +
+            (seen.pose ? "not sighted, ranged from " : "without usable pose, ranged from ") +
+            std::to_string(nodes == ranged.end() ? 0 : nodes->second.size()) + " of the " +
+            std::to_string(kLeastRanges) + " nodes that it takes");
   }
   return held;
 }
@@ -465,14 +465,14 @@ void Gatherer::add_ranges(PoseGraph& graph) const {
   for (const SeenRange& seen : graph_.ranges) {
     const auto left_out = [&](Key key) { return is_landmark(key) && !graph.contains(key); };
     if (!usable(seen)) {
-      problems_.add("unusable range factor", seen.where + ": " + std::to_string(seen.range_m) + " m, sigma " +
-                                                 std::to_string(seen.sigma_m) + " m");
+      problems_.add_altered("unusable range factor", seen.where + ": " + std::to_string(seen.range_m) +
+                                                         " m, sigma " + std::to_string(seen.sigma_m) + " m");
     } else if (left_out(seen.from) || left_out(seen.to)) {
-      problems_.add("range factor of a landmark left out", seen.where);
+      problems_.add_altered("range factor of a landmark left out", seen.where);
     } else if (!graph.contains(seen.from) || !graph.contains(seen.to)) {
-      problems_.add("edge without node", seen.where);
+      problems_.add_altered("edge without node", seen.where);
     } else {
-      if (seen.sigma_m == 0.0) problems_.add("covariance absent", seen.where);
+      if (seen.sigma_m == 0.0) problems_.add_altered("covariance absent", seen.where);
       graph.add_range({seen.from, seen.to, seen.range_m, seen.sigma_m == 0.0 ? kRangeSigma : seen.sigma_m});
     }
   }
@@ -482,14 +482,14 @@ void Gatherer::add_gravity(PoseGraph& graph) const {
   for (const SeenGravity& seen : graph_.gravities) {
     const double length = seen.direction.norm();
     if (!graph.contains(seen.key)) {
-      problems_.add("edge without node", seen.where);
+      problems_.add_altered("edge without node", seen.where);
     } else if (!std::isfinite(length) || !(length > 0.0) || !usable_sigma(seen.sigma_rad)) {
-      problems_.add("unusable gravity factor", seen.where);
+      problems_.add_altered("unusable gravity factor", seen.where);
     } else if ((graph.node(seen.key).pose.linear() * seen.direction).z() > 0.0) {
       // Some take for gravity what an accelerometer at rest shows, which points up.
-      problems_.add("gravity factor that points up left out", seen.where);
+      problems_.add_altered("gravity factor that points up left out", seen.where);
     } else {
-      if (seen.sigma_rad == 0.0) problems_.add("covariance absent", seen.where);
+      if (seen.sigma_rad == 0.0) problems_.add_altered("covariance absent", seen.where);
       GravityFactor gravity;
       gravity.key = seen.key;
       gravity.direction = seen.direction;
@@ -523,9 +523,9 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
   PoseGraph& graph = mission.graph;
   const auto in_graph = [&](const SeenFactor& seen) {
     if (!graph.contains(seen.from) || !graph.contains(seen.to)) {
-      problems_.add("edge without node", seen.where);
+      problems_.add_altered("edge without node", seen.where);
     } else if (!seen.pose) {
-      problems_.add("edge without pose", seen.where);
+      problems_.add_altered("edge without pose", seen.where);
     } else {
       return true;
     }
@@ -538,12 +538,12 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
       edge.from = seen.from;
       edge.to = seen.to;
       edge.T_from_to = *seen.pose;
-      if (!seen.information) problems_.add("covariance absent", seen.where);
+      if (!seen.information) problems_.add_altered("covariance absent", seen.where);
       edge.information = seen.information ? *seen.information : otherwise(*seen.pose);
       try {
         graph.add_edge(edge);
       } catch (const InputError& error) {
-        problems_.add("unusable edge", seen.where + ": " + error.what());
+        problems_.add_altered("unusable edge", seen.where + ": " + error.what());
       }
     }
   };
@@ -554,8 +554,7 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
     }
   }
   add_edges(graph_.odometry, [&](const Eigen::Isometry3d& T) { return odometry_information(T, options_); });
-  add_edges(graph_.closures,
-            [](const Eigen::Isometry3d&) { return parts::information_of_sigmas(kClosureSigmas); });
+  add_edges(graph_.closures, [](const Eigen::Isometry3d&) { return parts::closure_information(); });
   add_edges(graph_.sightings,
             [](const Eigen::Isometry3d&) { return parts::information_of_sigmas(kSightingSigmas); });
   add_ranges(graph);
@@ -564,7 +563,7 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
   std::vector<PriorFactor> priors;
   for (const SeenFactor& seen : graph_.priors) {
     if (!in_graph(seen)) continue;
-    if (!seen.information) problems_.add("covariance absent", seen.where);
+    if (!seen.information) problems_.add_altered("covariance absent", seen.where);
     priors.push_back(
         {seen.from, *seen.pose,
          seen.information ? *seen.information : parts::information_of_sigmas(options_.prior_sigmas.data())});
@@ -572,7 +571,7 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
   parts::complete_priors(graph, mission.robots, options_, name, priors, problems_);
   for (const Key key : landmarks.by_ranges) {
     priors.push_back({key, graph.node(key).pose, parts::information_of_sigmas(kAnchorSigmas)});
-    problems_.add("landmark by ranges alone gets a prior", name + ": " + key_name(key));
+    problems_.add_altered("landmark by ranges alone gets a prior", name + ": " + key_name(key));
   }
   graph = parts::assemble(graph, stamps_of(graph, mission.robots), priors, mission.robots);
 }

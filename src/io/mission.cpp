@@ -9,6 +9,7 @@
 #include <loopwise/io/g2o.hpp>
 
 #include "bag.hpp"
+#include "file_kind.hpp"
 #include "mission_parts.hpp"
 #include "text.hpp"
 
@@ -16,6 +17,8 @@ namespace loopwise {
 namespace {
 
 namespace fs = std::filesystem;
+
+constexpr const char* kWanted = "a mission (folder, g2o graph, ROS 1 bag or zip archive of LAMP)";
 
 bool has_file(const fs::path& folder, const char* name) {
   return fs::is_regular_file(folder / name);
@@ -38,6 +41,7 @@ Mission read_g2o_mission(const fs::path& path, const MissionOptions& options) {
   mission.problems.add("no stamps given", path.string());
   mission.graph = parts::assemble(file.graph, parts::regular_stamps(file.graph, mission.robots, options),
                                   priors, mission.robots);
+  fill_information(mission.graph, file.without_information, options);
   parts::check_stamps(mission);
   return mission;
 }
@@ -111,6 +115,11 @@ Matrix6d information_of_sigmas(const double* sigmas) {
   Matrix6d information = Matrix6d::Zero();
   for (int i = 0; i < 6; ++i) information(i, i) = 1.0 / (sigmas[i] * sigmas[i]);
   return information;
+}
+
+Matrix6d closure_information() {
+  constexpr double kSigmas[] = {0.1, 0.1, 0.1, 0.02, 0.02, 0.02};
+  return information_of_sigmas(kSigmas);
 }
 
 PriorFactor default_prior(const PoseGraph& graph, Key key, const MissionOptions& options) {
@@ -215,6 +224,15 @@ Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& 
   return parts::information_of_sigmas(sigmas);
 }
 
+void fill_information(PoseGraph& graph, const std::vector<std::size_t>& edges,
+                      const MissionOptions& options) {
+  for (const std::size_t e : edges) {
+    const Edge& edge = graph.edges()[e];
+    graph.set_information(e, edge.kind == EdgeKind::kOdometry ? odometry_information(edge.T_from_to, options)
+                                                              : parts::closure_information());
+  }
+}
+
 namespace {
 
 bool has_bag(const fs::path& folder) {
@@ -255,6 +273,7 @@ MissionKind mission_kind(const fs::path& path) {
     if (path.filename() == "mission.json") return MissionKind::kMission;
     if (fs::is_regular_file(status) && parts::begins_with(path, "#ROSBAG")) return MissionKind::kBags;
     if (fs::is_regular_file(status) && parts::begins_with(path, "PK\x03\x04")) return MissionKind::kLampZip;
+    refuse_foreign_file(path, {FileKind::kG2o}, kWanted);
     return MissionKind::kG2o;
   }
   const fs::path folder = resolved(path);
@@ -267,8 +286,13 @@ MissionKind mission_kind(const fs::path& path) {
   if (has_file(folder, "optimized_poses.txt") || has_file(folder, "odom_poses.txt"))
     return MissionKind::kSession;
   if (has_file(folder, "keys.csv") && has_file(folder, "pose_graph.bag")) return MissionKind::kLampZip;
-  if (!parts::g2o_of_folder(folder).empty()) return MissionKind::kG2oPcd;
+  const fs::path graph = parts::g2o_of_folder(folder);
+  // A session's graph is empty until its program ends.
+  const bool is_begun = graph.filename() == "singlesession_posegraph.g2o" && fs::is_empty(graph);
+  if (!graph.empty() && !is_begun) return MissionKind::kG2oPcd;
   if (has_bag(folder)) return MissionKind::kBags;
+  const std::string what = describe_foreign_folder(folder);
+  if (!what.empty()) throw InputError(folder.string() + ": no mission, it " + what);
   throw InputError(path.string() +
                    ": no mission: expected mission.json or result.g2o (which are written last: without them "
                    "a mission is not "
@@ -304,6 +328,11 @@ Mission with_legible_names(Mission mission) {
   return mission;
 }
 
+Mission finished(Mission mission, const MissionOptions& options) {
+  if (options.strict) require_unaltered(mission.problems);
+  return with_legible_names(std::move(mission));
+}
+
 Mission read_as_named(const fs::path& path, const MissionOptions& options, const ProgressCallback& progress,
                       const StopToken& stop) {
   const parts::Work work{progress, stop};
@@ -337,7 +366,7 @@ Mission read_as_named(const fs::path& path, const MissionOptions& options, const
 Mission read_mission(const fs::path& path, const MissionOptions& options, const ProgressCallback& progress,
                      const StopToken& stop) {
   check_options(options);
-  return with_legible_names(read_as_named(path, options, progress, stop));
+  return finished(read_as_named(path, options, progress, stop), options);
 }
 
 Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& options,
@@ -356,14 +385,14 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   if (one_recording && (!options.frames.empty() || options.start_together)) {
     throw OptionError("frames and start_together: bags are one recording, in one frame and by one clock");
   }
-  if (one_recording) return with_legible_names(parts::read_bags(bag_paths, options, {progress, stop}));
+  if (one_recording) return finished(parts::read_bags(bag_paths, options, {progress, stop}), options);
   MissionOptions of_one = options;
   of_one.robots.clear();  // the joined mission's, not those of its parts
   of_one.scan_cache_mb /= static_cast<double>(paths.size());
   std::vector<Mission> missions;
   missions.reserve(paths.size());
   for (const fs::path& path : paths) missions.push_back(read_mission(path, of_one, progress, stop));
-  return with_legible_names(parts::join_missions(missions, options));
+  return finished(parts::join_missions(missions, options), options);
 }
 
 }  // namespace loopwise

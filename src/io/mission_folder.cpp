@@ -267,7 +267,7 @@ std::vector<PriorFactor> read_priors(const fs::path& file, const PoseGraph& grap
     for (std::size_t i = 0; i < 13; ++i) values[i] = table.number(row, i + 1);
     const text::Place place{name, table.line(row)};
     const text::Pose pose = text::pose_of(values, place);
-    if (!pose.was_unit) problems.add("non-unit quaternion", place.str());
+    if (!pose.was_unit) problems.add_altered("non-unit quaternion", place.str());
     prior.pose = pose.pose;
     for (std::size_t i = 7; i < 13; ++i) {
       // Beyond these, the information overflows or vanishes.
@@ -384,6 +384,7 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
     }
   }
   mission.graph = assemble(g2o.graph, stamps, priors, mission.robots);
+  fill_information(mission.graph, g2o.without_information, options);
   check_stamps(mission);
   if (const auto start = description.start_ns()) {
     if (*start > mission.start_ns) {

@@ -79,6 +79,9 @@ void complete_stamps(const PoseGraph& graph, const Robots& robots, const Mission
 /// Information of uncorrelated x y z roll pitch yaw.
 [[nodiscard]] Matrix6d information_of_sigmas(const double* sigmas);
 
+/// What a closure without information is worth, 0.1 m and 0.02 rad.
+[[nodiscard]] Matrix6d closure_information();
+
 /// Adds the ranges or the gravity factors of a CSV file. \throws ParseError naming the line; IoError
 void read_ranges(const std::filesystem::path& file, PoseGraph& graph);
 void read_gravity(const std::filesystem::path& file, PoseGraph& graph);

@@ -8,6 +8,7 @@
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/trajectory.hpp>
 
+#include "g2o_text.hpp"
 #include "mission_parts.hpp"
 #include "text.hpp"
 
@@ -23,8 +24,35 @@ struct Step {
   Matrix6d information;
 };
 
-Poses read_poses(const fs::path& file, Problems& problems) {
-  Trajectory trajectory = read_trajectory(file, TrajectoryFormat::kKitti);
+/// The text without a last line that its program was stopped in the middle of: too few words, no line end.
+std::string whole_lines(std::string contents, std::size_t words, const std::string& name,
+                        Problems& problems) {
+  if (contents.empty() || contents.back() == '\n') return contents;
+  const std::size_t last = contents.rfind('\n') + 1;
+  std::string_view line = std::string_view(contents).substr(last);
+  std::size_t found = 0;
+  while (!text::next_word(line).empty()) ++found;
+  if (found == 0 || found >= words) return contents;
+  const auto number = 1 + std::count(contents.begin(), contents.end(), '\n');
+  problems.add_altered("unfinished last line left out", name + ":" + std::to_string(number));
+  contents.resize(last);
+  return contents;
+}
+
+bool is_blank_file(const std::string& contents) {
+  return std::all_of(contents.begin(), contents.end(), [](char c) { return c == '\n' || text::is_blank(c); });
+}
+
+/// Nothing if the file is missing, or empty as a program leaves it that is stopped while it replaces it.
+std::optional<Poses> read_poses(const fs::path& file, Problems& problems) {
+  constexpr std::size_t kNumbers = 12;
+  if (!fs::is_regular_file(file)) return std::nullopt;
+  const std::string contents = whole_lines(read_file(file), kNumbers, file.string(), problems);
+  if (is_blank_file(contents)) {
+    problems.add_altered("empty file not used", file.string());
+    return std::nullopt;
+  }
+  Trajectory trajectory = parse_trajectory(contents, file.string(), TrajectoryFormat::kKitti);
   problems.add(trajectory.problems);
   return std::move(trajectory.poses);
 }
@@ -34,60 +62,11 @@ Step step_between(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const 
   return {T, odometry_information(T, options)};
 }
 
-/// The steps (i, i+1) that the graph holds, the first of each; nothing where its keys are not the rows.
-std::vector<std::optional<Step>> steps_of_graph(const fs::path& file, std::size_t rows, Problems& problems) {
-  const G2oFile session = read_g2o(file);
-  problems.add(session.problems);
-  std::vector<std::optional<Step>> steps(rows - 1);
-  const std::vector<Key> keys = session.graph.keys();
-  if (keys.size() != rows || *std::max_element(keys.begin(), keys.end()) != rows - 1) {
-    problems.add("session graph not used", file.string() + ": its keys are not the rows of the poses file");
-    return steps;
-  }
-  for (const Edge& edge : session.graph.edges()) {
-    if (edge.to == edge.from + 1 && !steps[edge.from]) {
-      steps[edge.from] = Step{edge.T_from_to, edge.information};
-    } else {
-      problems.add("closure of the session's own graph left out",
-                   file.string() + ": " + std::to_string(edge.from) + " to " + std::to_string(edge.to));
-    }
-  }
-  return steps;
-}
-
-std::vector<Step> odometry_steps(const fs::path& folder, const std::optional<Poses>& optimized,
-                                 const std::optional<Poses>& odometry, const MissionOptions& options,
-                                 Problems& problems) {
-  const Poses& poses = odometry ? *odometry : *optimized;
-  std::vector<std::optional<Step>> given(poses.size() - 1);
-  const fs::path own_graph = folder / "singlesession_posegraph.g2o";
-  const bool use_graph = !odometry && fs::is_regular_file(own_graph);
-  if (use_graph) given = steps_of_graph(own_graph, poses.size(), problems);
-  const bool any_given =
-      std::any_of(given.begin(), given.end(), [](const auto& step) { return step.has_value(); });
-  if (!odometry && !any_given) {
-    problems.add(
-        "odometry and truth are the same poses",
-        (folder / "optimized_poses.txt").string() + ": without drift of its own, see --odometry-noise");
-  }
-  std::vector<Step> steps;
-  for (std::size_t i = 0; i + 1 < poses.size(); ++i) {
-    if (given[i]) {
-      steps.push_back(*given[i]);
-      continue;
-    }
-    if (any_given) {
-      problems.add("odometry missing in the session's graph",
-                   own_graph.string() + ": " + std::to_string(i) + " to " + std::to_string(i + 1));
-    }
-    steps.push_back(step_between(poses[i], poses[i + 1], options));
-  }
-  return steps;
-}
-
-Stamps read_times(const fs::path& file, std::size_t rows) {
+/// Stamps by row; empty if the file is missing or empty.
+std::vector<std::int64_t> read_times(const fs::path& file, Problems& problems) {
+  std::vector<std::int64_t> stamps;
+  if (!fs::is_regular_file(file)) return stamps;
   const std::string name = file.string(), contents = read_file(file);
-  Stamps stamps;
   text::Lines lines(contents);
   for (std::string_view line; lines.next(line);) {
     const std::string_view word = text::next_word(line);
@@ -96,13 +75,137 @@ Stamps read_times(const fs::path& file, std::size_t rows) {
     if (!text::next_word(line).empty()) place.fail("more than one value, expected the stamp in seconds");
     const auto stamp = text::parse_seconds_ns(word);
     if (!stamp || !stamp_in_range(*stamp)) place.fail(text::quoted(word) + " is no stamp in seconds");
-    stamps.emplace(stamps.size(), *stamp);
-  }
-  if (stamps.size() != rows) {
-    throw InputError(name + ": " + std::to_string(stamps.size()) + " stamps for " + std::to_string(rows) +
-                     " poses");
+    // A stamp that was cut short is a smaller number.
+    if (!lines.ended() && !stamps.empty() && *stamp < stamps.back()) {
+      problems.add_altered("unfinished last line left out", place.str());
+      continue;
+    }
+    stamps.push_back(*stamp);
   }
   return stamps;
+}
+
+/// Whether files of so many rows may be of one session that was stopped while it was saved.
+bool may_belong_together(std::size_t a, std::size_t b) {
+  return 2 * std::min(a, b) >= std::max(a, b);
+}
+
+/// The session's own graph, if its vertices are the rows of the poses.
+std::optional<PoseGraph> read_graph(const fs::path& file, std::size_t rows, const MissionOptions& options,
+                                    Problems& problems) {
+  if (!fs::is_regular_file(file)) return std::nullopt;
+  const std::string contents = read_file(file);
+  if (is_blank_file(contents)) {
+    problems.add_altered("empty file not used", file.string());
+    return std::nullopt;
+  }
+  G2oFile session = parse_unfinished_g2o(contents, file.string());
+  problems.add(session.problems);
+  const std::vector<Key> keys = session.graph.keys();
+  if (!may_belong_together(keys.size(), rows) ||
+      *std::max_element(keys.begin(), keys.end()) != keys.size() - 1) {
+    problems.add_altered("session graph not used",
+                         file.string() + ": its keys are not the rows of the poses file");
+    return std::nullopt;
+  }
+  fill_information(session.graph, session.without_information, options);
+  return std::move(session.graph);
+}
+
+/// The steps (i, i+1) that the graph holds, the first of each.
+std::vector<std::optional<Step>> steps_of_graph(const PoseGraph& graph, std::size_t rows,
+                                                const std::string& file, Problems& problems) {
+  std::vector<std::optional<Step>> steps(rows - 1);
+  for (const Edge& edge : graph.edges()) {
+    const bool is_step = edge.to == edge.from + 1;
+    if (is_step && edge.to >= rows) continue;  // of a row that is left out
+    if (is_step && !steps[edge.from]) {
+      steps[edge.from] = Step{edge.T_from_to, edge.information};
+    } else {
+      problems.add("closure of the session's own graph left out",
+                   file + ": " + std::to_string(edge.from) + " to " + std::to_string(edge.to));
+    }
+  }
+  return steps;
+}
+
+/// What the files of a session hold, each as far as it goes.
+struct SessionFiles {
+  std::optional<Poses> optimized;
+  std::optional<Poses> odometry;
+  std::vector<std::int64_t> stamps;  ///< Empty if not known.
+  std::optional<PoseGraph> graph;    ///< Only where the odometry is missing.
+};
+
+constexpr const char* kOptimized = "optimized_poses.txt";
+constexpr const char* kOdometry = "odom_poses.txt";
+constexpr const char* kTimes = "times.txt";
+constexpr const char* kGraph = "singlesession_posegraph.g2o";
+
+SessionFiles read_files(const fs::path& folder, const MissionOptions& options, Problems& problems) {
+  SessionFiles session;
+  session.optimized = read_poses(folder / kOptimized, problems);
+  session.odometry = read_poses(folder / kOdometry, problems);
+  if (!session.optimized && !session.odometry) {
+    const fs::path file = folder / (fs::is_regular_file(folder / kOptimized) ? kOptimized : kOdometry);
+    throw InputError(file.string() + ": holds no pose: the session was stopped before its poses were saved");
+  }
+  session.stamps = read_times(folder / kTimes, problems);
+  if (!session.odometry) session.graph = read_graph(folder / kGraph, session.optimized->size(), options, problems);
+  return session;
+}
+
+/// Number of rows that all files have: a program that is stopped leaves them one or a few rows apart.
+std::size_t common_rows(const SessionFiles& session, const fs::path& folder, Problems& problems) {
+  std::vector<std::pair<std::string, std::size_t>> files;
+  const auto add = [&](const char* name, std::size_t rows) {
+    if (rows > 0) files.emplace_back((folder / name).string(), rows);
+  };
+  add(kOptimized, session.optimized ? session.optimized->size() : 0);
+  add(kOdometry, session.odometry ? session.odometry->size() : 0);
+  add(kTimes, session.stamps.size());
+  add(kGraph, session.graph ? session.graph->nodes().size() : 0);
+  const auto [least, most] = std::minmax_element(
+      files.begin(), files.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
+  if (!may_belong_together(least->second, most->second)) {
+    throw InputError(least->first + " has " + std::to_string(least->second) + " rows, " + most->first +
+                     " has " + std::to_string(most->second) + ": they are not of one session");
+  }
+  const std::size_t rows = least->second;
+  for (const auto& [file, count] : files) {
+    problems.add_altered(
+        "row beyond the common part left out",
+        file + " has " + std::to_string(count) + " rows, the common part " + std::to_string(rows),
+        count - rows);
+  }
+  return rows;
+}
+
+std::vector<Step> odometry_steps(const SessionFiles& session, std::size_t rows, const fs::path& folder,
+                                 const MissionOptions& options, Problems& problems) {
+  const Poses& poses = session.odometry ? *session.odometry : *session.optimized;
+  const std::string own_graph = (folder / kGraph).string();
+  std::vector<std::optional<Step>> given(rows - 1);
+  if (session.graph) given = steps_of_graph(*session.graph, rows, own_graph, problems);
+  const bool any_given =
+      std::any_of(given.begin(), given.end(), [](const auto& step) { return step.has_value(); });
+  if (!session.odometry && !any_given) {
+    problems.add("odometry and truth are the same poses",
+                 (folder / kOptimized).string() + ": without drift of its own, see --odometry-noise");
+  }
+  std::vector<Step> steps;
+  for (std::size_t i = 0; i + 1 < rows; ++i) {
+    if (given[i]) {
+      steps.push_back(*given[i]);
+      continue;
+    }
+    if (any_given) {
+      problems.add_altered("odometry missing in the session's graph",
+                           own_graph + ": " + std::to_string(i) + " to " + std::to_string(i + 1));
+    }
+    steps.push_back(step_between(poses[i], poses[i + 1], options));
+  }
+  return steps;
 }
 
 /// "000012" is row 12.
@@ -114,6 +217,20 @@ std::optional<Key> row_of(const std::string& stem) {
   return row;
 }
 
+/// Scans by row. Some programs count them from 1: then only the first row seems to lack one.
+std::map<Key, fs::path> scans_by_row(std::map<Key, fs::path> scans, std::size_t rows, Problems& problems) {
+  if (scans.empty() || scans.begin()->first != 1) return scans;
+  const std::string first = scans.begin()->second.string();
+  if (scans.count(rows) == 0) {
+    problems.add("scans may be counted from 1", first + ": the first, taken for that of row 1");
+    return scans;
+  }
+  problems.add_altered("scans are counted from 1", first + ": the first, taken for that of row 0");
+  std::map<Key, fs::path> shifted;
+  for (auto& [number, file] : scans) shifted.emplace(number - 1, std::move(file));
+  return shifted;
+}
+
 }  // namespace
 
 Mission read_session(const fs::path& folder, const MissionOptions& options) {
@@ -122,20 +239,14 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   mission.path = folder;
   mission.name = name_of(folder);
 
-  const fs::path optimized_file = folder / "optimized_poses.txt", odometry_file = folder / "odom_poses.txt";
-  std::optional<Poses> optimized, odometry;
-  if (fs::is_regular_file(optimized_file)) optimized = read_poses(optimized_file, mission.problems);
-  if (fs::is_regular_file(odometry_file)) odometry = read_poses(odometry_file, mission.problems);
-  if (optimized && odometry && optimized->size() != odometry->size()) {
-    throw InputError(optimized_file.string() + " has " + std::to_string(optimized->size()) + " poses, " +
-                     odometry_file.string() + " has " + std::to_string(odometry->size()) + " poses");
-  }
+  const SessionFiles session = read_files(folder, options, mission.problems);
+  const std::size_t rows = common_rows(session, folder, mission.problems);
 
   // Nodes stand where odometry takes them from the first pose, which the truth knows better if there is one.
-  const std::vector<Step> steps = odometry_steps(folder, optimized, odometry, options, mission.problems);
+  const std::vector<Step> steps = odometry_steps(session, rows, folder, options, mission.problems);
   PoseGraph graph;
   Node node;
-  node.pose = optimized ? optimized->front() : odometry->front();
+  node.pose = session.optimized ? session.optimized->front() : session.odometry->front();
   graph.add_node(node);
   for (std::size_t i = 0; i < steps.size(); ++i) {
     node.key = i + 1;
@@ -144,28 +255,26 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
     graph.add_edge({i, i + 1, steps[i].T_from_to, steps[i].information});
   }
 
-  const Key last = graph.nodes().size() - 1;
-  mission.robots = robots_of(graph, options, Robots({{"0", 0, last}}));
-  const fs::path times = folder / "times.txt";
+  mission.robots = robots_of(graph, options, Robots({{"0", 0, rows - 1}}));
   Stamps stamps;
-  if (fs::is_regular_file(times)) {
-    stamps = read_times(times, graph.nodes().size());
-  } else {
-    mission.problems.add("no stamps given", times.string());
+  for (std::size_t i = 0; i < std::min(rows, session.stamps.size()); ++i) stamps.emplace(i, session.stamps[i]);
+  if (stamps.empty()) {
+    mission.problems.add("no stamps given", (folder / kTimes).string());
     stamps = regular_stamps(graph, mission.robots, options);
   }
   mission.graph = assemble(graph, stamps, {default_prior(graph, 0, options)}, mission.robots);
   mission.problems.add("no prior given", folder.string() + ": the first node gets one");
   check_stamps(mission);
 
-  if (optimized) {
+  if (session.optimized) {
     std::map<Key, Eigen::Isometry3d> truth;
-    for (std::size_t i = 0; i < optimized->size(); ++i) truth.emplace(i, (*optimized)[i]);
+    for (std::size_t i = 0; i < rows; ++i) truth.emplace(i, (*session.optimized)[i]);
     set_ground_truth(mission, std::move(truth));
   }
-  fs::path scans = folder / "Scans";
-  if (!fs::is_directory(scans)) scans = folder / "scans";
-  set_scans(mission, find_scans(scans, row_of, mission.problems), options);
+  fs::path folder_of_scans = folder / "Scans";
+  if (!fs::is_directory(folder_of_scans)) folder_of_scans = folder / "scans";
+  auto scans = scans_by_row(find_scans(folder_of_scans, row_of, mission.problems), rows, mission.problems);
+  set_scans(mission, std::move(scans), options);
   return mission;
 }
 

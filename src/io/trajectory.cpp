@@ -13,11 +13,15 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/g2o.hpp>
 
+#include "file_kind.hpp"
 #include "text.hpp"
 
 namespace loopwise {
 namespace {
 
+constexpr const char* kWanted = "a trajectory in TUM's or KITTI's form or a g2o graph";
+constexpr std::initializer_list<FileKind> kTrajectories = {FileKind::kTum, FileKind::kKitti, FileKind::kG2o,
+                                                           FileKind::kEmpty};
 constexpr std::size_t kTumNumbers = 8;
 constexpr std::size_t kKittiNumbers = 12;
 
@@ -50,7 +54,7 @@ void read_tum_line(std::string_view line, const text::Place& place, Trajectory& 
   const auto ns = text::parse_seconds_ns(stamp);
   if (!ns) place.fail(text::quoted(stamp) + " is no stamp in seconds");
   const text::Pose pose = text::pose_of(values, place);
-  if (!pose.was_unit) out.problems.add("non-unit quaternion", place.str());
+  if (!pose.was_unit) out.problems.add_altered("non-unit quaternion", place.str());
   out.stamps_ns.push_back(*ns);
   out.poses.push_back(pose.pose);
 }
@@ -60,7 +64,7 @@ void read_kitti_line(std::string_view line, const text::Place& place, Trajectory
   const std::size_t found = text::read_numbers(line, values, kKittiNumbers, place);
   if (found != kKittiNumbers) place.fail("a KITTI pose needs 12 values, found " + std::to_string(found));
   const text::Rigid rigid = text::rigid_of(values, place);
-  if (!rigid.was_rotation) out.problems.add("rotation not orthonormal", place.str());
+  if (!rigid.was_rotation) out.problems.add_altered("rotation not orthonormal", place.str());
   out.poses.push_back(rigid.pose);
 }
 
@@ -165,14 +169,17 @@ bool keys_are_rows(const Trajectory& g2o, const Trajectory& rows) {
 }  // namespace
 
 Trajectory parse_trajectory(std::string_view text, const std::string& source) {
+  refuse_foreign(text, source, kTrajectories, kWanted);
   return parse_trajectory(text, source, recognise(source, text));
 }
 
 Trajectory parse_trajectory(std::string_view text, const std::string& source, TrajectoryFormat format) {
+  refuse_foreign(text, source, kTrajectories, kWanted);
   return format == TrajectoryFormat::kG2o ? read_vertices(source, text) : read_lines(source, text, format);
 }
 
 Trajectory read_trajectory(const std::filesystem::path& path) {
+  refuse_foreign_file(path, kTrajectories, kWanted);
   return parse_trajectory(read_file(path), path.string());
 }
 
@@ -268,6 +275,8 @@ Eigen::Isometry3d read_transform(const std::filesystem::path& path) {
 }
 
 Eigen::Isometry3d parse_transform(std::string_view text, const std::string& file) {
+  refuse_foreign(text, file, {FileKind::kTum, FileKind::kKitti, FileKind::kEmpty},
+                 "a transform of 7, 12 or 16 numbers");
   double values[16];
   std::size_t count = 0;
   text::Lines lines(text);

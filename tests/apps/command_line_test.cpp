@@ -137,6 +137,50 @@ TEST_CASE("command line: input that is absent or broken is 3, and named", "[apps
   REQUIRE_FALSE(testing::fs::exists(folder / "out"));
 }
 
+TEST_CASE("command line: --strict refuses what would be repaired", "[apps]") {
+  const testing::TemporaryFolder folder;
+  const std::string vertices = "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n",
+                    edge = "EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1",
+                    rest = " 0 0 0 0 10 0 0 0 0 10 0 0 0 10 0 0 10 0 10\n";
+  const std::string sound = (folder / "sound.g2o").string(),
+                    indefinite = (folder / "indefinite.g2o").string(), bare = (folder / "bare.g2o").string();
+  testing::write_text(sound, vertices + edge + " 10 0" + rest);
+  testing::write_text(indefinite, vertices + edge + " 10 1e5" + rest);
+  testing::write_text(bare, vertices + edge + "\n");
+  for (const char* command : {"optimize", "info"}) {
+    CAPTURE(command);
+    REQUIRE(run_program({command, sound, "--strict"}).status == kDone);
+    for (const std::string& file : {indefinite, bare}) {
+      REQUIRE(run_program({command, file}).status == kDone);
+      const ProgramRun strict = run_program({command, file, "--strict"});
+      REQUIRE(strict.status == kBadInput);
+      REQUIRE_THAT(strict.err, Contains(file + ":3") && Contains("strict"));
+    }
+  }
+  REQUIRE(run_program({"evaluate", indefinite, sound, "--strict"}).status == kBadInput);
+}
+
+TEST_CASE("command line: files of other kinds are named by every command", "[apps]") {
+  const testing::TemporaryFolder folder;
+  const std::string file = (folder / "run_0.db3").string();
+  testing::write_text(file, std::string("SQLite format 3\0\x10\0", 18));
+  const std::string out = (folder / "out").string();
+  const std::vector<std::vector<std::string>> commands = {{"info", file},
+                                                          {"convert", file, "-o", out},
+                                                          {"replay", file, "-o", out},
+                                                          {"optimize", file},
+                                                          {"rank", file},
+                                                          {"evaluate", file, file},
+                                                          {"register", file, file},
+                                                          {"config", "--config", file}};
+  for (const std::vector<std::string>& command : commands) {
+    CAPTURE(command[0]);
+    const ProgramRun run = run_program(command);
+    REQUIRE(run.status == kBadInput);
+    REQUIRE_THAT(run.err, Contains("run_0.db3: is an SQLite database") && Contains("expected"));
+  }
+}
+
 TEST_CASE("optimize: fields and files", "[apps]") {
   const TemporaryFolder folder;
   const std::string in = (folder / "in.g2o").string(), out = (folder / "out.g2o").string();

@@ -133,6 +133,21 @@ TEST_CASE("problems: counted by kind, the first one kept", "[core]") {
   REQUIRE(to_string(problems.all()[0]) == "odd (3 times, first: f:1)");
 }
 
+TEST_CASE("problems: those that altered a measurement are refused by strict reading", "[core]") {
+  Problems problems, others;
+  problems.add("odd", "f:1");
+  problems.add_altered("odd", "f:2", 0);
+  REQUIRE_NOTHROW(require_unaltered(problems));
+  others.add_altered("cut", "f:3", 2);
+  problems.add(others);
+  problems.add("cut", "f:4");
+  REQUIRE(problems.count("cut") == 3);
+  REQUIRE_FALSE(problems.all()[0].altered);
+  REQUIRE(problems.all()[1].altered);
+  REQUIRE_THROWS_AS(require_unaltered(problems), InputError);
+  REQUIRE_THROWS_WITH(require_unaltered(problems), Contains("cut (3 times, first: f:3)"));
+}
+
 TEST_CASE("thread pool: every index once, the error of the lowest index, resizable", "[core][threads]") {
   ThreadPool pool(1);
   for (const int threads : {1, 2, 5, 3}) {

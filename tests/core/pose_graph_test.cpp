@@ -67,6 +67,7 @@ TEST_CASE("graph: bad input is refused with its key, and nothing changes", "[cor
 
   REQUIRE_THROWS_AS(graph.add_edge(edge_between(0, 77)), UnknownKeyError);
   REQUIRE_THROWS_WITH(graph.add_edge(edge_between(2, 2)), "edge 2 to 2: both ends are the same node");
+  REQUIRE_THROWS_WITH(graph.set_information(0, -Matrix6d::Identity()), Contains("information is indefinite"));
   Edge edge = edge_between(0, 2);
   edge.information(0, 0) = -1.0;
   REQUIRE_THROWS_WITH(graph.add_edge(edge), "edge 0 to 2: information is indefinite");

@@ -30,6 +30,8 @@ void check_same(const PoseGraph& a, const PoseGraph& b) {
 }  // namespace
 
 LOOPWISE_FUZZ_TARGET(g2o, bytes) {
+  const auto unfinished = fuzz::attempt([&] { return parse_unfinished_g2o(bytes, "fuzz.g2o"); });
+  if (unfinished) fuzz::check_graph(unfinished->graph);
   const auto file = fuzz::attempt([&] { return parse_g2o(bytes, "fuzz.g2o"); });
   if (!file) return;
   fuzz::check_graph(file->graph);

@@ -94,6 +94,9 @@ Seeds io_seeds() {
   all["keys_csv"] = {{"keys",
                       "pc_0.pcd/pc_1.pcd/a3.pcd/7.ply\n6989586621679009792,pc_0.pcd,1600000000000000000\n"
                       "6989586621679009793,,1600000002000000000\n"}};
+  all["key_frame"] = {{"data",
+                       "stamp 1567410201 250000000\nestimate\n1 0 0 2\n0 1 0 3\n0 0 1 4\n0 0 0 1\nodom\n"
+                       "1 0 0 2\n0 1 0 3\n0 0 1 4\n0 0 0 1\naccum_distance 2.5\nutm_coord 1 2 3\nid 12\n"}};
   const std::vector<double> numbers = {1.0, 2.0, 3.0, 4.0};
   std::vector<std::uint8_t> raw(32);
   std::memcpy(raw.data(), numbers.data(), raw.size());

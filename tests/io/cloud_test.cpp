@@ -207,7 +207,7 @@ TEST_CASE("cloud: headers that lie are refused before memory is taken", "[io][cl
       {"a.pcd", "FIELDS x y\nSIZE 4 4\nTYPE F F\nWIDTH 1\nPOINTS 1\nDATA binary\n" + one, "no x, y and z"},
       {"a.pcd", "FIELDS x y z\nSIZE 3 4 4\nTYPE F F F\nWIDTH 1\nPOINTS 1\nDATA binary\n" + one,
        "SIZE 3 does not exist"},
-      {"a.pcd", "\x89PNG\r\n", "is no PCD header"},
+      {"a.pcd", "\x89PNG\r\n", "is an image, expected a PCD cloud"},
       {"a.ply", "", "is no PLY file"},
       {"a.ply", "ply\nformat ascii 1.0\n", "no end_header"},
       {"a.ply", ply + "16000000000" + xyz + one, "16000000000 points"},

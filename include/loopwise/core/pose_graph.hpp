@@ -157,6 +157,8 @@ class LOOPWISE_EXPORT PoseGraph {
   void set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance);
   /// \throws InputError unless the weight lies in [0, 1].
   void set_weight(std::size_t edge, double weight);
+  /// \throws InputError on bad numbers (see check_information).
+  void set_information(std::size_t edge, const Matrix6d& information);
   /// Sets the kind of edge number `edge`.
   void set_kind(std::size_t edge, EdgeKind kind) { edges_[edge].kind = kind; }
 

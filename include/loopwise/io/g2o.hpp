@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/pose_graph.hpp>
@@ -13,7 +14,10 @@ namespace loopwise {
 
 /// A graph as it was read.
 struct G2oFile {
-  PoseGraph graph;    ///< Nodes, priors and edges in the order of the file.
+  PoseGraph graph;  ///< Nodes, priors and edges in the order of the file.
+  /// Numbers of the edges for which the file has no information. They got that of MissionOptions as it
+  /// stands: odometry by its sigmas, others 0.1 m and 0.02 rad.
+  std::vector<std::size_t> without_information;
   Problems problems;  ///< Flaws that the reader could live with.
 };
 
@@ -22,7 +26,7 @@ struct G2oFile {
 ///
 /// - `VERTEX_SE3:QUAT key x y z qx qy qz qw`
 /// - `EDGE_SE3:QUAT from to x y z qx qy qz qw` and 21 numbers: Ω's upper triangle by rows
-///   (translation first)
+///   (translation first); or no further number, see G2oFile::without_information
 /// - `EDGE_SE3_PRIOR key parameter x y z qx qy qz qw` and 21 numbers; a sensor's offset is folded in
 /// - `PARAMS_SE3OFFSET parameter x y z qx qy qz qw`
 /// - `FIX key...`, which becomes a prior at the vertex's pose with sigma 1e-4 m and rad
@@ -31,15 +35,19 @@ struct G2oFile {
 /// Edges between consecutive keys of one character are odometry, all others loop closures: a caller that
 /// knows its robots better calls classify_edges() again.
 ///
-/// Counted in `problems`: "non-unit quaternion" (off by more than 1e-3; normalised), "repeated vertex" and
-/// "repeated edge" (the same in every number; the edge is kept, and so counts twice), "rounded information"
+/// Counted in `problems`: "repeated vertex" and "repeated edge" (the same in every number; the edge is kept,
+/// and so counts twice), "rounded information"
 /// (indefinite by no more than six printed digits explain; its negative eigenvalues are raised to 0),
-/// "unknown tag TAG", "no line end after the last line" (the file may have been cut short).
+/// "no line end after the last line" (the file may have been cut short). Counted as altered: "non-unit
+/// quaternion" (off by more than 1e-3; normalised), "indefinite information" (beyond that; replaced by the
+/// nearest semi-definite matrix), "edge without information", "edge of zero information left out" (it ties
+/// its nodes by nothing), "prior of zero information left out", "unknown tag TAG", and factors at vertices of
+/// such a tag: "FIX of TAG left out", "EDGE_SE3:QUAT of TAG left out", "EDGE_SE3_PRIOR of TAG left out".
 ///
 /// \throws IoError if the file cannot be read; ParseError naming the line for a wrong number of values, a
-/// number that is not finite, a zero quaternion, an id that is negative or exceeds 64 bits, indefinite
-/// information, a vertex with two different poses, an edge from a vertex to itself or to one that is not in
-/// the file, a 2D graph; InputError if there is no vertex at all.
+/// number that is not finite, a zero quaternion, an id that is negative or exceeds 64 bits, a vertex with two
+/// different poses, an edge from a vertex to itself or to one that is not in the file, a 2D graph; InputError
+/// if there is no vertex at all, or if the file is of another kind, which it names.
 [[nodiscard]] LOOPWISE_EXPORT G2oFile read_g2o(const std::filesystem::path& path);
 
 /// The same of a text in memory; `source` stands in errors and problems for the file's name.

@@ -87,7 +87,8 @@ struct MissionOptions {
   /// of landmarks are known from the files and not listed.
   std::string robots;
   double scan_cache_mb = 512.0;
-  /// Sigmas of odometry made from a session's poses: per metre of the step, but never below the minimum.
+  /// Sigmas of odometry that has no information of its own, as that made from a session's poses: per metre of
+  /// the step, but never below the minimum.
   double odometry_sigma_m_per_m = 0.02;
   double odometry_sigma_rad_per_m = 0.002;
   double odometry_min_sigma_m = 0.01;
@@ -104,6 +105,8 @@ struct MissionOptions {
   std::string frames;
   /// Joined missions begin at the same moment, whenever they were recorded.
   bool start_together = false;
+  /// A measurement that would be repaired, guessed or left out is an error, see Problem::altered.
+  bool strict = false;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -112,13 +115,14 @@ struct MissionOptions {
           "empty: as the files say.");
     field("scan_cache_mb", self.scan_cache_mb, at_least(0.0), "Memory for scans kept after use, MB.");
     field("odometry_sigma_m_per_m", self.odometry_sigma_m_per_m, at_least(0.0),
-          "Sessions: translation sigma of an odometry edge per metre of its length.");
+          "Sessions, edges without information: translation sigma of an odometry edge per metre of its "
+          "length.");
     field("odometry_sigma_rad_per_m", self.odometry_sigma_rad_per_m, at_least(0.0),
-          "Sessions: rotation sigma of an odometry edge per metre of its length.");
+          "Sessions, edges without information: rotation sigma of an odometry edge per metre of its length.");
     field("odometry_min_sigma_m", self.odometry_min_sigma_m, above(0.0),
-          "Sessions: least translation sigma of an odometry edge, m.");
+          "Sessions, edges without information: least translation sigma of an odometry edge, m.");
     field("odometry_min_sigma_rad", self.odometry_min_sigma_rad, above(0.0),
-          "Sessions: least rotation sigma of an odometry edge, rad.");
+          "Sessions, edges without information: least rotation sigma of an odometry edge, rad.");
     field("prior_sigmas", self.prior_sigmas, above(0.0),
           "Sigmas of the prior given to a mission without one: x, y, z in m, roll, pitch, yaw in rad.");
     field("node_interval_s", self.node_interval_s, above(0.0),
@@ -133,12 +137,19 @@ struct MissionOptions {
           "Several missions as one: file with the pose of each one's frame in the common frame.");
     field("start_together", self.start_together, any_value(),
           "Several missions as one: all begin at the same moment.");
+    field("strict", self.strict, any_value(),
+          "A measurement that would be repaired, guessed or left out is an error.");
   }
 };
 
 /// Information of an odometry edge over a step T, by the session sigmas of the options.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
                                                             const MissionOptions& options = {});
+
+/// Gives the edges of these numbers, for which a file has no information (G2oFile::without_information), that
+/// of their kind: odometry_information(), others 0.1 m and 0.02 rad.
+LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::size_t>& edges,
+                                      const MissionOptions& options = {});
 
 /// What lies at the path: a file by what it begins with, a folder by what it holds. The data set's own
 /// folder, with rosbag/ or g2o_pcd/ in it, counts as what read_mission() takes from it. \throws InputError
@@ -171,9 +182,10 @@ struct MissionOptions {
 ///
 /// **Session folder**: rows of the poses file are the nodes 0 … n−1. Odometry comes from odom_poses.txt, else
 /// from the edges (i, i+1) of singlesession_posegraph.g2o, else from optimized_poses.txt: consecutive poses,
-/// information by the options' sigmas (a g2o edge brings its own). Other edges of that g2o file are left out
-/// and counted: closures are ours to find. optimized_poses.txt, where present, is the ground truth. Stamps
-/// are in times.txt, seconds; scans in Scans/NUMBER.EXT. The first node gets a prior.
+/// information by the options' sigmas (a g2o edge may bring its own). Other edges of that g2o file are left
+/// out and counted: closures are ours to find. optimized_poses.txt, where present, is the ground truth.
+/// Stamps are in times.txt, seconds; scans in Scans/NUMBER.EXT, from 0 or from 1. The first node gets a
+/// prior. Of a session that was stopped while it was saved, the rows that all files have are read.
 ///
 /// **g2o file**: the graph; its first node gets a prior if the file has none.
 ///
@@ -183,7 +195,9 @@ struct MissionOptions {
 /// character if they are of one robot, which options.robot_character or the clouds' names tell. Closures in
 /// the graph are kept, as those of a mission folder. Nodes under capital letters or 'u' that have neither
 /// clouds nor edges among themselves are landmarks. ranges.csv and gravity.csv are those of a mission folder.
-/// The truth is in ground_truth/, inside or beside.
+/// The truth is in ground_truth/, inside or beside. A dump of hdl_graph_slam is such a folder, with clouds in
+/// NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to a fixed node that is no key frame become
+/// priors.
 ///
 /// **Bags**: a bag, or a folder's bags, as one recording. Messages are told apart by type: KeyedScan,
 /// PoseGraph and CommNodeStatus of pose_graph_msgs, silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag
@@ -199,15 +213,20 @@ struct MissionOptions {
 ///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "radio reading without
-/// node", "stamp without node", "foreign file in scans", and what the readers of the parts count. Bags also:
-/// "message cannot be read", "message at time 0 left out", "bag altered in a place that is not read", "node
-/// without stamp", "node without usable pose", "edge without node", "edge without pose", "unusable edge",
-/// "repeated edge with other numbers", "covariance absent", "unusable covariance", "odometry covariance looks
-/// swapped", "odometry not between consecutive nodes", "unusable range factor", "unusable gravity
-/// factor", "gravity factor that points up left out", "range factor of a landmark left out", "landmark left
-/// out", "landmark by ranges alone gets a prior", "edge of unknown type left out", "odometry messages not
-/// used", "ground truth of an unknown robot". \throws IoError; ParseError or InputError naming file and line
-/// or key; OptionError; StoppedError
+/// node", "stamp without node", "foreign file in scans", and what the readers of the parts count. Sessions
+/// also: "row beyond the common part left out", "unfinished last line left out", "empty file not used", "edge
+/// to a missing vertex left out", "session graph not used", "closure of the session's own graph left out",
+/// "odometry missing in the session's graph", "odometry and truth are the same poses", "scans are counted
+/// from 1", "scans may be counted from 1". Dumps of hdl_graph_slam also: "edge to a fixed node that is no key
+/// frame made a prior", "key frame without node left out", "key frame's WORD not used". Bags also: "message
+/// cannot be read", "message at time 0 left out", "bag altered in a place that is not read", "node without
+/// stamp", "node without usable pose", "edge without node", "edge without pose", "unusable edge", "repeated
+/// edge with other numbers", "covariance absent", "unusable covariance", "odometry covariance looks swapped",
+/// "odometry not between consecutive nodes", "unusable range factor", "unusable gravity factor", "gravity
+/// factor that points up left out", "range factor of a landmark left out", "landmark left out", "landmark by
+/// ranges alone gets a prior", "edge of unknown type left out", "odometry messages not used", "ground truth
+/// of an unknown robot". \throws IoError; ParseError or InputError naming file and line or key; OptionError;
+/// StoppedError
 [[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
                                                    const MissionOptions& options = {},
                                                    const ProgressCallback& progress = {},

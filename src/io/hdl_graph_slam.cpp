@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "hdl_graph_slam.hpp"
+
+#include <algorithm>
+#include <cctype>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
+
+#include "text.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+
+std::int64_t parse_stamp(std::string_view line, const text::Place& place) {
+  std::int64_t seconds = 0, nanoseconds = 0;
+  const std::string_view s = text::next_word(line), ns = text::next_word(line);
+  const bool whole = text::parse_int64(s, seconds) && text::parse_int64(ns, nanoseconds);
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  if (!whole || seconds < 0 || seconds > 4 * kSecond || nanoseconds < 0 || nanoseconds >= kSecond)
+    place.fail("stamp needs seconds and nanoseconds");
+  return seconds * kSecond + nanoseconds;
+}
+
+/// Words of `data` that the graph has too, those whose factors are not read, and what poses may hold.
+constexpr std::string_view kUsed[] = {"estimate", "odom", "accum_distance", "nan", "inf"};
+constexpr std::string_view kUnused[] = {"floor_coeffs", "utm_coord", "acceleration", "orientation"};
+
+bool is_number(const std::string& name) {
+  return !name.empty() &&
+         std::all_of(name.begin(), name.end(), [](unsigned char c) { return std::isdigit(c); });
+}
+
+/// The prior that an edge to a fixed node makes of its other end, with the same residual up to its frame.
+PriorFactor prior_of(const Edge& edge, bool fixed_is_from, const Eigen::Isometry3d& fixed) {
+  if (fixed_is_from) return {edge.to, se3::normalized(fixed * edge.T_from_to), edge.information};
+  // r = Log(Z⁻¹T⁻¹F) = −Ad(Z⁻¹)·Log((FZ⁻¹)⁻¹T)
+  const Eigen::Isometry3d inverse = edge.T_from_to.inverse();
+  const Matrix6d ad = se3::adjoint(inverse);
+  const Matrix6d moved = ad.transpose() * edge.information * ad;
+  return {edge.from, se3::normalized(fixed * inverse), 0.5 * (moved + moved.transpose())};
+}
+
+}  // namespace
+
+KeyFrameData parse_key_frame_data(const std::string& name, std::string_view contents, Problems& problems) {
+  KeyFrameData data;
+  text::Lines lines(contents);
+  for (std::string_view line; lines.next(line);) {
+    const text::Place place{name, lines.number()};
+    const std::string_view word = text::next_word(line);
+    if (word.empty() || std::isalpha(static_cast<unsigned char>(word[0])) == 0) continue;  // rows of a matrix
+    if (word == "stamp") {
+      data.stamp_ns = parse_stamp(line, place);
+    } else if (word == "id") {
+      Key id = 0;
+      if (const char* why = text::parse_id(text::next_word(line), id)) place.fail(std::string("id ") + why);
+      data.id = id;
+    } else if (std::find(std::begin(kUsed), std::end(kUsed), word) == std::end(kUsed)) {
+      const bool known = std::find(std::begin(kUnused), std::end(kUnused), word) != std::end(kUnused);
+      problems.add_altered("key frame's " + (known ? std::string(word) : "other data") + " not used",
+                           place.str());
+    }
+  }
+  return data;
+}
+
+std::optional<KeyFrameFolders> find_key_frame_folders(const fs::path& folder, Problems& problems) {
+  KeyFrameFolders found;
+  found.files.where = folder.string();
+  std::map<Key, std::string> owner;
+  for (const fs::path& entry : parts::entries(folder)) {
+    const std::string number = entry.filename().string();
+    if (!is_number(number) || !fs::is_regular_file(entry / "data")) continue;
+    const fs::path file = entry / "data";
+    const KeyFrameData data = parse_key_frame_data(file.string(), read_file(file), problems);
+    if (!data.id) {
+      problems.add_altered("key frame without node left out", file.string());
+      continue;
+    }
+    const auto [first, is_new] = owner.emplace(*data.id, number);
+    if (!is_new) {
+      throw InputError(file.string() + ": id " + std::to_string(*data.id) + " is that of " + first->second +
+                       " already");
+    }
+    if (data.stamp_ns) found.stamps.emplace(*data.id, *data.stamp_ns);
+    if (!fs::is_regular_file(entry / "cloud.pcd")) continue;
+    found.clouds.emplace(*data.id, found.files.names.size());
+    found.files.names.push_back(number + "/cloud.pcd");
+  }
+  if (owner.empty()) return std::nullopt;
+  found.files.read = [folder, names = found.files.names](std::size_t n) {
+    return read_file(folder / names[n]);
+  };
+  for (const auto& [id, number] : owner) found.ids.insert(id);
+  return found;
+}
+
+G2oFile without_anchors(G2oFile file, const KeyFrameFolders& key_frames, const std::string& name) {
+  std::set<Key> anchors;
+  for (const PriorFactor& prior : file.graph.priors()) {
+    if (key_frames.ids.count(prior.key) == 0) anchors.insert(prior.key);
+  }
+  if (anchors.empty()) return file;
+  G2oFile out;
+  out.problems = std::move(file.problems);
+  const auto is_anchor = [&](Key key) { return anchors.count(key) != 0; };
+  for (const Node& node : file.graph.nodes()) {
+    if (!is_anchor(node.key)) out.graph.add_node(node);
+  }
+  for (const PriorFactor& prior : file.graph.priors()) {
+    if (!is_anchor(prior.key)) out.graph.add_prior(prior);
+  }
+  const std::set<std::size_t> bare(file.without_information.begin(), file.without_information.end());
+  for (std::size_t e = 0; e < file.graph.edges().size(); ++e) {
+    const Edge& edge = file.graph.edges()[e];
+    if (is_anchor(edge.from) && is_anchor(edge.to)) continue;
+    if (!is_anchor(edge.from) && !is_anchor(edge.to)) {
+      if (bare.count(e) != 0) out.without_information.push_back(out.graph.edges().size());
+      out.graph.add_edge(edge);
+      continue;
+    }
+    const Key anchor = is_anchor(edge.from) ? edge.from : edge.to;
+    out.graph.add_prior(prior_of(edge, anchor == edge.from, file.graph.node(anchor).pose));
+    out.problems.add("edge to a fixed node that is no key frame made a prior",
+                     name + ": " + std::to_string(edge.from) + " to " + std::to_string(edge.to));
+  }
+  return out;
+}
+
+}  // namespace loopwise

@@ -1,0 +1,44 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// The folders of key frames that hdl_graph_slam saves beside its graph. Private to io.
+#pragma once
+
+#include <map>
+#include <optional>
+#include <set>
+
+#include <loopwise/io/g2o.hpp>
+
+#include "cloud_files.hpp"
+
+namespace loopwise {
+
+/// What the file `data` of a key frame says.
+struct KeyFrameData {
+  std::optional<Key> id;                 ///< Of its node.
+  std::optional<std::int64_t> stamp_ns;  ///< Of its scan.
+};
+/// Lines `stamp SECONDS NANOSECONDS` and `id NODE`, and poses that the graph has too. What else it holds is
+/// counted by its word. \throws ParseError naming `name` and the line
+[[nodiscard]] KeyFrameData parse_key_frame_data(const std::string& name, std::string_view contents,
+                                                Problems& problems);
+
+/// Key frames by the ids of their nodes.
+struct KeyFrameFolders {
+  std::set<Key> ids;                  ///< Of all key frames.
+  FileSource files;                   ///< NUMBER/cloud.pcd of each.
+  std::map<Key, std::size_t> clouds;  ///< Number of the file; a key frame may lack it.
+  parts::Stamps stamps;               ///< A key frame may lack it.
+};
+
+/// Key frames in folders NUMBER/ with a file `data`. Nothing if there is no such folder. \throws ParseError;
+/// InputError naming two key frames of one id; IoError
+[[nodiscard]] std::optional<KeyFrameFolders> find_key_frame_folders(const std::filesystem::path& folder,
+                                                                    Problems& problems);
+
+/// The graph without the fixed nodes that are no key frames, which hdl_graph_slam ties its first node to.
+/// What ties others to them becomes priors of the others, of the same cost; counted.
+[[nodiscard]] G2oFile without_anchors(G2oFile graph, const KeyFrameFolders& key_frames,
+                                      const std::string& name);
+
+}  // namespace loopwise

@@ -1,0 +1,323 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What the programs save that the documents name, whole and stopped under way.
+#include <cmath>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/mission.hpp>
+
+#include "saver_data.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::drive;
+using testing::Drive;
+using testing::TemporaryFolder;
+
+std::size_t odometry_edges(const Mission& mission) {
+  std::size_t count = 0;
+  for (const Edge& edge : mission.graph.edges()) count += edge.kind == EdgeKind::kOdometry ? 1 : 0;
+  return count;
+}
+
+void append_text(const fs::path& file, const std::string& text) {
+  testing::write_text(file, testing::read_text(file) + text);
+}
+
+void drop_last_line(const fs::path& file) {
+  std::string text = testing::read_text(file);
+  text.resize(text.rfind('\n', text.size() - 2) + 1);
+  testing::write_text(file, text);
+}
+
+/// Every step is that of the odometry, to six decimals, with the sigmas of sessions.
+void check_steps(const Mission& mission, const Drive& drive, const MissionOptions& options = {}) {
+  for (const Edge& edge : mission.graph.edges()) {
+    const Eigen::Isometry3d expected = drive.odometry[edge.from].inverse() * drive.odometry[edge.to];
+    CHECK(edge.to == edge.from + 1);
+    CHECK(edge.kind == EdgeKind::kOdometry);
+    // Measured: 6e-5, of rows of six digits up to 10 m.
+    CHECK(testing::difference(edge.T_from_to, expected) < 3e-4);
+    CHECK(edge.information.isApprox(odometry_information(edge.T_from_to, options), 1e-12));
+  }
+}
+
+TEST_CASE("savers: SC-LIO-SAM, whose edges have no information", "[io][session][saver]") {
+  const TemporaryFolder folder;
+  const Drive made = drive(12);
+  testing::write_sc_lio_sam(folder / "s", made);
+  MissionOptions options;
+  options.odometry_sigma_m_per_m = 0.05;
+  for (const MissionOptions& given : {MissionOptions(), options}) {
+    const Mission mission = read_mission(folder / "s", given);
+    CHECK(mission.kind == MissionKind::kSession);
+    CHECK(mission.graph.nodes().size() == 12);
+    CHECK(mission.graph.edges().size() == 11);
+    check_steps(mission, made, given);
+    CHECK(mission.ground_truth.size() == 12);
+    CHECK(mission.scans->size() == 12);
+    CHECK(mission.scans->load(3)->size() == 23);
+    CHECK(mission.graph.node(1).stamp_ns == 1567410201950000000);
+    CHECK(mission.problems.count("edge without information") == 12);
+    CHECK(mission.problems.count("closure of the session's own graph left out") == 1);
+    CHECK(mission.problems.count("no prior given") == 1);
+    CHECK(mission.problems.all().size() == 3);
+  }
+  options.strict = true;
+  CHECK_THROWS_WITH(read_mission(folder / "s", options), Contains("edge without information (12 times") &&
+                                                             Contains("singlesession_posegraph.g2o:13") &&
+                                                             Contains("strict"));
+}
+
+TEST_CASE("savers: a graph without information is read alone", "[io][g2o][saver]") {
+  const TemporaryFolder folder;
+  const Drive made = drive(12);
+  testing::write_sc_lio_sam(folder / "s", made);
+  MissionOptions options;
+  options.odometry_min_sigma_rad = 0.5;
+  const Mission mission = read_mission(folder / "s" / "singlesession_posegraph.g2o", options);
+  CHECK(mission.kind == MissionKind::kG2o);
+  REQUIRE(mission.graph.edges().size() == 12);
+  CHECK(odometry_edges(mission) == 11);
+  CHECK(mission.graph.edges()[0].information(5, 5) == Approx(4.0));
+  CHECK(mission.graph.edges()[11].information(0, 0) == Approx(100.0));
+  CHECK(mission.graph.edges()[11].information(5, 5) == Approx(2500.0));
+  CHECK(mission.problems.count("edge without information") == 12);
+}
+
+TEST_CASE("savers: SC-A-LOAM and FAST_LIO_SLAM", "[io][session][saver]") {
+  const TemporaryFolder folder;
+  const Drive made = drive(12);
+  testing::write_sc_a_loam(folder / "a", made);
+  testing::write_fast_lio_slam(folder / "f", made);
+  for (const char* name : {"a", "f"}) {
+    CAPTURE(name);
+    MissionOptions options;
+    options.strict = true;
+    const Mission mission = read_mission(folder / name, options);
+    CHECK(mission.graph.nodes().size() == 12);
+    CHECK(mission.graph.edges().size() == 11);
+    check_steps(mission, made);
+    CHECK(mission.ground_truth.size() == 12);
+    CHECK(mission.scans->size() == 12);
+    CHECK(mission.problems.all().size() == 1);  // no prior given
+  }
+}
+
+TEST_CASE("savers: a session that was stopped under way keeps what its files have in common",
+          "[io][session][saver]") {
+  const TemporaryFolder folder;
+  const std::string form = GENERATE("a", "f", "l");
+  const std::string file = GENERATE("times.txt", "odom_poses.txt", "optimized_poses.txt");
+  const bool more = GENERATE(false, true);
+  CAPTURE(form, file, more);
+  const Drive made = drive(12);
+  const fs::path session = folder / "s";
+  if (form == "a") testing::write_sc_a_loam(session, made);
+  if (form == "f") testing::write_fast_lio_slam(session, made);
+  if (form == "l") testing::write_sc_lio_sam(session, made);
+  if (!fs::exists(session / file)) return;
+  if (more) {
+    append_text(session / file, file == "times.txt" ? "1567410300.5\n" : "1 0 0 0 0 1 0 0 0 0 1 0\n");
+  } else {
+    drop_last_line(session / file);
+  }
+  const Mission mission = read_mission(session);
+  const std::size_t rows = more ? 12 : 11;
+  CHECK(mission.graph.nodes().size() == rows);
+  CHECK(mission.graph.edges().size() == rows - 1);
+  check_steps(mission, made);
+  CHECK(mission.ground_truth.size() == rows);
+  CHECK(mission.problems.count("scan without node") == 12 - rows);
+  CHECK(mission.problems.count("node without scan") == 0);
+  // Where one file is short, all others have a row too many.
+  CHECK(mission.problems.count("row beyond the common part left out") == (more ? 1 : 2));
+  MissionOptions strict;
+  strict.strict = true;
+  if (form == "l") return;  // refused for its edges already
+  CHECK_THROWS_WITH(read_mission(session, strict), Contains("row beyond the common part"));
+}
+
+TEST_CASE("savers: last lines that were not written to their end", "[io][session][saver]") {
+  const TemporaryFolder folder;
+  const Drive made = drive(12);
+  const fs::path session = folder / "s";
+  testing::write_sc_lio_sam(session, made);
+  SECTION("a pose") {
+    append_text(session / "optimized_poses.txt", "0.7 0.7 0 1");
+    const Mission mission = read_mission(session);
+    CHECK(mission.graph.nodes().size() == 12);
+    CHECK(mission.problems.count("unfinished last line left out") == 1);
+  }
+  SECTION("a stamp") {
+    append_text(session / "times.txt", "15674");
+    const Mission mission = read_mission(session);
+    CHECK(mission.graph.nodes().size() == 12);
+    CHECK(mission.problems.count("unfinished last line left out") == 1);
+    CHECK(mission.problems.count("stamps not ascending") == 0);
+  }
+  SECTION("an edge, before the vertex that it leads to") {
+    append_text(session / "singlesession_posegraph.g2o",
+                "EDGE_SE3:QUAT 11 12 1 0 0 0 0 0 1\nEDGE_SE3:QUAT 10 1");
+    const Mission mission = read_mission(session);
+    CHECK(mission.graph.edges().size() == 11);
+    CHECK(mission.problems.count("unfinished last line left out") == 1);
+    CHECK(mission.problems.count("edge to a missing vertex left out") == 1);
+  }
+  SECTION("odometry that was to be replaced") {
+    testing::write_text(session / "odom_poses.txt", "");
+    const Mission mission = read_mission(session);
+    CHECK(mission.graph.edges().size() == 11);
+    CHECK(mission.problems.count("empty file not used") == 1);
+  }
+  SECTION("a graph that was to be saved at the end") {
+    testing::write_text(session / "singlesession_posegraph.g2o", "");
+    const Mission mission = read_mission(session);
+    CHECK(mission.graph.edges().size() == 11);
+    CHECK(mission.problems.count("empty file not used") == 1);
+    CHECK(mission.problems.count("odometry and truth are the same poses") == 1);
+  }
+  SECTION("no poses at all") {
+    testing::write_text(session / "singlesession_posegraph.g2o", "");
+    fs::remove(session / "optimized_poses.txt");
+    CHECK_THROWS_WITH(read_mission(session),
+                      Contains("session without poses") && Contains("optimized_poses.txt"));
+  }
+}
+
+TEST_CASE("savers: scans that are counted from 1", "[io][session][saver]") {
+  const TemporaryFolder folder;
+  const Drive made = drive(12);
+  testing::write_fast_lio_slam(folder / "s", made);
+  fs::remove_all(folder / "s" / "Scans");
+  testing::write_scans(folder / "s" / "Scans", 12, 1);
+  const Mission mission = read_mission(folder / "s");
+  CHECK(mission.problems.count("scans are counted from 1") == 1);
+  CHECK(mission.problems.count("node without scan") == 0);
+  CHECK(mission.scans->load(0)->size() == 20);
+  CHECK(mission.scans->load(11)->size() == 31);
+  fs::remove(folder / "s" / "Scans" / "000012.pcd");  // or is it the scan of row 0 that is missing?
+  const Mission unclear = read_mission(folder / "s");
+  CHECK(unclear.problems.count("scans may be counted from 1") == 1);
+  CHECK(unclear.problems.count("node without scan") == 1);
+  CHECK(unclear.scans->load(1)->size() == 20);
+}
+
+TEST_CASE("savers: files that are not of one session", "[io][session][saver][error]") {
+  const TemporaryFolder folder;
+  testing::write_fast_lio_slam(folder / "s", drive(12));
+  testing::write_text(folder / "s" / "times.txt", "1\n2\n3\n");
+  CHECK_THROWS_AS(read_mission(folder / "s"), InputError);
+  CHECK_THROWS_WITH(read_mission(folder / "s"),
+                    Contains("times.txt has 3 rows") && Contains("poses.txt has 12"));
+}
+
+TEST_CASE("savers: hdl_graph_slam's dump", "[io][g2o_pcd][saver]") {
+  const TemporaryFolder folder;
+  const Drive made = drive(12);
+  const std::vector<std::size_t> ids = testing::write_hdl_dump(folder / "dump", made, {true, true, true});
+  const Mission mission = read_mission(folder / "dump");
+  CHECK(mission.kind == MissionKind::kG2oPcd);
+  REQUIRE(mission.graph.keys() == std::vector<Key>(ids.begin(), ids.end()));
+  CHECK(mission.graph.edges().size() == 12);  // the steps and a closure
+  CHECK(mission.scans->size() == 12);
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    CHECK(mission.scans->load(ids[i])->size() == 20 + i);
+    CHECK(mission.graph.node(ids[i]).stamp_ns ==
+          static_cast<std::int64_t>(1567410201 + i) * 1'000'000'000 + 250'000'000);
+    CHECK(testing::difference(mission.graph.node(ids[i]).pose, made.odometry[i]) < 3e-4);
+  }
+  // The anchor at the origin holds the first node by the edge between them.
+  REQUIRE(mission.graph.priors().size() == 1);
+  CHECK(mission.graph.priors()[0].key == 0);
+  CHECK(testing::difference(mission.graph.priors()[0].pose, made.odometry[0]) < 3e-4);
+  CHECK(mission.graph.priors()[0].information(0, 0) == Approx(25.0));
+  CHECK(mission.problems.count("unknown tag VERTEX_PLANE") == 1);
+  CHECK(mission.problems.count("FIX of VERTEX_PLANE left out") == 1);
+  CHECK(mission.problems.count("unknown tag EDGE_SE3_PLANE") == 11);
+  CHECK(mission.problems.count("unknown tag EDGE_SE3_PRIORXYZ") == 11);
+  CHECK(mission.problems.count("key frame's floor_coeffs not used") == 12);
+  CHECK(mission.problems.count("key frame's utm_coord not used") == 12);
+  CHECK(mission.problems.count("edge to a fixed node that is no key frame made a prior") == 1);
+  CHECK(mission.problems.count("node without scan") == 0);
+  CHECK(mission.problems.count("foreign file in scans") == 0);
+  CHECK(mission.problems.all().size() == 7);
+}
+
+TEST_CASE("savers: hdl_graph_slam's dump without anchor and floor, and broken ones", "[io][g2o_pcd][saver]") {
+  const TemporaryFolder folder;
+  const fs::path dump = folder / "dump";
+  testing::write_hdl_dump(dump, drive(12), {false, false, false});
+  CHECK(read_mission(dump).problems.count("no prior given") == 1);
+  CHECK(read_mission(dump).problems.all().size() == 1);
+  fs::remove(dump / "000004" / "cloud.pcd");
+  CHECK(read_mission(dump).problems.count("node without scan") == 1);
+  const std::string data = testing::read_text(dump / "000003" / "data");
+  testing::write_text(dump / "000003" / "data", data.substr(0, data.find("id ")));
+  const Mission mission = read_mission(dump);
+  CHECK(mission.problems.count("key frame without node left out") == 1);
+  CHECK(mission.problems.count("node without stamp") == 1);
+  CHECK(mission.graph.nodes().size() == 12);
+  testing::write_text(dump / "000003" / "data", data.substr(0, data.find("id ")) + "id 5\n");
+  CHECK_THROWS_WITH(read_mission(dump), Contains("id 5 is that of 000003 already"));
+  testing::write_text(dump / "000003" / "data", "stamp 12 1e9\n");
+  CHECK_THROWS_WITH(read_mission(dump), Contains("data:1: stamp needs seconds and nanoseconds"));
+}
+
+TEST_CASE("savers: an edge to a fixed node costs the same as the prior that it becomes",
+          "[io][g2o_pcd][saver]") {
+  const TemporaryFolder folder;
+  const bool from_anchor = GENERATE(true, false);
+  const unsigned seed = GENERATE(range(1u, 6u));
+  CAPTURE(from_anchor, seed);
+  Rng rng(seed);
+  const Eigen::Isometry3d anchor = testing::random_pose(rng), measured = testing::random_pose(rng),
+                          node = testing::random_pose(rng);
+  const fs::path dump = folder / "dump";
+  testing::write_hdl_dump(dump, drive(2), {false, false, false});
+  const std::string pose = testing::streamed(anchor), own = testing::streamed(node);
+  testing::write_text(dump / "graph.g2o",
+                      "VERTEX_SE3:QUAT 0 " + own + "\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\nVERTEX_SE3:QUAT 7 " +
+                          pose + "\nFIX 7\nEDGE_SE3:QUAT " + (from_anchor ? "7 0 " : "0 7 ") +
+                          testing::streamed(measured) + " 9 1 0 0 0 1 7 0 2 0 0 5 0 0 0 30 4 0 20 0 10\n");
+  const Mission mission = read_mission(dump);
+  REQUIRE(mission.graph.priors().size() == 1);
+  Matrix6d information = Matrix6d::Zero();
+  information.diagonal() << 9, 7, 5, 30, 20, 10;
+  information(0, 1) = information(1, 0) = 1;
+  information(0, 5) = information(5, 0) = 1;
+  information(1, 3) = information(3, 1) = 2;
+  information(3, 4) = information(4, 3) = 4;
+  const PriorFactor& prior = mission.graph.priors()[0];
+  const Vector6d r = from_anchor ? se3::log(measured.inverse() * anchor.inverse() * node)
+                                 : se3::log(measured.inverse() * node.inverse() * anchor);
+  const Vector6d made = se3::log(prior.pose.inverse() * node);
+  // Measured: relative difference up to 1e-5, of six digits; without the adjoint it is of order 1.
+  CHECK(made.dot(prior.information * made) == Approx(r.dot(information * r)).epsilon(1e-3));
+}
+
+TEST_CASE("savers: the recorded examples", "[io][saver][data]") {
+  if (const auto folder = testing::test_data("../cases/sc_lio_sam_session")) {
+    const Mission mission = read_mission(*folder);
+    CHECK(mission.kind == MissionKind::kSession);
+    CHECK(mission.graph.nodes().size() == 24);
+    CHECK(mission.graph.edges().size() == 23);
+    CHECK(odometry_edges(mission) == 23);
+    CHECK(mission.scans->size() == 24);
+    for (const Edge& edge : mission.graph.edges())
+      CHECK(edge.information.isApprox(odometry_information(edge.T_from_to), 1e-12));
+    CHECK(mission.problems.count("odometry missing in the session's graph") == 0);
+  }
+  if (const auto folder = testing::test_data("../cases/hdl_graph_slam_dump")) {
+    const Mission mission = read_mission(*folder);
+    CHECK(mission.graph.nodes().size() == 24);
+    CHECK(mission.scans->size() == 24);
+    CHECK(mission.problems.count("node without scan") == 0);
+    CHECK(mission.problems.count("FIX of VERTEX_PLANE left out") == 1);
+    CHECK(mission.graph.edges().size() == 24);  // 23 steps and a closure
+  }
+}
+
+}  // namespace
+}  // namespace loopwise
