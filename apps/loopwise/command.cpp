@@ -72,6 +72,20 @@ void add_joining_options(CLI::App& command, std::string& frames, bool& start_tog
   command.add_flag("--start-together", start_together, "Several missions: all begin at the same moment");
 }
 
+void add_odometry_option(CLI::App& command, std::string& odometry) {
+  command
+      .add_option(
+          "--odometry", odometry,
+          "Which edges are odometry: a file with two keys a line, or the word consecutive: those between "
+          "neighbours of a robot (default)")
+      ->type_name("FILE");
+}
+
+void set_odometry(const std::string& odometry, Config& config) {
+  if (odometry.empty()) return;
+  config.mission.odometry = odometry == "consecutive" ? std::string() : odometry;
+}
+
 Config load_config(const CommonOptions& options, const Config& defaults) {
   Config config = defaults;
   if (!options.config.empty()) read_config(options.config, config);

@@ -47,6 +47,11 @@ void add_common_options(CLI::App& command, CommonOptions& options);
 /// Adds what says how several sources become one mission.
 void add_joining_options(CLI::App& command, std::string& frames, bool& start_together);
 
+/// Adds --odometry.
+void add_odometry_option(CLI::App& command, std::string& odometry);
+/// Takes over what --odometry says, if it was given.
+void set_odometry(const std::string& odometry, Config& config);
+
 /// Defaults, then the file of --config, then --set. \throws OptionError, IoError, ParseError
 [[nodiscard]] Config load_config(const CommonOptions& options, const Config& defaults = {});
 

@@ -115,6 +115,9 @@ int run(const Options& options) {
   const TrajectoryErrors errors = evaluate_trajectory(estimated, true_poses, alignment, robots);
 
   Json json = {{"poses", errors.poses},
+               {"unpaired",
+                {{"estimate", input.estimate.poses.size() - errors.poses},
+                 {"truth", input.truth.poses.size() - errors.poses}}},
                {"alignment", options.alignment},
                {"ate_m", statistics_json(errors.ate_m)},
                {"ate_rad", statistics_json(errors.ate_rad)},
@@ -152,6 +155,10 @@ int run(const Options& options) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   add_row("all", errors.poses, length, errors.ate_m, errors.ate_rad, nan, nan);
   std::string text = table(rows);
+  if (const std::size_t all = input.estimate.poses.size(); errors.poses < all) {
+    text += "\n" + std::to_string(all - errors.poses) + " of " + std::to_string(all) +
+            " poses of the estimate have no partner in the truth\n";
+  }
   text += "\nATE rmse " + fixed(errors.ate_m.rmse, 4) + " m, median " + fixed(errors.ate_m.median, 4) +
           " m (alignment: " + options.alignment + ")\nRPE per step: mean " +
           fixed(errors.step.translation_m.mean, 4) + " m, " +

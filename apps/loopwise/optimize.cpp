@@ -3,7 +3,6 @@
 #include <cctype>
 #include <charconv>
 #include <fstream>
-#include <set>
 
 #include <nlohmann/json.hpp>
 
@@ -18,7 +17,6 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 #include "command.hpp"
-#include "key_pairs.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -31,7 +29,7 @@ struct Options {
   bool verbose = false;
   double inlier_probability = 0.0;  // 0: as configured
   std::string initialization;
-  std::string odometry = "consecutive";
+  std::string odometry;
   std::string robots;
   std::vector<std::string> priors;
   std::string weights;
@@ -71,25 +69,6 @@ PriorFactor parse_prior(const std::string& text, const PoseGraph& graph) {
   prior.information.diagonal() << Eigen::Vector3d::Constant(1.0 / (sigma_m * sigma_m)),
       Eigen::Vector3d::Constant(1.0 / (sigma_rad * sigma_rad));
   return prior;
-}
-
-void mark_odometry(PoseGraph& graph, const Options& options) {
-  if (options.odometry == "consecutive") {
-    classify_edges(graph,
-                   options.robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(options.robots));
-    return;
-  }
-  const auto pairs = parse_key_pairs(read_file(options.odometry), options.odometry);
-  std::set<std::pair<Key, Key>> unused = pairs;
-  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-    const std::pair<Key, Key> ends{graph.edges()[e].from, graph.edges()[e].to};
-    graph.set_kind(e, pairs.count(ends) != 0 ? EdgeKind::kOdometry : EdgeKind::kLoopClosure);
-    unused.erase(ends);
-  }
-  if (!unused.empty()) {
-    throw InputError(options.odometry + ": the graph has no edge from " +
-                     std::to_string(unused.begin()->first) + " to " + std::to_string(unused.begin()->second));
-  }
 }
 
 /// Priors asked for; otherwise those of the file; otherwise one at the first node of each component.
@@ -169,6 +148,8 @@ int run(const Options& options) {
   }
   if (options.inlier_probability > 0.0)
     config.replay.back_end.gnc.inlier_probability = options.inlier_probability;
+  if (!options.robots.empty()) config.mission.robots = options.robots;
+  set_odometry(options.odometry, config);
   validate_config(config);
 
   PoseGraph graph;
@@ -178,13 +159,14 @@ int run(const Options& options) {
         read_mission(options.input, config.mission, console.progress_callback(), interrupt.token());
     console.warn(mission.problems);
     graph = std::move(mission.graph);  // whose edges have their kinds already
-    if (options.odometry != "consecutive" || !options.robots.empty()) mark_odometry(graph, options);
   } else {
     G2oFile file = read_g2o(of_run.empty() ? std::filesystem::path(options.input) : of_run);
     if (config.mission.strict) require_unaltered(file.problems);
     console.warn(file.problems);
     graph = std::move(file.graph);
-    mark_odometry(graph, options);
+    const std::string& robots = config.mission.robots;
+    console.warn(classify_edges(
+        graph, robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(robots), config.mission));
     fill_information(graph, file.without_information, config.mission);
   }
   PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
@@ -265,7 +247,7 @@ void add_optimize(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("optimize", "Optimise a pose graph, robustly if asked");
   command->footer(
-      "Edges between consecutive ids of one robot are odometry: robust optimisation never doubts them.\n"
+      "Edges between neighbours of one robot are odometry: robust optimisation never doubts them.\n"
       "  loopwise optimize graph.g2o -o out.g2o\n"
       "  loopwise optimize graph.g2o -o out.g2o --gnc --weights weights.csv --robots 0-624,625-1249 \\\n"
       "      --prior 0 --prior 625:1e-4:1e-4");
@@ -283,10 +265,7 @@ void add_optimize(CLI::App& app, Action& chosen) {
   command
       ->add_option("--initialization", options->initialization, "First estimate: file, odometry or chordal")
       ->type_name("WORD");
-  command
-      ->add_option("--odometry", options->odometry,
-                   "Which edges are odometry: 'consecutive', or a file with two keys a line")
-      ->type_name("WORD|FILE");
+  add_odometry_option(*command, options->odometry);
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("0-624,625-1249");
   command

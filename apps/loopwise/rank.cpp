@@ -15,7 +15,7 @@ namespace {
 
 struct Options {
   CommonOptions common;
-  std::string mission, output, method, preset, robots;
+  std::string mission, output, method, preset, robots, odometry;
   std::optional<std::int64_t> batch;
   std::optional<std::uint64_t> seed;
   RankOptions rank;
@@ -33,6 +33,7 @@ int run(const Options& options) {
   Config config = load_config(options.common);
   if (!options.preset.empty()) config.replay.engine.generation = proximity_preset(options.preset);
   if (!options.robots.empty()) config.mission.robots = options.robots;
+  set_odometry(options.odometry, config);
   if (!options.method.empty()) config.replay.prioritization.method = parse_method(options.method);
   if (options.batch) config.replay.batch = *options.batch;
   if (options.seed) config.replay.engine.seed = *options.seed;
@@ -136,6 +137,7 @@ void add_rank(CLI::App& app, Action& chosen) {
       ->type_name("NAME");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
+  add_odometry_option(*command, options->odometry);
   command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });

@@ -51,6 +51,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
       ->check(CLI::Range(1.0, 1e9));
   command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
+  add_odometry_option(command, arguments.odometry);
   command.add_option("--seed", arguments.seed, "Of everything random (default 1)")->type_name("S");
 #ifdef LOOPWISE_HAS_MPI
   command
@@ -68,6 +69,7 @@ void apply(const ReplayArguments& a, Config& config) {
   if (!a.preset.empty()) replay.engine.generation = proximity_preset(a.preset);
   if (a.skip_recent) replay.engine.generation.skip_recent = *a.skip_recent;
   if (!a.robots.empty()) config.mission.robots = a.robots;
+  set_odometry(a.odometry, config);
   if (!a.guess.empty()) replay.engine.guess = parse_enum<GuessSource>("--guess", a.guess);
   if (!a.registrar.empty()) {
     replay.registration.registrar = parse_enum<RegistrarKind>("--registrar", a.registrar);

@@ -148,10 +148,12 @@ void bind_core(py::module_& module) {
       .def(
           "classify_edges",
           [](PoseGraph& graph, const py::object& robots) {
-            classify_edges(graph, robots_from(robots, graph));
+            return problem_lines(classify_edges(graph, robots_from(robots, graph)));
           },
           py::arg("robots") = py::none(),
-          "Edges between consecutive nodes of one robot become odometry, all others loop closures.")
+          "Edges between neighbours of one robot become odometry, all others loop closures. Returns flaws of "
+          "the "
+          "odometry, such as a broken chain.")
       .def(
           "index_of",
           [](const PoseGraph& graph, const py::object& key) { return graph.index_of(key_from(key)); },

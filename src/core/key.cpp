@@ -8,28 +8,41 @@
 namespace loopwise {
 namespace {
 
+constexpr Key kLabelledIndexMask = (Key{1} << kKeyLabelShift) - 1;
+
 bool is_letter(char c) {
   return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
 }
 
 }  // namespace
 
+char key_label(Key key) {
+  const char label = static_cast<char>(key >> kKeyLabelShift);
+  return is_letter(key_character(key)) && is_letter(label) ? label : '\0';
+}
+
 std::string key_name(Key key) {
   const char character = key_character(key);
   if (!is_letter(character)) return std::to_string(key);
-  return std::string(1, character) + std::to_string(key_index(key));
+  const char label = key_label(key);
+  if (label == '\0') return std::string(1, character) + std::to_string(key_index(key));
+  return std::string{character, label} + std::to_string(key & kLabelledIndexMask);
 }
 
 Key parse_key(std::string_view text) {
-  const bool named = !text.empty() && is_letter(text.front());
-  const std::string_view digits = named ? text.substr(1) : text;
+  std::size_t letters = 0;
+  while (letters < 2 && letters < text.size() && is_letter(text[letters])) ++letters;
+  const std::string_view digits = text.substr(letters);
+  constexpr Key kLargest[] = {~Key{0}, kKeyIndexMask, kLabelledIndexMask};
   std::uint64_t number = 0;
   const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), number);
-  if (error != std::errc() || end != digits.data() + digits.size() || (named && number > kKeyIndexMask)) {
+  if (error != std::errc() || end != digits.data() + digits.size() || number > kLargest[letters]) {
     throw InputError("\"" + std::string(text) +
-                     "\" is not a key: expected a 64-bit number or a letter and an index");
+                     "\" is not a key: expected a 64-bit number, or a letter or two and an index");
   }
-  return named ? make_key(text.front(), number) : number;
+  if (letters == 0) return number;
+  const Key label = letters == 2 ? static_cast<unsigned char>(text[1]) : 0;
+  return make_key(text[0], (label << kKeyLabelShift) | number);
 }
 
 }  // namespace loopwise

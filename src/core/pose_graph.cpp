@@ -238,14 +238,4 @@ std::vector<std::size_t> connected_components(const PoseGraph& graph) {
   return component;
 }
 
-void classify_edges(PoseGraph& graph, const Robots& robots) {
-  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-    const Edge& edge = graph.edges()[e];
-    const bool sighting = robots.is_landmark(edge.from) || robots.is_landmark(edge.to);
-    graph.set_kind(e, sighting                                 ? EdgeKind::kLandmark
-                      : robots.consecutive(edge.from, edge.to) ? EdgeKind::kOdometry
-                                                               : EdgeKind::kLoopClosure);
-  }
-}
-
 }  // namespace loopwise

@@ -8,6 +8,19 @@
 #include <loopwise/core/error.hpp>
 
 namespace loopwise {
+namespace {
+
+bool is_letter(char c) {
+  return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
+}
+
+/// The robot whose nodes carry this character and this label below it.
+Robot robot_of_label(char character, unsigned char label, std::string name) {
+  const Key first = make_key(character, Key{label} << kKeyLabelShift);
+  return {std::move(name), first, first | ((Key{1} << kKeyLabelShift) - 1)};
+}
+
+}  // namespace
 
 Robot robot_of_character(char character, std::string name) {
   return {std::move(name), make_key(character, 0), make_key(character, kKeyIndexMask)};
@@ -29,16 +42,29 @@ Robots::Robots(std::vector<Robot> robots) : robots_(std::move(robots)) {
 }
 
 Robots Robots::from_keys(const std::vector<Key>& keys) {
-  std::set<char> characters;
-  for (const Key key : keys) characters.insert(key_character(key));
+  std::map<char, std::set<unsigned char>> labels;  // by character
+  std::set<char> labelled;
+  for (const Key key : keys) {
+    labels[key_character(key)].insert(static_cast<unsigned char>(key >> kKeyLabelShift));
+    if (key_label(key) != '\0') labelled.insert(key_character(key));
+  }
   std::vector<Robot> robots;
-  for (const char character : characters) {
+  for (const auto& [character, of_character] : labels) {
     // A character that is no letter gets its number as its name; so do plain integers: "0".
-    const std::string name = key_name(make_key(character, 0));
-    const bool letter = name.size() == 2 && name[1] == '0' && name[0] == character;
-    robots.push_back(
-        robot_of_character(character, letter ? std::string(1, character)
-                                             : std::to_string(static_cast<unsigned char>(character))));
+    const bool letter = is_letter(character);
+    const std::string name =
+        letter ? std::string(1, character) : std::to_string(static_cast<unsigned char>(character));
+    if (labelled.count(character) == 0) {
+      robots.push_back(robot_of_character(character, name));
+      continue;
+    }
+    for (const unsigned char label : of_character) {
+      const std::string suffix = label == 0 ? ""
+                                 : is_letter(static_cast<char>(label))
+                                     ? std::string(1, static_cast<char>(label))
+                                     : std::to_string(label);
+      robots.push_back(robot_of_label(character, label, name + suffix));
+    }
   }
   return Robots(std::move(robots));
 }
@@ -66,16 +92,10 @@ bool Robots::is_landmark(Key key) const {
   return robot && robots_[*robot].landmarks;
 }
 
-bool Robots::consecutive(Key from, Key to) const {
-  if (from == ~Key{0} || to != from + 1) return false;
-  const auto robot = find(from);
-  return robot && robot == find(to);
-}
-
 Robots parse_robots(std::string_view text) {
   const auto fail = [](std::string_view part) -> OptionError {
     return OptionError("robots: cannot read \"" + std::string(part) +
-                       "\", expected FIRST-LAST, NAME=FIRST-LAST or a letter, separated by commas");
+                       "\", expected FIRST-LAST, NAME=FIRST-LAST, or a letter or two, separated by commas");
   };
   std::vector<Robot> robots;
   while (true) {
@@ -91,9 +111,11 @@ Robots parse_robots(std::string_view text) {
     try {
       if (dash != std::string_view::npos) {
         robots.push_back({name, parse_key(range.substr(0, dash)), parse_key(range.substr(dash + 1))});
-      } else if (range.size() == 1 && key_name(make_key(range[0], 0)).front() == range[0] &&
-                 !std::isdigit(range[0])) {
+      } else if (range.size() == 1 && is_letter(range[0])) {
         robots.push_back(robot_of_character(range[0], part.size() == 1 ? std::string(part) : name));
+      } else if (range.size() == 2 && is_letter(range[0]) && is_letter(range[1])) {
+        robots.push_back(robot_of_label(range[0], static_cast<unsigned char>(range[1]),
+                                        part.size() == 2 ? std::string(part) : name));
       } else {
         throw fail(part);
       }

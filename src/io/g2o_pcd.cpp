@@ -232,7 +232,7 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   }
   std::vector<PriorFactor> priors = graph.priors();
   complete_priors(graph, mission.robots, options, file.string(), priors, mission.problems);
-  mission.graph = assemble(graph, stamps, priors, mission.robots);
+  mission.graph = assemble(graph, stamps, priors, mission.robots, options, mission.problems);
   fill_information(mission.graph, g2o.without_information, options);
   check_stamps(mission);
 

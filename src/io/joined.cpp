@@ -194,7 +194,9 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
     joined.problems.add(mission.problems);
   }
   joined.robots = robots_of(joined.graph, options, Robots(std::move(robots)));
-  joined.graph = assemble(joined.graph, stamps, priors, joined.robots);
+  Problems known;  // each source has counted the flaws of its odometry, unless it is another by now
+  Problems& flaws = options.odometry.empty() && options.robots.empty() ? known : joined.problems;
+  joined.graph = assemble(joined.graph, stamps, priors, joined.robots, options, flaws);
   // The options may have divided the keys in another way.
   for (BeaconDrop& drop : joined.beacons) drop.robot = joined.robots.of(drop.drop_key);
   for (CommunicationGap& gap : joined.gaps) {

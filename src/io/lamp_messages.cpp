@@ -547,9 +547,9 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
       }
     }
   };
+  const Neighbours neighbours(graph, mission.robots);
   for (const SeenFactor& seen : graph_.odometry) {
-    if (graph.contains(seen.from) && graph.contains(seen.to) &&
-        !mission.robots.consecutive(seen.from, seen.to)) {
+    if (graph.contains(seen.from) && graph.contains(seen.to) && !neighbours(seen.from, seen.to)) {
       problems_.add("odometry not between consecutive nodes", seen.where);
     }
   }
@@ -573,7 +573,8 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
     priors.push_back({key, graph.node(key).pose, parts::information_of_sigmas(kAnchorSigmas)});
     problems_.add_altered("landmark by ranges alone gets a prior", name + ": " + key_name(key));
   }
-  graph = parts::assemble(graph, stamps_of(graph, mission.robots), priors, mission.robots);
+  graph =
+      parts::assemble(graph, stamps_of(graph, mission.robots), priors, mission.robots, options_, problems_);
 }
 
 void Gatherer::add_radio_to(Mission& mission) const {

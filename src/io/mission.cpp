@@ -6,10 +6,12 @@
 #include <set>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/g2o.hpp>
 
 #include "bag.hpp"
 #include "file_kind.hpp"
+#include "key_pairs.hpp"
 #include "mission_parts.hpp"
 #include "text.hpp"
 
@@ -40,7 +42,7 @@ Mission read_g2o_mission(const fs::path& path, const MissionOptions& options) {
   }
   mission.problems.add("no stamps given", path.string());
   mission.graph = parts::assemble(file.graph, parts::regular_stamps(file.graph, mission.robots, options),
-                                  priors, mission.robots);
+                                  priors, mission.robots, options, mission.problems);
   fill_information(mission.graph, file.without_information, options);
   parts::check_stamps(mission);
   return mission;
@@ -69,7 +71,7 @@ Robots robots_of(const PoseGraph& graph, const MissionOptions& options, const Ro
 }
 
 PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps, const std::vector<PriorFactor>& priors,
-                   const Robots& robots) {
+                   const Robots& robots, const MissionOptions& options, Problems& problems) {
   PoseGraph out;
   for (Node node : graph.nodes()) {
     const auto stamp = stamps.find(node.key);
@@ -80,7 +82,7 @@ PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps, const std::vect
   for (const Edge& edge : graph.edges()) out.add_edge(edge);
   for (const RangeFactor& range : graph.ranges()) out.add_range(range);
   for (const GravityFactor& gravity : graph.gravities()) out.add_gravity(gravity);
-  classify_edges(out, robots);
+  problems.add(classify_edges(out, robots, options));
   return out;
 }
 
@@ -215,6 +217,16 @@ void check_stamps(Mission& mission) {
 }
 
 }  // namespace parts
+
+Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOptions& options) {
+  if (options.odometry.empty()) return classify_edges(graph, robots);
+  const KeyPairs pairs = parts::parse_key_pairs(read_file(options.odometry), options.odometry);
+  try {
+    return classify_edges(graph, robots, pairs);
+  } catch (const InputError& error) {
+    throw InputError(options.odometry + ": " + error.what());
+  }
+}
 
 Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& options) {
   const double length = T.translation().norm();
@@ -388,6 +400,7 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   if (one_recording) return finished(parts::read_bags(bag_paths, options, {progress, stop}), options);
   MissionOptions of_one = options;
   of_one.robots.clear();  // the joined mission's, not those of its parts
+  of_one.odometry.clear();
   of_one.scan_cache_mb /= static_cast<double>(paths.size());
   std::vector<Mission> missions;
   missions.reserve(paths.size());

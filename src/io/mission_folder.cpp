@@ -383,7 +383,7 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
       mission.problems.add("no prior given", folder.string() + ": node " + std::to_string(key) + " gets one");
     }
   }
-  mission.graph = assemble(g2o.graph, stamps, priors, mission.robots);
+  mission.graph = assemble(g2o.graph, stamps, priors, mission.robots, options, mission.problems);
   fill_information(mission.graph, g2o.without_information, options);
   check_stamps(mission);
   if (const auto start = description.start_ns()) {

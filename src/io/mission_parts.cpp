@@ -21,16 +21,6 @@ namespace fs = std::filesystem;
 const std::set<std::string> kTruthFolders = {"ground_truth", "gt", "groundtruth"};
 const std::set<std::string> kTruthFiles = {"ground_truth.g2o", "gt.g2o", "groundtruth.g2o"};
 
-/// Each robot's key frames in order.
-std::vector<std::vector<Key>> keys_by_robot(const PoseGraph& graph, const Robots& robots) {
-  std::vector<std::vector<Key>> keys(robots.size());
-  for (const Node& node : graph.nodes()) {
-    if (!robots.is_landmark(node.key)) keys[robots.of(node.key)].push_back(node.key);
-  }
-  for (auto& own : keys) std::sort(own.begin(), own.end());
-  return keys;
-}
-
 }  // namespace
 
 bool is_landmark_character(char character) {
@@ -97,7 +87,7 @@ void complete_priors(const PoseGraph& graph, const Robots& robots, const Mission
 void complete_stamps(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                      const std::string& name, Stamps& stamps, Problems& problems) {
   const double interval_ns = std::min(options.node_interval_s, 1e9) * 1e9;
-  for (const std::vector<Key>& keys : keys_by_robot(graph, robots)) {
+  for (const std::vector<Key>& keys : robot_paths(graph, robots)) {
     std::vector<std::size_t> known;
     for (std::size_t i = 0; i < keys.size(); ++i) {
       if (stamps.count(keys[i]) != 0) known.push_back(i);

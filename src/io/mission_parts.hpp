@@ -46,10 +46,11 @@ inline constexpr const char* kGravity = "gravity.csv";
 /// Keys of all nodes but landmarks, in order.
 [[nodiscard]] std::vector<Key> key_frames(const PoseGraph& graph, const Robots& robots);
 
-/// The graph with these stamps (0 where none), priors and robots: edges between consecutive nodes become
-/// odometry, those to landmarks sightings.
+/// The graph with these stamps (0 where none), priors and robots; its edges are classified as the options
+/// say, and flaws of the odometry counted.
 [[nodiscard]] PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps,
-                                 const std::vector<PriorFactor>& priors, const Robots& robots);
+                                 const std::vector<PriorFactor>& priors, const Robots& robots,
+                                 const MissionOptions& options, Problems& problems);
 
 /// When landmarks were first seen: the earliest of the stamps of the nodes that an edge or a range ties to
 /// each. Those tied to none are not listed.

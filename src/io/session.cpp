@@ -112,18 +112,19 @@ std::optional<PoseGraph> read_graph(const fs::path& file, std::size_t rows, cons
   return std::move(session.graph);
 }
 
-/// The steps (i, i+1) that the graph holds, the first of each.
+/// The odometry (i, i+1) that the graph holds, written in either direction, the first of each.
 std::vector<std::optional<Step>> steps_of_graph(const PoseGraph& graph, std::size_t rows,
                                                 const std::string& file, Problems& problems) {
   std::vector<std::optional<Step>> steps(rows - 1);
-  for (const Edge& edge : graph.edges()) {
-    const bool is_step = edge.to == edge.from + 1;
+  for (const Edge& written : graph.edges()) {
+    const Edge edge = written.from < written.to ? written : reversed(written);
+    const bool is_step = edge.kind == EdgeKind::kOdometry && edge.to == edge.from + 1;
     if (is_step && edge.to >= rows) continue;  // of a row that is left out
     if (is_step && !steps[edge.from]) {
       steps[edge.from] = Step{edge.T_from_to, edge.information};
     } else {
       problems.add("closure of the session's own graph left out",
-                   file + ": " + std::to_string(edge.from) + " to " + std::to_string(edge.to));
+                   file + ": " + std::to_string(written.from) + " to " + std::to_string(written.to));
     }
   }
   return steps;
@@ -151,7 +152,8 @@ SessionFiles read_files(const fs::path& folder, const MissionOptions& options, P
     throw InputError(file.string() + ": holds no pose: the session was stopped before its poses were saved");
   }
   session.stamps = read_times(folder / kTimes, problems);
-  if (!session.odometry) session.graph = read_graph(folder / kGraph, session.optimized->size(), options, problems);
+  if (!session.odometry)
+    session.graph = read_graph(folder / kGraph, session.optimized->size(), options, problems);
   return session;
 }
 
@@ -257,12 +259,14 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
 
   mission.robots = robots_of(graph, options, Robots({{"0", 0, rows - 1}}));
   Stamps stamps;
-  for (std::size_t i = 0; i < std::min(rows, session.stamps.size()); ++i) stamps.emplace(i, session.stamps[i]);
+  for (std::size_t i = 0; i < std::min(rows, session.stamps.size()); ++i)
+    stamps.emplace(i, session.stamps[i]);
   if (stamps.empty()) {
     mission.problems.add("no stamps given", (folder / kTimes).string());
     stamps = regular_stamps(graph, mission.robots, options);
   }
-  mission.graph = assemble(graph, stamps, {default_prior(graph, 0, options)}, mission.robots);
+  mission.graph =
+      assemble(graph, stamps, {default_prior(graph, 0, options)}, mission.robots, options, mission.problems);
   mission.problems.add("no prior given", folder.string() + ": the first node gets one");
   check_stamps(mission);
 

@@ -68,14 +68,58 @@ void read_kitti_line(std::string_view line, const text::Place& place, Trajectory
   out.poses.push_back(rigid.pose);
 }
 
+std::string seconds(std::int64_t stamp_ns) {
+  constexpr std::uint64_t kSecond = 1'000'000'000;
+  const auto bits = static_cast<std::uint64_t>(stamp_ns);
+  const std::uint64_t ns = stamp_ns < 0 ? std::uint64_t{0} - bits : bits;
+  const std::string fraction = std::to_string(ns % kSecond);
+  return (stamp_ns < 0 ? "-" : "") + std::to_string(ns / kSecond) + '.' +
+         std::string(9 - fraction.size(), '0') + fraction;
+}
+
+std::vector<std::size_t> by_stamp(const std::vector<std::int64_t>& stamps) {
+  std::vector<std::size_t> order(stamps.size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  std::stable_sort(order.begin(), order.end(),
+                   [&](std::size_t a, std::size_t b) { return stamps[a] < stamps[b]; });
+  return order;
+}
+
+/// Puts poses in the order of their stamps and counts what is wrong with these. `lines`: of each pose.
+void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& lines, Trajectory& out) {
+  constexpr std::int64_t kSecond = 1'000'000'000;
+  const std::vector<std::int64_t> read = out.stamps_ns;
+  const auto place = [&](std::size_t i) {
+    return text::Place{file, lines[i]}.str() + ": " + seconds(read[i]);
+  };
+  for (std::size_t i = 1; i < read.size(); ++i) {
+    if (read[i] < read[i - 1]) out.problems.add("pose before the one above it, sorted by stamp", place(i));
+  }
+  const std::vector<std::size_t> order = by_stamp(read);
+  const std::vector<Eigen::Isometry3d> poses = out.poses;
+  for (std::size_t i = 0; i < order.size(); ++i) {
+    out.poses[i] = poses[order[i]];
+    out.stamps_ns[i] = read[order[i]];
+    if (i > 0 && out.stamps_ns[i] == out.stamps_ns[i - 1])
+      out.problems.add("stamp that comes twice, perhaps written with too few digits", place(order[i]));
+  }
+  const bool sorted = std::is_sorted(read.begin(), read.end());
+  if (!sorted && out.stamps_ns.front() >= 0 && out.stamps_ns.back() < kSecond) {
+    out.problems.add("stamps without their seconds, perhaps",
+                     file + ": all lie between 0 and 1 s and do not ascend");
+  }
+}
+
 Trajectory read_lines(const std::string& file, std::string_view contents, TrajectoryFormat format) {
   Trajectory out;
   out.format = format;
   text::Lines lines(contents);
+  std::vector<std::size_t> numbers;
   for (std::string_view line; lines.next(line);) {
     std::string_view look = line;
     if (text::next_word(look).empty()) continue;
     const text::Place place{file, lines.number()};
+    numbers.push_back(lines.number());
     if (format == TrajectoryFormat::kTum) {
       read_tum_line(line, place, out);
     } else {
@@ -84,6 +128,7 @@ Trajectory read_lines(const std::string& file, std::string_view contents, Trajec
   }
   if (out.poses.empty()) throw InputError(file + ": holds no pose");
   if (!lines.ended()) out.problems.add("no line end after the last line", file);
+  if (format == TrajectoryFormat::kTum) sort_by_stamp(file, numbers, out);
   out.keys.resize(out.poses.size());
   std::iota(out.keys.begin(), out.keys.end(), Key{0});
   return out;
@@ -110,14 +155,6 @@ IndexPairs pair_by_key(const Trajectory& estimate, const Trajectory& truth) {
       pairs.emplace_back(i, found->second);
   }
   return pairs;
-}
-
-std::vector<std::size_t> by_stamp(const std::vector<std::int64_t>& stamps) {
-  std::vector<std::size_t> order(stamps.size());
-  std::iota(order.begin(), order.end(), std::size_t{0});
-  std::stable_sort(order.begin(), order.end(),
-                   [&](std::size_t a, std::size_t b) { return stamps[a] < stamps[b]; });
-  return order;
 }
 
 /// The larger minus the smaller: no stamps are too far apart for it.
@@ -161,6 +198,16 @@ IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, do
   return pairs;
 }
 
+std::string span(const Trajectory& trajectory) {
+  const auto [first, last] = std::minmax_element(trajectory.stamps_ns.begin(), trajectory.stamps_ns.end());
+  return seconds(*first) + " to " + seconds(*last) + " s";
+}
+
+/// What poses are told apart by.
+std::string name_of(const Trajectory& trajectory, std::size_t i, bool by_stamp) {
+  return by_stamp ? "stamp " + seconds(trajectory.stamps_ns[i]) : key_name(trajectory.keys[i]);
+}
+
 /// Whether every key of the g2o file is a row of the other file.
 bool keys_are_rows(const Trajectory& g2o, const Trajectory& rows) {
   return std::all_of(g2o.keys.begin(), g2o.keys.end(), [&](Key key) { return key < rows.poses.size(); });
@@ -201,16 +248,9 @@ std::vector<Eigen::Isometry3d> read_kitti(const std::filesystem::path& path) {
 }
 
 void write_tum(const std::filesystem::path& path, const std::vector<StampedPose>& poses) {
-  constexpr std::uint64_t kSecond = 1'000'000'000;
   std::string out;
   for (const StampedPose& stamped : poses) {
-    const bool negative = stamped.stamp_ns < 0;
-    const auto bits = static_cast<std::uint64_t>(stamped.stamp_ns);
-    const std::uint64_t ns = negative ? std::uint64_t{0} - bits : bits;
-    const std::string fraction = std::to_string(ns % kSecond);
-    if (negative) out += '-';
-    text::append(out, ns / kSecond);
-    out += '.' + std::string(9 - fraction.size(), '0') + fraction + ' ';
+    out += seconds(stamped.stamp_ns) + ' ';
     text::append_pose(out, stamped.pose);
     out += '\n';
   }
@@ -237,9 +277,11 @@ PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double 
            (truth_keys && keys_are_rows(truth, estimate));
   };
   IndexPairs pairs;
-  if ((estimate_keys && truth_keys) || (!both_stamped && rows_are_keys())) {
+  const bool by_key = (estimate_keys && truth_keys) || (!both_stamped && rows_are_keys());
+  const bool by_stamp = !by_key && both_stamped;
+  if (by_key) {
     pairs = pair_by_key(estimate, truth);
-  } else if (both_stamped) {
+  } else if (by_stamp) {
     pairs = pair_by_stamp(estimate, truth, max_time_difference_s);
   } else if (estimate.poses.size() == truth.poses.size()) {
     for (std::size_t i = 0; i < estimate.poses.size(); ++i) pairs.emplace_back(i, i);
@@ -250,7 +292,9 @@ PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double 
   }
   if (pairs.empty()) {
     throw InputError("no pose of the estimate has a partner in the truth: " +
-                     std::string(estimate_keys ? "no common key" : "no stamps close enough"));
+                     (by_stamp ? "no stamps close enough, those of the estimate are " + span(estimate) +
+                                     ", of the truth " + span(truth)
+                               : std::string("no common key")));
   }
 
   PosePairs out;
@@ -262,10 +306,10 @@ PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double 
     has_truth[e] = has_estimate[t] = 1;
   }
   for (std::size_t i = 0; i < has_truth.size(); ++i) {
-    if (!has_truth[i]) out.problems.add("pose without truth", key_name(estimate.keys[i]));
+    if (!has_truth[i]) out.problems.add("pose without truth", name_of(estimate, i, by_stamp));
   }
   for (std::size_t i = 0; i < has_estimate.size(); ++i) {
-    if (!has_estimate[i]) out.problems.add("truth without pose", key_name(truth.keys[i]));
+    if (!has_estimate[i]) out.problems.add("truth without pose", name_of(truth, i, by_stamp));
   }
   return out;
 }

@@ -65,9 +65,6 @@ TEST_CASE("robots: by character and by range", "[core][robots]") {
   REQUIRE(ranges.node_index(630) == 5);
   REQUIRE_FALSE(ranges.find(1250));
   REQUIRE_THROWS_AS(ranges.of(1250), UnknownKeyError);
-  REQUIRE(ranges.consecutive(3, 4));
-  REQUIRE_FALSE(ranges.consecutive(4, 3));
-  REQUIRE_FALSE(ranges.consecutive(624, 625));
 
   const Robots letters = Robots::from_keys({make_key('b', 1), make_key('a', 5), make_key('b', 2), 7});
   REQUIRE(letters.size() == 3);

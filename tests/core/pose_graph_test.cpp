@@ -128,7 +128,7 @@ TEST_CASE("graph: components and the kinds of edges", "[core][graph]") {
   REQUIRE(connected_components(graph) == std::vector<std::size_t>{0, 0, 0, 0, 0, 1});
 
   classify_edges(graph, Robots({{"x", 0, 9}, {"y", 10, 19}}));
-  REQUIRE(graph.edges()[0].kind == EdgeKind::kLoopClosure);  // backwards
+  REQUIRE(graph.edges()[0].kind == EdgeKind::kOdometry);  // backwards
   REQUIRE(graph.edges()[1].kind == EdgeKind::kOdometry);
   REQUIRE(graph.edges()[2].kind == EdgeKind::kOdometry);
   REQUIRE(graph.edges()[3].kind == EdgeKind::kLoopClosure);

@@ -6,9 +6,9 @@
 
 LOOPWISE_FUZZ_TARGET(key_pairs, bytes) {
   using namespace loopwise;
-  const auto pairs = fuzz::attempt([&] { return cli::parse_key_pairs(std::string(bytes), "pairs"); });
+  const auto pairs = fuzz::attempt([&] { return parts::parse_key_pairs(std::string(bytes), "pairs"); });
   if (!pairs) return;
   std::string text;
   for (const auto& [from, to] : *pairs) text += std::to_string(from) + "," + std::to_string(to) + "\n";
-  fuzz::expect(cli::parse_key_pairs(text, "again") == *pairs, "written and read again: the same");
+  fuzz::expect(parts::parse_key_pairs(text, "again") == *pairs, "written and read again: the same");
 }

@@ -121,7 +121,7 @@ TEST_CASE("g2o: edges may come before their vertices", "[io][g2o]") {
   CHECK(read(kEdge + kTwoVertices).graph.edges().size() == 1);
 }
 
-TEST_CASE("g2o: consecutive keys of one character are odometry", "[io][g2o]") {
+TEST_CASE("g2o: edges between neighbours of one character are odometry", "[io][g2o]") {
   std::string text;
   for (const Key key : {make_key('a', 0), make_key('a', 1), make_key('a', 2), make_key('b', 3)}) {
     text += "VERTEX_SE3:QUAT " + std::to_string(key) + " 0 0 0 0 0 0 1\n";

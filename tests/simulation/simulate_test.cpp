@@ -74,7 +74,8 @@ TEST_CASE("simulate: a mission is whole and keeps its promises", "[simulation][p
 
     double longest_step = 0.0;
     for (const Edge& edge : mission.graph.edges()) {
-      REQUIRE(mission.robots.consecutive(edge.from, edge.to));
+      REQUIRE(edge.to == edge.from + 1);
+      REQUIRE(mission.robots.of(edge.from) == mission.robots.of(edge.to));
       const Eigen::Isometry3d truth =
           mission.ground_truth.at(edge.from).inverse() * mission.ground_truth.at(edge.to);
       longest_step = std::max(longest_step, truth.translation().norm());

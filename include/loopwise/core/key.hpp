@@ -11,7 +11,9 @@ namespace loopwise {
 
 /// Node id. The top 8 bits hold a robot character, the low 56 bits the index of the node: the layout of
 /// gtsam::Symbol, so files of GTSAM and LAMP read unchanged. Plain integers (character 0) are valid keys.
-/// Keys exceed 2^53: never hold one in a double.
+/// Where both the top 8 bits and the 8 below them are ASCII letters, the key is a gtsam::LabeledSymbol: a
+/// character, a label that tells the robot, as Swarm-SLAM has it, and an index of 48 bits. The index of a
+/// Symbol would have to exceed 1.8e16 to look like one. Keys exceed 2^53: never hold one in a double.
 using Key = std::uint64_t;
 
 inline constexpr int kKeyIndexBits = 56;  ///< Low bits of a key that hold the index.
@@ -31,10 +33,16 @@ inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;  ///< These 
   return key & kKeyIndexMask;
 }
 
-/// For people: "a12" if the character is a letter, otherwise the plain number. Files hold the number.
+inline constexpr int kKeyLabelShift = 48;  ///< Low bits of a labelled key that hold the index.
+
+/// The label of a gtsam::LabeledSymbol, a letter; 0 if the key is none.
+[[nodiscard]] LOOPWISE_EXPORT char key_label(Key key);
+
+/// For people: "a12" if the character is a letter, "gB12" if the key has a label as well, otherwise the plain
+/// number. Files hold the number.
 [[nodiscard]] LOOPWISE_EXPORT std::string key_name(Key key);
 
-/// Reads a decimal number of up to 64 bits or a letter followed by an index ("a12").
+/// Reads a decimal number of up to 64 bits, or a letter or two followed by an index ("a12", "gB12").
 /// \throws InputError naming the text if it is neither.
 [[nodiscard]] LOOPWISE_EXPORT Key parse_key(std::string_view text);
 

@@ -4,13 +4,16 @@
 #include <cstddef>
 #include <cstdint>
 #include <optional>
+#include <set>
 #include <unordered_map>
+#include <utility>
 #include <vector>
 
 #include <Eigen/Geometry>
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
+#include <loopwise/core/problems.hpp>
 #include <loopwise/core/registration_result.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/core/se3.hpp>
@@ -56,7 +59,7 @@ struct GravityFactor {
 
 /// What an edge comes from, which decides whether robust optimisation may doubt it.
 enum class EdgeKind {
-  kOdometry,     ///< From one node of a robot to its next: never doubted.
+  kOdometry,     ///< Between nodes that follow each other on one robot's path: never doubted.
   kLoopClosure,  ///< All other between key frames.
   kLandmark,     ///< From a key frame to a landmark that it saw. Robust optimisation may doubt it.
 };
@@ -179,9 +182,42 @@ class LOOPWISE_EXPORT PoseGraph {
 /// its component, from 0 in node order.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
-/// Marks edges between consecutive nodes of one robot as odometry, those that end at a landmark as sightings
-/// of it, and all others as loop closures.
-LOOPWISE_EXPORT void classify_edges(PoseGraph& graph, const Robots& robots);
+/// Keys of each robot's nodes in the order of its path, which is that of the keys. Landmarks have no path,
+/// and nodes that no robot owns are on none.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::vector<Key>> robot_paths(const PoseGraph& graph,
+                                                                        const Robots& robots);
+
+/// Which nodes follow each other on their robot's path: no node of the robot lies between them, whatever the
+/// gap of their keys, as long as it is below 2^47.
+class LOOPWISE_EXPORT Neighbours {
+ public:
+  /// Of the nodes that the graph has now.
+  Neighbours(const PoseGraph& graph, const Robots& robots);
+
+  /// Whether one of the two follows the other.
+  [[nodiscard]] bool operator()(Key a, Key b) const;
+
+ private:
+  std::unordered_map<Key, Key> next_;
+};
+
+/// The same measurement from its other end, with the information that belongs there.
+[[nodiscard]] LOOPWISE_EXPORT Edge reversed(const Edge& edge);
+
+/// Pairs of keys, each in any order.
+using KeyPairs = std::set<std::pair<Key, Key>>;
+
+/// Decides what every edge is. Those that join neighbours of one robot, in either direction, are odometry;
+/// those that end at a landmark are sightings of it, and all others loop closures. Of several edges between
+/// the same neighbours, those that contradict the odometry (beyond quantile 0.9999 of chi-squared) are loop
+/// closures, which robust optimisation may doubt: the odometry is the first that the nodes' poses fit, else
+/// the first.
+/// \returns flaws: "edge that contradicts odometry taken for a loop closure", "odometry chain broken", "robot
+/// whose keys have a jump of 2^47 or more", with the place of the first.
+LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots);
+/// The same, where odometry is what joins these pairs and nothing else. \throws InputError naming a pair that
+/// no edge joins.
+LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& odometry);
 
 /// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.
 /// Positive semi-definite matrices pass, with a tolerance of 1e-9 of the largest element.

@@ -34,7 +34,8 @@ class LOOPWISE_EXPORT Robots {
   /// \throws InputError on an empty or repeated name, a range with last < first, or overlapping ranges.
   explicit Robots(std::vector<Robot> robots);
 
-  /// One robot per character found, named after it; all plain integers together form the robot "0".
+  /// One robot per character found, named after it; all plain integers together form the robot "0". Where
+  /// keys of a character carry labels, see Key, each of its labels is a robot: "gA", "gB".
   [[nodiscard]] static Robots from_keys(const std::vector<Key>& keys);
 
   /// Number of robots.
@@ -58,14 +59,12 @@ class LOOPWISE_EXPORT Robots {
   /// True if the key's owner is a group of landmarks.
   [[nodiscard]] bool is_landmark(Key key) const;
 
-  /// True if `to` follows `from` directly on one robot's path: the form of an odometry edge.
-  [[nodiscard]] bool consecutive(Key from, Key to) const;
-
  private:
   std::vector<Robot> robots_;  // sorted by first
 };
 
-/// Reads "0-624,625-1249" (robots named "0", "1", ...) or "husky=0-624,spot=625-1249" or "a,b" (characters).
+/// Reads "0-624,625-1249" (robots named "0", "1", ...) or "husky=0-624,spot=625-1249" or "a,b" (characters)
+/// or "gA,gB" (characters with labels).
 /// \throws OptionError naming the part that cannot be read.
 [[nodiscard]] LOOPWISE_EXPORT Robots parse_robots(std::string_view text);
 

@@ -32,8 +32,9 @@ struct G2oFile {
 /// - `FIX key...`, which becomes a prior at the vertex's pose with sigma 1e-4 m and rad
 ///
 /// Text from '#' to the end of its line is a comment; CRLF line ends, tabs and trailing blanks do no harm.
-/// Edges between consecutive keys of one character are odometry, all others loop closures: a caller that
-/// knows its robots better calls classify_edges() again.
+/// Edges have the kinds that classify_edges() gives them with the robots of Robots::from_keys(). Its flaws
+/// are not counted, since a graph may hold poses alone: a caller that needs odometry, or knows its robots
+/// better, calls it again.
 ///
 /// Counted in `problems`: "repeated vertex" and "repeated edge" (the same in every number; the edge is kept,
 /// and so counts twice), "rounded information"

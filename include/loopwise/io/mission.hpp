@@ -86,6 +86,9 @@ struct MissionOptions {
   /// As parse_robots() takes it. Empty: as mission.json says, or one robot per character of the keys. Groups
   /// of landmarks are known from the files and not listed.
   std::string robots;
+  /// A file with two keys a line, in any order: the edges that are odometry. Empty: those between neighbours
+  /// of one robot, see classify_edges().
+  std::string odometry;
   double scan_cache_mb = 512.0;
   /// Sigmas of odometry that has no information of its own, as that made from a session's poses: per metre of
   /// the step, but never below the minimum.
@@ -113,6 +116,9 @@ struct MissionOptions {
     field("robots", self.robots, any_value(),
           "Robots and their keys, as \"0-624,625-1249\" or \"husky=0-624,spot=625-1249\" or \"a,b\"; "
           "empty: as the files say.");
+    field(
+        "odometry", self.odometry, any_value(),
+        "Which edges are odometry: a file with two keys a line; empty: those between neighbours of a robot.");
     field("scan_cache_mb", self.scan_cache_mb, at_least(0.0), "Memory for scans kept after use, MB.");
     field("odometry_sigma_m_per_m", self.odometry_sigma_m_per_m, at_least(0.0),
           "Sessions, edges without information: translation sigma of an odometry edge per metre of its "
@@ -141,6 +147,11 @@ struct MissionOptions {
           "A measurement that would be repaired, guessed or left out is an error.");
   }
 };
+
+/// classify_edges() as the options say. \throws IoError; ParseError naming the line of the file; InputError
+/// naming the file and a pair that no edge joins
+LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots,
+                                        const MissionOptions& options);
 
 /// Information of an odometry edge over a step T, by the session sigmas of the options.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
@@ -213,20 +224,20 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 ///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "radio reading without
-/// node", "stamp without node", "foreign file in scans", and what the readers of the parts count. Sessions
-/// also: "row beyond the common part left out", "unfinished last line left out", "empty file not used", "edge
-/// to a missing vertex left out", "session graph not used", "closure of the session's own graph left out",
-/// "odometry missing in the session's graph", "odometry and truth are the same poses", "scans are counted
-/// from 1", "scans may be counted from 1". Dumps of hdl_graph_slam also: "edge to a fixed node that is no key
-/// frame made a prior", "key frame without node left out", "key frame's WORD not used". Bags also: "message
-/// cannot be read", "message at time 0 left out", "bag altered in a place that is not read", "node without
-/// stamp", "node without usable pose", "edge without node", "edge without pose", "unusable edge", "repeated
-/// edge with other numbers", "covariance absent", "unusable covariance", "odometry covariance looks swapped",
-/// "odometry not between consecutive nodes", "unusable range factor", "unusable gravity factor", "gravity
-/// factor that points up left out", "range factor of a landmark left out", "landmark left out", "landmark by
-/// ranges alone gets a prior", "edge of unknown type left out", "odometry messages not used", "ground truth
-/// of an unknown robot". \throws IoError; ParseError or InputError naming file and line or key; OptionError;
-/// StoppedError
+/// node", "stamp without node", "foreign file in scans", and what classify_edges() and the readers of the
+/// parts count. Sessions also: "row beyond the common part left out", "unfinished last line left out", "empty
+/// file not used", "edge to a missing vertex left out", "session graph not used", "closure of the session's
+/// own graph left out", "odometry missing in the session's graph", "odometry and truth are the same poses",
+/// "scans are counted from 1", "scans may be counted from 1". Dumps of hdl_graph_slam also: "edge to a fixed
+/// node that is no key frame made a prior", "key frame without node left out", "key frame's WORD not used".
+/// Bags also: "message cannot be read", "message at time 0 left out", "bag altered in a place that is not
+/// read", "node without stamp", "node without usable pose", "edge without node", "edge without pose",
+/// "unusable edge", "repeated edge with other numbers", "covariance absent", "unusable covariance", "odometry
+/// covariance looks swapped", "odometry not between consecutive nodes", "unusable range factor", "unusable
+/// gravity factor", "gravity factor that points up left out", "range factor of a landmark left out",
+/// "landmark left out", "landmark by ranges alone gets a prior", "edge of unknown type left out", "odometry
+/// messages not used", "ground truth of an unknown robot". \throws IoError; ParseError or InputError naming
+/// file and line or key; OptionError; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
                                                    const MissionOptions& options = {},
                                                    const ProgressCallback& progress = {},

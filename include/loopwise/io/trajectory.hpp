@@ -36,14 +36,16 @@ enum class TrajectoryFormat {
 /// Poses as they were read.
 struct Trajectory {
   TrajectoryFormat format = TrajectoryFormat::kTum;  ///< The form that the file had.
-  std::vector<Eigen::Isometry3d> poses;              ///< In the order of the file.
-  std::vector<Key> keys;                ///< One per pose: the key of a g2o vertex, else the row from 0.
+  std::vector<Eigen::Isometry3d> poses;              ///< Of TUM by stamp, else in the order of the file.
+  std::vector<Key> keys;                ///< One per pose: the key of a g2o vertex, else its number from 0.
   std::vector<std::int64_t> stamps_ns;  ///< One per pose for TUM, else empty.
   Problems problems;                    ///< Flaws that the reader could live with.
 };
 
 /// Reads any of the three forms, told apart by what the file holds. A g2o file needs no edges.
-/// Comments start with '#'. Counted: "non-unit quaternion", "rotation not orthonormal" (both put right).
+/// Comments start with '#'. Counted: "non-unit quaternion", "rotation not orthonormal" (both put right); of
+/// TUM files "pose before the one above it, sorted by stamp", "stamp that comes twice, perhaps written with
+/// too few digits", "stamps without their seconds, perhaps" (they lie in the first second and do not ascend).
 /// \throws IoError; ParseError naming the line; InputError if there is no pose.
 [[nodiscard]] LOOPWISE_EXPORT Trajectory read_trajectory(const std::filesystem::path& path);
 /// As read_trajectory(), of this form and no other.
@@ -56,7 +58,7 @@ struct Trajectory {
 [[nodiscard]] LOOPWISE_EXPORT Trajectory parse_trajectory(std::string_view text, const std::string& source,
                                                           TrajectoryFormat format);
 
-/// As read_trajectory() of the form TUM, in the order of the file.
+/// As read_trajectory() of the form TUM, in the order of the stamps.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<StampedPose> read_tum(const std::filesystem::path& path);
 /// As read_trajectory() of the form KITTI, in the order of the file.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Isometry3d> read_kitti(const std::filesystem::path& path);

@@ -7,11 +7,11 @@
 
 #include <loopwise/core/error.hpp>
 
-namespace loopwise::cli {
+namespace loopwise::parts {
 
-std::set<std::pair<Key, Key>> parse_key_pairs(const std::string& contents, const std::string& name) {
+KeyPairs parse_key_pairs(const std::string& contents, const std::string& name) {
   std::istringstream lines(contents);
-  std::set<std::pair<Key, Key>> pairs;
+  KeyPairs pairs;
   std::string line;
   for (std::size_t number = 1; std::getline(lines, line); ++number) {
     line.resize(std::min(line.find('#'), line.size()));
@@ -37,4 +37,4 @@ std::set<std::pair<Key, Key>> parse_key_pairs(const std::string& contents, const
   return pairs;
 }
 
-}  // namespace loopwise::cli
+}  // namespace loopwise::parts

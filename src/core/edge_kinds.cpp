@@ -1,0 +1,177 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// The one place that decides which edges of a graph are odometry.
+#include <algorithm>
+#include <map>
+#include <numeric>
+
+#include <Eigen/QR>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/pose_graph.hpp>
+
+namespace loopwise {
+namespace {
+
+/// Keys of one robot that are this far apart never follow each other: another label above the index, which is
+/// 2^48 less the length of a path, makes such steps, a path does not.
+constexpr Key kLabelStep = Key{1} << (kKeyLabelShift - 1);
+
+/// Quantile 0.9999 of chi-squared with 6 degrees of freedom.
+constexpr double kLargestDistance = 27.86;
+
+std::pair<Key, Key> ends_of(const Edge& edge) {
+  return std::minmax(edge.from, edge.to);
+}
+
+std::string between(Key a, Key b) {
+  return key_name(a) + " and " + key_name(b);
+}
+
+/// r of the second measurement against the first.
+Vector6d difference(const Edge& first, const Edge& second) {
+  const Eigen::Isometry3d T = second.from == first.from ? second.T_from_to : second.T_from_to.inverse();
+  return se3::log(first.T_from_to.inverse() * T);
+}
+
+/// Whether the noise of both explains their difference.
+bool agree(const Edge& first, const Edge& second) {
+  const Matrix6d& A = first.information;
+  const Matrix6d B = second.from == first.from ? second.information : reversed(second).information;
+  const Vector6d r = difference(first, second);
+  // (A⁻¹ + B⁻¹)⁻¹ = A (A + B)⁺ B: either may be singular.
+  const Matrix6d both = A + B;
+  return r.dot(A * both.completeOrthogonalDecomposition().solve(B * r)) <= kLargestDistance;
+}
+
+/// Whether the noise explains how far the nodes' poses are from the measurement.
+bool fits_poses(const PoseGraph& graph, const Edge& edge) {
+  const Vector6d r =
+      se3::log(edge.T_from_to.inverse() * graph.node(edge.from).pose.inverse() * graph.node(edge.to).pose);
+  return r.dot(edge.information * r) <= kLargestDistance;
+}
+
+/// Of edges between the same two nodes, the odometry and what agrees with it: the nodes' poses, which most
+/// programs chain along the odometry, tell which of two that contradict each other it is, else the order
+/// does.
+void mark_chain(PoseGraph& graph, const std::vector<std::size_t>& edges, Problems& problems) {
+  const auto edge = [&](std::size_t e) -> const Edge& { return graph.edges()[e]; };
+  const auto agrees = [&](std::size_t a) {
+    return [&edge, a](std::size_t b) { return a == b || agree(edge(a), edge(b)); };
+  };
+  std::size_t odometry = edges.front();
+  if (!std::all_of(edges.begin(), edges.end(), agrees(odometry))) {
+    const auto fitting =
+        std::find_if(edges.begin(), edges.end(), [&](std::size_t e) { return fits_poses(graph, edge(e)); });
+    if (fitting != edges.end()) odometry = *fitting;
+  }
+  for (const std::size_t e : edges) {
+    if (agrees(odometry)(e)) {
+      graph.set_kind(e, EdgeKind::kOdometry);
+      continue;
+    }
+    const Vector6d r = difference(edge(odometry), edge(e));
+    problems.add("edge that contradicts odometry taken for a loop closure",
+                 "between " + between(edge(e).from, edge(e).to) + ", " + std::to_string(r.head<3>().norm()) +
+                     " m and " + std::to_string(r.tail<3>().norm()) + " rad from the odometry");
+  }
+}
+
+/// Places where odometry does not lead from a robot's node to its next, not even on a detour.
+void check_chains(const PoseGraph& graph, const Robots& robots, Problems& problems) {
+  std::vector<std::size_t> parent(graph.nodes().size());
+  std::iota(parent.begin(), parent.end(), std::size_t{0});
+  const auto root = [&parent](std::size_t i) {
+    while (parent[i] != i) i = parent[i] = parent[parent[i]];
+    return i;
+  };
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    if (graph.edges()[e].kind == EdgeKind::kOdometry)
+      parent[root(graph.ends(e).from)] = root(graph.ends(e).to);
+  }
+  const std::vector<std::vector<Key>> paths = robot_paths(graph, robots);
+  for (std::size_t robot = 0; robot < paths.size(); ++robot) {
+    for (std::size_t i = 1; i < paths[robot].size(); ++i) {
+      const Key a = paths[robot][i - 1], b = paths[robot][i];
+      const std::size_t root_a = root(graph.index_of(a)), root_b = root(graph.index_of(b));
+      if (root_a == root_b) continue;
+      parent[root_a] = root_b;  // what follows is counted once
+      const std::string where = "robot " + robots[robot].name + ", between nodes " + between(a, b);
+      if (b - a >= kLabelStep) {
+        problems.add("robot whose keys have a jump of 2^47 or more",
+                     where + ": if these are two robots, list their keys with the option robots");
+      } else {
+        problems.add("odometry chain broken", where);
+      }
+    }
+  }
+}
+
+/// `joins(a, b)`: whether edges between these nodes are odometry, unless they contradict each other.
+template <class Joins>
+Problems classify(PoseGraph& graph, const Robots& robots, Joins&& joins) {
+  std::map<std::pair<Key, Key>, std::vector<std::size_t>> chains;
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    const Edge& edge = graph.edges()[e];
+    const bool sighting = robots.is_landmark(edge.from) || robots.is_landmark(edge.to);
+    graph.set_kind(e, sighting ? EdgeKind::kLandmark : EdgeKind::kLoopClosure);
+    if (!sighting && joins(edge.from, edge.to)) chains[ends_of(edge)].push_back(e);
+  }
+  Problems problems;
+  for (const auto& [ends, edges] : chains) mark_chain(graph, edges, problems);
+  check_chains(graph, robots, problems);
+  return problems;
+}
+
+}  // namespace
+
+std::vector<std::vector<Key>> robot_paths(const PoseGraph& graph, const Robots& robots) {
+  std::vector<std::vector<Key>> paths(robots.size());
+  for (const Node& node : graph.nodes()) {
+    const auto robot = robots.find(node.key);
+    if (robot && !robots[*robot].landmarks) paths[*robot].push_back(node.key);
+  }
+  for (auto& path : paths) std::sort(path.begin(), path.end());
+  return paths;
+}
+
+Neighbours::Neighbours(const PoseGraph& graph, const Robots& robots) {
+  for (const std::vector<Key>& path : robot_paths(graph, robots)) {
+    for (std::size_t i = 1; i < path.size(); ++i) {
+      if (path[i] - path[i - 1] < kLabelStep) next_.emplace(path[i - 1], path[i]);
+    }
+  }
+}
+
+bool Neighbours::operator()(Key a, Key b) const {
+  const auto next = next_.find(std::min(a, b));
+  return next != next_.end() && next->second == std::max(a, b);
+}
+
+Edge reversed(const Edge& edge) {
+  Edge out = edge;
+  std::swap(out.from, out.to);
+  out.T_from_to = edge.T_from_to.inverse();
+  // The error sits on the right of the other end: Ω' = Ad(T⁻¹)ᵀ Ω Ad(T⁻¹).
+  const Matrix6d ad = se3::adjoint(out.T_from_to);
+  const Matrix6d moved = ad.transpose() * edge.information * ad;
+  out.information = 0.5 * (moved + moved.transpose());
+  return out;
+}
+
+Problems classify_edges(PoseGraph& graph, const Robots& robots) {
+  return classify(graph, robots, Neighbours(graph, robots));
+}
+
+Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& odometry) {
+  KeyPairs missing;
+  for (const auto& [a, b] : odometry) missing.insert(std::minmax(a, b));
+  const KeyPairs listed = missing;
+  for (const Edge& edge : graph.edges()) missing.erase(ends_of(edge));
+  if (!missing.empty()) {
+    throw InputError("the graph has no edge between " +
+                     between(missing.begin()->first, missing.begin()->second));
+  }
+  return classify(graph, robots, [&](Key a, Key b) { return listed.count(std::minmax(a, b)) != 0; });
+}
+
+}  // namespace loopwise
