@@ -86,6 +86,35 @@ void set_odometry(const std::string& odometry, Config& config) {
   config.mission.odometry = odometry == "consecutive" ? std::string() : odometry;
 }
 
+void add_truth_option(CLI::App& command, std::vector<std::string>& truth) {
+  command
+      .add_option(
+          "--truth", truth,
+          "True poses of the nodes, TUM, KITTI or g2o, in place of recorded ones; of several robots, a "
+          "file each; may be repeated")
+      ->type_name("[ROBOT=]FILE")
+      ->expected(1)
+      ->take_all();
+}
+
+std::vector<std::string> truth_of_mission(const std::vector<std::string>& truth, std::size_t mission,
+                                          std::size_t missions) {
+  if (truth.empty() || missions == 1) return truth;
+  if (truth.size() != missions) {
+    throw OptionError("--truth is given " + std::to_string(truth.size()) + " times for " +
+                      std::to_string(missions) + " missions: give one file for each, in their order");
+  }
+  return {truth[mission]};
+}
+
+void require_truth(const std::string& path, const Mission& mission) {
+  if (!mission.ground_truth.empty()) return;
+  throw InputError(
+      path + ": has no ground truth to compare with" +
+      (mission.reference.empty() ? "" : " (its own optimised poses are another program's result)") +
+      "; --truth FILE says what is true");
+}
+
 Config load_config(const CommonOptions& options, const Config& defaults) {
   Config config = defaults;
   if (!options.config.empty()) read_config(options.config, config);

@@ -52,6 +52,16 @@ void add_odometry_option(CLI::App& command, std::string& odometry);
 /// Takes over what --odometry says, if it was given.
 void set_odometry(const std::string& odometry, Config& config);
 
+/// Adds --truth, for set_truth().
+void add_truth_option(CLI::App& command, std::vector<std::string>& truth);
+/// The files of --truth for one of several missions: all of them if it is the only one, else the one in its
+/// place. \throws OptionError unless several missions have none or one each
+[[nodiscard]] std::vector<std::string> truth_of_mission(const std::vector<std::string>& truth,
+                                                        std::size_t mission, std::size_t missions);
+
+/// \throws InputError saying what to do if the mission has no ground truth
+void require_truth(const std::string& path, const Mission& mission);
+
 /// Defaults, then the file of --config, then --set. \throws OptionError, IoError, ParseError
 [[nodiscard]] Config load_config(const CommonOptions& options, const Config& defaults = {});
 

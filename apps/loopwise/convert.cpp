@@ -23,6 +23,22 @@ Json problems_json(const Problems& problems) {
   return json;
 }
 
+/// A file of poses holds little of a mission, and is not meant to: one sentence on all of it.
+std::string trajectories_hold(MissionFormat format, const Problems& left_out) {
+  constexpr std::string_view kSuffix = " left out";
+  std::string others;
+  for (const Problem& problem : left_out.all()) {
+    std::string what = problem.kind;
+    if (what.size() > kSuffix.size() && what.substr(what.size() - kSuffix.size()) == kSuffix)
+      what.resize(what.size() - kSuffix.size());
+    others += (others.empty() ? "" : ", ") + what +
+              (problem.count > 1 ? " x " + std::to_string(problem.count) : "");
+  }
+  return enum_name(format) + " files hold the robots' poses" +
+         (format == MissionFormat::kTum ? " and stamps" : "") + " alone" +
+         (others.empty() ? "" : "; the mission also has: " + others);
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -53,7 +69,11 @@ int run(const Options& options) {
     throw;
   }
   console.warn(mission.scans->problems());
-  for (const Problem& problem : result.left_out.all()) console.note(to_string(problem));
+  if (format == MissionFormat::kTum || format == MissionFormat::kKitti) {
+    console.note(trajectories_hold(format, result.left_out));
+  } else {
+    for (const Problem& problem : result.left_out.all()) console.note(to_string(problem));
+  }
 
   Problems problems = mission.problems;
   problems.add(mission.scans->problems());
@@ -76,6 +96,7 @@ int run(const Options& options) {
                      {"gravity", mission.graph.gravities().size()},
                      {"scans", result.scans},
                      {"ground_truth", mission.ground_truth.size()},
+                     {"reference", mission.reference.size()},
                      {"radio_readings", mission.radio.size()},
                      {"beacons", mission.beacons.size()},
                      {"left_out", problems_json(result.left_out)},

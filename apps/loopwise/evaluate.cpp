@@ -59,7 +59,12 @@ Trajectory trajectory_of(const std::filesystem::path& path, const Mission& missi
     trajectory.poses.push_back(wanted == Poses::kTruth ? truth->second : node.pose);
     if (by_stamp) trajectory.stamps_ns.push_back(node.stamp_ns);
   }
-  if (trajectory.poses.empty()) throw InputError(path.string() + ": no ground truth is recorded there");
+  if (trajectory.poses.empty()) {
+    throw InputError(path.string() + ": no ground truth is recorded there" +
+                     (mission.reference.empty() ? ""
+                                                : "; the session's own optimised poses are another program's "
+                                                  "result: give their file to compare with them"));
+  }
   return trajectory;
 }
 

@@ -6,8 +6,10 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/mission_picture.hpp>
 #include <loopwise/evaluation/mission_statistics.hpp>
+#include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/mission.hpp>
@@ -20,7 +22,7 @@ namespace {
 
 struct Options {
   CommonOptions common;
-  std::vector<std::string> paths;
+  std::vector<std::string> paths, truth;
   std::string frames;
   bool start_together = false;
   std::string robots;
@@ -154,6 +156,16 @@ void add_cost(const Mission& mission, const Options& options, const ReplayOption
   text += "all of them  " + forecast_text(forecast, threads) + "\n";
 }
 
+/// What another program made of the same run.
+std::string reference_text(const Mission& mission) {
+  if (mission.reference.empty()) return {};
+  const TrajectoryErrors off =
+      evaluate_trajectory(poses_by_key(mission.graph), mission.reference, Alignment::kNone, mission.robots);
+  return "\nreference    " + std::to_string(mission.reference.size()) +
+         " poses that another program optimised, not the truth; odometry differs by " +
+         fixed(off.ate_m.mean, 2) + " m in the mean, " + fixed(off.ate_m.max, 2) + " m at most";
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -165,8 +177,8 @@ int run(const Options& options) {
   if (paths.size() == 1 && std::filesystem::is_regular_file(paths[0]) && is_cloud_file(paths[0])) {
     return cloud_info(options, console);
   }
-  const Mission mission =
-      read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+  Mission mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+  set_truth(mission, options.truth, config.mission);
   const PointCounts points =
       options.read_scans ? count_points(*mission.scans, console, interrupt.token()) : PointCounts{};
 
@@ -212,8 +224,7 @@ int run(const Options& options) {
       components.empty() ? 0 : 1 + *std::max_element(components.begin(), components.end());
   Json problem_list = Json::array();
   for (const Problem& problem : problems.all()) problem_list.push_back(to_string(problem));
-  const bool is_run = paths.size() == 1 && std::filesystem::exists(paths[0] / "summary.json") &&
-                      std::filesystem::exists(paths[0] / "closures.csv");
+  const bool is_run = mission.kind == MissionKind::kRun;
   const double mean =
       points.scans == 0 ? 0.0 : static_cast<double>(points.total) / static_cast<double>(points.scans);
   Json json = {
@@ -232,14 +243,15 @@ int run(const Options& options) {
       {"scans", mission.scans->size()},
       {"points", {{"total", points.total}, {"min", points.fewest}, {"mean", mean}, {"max", points.most}}},
       {"ground_truth", mission.ground_truth.size()},
+      {"reference", mission.reference.size()},
       {"radio_readings", mission.radio.size()},
       {"beacons", mission.beacons.size()},
       {"communication_gaps", mission.gaps.size()},
       {"length_m", length},
       {"duration_s", duration_s},
       {"problems", problem_list}};
-  std::string text = (is_run ? "results of a replay, read as " : "") + enum_name(mission.kind) + " \"" +
-                     mission.name + "\"\n" + table(rows);
+  std::string text = (is_run ? "results of a replay" : enum_name(mission.kind)) + " \"" + mission.name +
+                     "\"\n" + table(rows);
   text += "\ngraph        " + std::to_string(mission.graph.nodes().size()) + " nodes, " +
           std::to_string(mission.graph.edges().size()) + " edges (" + std::to_string(odometry) +
           " odometry), " + std::to_string(mission.graph.priors().size()) + " priors, " +
@@ -255,9 +267,10 @@ int run(const Options& options) {
             fixed(mean, 0);
   }
   text += "\nlength       " + fixed(length, 1) + " m in " + fixed(duration_s, 1) + " s\ntruth        " +
-          std::to_string(mission.ground_truth.size()) + " poses\nradio        " +
-          std::to_string(mission.radio.size()) + " readings, " + std::to_string(mission.beacons.size()) +
-          " beacons, " + std::to_string(mission.gaps.size()) + " communication gaps\n";
+          std::to_string(mission.ground_truth.size()) + " poses" + reference_text(mission) +
+          "\nradio        " + std::to_string(mission.radio.size()) + " readings, " +
+          std::to_string(mission.beacons.size()) + " beacons, " + std::to_string(mission.gaps.size()) +
+          " communication gaps\n";
   add_candidates(mission, options, json, text);
   add_cost(mission, options, config.replay, interrupt.token(), json, text);
   add_drift(mission, json, text);
@@ -295,6 +308,7 @@ void add_info(CLI::App& app, Action& chosen) {
       ->check(CLI::Range(0, 1000000))
       ->type_name("N");
   add_joining_options(*command, options->frames, options->start_together);
+  add_truth_option(*command, options->truth);
   command->add_option("--picture", options->picture, "Draw the mission from above, as SVG")
       ->type_name("FILE");
   command->add_flag("!--no-scans", options->read_scans, "Do not open the scans");

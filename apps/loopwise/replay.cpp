@@ -16,6 +16,7 @@
 
 #include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/replay/code_version.hpp>
@@ -32,6 +33,7 @@
 #include "command.hpp"
 #include "outcome_file.hpp"
 #include "replay_arguments.hpp"
+#include "run_text.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -40,7 +42,7 @@ namespace fs = std::filesystem;
 
 struct Options {
   CommonOptions common;
-  std::vector<std::string> missions;
+  std::vector<std::string> missions, truth;
   std::string frames;
   bool start_together = false;
   std::string output;
@@ -152,26 +154,13 @@ std::string results_text(const ReplayOptions& options, const ReplayResult& resul
   text += reasons_text("pruned", result.pruned) + reasons_text("expired", result.expired);
   text +=
       "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
-  // Errors against what the odometry was taken from would tell of closures that they make things worse.
-  const bool judged = e.has_truth && e.odometry.ate_m.max > 1e-6;
-  if (judged) {
+  if (is_judged(e)) {
     text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth\n";
   }
   std::map<std::string, std::size_t> rejected;
   for (const auto& [reason, count] : e.closures.rejected) rejected[std::string(enum_name(reason))] = count;
   text += reasons_text("rejected", rejected) + calibration_text(result);
-  if (e.has_truth && !judged) {
-    text +=
-        "ATE          not judged: odometry and truth are the same poses; --odometry-noise 0.05 0.01 makes "
-        "the "
-        "odometry worse\n";
-  }
-  if (judged) {
-    text += "ATE mean     " + fixed(e.odometry.ate_m.mean, 3) + " m by odometry, " +
-            fixed(e.optimized.ate_m.mean, 3) +
-            " m optimised (aligned: " + fixed(e.odometry_aligned.ate_m.mean, 3) + ", " +
-            fixed(e.optimized_aligned.ate_m.mean, 3) + ")\n";
-  }
+  text += errors_text(e);
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
           fixed(result.optimization_s, 1) + " s optimisation, " + fixed(result.decision_s, 1) +
@@ -307,7 +296,10 @@ int run_trace(const Options& options) {
   if (!options.missions.empty()) {
     const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
     mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+    set_truth(mission, options.truth, config.mission);
     console.warn(mission.problems);
+  } else if (!options.truth.empty()) {
+    throw OptionError("--truth needs the MISSION whose nodes it is of");
   }
   const fs::path folder(options.output);
   std::vector<std::string> sources = options.missions;
@@ -343,13 +335,14 @@ int run(const Options& options) {
   const InterruptGuard interrupt;
   const Config config = configured(options);
   const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
-  const Mission mission =
-      read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+  Mission mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+  set_truth(mission, options.truth, config.mission);
   Problems problems;
   for (const Problem& problem : mission.problems.all()) {
-    const bool mended = config.replay.odometry_noise_m_per_m + config.replay.odometry_noise_rad_per_m > 0.0 &&
-                        problem.kind == "odometry and truth are the same poses";
-    if (!mended) problems.add(problem.kind, problem.example, problem.count);
+    const bool settled =
+        config.replay.odometry_noise_m_per_m + config.replay.odometry_noise_rad_per_m > 0.0 &&
+        problem.kind == "odometry taken from the optimised poses";
+    if (!settled) problems.add(problem.kind, problem.example, problem.count);
   }
   console.warn(problems);
   if (config.replay.prioritization.method == Method{PrioritizerKind::kRssi} && mission.radio.empty()) {
@@ -513,6 +506,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
           "several joined by +")
       ->type_name("M");
   add_joining_options(*command, options->frames, options->start_together);
+  add_truth_option(*command, options->truth);
   add_replay_arguments(*command, options->replay);
   command->get_option("--outcomes-mb")->needs("--outcomes");
   command

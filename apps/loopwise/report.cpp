@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <nlohmann/json.hpp>
 
+#include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/report.hpp>
 
 #include "command.hpp"
@@ -12,7 +14,7 @@ namespace fs = std::filesystem;
 
 struct Options {
   CommonOptions common;
-  std::vector<std::string> runs, missions;
+  std::vector<std::string> runs, missions, truth;
   std::string output = "report.html";
   ReportOptions report;
 };
@@ -25,8 +27,11 @@ int run(const Options& options) {
   Console console(options.common.quiet);
   const Config config = load_config(options.common);
   std::vector<Mission> missions;
-  for (const std::string& path : options.missions) {
-    missions.push_back(read_mission(path, config.mission, console.progress_callback()));
+  if (options.missions.empty() && !options.truth.empty())
+    throw OptionError("--truth needs the --mission whose nodes it is of");
+  for (std::size_t i = 0; i < options.missions.size(); ++i) {
+    missions.push_back(read_mission(options.missions[i], config.mission, console.progress_callback()));
+    set_truth(missions.back(), truth_of_mission(options.truth, i, options.missions.size()), config.mission);
     console.warn(missions.back().problems);
   }
   ThreadPool threads(thread_count(options.common));
@@ -69,6 +74,7 @@ void add_report(CLI::App& app, Action& chosen) {
       ->type_name("MISSION")
       ->expected(1)
       ->take_all();
+  add_truth_option(*command, options->truth);
   command
       ->add_option("--map-points", options->report.map_points,
                    "Most points of a map that are drawn (default 20000)")

@@ -10,6 +10,7 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/registration/batch.hpp>
 #include <loopwise/replay/rank.hpp>
@@ -24,6 +25,7 @@ namespace {
 struct Options {
   CommonOptions common;
   std::string mission;
+  std::vector<std::string> truth;
   std::string registrar = "both";
   std::string preset;
   std::string csv;
@@ -161,11 +163,11 @@ int run(const Options& options) {
   } else {
     kinds = {parse_enum<RegistrarKind>("--registrar", options.registrar)};
   }
-  const Mission mission =
+  Mission mission =
       read_mission(options.mission, config.mission, console.progress_callback(), interrupt.token());
+  set_truth(mission, options.truth, config.mission);
   console.warn(mission.problems);
-  if (mission.ground_truth.empty())
-    throw InputError(options.mission + ": has no ground truth to compare with");
+  require_truth(options.mission, mission);
 
   std::vector<LoopCandidate> sample = all_candidates(mission, config.replay);
   const std::size_t generated = sample.size();
@@ -280,6 +282,7 @@ void add_registration_study(CLI::App& study, Action& chosen) {
   command->add_option("mission", options->mission, "Mission or session folder with ground truth")
       ->required()
       ->type_name("MISSION");
+  add_truth_option(*command, options->truth);
   command->add_option("--registrar", options->registrar, "fast, pcl or both (default both)")
       ->type_name("WORD");
   command->add_option("--count", options->count, "Candidates to draw; 0 takes all (default 2000)")

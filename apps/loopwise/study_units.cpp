@@ -12,6 +12,7 @@
 
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #ifdef LOOPWISE_HAS_MPI
@@ -64,9 +65,11 @@ std::string text_at(const Json& json, const char* key) {
   return json[key].is_string() ? json[key].get<std::string>() : json[key].dump();
 }
 
-StudyMission described(const std::string& path, const Mission& mission) {
+StudyMission described(const std::string& path, const std::vector<std::string>& truth,
+                       const Mission& mission) {
   StudyMission out;
   out.path = path;
+  out.truth = truth;
   out.name = mission.name;
   const Json provenance = parse_json(mission.provenance_json, path + ": provenance");
   if (provenance.contains("options")) out.world = text_at(provenance["options"], "world");
@@ -77,6 +80,15 @@ StudyMission described(const std::string& path, const Mission& mission) {
   out.content = hash_of_files(fs::is_regular_file(path) && fs::path(path).filename() == "mission.json"
                                   ? fs::path(path).parent_path()
                                   : fs::path(path));
+  for (const std::string& file : truth) {
+    const ContentHash of_file = hash_of_files(fs::exists(file) ? file : file.substr(file.find('=') + 1));
+    out.content = ContentHasher()
+                      .integer(out.content.high)
+                      .integer(out.content.low)
+                      .integer(of_file.high)
+                      .integer(of_file.low)
+                      .finish();
+  }
   return out;
 }
 
@@ -86,10 +98,11 @@ struct Loaded {
   Registration registration;
 };
 
-std::shared_ptr<const Loaded> load(const std::string& path, const Config& config,
+std::shared_ptr<const Loaded> load(const StudyMission& mission, const Config& config,
                                    const std::shared_ptr<OutcomeStore>& store) {
   auto loaded = std::make_shared<Loaded>();
-  loaded->mission = read_mission(path, config.mission);
+  loaded->mission = read_mission(mission.path, config.mission);
+  set_truth(loaded->mission, mission.truth, config.mission);
   loaded->registration =
       make_registration(config.replay.registration, loaded->mission.scans->loader(), store);
   return loaded;
@@ -106,7 +119,7 @@ class LoadedMissions {
   std::shared_ptr<const Loaded> get(std::size_t mission) {
     Slot& slot = slots_[mission];
     const std::lock_guard<std::mutex> lock(slot.mutex);
-    if (!slot.loaded) slot.loaded = load(missions_[mission].path, config_, store_);
+    if (!slot.loaded) slot.loaded = load(missions_[mission], config_, store_);
     std::shared_ptr<const Loaded> loaded = slot.loaded;
     if (--slot.expected == 0) slot.loaded.reset();
     return loaded;
@@ -245,7 +258,7 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
 void add_study_options(CLI::App& command, StudyOptions& options) {
   command
       .add_option("missions", options.missions,
-                  "Missions with ground truth; those of one world are repetitions")
+                  "Missions with ground truth, own or given by --truth; those of one world are repetitions")
       ->required()
       ->type_name("MISSION");
   command.add_option("-o,--output", options.output, "Folder for the tables, the units and what they share")
@@ -256,6 +269,7 @@ void add_study_options(CLI::App& command, StudyOptions& options) {
                   "Replay each mission with this many seeds, from --seed on (default 1)")
       ->type_name("N")
       ->check(CLI::Range(1, 100000));
+  add_truth_option(command, options.truth);
   add_replay_arguments(command, options.replay);
   command.add_flag("--keep-runs", options.keep_runs,
                    "Keep each run's folder, as replay writes it, in DIR/runs");
@@ -273,11 +287,14 @@ Study::Study(std::string name, const StudyOptions& options, Console& console)
   apply(options.replay, config_);
   validate_config(config_);
   std::map<ContentHash, std::string> seen;
-  for (const std::string& path : options.missions) {
-    const Mission mission = read_mission(path, config_.mission, console.progress_callback());
+  for (std::size_t i = 0; i < options.missions.size(); ++i) {
+    const std::string& path = options.missions[i];
+    const auto truth = truth_of_mission(options.truth, i, options.missions.size());
+    Mission mission = read_mission(path, config_.mission, console.progress_callback());
+    set_truth(mission, truth, config_.mission);
     console.warn(mission.problems);
-    if (mission.ground_truth.empty()) throw InputError(path + ": has no ground truth to compare with");
-    missions_.push_back(described(path, mission));
+    require_truth(path, mission);
+    missions_.push_back(described(path, truth, mission));
     const auto [other, first] = seen.emplace(missions_.back().content, path);
     if (!first) throw OptionError(path + ": the same mission as " + other->second);
   }
@@ -444,7 +461,7 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
     std::shared_ptr<const Loaded> own;
     {
       const std::lock_guard<std::mutex> lock(mutex);
-      if (loaded.count(m) == 0) loaded = {{m, load(missions_[m].path, config_, open.store)}};
+      if (loaded.count(m) == 0) loaded = {{m, load(missions_[m], config_, open.store)}};
       own = loaded.at(m);
     }
     const auto computed =
@@ -472,7 +489,7 @@ void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
     const std::size_t i = std::stoul(std::string(request));
     const StudyUnit& unit = units.at(i);
     if (!last.second || last.first != unit.mission) {
-      last = {unit.mission, load(missions_[unit.mission].path, config_, store)};
+      last = {unit.mission, load(missions_[unit.mission], config_, store)};
     }
     const auto computed =
         compute(*last.second, missions_[unit.mission], unit, files_of(unit), options_.keep_runs, stop, {});

@@ -27,7 +27,7 @@ namespace loopwise::cli {
 struct StudyOptions {
   CommonOptions common;
   ReplayArguments replay;
-  std::vector<std::string> missions;
+  std::vector<std::string> missions, truth;
   std::string output;
   std::int64_t seeds = 1;
   bool keep_runs = false;
@@ -39,12 +39,13 @@ void add_study_options(CLI::App& command, StudyOptions& options);
 /// A mission that a study looks at.
 struct StudyMission {
   std::string path;
+  std::vector<std::string> truth;  ///< Given for it, see set_truth().
   std::string name;
   std::string world;  ///< Missions of one world are repetitions: provenance's options.world, else the name.
   std::string seed;   ///< That it was made with; empty if not known.
   std::string parameters_sha256;  ///< Of the world's parameters; empty if not known.
   bool has_radio = false;
-  ContentHash content;  ///< Of all files.
+  ContentHash content;  ///< Of all files, given truth included.
 };
 
 /// A replay.

@@ -69,6 +69,9 @@ void bind_io(py::module_& module) {
       .def_property_readonly(
           "ground_truth", [](const Mission& mission) { return poses_dict(mission.ground_truth); },
           "key: (4, 4); empty if not known")
+      .def_property_readonly(
+          "reference", [](const Mission& mission) { return poses_dict(mission.reference); },
+          "key: (4, 4), of another program, such as a session's own optimised poses: not the truth")
       .def_property_readonly("scan_keys",
                              [](const Mission& mission) { return keys_array(mission.scans->keys()); })
       .def_property_readonly("problems",

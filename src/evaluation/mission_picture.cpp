@@ -3,6 +3,8 @@
 
 #include <algorithm>
 
+#include <loopwise/evaluation/trajectory_errors.hpp>
+
 #include "drawing.hpp"
 
 namespace loopwise {
@@ -15,13 +17,14 @@ constexpr double kRow = 22.0;  // of the legend
 /// One robot's nodes in the order of their keys.
 using Path = std::vector<std::pair<Key, Eigen::Vector2d>>;
 
-std::vector<Path> paths(const Mission& mission, bool truth) {
+/// By odometry, or where `known` has the nodes if it is given.
+std::vector<Path> paths(const Mission& mission, const PosesByKey* known) {
   std::vector<Path> result(mission.robots.size());
   for (const Node& node : mission.graph.nodes()) {
     Eigen::Vector2d p = node.pose.translation().head<2>();
-    if (truth) {
-      const auto found = mission.ground_truth.find(node.key);
-      if (found == mission.ground_truth.end()) continue;
+    if (known != nullptr) {
+      const auto found = known->find(node.key);
+      if (found == known->end()) continue;
       p = found->second.translation().head<2>();
     }
     result[mission.robots.of(node.key)].emplace_back(node.key, p);
@@ -49,9 +52,10 @@ bool out_of_range(const Mission& mission, std::size_t robot, Key key) {
 }  // namespace
 
 std::string mission_picture_svg(const Mission& mission) {
-  const std::vector<Path> odometry = paths(mission, false), truth = paths(mission, true);
+  const std::vector<Path> odometry = paths(mission, nullptr), truth = paths(mission, &mission.ground_truth),
+                          reference = paths(mission, &mission.reference);
   std::vector<Eigen::Vector2d> extent;
-  for (const auto* all : {&odometry, &truth}) {
+  for (const auto* all : {&odometry, &truth, &reference}) {
     for (const Path& path : *all) {
       for (const auto& [key, p] : path) extent.push_back(p);
     }
@@ -82,6 +86,8 @@ std::string mission_picture_svg(const Mission& mission) {
       continue;
     }
     put_path(out, page, truth[robot], robot_colour(robot), "stroke-width=\"2\"");
+    put_path(out, page, reference[robot], robot_colour(robot),
+             "stroke-width=\"1.2\" stroke-dasharray=\"1.5 3\"");
     put_path(out, page, odometry[robot], robot_colour(robot),
              "stroke-width=\"1.2\" stroke-dasharray=\"5 4\"");
   }
@@ -111,7 +117,9 @@ std::string mission_picture_svg(const Mission& mission) {
     out += escaped(mission.robots[robot].name) + "</text>\n";
   }
   put(out, "<text x=\"%.1f\" y=\"%.1f\">", kMargin, y + kRow + 5.0);
-  out += "solid: truth; dashed: odometry; triangle: beacon; square: prior; grey: out of range";
+  if (!mission.ground_truth.empty()) out += "solid: truth; ";
+  if (!mission.reference.empty()) out += "dotted: optimised by another program; ";
+  out += "dashed: odometry; triangle: beacon; square: prior; grey: out of range";
   if (landmarks) out += "; diamond: landmark";
   out += "</text>\n</svg>\n";
   return out;

@@ -2,12 +2,9 @@
 #include <loopwise/evaluation/report.hpp>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <cstring>
 #include <limits>
 #include <map>
-#include <numeric>
 #include <optional>
 #include <set>
 #include <tuple>
@@ -17,6 +14,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/version.hpp>
+#include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/features/kd_tree.hpp>
 #include <loopwise/generation/radio.hpp>
@@ -24,10 +22,12 @@
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
-#include <loopwise/io/trajectory.hpp>
 #include <loopwise/replay/config.hpp>
 
+#include "judged_run.hpp"
+#include "report_arrays.hpp"
 #include "report_parts.hpp"
+#include "report_paths.hpp"
 #include "report_template.hpp"
 #include "run_journal.hpp"
 
@@ -41,130 +41,7 @@ constexpr std::string_view kMark = "@LOOPWISE_DATA@";
 constexpr std::size_t kHistoryRows = 2000;
 constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
 
-// Arrays as text.
-
-std::string base64(const unsigned char* bytes, std::size_t count) {
-  constexpr char kDigits[] = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
-  std::string text;
-  text.reserve((count + 2) / 3 * 4);
-  for (std::size_t i = 0; i < count; i += 3) {
-    const std::size_t left = count - i;
-    const unsigned word = (static_cast<unsigned>(bytes[i]) << 16) |
-                          (left > 1 ? static_cast<unsigned>(bytes[i + 1]) << 8 : 0U) |
-                          (left > 2 ? static_cast<unsigned>(bytes[i + 2]) : 0U);
-    text += kDigits[word >> 18];
-    text += kDigits[(word >> 12) & 63];
-    text += left > 1 ? kDigits[(word >> 6) & 63] : '=';
-    text += left > 2 ? kDigits[word & 63] : '=';
-  }
-  return text;
-}
-
-/// Little-endian, as every browser's typed arrays in practice.
-template <class T>
-std::string base64(const std::vector<T>& values) {
-  static_assert(std::is_arithmetic_v<T>, "numbers");
-  std::vector<unsigned char> bytes(values.size() * sizeof(T));
-  for (std::size_t i = 0; i < values.size(); ++i) {
-    std::array<unsigned char, sizeof(T)> raw{};
-    std::memcpy(raw.data(), &values[i], sizeof(T));
-    const std::uint16_t one = 1;
-    unsigned char first = 0;
-    std::memcpy(&first, &one, 1);
-    if (first == 0) std::reverse(raw.begin(), raw.end());
-    std::copy(raw.begin(), raw.end(), bytes.begin() + static_cast<std::ptrdiff_t>(i * sizeof(T)));
-  }
-  return base64(bytes.data(), bytes.size());
-}
-
-/// Positions of at most `limit` of `total` items, ascending, every set of them as likely (Knuth's algorithm
-/// S).
-std::vector<std::size_t> drawn(std::size_t total, std::int64_t limit, std::uint64_t seed) {
-  const auto most = std::min(total, static_cast<std::size_t>(limit));
-  std::vector<std::size_t> chosen;
-  chosen.reserve(most);
-  Rng rng(seed);
-  for (std::size_t i = 0; i < total && chosen.size() < most; ++i) {
-    if (rng.below(total - i) < most - chosen.size()) chosen.push_back(i);
-  }
-  return chosen;
-}
-
 // One run.
-
-/// A robot's part of a run. The vectors go along with `keys`; what is not known is empty.
-struct RobotPath {
-  std::string name;
-  std::vector<Key> keys;
-  std::vector<std::int64_t> stamps_ns;
-  std::vector<Eigen::Vector3d> odometry;
-};
-
-/// The trajectories name robots and hold stamps, the graph holds keys: a robot's file is the one that goes
-/// through the positions of the next keys in order. What no file goes through is told apart by characters.
-std::vector<RobotPath> robot_paths(const fs::path& folder, const PoseGraph& graph) {
-  std::vector<Key> keys = graph.keys();
-  std::sort(keys.begin(), keys.end());
-
-  struct File {
-    std::string name;
-    std::vector<StampedPose> poses;
-    std::vector<StampedPose> odometry;
-  };
-  std::vector<File> files;
-  if (fs::is_directory(folder / "trajectories")) {
-    std::vector<fs::path> paths;
-    for (const auto& entry : fs::directory_iterator(folder / "trajectories")) paths.push_back(entry.path());
-    std::sort(paths.begin(), paths.end());
-    for (const fs::path& path : paths) {
-      const fs::path odometry = path.parent_path() / (path.stem().string() + "_odometry.tum");
-      if (path.extension() != ".tum" || !fs::exists(odometry)) continue;
-      files.push_back({path.stem().string(), read_tum(path), read_tum(odometry)});
-    }
-  }
-  const auto goes_through = [&](const File& file, std::size_t from) {
-    if (file.poses.empty() || file.poses.size() > keys.size() - from) return false;
-    for (std::size_t i = 0; i < file.poses.size(); ++i) {
-      const Eigen::Vector3d& p = graph.node(keys[from + i]).pose.translation();
-      if ((p - file.poses[i].pose.translation()).norm() > 1e-4) return false;
-    }
-    return true;
-  };
-
-  std::vector<RobotPath> robots;
-  std::vector<Key> unnamed;
-  std::set<std::size_t> used;
-  for (std::size_t at = 0; at < keys.size();) {
-    std::size_t found = files.size();
-    for (std::size_t f = 0; f < files.size() && found == files.size(); ++f) {
-      if (used.count(f) == 0 && goes_through(files[f], at)) found = f;
-    }
-    if (found == files.size()) {
-      unnamed.push_back(keys[at++]);
-      continue;
-    }
-    used.insert(found);
-    RobotPath robot;
-    robot.name = files[found].name;
-    for (const StampedPose& pose : files[found].poses) {
-      robot.keys.push_back(keys[at++]);
-      robot.stamps_ns.push_back(pose.stamp_ns);
-    }
-    for (const StampedPose& pose : files[found].odometry) robot.odometry.push_back(pose.pose.translation());
-    if (robot.odometry.size() != robot.keys.size()) robot.odometry.clear();
-    robots.push_back(std::move(robot));
-  }
-  const Robots by_character = Robots::from_keys(unnamed);
-  for (const Robot& robot : by_character.all()) {
-    RobotPath path;
-    path.name = robot.name;
-    for (const Key key : unnamed) {
-      if (robot.first <= key && key <= robot.last) path.keys.push_back(key);
-    }
-    robots.push_back(std::move(path));
-  }
-  return robots;
-}
 
 /// What a mission adds to its runs, made once.
 struct MissionView {
@@ -227,6 +104,9 @@ class RunReader {
   [[nodiscard]] const std::string& mission_name() const { return mission_name_; }
   [[nodiscard]] const Json& summary() const { return summary_; }
 
+  /// Judges the run by the mission where that knows more than the run did.
+  void judge(const Mission* mission) { is_judged_anew_ = judge_run(folder_, mission, summary_, notes_); }
+
   void note(const std::string& text) { notes_.push_back(text); }
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
 
@@ -253,6 +133,7 @@ class RunReader {
       const CsvTable table(path, names);
       const std::size_t stride = std::max<std::size_t>(1, (table.size() + kHistoryRows - 1) / kHistoryRows);
       for (std::size_t c = 0; c < names.size(); ++c) {
+        if (is_judged_anew_ && is_judgement(names[c])) continue;
         Json values = Json::array();
         for (std::size_t r = 0; r < table.size(); ++r) {
           if (r % stride == 0 || r + 1 == table.size()) values.push_back(csv_cell(table.text(r, c)));
@@ -339,9 +220,10 @@ class RunReader {
 
   void put_nodes(Json& scene, const PoseGraph& graph, const std::vector<RobotPath>& robots,
                  const MissionView* view, std::map<Key, std::uint32_t>& place) {
-    std::vector<float> optimized, odometry, truth, time_s, observability;
+    std::vector<float> optimized, odometry, truth, reference, time_s, observability;
     Json names = Json::array(), keys = Json::array();
-    bool has_odometry = false, has_times = false, has_truth = false, has_observability = false;
+    bool has_odometry = false, has_times = false, has_truth = false, has_reference = false,
+         has_observability = false;
     std::int64_t start_ns = std::numeric_limits<std::int64_t>::max();
     for (const RobotPath& robot : robots) {
       for (const std::int64_t stamp : robot.stamps_ns) start_ns = std::min(start_ns, stamp);
@@ -367,19 +249,24 @@ class RunReader {
         keys.push_back(key_name(key));
         const Eigen::Vector3d at = graph.node(key).pose.translation();
         put(optimized, &at);
-        put(odometry, robot.odometry.empty() ? nullptr : &robot.odometry[i]);
+        const Eigen::Vector3d by_odometry =
+            robot.odometry.empty() ? Eigen::Vector3d::Zero().eval() : robot.odometry[i].translation().eval();
+        put(odometry, robot.odometry.empty() ? nullptr : &by_odometry);
         has_odometry = has_odometry || !robot.odometry.empty();
         time_s.push_back(robot.stamps_ns.empty()
                              ? std::numeric_limits<float>::quiet_NaN()
                              : static_cast<float>(difference_ns(robot.stamps_ns[i], start_ns) * 1e-9));
         has_times = has_times || !robot.stamps_ns.empty();
         if (view == nullptr) continue;
-        const auto known = view->mission->ground_truth.find(key);
-        const bool is_known = known != view->mission->ground_truth.end();
-        Eigen::Vector3d true_at = Eigen::Vector3d::Zero();
-        if (is_known) true_at = known->second.translation();
-        put(truth, is_known ? &true_at : nullptr);
-        has_truth = has_truth || is_known;
+        const auto put_known = [&](const PosesByKey& poses, std::vector<float>& out, bool& any) {
+          const auto known = poses.find(key);
+          const bool is_known = known != poses.end();
+          const Eigen::Vector3d p = is_known ? known->second.translation() : Eigen::Vector3d::Zero().eval();
+          put(out, is_known ? &p : nullptr);
+          any = any || is_known;
+        };
+        put_known(view->mission->ground_truth, truth, has_truth);
+        put_known(view->mission->reference, reference, has_reference);
         const auto score = view->observability.find(key);
         has_observability = has_observability || score != view->observability.end();
         observability.push_back(score != view->observability.end() ? static_cast<float>(score->second)
@@ -396,13 +283,14 @@ class RunReader {
                       {"optimized", base64(optimized)},
                       {"odometry", has_odometry ? Json(base64(odometry)) : Json(nullptr)},
                       {"truth", has_truth ? Json(base64(truth)) : Json(nullptr)},
+                      {"reference", has_reference ? Json(base64(reference)) : Json(nullptr)},
                       {"time_s", has_times ? Json(base64(time_s)) : Json(nullptr)},
                       {"observability", has_observability ? Json(base64(observability)) : Json(nullptr)}};
     if (!has_odometry) note("no trajectories: robots are told apart by their keys, no odometry");
     if (view == nullptr) {
       note("no mission given: no true paths, beacons, radio or observability (--mission MISSION)");
     } else {
-      if (!has_truth) note("the mission has no ground truth: no true paths");
+      if (!has_truth) note("the mission has no ground truth: no true paths (--truth FILE)");
       if (!has_observability) note("the mission has no scans: no observability");
     }
   }
@@ -575,6 +463,7 @@ class RunReader {
   fs::path folder_;
   const ReportOptions& options_;
   Json summary_;
+  bool is_judged_anew_ = false;
   std::string mission_name_;
   std::vector<Row> rows_;
   bool has_closures_ = false;
@@ -595,34 +484,12 @@ Json mission_json(const Mission& mission) {
           {"key_frames", mission.graph.nodes().size()},
           {"scans", mission.scans->size()},
           {"ground_truth", mission.ground_truth.size()},
+          {"truth_file", mission.truth_file.empty() ? Json(nullptr) : Json(mission.truth_file)},
+          {"reference", mission.reference.size()},
           {"radio_readings", mission.radio.size()},
           {"beacons", mission.beacons.size()},
           {"communication_gaps", gaps},
           {"provenance", parse_json(mission.provenance_json, "provenance")}};
-}
-
-/// The shortest tails of the paths that differ: "a/run" and "b/run" keep both words.
-std::vector<std::string> labels_of(const std::vector<fs::path>& folders) {
-  std::vector<std::vector<std::string>> words;
-  for (const fs::path& folder : folders) {
-    std::vector<std::string> parts;
-    for (const fs::path& part : fs::absolute(folder).lexically_normal()) {
-      if (!part.empty() && part != "/") parts.push_back(part.string());
-    }
-    words.push_back(parts);
-  }
-  std::vector<std::string> labels;
-  for (std::size_t length = 1; length < 16; ++length) {
-    labels.clear();
-    for (const auto& parts : words) {
-      std::string label;
-      for (std::size_t i = parts.size() - std::min(length, parts.size()); i < parts.size(); ++i)
-        label += (label.empty() ? "" : "/") + parts[i];
-      labels.push_back(label);
-    }
-    if (std::set<std::string>(labels.begin(), labels.end()).size() == labels.size()) break;
-  }
-  return labels;
 }
 
 }  // namespace
@@ -657,6 +524,7 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
     for (MissionView& candidate : views) {
       if (candidate.mission->name == run.mission_name()) view = &candidate;
     }
+    run.judge(view != nullptr ? view->mission : nullptr);
     Json json = {{"label", labels[i]}, {"summary", run.summary()}, {"history", run.history()}};
     if (static_cast<std::int64_t>(report.maps) < options.maps) {
       if (view != nullptr && view->observability.empty()) {

@@ -19,6 +19,8 @@
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/trajectory.hpp>
 
+#include "run_errors.hpp"
+
 namespace loopwise {
 namespace {
 
@@ -36,34 +38,6 @@ std::vector<double> weights_of(const ReplayResult& result) {
   std::vector<double> weights;
   for (const ComputedCandidate& computed : result.computed) weights.push_back(computed.weight);
   return weights;
-}
-
-Json statistics_json(const Statistics& s) {
-  return {{"rmse", s.rmse}, {"mean", s.mean}, {"median", s.median}, {"max", s.max}};
-}
-
-Json relative_json(const RelativeErrors& e) {
-  return {{"translation_m", statistics_json(e.translation_m)},
-          {"rotation_rad", statistics_json(e.rotation_rad)}};
-}
-
-Json robots_json(const TrajectoryErrors& odometry, const TrajectoryErrors& optimized) {
-  Json robots = Json::object();
-  const auto put = [&robots](const char* which, const TrajectoryErrors& errors) {
-    for (const RobotErrors& robot : errors.robots) {
-      if (!robots.contains(robot.name)) robots[robot.name] = Json::object();  // not from null by indexing
-      Json& entry = robots[robot.name];
-      entry["poses"] = robot.poses;
-      entry["path_length_m"] = robot.path_length_m;
-      entry[which] = {{"ate_m", statistics_json(robot.ate_m)},
-                      {"ate_rad", statistics_json(robot.ate_rad)},
-                      {"translation_percent", robot.translation_percent},
-                      {"rotation_deg_per_m", robot.rotation_deg_per_m}};
-    }
-  };
-  put("odometry", odometry);
-  put("optimized", optimized);
-  return robots;
 }
 
 /// Shortest text that reads back to the same bits; "nan" where there is no figure.
@@ -85,17 +59,15 @@ RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result) {
   RunEvaluation evaluation;
   std::vector<RegistrationResult> results;
   for (const ComputedCandidate& computed : result.computed) results.push_back(computed.result);
-  const PosesByKey& truth = mission.ground_truth;
-  evaluation.closures = closure_statistics(results, weights_of(result), result.accounting.queued(), truth);
-
-  const PosesByKey optimized = poses_by_key(result.graph), odometry = odometry_poses(result);
-  evaluation.has_truth = std::any_of(optimized.begin(), optimized.end(),
-                                     [&](const auto& pose) { return truth.count(pose.first) != 0; });
-  if (!evaluation.has_truth) return evaluation;
-  evaluation.odometry = evaluate_trajectory(odometry, truth, Alignment::kNone, mission.robots);
-  evaluation.optimized = evaluate_trajectory(optimized, truth, Alignment::kNone, mission.robots);
-  evaluation.odometry_aligned = evaluate_trajectory(odometry, truth, Alignment::kSe3, mission.robots);
-  evaluation.optimized_aligned = evaluate_trajectory(optimized, truth, Alignment::kSe3, mission.robots);
+  const std::vector<double> weights = weights_of(result);
+  evaluation.closures =
+      closure_statistics(results, weights, result.accounting.queued(), mission.ground_truth);
+  std::vector<LoopClosure> kept;
+  for (std::size_t i = 0; i < results.size(); ++i) {
+    if (results[i].verified() && weights[i] > ClosureClassOptions().gnc_inlier_weight)
+      kept.push_back(*results[i].closure);
+  }
+  judge_poses(mission, poses_by_key(result.graph), odometry_poses(result), kept, evaluation);
   return evaluation;
 }
 
@@ -135,9 +107,8 @@ std::string run_summary_json(const Mission& mission, const ReplayOptions& option
   json["candidates"] = {{"generated", a.generated}, {"pruned", a.pruned},   {"expired", a.expired},
                         {"waiting", a.waiting},     {"pending", a.pending}, {"in_flight", a.in_flight},
                         {"computed", a.computed},   {"queued", a.queued()}};
-  json["closures"] = {{"verified", e.closures.verified},
-                      {"gnc_inliers", e.closures.gnc_inliers},
-                      {"true_inliers", e.has_truth ? Json(e.closures.true_inliers) : Json(nullptr)}};
+  json["closures"] = {
+      {"verified", e.closures.verified}, {"gnc_inliers", e.closures.gnc_inliers}, {"true_inliers", nullptr}};
   Json reasons = Json::object();
   for (const auto& [reason, count] : e.closures.rejected) reasons[enum_name(reason)] = count;
   json["reasons"] = reasons;
@@ -149,21 +120,7 @@ std::string run_summary_json(const Mission& mission, const ReplayOptions& option
   for (const auto& [name, calibration] : result.calibration) {
     json["calibration"][name] = calibration_json(calibration);
   }
-  if (e.has_truth) {
-    json["ate_m"] = {{"odometry", e.odometry.ate_m.mean}, {"optimized", e.optimized.ate_m.mean}};
-    json["ate_rad"] = {{"odometry", e.odometry.ate_rad.mean}, {"optimized", e.optimized.ate_rad.mean}};
-    json["ate_se3_m"] = {{"odometry", e.odometry_aligned.ate_m.mean},
-                         {"optimized", e.optimized_aligned.ate_m.mean}};
-    json["ate_rmse_m"] = {{"odometry", e.odometry.ate_m.rmse}, {"optimized", e.optimized.ate_m.rmse}};
-    json["rpe"] = {{"odometry", relative_json(e.odometry.step)},
-                   {"optimized", relative_json(e.optimized.step)}};
-    json["robots"] = robots_json(e.odometry, e.optimized);
-  } else {
-    for (const char* name : {"ate_m", "ate_rad", "ate_se3_m", "ate_rmse_m", "rpe"}) json[name] = nullptr;
-    Json robots = Json::object();
-    for (const Robot& robot : mission.robots.all()) robots[robot.name] = Json::object();
-    json["robots"] = robots;
-  }
+  put_errors(mission, e, json);
   json["seconds"] = {{"total", result.total_s},
                      {"registration", result.registration_s},
                      {"optimization", result.optimization_s}};

@@ -45,7 +45,8 @@ void RunHistory::add(const ReplayMoment& moment) {
 
   std::size_t known = 0;
   double estimate_m = 0.0, odometry_m = 0.0;
-  for (std::size_t i = 0; i < moment.graph.nodes().size(); ++i) {
+  // One in another frame says nothing of the estimate of a moment.
+  for (std::size_t i = 0; i < moment.graph.nodes().size() && !mission_.truth_is_aligned; ++i) {
     const auto truth = mission_.ground_truth.find(moment.graph.nodes()[i].key);
     if (truth == mission_.ground_truth.end()) continue;
     ++known;

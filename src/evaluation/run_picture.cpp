@@ -14,6 +14,7 @@ namespace {
 using namespace drawing;
 
 constexpr double kLegend = 90.0;
+constexpr const char* kReference = "stroke=\"#555\" stroke-width=\"1.5\" stroke-dasharray=\"1.5 3\"";
 
 void put_path(std::string& out, const Page& page, const std::map<Key, Eigen::Vector2d>& path,
               const char* style) {
@@ -48,7 +49,7 @@ std::vector<Eigen::Vector2d> thinned(const PointCloud& map, const Page& page) {
 std::string run_picture_svg(const Mission& mission, const ReplayResult& result, const PointCloud& map) {
   const std::vector<Node>& nodes = result.graph.nodes();
   std::vector<std::map<Key, Eigen::Vector2d>> optimized(mission.robots.size()),
-      odometry(mission.robots.size()), truth(mission.robots.size());
+      odometry(mission.robots.size()), truth(mission.robots.size()), reference(mission.robots.size());
   std::vector<Eigen::Vector2d> extent;
   for (std::size_t i = 0; i < nodes.size(); ++i) {
     const std::size_t robot = mission.robots.of(nodes[i].key);
@@ -58,6 +59,9 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
     extent.push_back(odometry[robot][nodes[i].key]);
     if (const auto known = mission.ground_truth.find(nodes[i].key); known != mission.ground_truth.end()) {
       truth[robot][nodes[i].key] = known->second.translation().head<2>();
+    }
+    if (const auto known = mission.reference.find(nodes[i].key); known != mission.reference.end()) {
+      reference[robot][nodes[i].key] = known->second.translation().head<2>();
     }
   }
   // The map's middle 99 %: a few far points must not shrink all else.
@@ -103,6 +107,7 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
     std::string style;
     put(style, "stroke=\"%s\" stroke-width=\"1.2\" stroke-dasharray=\"5 4\" opacity=\"0.8\"", colour);
     put_path(out, page, odometry[robot], style.c_str());
+    put_path(out, page, reference[robot], kReference);
     put_path(out, page, truth[robot], "stroke=\"black\" stroke-width=\"4\" opacity=\"0.25\"");
     style.clear();
     put(style, "stroke=\"%s\" stroke-width=\"2\"", colour);
@@ -126,6 +131,7 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
   }
   entry("stroke=\"#555\" stroke-width=\"1.5\" stroke-dasharray=\"5 4\"", "odometry");
   if (!mission.ground_truth.empty()) entry("stroke=\"black\" stroke-width=\"5\" opacity=\"0.25\"", "truth");
+  if (!mission.reference.empty()) entry(kReference, "optimised by another program");
   entry("stroke=\"#35a35f\" stroke-width=\"2\"", "closure");
   entry("stroke=\"#d1342f\" stroke-width=\"2\"", "left out");
   put_scale_bar(out, page, y + 40.0);

@@ -205,6 +205,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   ConvertResult result;
   const FullKeys keys(mission, result.left_out);
   count_description(mission, result.left_out);
+  result.left_out.add("reference pose left out", mission.name, mission.reference.size());
   std::int64_t first_ns = mission.start_ns;
   for (const Node& node : mission.graph.nodes()) first_ns = std::max(first_ns, node.stamp_ns);
   for (const Node& node : mission.graph.nodes()) first_ns = std::min(first_ns, node.stamp_ns);
@@ -307,15 +308,12 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
     if (own.empty()) continue;
     const std::string plain = plain_file_name(mission.robots[robot].name);
     std::string name = plain;
-    for (int n = 2; names.count(name) + names.count(name + "_truth") > 0; ++n)
+    const auto is_used = [&](const std::string& file) { return names.count(file) > 0; };
+    for (int n = 2; is_used(name) || is_used(name + "_truth") || is_used(name + "_reference"); ++n)
       name = plain + "_" + std::to_string(n);
-    names.insert({name, name + "_truth"});
-    std::vector<StampedPose> poses, truth;
-    for (const auto& [key, node] : own) {
-      poses.push_back({node->stamp_ns, node->pose});
-      const auto known = mission.ground_truth.find(key);
-      if (known != mission.ground_truth.end()) truth.push_back({node->stamp_ns, known->second});
-    }
+    names.insert({name, name + "_truth", name + "_reference"});
+    std::vector<StampedPose> poses;
+    for (const auto& [key, node] : own) poses.push_back({node->stamp_ns, node->pose});
     const auto write = [&](const fs::path& file, const std::vector<StampedPose>& stamped) {
       if (format == MissionFormat::kTum) {
         write_tum(file, stamped);
@@ -327,12 +325,22 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
       write_kitti(file, bare);
     };
     write(made / (name + extension), poses);
-    // Rows alone tell KITTI poses apart: with gaps they would be another's truth.
-    if (format == MissionFormat::kKitti && !truth.empty() && truth.size() != poses.size()) {
-      leave_out("incomplete ground truth left out", truth.size());
-      truth.clear();
-    }
-    if (!truth.empty()) write(made / (name + "_truth" + extension), truth);
+    const auto write_known = [&](const std::map<Key, Eigen::Isometry3d>& known, const char* suffix,
+                                 const char* incomplete) {
+      std::vector<StampedPose> stamped;
+      for (const auto& [key, node] : own) {
+        if (const auto at = known.find(key); at != known.end())
+          stamped.push_back({node->stamp_ns, at->second});
+      }
+      // Rows alone tell KITTI poses apart: with gaps they would be another node's.
+      if (format == MissionFormat::kKitti && !stamped.empty() && stamped.size() != poses.size()) {
+        leave_out(incomplete, stamped.size());
+      } else if (!stamped.empty()) {
+        write(made / (name + suffix + extension), stamped);
+      }
+    };
+    write_known(mission.ground_truth, "_truth", "incomplete ground truth left out");
+    write_known(mission.reference, "_reference", "incomplete reference left out");
   }
   std::error_code error;
   fs::rename(made, whole, error);

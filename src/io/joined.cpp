@@ -170,6 +170,9 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
     for (const auto& [key, pose] : mission.ground_truth) {
       joined.ground_truth.emplace(renamed(key), se3::normalized(T * pose));
     }
+    for (const auto& [key, pose] : mission.reference) {
+      joined.reference.emplace(renamed(key), se3::normalized(T * pose));
+    }
     for (const Key key : mission.scans->keys()) {
       if (mission.graph.contains(key)) scans[renamed(key)] = {mission.scans, key};
     }

@@ -184,15 +184,28 @@ void set_scans(Mission& mission, std::map<Key, fs::path> files, const MissionOpt
   mission.scans = std::make_shared<ScanStore>(std::move(files), scan_bytes(options));
 }
 
-void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth) {
-  for (auto entry = truth.begin(); entry != truth.end();) {
+namespace {
+
+void drop_without_node(std::map<Key, Eigen::Isometry3d>& poses, const char* problem, Mission& mission) {
+  for (auto entry = poses.begin(); entry != poses.end();) {
     if (mission.graph.contains(entry->first)) {
       ++entry;
     } else {
-      mission.problems.add("ground truth without node", "key " + key_name(entry->first));
-      entry = truth.erase(entry);
+      mission.problems.add(problem, "key " + key_name(entry->first));
+      entry = poses.erase(entry);
     }
   }
+}
+
+}  // namespace
+
+void set_reference(Mission& mission, std::map<Key, Eigen::Isometry3d> reference) {
+  drop_without_node(reference, "reference without node", mission);
+  mission.reference = std::move(reference);
+}
+
+void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth) {
+  drop_without_node(truth, "ground truth without node", mission);
   for (const Node& node : mission.graph.nodes()) {
     if (truth.count(node.key) == 0 && !mission.robots.is_landmark(node.key))
       mission.problems.add("node without ground truth", "node " + key_name(node.key));
@@ -298,6 +311,8 @@ MissionKind mission_kind(const fs::path& path) {
   if (has_file(folder, "optimized_poses.txt") || has_file(folder, "odom_poses.txt"))
     return MissionKind::kSession;
   if (has_file(folder, "keys.csv") && has_file(folder, "pose_graph.bag")) return MissionKind::kLampZip;
+  if (has_file(folder, "summary.json") && has_file(folder, "closures.csv") && has_file(folder, "graph.g2o"))
+    return MissionKind::kRun;
   const fs::path graph = parts::g2o_of_folder(folder);
   // A session's graph is empty until its program ends.
   const bool is_begun = graph.filename() == "singlesession_posegraph.g2o" && fs::is_empty(graph);
@@ -355,6 +370,12 @@ Mission read_as_named(const fs::path& path, const MissionOptions& options, const
       return parts::read_mission_folder(place, options);
     case MissionKind::kSession:
       return parts::read_session(place, options);
+    case MissionKind::kRun: {
+      Mission mission = parts::read_g2o_pcd(place, options, work);
+      mission.kind = kind;
+      mission.provenance_json = parts::provenance_of(kind, {"graph.g2o"});
+      return mission;
+    }
     case MissionKind::kG2oPcd: {
       Mission mission = parts::read_g2o_pcd(place, options, work);
       if (place != path && fs::is_directory(path / "rosbag") && has_bag(path / "rosbag")) {

@@ -42,6 +42,7 @@ struct Files {
   fs::path ranges = parts::kRanges;
   fs::path gravity = parts::kGravity;
   fs::path ground_truth = "ground_truth.g2o";
+  fs::path reference = "reference.g2o";
 };
 
 /// Reads mission.json; every error names the file and the path of the value in it.
@@ -131,7 +132,8 @@ class Description {
     if (!json_.contains("files")) return files;
     const Json& names = json_["files"];
     only(names, "files",
-         {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "ground_truth"});
+         {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "ground_truth",
+          "reference"});
     const auto set = [&](const char* key, fs::path& file) {
       if (!names.contains(key)) return;
       const std::string name = text(names, "files", key);
@@ -150,6 +152,7 @@ class Description {
     set("ranges", files.ranges);
     set("gravity", files.gravity);
     set("ground_truth", files.ground_truth);
+    set("reference", files.reference);
     return files;
   }
 
@@ -400,6 +403,9 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   if (present(files.ground_truth)) {
     set_ground_truth(mission, read_truth(folder / files.ground_truth, mission.problems));
   }
+  if (present(files.reference)) {
+    set_reference(mission, read_truth(folder / files.reference, mission.problems));
+  }
   set_scans(mission, find_scans(folder / files.scans, key_of_name, mission.problems), options);
   return mission;
 }
@@ -480,16 +486,19 @@ void MissionWriter::finish(const Mission& mission) const {
   if (!graph.gravities().empty()) write_file(folder_ / files.gravity, gravity);
   if (!mission.radio.empty()) write_file(folder_ / files.radio, radio.text());
   if (!mission.beacons.empty()) write_file(folder_ / files.beacons, beacons.text());
-  if (!mission.ground_truth.empty()) {
-    PoseGraph truth;
-    for (const auto& [key, pose] : mission.ground_truth) {
+  const auto write_poses = [this](const fs::path& file, const std::map<Key, Eigen::Isometry3d>& poses) {
+    if (poses.empty()) return;
+    PoseGraph vertices;
+    for (const auto& [key, pose] : poses) {
       Node node;
       node.key = key;
       node.pose = pose;
-      truth.add_node(node);
+      vertices.add_node(node);
     }
-    write_g2o(folder_ / files.ground_truth, truth);
-  }
+    write_g2o(folder_ / file, vertices);
+  };
+  write_poses(files.ground_truth, mission.ground_truth);
+  write_poses(files.reference, mission.reference);
   flush_file_system(folder_);  // the scans, before the file that says that the mission is whole
   write_file(folder_ / "mission.json", json_text(json, 2) + "\n");
   std::error_code ignored;  // with mission.json the mark means nothing any more

@@ -112,6 +112,8 @@ void set_scans(Mission& mission, const std::vector<Key>& keys, ScanStore::CloudS
 
 /// Counts nodes without truth and the reverse, and drops the latter.
 void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth);
+/// Drops poses without node, counted.
+void set_reference(Mission& mission, std::map<Key, Eigen::Isometry3d> reference);
 
 /// Sets start_ns to the earliest stamp and counts stamps that do not ascend along a robot's keys.
 void check_stamps(Mission& mission);

@@ -192,7 +192,7 @@ std::vector<Step> odometry_steps(const SessionFiles& session, std::size_t rows, 
   const bool any_given =
       std::any_of(given.begin(), given.end(), [](const auto& step) { return step.has_value(); });
   if (!session.odometry && !any_given) {
-    problems.add("odometry and truth are the same poses",
+    problems.add("odometry taken from the optimised poses",
                  (folder / kOptimized).string() + ": without drift of its own, see --odometry-noise");
   }
   std::vector<Step> steps;
@@ -244,7 +244,8 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   const SessionFiles session = read_files(folder, options, mission.problems);
   const std::size_t rows = common_rows(session, folder, mission.problems);
 
-  // Nodes stand where odometry takes them from the first pose, which the truth knows better if there is one.
+  // Nodes stand where odometry takes them from the first pose, where the optimised poses put it if there are
+  // any.
   const std::vector<Step> steps = odometry_steps(session, rows, folder, options, mission.problems);
   PoseGraph graph;
   Node node;
@@ -271,9 +272,7 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   check_stamps(mission);
 
   if (session.optimized) {
-    std::map<Key, Eigen::Isometry3d> truth;
-    for (std::size_t i = 0; i < rows; ++i) truth.emplace(i, (*session.optimized)[i]);
-    set_ground_truth(mission, std::move(truth));
+    for (std::size_t i = 0; i < rows; ++i) mission.reference.emplace(i, (*session.optimized)[i]);
   }
   fs::path folder_of_scans = folder / "Scans";
   if (!fs::is_directory(folder_of_scans)) folder_of_scans = folder / "scans";

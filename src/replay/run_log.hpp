@@ -32,10 +32,11 @@ class RunLog {
 
   /// \param computed registrations so far, those that the engine has not seen included
   /// \param verified of them
-  void report(std::size_t computed, std::size_t verified) const {
+  /// \param reachable registrations that the clock has time for, beyond those that the engine has seen
+  void report(std::size_t computed, std::size_t verified, std::size_t reachable) const {
     if (!hooks_.progress) return;
     const CandidateAccounting& a = account();
-    std::size_t total = a.computed + a.in_flight + a.pending;
+    std::size_t total = a.computed + std::min(a.in_flight + a.pending, reachable);
     if (max_registrations_ > 0) total = std::min(total, max_registrations_);
     hooks_.progress({"registering", computed, std::max(total, computed),
                      std::to_string(verified) + " accepted, " + std::to_string(a.computed - verified) +

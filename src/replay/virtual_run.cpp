@@ -153,7 +153,7 @@ class Run {
     const std::size_t added = account().generated - generated;
     announce_scan(arrival.frame.node);
     log_.write(journal::key_frame_line(now_s_, arrival.frame.node.key, added, account()));
-    log_.report(account().computed, closure_edges_.size());
+    log_.report(account().computed, closure_edges_.size(), reachable());
   }
 
   void announce_scan(const Node& node) {
@@ -169,6 +169,15 @@ class Run {
   }
 
   // ---- registration
+
+  /// Registrations that end before the clock does, those on their way included; a bound, as batches wait for
+  /// each other. What measured times will be is not known.
+  [[nodiscard]] std::size_t reachable() const {
+    if (options_.after_mission || options_.cost.measured_time) return std::numeric_limits<std::size_t>::max();
+    const double turns = std::floor((end_s_ - now_s_) / options_.cost.registration_time_s);
+    const double most = std::min(turns * static_cast<double>(options_.cost.workers), 1e15);
+    return std::max(outstanding_, static_cast<std::size_t>(std::max(most, 0.0)));
+  }
 
   void start_batch() {
     std::size_t count = static_cast<std::size_t>(options_.batch);
@@ -232,8 +241,8 @@ class Run {
     const std::vector<RegistrationTask> tasks(batch_.begin(),
                                               batch_.begin() + static_cast<std::ptrdiff_t>(count));
     const std::size_t before = account().computed;
-    results_ =
-        computation_.run(tasks, [&](std::size_t done) { log_.report(before + done, closure_edges_.size()); });
+    results_ = computation_.run(
+        tasks, [&](std::size_t done) { log_.report(before + done, closure_edges_.size(), reachable()); });
     results_.resize(batch_.size());
   }
 

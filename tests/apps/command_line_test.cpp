@@ -304,6 +304,9 @@ TEST_CASE("evaluate: fields, alignments, and trajectories that do not meet", "[a
   REQUIRE(json_of({"optimize", recording}).at("poses") == 8);
   REQUIRE(json_of({"optimize", run}).at("poses") == 8);
   REQUIRE(json_of({"info", run}).at("run") == true);
+  REQUIRE(json_of({"info", run}).at("kind") == "run");
+  REQUIRE_THAT(run_program({"info", run}).out,
+               Contains("results of a replay \"run\"") && !Contains("g2o_pcd"));
   REQUIRE(json_of({"info", recording}).at("run") == false);
   testing::fs::remove(folder / "mission" / "ground_truth.g2o");
   require_failure({"evaluate", run, recording}, kBadInput, "mission: no ground truth is recorded there");

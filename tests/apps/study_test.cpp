@@ -255,7 +255,15 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   require_failure({"study", "budget", path, "-o", out, "--thin", "2", "--everything", "none"}, kBadUsage,
                   "--thin");
   require_failure({"study", "ablation", path, "-o", out, "--workers", "0"}, kBadUsage, "cost.workers = 0");
-  require_failure({"study", "rssi", (folder / "untrue").string(), "-o", out}, kBadInput, "ground truth");
+  require_failure({"study", "rssi", (folder / "untrue").string(), "-o", out}, kBadInput,
+                  "has no ground truth to compare with; --truth FILE says what is true");
+  mission.reference = small_mission(4).ground_truth;  // as a session's own optimised poses
+  write_mission(folder / "referred", mission);
+  require_failure(
+      {"study", "ablation", (folder / "referred").string(), "-o", out}, kBadInput,
+      "has no ground truth to compare with (its own optimised poses are another program's result)");
+  require_failure({"study", "ablation", path, (folder / "untrue").string(), "-o", out, "--truth", "a.g2o"},
+                  kBadUsage, "--truth is given 1 times for 2 missions");
   require_failure({"study", "ablation", (folder / "absent").string(), "-o", out}, kBadInput, "absent");
   require_failure({"study", "ablation", path, "-o", path}, kBadUsage, "not empty");
   require_failure({"replay", path, "-o", out, "--clock", "real", "--resume"}, kBadUsage, "--resume");

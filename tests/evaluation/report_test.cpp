@@ -260,6 +260,94 @@ TEST_CASE("report: what a run lacks is left out and said", "[evaluation][report]
   REQUIRE(count(least.at("runs").at(0).at("summary").at("candidates"), "computed") == 60);
 }
 
+namespace {
+
+/// summary.json as it was before there were references.
+void make_old(const Run& run, const std::string& problem) {
+  Json summary = parse_json(testing::read_text(run.folder / "summary.json"), "summary.json");
+  for (const char* name : {"truth", "reference", "residuals"}) summary.erase(name);
+  summary["problems"] = {problem};
+  testing::write_text(run.folder / "summary.json", summary.dump());
+}
+
+}  // namespace
+
+TEST_CASE("report: a truth that comes later judges the run", "[evaluation][report]") {
+  const Mission right = testing::two_circles();
+  Mission untrue = right;
+  untrue.ground_truth.clear();
+  const Run knew(right), did_not(untrue);
+  const Json before = made({did_not.folder.path()}, {untrue}).at("runs").at(0);
+  REQUIRE(before.at("summary").at("truth").is_null());
+  REQUIRE(before.at("summary").at("residuals").at("closures").get<int>() > 10);
+  const Json after = made({did_not.folder.path()}, {right}).at("runs").at(0);
+  const Json expected = made({knew.folder.path()}, {right}).at("runs").at(0).at("summary");
+  const Json& summary = after.at("summary");
+  REQUIRE(summary.at("closures") == expected.at("closures"));
+  for (const char* name : {"ate_m", "ate_rad", "ate_se3_m", "ate_rmse_m"}) {
+    for (const char* which : {"odometry", "optimized"}) {
+      CAPTURE(name, which);
+      REQUIRE(summary.at(name).at(which).get<double>() ==
+              Approx(expected.at(name).at(which).get<double>()).epsilon(1e-9));
+    }
+  }
+  REQUIRE(summary.at("truth") == expected.at("truth"));
+  REQUIRE(Contains("errors over time are not known").match(notes(after)));
+  REQUIRE_FALSE(after.at("history").at("columns").contains("ate_m"));
+  REQUIRE(after.at("history").at("columns").contains("gnc_inliers"));
+
+  // One that is given counts for more than what the run took for true; without files it cannot be used.
+  Mission given = right;
+  given.truth_file = "better.tum";
+  for (auto& [key, pose] : given.ground_truth) pose.translation().z() += 7.0;
+  REQUIRE(made({knew.folder.path()}, {given})
+              .at("runs")
+              .at(0)
+              .at("summary")
+              .at("ate_m")
+              .at("optimized")
+              .get<double>() > 6.9);
+  testing::fs::remove_all(did_not.folder / "trajectories");
+  const Json bare = made({did_not.folder.path()}, {right}).at("runs").at(0);
+  REQUIRE(bare.at("summary").at("truth").is_null());
+  REQUIRE(Contains("not judged by the mission's truth").match(notes(bare)));
+}
+
+TEST_CASE("report: what old runs of sessions call errors are differences", "[evaluation][report]") {
+  const Mission right = testing::two_circles();
+  Mission session = right;
+  session.reference = session.ground_truth;
+  session.ground_truth.clear();
+  {
+    const Run run(right);
+    make_old(run, "no prior given (data/session: the first node gets one)");
+    const Json old = parse_json(testing::read_text(run.folder / "summary.json"), "summary.json");
+    Json shown = made({run.folder.path()}, {}).at("runs").at(0);
+    Json summary = shown.at("summary");
+    REQUIRE(summary.at("truth").is_null());
+    REQUIRE(summary.at("ate_m").is_null());
+    REQUIRE(summary.at("closures").at("true_inliers").is_null());
+    REQUIRE(summary.at("reference").at("difference_m") == old.at("ate_m"));
+    REQUIRE_FALSE(shown.at("history").at("columns").contains("true_inliers"));
+    // The session knows what it was.
+    shown = made({run.folder.path()}, {session}).at("runs").at(0);
+    summary = shown.at("summary");
+    REQUIRE(summary.at("truth").is_null());
+    REQUIRE(summary.at("reference").at("poses") == 80);
+    REQUIRE(summary.at("residuals").at("closures").get<int>() > 10);
+    REQUIRE(shown.at("scene").at("nodes").at("truth").is_null());
+    REQUIRE_FALSE(shown.at("scene").at("nodes").at("reference").is_null());
+  }
+  // Others had a truth.
+  const Run run(right);
+  make_old(run, "no prior given (data/m: node 0 gets one)");
+  const Json old = parse_json(testing::read_text(run.folder / "summary.json"), "summary.json");
+  const Json summary = made({run.folder.path()}, {}).at("runs").at(0).at("summary");
+  REQUIRE(summary.at("ate_m") == old.at("ate_m"));
+  REQUIRE(summary.at("closures") == old.at("closures"));
+  REQUIRE(summary.at("truth").at("alignment") == "none");
+}
+
 TEST_CASE("report: robots of plain keys are told apart by their trajectories", "[evaluation][report]") {
   // The same run with keys 0 … 79: without the mission only the files tell where the second robot begins.
   const Mission mission = testing::two_circles();

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <cmath>
 #include <set>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -97,6 +98,41 @@ TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evalua
   REQUIRE(read_tum(folder / "trajectories" / "b.tum")[0].stamp_ns == 500000000);
   REQUIRE(read_cloud(folder / "map.pcd").cloud.size() > 1000);
   REQUIRE(testing::fs::exists(folder / "picture.svg"));
+}
+
+TEST_CASE("run results: a reference is no truth, residuals need none", "[evaluation][run]") {
+  // As a session whose own optimised poses are worse than its odometry.
+  Mission mission = testing::two_circles();
+  mission.reference = std::exchange(mission.ground_truth, {});
+  for (auto& [key, pose] : mission.reference)
+    pose.translation().z() += 0.2 * static_cast<double>(key_index(key));
+  RunHistory history(mission);
+  const ReplayResult result = replayed(mission, short_config(), &history);
+  const RunEvaluation e = evaluate_run(mission, result);
+  REQUIRE_FALSE(e.has_truth);
+  REQUIRE(e.closures.true_inliers == 0);
+  REQUIRE(e.has_reference);
+  REQUIRE(e.optimized_reference.ate_m.mean > 3.0);
+  for (const HistoryRow& row : history.rows()) REQUIRE((std::isnan(row.ate_m) && row.true_inliers == 0));
+  // Kept closures lie by the estimate what they were made with, 0.02 m a coordinate; odometry has drifted.
+  REQUIRE(e.residuals.translation_m.count == e.closures.gnc_inliers);
+  REQUIRE(e.residuals.translation_m.median < 0.1);
+  REQUIRE(e.odometry_residuals.translation_m.median > 3.0 * e.residuals.translation_m.median);
+
+  const Json summary = parse_json(run_summary_json(mission, short_config(), result, e), "summary");
+  for (const char* name : {"truth", "ate_m", "ate_rad", "ate_se3_m", "ate_rmse_m", "rpe"}) {
+    CAPTURE(name);
+    REQUIRE(summary.at(name).is_null());
+  }
+  REQUIRE(summary.at("closures").at("true_inliers").is_null());
+  REQUIRE(summary.at("reference").at("poses") == 80);
+  REQUIRE(summary.at("reference").at("difference_m").at("optimized").get<double>() ==
+          e.optimized_reference.ate_m.mean);
+  REQUIRE(summary.at("residuals").at("optimized").at("translation_m").at("median").get<double>() ==
+          e.residuals.translation_m.median);
+  const std::string picture = run_picture_svg(mission, result, {});
+  REQUIRE(picture.find("truth") == std::string::npos);
+  REQUIRE(picture.find("optimised by another program") != std::string::npos);
 }
 
 TEST_CASE("run results: robots whose names make one file name keep files of their own", "[evaluation][run]") {

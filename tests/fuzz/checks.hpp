@@ -62,6 +62,9 @@ inline void check_mission(const Mission& mission) {
     expect(mission.robots.find(node.key).has_value(), "every node has its robot");
     expect(std::isfinite(mission.time_s(node.stamp_ns)), "times are finite");
   }
+  for (const auto& entry : mission.reference) {
+    expect(mission.graph.contains(entry.first), "the reference is of nodes");
+  }
   for (const auto& [key, pose] : mission.ground_truth) {
     expect(mission.graph.contains(key), "the truth is of nodes");
     check_pose(pose);

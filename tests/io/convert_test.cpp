@@ -175,7 +175,9 @@ TEST_CASE("convert: g2o_pcd holds stamps, priors and truth, and says what it doe
   mission.start_ns -= 5;
   mission.frame = "tunnel";
   mission.gaps = {{1, 0.0, 3.0}};
+  mission.reference = mission.ground_truth;
   const ConvertResult result = convert_mission(mission, folder / "g", MissionFormat::kG2oPcd);
+  CHECK(result.left_out.count("reference pose left out") == 8);
   CHECK(result.scans == 6);  // two are broken
   CHECK(mission.scans->problems().count("scan is damaged") == 2);
   for (const char* kind :
@@ -190,6 +192,7 @@ TEST_CASE("convert: g2o_pcd holds stamps, priors and truth, and says what it doe
   CHECK(back.problems.count("node without scan") == 2);
   CHECK(back.problems.all().size() == 1);
   CHECK(back.ground_truth.size() == 8);
+  CHECK(back.reference.empty());
   CHECK(read_file(folder / "g" / "keys.csv").substr(0, 20) == std::to_string(make_key('c', 0)) + ",");
 }
 
@@ -258,6 +261,7 @@ TEST_CASE("convert: trajectories", "[io][convert]") {
   const TemporaryFolder folder;
   Mission mission = make_mission(true);
   mission.robots = Robots({robot_of_character('c', "../husky"), robot_of_character('e', "a/_husky")});
+  mission.reference[make_key('c', 1)] = mission.ground_truth.at(make_key('c', 1));
   const ConvertResult tum = convert_mission(mission, folder / "tum", MissionFormat::kTum);
   CHECK(tum.left_out.count("edge left out") == 7);
   CHECK(tum.left_out.count("prior left out") == 2);
@@ -269,12 +273,16 @@ TEST_CASE("convert: trajectories", "[io][convert]") {
     CHECK(testing::difference(poses[i].pose, mission.graph.nodes()[i].pose) < 1e-14);
   }
   CHECK(read_tum(folder / "tum" / "a__husky_truth.tum").size() == 4);
+  CHECK(read_tum(folder / "tum" / "___husky_reference.tum").size() == 1);
+  CHECK_FALSE(fs::exists(folder / "tum" / "a__husky_reference.tum"));
 
   mission.ground_truth.erase(make_key('e', 1));
   fs::create_directories(folder / "kitti");  // an empty folder will do
   const ConvertResult kitti = convert_mission(mission, folder / "kitti", MissionFormat::kKitti);
   CHECK(kitti.left_out.count("stamp left out") == 8);
   CHECK(kitti.left_out.count("incomplete ground truth left out") == 3);
+  CHECK(kitti.left_out.count("incomplete reference left out") == 1);
+  CHECK_FALSE(fs::exists(folder / "kitti" / "___husky_reference.kitti"));
   CHECK(read_kitti(folder / "kitti" / "___husky.kitti").size() == 4);
   CHECK(read_kitti(folder / "kitti" / "___husky_truth.kitti").size() == 4);
   CHECK_FALSE(fs::exists(folder / "kitti" / "a__husky_truth.kitti"));

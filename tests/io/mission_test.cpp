@@ -40,6 +40,7 @@ Mission make_mission() {
       node.stamp_ns = mission.start_ns + static_cast<std::int64_t>(i) * 2'000'000'001 + 17;
       mission.graph.add_node(node);
       mission.ground_truth[node.key] = testing::random_pose(rng, 50.0);
+      mission.reference[node.key] = testing::random_pose(rng, 50.0);
       if (i == 0) continue;
       Edge edge{node.key - 1, node.key, testing::random_pose(rng), 100.0 * Matrix6d::Identity()};
       edge.kind = EdgeKind::kOdometry;
@@ -117,6 +118,8 @@ TEST_CASE("mission: a folder comes back as it was written", "[io][mission]") {
   REQUIRE(b.ground_truth.size() == a.ground_truth.size());
   for (const auto& [key, pose] : a.ground_truth)
     CHECK(testing::difference(pose, b.ground_truth.at(key)) < 1e-14);
+  REQUIRE(b.reference.size() == a.reference.size());
+  for (const auto& [key, pose] : a.reference) CHECK(testing::difference(pose, b.reference.at(key)) < 1e-14);
   REQUIRE(b.gaps.size() == 2);
   CHECK((b.gaps[0].robot == 0 && b.gaps[0].begin_s == 1.5 && b.gaps[0].end_s == 3.25));
   REQUIRE(b.radio.size() == 2);
@@ -363,12 +366,30 @@ TEST_CASE("mission: rows about unknown nodes are counted", "[io][mission]") {
   write_file(path / "stamps.csv", read_file(path / "stamps.csv") + c0 + ",5\n");
   write_file(path / "radio.csv", read_file(path / "radio.csv") + c0 + ",b,1,0,1\n");
   write_file(path / "ground_truth.g2o", "VERTEX_SE3:QUAT " + c0 + " 0 0 0 0 0 0 1\n");
+  write_file(path / "reference.g2o", "VERTEX_SE3:QUAT " + c0 + " 0 0 0 0 0 0 1\n");
   const Mission mission = read_mission(path);
+  CHECK(mission.problems.count("reference without node") == 1);
+  CHECK(mission.reference.empty());
   CHECK(mission.problems.count("stamp without node") == 1);
   CHECK(mission.problems.count("radio reading without node") == 1);
   CHECK(mission.problems.count("ground truth without node") == 1);
   CHECK(mission.problems.count("node without ground truth") == 10);
   CHECK(mission.ground_truth.empty());
+}
+
+TEST_CASE("mission: the folder of a run is one, and reads with its closures", "[io][mission]") {
+  const TemporaryFolder folder;
+  const Mission mission = make_mission();
+  write_g2o(folder / "graph.g2o", mission.graph);
+  CHECK(mission_kind(folder.path()) == MissionKind::kG2oPcd);
+  write_file(folder / "summary.json", "{}\n");
+  write_file(folder / "closures.csv", "from,to\n");
+  CHECK(mission_kind(folder.path()) == MissionKind::kRun);
+  const Mission run = read_mission(folder.path());
+  CHECK(run.kind == MissionKind::kRun);
+  CHECK(enum_name(run.kind) == "run");
+  CHECK(run.graph.edges().size() == mission.graph.edges().size());
+  CHECK_THAT(run.provenance_json, Contains("run"));
 }
 
 TEST_CASE("mission: robots may be given from outside", "[io][mission]") {
@@ -407,14 +428,14 @@ TEST_CASE("mission: robots may be given from outside", "[io][mission]") {
                     Contains("prior_sigmas has 1 numbers, must have 6"));
 }
 
-TEST_CASE("session: poses give nodes, odometry and truth", "[io][session]") {
+TEST_CASE("session: poses give nodes, odometry and a reference, not the truth", "[io][session]") {
   const TemporaryFolder folder;
   write_session(folder / "s", 4);
   const Mission mission = read_mission((folder / "s").string() + "/");
   CHECK(mission.kind == MissionKind::kSession);
   CHECK(mission.name == "s");
   CHECK(mission.problems.count("no prior given") == 1);
-  CHECK(mission.problems.count("odometry and truth are the same poses") == 1);
+  CHECK(mission.problems.count("odometry taken from the optimised poses") == 1);
   CHECK(mission.problems.all().size() == 2);
   REQUIRE(mission.graph.keys() == std::vector<Key>{0, 1, 2, 3});
   REQUIRE(mission.graph.edges().size() == 3);
@@ -426,7 +447,8 @@ TEST_CASE("session: poses give nodes, odometry and truth", "[io][session]") {
   }
   CHECK(mission.graph.node(3).stamp_ns == 100'300'000'000);
   CHECK(mission.start_ns == 100'000'000'000);
-  CHECK(mission.ground_truth.size() == 4);
+  CHECK(mission.reference.size() == 4);
+  CHECK(mission.ground_truth.empty());
   CHECK(mission.scans->load(2)->size() == 7);
   CHECK(odometry_information(Eigen::Isometry3d::Identity())(0, 0) == Approx(1e4));
 }
@@ -446,7 +468,7 @@ TEST_CASE("session: odometry of its own, and closures left for us to find", "[io
     CHECK(mission.graph.edges()[0].information(0, 0) == 4.0);
     CHECK(mission.graph.node(1).pose.translation().x() == 2.5);
     CHECK(mission.graph.node(2).pose.translation().x() == 4.5);
-    CHECK(mission.ground_truth.at(2).translation().x() == 4.0);
+    CHECK(mission.reference.at(2).translation().x() == 4.0);
     CHECK(mission.problems.count("closure of the session's own graph left out") == 1);
     CHECK(mission.problems.count("odometry missing in the session's graph") == 1);
   }
@@ -456,16 +478,16 @@ TEST_CASE("session: odometry of its own, and closures left for us to find", "[io
     CHECK(mission.problems.count("session graph not used") == 1);
     CHECK(mission.graph.node(1).pose.translation().x() == 2.0);
   }
-  SECTION("from odom_poses.txt, moved to the truth's first pose") {
+  SECTION("from odom_poses.txt, moved to the first optimised pose") {
     testing::write_text(folder / "s" / "odom_poses.txt",
                         "1 0 0 7 0 1 0 7 0 0 1 0\n1 0 0 10 0 1 0 7 0 0 1 0\n1 0 0 13 0 1 0 7 0 0 1 0\n");
     const Mission mission = read_mission(folder / "s");
     CHECK(mission.graph.node(2).pose.translation().isApprox(Eigen::Vector3d(6, 0, 0)));
-    CHECK(mission.ground_truth.at(2).translation().x() == 4.0);
+    CHECK(mission.reference.at(2).translation().x() == 4.0);
     fs::remove(folder / "s" / "optimized_poses.txt");
     const Mission alone = read_mission(folder / "s");
     CHECK(alone.graph.node(2).pose.translation().isApprox(Eigen::Vector3d(13, 7, 0)));
-    CHECK(alone.ground_truth.empty());
+    CHECK(alone.reference.empty());
   }
 }
 
@@ -533,7 +555,8 @@ TEST_CASE("session: the real one reads", "[io][session][data]") {
   CHECK(mission.graph.edges().size() + 1 == mission.graph.nodes().size());
   CHECK(mission.scans->size() == mission.graph.nodes().size());
   CHECK(mission.scans->load(mission.graph.nodes().back().key)->size() > 1000);
-  for (const auto& [key, pose] : mission.ground_truth) {
+  CHECK(mission.ground_truth.empty());
+  for (const auto& [key, pose] : mission.reference) {
     // Chained odometry against the file's rows of six digits: measured 2e-5 m over 24 m.
     CHECK(testing::difference(pose, mission.graph.node(key).pose) < 1e-3);
   }

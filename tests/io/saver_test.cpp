@@ -55,7 +55,7 @@ TEST_CASE("savers: SC-LIO-SAM, whose edges have no information", "[io][session][
     CHECK(mission.graph.nodes().size() == 12);
     CHECK(mission.graph.edges().size() == 11);
     check_steps(mission, made, given);
-    CHECK(mission.ground_truth.size() == 12);
+    CHECK(mission.reference.size() == 12);
     CHECK(mission.scans->size() == 12);
     CHECK(mission.scans->load(3)->size() == 23);
     CHECK(mission.graph.node(1).stamp_ns == 1567410201950000000);
@@ -99,7 +99,7 @@ TEST_CASE("savers: SC-A-LOAM and FAST_LIO_SLAM", "[io][session][saver]") {
     CHECK(mission.graph.nodes().size() == 12);
     CHECK(mission.graph.edges().size() == 11);
     check_steps(mission, made);
-    CHECK(mission.ground_truth.size() == 12);
+    CHECK(mission.reference.size() == 12);
     CHECK(mission.scans->size() == 12);
     CHECK(mission.problems.all().size() == 1);  // no prior given
   }
@@ -128,7 +128,7 @@ TEST_CASE("savers: a session that was stopped under way keeps what its files hav
   CHECK(mission.graph.nodes().size() == rows);
   CHECK(mission.graph.edges().size() == rows - 1);
   check_steps(mission, made);
-  CHECK(mission.ground_truth.size() == rows);
+  CHECK(mission.reference.size() == rows);
   CHECK(mission.problems.count("scan without node") == 12 - rows);
   CHECK(mission.problems.count("node without scan") == 0);
   // Where one file is short, all others have a row too many.
@@ -176,7 +176,7 @@ TEST_CASE("savers: last lines that were not written to their end", "[io][session
     const Mission mission = read_mission(session);
     CHECK(mission.graph.edges().size() == 11);
     CHECK(mission.problems.count("empty file not used") == 1);
-    CHECK(mission.problems.count("odometry and truth are the same poses") == 1);
+    CHECK(mission.problems.count("odometry taken from the optimised poses") == 1);
   }
   SECTION("no poses at all") {
     testing::write_text(session / "singlesession_posegraph.g2o", "");

@@ -46,7 +46,7 @@ double aligned_error(const std::vector<Eigen::Isometry3d>& poses, const Mission&
   Eigen::Matrix3Xd estimate(3, poses.size()), truth(3, poses.size());
   for (std::size_t i = 0; i < poses.size(); ++i) {
     estimate.col(static_cast<Eigen::Index>(i)) = poses[i].translation();
-    truth.col(static_cast<Eigen::Index>(i)) = mission.ground_truth.at(graph.nodes()[i].key).translation();
+    truth.col(static_cast<Eigen::Index>(i)) = mission.reference.at(graph.nodes()[i].key).translation();
   }
   const Eigen::Matrix4d S = Eigen::umeyama(estimate, truth, false);
   return ((S.topLeftCorner<3, 3>() * estimate).colwise() + S.topRightCorner<3, 1>().eval() - truth)
@@ -73,8 +73,8 @@ TEST_CASE("session: closures of real scans agree with the session's poses", "[re
     for (const ComputedCandidate& computed : result.computed) {
       if (!computed.result.verified()) continue;
       const LoopClosure& closure = *computed.result.closure;
-      all.add(closure, mission.ground_truth);
-      if (closure.from - closure.to <= 4) near.add(closure, mission.ground_truth);
+      all.add(closure, mission.reference);
+      if (closure.from - closure.to <= 4) near.add(closure, mission.reference);
       if (computed.weight > 0.5) worst_inlier_m = std::max(worst_inlier_m, all.m.back());
     }
     REQUIRE(near.m.size() > 5);

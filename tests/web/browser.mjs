@@ -7,12 +7,12 @@ import { join } from 'node:path';
 
 export class Browser {
   /** WebGL is drawn by the processor, so that machines without a graphics card give the same pictures. */
-  constructor(program) {
+  constructor(program, more = []) {
     this.profile = mkdtempSync(join(tmpdir(), 'loopwise-browser-'));
     this.process = spawn(program, [
       '--headless=new', '--no-sandbox', '--remote-debugging-pipe', `--user-data-dir=${this.profile}`, '--no-first-run',
       '--disable-gpu-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--disable-dev-shm-usage',
-      '--hide-scrollbars', '--force-color-profile=srgb', '--disable-background-networking', '--disable-extensions', 'about:blank',
+      '--hide-scrollbars', '--force-color-profile=srgb', '--disable-background-networking', '--disable-extensions', ...more, 'about:blank',
     ], { stdio: ['ignore', 'ignore', 'ignore', 'pipe', 'pipe'] });
     this.next = 1;
     this.waiting = new Map();

@@ -4,7 +4,7 @@
 // Prints "SKIPPED: why" where something that it needs is absent. Pictures stay in FOLDER.
 import assert from 'node:assert/strict';
 import { spawnSync } from 'node:child_process';
-import { cpSync, existsSync, mkdirSync, readFileSync, rmSync, statSync, writeFileSync } from 'node:fs';
+import { cpSync, existsSync, mkdirSync, readFileSync, renameSync, rmSync, statSync, writeFileSync } from 'node:fs';
 import { join } from 'node:path';
 import { pathToFileURL } from 'node:url';
 import { Browser } from './browser.mjs';
@@ -56,6 +56,20 @@ rmSync(inFolder('untrue/ground_truth.g2o'));
 loopwise('replay', inFolder('untrue'), '-o', inFolder('untrue_run'), '--max-registrations', '40', '--quiet');
 loopwise('report', inFolder('untrue_run'), '-o', inFolder('untrue.html'), '--mission', inFolder('untrue'), '--quiet');
 
+// Another program's poses are known.
+cpSync(sample, inFolder('referred'), { recursive: true });
+renameSync(inFolder('referred/ground_truth.g2o'), inFolder('referred/reference.g2o'));
+loopwise('replay', inFolder('referred'), '-o', inFolder('referred_run'), '--max-registrations', '40', '--quiet');
+loopwise('report', inFolder('referred_run'), '-o', inFolder('referred.html'), '--mission', inFolder('referred'), '--quiet');
+// And then the truth.
+loopwise('report', inFolder('referred_run'), '-o', inFolder('judged.html'), '--mission', inFolder('referred'), '--truth', join(sample, 'ground_truth.g2o'), '--quiet');
+
+// Runs that differ in more than their seeds are no repetitions.
+for (const [name, ...words] of [['n1', '--seed', '1'], ['n2', '--seed', '2', '--odometry-noise', '0.05', '0.01'], ['n3', '--seed', '3', '--odometry-noise', '0.05', '0.01'], ['n4', '--seed', '4', '--workers', '3', '--odometry-noise', '0.05', '0.01']]) {
+  loopwise('replay', sample, '-o', inFolder(name), '--method', 'obs', '--max-registrations', '20', '--quiet', ...words);
+}
+loopwise('report', ...['n1', 'n2', 'n3', 'n4'].map(inFolder), '-o', inFolder('noise.html'), '--quiet');
+
 // A study of names that are markup, alone and beside a run.
 mkdirSync(inFolder('study'));
 const rows = ['world,mission,method,seed,workers,queued,computed,verified,gnc_inliers,true_inliers,ate_m,ate_se3_m,odometry_ate_m'];
@@ -85,7 +99,7 @@ writeFileSync(inFolder('others/budget.json'), JSON.stringify({ pooled: [{ run: '
 loopwise('report', inFolder('others'), '-o', inFolder('others.html'), '--quiet');
 loopwise('report', inFolder('obs'), inFolder('study'), '-o', inFolder('both.html'), '--quiet');
 
-const browser = new Browser(chromium);
+let browser = new Browser(chromium);
 const open = async (name, options) => {
   const page = await browser.open(pathToFileURL(inFolder(name)).href, options);
   await page.until('window.loopwiseReport?.ready === true');
@@ -97,6 +111,9 @@ const clean = async (page, name) => {
   assert.deepEqual((await state(page)).errors, [], `${name}: errors`);
   assert.deepEqual(page.requests, [pathToFileURL(inFolder(name)).href], `${name}: asked for more than itself`);
 };
+const text = (page, selector) => page.value(`document.querySelector('${selector}')?.textContent ?? ''`);
+/** Labels of the vertical axis of a chart. */
+const ticks = (page, id) => page.value(`[...document.querySelectorAll('#chart-${id} [aria-label^="Y-axis"] .role-axis-label text')].map((t) => t.textContent).filter(Boolean)`);
 /** Pixels of the map that are not ground, and a sum that tells pictures apart. */
 const pixels = (page) => page.value(`new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => {
   const from = document.querySelector('#map canvas');
@@ -160,6 +177,9 @@ try {
   assert.ok((await page.value('document.getElementById("report").textContent')).includes('parameters_sha256'));
   assert.ok((await page.value('document.getElementById("licences").textContent')).includes('three.js authors'));
 
+  for (const id of ['ratio', 'error', 'closures']) assert.ok((await ticks(page, id)).length >= 3, `ticks of ${id}: ${await ticks(page, id)}`);
+  assert.ok((await text(page, '.figures')).includes('Mean position error'));
+
   // Another run.
   await page.value(`(() => { const s = document.getElementById('run'); s.value = '1'; s.dispatchEvent(new Event('change')); })()`);
   await page.until('loopwiseReport.ready === true && loopwiseReport.run === 1');
@@ -193,14 +213,41 @@ try {
   assert.ok(!(await page.value('document.querySelector(".charts").textContent')).includes('kept by GNCtrue'));
   assert.ok((await page.value('document.getElementById("notes").textContent')).includes('no ground truth'));
 
+  // Without a truth: closures and residuals, no errors.
+  for (const [name, reference] of [['untrue.html', false], ['referred.html', true]]) {
+    if (name !== 'untrue.html') page = await open(name);
+    await clean(page, name);
+    const figures = await text(page, '.figures');
+    assert.ok(/^Closures kept.*Residual of kept closures\d/.test(figures), figures);
+    assert.ok(!/error|true|truth/i.test(figures + (await text(page, '.charts'))), `${name} speaks of errors`);
+    assert.equal('reference' in (await state(page)).layers, reference);
+    assert.equal((await text(page, '#report')).includes('Difference from the session’s own optimised poses'), reference);
+  }
+  page = await open('judged.html');
+  await clean(page, 'judged.html');
+  assert.ok((await text(page, '.figures')).includes('Mean position error') && /\d+ are true/.test(await text(page, '.figures')));
+  assert.ok('truth' in (await state(page)).layers && (await text(page, '#notes')).includes('errors over time are not known'));
+
+  // Odometry noise makes another mission, other options another method; seeds make repetitions.
+  page = await open('noise.html');
+  await clean(page, 'noise.html');
+  const names = await page.value('[...document.querySelectorAll("#run option")].map((o) => o.textContent)');
+  const [quiet, noise] = ['no odometry noise', 'odometry noise 0.01 rad/m, 0.05 m/m'];
+  assert.equal(names.length, 4);
+  for (const [i, parts] of [[quiet, 'obs'], [noise, 'obs, workers 10, seed 2'], [noise, 'obs, workers 10, seed 3'], [noise, 'obs, workers 3']].entries()) {
+    for (const part of parts) assert.ok(names[i].includes(part), `run ${i} is called ${names[i]}, without ${part}`);
+  }
+  const charts = await text(page, '.charts');
+  assert.ok(charts.includes(`Error by method`) && charts.includes(noise) && !charts.includes(`Error by method: ${JSON.parse(readFileSync(join(sample, 'mission.json'), 'utf8')).name}Each`), charts);
+
   // Studies.
   page = await open('study.html');
   await clean(page, 'study.html');
   const study = await state(page);
   assert.ok(study.charts['boxes-0'] > 20 && study.charts['boxes-1'] > 20, JSON.stringify(study.charts));
-  const text = await page.value('document.getElementById("report").textContent');
+  const studied = await text(page, '#report');
   // Medians: full 1.3, baseline 4.3, odometry 4.3.
-  for (const part of ['<b>urban</b>: 15 runs of 5 missions', '−70 %', '1.300', '8.000', '10 of 10', '−3.000 (−3.100 to −2.900)']) assert.ok(text.includes(part), `no "${part}" in ${text}`);
+  for (const part of ['<b>urban</b>: 15 runs of 5 missions', '−70 %', '1.300', '8.000', '10 of 10', '−3.000 (−3.100 to −2.900)']) assert.ok(studied.includes(part), `no "${part}" in ${studied}`);
   assert.equal(await page.value('document.querySelectorAll("#report b").length'), 0);
   await page.screenshot(inFolder('study.png'));
   page = await open('others.html');
@@ -213,6 +260,26 @@ try {
   await clean(page, 'both.html');
   assert.ok((await state(page)).layers.points.drawn > 0);
   assert.ok(existsSync(inFolder('all.png')));
+
+  // Without WebGL the map is a plan.
+  await browser.close();
+  browser = new Browser(chromium, ['--disable-3d-apis']);
+  page = await open('all.html');
+  await clean(page, 'all.html');
+  const plan = await state(page);
+  assert.equal(await page.value('document.querySelectorAll("#map canvas, .failure").length'), 0);
+  assert.ok((await text(page, '#map')).includes('no WebGL'));
+  assert.equal(await page.value('document.querySelectorAll("#map g[data-layer]").length'), Object.keys(plan.layers).length);
+  const seen = (id) => page.value(`(() => { const g = document.querySelector('#map g[data-layer="${id}"]'); const b = g.getBBox(); return g.getAttribute('visibility') === 'visible' && Math.max(b.width, b.height) > 1; })()`);
+  for (const id of ['points', 'optimized', 'odometry', 'kept', 'beacons']) {
+    assert.ok(await seen(id), `the plan shows no ${id}`);
+    await page.value(`document.querySelector('input[data-layer="${id}"]').click()`);
+    assert.ok(!(await seen(id)), `${id} switched off`);
+    await page.value(`document.querySelector('input[data-layer="${id}"]').click()`);
+  }
+  assert.ok((await text(page, '.bar')).endsWith(' m'));
+  assert.ok((await state(page)).charts.error > 3);
+  await page.screenshot(inFolder('plan.png'));
   console.log('passed');
 } finally {
   await browser.close();

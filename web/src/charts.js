@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Charts over mission time and over runs, by Vega-Lite.
 import embed from 'vega-embed';
+import { flatOptions, noiseOf } from './data.js';
 import { h, isNumber } from './dom.js';
 import { ink, methodColour } from './palette.js';
 import { variantOf, worldOf } from './studies.js';
@@ -9,7 +10,17 @@ const kMethods = ['odometry', 'odom', 'baseline', 'random', 'obs', 'gi', 'full',
 /** The order in which methods stand everywhere. */
 const methodOrder = (a, b) => (kMethods.indexOf(a.split(',')[0]) + 99) % 99 - (kMethods.indexOf(b.split(',')[0]) + 99) % 99;
 
-const kLogTicks = [-3, -2, -1, 0, 1].flatMap((e) => [1, 2, 5].map((f) => f * 10 ** e)).concat(100);
+/** A logarithmic axis where the values span enough for several ticks: else a linear one tells more. */
+function logAxis(values) {
+  const positive = values.filter((value) => value > 0);
+  const [low, high] = [Math.min(...positive), Math.max(...positive)];
+  if (!(high >= 30 * low)) return null;
+  const ticks = [];
+  for (let e = Math.floor(Math.log10(low)); e <= Math.ceil(Math.log10(high)); ++e) ticks.push(...[1, 2, 5].map((f) => Number((f * 10 ** e).toPrecision(1))));
+  const inside = ticks.filter((tick) => tick >= low && tick <= high);
+  const decades = inside.filter((tick) => /^1(e|0*$)|^0\.0*1$/.test(String(tick)));
+  return { scale: { type: 'log', nice: false }, axis: { format: '~g', values: decades.length >= 4 ? decades : inside } };
+}
 const kKinds = { verified: 'verified', gnc_inliers: 'kept by GNC', true_inliers: 'true' };
 
 function config() {
@@ -60,11 +71,12 @@ function overTime(runs, columns, value, yTitle, { kinds = kKinds, colours, forma
     for (const row of run.rows) {
       for (const column of columns) {
         const y = value(row, column);
-        if (isNumber(y) && (!wide || y > 0)) values.push({ run: run.name, series: run.series, kind: kinds[column], t: row.mission_time_s / divide, y });
+        if (isNumber(y)) values.push({ run: run.name, series: run.series, kind: kinds[column], t: row.mission_time_s / divide, y });
       }
     }
   }
   if (values.length === 0) return null;
+  const log = wide ? logAxis(values.map((v) => v.y)) : null;
   const several = new Set(runs.map((run) => run.series)).size > 1;
   const present = columns.map((column) => kinds[column]).filter((kind) => values.some((v) => v.kind === kind));
   const dashes = { domain: present, range: [[1, 0], [6, 3], [2, 2]].slice(0, present.length) };
@@ -73,11 +85,11 @@ function overTime(runs, columns, value, yTitle, { kinds = kKinds, colours, forma
     layer: [
       ...ends(runs, divide),
       {
-        data: { values },
+        data: { values: log ? values.filter((v) => v.y > 0) : values },
         mark: { type: 'line', interpolate: 'step-after', clip: true },
         encoding: {
           x: { field: 't', type: 'quantitative', title: `mission time (${unit})`, axis: { grid: false }, scale: { nice: false, zero: true } },
-          y: { field: 'y', type: 'quantitative', title: yTitle, ...(wide ? { scale: { type: 'log', nice: false }, axis: { format: '~g', values: kLogTicks } } : {}) },
+          y: { field: 'y', type: 'quantitative', title: yTitle, ...(log ?? {}) },
           color: several ? { field: 'series', type: 'nominal', scale: runColours(runs), sort: null } : { field: 'kind', type: 'nominal', scale: kindColours, sort: null },
           ...(several && present.length > 1 ? { strokeDash: { field: 'kind', type: 'nominal', scale: dashes, sort: null } } : {}),
           detail: [{ field: 'run' }, { field: 'kind' }],
@@ -144,15 +156,19 @@ export function errorEntries(data) {
     add(mission, 'odometry', label, ate);
   };
   for (const run of data.runs) {
-    add(run.mission, run.method, run.label, run.summary.ate_m?.optimized);
-    addOdometry(run.mission, run.label, run.summary.ate_m?.odometry);
+    add(run.problem, run.variant, run.label, run.summary.ate_m?.optimized);
+    addOdometry(run.problem, run.label, run.summary.ate_m?.odometry);
   }
+  // Studies share the charts: what tells their rows apart is looked for in all of them.
+  const variant = variantOf({ rows: data.studies.flatMap((study) => study.rows) });
+  const noise = (study) => noiseOf(flatOptions(study.result?.options));
+  const noises = new Set(data.studies.map(noise));
   for (const study of data.studies) {
-    const variant = variantOf(study);
     for (const row of study.rows) {
+      const world = noises.size > 1 ? `${worldOf(study, row)}, ${noise(study)}` : worldOf(study, row);
       const label = `${study.label}: ${row.mission ?? ''}, seed ${row.seed ?? '–'}`;
-      add(worldOf(study, row), variant(row), label, row.ate_m);
-      addOdometry(worldOf(study, row), label, row.odometry_ate_m);
+      add(world, variant(row), label, row.ate_m);
+      addOdometry(world, label, row.odometry_ate_m);
     }
   }
   return entries;
@@ -165,18 +181,19 @@ function studyOverTime(study, world, figure, yTitle, wide) {
   for (const series of study.curves.filter((one) => worldOf(study, one) === world)) {
     series.share.forEach((t, i) => {
       const [lower, y, upper] = ['lower', 'median', 'upper'].map((name) => series[figure][name][i]);
-      if (isNumber(y) && (!wide || lower > 0)) values.push({ series: variant(series), method: series.method, t: 100 * t, y, lower, upper });
+      if (isNumber(y)) values.push({ series: variant(series), method: series.method, t: 100 * t, y, lower, upper });
     });
   }
   if (values.length === 0) return null;
+  const log = wide ? logAxis(values.flatMap((v) => [v.lower, v.upper])) : null;
   const domain = [...new Set(values.map((v) => v.series))].sort(methodOrder);
   const range = domain.map((name, i) => methodColour(values.find((v) => v.series === name).method, i));
   const x = { field: 't', type: 'quantitative', title: 'mission time (%)', axis: { grid: false }, scale: { nice: false } };
   const color = { field: 'series', type: 'nominal', scale: { domain, range }, sort: null, legend: { symbolOpacity: 1 } };
-  const scale = wide ? { scale: { type: 'log', nice: false }, axis: { format: '~g', values: kLogTicks } } : {};
+  const scale = log ?? {};
   const over = Math.max(...values.map((v) => v.t)) > 101;
   return {
-    data: { values },
+    data: { values: log ? values.filter((v) => v.lower > 0) : values },
     layer: [
       ...(over ? [{ data: { values: [{ t: 100 }] }, mark: { type: 'rule', strokeDash: [3, 3] }, encoding: { x: { field: 't', type: 'quantitative' } } }] : []),
       { mark: { type: 'area', opacity: 0.14, clip: true }, encoding: { x, y: { field: 'lower', type: 'quantitative', title: yTitle, ...scale }, y2: { field: 'upper' }, color } },
@@ -191,10 +208,10 @@ function plan(data, run) {
   const colours = { verified: methodColour('obs'), 'kept by GNC': kept, true: methodColour('gi'), estimate: methodColour('obs'), 'odometry alone': methodColour('odometry') };
   const withRows = data.runs.filter((one) => one.rows.length > 1);
   // Runs of many missions are told apart in the tables; over time a screen holds a dozen.
-  const shown = withRows.length <= 12 ? withRows : withRows.filter((one) => one.mission === run?.mission).slice(0, 12);
+  const shown = withRows.length <= 12 ? withRows : withRows.filter((one) => one.problem === run?.problem).slice(0, 12);
   const charts = [];
   const push = (id, title, caption, spec) => spec && charts.push({ id, title, caption, spec });
-  push('ratio', 'Inliers per queued candidate', 'Closures that robust optimisation (GNC) keeps, and true ones (within 5 cm and 0.05 rad), as a share of all candidates queued so far: higher means that the better candidates are computed.',
+  push('ratio', 'Inliers per queued candidate', `Closures that robust optimisation (GNC) keeps${shown.some((one) => isNumber(one.summary.closures?.true_inliers)) ? ', and true ones (within 5 cm and 0.05 rad)' : ''}, as a share of all candidates queued so far: higher means that the better candidates are computed.`,
     overTime(shown, ['gnc_inliers', 'true_inliers'], (row, c) => (row.queued > 0 && isNumber(row[c]) ? (100 * row[c]) / row.queued : null), 'share of queued (%)', { colours, wide: true }));
   push('error', 'Error over time', 'Mean position error of all nodes that have arrived, in the common frame without alignment.',
     overTime(shown, ['ate_m', ...(shown.length > 1 ? [] : ['odometry_ate_m'])], (row, c) => row[c], 'mean position error (m)', { kinds: { ate_m: 'estimate', odometry_ate_m: 'odometry alone' }, colours }));

@@ -25,6 +25,7 @@ function decodeScene(json) {
       optimized: decode(nodes.optimized, Float32Array),
       odometry: decode(nodes.odometry, Float32Array),
       truth: decode(nodes.truth, Float32Array),
+      reference: decode(nodes.reference, Float32Array),
       time_s: decode(nodes.time_s, Float32Array),
       observability: decode(nodes.observability, Float32Array),
     },
@@ -51,24 +52,62 @@ function historyRows(json) {
   return Array.from({ length }, (_, i) => Object.fromEntries(names.map((name) => [name, json.columns[name][i]])));
 }
 
+/** {"engine.seed": "1", ...} */
+export function flatOptions(value, path = '') {
+  if (value === null || value === undefined) return {};
+  if (typeof value !== 'object' || Array.isArray(value)) return { [path]: Array.isArray(value) ? value.join(', ') : String(value) };
+  return Object.assign({}, ...Object.entries(value).map(([name, inner]) => flatOptions(inner, path ? `${path}.${name}` : name)));
+}
+
+const isNoise = (path) => path.includes('odometry_noise_');
+/** What odometry was made worse by: as another mission, not as another method. */
+export function noiseOf(options) {
+  const sigmas = Object.entries(options).filter(([path, value]) => isNoise(path) && Number(value) > 0).map(([path, value]) => `${value} ${path.includes('_rad_') ? 'rad/m' : 'm/m'}`);
+  return sigmas.length > 0 ? `odometry noise ${sigmas.sort().join(', ')}` : 'no odometry noise';
+}
+
+/** `problem`: the mission, and the noise of its odometry where runs or studies differ in it. */
+function nameProblems(data) {
+  for (const run of data.runs) {
+    const noises = new Set(data.runs.filter((one) => one.mission === run.mission).map((one) => noiseOf(one.options)));
+    run.problem = noises.size > 1 ? `${run.mission}, ${noiseOf(run.options)}` : run.mission;
+  }
+}
+
+/** `variant`: the method, and the options in which runs of it differ beside their seeds. */
+function nameVariants(data) {
+  for (const run of data.runs) {
+    const own = data.runs.filter((one) => one.problem === run.problem && one.method === run.method);
+    // An option that a run of another version lacks tells nothing.
+    const differing = Object.keys(run.options).filter((path) => !isNoise(path) && !/(^|\.)(seed|method)$/.test(path) && own.every((one) => path in one.options) && own.some((one) => one.options[path] !== run.options[path]));
+    const words = differing.map((path) => `${path.split('.').pop().replace(/_/g, ' ')} ${run.options[path] || '–'}`);
+    run.variant = words.length === 0 ? run.method : words.length <= 3 ? [run.method, ...words].join(', ') : `${run.method} (${run.label})`;
+  }
+}
+
 export function readData(text) {
   const data = JSON.parse(text);
   if (data.format !== 'loopwise-report') throw new Error('not the data of a report');
-  const several = new Set(data.runs.map((run) => run.summary.mission)).size > 1;
-  const alike = (run) => data.runs.filter((one) => one.summary.mission === run.summary.mission && one.summary.method === run.summary.method);
+  data.runs.forEach((run) => {
+    run.mission = String(run.summary.mission ?? '');
+    run.method = String(run.summary.method ?? '');
+    run.options = flatOptions(run.summary.options);
+  });
+  nameProblems(data);
+  nameVariants(data);
+  const several = new Set(data.runs.map((run) => run.problem)).size > 1;
+  const alike = (run) => data.runs.filter((one) => one.problem === run.problem && one.variant === run.variant);
   data.runs.forEach((run, i) => {
     run.index = i;
     run.rows = historyRows(run.history);
     // Without ground truth the history counts none.
     if (run.summary.closures?.true_inliers === null) run.rows.forEach((row) => (row.true_inliers = null));
-    run.mission = String(run.summary.mission ?? '');
-    run.method = String(run.summary.method ?? '');
     // Runs of one method and mission are repetitions if their seeds differ; else their folders tell them apart.
     const group = alike(run);
     const repeated = group.length > 1 && new Set(group.map((one) => one.summary.seed)).size === group.length;
-    const prefix = several ? `${run.mission} · ` : '';
-    run.name = prefix + (group.length === 1 ? run.method : repeated ? `${run.method}, seed ${run.summary.seed}` : `${run.method} (${run.label})`);
-    run.series = repeated ? prefix + run.method : run.name;
+    const prefix = several ? `${run.problem} · ` : '';
+    run.name = prefix + (group.length === 1 ? run.variant : repeated ? `${run.variant}, seed ${run.summary.seed}` : `${run.variant} (${run.label})`);
+    run.series = repeated ? prefix + run.variant : run.name;
     const end = run.summary.mission_end_s;
     run.end_s = isNumber(end) ? end : null;
     let scene;

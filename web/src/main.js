@@ -3,6 +3,7 @@
 import { at, count, duration, fixed, h, isNumber, metres, percent } from './dom.js';
 import { readData } from './data.js';
 import { layersOf, MissionMap } from './map.js';
+import { MissionPlan } from './plan.js';
 import { drawCharts } from './charts.js';
 import { pairedTable, runCount, studyFigures, studyTables } from './studies.js';
 import { allRuns, comparison, provenance, runTables } from './tables.js';
@@ -20,6 +21,7 @@ function fail(message) {
   state.ready = true;
 }
 
+const hasWebGl = () => Boolean(document.createElement('canvas').getContext('webgl2'));
 const shownLayers = {};
 let colourBy = 'height';
 let map = null;
@@ -31,13 +33,13 @@ function keyFigures(run) {
   const { candidates: c = {}, closures: k = {} } = s;
   const before = at(s, 'ate_m', 'odometry');
   const after = at(s, 'ate_m', 'optimized');
+  const residual = (which) => at(s, 'residuals', which, 'translation_m', 'median');
   const length = Object.values(s.robots ?? {}).reduce((sum, robot) => sum + (robot.path_length_m ?? 0), 0);
   const robots = Object.keys(s.robots ?? {}).length;
   return h('dl', { class: 'figures' },
-    isNumber(after)
-      ? figure('Mean position error', metres(after), isNumber(before) && before > 1e-6 ? `${metres(before)} by odometry: ${after <= before ? '−' : '+'}${Math.abs(100 - (100 * after) / before).toFixed(0)} %` : '')
-      : figure('Mean position error', '–', 'the true paths are not known'),
+    isNumber(after) && figure(`Mean position error${at(s, 'truth', 'alignment') === 'se3' ? ', aligned' : ''}`, metres(after), isNumber(before) && before > 1e-6 ? `${metres(before)} by odometry: ${after <= before ? '−' : '+'}${Math.abs(100 - (100 * after) / before).toFixed(0)} %` : ''),
     figure('Closures kept', count(k.gnc_inliers), `of ${count(k.verified)} verified${isNumber(k.true_inliers) ? `; ${count(k.true_inliers)} are true` : ''}`),
+    !isNumber(after) && figure('Residual of kept closures', metres(residual('optimized')), isNumber(residual('optimized')) ? `median; ${metres(residual('odometry'))} by odometry` : 'not known'),
     figure('Candidates computed', count(c.computed), `${percent(c.computed, c.queued)} of ${count(c.queued)} queued`),
     figure('Mission', duration(isNumber(run.end_s) ? run.end_s : s.mission_time_s), `${robots} robot${robots === 1 ? '' : 's'}, ${count(s.key_frames)} key frames${length > 0 ? `, ${length >= 2000 ? `${(length / 1000).toFixed(1)} km` : `${fixed(length, 0)} m`}` : ''}`));
 }
@@ -75,7 +77,7 @@ function legend(scene) {
     const [low, high] = colourBy === 'height' && map?.heights ? map.heights.map((z) => `${z.toFixed(1)} m`) : colourBy === 'observability' ? ['0', '1'] : [];
     key.replaceChildren(...(low ? [h('span', {}, low), h('span', { class: 'gradient', style: `background: ${scaleGradient()}` }), h('span', {}, high)] : []));
   };
-  const colours = scene.points && h('fieldset', {}, h('legend', {}, 'Colour points by'), h('div', { class: 'choices' }, modes.map(([id, label]) => h('label', {}, h('input', {
+  const colours = scene.points && !map?.isPlan && h('fieldset', {}, h('legend', {}, 'Colour points by'), h('div', { class: 'choices' }, modes.map(([id, label]) => h('label', {}, h('input', {
     type: 'radio', name: 'colour', value: id, checked: colourBy === id,
     onchange: () => {
       colourBy = state.colourBy = id;
@@ -86,8 +88,8 @@ function legend(scene) {
   state.colourBy = colourBy;
   queueMicrotask(showKey);
   return h('div', { class: 'legend' }, h('fieldset', {}, h('legend', {}, 'Layers'), rows), h('fieldset', {}, h('legend', {}, 'Robots'), robots), colours,
-    h('div', { class: 'views' }, h('button', { type: 'button', onclick: () => map?.view('start') }, 'Whole map'), h('button', { type: 'button', onclick: () => map?.view('top') }, 'From above')),
-    h('p', { class: 'hint' }, 'Drag to turn, wheel to zoom, right button or arrow keys to move. Point at a path for its nodes.'));
+    !map?.isPlan && h('div', { class: 'views' }, h('button', { type: 'button', onclick: () => map?.view('start') }, 'Whole map'), h('button', { type: 'button', onclick: () => map?.view('top') }, 'From above')),
+    !map?.isPlan && h('p', { class: 'hint' }, 'Drag to turn, wheel to zoom, right button or arrow keys to move. Point at a path for its nodes.'));
 }
 
 function start(data) {
@@ -116,13 +118,14 @@ function start(data) {
     mapRow.hidden = !current?.scene;
     if (!current?.scene) return;
     const scene = current.decoded;
+    const onFrame = () => {
+      state.frames += 1;
+      state.firstFrameMs ??= performance.now();
+    };
     try {
-      map ??= new MissionMap(mapBox, () => {
-        state.frames += 1;
-        state.firstFrameMs ??= performance.now();
-      });
+      map ??= hasWebGl() ? new MissionMap(mapBox, onFrame) : new MissionPlan(mapBox, onFrame);
     } catch {
-      mapBox.replaceChildren(h('p', { class: 'failure' }, 'This browser has no WebGL: the map cannot be drawn. Charts and tables follow.'));
+      map = new MissionPlan(mapBox, onFrame);
     }
     const box = legend(scene);
     map?.show(scene, shownLayers, colourBy);

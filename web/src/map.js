@@ -32,6 +32,7 @@ export function layersOf(scene) {
     paths('optimized', 'Optimised paths', true, { line: 'robot', width: 3 }),
     nodes.odometry && paths('odometry', 'Odometry alone', true, { line: 'robot', dashed: true }),
     nodes.truth && paths('truth', 'True paths', false, { line: colours.truth, width: 6, faint: true }),
+    nodes.reference && paths('reference', 'Optimised by another program', false, { line: colours.soft, dashed: true }),
     pairs('kept', 'Closures kept', candidates.kept, true, colours.kept),
     pairs('outlier', 'Closures left out by GNC', candidates.outlier, true, colours.outlier),
     pairs('rejected', 'Computed and rejected', candidates.rejected, false, colours.rejected),
@@ -118,13 +119,14 @@ export class MissionMap {
       points: () => this.points(), optimized: () => this.paths('optimized', { width: 3.2 }),
       odometry: () => this.paths('odometry', { width: 1.6, dashed: true }),
       truth: () => this.paths('truth', { width: 7, colour: ink().truth, opacity: 0.28 }),
+      reference: () => this.paths('reference', { width: 1.6, colour: ink().soft, dashed: true }),
       kept: () => this.pairs(this.data.candidates.kept, ink().kept, 1.4, 0.75),
       outlier: () => this.pairs(this.data.candidates.outlier, ink().outlier, 1.6, 0.9),
       rejected: () => this.pairs(this.data.candidates.rejected, ink().rejected, 1, 0.35),
       selected: () => this.pairs(this.data.candidates.selected, ink().selected, 1, 0.5),
       beacons: () => this.beacons(), radio: () => this.pairs(this.data.radio, ink().radio, 1, 0.6),
     };
-    const order = ['points', 'truth', 'selected', 'rejected', 'radio', 'odometry', 'kept', 'outlier', 'optimized', 'beacons'];
+    const order = ['points', 'truth', 'reference', 'selected', 'rejected', 'radio', 'odometry', 'kept', 'outlier', 'optimized', 'beacons'];
     this.box = this.bounds();
     for (const { id } of layersOf(this.data)) {
       const group = builders[id]();

@@ -13,7 +13,7 @@ function accounting(run) {
   const k = run.summary.closures ?? {};
   const rows = [
     ['generated', c.generated], ['pruned by the method', c.pruned], ['expired', c.expired], ['still pending', c.pending],
-    ['computed', c.computed], ['verified', k.verified], ['kept by GNC', k.gnc_inliers], ['true (5 cm, 0.05 rad)', k.true_inliers],
+    ['computed', c.computed], ['verified', k.verified], ['kept by GNC', k.gnc_inliers], ...(isNumber(k.true_inliers) ? [['true (5 cm, 0.05 rad)', k.true_inliers]] : []),
   ].map(([name, value]) => [name, barred(value, c.generated), percent(value, c.queued), percent(value, c.computed)]);
   for (const row of rows.slice(0, 4)) row[3] = '';
   return table('Candidates', ['', 'number', '% of queued', '% of computed'], rows);
@@ -35,15 +35,36 @@ function robots(run) {
     [name, String(robot.poses ?? '–'), fixed(robot.path_length_m, 0), 'odometry', ...of(robot, 'odometry')],
     ['', '', '', 'optimised', ...of(robot, 'optimized')],
   ]);
-  return table('Errors by robot', ['', 'nodes', 'path (m)', '', 'mean', 'largest', 'transl. %', 'rot. °/m'], rows);
+  return table(`Errors by robot${aligned(run)}`, ['', 'nodes', 'path (m)', '', 'mean', 'largest', 'transl. %', 'rot. °/m'], rows);
+}
+
+const degrees = (v) => (isNumber(v) ? `${((v * 180) / Math.PI).toFixed(3)}°` : '–');
+const aligned = (run) => (at(run, 'summary', 'truth', 'alignment') === 'se3' ? ' after alignment: the truth is in another frame' : '');
+
+/** How well closures and poses agree with each other: known without a truth. */
+function residuals(run) {
+  const s = run.summary;
+  if (!s.residuals) return null;
+  const row = (name, field, which, unit) => [name, unit(at(s, 'residuals', 'odometry', field, which)), unit(at(s, 'residuals', 'optimized', field, which))];
+  return table(`Residuals of ${count(s.residuals.closures)} kept closures`, ['', 'odometry', 'optimised'], [
+    row('median', 'translation_m', 'median', metres), row('largest', 'translation_m', 'max', metres), row('median, attitude', 'rotation_rad', 'median', degrees),
+  ]);
+}
+
+function reference(run) {
+  const s = run.summary;
+  if (!s.reference) return null;
+  const row = (name, field, unit) => [name, unit(at(s, 'reference', field, 'odometry')), unit(at(s, 'reference', field, 'optimized'))];
+  return table('Difference from the session’s own optimised poses, which are another program’s result', ['', 'odometry', 'optimised'], [
+    row('mean position', 'difference_m', metres), row('mean attitude', 'difference_rad', degrees),
+  ]);
 }
 
 function errors(run) {
   const s = run.summary;
   if (!s.ate_m) return null;
   const row = (name, field, unit = metres) => [name, unit(at(s, field, 'odometry')), unit(at(s, field, 'optimized'))];
-  const degrees = (v) => (isNumber(v) ? `${((v * 180) / Math.PI).toFixed(3)}°` : '–');
-  return table('Errors of all positions', ['', 'odometry', 'optimised'], [
+  return table(`Errors of all positions${aligned(run)}`, ['', 'odometry', 'optimised'], [
     row('mean, common frame (the paper’s ATE)', 'ate_m'), row('root mean square', 'ate_rmse_m'), row('mean, aligned', 'ate_se3_m'), row('mean attitude', 'ate_rad', degrees),
     ['per step, mean', metres(at(s, 'rpe', 'odometry', 'translation_m', 'mean')), metres(at(s, 'rpe', 'optimized', 'translation_m', 'mean'))],
   ]);
@@ -52,22 +73,22 @@ function errors(run) {
 /** Runs side by side; the best error of a mission stands out. */
 export function comparison(data, select) {
   if (data.runs.length < 2) return null;
-  const missions = new Set(data.runs.map((run) => run.mission)).size > 1;
-  const best = (run) => Math.min(...data.runs.filter((one) => one.mission === run.mission).map((one) => at(one, 'summary', 'ate_m', 'optimized')).filter(isNumber));
+  const missions = new Set(data.runs.map((run) => run.problem)).size > 1;
+  const judged = data.runs.some((run) => isNumber(at(run, 'summary', 'ate_m', 'optimized')));
+  const best = (run) => Math.min(...data.runs.filter((one) => one.problem === run.problem).map((one) => at(one, 'summary', 'ate_m', 'optimized')).filter(isNumber));
   const rows = data.runs.map((run) => {
     const { candidates: c = {}, closures: k = {} } = run.summary;
     const ate = at(run, 'summary', 'ate_m', 'optimized');
     return {
       attributes: { 'data-run': run.index },
       cells: [
-        h('button', { class: 'link', type: 'button', onclick: () => select(run.index) }, run.label), run.method, ...(missions ? [run.mission] : []), String(run.summary.seed ?? '–'),
-        count(c.queued), count(c.computed), percent(k.verified, c.queued), percent(k.gnc_inliers, c.queued), percent(k.true_inliers, c.queued),
-        metres(at(run, 'summary', 'ate_m', 'odometry')), isNumber(ate) && ate === best(run) ? h('strong', {}, metres(ate)) : metres(ate),
-        metres(at(run, 'summary', 'ate_se3_m', 'optimized')),
+        h('button', { class: 'link', type: 'button', onclick: () => select(run.index) }, run.label), run.variant, ...(missions ? [run.problem] : []), String(run.summary.seed ?? '–'),
+        count(c.queued), count(c.computed), percent(k.verified, c.queued), percent(k.gnc_inliers, c.queued), metres(at(run, 'summary', 'residuals', 'optimized', 'translation_m', 'median')),
+        ...(judged ? [percent(k.true_inliers, c.queued), metres(at(run, 'summary', 'ate_m', 'odometry')), isNumber(ate) && ate === best(run) ? h('strong', {}, metres(ate)) : metres(ate), metres(at(run, 'summary', 'ate_se3_m', 'optimized'))] : []),
       ],
     };
   });
-  return table('Runs. Shares are of queued candidates; errors are means over all positions', ['run', 'method', ...(missions ? ['mission'] : []), 'seed', 'queued', 'computed', 'verified', 'GNC inliers', 'true inliers', 'odometry', 'error', 'aligned'], rows, { class: 'left2' });
+  return table(`Runs. Shares are of queued candidates, residuals medians of kept closures${judged ? ', errors means over all positions' : ''}`, ['run', 'method', ...(missions ? ['mission'] : []), 'seed', 'queued', 'computed', 'verified', 'GNC inliers', 'residual', ...(judged ? ['true inliers', 'odometry', 'error', 'aligned'] : [])], rows, { class: 'left2' });
 }
 
 export function allRuns(study) {
@@ -80,7 +101,7 @@ export function allRuns(study) {
 }
 
 export function runTables(run) {
-  return [accounting(run), errors(run), robots(run), reasons(run)].filter(Boolean).map((one) => h('div', { class: 'card' }, one));
+  return [accounting(run), errors(run), residuals(run), reference(run), robots(run), reasons(run)].filter(Boolean).map((one) => h('div', { class: 'card' }, one));
 }
 
 const flat = (value, path = '') =>

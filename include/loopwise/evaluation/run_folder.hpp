@@ -17,17 +17,29 @@
 
 namespace loopwise {
 
-/// A replay judged against the mission's ground truth.
+/// How far closures lie from the relative poses of their nodes.
+struct ClosureResiduals {
+  Statistics translation_m;  ///< m.
+  Statistics rotation_rad;   ///< rad.
+};
+
+/// What a replay is worth: residuals always, errors where the mission has ground truth, differences where it
+/// has a reference.
 struct RunEvaluation {
-  ClosureStatistics closures;          ///< In the classes of the paper's Table I.
-  bool has_truth = false;              ///< The rest stays empty without.
-  TrajectoryErrors odometry;           ///< In the common frame, no alignment, as the paper.
-  TrajectoryErrors optimized;          ///< The same of the optimised estimate.
+  ClosureStatistics closures;            ///< In the classes of the paper's Table I.
+  ClosureResiduals residuals;            ///< Of the closures that the back end kept, against the estimate.
+  ClosureResiduals odometry_residuals;   ///< Of the same closures against odometry.
+  bool has_reference = false;            ///< The two differences stay empty without.
+  TrajectoryErrors odometry_reference;   ///< Difference from the reference, common frame: no error.
+  TrajectoryErrors optimized_reference;  ///< The same of the optimised estimate.
+  bool has_truth = false;                ///< The rest stays empty without.
+  TrajectoryErrors odometry;   ///< In the common frame, no alignment, as the paper; aligned if the truth is.
+  TrajectoryErrors optimized;  ///< The same of the optimised estimate.
   TrajectoryErrors odometry_aligned;   ///< After the best rigid motion.
   TrajectoryErrors optimized_aligned;  ///< The same of the optimised estimate.
 };
 
-/// Judges a replay: closures against the truth, poses by odometry and by the estimate.
+/// Judges a replay: closures and poses, by odometry and by the estimate, against the truth where it is known.
 [[nodiscard]] LOOPWISE_EXPORT RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
 
 /// What summary.json holds, as indented JSON: candidates, closures, reasons, errors, times, options.

@@ -27,7 +27,7 @@ struct HistoryRow {
   std::size_t true_inliers = 0;   ///< Verified, and within the bounds of the truth.
   std::size_t right_inliers = 0;  ///< Both of these.
   /// Mean error of the positions of all nodes that have arrived, common frame, no alignment, m: by the
-  /// estimate, and by odometry alone. NaN without ground truth.
+  /// estimate, and by odometry alone. NaN without ground truth in that frame.
   double ate_m = std::numeric_limits<double>::quiet_NaN();
   double odometry_ate_m = std::numeric_limits<double>::quiet_NaN();  ///< The same by odometry.
 };

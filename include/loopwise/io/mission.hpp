@@ -34,12 +34,13 @@ enum class MissionKind {
   kBags,     ///< ROS 1 bags of LAMP's messages.
   kLampZip,  ///< A map that LAMP's base station saved.
   kJoined,   ///< Several missions of one robot each.
+  kRun,      ///< A folder that a replay wrote: its graph with the closures, without scans.
 };
 [[nodiscard]] inline EnumNames<MissionKind> enum_names(MissionKind) {
   return {{MissionKind::kMission, "mission"}, {MissionKind::kSession, "session"},
           {MissionKind::kG2o, "g2o"},         {MissionKind::kG2oPcd, "g2o_pcd"},
           {MissionKind::kBags, "rosbag"},     {MissionKind::kLampZip, "lamp_zip"},
-          {MissionKind::kJoined, "joined"}};
+          {MissionKind::kJoined, "joined"},   {MissionKind::kRun, "run"}};
 }
 
 /// How the 36 numbers of an odometry edge's covariance in a bag are ordered. LAMP's code stores rotation
@@ -66,10 +67,17 @@ struct Mission {
   Robots robots;                             ///< Own every node of the graph.
   PoseGraph graph;  ///< Nodes with stamps, priors, odometry; closures only if the files hold some.
   std::shared_ptr<const ScanStore> scans = std::make_shared<ScanStore>();  ///< Never null.
-  std::map<Key, Eigen::Isometry3d> ground_truth;                           ///< Empty if not known.
-  std::vector<CommunicationGap> gaps;                                      ///< By robot, then begin.
-  std::vector<RadioReading> radio;                                         ///< In the order of the file.
-  std::vector<BeaconDrop> beacons;                                         ///< In the order of the file.
+  /// True poses, by which estimates are judged. Empty if not known. set_truth() takes them from files.
+  std::map<Key, Eigen::Isometry3d> ground_truth;
+  /// ground_truth stands in another frame and was laid on the mission: only aligned errors mean something.
+  bool truth_is_aligned = false;
+  std::string truth_file;  ///< What set_truth() took ground_truth from; empty if it was recorded.
+  /// Poses that another program computed, such as a session's own optimised poses: to compare with, never the
+  /// truth. Empty if there are none.
+  std::map<Key, Eigen::Isometry3d> reference;
+  std::vector<CommunicationGap> gaps;  ///< By robot, then begin.
+  std::vector<RadioReading> radio;     ///< In the order of the file.
+  std::vector<BeaconDrop> beacons;     ///< In the order of the file.
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json says otherwise.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
@@ -138,7 +146,8 @@ struct MissionOptions {
     field("odometry_covariance_order", self.odometry_covariance_order, any_value(),
           "Bags: what comes first in the covariances of odometry.");
     field("truth_max_time_difference_s", self.truth_max_time_difference_s, at_least(0.0),
-          "Bags: a node's true pose is the nearest in time, at most this far, s.");
+          "Bags: a node's true pose is the nearest in time, at most this far, s; files given as truth: the "
+          "longest gap between stamps that is interpolated.");
     field("frames", self.frames, any_value(),
           "Several missions as one: file with the pose of each one's frame in the common frame.");
     field("start_together", self.start_together, any_value(),
@@ -176,8 +185,8 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// - mission.json: `{"format": "loopwise-mission", "version": 1, "name", "frame", "clock": {"start_ns"},
 ///   "robots": [{"name", "first", "last", "landmarks"}], "communication_gaps": [{"robot", "begin_s",
 ///   "end_s"}], "provenance": {...}, "files": {"graph", "stamps", "priors", "scans", "radio", "beacons",
-///   "ranges", "gravity", "ground_truth"}}`; only format and version must be there, other keys are errors,
-///   and `files` may not lead out of the folder
+///   "ranges", "gravity", "ground_truth", "reference"}}`; only format and version must be there, other keys
+///   are errors, and `files` may not lead out of the folder
 /// - graph.g2o
 /// - stamps.csv: `key,stamp_ns`, a row for every node
 /// - priors.csv: `key,x,y,z,qx,qy,qz,qw,sx,sy,sz,srx,sry,srz`, sigmas in m, rad
@@ -187,6 +196,7 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// - ranges.csv: `from,to,range_m,sigma_m`
 /// - gravity.csv: `key,x,y,z,sigma_rad`, the direction of gravity (-z of the common frame) in the body frame
 /// - ground_truth.g2o: vertices alone
+/// - reference.g2o: the same, poses that another program computed
 ///
 /// A mission without priors gets one at the first node of each robot, where it stands: the robots started
 /// from a common frame.
@@ -194,9 +204,10 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// **Session folder**: rows of the poses file are the nodes 0 … n−1. Odometry comes from odom_poses.txt, else
 /// from the edges (i, i+1) of singlesession_posegraph.g2o, else from optimized_poses.txt: consecutive poses,
 /// information by the options' sigmas (a g2o edge may bring its own). Other edges of that g2o file are left
-/// out and counted: closures are ours to find. optimized_poses.txt, where present, is the ground truth.
-/// Stamps are in times.txt, seconds; scans in Scans/NUMBER.EXT, from 0 or from 1. The first node gets a
-/// prior. Of a session that was stopped while it was saved, the rows that all files have are read.
+/// out and counted: closures are ours to find. optimized_poses.txt, where present, is the reference:
+/// another program's result, not the truth. Stamps are in times.txt, seconds; scans in Scans/NUMBER.EXT, from
+/// 0 or from 1. The first node gets a prior. Of a session that was stopped while it was saved, the rows that
+/// all files have are read.
 ///
 /// **g2o file**: the graph; its first node gets a prior if the file has none.
 ///
@@ -223,21 +234,21 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// **The data set's folder**: rosbag/ if this build reads bags, else g2o_pcd/; with ground_truth/.
 ///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
-/// node", "repeated scan", "node without ground truth", "ground truth without node", "radio reading without
-/// node", "stamp without node", "foreign file in scans", and what classify_edges() and the readers of the
-/// parts count. Sessions also: "row beyond the common part left out", "unfinished last line left out", "empty
-/// file not used", "edge to a missing vertex left out", "session graph not used", "closure of the session's
-/// own graph left out", "odometry missing in the session's graph", "odometry and truth are the same poses",
-/// "scans are counted from 1", "scans may be counted from 1". Dumps of hdl_graph_slam also: "edge to a fixed
-/// node that is no key frame made a prior", "key frame without node left out", "key frame's WORD not used".
-/// Bags also: "message cannot be read", "message at time 0 left out", "bag altered in a place that is not
-/// read", "node without stamp", "node without usable pose", "edge without node", "edge without pose",
-/// "unusable edge", "repeated edge with other numbers", "covariance absent", "unusable covariance", "odometry
-/// covariance looks swapped", "odometry not between consecutive nodes", "unusable range factor", "unusable
-/// gravity factor", "gravity factor that points up left out", "range factor of a landmark left out",
-/// "landmark left out", "landmark by ranges alone gets a prior", "edge of unknown type left out", "odometry
-/// messages not used", "ground truth of an unknown robot". \throws IoError; ParseError or InputError naming
-/// file and line or key; OptionError; StoppedError
+/// node", "repeated scan", "node without ground truth", "ground truth without node", "reference without
+/// node", "radio reading without node", "stamp without node", "foreign file in scans", and what
+/// classify_edges() and the readers of the parts count. Sessions also: "row beyond the common part left out",
+/// "unfinished last line left out", "empty file not used", "edge to a missing vertex left out", "session
+/// graph not used", "closure of the session's own graph left out", "odometry missing in the session's graph",
+/// "odometry taken from the optimised poses", "scans are counted from 1", "scans may be counted from 1".
+/// Dumps of hdl_graph_slam also: "edge to a fixed node that is no key frame made a prior", "key frame without
+/// node left out", "key frame's WORD not used". Bags also: "message cannot be read", "message at time 0 left
+/// out", "bag altered in a place that is not read", "node without stamp", "node without usable pose", "edge
+/// without node", "edge without pose", "unusable edge", "repeated edge with other numbers", "covariance
+/// absent", "unusable covariance", "odometry covariance looks swapped", "odometry not between consecutive
+/// nodes", "unusable range factor", "unusable gravity factor", "gravity factor that points up left out",
+/// "range factor of a landmark left out", "landmark left out", "landmark by ranges alone gets a prior", "edge
+/// of unknown type left out", "odometry messages not used", "ground truth of an unknown robot". \throws
+/// IoError; ParseError or InputError naming file and line or key; OptionError; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
                                                    const MissionOptions& options = {},
                                                    const ProgressCallback& progress = {},

@@ -1,0 +1,19 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What a replay says of its closures and poses.
+#pragma once
+
+#include <string>
+
+#include <loopwise/evaluation/run_folder.hpp>
+
+namespace loopwise::cli {
+
+/// Whether there are errors to speak of: errors against what the odometry was taken from would say of
+/// closures that they make things worse.
+[[nodiscard]] bool is_judged(const RunEvaluation& e);
+
+/// Lines on residuals, errors and differences, as far as they are known.
+[[nodiscard]] std::string errors_text(const RunEvaluation& e);
+
+}  // namespace loopwise::cli

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/io/mission.hpp>
+
+namespace loopwise {
+
+/// Makes the poses of files the ground truth of a mission, in place of what was recorded as such. Each is the
+/// path of a TUM, KITTI or g2o file, or ROBOT=PATH for the nodes of one robot alone.
+///
+/// - g2o: by key.
+/// - TUM: by stamp. A node within 0.02 s of a stamp gets its pose; one between two stamps that are at most
+///   options.truth_max_time_difference_s apart gets the pose between. Of one robot.
+/// - KITTI: the rows are the robot's nodes in the order of their keys, as many. Of one robot.
+///
+/// A truth that does not begin where the nodes do (0.5 m and a tenth of the path, over the first 10 m of each
+/// robot) stands in another frame: it is laid on the nodes by the rigid motion of least squares,
+/// mission.truth_is_aligned is set, and "truth in another frame" is counted among the mission's problems. So
+/// are "node without ground truth" and, of g2o files, "ground truth without node".
+///
+/// \throws IoError; ParseError naming file and line; OptionError naming an unknown robot; InputError if a
+///         file holds no pose of any node, does not say whose poses it holds, or has orientations that are
+///         not those of the nodes, as of a camera or of GPS, which has no orientations
+LOOPWISE_EXPORT void set_truth(Mission& mission, const std::vector<std::string>& files,
+                               const MissionOptions& options = {});
+
+}  // namespace loopwise

@@ -1,0 +1,217 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/evaluation/given_truth.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <filesystem>
+#include <optional>
+#include <utility>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/se3.hpp>
+#include <loopwise/evaluation/trajectory_errors.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+namespace loopwise {
+namespace {
+
+constexpr double kSameStamp_s = 0.02;  // as evaluate_trajectory() of two files
+constexpr double kStart_m = 10.0;      // odometry is good so far
+constexpr double kBaseline_m = 5.0;    // well above the noise of a pose
+constexpr double kBodyMismatch = 0.5;  // of a displacement: 29 degrees
+
+using NodesByKey = std::map<Key, const Node*>;
+
+/// The robots that own key frames, with these.
+std::map<std::size_t, NodesByKey> nodes_by_robot(const Mission& mission) {
+  std::map<std::size_t, NodesByKey> robots;
+  for (const Node& node : mission.graph.nodes()) {
+    if (!mission.robots.is_landmark(node.key)) robots[mission.robots.of(node.key)].emplace(node.key, &node);
+  }
+  return robots;
+}
+
+struct TruthFile {
+  std::string path;
+  std::optional<std::size_t> robot;
+};
+
+/// "ROBOT=PATH" or a path, which may hold '=' itself.
+TruthFile parse_file(const Mission& mission, const std::string& text) {
+  const std::size_t at = text.find('=');
+  if (at == std::string::npos || std::filesystem::exists(text)) return {text, std::nullopt};
+  const std::string name = text.substr(0, at);
+  std::string known;
+  for (std::size_t r = 0; r < mission.robots.size(); ++r) {
+    if (mission.robots[r].name == name) return {text.substr(at + 1), r};
+    known += (r > 0 ? ", " : "") + mission.robots[r].name;
+  }
+  throw OptionError("truth \"" + text + "\": no robot is called \"" + name + "\", the robots are " + known);
+}
+
+Eigen::Isometry3d between(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, double share) {
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  const Eigen::Quaterniond qa(a.linear()), qb(b.linear());
+  pose.linear() = qa.slerp(share, qb).normalized().toRotationMatrix();
+  pose.translation() = (1.0 - share) * a.translation() + share * b.translation();
+  return pose;
+}
+
+PosesByKey by_stamp(const TruthFile& file, const Trajectory& truth, const NodesByKey& nodes,
+                    double max_gap_s) {
+  std::vector<std::pair<double, std::size_t>> order;  // in seconds: off by less than a microsecond
+  for (std::size_t i = 0; i < truth.poses.size(); ++i)
+    order.emplace_back(static_cast<double>(truth.stamps_ns[i]) * 1e-9, i);
+  std::sort(order.begin(), order.end());
+  PosesByKey poses;
+  for (const auto& [key, node] : nodes) {
+    const double stamp = static_cast<double>(node->stamp_ns) * 1e-9;
+    const auto after = std::lower_bound(order.begin(), order.end(), std::pair(stamp, std::size_t{0}));
+    const bool has_after = after != order.end(), has_before = after != order.begin();
+    const double gap_after = has_after ? after->first - stamp : kSameStamp_s + 1.0;
+    const double gap_before = has_before ? stamp - std::prev(after)->first : kSameStamp_s + 1.0;
+    if (std::min(gap_before, gap_after) <= kSameStamp_s) {
+      poses[key] = truth.poses[(gap_after <= gap_before ? after : std::prev(after))->second];
+    } else if (has_before && has_after && gap_before + gap_after <= max_gap_s) {
+      poses[key] = between(truth.poses[std::prev(after)->second], truth.poses[after->second],
+                           gap_before / (gap_before + gap_after));
+    }
+  }
+  if (poses.empty()) {
+    throw InputError(file.path + ": no stamp near that of a node: the file has " +
+                     std::to_string(order.front().first) + " to " + std::to_string(order.back().first) +
+                     " s, the node " + key_name(nodes.begin()->first) + " has " +
+                     std::to_string(static_cast<double>(nodes.begin()->second->stamp_ns) * 1e-9) + " s");
+  }
+  return poses;
+}
+
+PosesByKey by_row(const TruthFile& file, const Trajectory& truth, const NodesByKey& nodes) {
+  if (truth.poses.size() != nodes.size()) {
+    throw InputError(file.path + ": " + std::to_string(truth.poses.size()) + " rows for " +
+                     std::to_string(nodes.size()) +
+                     " nodes, so rows have no nodes; give a TUM file with stamps or a g2o file");
+  }
+  PosesByKey poses;
+  std::size_t row = 0;
+  for (const auto& [key, node] : nodes) poses[key] = truth.poses[row++];
+  return poses;
+}
+
+PosesByKey by_key(const TruthFile& file, const Trajectory& truth, const NodesByKey& nodes, Mission& mission) {
+  PosesByKey poses;
+  for (std::size_t i = 0; i < truth.keys.size(); ++i) {
+    if (nodes.count(truth.keys[i]) != 0) {
+      poses[truth.keys[i]] = truth.poses[i];
+    } else if (!mission.graph.contains(truth.keys[i])) {
+      mission.problems.add("ground truth without node", file.path + ": " + key_name(truth.keys[i]));
+    }
+  }
+  if (poses.empty()) {
+    throw InputError(file.path + ": none of its " + std::to_string(truth.keys.size()) +
+                     " keys is that of a node, of which the first is " + key_name(nodes.begin()->first));
+  }
+  return poses;
+}
+
+PosesByKey read_truth_file(const TruthFile& file, Mission& mission, const MissionOptions& options) {
+  const Trajectory truth = read_trajectory(file.path);
+  mission.problems.add(truth.problems);
+  const std::map<std::size_t, NodesByKey> robots = nodes_by_robot(mission);
+  NodesByKey nodes;
+  std::string names;
+  for (const auto& [robot, own] : robots) {
+    if (file.robot && *file.robot != robot) continue;
+    nodes.insert(own.begin(), own.end());
+    names += (names.empty() ? "" : ", ") + mission.robots[robot].name;
+  }
+  if (nodes.empty()) throw InputError(file.path + ": the mission has no node that it could be of");
+  if (truth.format == TrajectoryFormat::kG2o) return by_key(file, truth, nodes, mission);
+  if (!file.robot && robots.size() > 1) {
+    throw InputError(file.path + ": does not say whose poses it holds, the mission has the robots " + names +
+                     ": give ROBOT=FILE for each, or a g2o file with the nodes' keys");
+  }
+  return truth.format == TrajectoryFormat::kTum
+             ? by_stamp(file, truth, nodes, options.truth_max_time_difference_s)
+             : by_row(file, truth, nodes);
+}
+
+/// Whether the truth begins where the nodes do.
+bool begins_with_nodes(const Mission& mission, const PosesByKey& truth) {
+  for (const auto& [robot, nodes] : nodes_by_robot(mission)) {
+    const Node* last = nullptr;
+    double path_m = 0.0;
+    for (const auto& [key, node] : nodes) {
+      const auto known = truth.find(key);
+      if (known == truth.end()) continue;
+      const Eigen::Vector3d at = node->pose.translation();
+      if (last != nullptr) path_m += (at - last->pose.translation()).norm();
+      if (path_m > kStart_m) break;
+      if ((at - known->second.translation()).norm() > 0.5 + 0.1 * path_m) return false;
+      last = node;
+    }
+  }
+  return true;
+}
+
+/// How far the displacements that the bodies see differ between truth and nodes, by their length: the median
+/// over pairs that are a baseline apart. Neither the frame nor slow drift changes it. Nothing if no path is
+/// long enough.
+std::optional<double> body_mismatch(const Mission& mission, const PosesByKey& truth) {
+  std::vector<double> mismatches;
+  for (const auto& [robot, nodes] : nodes_by_robot(mission)) {
+    const Node* first = nullptr;
+    for (const auto& [key, node] : nodes) {
+      if (truth.count(key) == 0) continue;
+      if (first == nullptr) first = node;
+      const Eigen::Vector3d seen = (first->pose.inverse() * node->pose).translation();
+      if (seen.norm() < kBaseline_m) continue;
+      const Eigen::Vector3d right = (truth.at(first->key).inverse() * truth.at(key)).translation();
+      mismatches.push_back((right - seen).norm() / seen.norm());
+      first = node;
+    }
+  }
+  if (mismatches.empty()) return std::nullopt;
+  const auto middle = mismatches.begin() + static_cast<std::ptrdiff_t>(mismatches.size() / 2);
+  std::nth_element(mismatches.begin(), middle, mismatches.end());
+  return *middle;
+}
+
+}  // namespace
+
+void set_truth(Mission& mission, const std::vector<std::string>& files, const MissionOptions& options) {
+  if (files.empty()) return;
+  validate(options);
+  PosesByKey truth;
+  std::string names;
+  for (const std::string& text : files) {
+    names += (names.empty() ? "" : ", ") + text;
+    for (const auto& [key, pose] : read_truth_file(parse_file(mission, text), mission, options)) {
+      if (!truth.emplace(key, pose).second)
+        throw InputError(text + ": node " + key_name(key) + " has a true pose already, by another file");
+    }
+  }
+  if (const auto mismatch = body_mismatch(mission, truth); mismatch && *mismatch > kBodyMismatch) {
+    throw InputError(names + ": its orientations are not those of the nodes: over " +
+                     std::to_string(static_cast<int>(kBaseline_m)) +
+                     " m, displacements seen from the body differ by " +
+                     std::to_string(std::lround(100.0 * *mismatch)) +
+                     " %. Give poses of the body that the scans are in; positions alone are compared by "
+                     "'loopwise evaluate --alignment se3'");
+  }
+  mission.truth_is_aligned = !begins_with_nodes(mission, truth);
+  if (mission.truth_is_aligned) {
+    mission.problems.add("truth in another frame",
+                         names + ": laid on the mission, errors are those after alignment");
+    const Eigen::Isometry3d T = align(truth, poses_by_key(mission.graph), Alignment::kSe3).T_truth_estimate;
+    for (auto& [key, pose] : truth) pose = se3::normalized(T * pose);
+  }
+  for (const Node& node : mission.graph.nodes()) {
+    if (truth.count(node.key) == 0 && !mission.robots.is_landmark(node.key))
+      mission.problems.add("node without ground truth", "node " + key_name(node.key));
+  }
+  mission.ground_truth = std::move(truth);
+  mission.truth_file = names;
+}
+
+}  // namespace loopwise

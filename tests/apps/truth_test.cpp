@@ -1,0 +1,168 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// What is true, and what is another program's result, on the command line.
+#include <nlohmann/json.hpp>
+
+#include <loopwise/io/g2o.hpp>
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+#include "program.hpp"
+#include "small_mission.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+namespace fs = std::filesystem;
+using testing::ProgramRun;
+using testing::run_program;
+using testing::small_mission;
+using testing::TemporaryFolder;
+
+Json json_of(std::vector<std::string> arguments) {
+  arguments.insert(arguments.end(), {"--json", "-"});
+  const ProgramRun run = run_program(arguments);
+  INFO(run.err);
+  REQUIRE(run.status == 0);
+  return parse_json(run.out, "standard output");
+}
+
+/// A session of one robot: odometry that drifts, and optimised poses that are worse.
+void write_session(const fs::path& folder, const Mission& mission) {
+  fs::create_directories(folder / "Scans");
+  std::vector<Eigen::Isometry3d> odometry, optimized;
+  std::string times;
+  for (std::uint64_t i = 0; i < mission.graph.nodes().size() / 2; ++i) {
+    const Node& node = mission.graph.node(make_key('a', i));
+    odometry.push_back(node.pose);
+    optimized.push_back(mission.ground_truth.at(node.key));
+    optimized.back().translation().y() += 0.4 * static_cast<double>(i);
+    times += std::to_string(node.stamp_ns / 1'000'000'000) + ".0\n";
+    std::string name = std::to_string(i);
+    name.insert(0, 6 - name.size(), '0');
+    write_pcd(folder / "Scans" / (name + ".pcd"), *mission.scans->load(node.key));
+  }
+  write_kitti(folder / "odom_poses.txt", odometry);
+  write_kitti(folder / "optimized_poses.txt", optimized);
+  testing::write_text(folder / "times.txt", times);
+}
+
+/// True poses of robot a by stamp.
+void write_truth(const fs::path& file, const Mission& mission) {
+  std::vector<StampedPose> poses;
+  for (const auto& [key, pose] : mission.ground_truth) {
+    if (key_character(key) == 'a') poses.push_back({mission.graph.node(key).stamp_ns, pose});
+  }
+  write_tum(file, poses);
+}
+
+}  // namespace
+
+TEST_CASE("truth: a session's own optimised poses are a reference everywhere", "[apps][truth]") {
+  const TemporaryFolder folder;
+  write_session(folder / "s", small_mission(8));
+  const std::string session = (folder / "s").string(), out = (folder / "out").string();
+  ProgramRun run = run_program({"info", session, "--picture", (folder / "s.svg").string()});
+  INFO(run.err);
+  REQUIRE(run.status == 0);
+  CHECK_THAT(run.out, Contains("truth        0 poses") &&
+                          Contains("reference    8 poses that another program optimised, not the truth") &&
+                          !Contains("drift"));
+  CHECK_THAT(testing::read_text(folder / "s.svg"),
+             Contains("optimised by another program") && !Contains("truth"));
+  CHECK(json_of({"info", session})["reference"] == 8);
+  CHECK(json_of({"info", session})["ground_truth"] == 0);
+
+  run = run_program({"replay", session, "-o", out, "--skip-recent", "2", "--after-mission"});
+  INFO(run.err);
+  REQUIRE(run.status == 0);
+  CHECK_THAT(run.out, Contains("mean difference from the session's own optimised poses") &&
+                          Contains("residuals ") && !Contains("ATE") && !Contains("true inliers"));
+  const Json summary = parse_json(testing::read_text(folder / "out" / "summary.json"), "summary.json");
+  CHECK(summary["truth"].is_null());
+  CHECK(summary["ate_m"].is_null());
+  CHECK(summary["reference"]["poses"] == 8);
+
+  run = run_program({"evaluate", out, session});
+  CHECK(run.status == 3);
+  CHECK_THAT(run.err,
+             Contains("no ground truth is recorded there; the session's own optimised poses are another"));
+  CHECK(json_of({"evaluate", out, session + "/optimized_poses.txt"})["poses"] == 8);
+  run = run_program({"study", "registration", session});
+  CHECK(run.status == 3);
+  CHECK_THAT(run.err, Contains("its own optimised poses are another program's result"));
+
+  // A mission folder made of it keeps what it was.
+  run = run_program({"convert", session, "-o", (folder / "m").string()});
+  REQUIRE(run.status == 0);
+  CHECK_THAT(run.out, Contains("0 true poses"));
+  CHECK(json_of({"info", (folder / "m").string()})["reference"] == 8);
+  CHECK_FALSE(fs::exists(folder / "m" / "ground_truth.g2o"));
+}
+
+TEST_CASE("truth: --truth says what is true", "[apps][truth]") {
+  const TemporaryFolder folder;
+  const Mission mission = small_mission(8);
+  write_session(folder / "s", mission);
+  write_truth(folder / "truth.tum", mission);
+  const std::string session = (folder / "s").string(), truth = (folder / "truth.tum").string();
+  const Json info = json_of({"info", session, "--truth", truth});
+  CHECK(info["ground_truth"] == 8);
+  CHECK(info["drift"].size() == 1);
+  CHECK(info["candidates"]["looked_at"].get<int>() > 0);
+
+  const std::vector<std::string> few{"--skip-recent", "2", "--after-mission"};
+  const auto replayed = [&](const std::string& out, std::vector<std::string> more) {
+    more.insert(more.begin(), {"replay", session, "-o", (folder / out).string()});
+    more.insert(more.end(), few.begin(), few.end());
+    return json_of(more);
+  };
+  const Json judged = replayed("judged", {"--truth", truth}), plain = replayed("plain", {});
+  CHECK(judged["truth"]["file"] == truth);
+  CHECK(judged["ate_m"]["optimized"].get<double>() < 0.5);
+  CHECK(judged["closures"]["true_inliers"].is_number());
+  CHECK(judged["reference"]["poses"] == 8);
+  // What is true changes no result.
+  for (const char* file : {"graph.g2o", "journal.jsonl"})
+    CHECK(testing::read_text(folder / "judged" / file) == testing::read_text(folder / "plain" / file));
+  CHECK(json_of({"evaluate", (folder / "judged" / "trajectories" / "0.tum").string(), truth})["ate_m"]["mean"]
+            .get<double>() == Approx(judged["ate_m"]["optimized"].get<double>()).epsilon(1e-6));
+
+  const Json study =
+      json_of({"study", "ablation", session, "-o", (folder / "study").string(), "--truth", truth, "--methods",
+               "baseline", "--skip-recent", "2", "--max-registrations", "3"});
+  CHECK(study.contains("worlds"));
+  // Another truth, another unit.
+  Mission other = mission;
+  for (auto& [key, pose] : other.ground_truth) pose.translation().z() += 0.1;
+  write_truth(folder / "truth.tum", other);
+  const ProgramRun again =
+      run_program({"study", "ablation", session, "-o", (folder / "study").string(), "--truth", truth,
+                   "--methods", "baseline", "--skip-recent", "2", "--max-registrations", "3"});
+  REQUIRE(again.status == 0);
+  CHECK_THAT(again.err, !Contains("finished already"));
+
+  const auto fails = [](const std::vector<std::string>& arguments, int status, const std::string& why) {
+    const ProgramRun run = run_program(arguments);
+    CAPTURE(arguments);
+    CHECK(run.status == status);
+    CHECK_THAT(run.err, Contains(why));
+  };
+  fails({"info", session, "--truth", "b=" + truth}, 2, "no robot is called \"b\", the robots are 0");
+  fails({"report", (folder / "judged").string(), "-o", (folder / "r.html").string(), "--truth", truth}, 2,
+        "--truth needs the --mission");
+}
+
+TEST_CASE("truth: a real session's poses are not taken for it", "[apps][truth][data]") {
+  for (const char* name : {"hku1", "scpgo_a"}) {
+    const auto path = testing::test_data(name);
+    if (!path) continue;
+    const Json info = json_of({"info", path->string(), "--no-scans"});
+    CHECK(info["ground_truth"] == 0);
+    CHECK(info["reference"] == info["nodes"]);
+    CHECK(info["drift"].empty());
+  }
+}
+
+}  // namespace loopwise
