@@ -25,6 +25,9 @@ namespace {
 namespace fs = std::filesystem;
 using namespace points;
 
+constexpr std::string_view kOriginComment = "loopwise origin ";
+constexpr double kFarthestOrigin_m = 1e9;
+
 std::uint64_t count_value(std::string_view word, const text::Place& place) {
   std::uint64_t value = 0;
   if (const char* why = text::parse_id(word, value))
@@ -34,7 +37,7 @@ std::uint64_t count_value(std::string_view word, const text::Place& place) {
 
 /// One line of ascii values; "nan" and "inf" are values here, and their points are dropped later.
 void read_ascii_point(const std::vector<Channel>& channel_of_word, std::string_view line,
-                      const text::Place& place, float* channels) {
+                      const text::Place& place, double* channels) {
   std::size_t words = 0;
   for (std::string_view word = text::next_word(line); !word.empty(); word = text::next_word(line), ++words) {
     double value = 0.0;
@@ -42,7 +45,7 @@ void read_ascii_point(const std::vector<Channel>& channel_of_word, std::string_v
     if (parsed == text::Number::kNotANumber) place.fail(text::quoted(word) + " is no number");
     if (parsed == text::Number::kNotFinite) value = std::numeric_limits<double>::quiet_NaN();
     if (words < channel_of_word.size() && channel_of_word[words] != kChannels) {
-      channels[channel_of_word[words]] = static_cast<float>(value);
+      channels[channel_of_word[words]] = value;
     }
   }
   if (words != channel_of_word.size()) {
@@ -71,6 +74,18 @@ std::string truncated(const std::string& file, std::uint64_t points, std::size_t
          std::to_string(found) + ": the file is cut short or its header is wrong";
 }
 
+/// What a comment says of the points' origin, if it does: our own writers put it there.
+void take_origin(std::string_view comment, const text::Place& place, std::optional<Eigen::Vector3d>& origin) {
+  while (!comment.empty() && (comment.front() == '#' || comment.front() == ' ')) comment.remove_prefix(1);
+  if (comment.substr(0, kOriginComment.size()) != kOriginComment) return;
+  comment.remove_prefix(kOriginComment.size());
+  double values[3] = {};
+  if (text::read_numbers(comment, values, 3, place) != 3) place.fail("the origin needs 3 values");
+  const Eigen::Vector3d stated(values[0], values[1], values[2]);
+  if (stated.cwiseAbs().maxCoeff() > kFarthestOrigin_m) place.fail("the origin is out of range");
+  origin = stated;
+}
+
 // ---- PCD ----
 
 struct PcdHeader {
@@ -80,6 +95,7 @@ struct PcdHeader {
   std::size_t data_begin = 0;  // byte
   std::size_t data_line = 0;   // number of the DATA line
   bool moved_viewpoint = false;
+  std::optional<Eigen::Vector3d> origin;
 };
 
 Scalar pcd_scalar(std::string_view type, std::uint64_t size, const text::Place& place) {
@@ -105,6 +121,7 @@ PcdHeader read_pcd_header(const std::string& file, std::string_view contents) {
   std::size_t types_line = 0;
   for (std::string_view line; lines.next(line);) {
     const text::Place place{file, lines.number()};
+    if (!line.empty() && line.front() == '#') take_origin(line, place, header.origin);
     const std::string_view keyword = text::next_word(line);
     if (keyword.empty()) continue;
     std::vector<std::string_view> words;
@@ -203,7 +220,7 @@ CloudFile read_pcd(const std::string& file, const std::string& contents) {
   if (header.encoding == PcdEncoding::kAscii) {
     const std::vector<Channel> channel_of_word =
         count > 0 ? channels_by_word(layout) : std::vector<Channel>();
-    float channels[kChannels] = {};
+    double channels[kChannels] = {};
     std::size_t found = 0;
     builder.reserve(count);
     text::Lines lines(data);
@@ -241,7 +258,7 @@ CloudFile read_pcd(const std::string& file, const std::string& contents) {
       throw InputError(file + ": compressed data are damaged");
     read_binary(layout, fields, count, false, big_endian_host(), builder);
   }
-  return builder.finish();
+  return builder.finish(header.origin);
 }
 
 // ---- PLY ----
@@ -273,6 +290,7 @@ struct PlyHeader {
   std::vector<PlyElement> elements;
   std::size_t data_begin = 0;
   std::size_t data_line = 0;
+  std::optional<Eigen::Vector3d> origin;
 };
 
 PlyHeader read_ply_header(const std::string& file, std::string_view contents) {
@@ -284,6 +302,7 @@ PlyHeader read_ply_header(const std::string& file, std::string_view contents) {
   while (lines.next(line)) {
     const text::Place place{file, lines.number()};
     const std::string_view keyword = text::next_word(line);
+    if (keyword == "comment") take_origin(line, place, header.origin);
     if (keyword.empty() || keyword == "comment" || keyword == "obj_info") continue;
     if (keyword == "format") {
       const std::string_view word = text::next_word(line);
@@ -345,7 +364,7 @@ CloudFile read_ply(const std::string& file, const std::string& contents) {
   CloudBuilder builder(file, layout.has_normals(), layout.has_intensity());
   if (ascii) {
     const std::vector<Channel> channel_of_word = channels_by_word(layout);
-    float channels[kChannels] = {};
+    double channels[kChannels] = {};
     std::size_t found = 0;
     builder.reserve(count);
     text::Lines lines(data);
@@ -373,25 +392,7 @@ CloudFile read_ply(const std::string& file, const std::string& contents) {
     const bool big = header.format == PlyHeader::Format::kBigEndian;
     read_binary(layout, data, count, true, big != big_endian_host(), builder);
   }
-  return builder.finish();
-}
-
-// ---- KITTI ----
-
-CloudFile read_kitti_bin(const std::string& file, const std::string& contents) {
-  Layout layout;
-  for (const char* name : {"x", "y", "z", "intensity"})
-    layout.fields.push_back({name, Scalar::kFloat32, 1, 0});
-  layout.pack(file);
-  CloudBuilder builder(file, false, true);
-  if (contents.empty()) builder.add_problem("empty file", file);
-  if (contents.size() % layout.point_size != 0) {
-    throw InputError(
-        file + ": " + std::to_string(contents.size()) +
-        " bytes are no whole number of points of 16 bytes (x y z intensity): the file is cut short");
-  }
-  read_binary(layout, contents, contents.size() / layout.point_size, true, big_endian_host(), builder);
-  return builder.finish();
+  return builder.finish(header.origin);
 }
 
 // ---- Writers ----
@@ -456,7 +457,7 @@ bool is_cloud_file(const fs::path& path) {
   return extension == ".pcd" || extension == ".ply" || extension == ".bin";
 }
 
-CloudFile points::parse_cloud(const std::string& name, const std::string& contents) {
+CloudFile points::parse_cloud(const std::string& name, const std::string& contents, BinLayout bin_layout) {
   const fs::path extension = fs::path(name).extension();
   if (extension == ".pcd") {
     refuse_foreign(contents, name, {FileKind::kPcd, FileKind::kEmpty}, "a PCD cloud, as its name says");
@@ -468,18 +469,33 @@ CloudFile points::parse_cloud(const std::string& name, const std::string& conten
   }
   if (extension == ".bin") {
     refuse_foreign_numbers(contents, name, "numbers of points alone, as its name says");
-    return read_kitti_bin(name, contents);
+    return read_bin(name, contents, bin_layout);
   }
   throw InputError(name + ": not a kind of cloud that can be read, expected .pcd, .ply or .bin");
 }
 
-CloudFile read_cloud(const fs::path& path) {
+CloudFile read_cloud(const fs::path& path, BinLayout bin_layout) {
   if (!is_cloud_file(path)) {
     refuse_foreign_file(path, {FileKind::kPcd, FileKind::kPly, FileKind::kEmpty},
                         "a cloud in a file .pcd, .ply or .bin");
   }
-  return parse_cloud(path.string(), is_cloud_file(path) ? read_file(path) : std::string());
+  return parse_cloud(path.string(), is_cloud_file(path) ? read_file(path) : std::string(), bin_layout);
 }
+
+namespace {
+
+/// Empty for points that are where they are.
+std::string origin_comment(const char* start, const PointCloud& cloud) {
+  if (cloud.origin.isZero(0.0)) return {};
+  std::string out = start + std::string(kOriginComment);
+  for (Eigen::Index axis = 0; axis < 3; ++axis) {
+    text::append(out, cloud.origin[axis]);
+    out += axis < 2 ? ' ' : '\n';
+  }
+  return out;
+}
+
+}  // namespace
 
 std::string points::pcd_text(const PointCloud& cloud, PcdEncoding encoding) {
   const std::vector<Column> columns = columns_of(cloud);
@@ -487,7 +503,8 @@ std::string points::pcd_text(const PointCloud& cloud, PcdEncoding encoding) {
   const std::string points = std::to_string(count);
   // Sizes of compressed data are 32-bit numbers.
   if (count * columns.size() > std::numeric_limits<std::uint32_t>::max() / 8) encoding = PcdEncoding::kBinary;
-  std::string out = "# .PCD v0.7 - Point Cloud Data file format\nVERSION 0.7\nFIELDS";
+  std::string out =
+      "# .PCD v0.7 - Point Cloud Data file format\n" + origin_comment("# ", cloud) + "VERSION 0.7\nFIELDS";
   for (const Column& column : columns) out += std::string(" ") + column.pcd_name;
   out += "\nSIZE" + repeated("4", columns.size()) + "\nTYPE" + repeated("F", columns.size()) + "\nCOUNT" +
          repeated("1", columns.size()) + "\nWIDTH " + points +
@@ -519,8 +536,8 @@ void write_pcd(const fs::path& path, const PointCloud& cloud, PcdEncoding encodi
 
 void write_ply(const fs::path& path, const PointCloud& cloud) {
   const std::vector<Column> columns = columns_of(cloud);
-  std::string out =
-      "ply\nformat binary_little_endian 1.0\nelement vertex " + std::to_string(cloud.size()) + "\n";
+  std::string out = "ply\nformat binary_little_endian 1.0\n" + origin_comment("comment ", cloud) +
+                    "element vertex " + std::to_string(cloud.size()) + "\n";
   for (const Column& column : columns) out += std::string("property float ") + column.ply_name + "\n";
   out += "end_header\n";
   append_points(out, columns, cloud.size());

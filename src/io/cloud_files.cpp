@@ -152,9 +152,9 @@ void set_scans(Mission& mission, const FileSource& files, const std::map<Key, st
   for (const auto& [key, file] : clouds) keys.push_back(key);
   parts::set_scans(
       mission, keys,
-      [files, clouds](Key key) {
+      [files, clouds, layout = options.bin_layout](Key key) {
         const std::size_t number = clouds.at(key);
-        return points::parse_cloud(files.path(number), files.read(number));
+        return points::parse_cloud(files.path(number), files.read(number), layout);
       },
       [&](Key key) { return files.path(clouds.at(key)); }, options);
 }

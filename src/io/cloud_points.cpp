@@ -2,15 +2,22 @@
 #include "cloud_points.hpp"
 
 #include <algorithm>
+#include <sstream>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/robust_centre.hpp>
 
 namespace loopwise::points {
 namespace {
 
-/// Beyond this a float no longer tells points one metre apart.
-constexpr float kMaxCoordinate = 1e7f;
+/// No coordinates on earth are larger but those of maps of the whole of it.
+constexpr double kMaxCoordinate_m = 1e7;
 constexpr float kNormalTolerance = 0.01f;
+/// From here on neighbouring floats are 2 mm apart or more.
+constexpr double kCoarse_m = 16384.0;
+/// No lidar has the middle of its points this far away: such points are in other coordinates than the
+/// sensor's.
+constexpr double kFarFromSensor_m = 300.0;
 
 template <class T>
 double load_as(const char* bytes, bool swap) {
@@ -91,45 +98,79 @@ std::optional<Channel> channel_of(std::string_view name) {
 }
 
 void CloudBuilder::reserve(std::size_t count) {
-  cloud_.points.reserve(count);
+  points_.reserve(count);
   if (has_normals_) cloud_.normals.reserve(count);
   if (has_intensity_) cloud_.intensities.reserve(count);
 }
 
-void CloudBuilder::add(const float* channels) {
-  const Eigen::Vector3f point(channels[kX], channels[kY], channels[kZ]);
+void CloudBuilder::add(const double* channels) {
+  const Eigen::Vector3d point(channels[kX], channels[kY], channels[kZ]);
   const std::size_t number = count_++;
   if (!point.allFinite()) {
     count_problem("point not finite", number);
     return;
   }
-  if (point.cwiseAbs().maxCoeff() > kMaxCoordinate) {
+  if (point.cwiseAbs().maxCoeff() > kMaxCoordinate_m) {
     count_problem("point out of range", number);
     return;
   }
-  cloud_.points.push_back(point);
+  points_.push_back(point);
+  count_coarse(point, number);
   if (has_normals_) {
-    Eigen::Vector3f normal(channels[kNormalX], channels[kNormalY], channels[kNormalZ]);
+    Eigen::Vector3f normal(static_cast<float>(channels[kNormalX]), static_cast<float>(channels[kNormalY]),
+                           static_cast<float>(channels[kNormalZ]));
     const float length = normal.norm();
     if (std::abs(length - 1.0f) <= kNormalTolerance) {
-      normal /= point.dot(normal) > 0.0f ? -length : length;
+      normal /= length;
     } else {
       count_problem("unusable normals", number);
     }
     cloud_.normals.push_back(normal);
   }
   if (has_intensity_) {
-    const bool finite = std::isfinite(channels[kIntensity]);
+    const auto intensity = static_cast<float>(channels[kIntensity]);
+    const bool finite = std::isfinite(intensity);
     if (!finite) count_problem("intensity not finite", number);
-    cloud_.intensities.push_back(finite ? channels[kIntensity] : 0.0f);
+    cloud_.intensities.push_back(finite ? intensity : 0.0f);
   }
 }
 
-CloudFile CloudBuilder::finish() {
+/// A coordinate that a float holds exactly, where floats are coarse, went through a float.
+void CloudBuilder::count_coarse(const Eigen::Vector3d& point, std::size_t number) {
+  const double largest = point.cwiseAbs().maxCoeff();
+  if (largest < kCoarse_m || point.cast<float>().cast<double>() != point) return;
+  if (coarse_.count++ == 0) {
+    coarse_.first = number;
+    coarse_step_m_ = std::ldexp(1.0, std::ilogb(largest) - 23);  // 24 bits
+  }
+}
+
+/// Towards the sensor, which stands where the coordinates are zero.
+void CloudBuilder::turn_normals() {
+  for (std::size_t i = 0; i < cloud_.normals.size(); ++i) {
+    Eigen::Vector3f& normal = cloud_.normals[i];
+    if (cloud_.points[i].dot(normal) > 0.0f) normal = -normal;
+  }
+}
+
+CloudFile CloudBuilder::finish(const std::optional<Eigen::Vector3d>& stated_origin) {
   for (const auto& [kind, met] : counted_) {
     problems_.add(kind, name_ + ": point " + std::to_string(met.first), met.count);
     if (std::string_view(kind) == "unusable normals") cloud_.normals.clear();
   }
+  // A few far points among near ones are strays, which the stages leave out.
+  if (2 * coarse_.count > points_.size()) {
+    std::ostringstream example;
+    example << name_ << ": point " << coarse_.first << ", in steps of " << coarse_step_m_ << " m";
+    problems_.add("point rounded to a float far from zero", example.str(), coarse_.count);
+  }
+  const Eigen::Vector3d centre = robust_centre(points_);
+  Eigen::Vector3d shift = Eigen::Vector3d::Zero();
+  if (centre.norm() > kFarFromSensor_m) shift = centre.array().round();
+  cloud_.points.reserve(points_.size());
+  for (const Eigen::Vector3d& point : points_) cloud_.points.push_back((point - shift).cast<float>());
+  cloud_.origin = stated_origin.value_or(Eigen::Vector3d::Zero()) + shift;
+  turn_normals();
   cloud_.normals.shrink_to_fit();
   return {std::move(cloud_), std::move(problems_)};
 }
@@ -180,12 +221,12 @@ void read_binary(const Layout& layout, std::string_view data, std::size_t count,
                  CloudBuilder& builder) {
   const auto used = layout.used();
   builder.reserve(count);
-  float channels[kChannels] = {};
+  double channels[kChannels] = {};
   for (std::size_t i = 0; i < count; ++i) {
     for (const auto& [channel, field] : used) {
       const std::size_t at = interleaved ? i * layout.point_size + field->offset
                                          : count * field->offset + i * size_of(field->scalar) * field->count;
-      channels[channel] = static_cast<float>(load(field->scalar, data.data() + at, swap));
+      channels[channel] = load(field->scalar, data.data() + at, swap);
     }
     builder.add(channels);
   }

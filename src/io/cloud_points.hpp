@@ -28,7 +28,8 @@ enum class Scalar { kInt8, kInt16, kInt32, kInt64, kUint8, kUint16, kUint32, kUi
 enum Channel { kX, kY, kZ, kNormalX, kNormalY, kNormalZ, kIntensity, kChannels };
 [[nodiscard]] std::optional<Channel> channel_of(std::string_view name);
 
-/// Takes points one by one, leaves out what cannot be used, and counts it.
+/// Takes points one by one, leaves out what cannot be used, and counts it. Points whose middle lies far from
+/// zero are held relative to an origin of their own.
 class CloudBuilder {
  public:
   /// `name`: of the file or message, for problems.
@@ -37,9 +38,10 @@ class CloudBuilder {
 
   void reserve(std::size_t count);
   /// A value for each channel that the cloud has.
-  void add(const float* channels);
+  void add(const double* channels);
   void add_problem(const std::string& kind, const std::string& example) { problems_.add(kind, example); }
-  [[nodiscard]] CloudFile finish();
+  /// `stated_origin`: what the file says its coordinates are relative to.
+  [[nodiscard]] CloudFile finish(const std::optional<Eigen::Vector3d>& stated_origin = std::nullopt);
 
  private:
   struct Met {
@@ -47,14 +49,19 @@ class CloudBuilder {
     std::size_t count;
   };
   void count_problem(const char* kind, std::size_t number);
+  void count_coarse(const Eigen::Vector3d& point, std::size_t number);
+  void turn_normals();
 
   std::string name_;
   bool has_normals_;
   bool has_intensity_;
   std::size_t count_ = 0;
+  std::vector<Eigen::Vector3d> points_;  // as they stand in the file
   PointCloud cloud_;
   Problems problems_;
   std::vector<std::pair<const char*, Met>> counted_;
+  Met coarse_{0, 0};
+  double coarse_step_m_ = 0.0;  // of the first
 };
 
 /// A number that a point holds, and where.
@@ -92,7 +99,11 @@ void read_binary(const Layout& layout, std::string_view data, std::size_t count,
                  CloudBuilder& builder);
 
 /// As read_cloud(), of a file that is in memory. Its name's extension says what it is.
-[[nodiscard]] CloudFile parse_cloud(const std::string& name, const std::string& contents);
+[[nodiscard]] CloudFile parse_cloud(const std::string& name, const std::string& contents,
+                                    BinLayout bin_layout = BinLayout::kAuto);
+
+/// Points without a header. \throws InputError if they do not fit the layout, or with kAuto look unlike xyzi
+[[nodiscard]] CloudFile read_bin(const std::string& name, std::string_view contents, BinLayout bin_layout);
 
 /// What write_pcd() writes.
 [[nodiscard]] std::string pcd_text(const PointCloud& cloud, PcdEncoding encoding);

@@ -181,7 +181,7 @@ void set_scans(Mission& mission, std::map<Key, fs::path> files, const MissionOpt
   keys.reserve(files.size());
   for (const auto& [key, file] : files) keys.push_back(key);
   count_scans(mission, keys, [&](Key key) { return files.at(key).string(); });
-  mission.scans = std::make_shared<ScanStore>(std::move(files), scan_bytes(options));
+  mission.scans = std::make_shared<ScanStore>(std::move(files), scan_bytes(options), options.bin_layout);
 }
 
 namespace {

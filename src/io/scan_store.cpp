@@ -3,16 +3,32 @@
 
 #include <algorithm>
 #include <condition_variable>
+#include <iomanip>
 #include <list>
 #include <mutex>
 #include <new>
 #include <optional>
+#include <sstream>
 #include <utility>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/cloud.hpp>
 
 namespace loopwise {
+namespace {
+
+std::string far_from_sensor(Key key, const std::filesystem::path& file, const Eigen::Vector3d& middle) {
+  std::ostringstream out;
+  out << (file.empty() ? "" : file.string() + ": ") << "scan " << key_name(key)
+      << ": the middle of its points lies at " << std::fixed << std::setprecision(0) << middle.x() << " "
+      << middle.y() << " " << middle.z()
+      << " m: scans must be in the frame of their node, not in world coordinates; move each by the inverse "
+         "of "
+         "its node's pose";
+  return out.str();
+}
+
+}  // namespace
 
 struct ScanStore::State {
   enum class Stage { kNotRead, kBeingRead, kKept, kFailed };
@@ -41,6 +57,7 @@ struct ScanStore::State {
   };
 
   std::size_t max_bytes = 0;
+  BinLayout bin_layout = BinLayout::kAuto;
   ScanLoader source;
   CloudSource clouds;
   mutable std::mutex mutex;
@@ -79,7 +96,10 @@ struct ScanStore::State {
         cloud = source(key);
         if (!cloud) failure = "scan " + key_name(key) + " is missing";
       } else {
-        loaded = clouds ? clouds(key) : read_cloud(entry.file);
+        loaded = clouds ? clouds(key) : read_cloud(entry.file, bin_layout);
+        if (!loaded.cloud.origin.isZero(0.0)) {
+          throw InputError(far_from_sensor(key, entry.file, loaded.cloud.origin));
+        }
         cloud = std::make_shared<const PointCloud>(std::move(loaded.cloud));
       }
       place.push_front(key);
@@ -127,9 +147,10 @@ struct ScanStore::State {
   }
 };
 
-ScanStore::ScanStore(std::map<Key, std::filesystem::path> files, std::size_t max_bytes)
+ScanStore::ScanStore(std::map<Key, std::filesystem::path> files, std::size_t max_bytes, BinLayout bin_layout)
     : state_(std::make_shared<State>()) {
   state_->max_bytes = max_bytes;
+  state_->bin_layout = bin_layout;
   for (auto& entry : files) state_->entries[entry.first].file = std::move(entry.second);
 }
 

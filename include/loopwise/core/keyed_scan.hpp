@@ -15,9 +15,12 @@ namespace loopwise {
 
 /// Points of a lidar scan in the body frame of its node, metres. All finite.
 struct PointCloud {
-  std::vector<Eigen::Vector3f> points;   ///< Coordinates, m.
+  std::vector<Eigen::Vector3f> points;   ///< Coordinates relative to `origin`, m.
   std::vector<Eigen::Vector3f> normals;  ///< Unit length, towards the sensor. Empty, or one per point.
   std::vector<float> intensities;        ///< Empty, or one per point.
+  /// Where coordinates of zero lie in the frame of the cloud, m; axes are parallel. Zero for the scans of
+  /// nodes. Clouds in world coordinates have one near their points: a float resolves 0.5 m at 5000 km.
+  Eigen::Vector3d origin = Eigen::Vector3d::Zero();
 
   /// Number of points.
   [[nodiscard]] std::size_t size() const { return points.size(); }

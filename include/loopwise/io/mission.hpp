@@ -98,6 +98,7 @@ struct MissionOptions {
   /// of one robot, see classify_edges().
   std::string odometry;
   double scan_cache_mb = 512.0;
+  BinLayout bin_layout = BinLayout::kAuto;
   /// Sigmas of odometry that has no information of its own, as that made from a session's poses: per metre of
   /// the step, but never below the minimum.
   double odometry_sigma_m_per_m = 0.02;
@@ -128,6 +129,10 @@ struct MissionOptions {
         "odometry", self.odometry, any_value(),
         "Which edges are odometry: a file with two keys a line; empty: those between neighbours of a robot.");
     field("scan_cache_mb", self.scan_cache_mb, at_least(0.0), "Memory for scans kept after use, MB.");
+    field("bin_layout", self.bin_layout, any_value(),
+          "What a point is made of in .bin files, which have no header: auto (xyzi if it looks like it), "
+          "xyz, xyzi "
+          "(KITTI), xyzir (nuScenes), xyzirt, xyz_double, xyzi_double, or a record of HeLiPR.");
     field("odometry_sigma_m_per_m", self.odometry_sigma_m_per_m, at_least(0.0),
           "Sessions, edges without information: translation sigma of an odometry edge per metre of its "
           "length.");

@@ -27,7 +27,8 @@ class LOOPWISE_EXPORT ScanStore {
   ScanStore() : ScanStore(std::map<Key, std::filesystem::path>{}) {}
 
   /// Scans in files that read_cloud() understands. Nothing is read before it is asked for.
-  explicit ScanStore(std::map<Key, std::filesystem::path> files, std::size_t max_bytes = kDefaultMaxBytes);
+  explicit ScanStore(std::map<Key, std::filesystem::path> files, std::size_t max_bytes = kDefaultMaxBytes,
+                     BinLayout bin_layout = BinLayout::kAuto);
 
   /// Scans from elsewhere: `source` is asked for one of `keys` when it is needed and not in memory.
   ScanStore(const std::vector<Key>& keys, ScanLoader source, std::size_t max_bytes = kDefaultMaxBytes);
@@ -56,7 +57,8 @@ class LOOPWISE_EXPORT ScanStore {
   [[nodiscard]] bool empty() const { return size() == 0; }
 
   /// The scan of the node, or null if it has none. A scan larger than the bound is handed out but not kept.
-  /// \throws InputError if it cannot be read, the same each time: a broken file is looked at once.
+  /// \throws InputError if it cannot be read or does not lie about its sensor (PointCloud::origin), the same
+  /// each time: a broken file is looked at once.
   [[nodiscard]] std::shared_ptr<const PointCloud> load(Key key) const;
 
   /// Flaws and failures of the scans read so far, in the order of their keys, however many threads read them.

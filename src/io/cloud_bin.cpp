@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+#include <loopwise/core/error.hpp>
+
+#include "cloud_points.hpp"
+
+namespace loopwise::points {
+namespace {
+
+/// Fewer points may be anything.
+constexpr std::size_t kFewestJudged = 20;
+constexpr std::size_t kMostJudged = 2000;
+constexpr double kMostUnlike = 0.05;  // share of the points
+
+Layout layout_of(BinLayout name, const std::string& file) {
+  Layout layout;
+  const auto put = [&layout](std::initializer_list<const char*> names, Scalar scalar) {
+    for (const char* field : names) layout.fields.push_back({field, scalar, 1, 0});
+  };
+  switch (name) {
+    case BinLayout::kXyz:
+      put({"x", "y", "z"}, Scalar::kFloat32);
+      break;
+    case BinLayout::kAuto:
+    case BinLayout::kXyzi:
+      put({"x", "y", "z", "intensity"}, Scalar::kFloat32);
+      break;
+    case BinLayout::kXyzir:
+      put({"x", "y", "z", "intensity", "ring"}, Scalar::kFloat32);
+      break;
+    case BinLayout::kXyzirt:
+      put({"x", "y", "z", "intensity", "ring", "time"}, Scalar::kFloat32);
+      break;
+    case BinLayout::kXyzDouble:
+      put({"x", "y", "z"}, Scalar::kFloat64);
+      break;
+    case BinLayout::kXyziDouble:
+      put({"x", "y", "z", "intensity"}, Scalar::kFloat64);
+      break;
+    case BinLayout::kHeliprOuster:
+      put({"x", "y", "z", "intensity"}, Scalar::kFloat32);
+      put({"t"}, Scalar::kUint32);
+      put({"reflectivity", "ring", "ambient"}, Scalar::kUint16);
+      break;
+    case BinLayout::kHeliprVelodyne:
+      put({"x", "y", "z", "intensity"}, Scalar::kFloat32);
+      put({"ring"}, Scalar::kUint16);
+      put({"time"}, Scalar::kFloat32);
+      break;
+    case BinLayout::kHeliprAvia:
+      put({"x", "y", "z"}, Scalar::kFloat32);
+      put({"intensity", "tag", "line"}, Scalar::kUint8);
+      put({"t"}, Scalar::kUint32);
+      break;
+    case BinLayout::kHeliprAeva:
+    case BinLayout::kHeliprAevaIntensity:
+      put({"x", "y", "z", "reflectivity", "velocity"}, Scalar::kFloat32);
+      put({"t"}, Scalar::kInt32);
+      put({"line"}, Scalar::kUint8);
+      if (name == BinLayout::kHeliprAevaIntensity) put({"intensity"}, Scalar::kFloat32);
+      break;
+  }
+  layout.pack(file);
+  return layout;
+}
+
+/// Whether a field may have the value. Bits of something else make numbers far too large or far too small.
+bool likely(const std::string& field, double value) {
+  constexpr double kTiny = 1e-9, kFarthest_m = 1e7, kBrightest = 1e6, kRings = 1024.0;
+  if (std::isnan(value)) return true;  // no echo
+  if (value != 0.0 && std::abs(value) < kTiny) return false;
+  if (field == "x" || field == "y" || field == "z") return std::abs(value) <= kFarthest_m;
+  if (field == "intensity" || field == "reflectivity") return value >= 0.0 && value <= kBrightest;
+  if (field == "ring" || field == "line") return value >= 0.0 && value < kRings && value == std::floor(value);
+  if (field == "velocity") return std::abs(value) < kRings;
+  return std::isfinite(value);
+}
+
+struct Look {
+  double unlike = 0.0;  ///< Share of the points with a value that a field cannot have.
+  double step_m = 0.0;  ///< Median distance of successive points: the sweep of a beam is smooth.
+};
+
+Look look_at(const Layout& layout, std::string_view contents) {
+  const std::size_t count = contents.size() / layout.point_size;
+  const std::size_t judged = std::min(count, kMostJudged);
+  const auto value = [&](std::size_t point, const Field& field) {
+    return load(field.scalar, contents.data() + point * layout.point_size + field.offset, big_endian_host());
+  };
+  const auto position = [&](std::size_t point) {
+    return Eigen::Vector3d(value(point, layout.fields[0]), value(point, layout.fields[1]),
+                           value(point, layout.fields[2]));
+  };
+  std::size_t unlike = 0;
+  std::vector<double> steps;
+  for (std::size_t k = 0; k < judged; ++k) {
+    const std::size_t point = k * count / judged;
+    unlike += std::all_of(layout.fields.begin(), layout.fields.end(),
+                          [&](const Field& field) { return likely(field.name, value(point, field)); })
+                  ? 0
+                  : 1;
+    if (point + 1 == count) continue;
+    const double step = (position(point + 1) - position(point)).norm();
+    if (std::isfinite(step)) steps.push_back(step);
+  }
+  Look look;
+  look.unlike = judged == 0 ? 0.0 : static_cast<double>(unlike) / static_cast<double>(judged);
+  look.step_m = std::numeric_limits<double>::infinity();
+  if (!steps.empty()) {
+    const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
+    std::nth_element(steps.begin(), middle, steps.end());
+    look.step_m = *middle;
+  }
+  return look;
+}
+
+/// The layout that the bytes fit best, with the smoothest sweep; kAuto if they fit no layout.
+BinLayout best_fit(const std::string& file, std::string_view contents) {
+  BinLayout best = BinLayout::kAuto;
+  double least_m = std::numeric_limits<double>::infinity();
+  for (const auto& [name, word] : enum_names(BinLayout::kAuto)) {
+    if (name == BinLayout::kAuto) continue;
+    const Layout layout = layout_of(name, file);
+    if (contents.size() % layout.point_size != 0) continue;
+    const Look look = look_at(layout, contents);
+    if (look.unlike > kMostUnlike || !(look.step_m < least_m)) continue;
+    best = name;
+    least_m = look.step_m;
+  }
+  return best;
+}
+
+/// What to do about a file that does not fit xyzi.
+std::string advice(const std::string& file, std::string_view contents) {
+  const BinLayout best = best_fit(file, contents);
+  if (best == BinLayout::kAuto) {
+    return "the file is cut short, or its points have another layout: --bin-layout or mission.bin_layout "
+           "says "
+           "which";
+  }
+  return "it looks like " + enum_name(best) + " (" + std::to_string(layout_of(best, file).point_size) +
+         " bytes a point): read it with --bin-layout " + enum_name(best) + " or mission.bin_layout";
+}
+
+std::string percent(double share) {
+  return std::to_string(std::lround(100.0 * share)) + " %";
+}
+
+}  // namespace
+
+CloudFile read_bin(const std::string& name, std::string_view contents, BinLayout bin_layout) {
+  const Layout layout = layout_of(bin_layout, name);
+  const bool guessed = bin_layout == BinLayout::kAuto;
+  const std::string word = enum_name(guessed ? BinLayout::kXyzi : bin_layout);
+  CloudBuilder builder(name, layout.has_normals(), layout.has_intensity());
+  if (contents.empty()) builder.add_problem("empty file", name);
+  if (contents.size() % layout.point_size != 0) {
+    throw InputError(
+        name + ": " + std::to_string(contents.size()) + " bytes are no whole number of points of " +
+        std::to_string(layout.point_size) + " bytes (" + word +
+        "): " + (guessed ? advice(name, contents) : "the file is cut short or has another layout"));
+  }
+  const std::size_t count = contents.size() / layout.point_size;
+  const double unlike = count < kFewestJudged ? 0.0 : look_at(layout, contents).unlike;
+  if (unlike > kMostUnlike) {
+    const std::string why =
+        percent(unlike) + " of the points have values that x, y, z and intensity do not have";
+    if (guessed) throw InputError(name + ": " + why + " (" + word + "): " + advice(name, contents));
+    builder.add_problem("points unlike the layout", name + ": " + why + " (" + word + ")");
+  }
+  read_binary(layout, contents, count, true, big_endian_host(), builder);
+  return builder.finish();
+}
+
+}  // namespace loopwise::points
