@@ -2,6 +2,7 @@
 #include <loopwise/features/feature_cache.hpp>
 
 #include <cmath>
+#include <sstream>
 #include <utility>
 
 #include <loopwise/core/error.hpp>
@@ -25,7 +26,9 @@ void normalize(std::vector<Eigen::Vector3f>& normals) {
 ScanFeatures compute_features(const PointCloud& cloud, const FeatureOptions& options) {
   ScanFeatures out;
   out.raw_points = cloud.size();
-  out.cloud = adaptive_downsample(cloud, options.voxel_m, static_cast<std::size_t>(options.min_points));
+  const PointCloud near = within_range(cloud, options.max_range_m);
+  out.far_points = cloud.size() - near.size();
+  out.cloud = adaptive_downsample(near, options.voxel_m, static_cast<std::size_t>(options.min_points));
   out.tree = KdTree(out.cloud.points);
   if (options.use_file_normals && out.cloud.has_normals()) {
     normalize(out.cloud.normals);
@@ -34,6 +37,13 @@ ScanFeatures compute_features(const PointCloud& cloud, const FeatureOptions& opt
   }
   out.observability = observability(out.cloud);
   return out;
+}
+
+void count_far_points(Problems& problems, const std::string& scan, std::size_t count, double max_range_m) {
+  if (count == 0) return;
+  std::ostringstream example;
+  example << scan << ": further than features.max_range_m, " << max_range_m << " m";
+  problems.add("point too far from the sensor left out", example.str(), count);
 }
 
 FeatureCache::FeatureCache(ScanLoader scans, const FeatureOptions& options)
@@ -47,8 +57,23 @@ FeatureCache::FeatureCache(ScanLoader scans, const FeatureOptions& options)
 std::shared_ptr<const ScanFeatures> FeatureCache::get(Key key) {
   return cache_.get(key, [this](Key wanted) -> std::shared_ptr<const ScanFeatures> {
     const std::shared_ptr<const PointCloud> scan = scans_(wanted);
-    return scan ? std::make_shared<const ScanFeatures>(compute_features(*scan, options_)) : nullptr;
+    if (!scan) return nullptr;
+    auto features = std::make_shared<const ScanFeatures>(compute_features(*scan, options_));
+    if (features->far_points > 0) {
+      const std::lock_guard<std::mutex> lock(mutex_);
+      far_points_[wanted] = features->far_points;
+    }
+    return features;
   });
+}
+
+Problems FeatureCache::problems() const {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  Problems problems;
+  for (const auto& [key, count] : far_points_) {
+    count_far_points(problems, "scan " + key_name(key), count, options_.max_range_m);
+  }
+  return problems;
 }
 
 }  // namespace loopwise

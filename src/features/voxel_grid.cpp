@@ -8,6 +8,7 @@
 
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/robust_centre.hpp>
 
 namespace loopwise {
 namespace {
@@ -68,7 +69,30 @@ struct Sum {
   std::uint32_t count = 0;
 };
 
+/// The points that are wanted, with all that belongs to them.
+template <class Wanted>
+PointCloud selected(const PointCloud& cloud, Wanted&& wanted) {
+  PointCloud out;
+  out.origin = cloud.origin;
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    if (!wanted(cloud.points[i])) continue;
+    out.points.push_back(cloud.points[i]);
+    if (cloud.has_normals()) out.normals.push_back(cloud.normals[i]);
+    if (cloud.intensities.size() == cloud.size()) out.intensities.push_back(cloud.intensities[i]);
+  }
+  return out;
+}
+
 }  // namespace
+
+PointCloud within_range(const PointCloud& cloud, double max_range_m) {
+  if (max_range_m == 0.0) return cloud;
+  Eigen::Vector3d sensor = robust_centre(cloud.points);
+  if (sensor.norm() <= max_range_m) sensor.setZero();
+  // Points that are not finite are left to the downsampling.
+  return selected(
+      cloud, [&](const Eigen::Vector3f& p) { return !((p.cast<double>() - sensor).norm() > max_range_m); });
+}
 
 PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m) {
   detail::check_bounds("voxel_m", voxel_m, above(0.0));
@@ -88,6 +112,7 @@ PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m) {
     ++sum.count;
   }
   PointCloud out;
+  out.origin = cloud.origin;
   out.points.reserve(sums.size());
   if (with_normals) out.normals.reserve(sums.size());
   if (with_intensities) out.intensities.reserve(sums.size());
@@ -109,14 +134,7 @@ PointCloud adaptive_downsample(const PointCloud& cloud, double voxel_m, std::siz
     if (std::all_of(cloud.points.begin(), cloud.points.end(), [](const auto& p) { return p.allFinite(); })) {
       return cloud;
     }
-    PointCloud finite;
-    for (std::size_t i = 0; i < cloud.size(); ++i) {
-      if (!cloud.points[i].allFinite()) continue;
-      finite.points.push_back(cloud.points[i]);
-      if (cloud.has_normals()) finite.normals.push_back(cloud.normals[i]);
-      if (cloud.intensities.size() == cloud.size()) finite.intensities.push_back(cloud.intensities[i]);
-    }
-    return finite;
+    return selected(cloud, [](const Eigen::Vector3f& p) { return p.allFinite(); });
   }
   PointCloud out = voxel_downsample(cloud, voxel_m);
   for (int refinement = 0; refinement < 3 && out.size() < min_points; ++refinement) {

@@ -12,6 +12,7 @@
 
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/robust_centre.hpp>
 #include "consensus.hpp"
 #include "fpfh.hpp"
 #include "gicp.hpp"
@@ -34,7 +35,7 @@ struct Side {
   std::vector<std::uint32_t> order;  // points with a normal, see draw_balanced
   RangeImage range_image;            // of the centre's scan
   SurfaceShare share;
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  // mean of the points
+  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  // middle of the points
   [[nodiscard]] std::size_t bytes() const {
     return sizeof(*this) + submap.bytes() + order.capacity() * sizeof(std::uint32_t) + range_image.bytes();
   }
@@ -220,8 +221,7 @@ struct FastRegistrar::Impl {
       out->order = draw_balanced(
           out->submap.cloud(), static_cast<std::size_t>(std::max(options.fine_points, options.score_points)));
       out->range_image = RangeImage(out->submap.parts().front().features->cloud);
-      for (const Eigen::Vector3f& p : out->submap.cloud().points) out->centre += p.cast<double>();
-      out->centre /= static_cast<double>(std::max<std::size_t>(1, out->submap.cloud().size()));
+      out->centre = robust_centre(out->submap.cloud().points);
       out->share = surface_share(out->submap.cloud(), out->submap.tree(), options.tests);
       return out;
     });

@@ -9,6 +9,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 
+#include <loopwise/core/robust_centre.hpp>
 #include <loopwise/core/se3.hpp>
 
 namespace loopwise {
@@ -42,9 +43,7 @@ GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t
                        const std::vector<GicpPass>& passes) {
   GicpResult result;
   result.T_target_source = start;
-  Eigen::Vector3d source_centre = Eigen::Vector3d::Zero();
-  for (const std::uint32_t i : order) source_centre += source.points[i].cast<double>();
-  source_centre /= static_cast<double>(std::max<std::size_t>(1, order.size()));
+  const Eigen::Vector3d source_centre = robust_centre(source.points);
 
   // A point's last match bounds the search for its next one: the steps are small.
   constexpr std::uint32_t kNone = ~std::uint32_t{0};

@@ -15,6 +15,7 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/robust_centre.hpp>
 #include "normal_bins.hpp"
 #include "submap.hpp"
 
@@ -178,12 +179,6 @@ std::pair<PclCloud::Ptr, pcl::shared_ptr<Gicp::Covariances>> surface_elements(co
   return {points, covariances};
 }
 
-Eigen::Vector3d centroid(const PointCloud& cloud) {
-  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
-  for (const Eigen::Vector3f& p : cloud.points) sum += p.cast<double>();
-  return sum / static_cast<double>(std::max<std::size_t>(1, cloud.size()));
-}
-
 struct Refinement {
   Eigen::Isometry3d T_to_from;
   bool converged;
@@ -191,8 +186,9 @@ struct Refinement {
 
 Refinement refine(const PointCloud& source, const PointCloud& target, const Eigen::Isometry3d& start_to_from,
                   const PclRegistrarOptions& options) {
-  // PCL works in float: about the centroids its transform keeps its digits wherever the clouds lie.
-  const Eigen::Vector3d source_centre = centroid(source), target_centre = centroid(target);
+  // PCL works in float: about the middles its transform keeps its digits wherever the clouds lie.
+  const Eigen::Vector3d source_centre = robust_centre(source.points),
+                        target_centre = robust_centre(target.points);
   const auto [source_points, source_covariances] = surface_elements(source, source_centre);
   const auto [target_points, target_covariances] = surface_elements(target, target_centre);
   Gicp gicp;

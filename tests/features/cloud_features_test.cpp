@@ -40,6 +40,43 @@ PointCloud room(Rng& rng, std::size_t count, int faces = 6) {
   return cloud;
 }
 
+TEST_CASE("range: points too far from the sensor are left out and counted", "[features]") {
+  Rng rng(8);
+  PointCloud cloud = room(rng, 3000);
+  const ScanFeatures clean = compute_features(cloud, {});
+  REQUIRE(clean.far_points == 0);
+  for (int i = 0; i < 60; ++i) cloud.points.emplace_back(1e6F, 0.0F, 9e6F);
+  const ScanFeatures features = compute_features(cloud, {});
+  REQUIRE(features.far_points == 60);
+  REQUIRE(features.cloud.points == clean.cloud.points);
+  REQUIRE(features.observability.min_eigenvalue == clean.observability.min_eigenvalue);
+
+  FeatureOptions all;
+  all.max_range_m = 0.0;
+  REQUIRE(compute_features(cloud, all).far_points == 0);
+  FeatureOptions near;
+  near.max_range_m = 7.0;
+  for (const Eigen::Vector3f& p : compute_features(cloud, near).cloud.points) REQUIRE(p.norm() <= 7.0F);
+
+  // In world coordinates the range is that from the middle.
+  for (Eigen::Vector3f& p : cloud.points) p.x() += 5000.0F;
+  REQUIRE(compute_features(cloud, {}).far_points == 60);
+}
+
+TEST_CASE("range: the cache reports each scan once", "[features]") {
+  Rng rng(9);
+  auto stray = std::make_shared<PointCloud>(room(rng, 2000));
+  stray->points.emplace_back(9e6F, 0.0F, 0.0F);
+  const auto clean = std::make_shared<const PointCloud>(room(rng, 2000));
+  FeatureOptions options;
+  options.max_cache_mb = 0.0;
+  FeatureCache cache([&](Key key) { return key == 2 ? clean : stray; }, options);
+  for (const Key key : {3, 2, 1, 3}) static_cast<void>(cache.get(key));
+  const Problems problems = cache.problems();
+  REQUIRE(problems.count("point too far from the sensor left out") == 2);
+  REQUIRE_THAT(problems.all()[0].example, Contains("scan 1: ") && Contains("features.max_range_m"));
+}
+
 TEST_CASE("voxel filter: one mean point a cube, in the order of the first points", "[voxel][differential]") {
   Rng rng(3);
   PointCloud cloud = random_cloud(rng, 3000, 3.0);

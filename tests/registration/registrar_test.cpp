@@ -334,6 +334,27 @@ TEST_CASE("registrar: clouds that lie 100 km from the sensor align as well", "[r
   REQUIRE(e.deg < 0.3);
 }
 
+TEST_CASE("registrar: strays change nothing", "[registrar][error]") {
+  const std::string name = GENERATE(from_range(registrar_names()));
+  const auto strays = GENERATE(as<std::pair<int, float>>(), std::pair(1, 9e6F), std::pair(60, 1e6F));
+  CAPTURE(name, strays.first);
+  const Drive drive(11, 2);
+  testing::Scans scans;
+  Rng rng(4);
+  for (const auto& [key, scan] : drive.scans) {
+    auto with_strays = std::make_shared<PointCloud>(*scan);
+    for (int i = 0; i < strays.first; ++i) {
+      const auto u = [&rng] { return static_cast<float>(rng.uniform(-1.0, 1.0)); };
+      with_strays->points.push_back(strays.second * Eigen::Vector3f(u(), u(), u()).normalized());
+    }
+    scans[key] = with_strays;
+  }
+  const auto clean = make_registrar(name, testing::loader(drive.scans));
+  const auto registrar = make_registrar(name, testing::loader(scans));
+  require_identical(registrar->compute(pair_task(1, 0, 3)), clean->compute(pair_task(1, 0, 3)));
+  REQUIRE(registrar->compute(pair_task(0, 0, 3)).verified());
+}
+
 TEST_CASE("registrar: options are checked", "[registrar][error]") {
   const auto features = std::make_shared<FeatureCache>(testing::loader({}));
   FastRegistrarOptions fast;

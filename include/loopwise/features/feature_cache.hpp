@@ -2,12 +2,16 @@
 #pragma once
 
 #include <cstddef>
+#include <map>
 #include <memory>
+#include <mutex>
+#include <string>
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/options.hpp>
+#include <loopwise/core/problems.hpp>
 #include <loopwise/features/bounded_cache.hpp>
 #include <loopwise/features/kd_tree.hpp>
 #include <loopwise/features/observability.hpp>
@@ -16,6 +20,7 @@ namespace loopwise {
 
 /// How a scan is made ready for all stages.
 struct FeatureOptions {
+  double max_range_m = 300.0;
   double voxel_m = 0.5;
   int min_points = 1000;
   int normal_neighbours = 10;
@@ -24,6 +29,10 @@ struct FeatureOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
+    field("max_range_m", self.max_range_m, at_least(0.0),
+          "Points further from the sensor are left out and counted, m; 0: none is. A cloud in world "
+          "coordinates "
+          "is measured from its middle.");
     field("voxel_m", self.voxel_m, above(0.0), "Edge of the voxel grid that scans are downsampled with, m.");
     field("min_points", self.min_points, at_least(0.0),
           "Scans of at most this many points are not downsampled; the grid is refined where it would leave "
@@ -42,6 +51,7 @@ struct ScanFeatures {
   KdTree tree;                  ///< Over cloud.points.
   Observability observability;  ///< How well the scan constrains a registration.
   std::size_t raw_points = 0;   ///< Of the scan before downsampling.
+  std::size_t far_points = 0;   ///< Of these, left out because of FeatureOptions::max_range_m.
 
   /// Memory that the features hold, for bounded caches.
   [[nodiscard]] std::size_t bytes() const { return sizeof(*this) + cloud.bytes() + tree.bytes(); }
@@ -50,6 +60,14 @@ struct ScanFeatures {
 /// Features of a cloud. Empty or degenerate clouds give empty or degenerate features, never NaN.
 [[nodiscard]] LOOPWISE_EXPORT ScanFeatures compute_features(const PointCloud& cloud,
                                                             const FeatureOptions& options);
+
+/// Counts points that were left out of a scan because of their range.
+/// \param problems is added to
+/// \param scan names it
+/// \param count how many points
+/// \param max_range_m FeatureOptions::max_range_m
+LOOPWISE_EXPORT void count_far_points(Problems& problems, const std::string& scan, std::size_t count,
+                                      double max_range_m);
 
 /// Features of the scans by key, computed on first use and kept within a bound. Thread-safe.
 class LOOPWISE_EXPORT FeatureCache {
@@ -63,6 +81,9 @@ class LOOPWISE_EXPORT FeatureCache {
   /// The scan itself, as the loader hands it out. \throws what the loader throws.
   [[nodiscard]] std::shared_ptr<const PointCloud> scan(Key key) const { return scans_(key); }
 
+  /// Points left out of the scans whose features were computed so far, in the order of the keys.
+  [[nodiscard]] Problems problems() const;
+
   /// As given.
   [[nodiscard]] const FeatureOptions& options() const { return options_; }
   /// How many times features were computed.
@@ -72,6 +93,8 @@ class LOOPWISE_EXPORT FeatureCache {
   ScanLoader scans_;
   FeatureOptions options_;
   BoundedCache<Key, ScanFeatures> cache_;
+  mutable std::mutex mutex_;
+  std::map<Key, std::size_t> far_points_;  // of scans that have some
 };
 
 }  // namespace loopwise

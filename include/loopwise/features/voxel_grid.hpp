@@ -8,6 +8,10 @@
 
 namespace loopwise {
 
+/// The points at most `max_range_m` from the sensor at coordinates of zero; from the middle of the points if
+/// that is further away itself, as in world coordinates. All points if it is 0.
+[[nodiscard]] LOOPWISE_EXPORT PointCloud within_range(const PointCloud& cloud, double max_range_m);
+
 /// One point per occupied cube of edge `voxel_m`: the mean of its points (and intensities; normals are
 /// averaged and normalised again). Cubes come in the order of their first point, so the result depends on the
 /// input alone, and a cloud with no two points in one cube comes back as it is. Points that are not finite
