@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <charconv>
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
@@ -113,6 +114,41 @@ void require_truth(const std::string& path, const Mission& mission) {
       path + ": has no ground truth to compare with" +
       (mission.reference.empty() ? "" : " (its own optimised poses are another program's result)") +
       "; --truth FILE says what is true");
+}
+
+void add_bin_layout_option(CLI::App& command, std::string& layout) {
+  command
+      .add_option("--bin-layout", layout,
+                  "Points of .bin files: auto (default), xyz, xyzi, xyzir, xyzirt, xyz_double, xyzi_double, "
+                  "helipr_ouster, helipr_velodyne, helipr_avia, helipr_aeva or helipr_aeva_intensity")
+      ->type_name("WORD");
+}
+
+void apply_bin_layout(const std::string& layout, Config& config) {
+  if (!layout.empty()) config.mission.bin_layout = parse_enum<BinLayout>("--bin-layout", layout);
+}
+
+CLI::Validator not_negative() {
+  return CLI::Validator(
+      [](std::string& text) -> std::string {
+        std::uint64_t value = 0;
+        const auto parsed = std::from_chars(text.data(), text.data() + text.size(), value);
+        if (!text.empty() && text.front() == '-') return text + " is negative, must be >= 0";
+        if (parsed.ec == std::errc::result_out_of_range) return text + " exceeds 64 bits";
+        return {};
+      },
+      "");
+}
+
+CLI::Validator not_standard_output() {
+  return CLI::Validator(
+      [](std::string& path) -> std::string {
+        if (path != "-") return {};
+        return "\"-\" is standard output, which gets the results: give a name (./- for one of that name; "
+               "--json - "
+               "prints the results as JSON)";
+      },
+      "");
 }
 
 Config load_config(const CommonOptions& options, const Config& defaults) {

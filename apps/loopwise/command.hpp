@@ -62,6 +62,16 @@ void add_truth_option(CLI::App& command, std::vector<std::string>& truth);
 /// \throws InputError saying what to do if the mission has no ground truth
 void require_truth(const std::string& path, const Mission& mission);
 
+/// Adds the option that says what a point is made of in .bin files.
+void add_bin_layout_option(CLI::App& command, std::string& layout);
+/// Puts the word of that option into the configuration, if there is one. \throws OptionError
+void apply_bin_layout(const std::string& layout, Config& config);
+
+/// Check of an option that takes a whole number, which would wrap round below zero or end at the largest.
+[[nodiscard]] CLI::Validator not_negative();
+/// Check of an option that names a file or folder to write: "-" is none, as standard output gets the results.
+[[nodiscard]] CLI::Validator not_standard_output();
+
 /// Defaults, then the file of --config, then --set. \throws OptionError, IoError, ParseError
 [[nodiscard]] Config load_config(const CommonOptions& options, const Config& defaults = {});
 

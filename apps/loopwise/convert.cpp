@@ -13,7 +13,7 @@ namespace {
 struct Options {
   CommonOptions common;
   std::vector<std::string> sources;
-  std::string output, to = "mission", encoding = "binary_compressed", robots, frames;
+  std::string output, to = "mission", encoding = "binary_compressed", robots, frames, bin_layout;
   bool start_together = false;
 };
 
@@ -46,6 +46,7 @@ int run(const Options& options) {
   if (!options.robots.empty()) config.mission.robots = options.robots;
   if (!options.frames.empty()) config.mission.frames = options.frames;
   if (options.start_together) config.mission.start_together = true;
+  apply_bin_layout(options.bin_layout, config);
   config.mission.scan_cache_mb = 0.0;  // each scan is used once
   const auto format = parse_enum<MissionFormat>("--to", options.to);
   ConvertOptions convert;
@@ -129,7 +130,8 @@ void add_convert(CLI::App& app, Action& chosen) {
       ->type_name("SRC");
   command->add_option("-o,--output", options->output, "Folder to write: a new one, or empty")
       ->required()
-      ->type_name("DST");
+      ->type_name("DST")
+      ->check(not_standard_output());
   command->add_option("--to", options->to, "mission (default), g2o_pcd, tum or kitti")->type_name("FORM");
   command
       ->add_option("--encoding", options->encoding,
@@ -138,6 +140,7 @@ void add_convert(CLI::App& app, Action& chosen) {
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   add_joining_options(*command, options->frames, options->start_together);
+  add_bin_layout_option(*command, options->bin_layout);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -24,6 +24,7 @@ struct Options {
   CommonOptions common;
   std::vector<std::string> paths, truth;
   std::string frames;
+  std::string bin_layout;
   bool start_together = false;
   std::string robots;
   std::string picture;
@@ -74,12 +75,14 @@ PointCounts count_points(const ScanStore& scans, Console& console, const StopTok
   return counts;
 }
 
-int cloud_info(const Options& options, Console& console) {
-  const CloudFile file = read_cloud(options.paths.front());
+int cloud_info(const Options& options, const Config& config, Console& console) {
+  const CloudFile file = read_cloud(options.paths.front(), config.mission.bin_layout);
   console.warn(file.problems);
   Json problems = Json::array();
   for (const Problem& problem : file.problems.all()) problems.push_back(to_string(problem));
+  const Eigen::Vector3d& origin = file.cloud.origin;
   const Json json = {{"kind", "cloud"},
+                     {"origin_m", {origin.x(), origin.y(), origin.z()}},
                      {"robots", Json::array()},
                      {"nodes", 0},
                      {"edges", 0},
@@ -92,10 +95,14 @@ int cloud_info(const Options& options, Console& console) {
                      {"length_m", 0.0},
                      {"duration_s", 0.0},
                      {"problems", problems}};
-  print_results(options.common, json,
-                "cloud        " + std::to_string(file.cloud.size()) + " points" +
-                    (file.cloud.has_normals() ? ", normals" : "") +
-                    (file.cloud.intensities.empty() ? "" : ", intensity") + "\n");
+  print_results(
+      options.common, json,
+      "cloud        " + std::to_string(file.cloud.size()) + " points" +
+          (file.cloud.has_normals() ? ", normals" : "") +
+          (file.cloud.intensities.empty() ? "" : ", intensity") + "\n" +
+          (origin.isZero(0.0) ? ""
+                              : "origin       " + fixed(origin.x(), 0) + " " + fixed(origin.y(), 0) + " " +
+                                    fixed(origin.z(), 0) + " m: world coordinates\n"));
   return kDone;
 }
 
@@ -173,9 +180,10 @@ int run(const Options& options) {
   if (!options.robots.empty()) config.mission.robots = options.robots;
   if (!options.frames.empty()) config.mission.frames = options.frames;
   if (options.start_together) config.mission.start_together = true;
+  apply_bin_layout(options.bin_layout, config);
   const std::vector<std::filesystem::path> paths(options.paths.begin(), options.paths.end());
   if (paths.size() == 1 && std::filesystem::is_regular_file(paths[0]) && is_cloud_file(paths[0])) {
-    return cloud_info(options, console);
+    return cloud_info(options, config, console);
   }
   Mission mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
   set_truth(mission, options.truth, config.mission);
@@ -309,8 +317,10 @@ void add_info(CLI::App& app, Action& chosen) {
       ->type_name("N");
   add_joining_options(*command, options->frames, options->start_together);
   add_truth_option(*command, options->truth);
+  add_bin_layout_option(*command, options->bin_layout);
   command->add_option("--picture", options->picture, "Draw the mission from above, as SVG")
-      ->type_name("FILE");
+      ->type_name("FILE")
+      ->check(not_standard_output());
   command->add_flag("!--no-scans", options->read_scans, "Do not open the scans");
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });

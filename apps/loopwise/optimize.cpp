@@ -254,7 +254,9 @@ void add_optimize(CLI::App& app, Action& chosen) {
   command->add_option("input", options->input, "Pose graph: g2o (3D), a run, or a recording of any kind")
       ->required()
       ->type_name("GRAPH");
-  command->add_option("-o,--output", options->output, "Optimised graph, g2o")->type_name("OUT.g2o");
+  command->add_option("-o,--output", options->output, "Optimised graph, g2o")
+      ->type_name("OUT.g2o")
+      ->check(not_standard_output());
   command->add_flag("--gnc", options->gnc,
                     "Find and leave out false loop closures (see section gnc of --config)");
   command
@@ -277,11 +279,13 @@ void add_optimize(CLI::App& app, Action& chosen) {
       ->expected(1)
       ->take_all();
   command->add_option("--weights", options->weights, "Weight of every edge, CSV in file order")
-      ->type_name("W.csv");
+      ->type_name("W.csv")
+      ->check(not_standard_output());
   command
       ->add_option("--marginals", options->marginals,
                    "Marginal covariances of all poses, CSV: upper triangle, translation before rotation")
-      ->type_name("M.csv");
+      ->type_name("M.csv")
+      ->check(not_standard_output());
   command->add_flag("--verbose", options->verbose, "Cost of every step");
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });

@@ -15,7 +15,7 @@ namespace {
 
 struct Options {
   CommonOptions common;
-  std::string mission, output, method, preset, robots, odometry;
+  std::string mission, output, method, preset, robots, odometry, bin_layout;
   std::optional<std::int64_t> batch;
   std::optional<std::uint64_t> seed;
   RankOptions rank;
@@ -34,6 +34,7 @@ int run(const Options& options) {
   if (!options.preset.empty()) config.replay.engine.generation = proximity_preset(options.preset);
   if (!options.robots.empty()) config.mission.robots = options.robots;
   set_odometry(options.odometry, config);
+  apply_bin_layout(options.bin_layout, config);
   if (!options.method.empty()) config.replay.prioritization.method = parse_method(options.method);
   if (options.batch) config.replay.batch = *options.batch;
   if (options.seed) config.replay.engine.seed = *options.seed;
@@ -51,6 +52,7 @@ int run(const Options& options) {
                                           console.progress_callback(), interrupt.token());
   if (!ranking.problem.empty()) console.warn("no gains: " + ranking.problem);
   console.warn(mission.scans->problems());
+  if (features) console.warn(features->problems());
 
   if (!options.output.empty()) {
     CsvText csv({"rank", "from", "to", "source", "distance_m", "observability_from", "observability_to",
@@ -119,26 +121,33 @@ void add_rank(CLI::App& app, Action& chosen) {
                    "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map")
       ->required()
       ->type_name("MISSION");
-  command->add_option("-o,--output", options->output, "Table of all candidates")->type_name("FILE.csv");
+  command->add_option("-o,--output", options->output, "Table of all candidates")
+      ->type_name("FILE.csv")
+      ->check(not_standard_output());
   command
       ->add_option("--method", options->method,
                    "baseline, random, obs, gi, full, rssi, or several joined by +")
       ->type_name("M");
   command->add_option("--batch", options->batch, "Candidates handed out at a time")->type_name("B");
   command->add_option("--count", options->rank.count, "Candidates to rank (default: one batch)")
-      ->type_name("N");
+      ->type_name("N")
+      ->check(not_negative());
   command
       ->add_option("--evaluations", options->rank.evaluations,
                    "Sets that graph information may try for each batch (default 1000)")
-      ->type_name("N");
+      ->type_name("N")
+      ->check(not_negative());
   command
       ->add_option("--preset", options->preset,
                    "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
       ->type_name("NAME");
+  add_bin_layout_option(*command, options->bin_layout);
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   add_odometry_option(*command, options->odometry);
-  command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
+  command->add_option("--seed", options->seed, "Of everything random (default 1)")
+      ->type_name("S")
+      ->check(not_negative());
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

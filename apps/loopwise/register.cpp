@@ -17,6 +17,7 @@ struct Options {
   std::string target;
   std::string guess;
   std::string registrar;
+  std::string bin_layout;
   std::string out;
   std::uint64_t seed = 1;
 };
@@ -30,34 +31,116 @@ Json row_major(const Matrix& matrix) {
   return list;
 }
 
-PointCloud moved(const PointCloud& cloud, const Eigen::Isometry3d& T) {
+/// The source where T moves it, about the target's origin.
+PointCloud moved(const PointCloud& cloud, const Eigen::Isometry3d& T, const Eigen::Vector3d& origin) {
   PointCloud out = cloud;
+  out.origin = origin;
   for (Eigen::Vector3f& p : out.points) p = (T * p.cast<double>()).cast<float>();
   for (Eigen::Vector3f& n : out.normals) n = (T.linear() * n.cast<double>()).cast<float>();
   return out;
 }
 
+/// Where a pose of one cloud in the other is said about: a point of each file's coordinates.
+struct Origins {
+  Eigen::Vector3d target, source;
+
+  [[nodiscard]] bool zero() const { return target.isZero(0.0) && source.isZero(0.0); }
+  /// The pose about these points that maps the files' coordinates as `pose` about other points does.
+  [[nodiscard]] Eigen::Isometry3d from(const Origins& other, const Eigen::Isometry3d& pose) const {
+    return Eigen::Translation3d(other.target - target) * pose * Eigen::Translation3d(source - other.source);
+  }
+  /// The covariance of that pose; both are of right perturbations.
+  [[nodiscard]] Matrix6d covariance_from(const Origins& other, const Matrix6d& covariance) const {
+    const Matrix6d adjoint = se3::adjoint(Eigen::Isometry3d(Eigen::Translation3d(other.source - source)));
+    return adjoint * covariance * adjoint.transpose();
+  }
+};
+
+/// One point for both clouds where they share their coordinates: the pose is then by how much they differ.
+Origins origins_to_report(const Origins& of_clouds) {
+  constexpr double kSameCoordinates_m = 1000.0;
+  const bool shared = (of_clouds.target - of_clouds.source).norm() < kSameCoordinates_m;
+  return shared ? Origins{of_clouds.target, of_clouds.target} : of_clouds;
+}
+
+std::string matrix_text(const std::string& title, const Eigen::Isometry3d& T, int decimals) {
+  const auto width = static_cast<std::size_t>(decimals) + 7;
+  std::string rows = title + "\n";
+  for (int r = 0; r < 4; ++r) {
+    for (int c = 0; c < 4; ++c) {
+      const std::string value = fixed(T(r, c), decimals);
+      rows += std::string(value.size() < width ? width - value.size() : 1, ' ') + value;
+    }
+    rows += "\n";
+  }
+  return rows;
+}
+
+std::string point_text(const Eigen::Vector3d& p) {
+  return fixed(p.x(), 0) + " " + fixed(p.y(), 0) + " " + fixed(p.z(), 0);
+}
+
+/// The pose as the files' coordinates have it and, where these are far from zero, about the origins.
+std::string pose_text(const Eigen::Isometry3d& T_files, const Eigen::Isometry3d& T_origins,
+                      const Origins& origins) {
+  if (origins.zero()) return matrix_text("T_target_source", T_files, 6);
+  // A rotation's 12th digit moves points 5000 km away by 5 micrometres.
+  std::string text = matrix_text("T_target_source, in the coordinates of the files", T_files, 12);
+  text += "origin       " + point_text(origins.target) + " m";
+  if (origins.target != origins.source)
+    text += " in the target, " + point_text(origins.source) + " m in the source";
+  return text + ": what follows is about it\n" +
+         matrix_text("T_target_source, about the origin", T_origins, 6);
+}
+
+CloudFile read(const std::string& path, const Config& config, Console& console) {
+  CloudFile file = read_cloud(path, config.mission.bin_layout);
+  console.warn(file.problems);
+  return file;
+}
+
+/// What reading met, and points that the registration left out.
+Problems problems_of(const Registration& registration, const std::vector<std::pair<std::string, Key>>& clouds,
+                     double max_range_m) {
+  Problems problems;
+  for (const auto& [name, key] : clouds) {
+    count_far_points(problems, name, registration.features->get(key)->far_points, max_range_m);
+  }
+  return problems;
+}
+
 int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
-  RegistrationOptions registration = load_config(options.common).replay.registration;
+  Config config = load_config(options.common);
+  apply_bin_layout(options.bin_layout, config);
+  RegistrationOptions registration = config.replay.registration;
   if (!options.registrar.empty()) {
     registration.registrar = parse_enum<RegistrarKind>("--registrar", options.registrar);
   }
 
   // The pair as two nodes: the source is the newer one.
   constexpr Key kTarget = 0, kSource = 1;
-  const CloudFile source = read_cloud(options.source), target = read_cloud(options.target);
-  console.warn(source.problems);
-  console.warn(target.problems);
+  const CloudFile source = read(options.source, config, console),
+                  target = read(options.target, config, console);
+  const Origins of_files{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()},
+      of_clouds{target.cloud.origin, source.cloud.origin}, reported = origins_to_report(of_clouds);
   RegistrationTask task = pair_task(kSource, kTarget, options.seed);
-  if (!options.guess.empty()) task.guess_from_to = read_transform(options.guess).inverse();
+  if (!options.guess.empty()) {
+    task.guess_from_to = of_clouds.from(of_files, read_transform(options.guess)).inverse();
+  }
   const double reading_s = watch.seconds();
 
   const auto source_cloud = std::make_shared<const PointCloud>(source.cloud);
   const auto target_cloud = std::make_shared<const PointCloud>(target.cloud);
   const auto scans = [&](Key key) { return key == kSource ? source_cloud : target_cloud; };
-  const RegistrationResult result = make_registration(registration, scans).registrar->compute(task);
+  const Registration made = make_registration(registration, scans);
+  const RegistrationResult result = made.registrar->compute(task);
+  Problems problems = problems_of(made, {{options.source, kSource}, {options.target, kTarget}},
+                                  registration.features.max_range_m);
+  console.warn(problems);
+  problems.add(source.problems);
+  problems.add(target.problems);
 
   Json json = Json::object();
   json["status"] = result.verified() ? "verified" : "rejected";
@@ -67,30 +150,32 @@ int run(const Options& options) {
                          ? "verified\n"
                          : "rejected: " + enum_name(result.reason) + ", " + result.message + "\n";
   json["T_target_source"] = nullptr;
+  json["origin_m"] = {{"target", row_major(reported.target)}, {"source", row_major(reported.source)}};
+  json["T_target_source_about_origin"] = nullptr;
   json["covariance"] = nullptr;
   if (result.T_from_to) {
-    const Eigen::Isometry3d T_target_source = result.T_from_to->inverse();
-    json["T_target_source"] = row_major(T_target_source.matrix());
-    std::string rows = "T_target_source\n";
-    for (int r = 0; r < 4; ++r) {
-      for (int c = 0; c < 4; ++c) {
-        const std::string value = fixed(T_target_source(r, c), 6);
-        rows += std::string(value.size() < 13 ? 13 - value.size() : 1, ' ') + value;
-      }
-      rows += "\n";
-    }
-    text += rows;
+    const Eigen::Isometry3d T_clouds = result.T_from_to->inverse();
+    const Eigen::Isometry3d T_files = of_files.from(of_clouds, T_clouds),
+                            T_reported = reported.from(of_clouds, T_clouds);
+    json["T_target_source"] = row_major(T_files.matrix());
+    json["T_target_source_about_origin"] = row_major(T_reported.matrix());
+    text += pose_text(T_files, T_reported, reported);
     if (!options.out.empty()) {
       const std::filesystem::path path(options.out);
-      const PointCloud cloud = moved(source.cloud, T_target_source);
+      const PointCloud cloud = moved(source.cloud, T_clouds, target.cloud.origin);
       path.extension() == ".ply" ? write_ply(path, cloud) : write_pcd(path, cloud);
+      if (!cloud.origin.isZero(0.0)) {
+        text += "aligned      " + options.out + " is relative to " + point_text(cloud.origin) +
+                " m of the target, as a comment in it says\n";
+      }
     }
   } else if (!options.out.empty()) {
     console.warn("no transform was found: " + options.out + " is not written");
   }
   if (result.closure) {
-    const Matrix6d covariance =
+    const Matrix6d of_inverse =
         se3::covariance_of_inverse(result.closure->T_from_to, result.closure->covariance);
+    const Matrix6d covariance = reported.covariance_from(of_clouds, of_inverse);
     json["covariance"] = row_major(covariance);
     const Vector6d sigma = covariance.diagonal().cwiseSqrt();
     text += "sigma        " + fixed(sigma[0], 4) + " " + fixed(sigma[1], 4) + " " + fixed(sigma[2], 4) +
@@ -98,6 +183,8 @@ int run(const Options& options) {
   }
   json["fitness"] = {{"sac_m2", result.sac_fitness_m2}, {"gicp_m2", result.gicp_fitness_m2}};
   json["overlap"] = result.overlap;
+  json["problems"] = Json::array();
+  for (const Problem& problem : problems.all()) json["problems"].push_back(to_string(problem));
   json["seconds"] = {{"total", watch.seconds()},
                      {"reading", reading_s},
                      {"features", result.features_s},
@@ -118,7 +205,9 @@ void add_register(CLI::App& app, Action& chosen) {
   command->footer(
       "Finds T_target_source, which maps points of the source into the frame of the target. Clouds are .pcd, "
       ".ply or\n"
-      "KITTI .bin. A pair that cannot be aligned is a result with a reason, not an error.\n"
+      ".bin. A pair that cannot be aligned is a result with a reason, not an error.\n"
+      "Of clouds in world coordinates the pose is also printed about a point near them, and sigma is about "
+      "it.\n"
       "  loopwise register source.pcd target.pcd --out aligned.ply");
   command->add_option("source", options->source, "Cloud to move")->required()->type_name("SOURCE");
   command->add_option("target", options->target, "Cloud that stays")->required()->type_name("TARGET");
@@ -129,8 +218,13 @@ void add_register(CLI::App& app, Action& chosen) {
       ->type_name("T.txt");
   command->add_option("--registrar", options->registrar, "Which implementation: fast (default) or pcl")
       ->type_name("WORD");
-  command->add_option("--seed", options->seed, "Of all random draws (default 1)")->type_name("S");
-  command->add_option("--out", options->out, "Write the aligned source, .pcd or .ply")->type_name("CLOUD");
+  add_bin_layout_option(*command, options->bin_layout);
+  command->add_option("--seed", options->seed, "Of all random draws (default 1)")
+      ->type_name("S")
+      ->check(not_negative());
+  command->add_option("--out", options->out, "Write the aligned source, .pcd or .ply")
+      ->type_name("CLOUD")
+      ->check(not_standard_output());
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

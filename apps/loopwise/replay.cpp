@@ -44,6 +44,7 @@ struct Options {
   CommonOptions common;
   std::vector<std::string> missions, truth;
   std::string frames;
+  std::string bin_layout;
   bool start_together = false;
   std::string output;
   std::optional<std::string> method;
@@ -66,6 +67,7 @@ Config configured(const Options& o) {
   if (o.workers) config.replay.cost.workers = *o.workers;
   if (!o.frames.empty()) config.mission.frames = o.frames;
   if (o.start_together) config.mission.start_together = true;
+  apply_bin_layout(o.bin_layout, config);
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
   if (o.clock == "real" && o.job != nullptr)
@@ -313,11 +315,12 @@ int run_trace(const Options& options) {
   hooks.stop = interrupt.token();
   ReplayResult result = replay_trace(options.trace, hooks);
   const RunEvaluation evaluation = evaluate_run(mission, result);
-  const PointCloud map =
-      stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop, console.progress_callback());
+  const StitchedMap map = stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop,
+                                     console.progress_callback(), header.options.features.max_range_m);
+  result.problems.add(map.problems);
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
-  write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map);
+  write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map.cloud);
   print_results(
       options.common, parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
       results_text(recorded, result, evaluation, /*threads=*/0) + "results      " + folder.string() + "\n");
@@ -448,17 +451,18 @@ int run(const Options& options) {
       if (!failure) failure = std::current_exception();
     }
   };
-  PointCloud map;
+  StitchedMap map;
   attempt([&] {
     map = stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop,
-                     console.progress_callback());
+                     console.progress_callback(), config.replay.registration.features.max_range_m);
   });
+  result.problems.add(map.problems);
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
   attempt([&] { finish_log(journal, folder / "journal.jsonl"); });
   if (outcomes) outcomes->finish();
   write_run_folder(folder, mission, config.replay, result, evaluation, history.rows(),
-                   interrupt.interrupted() ? PointCloud{} : map);
+                   interrupt.interrupted() ? PointCloud{} : map.cloud);
   if (failure) std::rethrow_exception(failure);
   Json summary = parse_json(run_summary_json(mission, config.replay, result, evaluation), "summary");
 #ifdef LOOPWISE_HAS_MPI
@@ -498,7 +502,10 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
           "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map; several bags, or several "
           "missions of one robot, are one")
       ->type_name("MISSION");
-  command->add_option("-o,--output", options->output, "Folder for the results")->required()->type_name("DIR");
+  command->add_option("-o,--output", options->output, "Folder for the results")
+      ->required()
+      ->type_name("DIR")
+      ->check(not_standard_output());
   command
       ->add_option(
           "--method", options->method,
@@ -507,6 +514,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->type_name("M");
   add_joining_options(*command, options->frames, options->start_together);
   add_truth_option(*command, options->truth);
+  add_bin_layout_option(*command, options->bin_layout);
   add_replay_arguments(*command, options->replay);
   command->get_option("--outcomes-mb")->needs("--outcomes");
   command
@@ -521,7 +529,8 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->add_option(
           "--record-trace", options->record_trace,
           "Real clock: record all events in this file, from which --trace repeats the run to the bit")
-      ->type_name("FILE");
+      ->type_name("FILE")
+      ->check(not_standard_output());
   command
       ->add_option(
           "--trace", options->trace,

@@ -43,7 +43,8 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command
       .add_option("--outcomes", arguments.outcomes,
                   "Keep outcomes of registrations in this folder, and take from it those that are there")
-      ->type_name("DIR");
+      ->type_name("DIR")
+      ->check(not_standard_output());
   command
       .add_option("--outcomes-mb", arguments.outcomes_bound.max_mb,
                   "Bound of that folder, MB; the oldest outcomes go first (default 4096)")
@@ -52,7 +53,9 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   add_odometry_option(command, arguments.odometry);
-  command.add_option("--seed", arguments.seed, "Of everything random (default 1)")->type_name("S");
+  command.add_option("--seed", arguments.seed, "Of everything random (default 1)")
+      ->type_name("S")
+      ->check(not_negative());
 #ifdef LOOPWISE_HAS_MPI
   command
       .add_option(

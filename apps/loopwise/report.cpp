@@ -67,7 +67,9 @@ void add_report(CLI::App& app, Action& chosen) {
                    "Folders of 'loopwise replay' or of 'loopwise study ablation', 'budget' or 'rssi'")
       ->required()
       ->type_name("RUN");
-  command->add_option("-o,--output", options->output, "The page (default report.html)")->type_name("FILE");
+  command->add_option("-o,--output", options->output, "The page (default report.html)")
+      ->type_name("FILE")
+      ->check(not_standard_output());
   command
       ->add_option("--mission", options->missions,
                    "Mission of the runs, for true paths, radio and observability; may be repeated")
@@ -82,7 +84,8 @@ void add_report(CLI::App& app, Action& chosen) {
   command->add_option("--maps", options->report.maps, "Runs that get a map, the first ones (default 8)")
       ->type_name("N");
   command->add_option("--seed", options->report.seed, "Of what is drawn where a layer has more (default 1)")
-      ->type_name("S");
+      ->type_name("S")
+      ->check(not_negative());
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -173,8 +173,11 @@ void add_simulate(CLI::App& app, Action& chosen) {
       ->type_name("WORLD");
   command->add_option("-o,--output", options->output, "Folder for the mission: a new one, or empty")
       ->required()
-      ->type_name("DIR");
-  command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
+      ->type_name("DIR")
+      ->check(not_standard_output());
+  command->add_option("--seed", options->seed, "Of everything random (default 1)")
+      ->type_name("S")
+      ->check(not_negative());
   command->add_option("--robots", simulation.robots, "Robots of the team")->type_name("N");
   command->add_option("--length", simulation.length_m, "Driven by all robots together, m")->type_name("M");
   command->add_option("--lidar", options->lidar, "vlp16 or os1_64 (default vlp16)")->type_name("WORD");

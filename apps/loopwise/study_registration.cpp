@@ -286,16 +286,24 @@ void add_registration_study(CLI::App& study, Action& chosen) {
   command->add_option("--registrar", options->registrar, "fast, pcl or both (default both)")
       ->type_name("WORD");
   command->add_option("--count", options->count, "Candidates to draw; 0 takes all (default 2000)")
-      ->type_name("N");
+      ->type_name("N")
+      ->check(not_negative());
   command->add_option("--pcl-count", options->pcl_count, "PCL computes only the first N of them; 0: all")
-      ->type_name("N");
+      ->type_name("N")
+      ->check(not_negative());
   command->add_option("--preset", options->preset, "How candidates are found (default lamp_base)")
       ->type_name("NAME");
   command->add_flag("--no-guess", options->no_guess,
                     "The registrars do not get the odometry's relative pose");
-  command->add_option("--seed", options->seed, "Of the draw (default 1)")->type_name("S");
-  command->add_option("--csv", options->csv, "Write a row for every pair and registrar")->type_name("FILE");
-  command->add_option("--markdown", options->markdown, "Write the tables as Markdown")->type_name("FILE");
+  command->add_option("--seed", options->seed, "Of the draw (default 1)")
+      ->type_name("S")
+      ->check(not_negative());
+  command->add_option("--csv", options->csv, "Write a row for every pair and registrar")
+      ->type_name("FILE")
+      ->check(not_standard_output());
+  command->add_option("--markdown", options->markdown, "Write the tables as Markdown")
+      ->type_name("FILE")
+      ->check(not_standard_output());
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -236,11 +236,13 @@ std::optional<ComputedUnit> compute(const Loaded& loaded, const StudyMission& ab
   if (result.interrupted) return std::nullopt;
   if (keep_run) {
     finish_log(journal, files.run / "journal.jsonl");
-    const PointCloud map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop);
+    const StitchedMap map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop, {},
+                                       unit.config.replay.registration.features.max_range_m);
     if (stop.stop_requested()) return std::nullopt;
+    result.problems.add(map.problems);
     add_scan_problems(result, *loaded.mission.scans);
     write_run_folder(files.run, loaded.mission, unit.config.replay, result,
-                     evaluate_run(loaded.mission, result), history.rows(), map);
+                     evaluate_run(loaded.mission, result), history.rows(), map.cloud);
   }
   ComputedUnit computed{unit_json(about, loaded.mission, unit.config.replay, result, history), 0.0, {}};
   for (const Problem& problem : result.problems.all()) {
@@ -263,7 +265,8 @@ void add_study_options(CLI::App& command, StudyOptions& options) {
       ->type_name("MISSION");
   command.add_option("-o,--output", options.output, "Folder for the tables, the units and what they share")
       ->required()
-      ->type_name("DIR");
+      ->type_name("DIR")
+      ->check(not_standard_output());
   command
       .add_option("--seeds", options.seeds,
                   "Replay each mission with this many seeds, from --seed on (default 1)")

@@ -216,12 +216,15 @@ void add_data(CLI::App& app, Action& chosen) {
       ->take_all();
   command->add_option("-o,--output", options->output, "Folder for the data: a new one, or empty")
       ->required()
-      ->type_name("DIR");
+      ->type_name("DIR")
+      ->check(cli::not_standard_output());
   command->add_option("--worlds", options->worlds, "Worlds to simulate (default all)")->type_name("LIST");
   command->add_option("--seeds", options->seeds, "Missions of each world (default 12)")
       ->type_name("N")
       ->check(CLI::Range(0, 100000));
-  command->add_option("--first-seed", options->first_seed, "Of the first (default 1)")->type_name("S");
+  command->add_option("--first-seed", options->first_seed, "Of the first (default 1)")
+      ->type_name("S")
+      ->check(cli::not_negative());
   command->add_option("--lengths", options->lengths, "Driven by the team, m (default 300,500,800)")
       ->type_name("M,...")
       ->delimiter(',');

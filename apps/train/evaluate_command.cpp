@@ -141,8 +141,11 @@ void add_evaluate(CLI::App& app, Action& chosen) {
       ->expected(1)
       ->take_all();
   command->add_option("--split-seed", options->split_seed, "Of the split by mission (default 1)")
-      ->type_name("S");
-  command->add_option("--markdown", options->markdown, "Write the tables to FILE")->type_name("FILE");
+      ->type_name("S")
+      ->check(cli::not_negative());
+  command->add_option("--markdown", options->markdown, "Write the tables to FILE")
+      ->type_name("FILE")
+      ->check(cli::not_standard_output());
   cli::add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

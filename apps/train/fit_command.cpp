@@ -123,14 +123,17 @@ void add_fit(CLI::App& app, Action& chosen) {
       ->type_name("DATA");
   command->add_option("-o,--output", options->output, "Folder for the results: a new one, or empty")
       ->required()
-      ->type_name("DIR");
+      ->type_name("DIR")
+      ->check(cli::not_standard_output());
   command->add_option("--network", options->network, "loopwise (default) or paper")->type_name("WORD");
   command->add_option("--target", options->target, "Network paper: log (default) or trace")
       ->type_name("WORD");
   command->add_option("--epochs", options->epochs, "At most (default 40)")->type_name("N");
   command->add_option("--patience", options->patience, "Epochs without a better validation (default 10)")
       ->type_name("N");
-  command->add_option("--seed", options->seed, "Of everything random (default 1)")->type_name("S");
+  command->add_option("--seed", options->seed, "Of everything random (default 1)")
+      ->type_name("S")
+      ->check(cli::not_negative());
   command->add_flag("--resume", options->resume, "Go on with a training that was interrupted");
   cli::add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });

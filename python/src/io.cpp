@@ -14,6 +14,7 @@ namespace {
 py::dict cloud_dict(const PointCloud& cloud) {
   py::dict out;
   out["points"] = points_array(cloud.points);
+  out["origin"] = py::array_t<double>(3, cloud.origin.data());
   out["normals"] = cloud.has_normals() ? py::object(points_array(cloud.normals)) : py::none();
   out["intensities"] = py::none();
   if (!cloud.intensities.empty()) {
@@ -117,8 +118,14 @@ void bind_io(py::module_& module) {
       py::arg("path"), "Returns (graph, problems).");
   module.def("write_g2o", &write_g2o, py::arg("path"), py::arg("graph"));
   module.def(
-      "read_cloud", [](const std::filesystem::path& path) { return cloud_dict(read_cloud(path).cloud); },
-      py::arg("path"), ".pcd, .ply or KITTI's .bin: points (n, 3), normals and intensities or None.");
+      "read_cloud",
+      [](const std::filesystem::path& path, const std::string& bin_layout) {
+        return cloud_dict(read_cloud(path, parse_enum<BinLayout>("bin_layout", bin_layout)).cloud);
+      },
+      py::arg("path"), py::arg("bin_layout") = "auto",
+      ".pcd, .ply or .bin: points (n, 3), normals and intensities or None. Points are relative to `origin`, "
+      "which is "
+      "not zero for clouds in world coordinates.");
   module.def(
       "write_pcd",
       [](const std::filesystem::path& path, const Floats& points, const py::object& normals,

@@ -4,6 +4,7 @@
 #include <cstring>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/robust_centre.hpp>
 
 namespace loopwise::python {
 
@@ -84,6 +85,12 @@ void require_rows(std::size_t rows, std::size_t points, const char* what) {
 PointCloud cloud_from(const Floats& points, const py::object& normals, const py::object& intensities) {
   PointCloud cloud;
   cloud.points = vectors_from(points, "points");
+  constexpr double kCoarse_m = 16384.0;  // floats are 2 mm apart from there on
+  if (robust_centre(cloud.points).norm() > kCoarse_m) {
+    throw InputError(
+        "points are in world coordinates, where a float loses digits: subtract an origin from them "
+        "while they are doubles");
+  }
   if (!normals.is_none()) {
     cloud.normals = vectors_from(normals.cast<Floats>(), "normals");
     require_rows(cloud.normals.size(), cloud.points.size(), "normals");

@@ -134,11 +134,13 @@ void bind_replay(py::module_& module) {
           [](const PythonRun& run, const std::filesystem::path& folder, double map_voxel_m) {
             const py::gil_scoped_release release;
             std::filesystem::create_directories(folder);
-            const PointCloud map = map_voxel_m > 0.0
-                                       ? stitch_map(run.result.graph, *run.mission->scans, map_voxel_m)
-                                       : PointCloud();
+            StitchedMap map;
+            if (map_voxel_m > 0.0) {
+              map = stitch_map(run.result.graph, *run.mission->scans, map_voxel_m, {}, {},
+                               run.config.replay.registration.features.max_range_m);
+            }
             write_run_folder(folder, *run.mission, run.config.replay, run.result,
-                             evaluate_run(*run.mission, run.result), run.history, map);
+                             evaluate_run(*run.mission, run.result), run.history, map.cloud);
           },
           py::arg("folder"), py::arg("map_voxel_m") = 0.5, "Writes what `loopwise replay` does.");
 

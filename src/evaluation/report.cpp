@@ -3,10 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iomanip>
 #include <limits>
 #include <map>
 #include <optional>
 #include <set>
+#include <sstream>
 #include <tuple>
 
 #include <nlohmann/json.hpp>
@@ -14,6 +16,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/version.hpp>
+#include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/features/kd_tree.hpp>
@@ -229,9 +232,16 @@ class RunReader {
       for (const std::int64_t stamp : robot.stamps_ns) start_ns = std::min(start_ns, stamp);
     }
     if (view != nullptr) start_ns = view->mission->start_ns;
-    const auto put = [](std::vector<float>& out, const Eigen::Vector3d* p) {
+    // A float resolves no centimetres in world coordinates.
+    const Eigen::Vector3d origin = map_origin(graph);
+    if (!origin.isZero(0.0)) {
+      std::ostringstream where;
+      where << std::fixed << std::setprecision(0) << origin.transpose();
+      note("positions in the map are relative to " + where.str() + " m");
+    }
+    const auto put = [&origin](std::vector<float>& out, const Eigen::Vector3d* p) {
       for (int axis = 0; axis < 3; ++axis)
-        out.push_back(p != nullptr ? static_cast<float>((*p)[axis])
+        out.push_back(p != nullptr ? static_cast<float>((*p)[axis] - origin[axis])
                                    : std::numeric_limits<float>::quiet_NaN());
     };
     Json begins = Json::array();
@@ -303,7 +313,10 @@ class RunReader {
       note("no map.pcd: no points");
       return;
     }
-    const PointCloud map = read_cloud(folder_ / "map.pcd").cloud;
+    PointCloud map = read_cloud(folder_ / "map.pcd").cloud;
+    const Eigen::Vector3d origin = map_origin(graph);
+    const Eigen::Vector3f shift = (map.origin - origin).cast<float>();
+    for (Eigen::Vector3f& p : map.points) p += shift;
     std::vector<std::size_t> chosen = drawn(map.size(), options_.map_points, combine_seeds(options_.seed, 1));
     // A few far points would cost all others their resolution.
     Eigen::Vector3d low = Eigen::Vector3d::Zero(), high = Eigen::Vector3d::Zero();
@@ -331,7 +344,7 @@ class RunReader {
     std::vector<double> scores;
     for (std::size_t robot = 0; robot < robots.size(); ++robot) {
       for (const Key key : robots[robot].keys) {
-        nodes.push_back(graph.node(key).pose.translation().cast<float>());
+        nodes.emplace_back((graph.node(key).pose.translation() - origin).cast<float>());
         owner.push_back(static_cast<std::uint8_t>(std::min<std::size_t>(robot, 255)));
         const auto score =
             view != nullptr ? view->observability.find(key) : std::map<Key, double>::const_iterator();

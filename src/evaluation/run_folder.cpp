@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/robust_centre.hpp>
 #include <loopwise/evaluation/run_picture.hpp>
 #include <loopwise/features/voxel_grid.hpp>
 #include <loopwise/io/atomic_file.hpp>
@@ -121,6 +122,8 @@ std::string run_summary_json(const Mission& mission, const ReplayOptions& option
     json["calibration"][name] = calibration_json(calibration);
   }
   put_errors(mission, e, json);
+  const Eigen::Vector3d origin = map_origin(result.graph);
+  json["map_origin_m"] = {origin.x(), origin.y(), origin.z()};
   json["seconds"] = {{"total", result.total_s},
                      {"registration", result.registration_s},
                      {"optimization", result.optimization_s}};
@@ -150,11 +153,22 @@ std::string closures_csv(const ReplayResult& result) {
   return csv.text();
 }
 
-PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double voxel_m, const StopToken& stop,
-                      const ProgressCallback& progress) {
+Eigen::Vector3d map_origin(const PoseGraph& graph) {
+  constexpr double kNear_m = 10000.0;  // floats are 1 mm apart there
+  std::vector<Eigen::Vector3d> places;
+  for (const Node& node : graph.nodes()) places.emplace_back(node.pose.translation());
+  const Eigen::Vector3d middle = robust_centre(places);
+  if (middle.norm() < kNear_m) return Eigen::Vector3d::Zero();
+  return middle.array().round();
+}
+
+StitchedMap stitch_map(const PoseGraph& graph, const ScanStore& scans, double voxel_m, const StopToken& stop,
+                       const ProgressCallback& progress, double max_range_m) {
   // Thinned again whenever it has doubled: the memory stays near that of the final map.
   constexpr std::size_t kSmall = 1000000;
-  PointCloud map;
+  StitchedMap out;
+  PointCloud& map = out.cloud;
+  map.origin = map_origin(graph);
   std::size_t limit = kSmall;
   for (std::size_t i = 0; i < graph.nodes().size() && !stop.stop_requested(); ++i) {
     const Node& node = graph.nodes()[i];
@@ -165,9 +179,12 @@ PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double vox
       continue;  // the store counts it among its problems
     }
     if (!scan) continue;
+    const PointCloud near = within_range(*scan, max_range_m);
+    count_far_points(out.problems, "scan " + key_name(node.key), scan->size() - near.size(), max_range_m);
     const Eigen::Matrix3d R = node.pose.linear();
-    for (const Eigen::Vector3f& p : scan->points) {
-      map.points.emplace_back((R * p.cast<double>() + node.pose.translation()).cast<float>());
+    const Eigen::Vector3d t = node.pose.translation() - map.origin;
+    for (const Eigen::Vector3f& p : near.points) {
+      map.points.emplace_back((R * p.cast<double>() + t).cast<float>());
     }
     if (map.size() > limit) {
       map = voxel_downsample(map, voxel_m);
@@ -175,7 +192,8 @@ PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans, double vox
     }
     if (progress) progress({"stitching the map", i + 1, graph.nodes().size(), ""});
   }
-  return map.empty() ? map : voxel_downsample(map, voxel_m);
+  if (!map.empty()) map = voxel_downsample(map, voxel_m);
+  return out;
 }
 
 void add_scan_problems(ReplayResult& result, const ScanStore& scans) {

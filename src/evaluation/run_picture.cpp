@@ -32,7 +32,7 @@ std::vector<Eigen::Vector2d> thinned(const PointCloud& map, const Page& page) {
   std::set<std::pair<int, int>> seen;
   std::vector<Eigen::Vector2d> points;
   for (const Eigen::Vector3f& p : map.points) {
-    const Eigen::Vector2d at = p.head<2>().cast<double>();
+    const Eigen::Vector2d at = map.origin.head<2>() + p.head<2>().cast<double>();
     const std::pair<int, int> cell{static_cast<int>(page.x(at.x()) / kCell),
                                    static_cast<int>(page.y(at.y()) / kCell)};
     if (seen.insert(cell).second) points.push_back(at);
@@ -73,7 +73,7 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
     for (const double share : {0.005, 0.995}) {
       const auto place = static_cast<std::size_t>(share * static_cast<double>(values.size() - 1));
       Eigen::Vector2d corner = extent.empty() ? Eigen::Vector2d::Zero() : extent.front();
-      corner[axis] = static_cast<double>(values[place]);
+      corner[axis] = map.origin[axis] + static_cast<double>(values[place]);
       extent.push_back(corner);
     }
   }

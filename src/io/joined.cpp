@@ -112,6 +112,11 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
       name = mission.name + "_" + std::to_string(n);
     }
     names.insert({name, name + "_landmarks"});
+    if (options.frames.empty()) {
+      joined.problems.add(
+          "joined without a frame",
+          name + ": its origin is taken for that of the common frame; --frames says where it is");
+    }
     robots.push_back(robot_of_character(letter, name));
     joined.name += (i > 0 ? "+" : "") + name;
     const Key first = mission.robots[mission.robots.of(firsts.front())].first;

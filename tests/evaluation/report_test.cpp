@@ -38,7 +38,7 @@ class Run {
     hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
     result = MissionReplay(mission, config, {features, registrar}).run(pool, hooks);
     testing::write_text(folder / "journal.jsonl", journal);
-    map = stitch_map(result.graph, *mission.scans, 0.2);
+    map = stitch_map(result.graph, *mission.scans, 0.2).cloud;
     write_run_folder(folder.path(), mission, config, result, evaluate_run(mission, result), history.rows(),
                      map);
   }

@@ -11,6 +11,7 @@
 #include <loopwise/evaluation/closure_statistics.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
+#include <loopwise/features/feature_cache.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/replay/options.hpp>
 #include <loopwise/replay/replay.hpp>
@@ -51,17 +52,35 @@ struct RunEvaluation {
 /// The header and rows of closures.csv.
 [[nodiscard]] LOOPWISE_EXPORT std::string closures_csv(const ReplayResult& result);
 
+/// What maps of the graph are relative to: the middle of its nodes in whole metres, or zero if that is nearer
+/// than 10 km.
+[[nodiscard]] LOOPWISE_EXPORT Eigen::Vector3d map_origin(const PoseGraph& graph);
+
+/// A map and what was left out of it.
+struct StitchedMap {
+  PointCloud cloud;   ///< Relative to map_origin().
+  Problems problems;  ///< Points too far from their sensor.
+};
+
 /// The scans of the graph's nodes at its poses, thinned to one point per voxel. Scans are read one at a time.
-[[nodiscard]] LOOPWISE_EXPORT PointCloud stitch_map(const PoseGraph& graph, const ScanStore& scans,
-                                                    double voxel_m, const StopToken& stop = {},
-                                                    const ProgressCallback& progress = {});
+/// \param graph nodes and poses
+/// \param scans of the nodes
+/// \param voxel_m edge of a voxel
+/// \param stop ends it early
+/// \param progress is called for each node
+/// \param max_range_m as FeatureOptions::max_range_m
+[[nodiscard]] LOOPWISE_EXPORT StitchedMap stitch_map(const PoseGraph& graph, const ScanStore& scans,
+                                                     double voxel_m, const StopToken& stop = {},
+                                                     const ProgressCallback& progress = {},
+                                                     double max_range_m = FeatureOptions().max_range_m);
 
 /// Adds what reading scans has met since the run ended, as by stitch_map(): a file may vanish in between.
 LOOPWISE_EXPORT void add_scan_problems(ReplayResult& result, const ScanStore& scans);
 
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
 /// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
-/// and, last, summary.json: where that is missing the folder is not whole. \throws IoError
+/// (both about map_origin(), which summary.json and a comment in map.pcd state) and, last, summary.json:
+/// where that is missing the folder is not whole. \throws IoError
 LOOPWISE_EXPORT void write_run_folder(const std::filesystem::path& folder, const Mission& mission,
                                       const ReplayOptions& options, const ReplayResult& result,
                                       const RunEvaluation& evaluation, const std::vector<HistoryRow>& history,
