@@ -8,8 +8,6 @@
 #include <utility>
 #include <vector>
 
-#include <Eigen/Eigenvalues>
-
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/robust_centre.hpp>
@@ -18,9 +16,10 @@
 #include "gicp.hpp"
 #include "matching.hpp"
 #include "normal_bins.hpp"
-#include "range_image.hpp"
+#include "pose_scores.hpp"
+#include "rivals.hpp"
+#include "side.hpp"
 #include "sort_falling.hpp"
-#include "submap.hpp"
 
 namespace loopwise {
 namespace {
@@ -28,18 +27,6 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kDegree = kPi / 180.0;
 constexpr std::size_t kFewKeys = 200;  // of a scan, whatever the share
-
-/// What the registration needs of one side, apart from descriptors.
-struct Side {
-  Submap submap;
-  std::vector<std::uint32_t> order;  // points with a normal, see draw_balanced
-  RangeImage range_image;            // of the centre's scan
-  SurfaceShare share;
-  Eigen::Vector3d centre = Eigen::Vector3d::Zero();  // middle of the points
-  [[nodiscard]] std::size_t bytes() const {
-    return sizeof(*this) + submap.bytes() + order.capacity() * sizeof(std::uint32_t) + range_image.bytes();
-  }
-};
 
 /// Key points of one side in the centre's frame.
 struct KeyPoints {
@@ -124,71 +111,6 @@ void drop_impossible(std::vector<Match>& matches, const Eigen::Isometry3d& guess
   matches.erase(std::remove_if(matches.begin(), matches.end(), impossible), matches.end());
 }
 
-/// Looks at the first `count` source points of the order under T: visit(distance squared, distance along the
-/// target's normal) for each that has a target point within reach whose normal agrees within 45°.
-template <class Visit>
-void look(const Side& source, std::size_t count, const Side& target, const Eigen::Isometry3d& T, float reach,
-          Visit&& visit) {
-  const PointCloud& from = source.submap.cloud();
-  const PointCloud& to = target.submap.cloud();
-  const Eigen::Matrix3f R = T.linear().cast<float>();
-  for (std::size_t k = 0; k < count; ++k) {
-    const std::uint32_t i = source.order[k];
-    const Eigen::Vector3f y = (T * from.points[i].cast<double>()).cast<float>();
-    const auto nearest = target.submap.tree().nearest(y, reach);
-    if (!nearest) continue;
-    const Eigen::Vector3f& n = to.normals[nearest->index];
-    if ((R * from.normals[i]).dot(n) < 0.7F) continue;
-    visit(nearest->sq_distance_m2, std::abs(n.dot(y - to.points[nearest->index])));
-  }
-}
-
-/// Share of source points near the target, each counting 1 − (distance / reach)².
-double score(const Side& source, std::size_t count, const Side& target, const Eigen::Isometry3d& T,
-             float reach) {
-  count = std::min(count, source.order.size());
-  float sum = 0.0F;
-  look(source, count, target, T, reach,
-       [&](float sq_distance, float) { sum += 1.0F - sq_distance / (reach * reach); });
-  return static_cast<double>(sum) / static_cast<double>(std::max<std::size_t>(1, count));
-}
-
-/// Share of source points on the target's surfaces.
-double share_on_surface(const Side& source, std::size_t count, const Side& target, const Eigen::Isometry3d& T,
-                        const ClosureTestOptions& options) {
-  count = std::min(count, source.order.size());
-  const auto within = static_cast<float>(options.plane_distance_m);
-  std::size_t on_surface = 0;
-  look(source, count, target, T, static_cast<float>(options.overlap_distance_m),
-       [&](float, float distance) { on_surface += distance < within ? 1 : 0; });
-  return static_cast<double>(on_surface) / static_cast<double>(std::max<std::size_t>(1, count));
-}
-
-/// A Hessian counts every point whose normal looks along a corridor, noise and repeated ribs as well. Whether
-/// the pose is told apart from others along the direction of least information is tried out: where the share
-/// on the surfaces hardly drops a metre away, the closure claims no more than how far it has moved from the
-/// guess.
-void widen_if_free(const Side& source, const Side& target, std::size_t count,
-                   const Eigen::Isometry3d& T_target_source, const AlignmentFigures& figures,
-                   const std::optional<Eigen::Isometry3d>& guess_from_to, const FastRegistrarOptions& options,
-                   Matrix6d& covariance) {
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(
-      Eigen::Matrix3d(figures.hessian.topLeftCorner<3, 3>()));
-  const Eigen::Vector3d weak = solver.eigenvectors().col(0);
-  const Eigen::Isometry3d T_from_to = T_target_source.inverse();
-  const auto share_at = [&](double offset_m) {
-    const Eigen::Isometry3d moved = T_from_to * Eigen::Translation3d(offset_m * weak);
-    return share_on_surface(source, count, target, moved.inverse(), options.tests);
-  };
-  if (std::max(share_at(-1.0), share_at(1.0)) < options.free_share * share_at(0.0)) return;
-  double sigma_m = options.tests.max_sigma_m;
-  if (guess_from_to) {
-    const Eigen::Isometry3d moved = T_from_to.inverse() * *guess_from_to;
-    sigma_m = std::min(sigma_m, std::abs(weak.dot(moved.translation())));
-  }
-  widen_covariance(covariance, weak, sigma_m);
-}
-
 /// Whether two poses of a cloud about `centre` are different answers, not one answer twice.
 bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const Eigen::Vector3d& centre) {
   return (a * centre - b * centre).norm() > 1.0 || se3::rotation_angle(a.inverse() * b) > 5.0 * kDegree;
@@ -197,6 +119,215 @@ bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const Eig
 struct Scored {
   Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
   double value = 0.0;
+  std::optional<double> fit;  // see PoseSearch::fit_of
+};
+
+/// Poses of one pair that are refined, compared and judged.
+class PoseSearch {
+  // Scans from two places of a periodic hall share less at the true pose than at one that lays the two
+  // sensors over each other: surfaces that one of them does not see count against a pose by little.
+  static constexpr double kShareWeight = 0.1;
+  static constexpr double kComparableShare = 0.45;
+  static constexpr std::size_t kScoredRivals = 16, kRefinedRivals = 3;
+
+ public:
+  PoseSearch(const Side& source, const Side& target, const RegistrationTask& task,
+             const FastRegistrarOptions& options, RegistrationResult& result)
+      : source_(source),
+        target_(target),
+        task_(task),
+        options_(options),
+        result_(result),
+        passes_(gicp_passes(options.coarse_reach_m, options.fine_reach_m,
+                            static_cast<std::size_t>(options.coarse_points),
+                            static_cast<std::size_t>(options.fine_points))) {
+    fine_pass_ = {passes_.back()};
+    passes_.pop_back();
+  }
+
+  /// What the last test would refuse need not be tried; the refinement moves a start by its reach at most.
+  [[nodiscard]] bool allowed(const Eigen::Isometry3d& T_target_source) const {
+    if (!task_.guess_from_to) return true;
+    const Eigen::Isometry3d moved = *task_.guess_from_to * T_target_source;
+    return moved.translation().norm() <= options_.tests.max_translation_m + options_.coarse_reach_m &&
+           se3::rotation_angle(moved) <= options_.tests.max_rotation_rad + 5.0 * kDegree;
+  }
+
+  [[nodiscard]] bool empty() const { return refined_.empty(); }
+
+  /// Refines a start from coarse to fine and keeps it. Returns its share on the target's surfaces, against
+  /// what is expected of a right one; 0 if it went where it is not allowed.
+  double refine(const Eigen::Isometry3d& start) {
+    const Stopwatch watch;
+    Scored pose;
+    pose.T_target_source = gicp(start, passes_).T_target_source;
+    if (pose.T_target_source.matrix().allFinite() && allowed(pose.T_target_source)) {
+      pose.value = share_of(pose.T_target_source);
+      const auto worse = [&](const Scored& other) { return other.value < pose.value; };
+      refined_.insert(std::find_if(refined_.begin(), refined_.end(), worse), pose);
+    }
+    result_.refine_s += watch.seconds();
+    return pose.value;
+  }
+
+  /// Judges the best pose. One that passes is compared with its rivals.
+  void decide() {
+    const Stopwatch watch;
+    Scored best = best_in_detail();
+    judge(best.T_target_source);
+    if (result_.verified()) {
+      add_rivals(best.T_target_source);
+      const Scored better = best_in_detail();
+      if (!better.T_target_source.isApprox(best.T_target_source, 0.0)) {
+        best = better;
+        judge(best.T_target_source);
+      }
+    }
+    if (result_.verified()) refuse_if_ambiguous(best);
+    result_.refine_s += watch.seconds();
+  }
+
+ private:
+  [[nodiscard]] double expected_on_plane() const {
+    return 0.5 * (source_.share.on_plane + target_.share.on_plane);
+  }
+  [[nodiscard]] std::size_t scored_points() const { return static_cast<std::size_t>(options_.score_points); }
+  [[nodiscard]] double share_of(const Eigen::Isometry3d& T_target_source) const {
+    return share_on_surface(source_, scored_points(), target_, T_target_source, options_.tests) /
+           (expected_on_plane() * target_.share.overlap);
+  }
+  [[nodiscard]] GicpResult gicp(const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) const {
+    return refine_gicp(source_.submap.cloud(), source_.order, target_.submap.cloud(), target_.submap.tree(),
+                       start, passes);
+  }
+
+  [[nodiscard]] AlignmentFigures figures_of(const Eigen::Isometry3d& T_target_source,
+                                            int measured_points) const {
+    const PointCloud& cloud = source_.submap.cloud();
+    ClosureTestOptions tests = options_.tests;
+    tests.measured_points = measured_points;
+    AlignmentFigures figures =
+        measure_alignment(cloud, target_.submap.cloud(), target_.submap.tree(), T_target_source, tests);
+    figures.expected_on_plane = expected_on_plane();
+    // Sparse scans of long range: fewer than half of the points have a neighbour.
+    figures.expected_overlap = std::min(1.0, 2.0 * target_.share.overlap);
+    constexpr std::size_t kLookedAt = 1000;
+    figures.contradiction = target_.range_image.contradiction(cloud, T_target_source, kLookedAt) +
+                            source_.range_image.contradiction(target_.submap.parts().front().features->cloud,
+                                                              T_target_source.inverse(), kLookedAt);
+    return figures;
+  }
+
+  /// Settles a pose and fills the result from it.
+  void judge(const Eigen::Isometry3d& T_target_source) {
+    result_.closure.reset();
+    const GicpResult final = gicp(T_target_source, fine_pass_);
+    const AlignmentFigures figures = figures_of(final.T_target_source, options_.tests.measured_points);
+    judge_alignment(result_, final.T_target_source.inverse(), figures, final.converged, task_.guess_from_to,
+                    options_.tests);
+    if (!result_.verified()) return;
+    widen_undecided(source_, scored_points(), target_, final.T_target_source, figures, options_.free_share,
+                    options_.tests, result_.closure->covariance);
+  }
+
+  /// How well a pose fits, for the comparison of poses: consistency + ln(share on surfaces) / 10. Settles the
+  /// pose first: coarse passes may leave a degree.
+  [[nodiscard]] double fit_of(Scored& pose) const {
+    if (!pose.fit) {
+      constexpr int kMeasured = 600;
+      const std::vector<GicpPass> settle{{options_.fine_reach_m, kMeasured, 10, 2e-3, 2e-4}};
+      pose.T_target_source = gicp(pose.T_target_source, settle).T_target_source;
+      pose.fit = consistency(figures_of(pose.T_target_source, kMeasured)) +
+                 kShareWeight * std::log(std::max(1e-6, share_of(pose.T_target_source)));
+    }
+    return *pose.fit;
+  }
+
+  /// The pose that fits best among those whose share comes near the largest.
+  [[nodiscard]] Scored best_in_detail() {
+    Scored* best = &refined_.front();
+    for (Scored& other : refined_) {
+      if (other.value < kComparableShare * refined_.front().value) break;
+      if (!far_apart(other.T_target_source, best->T_target_source, source_.centre)) continue;
+      if (fit_of(other) > fit_of(*best)) best = &other;
+    }
+    return *best;
+  }
+
+  /// Refines the rivals of a pose that come nearest to the target.
+  void add_rivals(const Eigen::Isometry3d& best) {
+    const auto near = [&](const Eigen::Isometry3d& T) {
+      return near_share(source_, scored_points() / 4, target_, T,
+                        static_cast<float>(options_.coarse_reach_m));
+    };
+    std::vector<Scored> rivals;
+    double max_turn_rad = kPi;
+    if (task_.guess_from_to) {
+      max_turn_rad = options_.tests.max_rotation_rad + se3::rotation_angle(*task_.guess_from_to * best);
+    }
+    for (const Eigen::Isometry3d& rival : find_rivals(source_, target_, best, max_turn_rad)) {
+      if (rivals.size() == kScoredRivals) break;
+      if (allowed(rival)) rivals.push_back({rival, near(rival), {}});
+    }
+    sort_falling(rivals, [](const Scored& rival) { return rival.value; });
+    const double least = kComparableShare * near(best);
+    for (std::size_t i = 0; i < std::min(rivals.size(), kRefinedRivals) && rivals[i].value >= least; ++i) {
+      refine(rivals[i].T_target_source);
+    }
+  }
+
+  /// From the closure to another pose, as its covariance has it.
+  [[nodiscard]] Vector6d offset_to(const Eigen::Isometry3d& T_target_source) const {
+    return se3::log(result_.closure->T_from_to.inverse() * T_target_source.inverse());
+  }
+
+  /// Whether a pose lies beyond the 0.999 quantile of the closure's χ² of six.
+  [[nodiscard]] bool excluded(const Vector6d& offset) const {
+    constexpr double kChiSquare = 22.46;
+    return offset.dot(result_.closure->covariance.ldlt().solve(offset)) > kChiSquare;
+  }
+
+  /// Whether the closure says little about the direction of an offset: it is within eight deviations there.
+  /// Periods are a hundred away.
+  [[nodiscard]] bool along_free_direction(const Vector6d& offset) const {
+    const auto within = [&](Eigen::Index part) {
+      const Eigen::Vector3d d = offset.segment<3>(part);
+      const Eigen::Matrix3d C = result_.closure->covariance.block<3, 3>(part, part);
+      return d.squaredNorm() * d.squaredNorm() <= 64.0 * d.dot(C * d);
+    };
+    return within(0) && within(3);
+  }
+
+  void refuse_if_ambiguous(Scored best) {
+    const Eigen::Isometry3d found = result_.closure->T_from_to.inverse();
+    for (Scored& other : refined_) {
+      if (other.value < kComparableShare * best.value) break;
+      if (!far_apart(other.T_target_source, found, source_.centre)) continue;
+      if (!excluded(offset_to(other.T_target_source))) continue;
+      if (fit_of(other) < fit_of(best) - options_.ambiguous_margin) continue;
+      const Vector6d offset = offset_to(other.T_target_source);  // it has settled
+      if (along_free_direction(offset)) {
+        // The axis of a free direction is known to a degree or so: the covariance takes in the pose.
+        Matrix6d& covariance = result_.closure->covariance;
+        covariance += offset * offset.transpose();
+        covariance = (0.5 * (covariance + covariance.transpose())).eval();
+        continue;
+      }
+      result_.closure.reset();
+      result_.reason = RejectionReason::kAmbiguous;
+      result_.message = "another pose, " + std::to_string(offset.head<3>().norm()) + " m and " +
+                        std::to_string(offset.tail<3>().norm() / kDegree) + " degrees away, fits as well";
+      return;
+    }
+  }
+
+  const Side& source_;
+  const Side& target_;
+  const RegistrationTask& task_;
+  const FastRegistrarOptions& options_;
+  RegistrationResult& result_;
+  std::vector<GicpPass> passes_, fine_pass_;
+  std::vector<Scored> refined_;  // best first
 };
 
 }  // namespace
@@ -328,78 +459,17 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   }
   result.features_s = features_watch.seconds();
 
-  const std::vector<GicpPass> passes = gicp_passes(options.coarse_reach_m, options.fine_reach_m,
-                                                   static_cast<std::size_t>(options.coarse_points),
-                                                   static_cast<std::size_t>(options.fine_points));
-  const std::vector<GicpPass> coarse_passes(passes.begin(), passes.end() - 1), fine_pass{passes.back()};
+  PoseSearch search(source, target, task, options, result);
   const auto scored_points = static_cast<std::size_t>(options.score_points);
   const auto reach = static_cast<float>(options.coarse_reach_m);
-
-  // What the last test would refuse need not be tried; the refinement moves a start by its reach at most.
-  const auto allowed = [&](const Eigen::Isometry3d& T_target_source) {
-    if (!task.guess_from_to) return true;
-    const Eigen::Isometry3d moved = *task.guess_from_to * T_target_source;
-    return moved.translation().norm() <= options.tests.max_translation_m + options.coarse_reach_m &&
-           se3::rotation_angle(moved) <= options.tests.max_rotation_rad + 5.0 * kDegree;
-  };
-  const double expected_on_plane = 0.5 * (source.share.on_plane + target.share.on_plane);
-  const double expected_share = expected_on_plane * target.share.overlap;
-  std::vector<Scored> refined;  // best first
-  const auto refine_start = [&](const Eigen::Isometry3d& start) {
-    const Stopwatch watch;
-    Scored pose;
-    pose.T_target_source =
-        refine_gicp(source_cloud, source.order, target_cloud, target.submap.tree(), start, coarse_passes)
-            .T_target_source;
-    if (pose.T_target_source.matrix().allFinite() && allowed(pose.T_target_source)) {
-      pose.value = share_on_surface(source, scored_points, target, pose.T_target_source, options.tests) /
-                   expected_share;
-      const auto worse = [&](const Scored& other) { return other.value < pose.value; };
-      refined.insert(std::find_if(refined.begin(), refined.end(), worse), pose);
-    }
-    result.refine_s += watch.seconds();
-    return pose.value;
-  };
-  const auto decide = [&] {
-    const Stopwatch watch;
-    const Scored& best = refined.front();
-    const GicpResult final = refine_gicp(source_cloud, source.order, target_cloud, target.submap.tree(),
-                                         best.T_target_source, fine_pass);
-    AlignmentFigures figures = measure_alignment(source_cloud, target_cloud, target.submap.tree(),
-                                                 final.T_target_source, options.tests);
-    figures.expected_on_plane = expected_on_plane;
-    // Sparse scans of long range: fewer than half of the points have a neighbour.
-    figures.expected_overlap = std::min(1.0, 2.0 * target.share.overlap);
-    constexpr std::size_t kLookedAt = 1000;
-    figures.contradiction = target.range_image.contradiction(source_cloud, final.T_target_source, kLookedAt) +
-                            source.range_image.contradiction(target.submap.parts().front().features->cloud,
-                                                             final.T_target_source.inverse(), kLookedAt);
-    judge_alignment(result, final.T_target_source.inverse(), figures, final.converged, task.guess_from_to,
-                    options.tests);
-    if (result.verified()) {
-      widen_if_free(source, target, scored_points, final.T_target_source, figures, task.guess_from_to,
-                    options, result.closure->covariance);
-      for (const Scored& other : refined) {
-        if (other.value < options.ambiguous_share * best.value) break;
-        if (!far_apart(other.T_target_source, final.T_target_source, source.centre)) continue;
-        result.closure.reset();
-        reject(RejectionReason::kAmbiguous, "another pose has " + std::to_string(other.value) +
-                                                " of the points on surfaces, this one " +
-                                                std::to_string(best.value));
-        break;
-      }
-    }
-    result.refine_s += watch.seconds();
-  };
-
   if (task.guess_from_to) {
     const Stopwatch watch;
     const Eigen::Isometry3d guess = task.guess_from_to->inverse();
-    const bool promising = score(source, scored_points, target, guess, reach) >= options.min_score;
+    const bool promising = near_share(source, scored_points, target, guess, reach) >= options.min_score;
     result.global_s += watch.seconds();
-    if (promising && refine_start(guess) >= options.sure_share) {
-      decide();
-      if (result.verified()) return result;
+    if (promising && search.refine(guess) >= options.sure_share) {
+      search.decide();
+      if (result.verified() || result.reason == RejectionReason::kAmbiguous) return result;
     }
   }
   if (deadline.passed()) return late();
@@ -416,18 +486,21 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
       match(*source_keys, *target_keys, static_cast<std::size_t>(options.max_matches));
   if (task.guess_from_to) drop_impossible(matches, task.guess_from_to->inverse(), options);
   if (deadline.passed()) return late();
-  const Consensus consensus = find_consensus(matches, options.match_tolerance_m,
-                                             static_cast<std::size_t>(options.hypotheses), allowed);
+  const Consensus consensus =
+      find_consensus(matches, options.match_tolerance_m, static_cast<std::size_t>(options.hypotheses),
+                     [&](const Eigen::Isometry3d& T) { return search.allowed(T); });
   // A quarter of the points tells which hypotheses are worth all of them.
   std::vector<Scored> scored;
   double most = 0.0;
   for (const Hypothesis& h : consensus.hypotheses) {
     if (deadline.passed()) return late();
-    scored.push_back({h.T_target_source, score(source, scored_points / 4, target, h.T_target_source, reach)});
+    scored.push_back(
+        {h.T_target_source, near_share(source, scored_points / 4, target, h.T_target_source, reach), {}});
     most = std::max(most, scored.back().value);
   }
   for (Scored& s : scored) {
-    s.value = s.value < 0.6 * most ? 0.0 : score(source, scored_points, target, s.T_target_source, reach);
+    s.value =
+        s.value < 0.6 * most ? 0.0 : near_share(source, scored_points, target, s.T_target_source, reach);
   }
   sort_falling(scored, [](const Scored& s) { return s.value; });
   result.global_s += global_watch.seconds();
@@ -444,9 +517,9 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     if (std::any_of(starts.begin(), starts.end(), near)) continue;
     if (deadline.passed()) return late();
     starts.push_back(s.T_target_source);
-    if (refine_start(s.T_target_source) >= options.sure_share) break;
+    search.refine(s.T_target_source);
   }
-  if (refined.empty()) {
+  if (search.empty()) {
     if (consensus.hypotheses.empty() && consensus.refused == 0) {
       return reject(RejectionReason::kFewMatches,
                     "no three of " + std::to_string(matches.size()) + " matches agree on a pose");
@@ -462,7 +535,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
                                                     ", must be >= " + std::to_string(options.min_score));
   }
   if (deadline.passed()) return late();
-  decide();
+  search.decide();
   return result;
 }
 

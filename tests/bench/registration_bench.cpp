@@ -32,6 +32,7 @@
 #include "gicp.hpp"
 #include "normal_bins.hpp"
 #include "registration_pcl.hpp"
+#include "registration_symmetric.hpp"
 
 namespace loopwise::bench {
 namespace {
@@ -355,6 +356,11 @@ int main(int argc, char** argv) {
   if (is("session")) return session(argv[2], number(10)), 0;
   if (is("foreign")) return foreign(argv[2]), 0;
   if (is("gicp")) return gicp(argv[2], number(20)), 0;
-  std::printf("loopwise_registration_bench kitti|session|gicp FOLDER [COUNT] | foreign DATA\n");
+  if (is("symmetric")) {
+    return symmetric(argv[2], number(60), argc > 4 ? std::strtoull(argv[4], nullptr, 10) : 1), 0;
+  }
+  std::printf(
+      "loopwise_registration_bench kitti|session|gicp FOLDER [COUNT] | foreign DATA | symmetric all|KIND "
+      "[COUNT [SEED]]\n");
   return 2;
 }

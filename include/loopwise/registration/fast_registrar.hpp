@@ -25,8 +25,8 @@ struct FastRegistrarOptions {
   double min_score = 0.15;
   int refined_hypotheses = 3;
   double sure_share = 0.5;
-  double ambiguous_share = 0.9;
-  double free_share = 0.7;
+  double ambiguous_margin = 0.15;
+  double free_share = 0.5;
   double coarse_reach_m = 2.0;
   double fine_reach_m = 0.5;
   int coarse_points = 300;
@@ -66,12 +66,15 @@ struct FastRegistrarOptions {
           "Hypotheses, the best by that comparison, that are refined and compared in detail.");
     field("sure_share", self.sure_share, between(0.0, 1.0),
           "Share of the scored points on the target's surfaces, against that within the scans themselves, at "
-          "which a refined pose is taken at once.");
-    field("ambiguous_share", self.ambiguous_share, between(0.0, 2.0),
-          "A pair is refused if a second refined pose, more than 1 m or 5 degrees away, has this much of the "
-          "best one's share.");
-    field("free_share", self.free_share, between(0.0, 2.0),
-          "A direction is free if a metre along it this much of the points on surfaces remain there.");
+          "which the refined guess is judged before matches are sought.");
+    field("ambiguous_margin", self.ambiguous_margin, at_least(0.0),
+          "A pair is refused if a second pose, more than 1 m or 5 degrees away and outside the closure's "
+          "covariance, fits worse by no more than this; the fit is consistency + ln(share of points on "
+          "surfaces) / 10.");
+    field("free_share", self.free_share, between(0.01, 0.99),
+          "Along an axis where this share of the points that fix it would lie on surfaces a metre away as "
+          "well, "
+          "the standard deviation is half of max_sigma_m; less is less, smoothly.");
     field("coarse_reach_m", self.coarse_reach_m, above(0.0),
           "Largest distance of matched points in the first pass, m.");
     field("fine_reach_m", self.fine_reach_m, above(0.0), "The same in the last pass, m.");

@@ -1,0 +1,198 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Places that look the same from elsewhere: a pose is ambiguous, or right within its covariance.
+#include <Eigen/Cholesky>
+
+#include <loopwise/io/cloud.hpp>
+#include <loopwise/registration/fast_registrar.hpp>
+
+#include "rooms.hpp"
+#include "scene.hpp"
+#include "testing.hpp"
+
+namespace loopwise {
+namespace {
+
+using CloudPtr = std::shared_ptr<const PointCloud>;
+
+RegistrationResult align(const CloudPtr& source, const CloudPtr& target,
+                         const std::optional<Eigen::Isometry3d>& guess_from_to = {},
+                         const FastRegistrarOptions& options = {}) {
+  RegistrationTask task = pair_task(1, 0, 1);
+  task.guess_from_to = guess_from_to;
+  return FastRegistrar(std::make_shared<FeatureCache>(testing::loader({{0, target}, {1, source}})), options)
+      .compute(task);
+}
+
+/// Distance of the truth from the closure in its own covariance.
+double chi_square(const LoopClosure& closure, const Eigen::Isometry3d& truth_from_to) {
+  const Vector6d e = se3::log(closure.T_from_to.inverse() * truth_from_to);
+  return e.dot(closure.covariance.ldlt().solve(e));
+}
+constexpr double kChiSquare999 = 22.46;
+
+Vector6d sigmas(const RegistrationResult& result) {
+  return result.closure->covariance.diagonal().cwiseSqrt();
+}
+
+TEST_CASE("FastRegistrar: no wrong pose of a room that repeats is verified with certainty",
+          "[registrar][ambiguity][property]") {
+  const std::string kind = GENERATE(as<std::string>(), "rectangle", "objects", "polygon", "crossing");
+  int ambiguous = 0;
+  for (std::uint64_t seed = 1000; seed < 1008; ++seed) {
+    CAPTURE(kind, seed);
+    Rng rng(seed);
+    const testing::RoomPair pair = testing::make_room(kind, rng);
+    const CloudPtr target = pair.room.scan(pair.target, 0.02, rng);
+    const CloudPtr source = pair.room.scan(pair.source, 0.02, rng);
+    const Eigen::Isometry3d truth = pair.source.inverse() * pair.target;
+    const RegistrationResult alone = align(source, target);
+    if (alone.verified()) REQUIRE(chi_square(*alone.closure, truth) < kChiSquare999);
+    ambiguous += alone.reason == RejectionReason::kAmbiguous ? 1 : 0;
+    // A guess that excludes the turned poses decides.
+    const RegistrationResult guided = align(source, target, truth * Eigen::Translation3d(0.5, -0.4, 0.1));
+    if (guided.verified()) REQUIRE(chi_square(*guided.closure, truth) < kChiSquare999);
+    if (kind == "rectangle" || kind == "crossing") REQUIRE(guided.verified());
+  }
+  REQUIRE(ambiguous >= 6);
+}
+
+/// A corridor with a pillar every 4 m, seen from two places a metre and a half apart.
+struct PillarCorridor {
+  testing::RoomPair pair;
+  CloudPtr source, target;
+  Eigen::Isometry3d truth;
+  explicit PillarCorridor(std::uint64_t seed) {
+    Rng rng(seed);
+    testing::Room& room = pair.room;
+    for (const double y : {-3.0, 3.0}) {
+      room.add_wall({-50.0, y}, {50.0, y}, 0.0, 3.0);
+      for (double x = -48.0; x < 50.0; x += 4.0) room.add_box({x, 0.9 * y}, 0.6, 0.6, 0.0, 0.0, 3.0);
+    }
+    room.add_level(60.0, 0.0);
+    room.add_level(60.0, 3.0);
+    pair.target = testing::room_pose(0.3, 0.2, 1.3, rng);
+    pair.source = testing::room_pose(1.8, -0.3, 1.3, rng);
+    target = room.scan(pair.target, 0.02, rng);
+    source = room.scan(pair.source, 0.02, rng);
+    truth = pair.source.inverse() * pair.target;
+  }
+  /// The truth, moved along the corridor.
+  [[nodiscard]] Eigen::Isometry3d off_by(double m) const {
+    return pair.source.inverse() * Eigen::Translation3d(m, 0.0, 0.0) * pair.target;
+  }
+};
+
+TEST_CASE("FastRegistrar: a guess decides between periods if its bound does", "[registrar][ambiguity]") {
+  const PillarCorridor corridor(GENERATE(1u, 2u, 3u));
+  REQUIRE(align(corridor.source, corridor.target).reason == RejectionReason::kAmbiguous);
+  for (const double off_m : {-2.2, 0.0, 2.2, 3.9}) {
+    CAPTURE(off_m);
+    const RegistrationResult result = align(corridor.source, corridor.target, corridor.off_by(off_m));
+    REQUIRE(result.reason == RejectionReason::kAmbiguous);
+  }
+  FastRegistrarOptions near;
+  near.tests.max_translation_m = 1.0;
+  const RegistrationResult result = align(corridor.source, corridor.target, corridor.off_by(0.5), near);
+  CAPTURE(result.message);
+  REQUIRE(result.verified());
+  REQUIRE(chi_square(*result.closure, corridor.truth) < kChiSquare999);
+}
+
+TEST_CASE("FastRegistrar: a furnished room is verified and right", "[registrar][ambiguity]") {
+  int verified = 0;
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    testing::RoomPair pair = testing::furnished_room(rng);
+    pair.source = pair.target * testing::ground_pose(1.0, 0.5, 0.4);
+    pair.source.translation().z() = pair.target.translation().z();
+    const CloudPtr target = pair.room.scan(pair.target, 0.02, rng);
+    const CloudPtr source = pair.room.scan(pair.source, 0.02, rng);
+    const RegistrationResult result = align(source, target);
+    if (!result.verified()) continue;
+    ++verified;
+    REQUIRE(chi_square(*result.closure, pair.source.inverse() * pair.target) < kChiSquare999);
+  }
+  REQUIRE(verified >= 8);
+}
+
+TEST_CASE("FastRegistrar: a straight corridor leaves its own direction free, with a guess or without",
+          "[registrar][ambiguity]") {
+  Rng rng(5);
+  testing::Room room;
+  for (const double y : {-1.5, 1.5}) room.add_wall({-80.0, y}, {80.0, y}, 0.0, 2.5);
+  room.add_level(100.0, 0.0);
+  room.add_level(100.0, 2.5);
+  Eigen::Isometry3d target = Eigen::Isometry3d::Identity(), source = target;
+  target.translation() << 0.0, 0.1, 1.2;
+  source.translation() << 2.0, -0.1, 1.2;
+  const CloudPtr to = room.scan(target, 0.02, rng), from = room.scan(source, 0.02, rng);
+  const Eigen::Isometry3d truth = source.inverse() * target;
+  for (const bool with_guess : {false, true}) {
+    std::optional<Eigen::Isometry3d> guess;
+    if (with_guess) guess = truth * Eigen::Translation3d(2.2, 0.0, 0.0);
+    const RegistrationResult result = align(from, to, guess);
+    CAPTURE(with_guess, result.message);
+    if (!result.verified()) continue;  // along it every pose is as good
+    REQUIRE(sigmas(result)[0] > 3.0);
+    REQUIRE(sigmas(result)[1] < 0.05);
+    REQUIRE(chi_square(*result.closure, truth) < kChiSquare999);
+  }
+}
+
+TEST_CASE("FastRegistrar: a few unrelated points change the deviations little",
+          "[registrar][ambiguity][property]") {
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    Rng rng(seed);
+    testing::RoomPair pair = seed % 2 == 0 ? testing::polygon_room(rng) : testing::furnished_room(rng);
+    pair.source = pair.target * testing::ground_pose(0.6, 0.3, 0.2);
+    pair.source.translation().z() = pair.target.translation().z();
+    const CloudPtr target = pair.room.scan(pair.target, 0.02, rng);
+    const auto source = pair.room.scan(pair.source, 0.02, rng);
+    const Eigen::Isometry3d truth = pair.source.inverse() * pair.target;
+    const RegistrationResult before = align(source, target, truth);
+    const auto more = std::make_shared<PointCloud>(*source);
+    for (std::size_t i = 0; i < source->size() / 200; ++i) {
+      more->points.emplace_back(static_cast<float>(rng.uniform(-6.0, 6.0)),
+                                static_cast<float>(rng.uniform(-6.0, 6.0)),
+                                static_cast<float>(rng.uniform(-1.0, 1.5)));
+    }
+    const RegistrationResult after = align(more, target, truth);
+    CAPTURE(seed, before.message, after.message);
+    if (!before.verified() || !after.verified()) continue;
+    for (Eigen::Index i = 0; i < 6; ++i) {
+      CAPTURE(i, sigmas(before)[i], sigmas(after)[i]);
+      REQUIRE(sigmas(after)[i] < 1.5 * sigmas(before)[i]);
+      REQUIRE(sigmas(before)[i] < 1.5 * sigmas(after)[i]);
+    }
+  }
+}
+
+TEST_CASE("FastRegistrar: recorded degenerate scans", "[registrar][ambiguity][data]") {
+  const auto folder = testing::test_data("../cases/degenerate");
+  if (!folder) return;
+  const auto scan = [&](const std::string& name) {
+    return std::make_shared<const PointCloud>(read_cloud(*folder / (name + ".pcd")).cloud);
+  };
+  for (const std::string name : {"square", "periodic"}) {
+    CAPTURE(name);
+    REQUIRE(align(scan(name + "_b"), scan(name + "_a")).reason == RejectionReason::kAmbiguous);
+    REQUIRE(align(scan(name + "_a"), scan(name + "_b")).reason == RejectionReason::kAmbiguous);
+  }
+  // A straight corridor looks the same turned about; a guess of the heading leaves only its direction free.
+  REQUIRE(align(scan("corridor_b"), scan("corridor_a")).reason == RejectionReason::kAmbiguous);
+  const RegistrationResult corridor =
+      align(scan("corridor_b"), scan("corridor_a"), Eigen::Isometry3d::Identity());
+  CAPTURE(corridor.message);
+  REQUIRE(corridor.verified());
+  REQUIRE(sigmas(corridor).head<3>().maxCoeff() > 3.0);
+  Eigen::Isometry3d T_b_a(Eigen::Quaterniond(0.9898225, 0.0000288, -0.0002005, -0.1423076).normalized());
+  T_b_a.pretranslate(Eigen::Vector3d(-1.7238, 0.1261, -0.0932));
+  const RegistrationResult world = align(scan("world_b"), scan("world_a"));
+  REQUIRE(world.verified());
+  REQUIRE(chi_square(*world.closure, T_b_a) < kChiSquare999);
+}
+
+}  // namespace
+}  // namespace loopwise
