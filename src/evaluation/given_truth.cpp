@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdint>
 #include <filesystem>
 #include <optional>
 #include <utility>
@@ -59,28 +60,31 @@ Eigen::Isometry3d between(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b
 
 PosesByKey by_stamp(const TruthFile& file, const Trajectory& truth, const NodesByKey& nodes,
                     double max_gap_s) {
-  std::vector<std::pair<double, std::size_t>> order;  // in seconds: off by less than a microsecond
-  for (std::size_t i = 0; i < truth.poses.size(); ++i)
-    order.emplace_back(static_cast<double>(truth.stamps_ns[i]) * 1e-9, i);
+  std::vector<std::pair<std::int64_t, std::size_t>> order;
+  for (std::size_t i = 0; i < truth.poses.size(); ++i) order.emplace_back(truth.stamps_ns[i], i);
   std::sort(order.begin(), order.end());
+  const auto seconds = [](std::int64_t from, std::int64_t to) {
+    return static_cast<double>(to - from) * 1e-9;
+  };
   PosesByKey poses;
   for (const auto& [key, node] : nodes) {
-    const double stamp = static_cast<double>(node->stamp_ns) * 1e-9;
+    const std::int64_t stamp = node->stamp_ns;
     const auto after = std::lower_bound(order.begin(), order.end(), std::pair(stamp, std::size_t{0}));
     const bool has_after = after != order.end(), has_before = after != order.begin();
-    const double gap_after = has_after ? after->first - stamp : kSameStamp_s + 1.0;
-    const double gap_before = has_before ? stamp - std::prev(after)->first : kSameStamp_s + 1.0;
+    const double gap_after = has_after ? seconds(stamp, after->first) : kSameStamp_s + 1.0;
+    const double gap_before = has_before ? seconds(std::prev(after)->first, stamp) : kSameStamp_s + 1.0;
     if (std::min(gap_before, gap_after) <= kSameStamp_s) {
       poses[key] = truth.poses[(gap_after <= gap_before ? after : std::prev(after))->second];
-    } else if (has_before && has_after && gap_before + gap_after <= max_gap_s) {
+    } else if (has_before && has_after && seconds(std::prev(after)->first, after->first) <= max_gap_s) {
       poses[key] = between(truth.poses[std::prev(after)->second], truth.poses[after->second],
                            gap_before / (gap_before + gap_after));
     }
   }
   if (poses.empty()) {
     throw InputError(file.path + ": no stamp near that of a node: the file has " +
-                     std::to_string(order.front().first) + " to " + std::to_string(order.back().first) +
-                     " s, the node " + key_name(nodes.begin()->first) + " has " +
+                     std::to_string(seconds(0, order.front().first)) + " to " +
+                     std::to_string(seconds(0, order.back().first)) + " s, the node " +
+                     key_name(nodes.begin()->first) + " has " +
                      std::to_string(static_cast<double>(nodes.begin()->second->stamp_ns) * 1e-9) + " s");
   }
   return poses;

@@ -475,7 +475,7 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
     CHECK(names_of(mission.robots) == std::vector<std::string>{"session0", "session1", "session2"});
     REQUIRE(mission.graph.nodes().size() == 12);
     CHECK(mission.graph.node(make_key('b', 3)).pose.translation() == Eigen::Vector3d(6.0, 0.5, 0.0));
-    CHECK(mission.ground_truth.at(make_key('b', 3)).translation() == Eigen::Vector3d(6.0, 0.5, 0.0));
+    CHECK(mission.reference.at(make_key('b', 3)).translation() == Eigen::Vector3d(6.0, 0.5, 0.0));
     CHECK(mission.graph.edges().size() == 9);
     for (const Edge& edge : mission.graph.edges()) CHECK(edge.kind == EdgeKind::kOdometry);
     CHECK(mission.graph.priors().size() == 3);
@@ -498,7 +498,7 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
       for (Key i = 0; i < 4; ++i) {
         const Node& node = mission.graph.node(make_key('c', i));
         CHECK(testing::difference(node.pose, T * alone.graph.node(i).pose) < 1e-12);
-        CHECK(testing::difference(mission.ground_truth.at(node.key), T * alone.ground_truth.at(i)) < 1e-12);
+        CHECK(testing::difference(mission.reference.at(node.key), T * alone.reference.at(i)) < 1e-12);
         CHECK(node.stamp_ns == 500'000'000 + static_cast<std::int64_t>(i) * 2'000'000'000);
       }
       CHECK(testing::difference(mission.graph.priors()[2].pose, T * alone.graph.priors()[0].pose) < 1e-12);
