@@ -128,7 +128,7 @@ class PoseSearch {
   // sensors over each other: surfaces that one of them does not see count against a pose by little.
   static constexpr double kShareWeight = 0.1;
   static constexpr double kComparableShare = 0.45;
-  static constexpr std::size_t kScoredRivals = 16, kRefinedRivals = 3;
+  static constexpr std::size_t kScoredRivals = 16, kRefinedRivals = 4;
 
  public:
   PoseSearch(const Side& source, const Side& target, const RegistrationTask& task,
@@ -270,9 +270,20 @@ class PoseSearch {
       if (allowed(rival)) rivals.push_back({rival, near(rival), {}});
     }
     sort_falling(rivals, [](const Scored& rival) { return rival.value; });
-    const double least = kComparableShare * near(best);
-    for (std::size_t i = 0; i < std::min(rivals.size(), kRefinedRivals) && rivals[i].value >= least; ++i) {
-      refine(rivals[i].T_target_source);
+    // Most slide back to the pose itself, which few points show.
+    std::vector<GicpPass> quick = passes_;
+    const std::size_t few = scored_points() / 3;
+    for (GicpPass& pass : quick) pass.points = std::min(pass.points, few);
+    const auto quick_share = [&](const Eigen::Isometry3d& T) {
+      return share_on_surface(source_, few, target_, T, options_.tests);
+    };
+    const double least_near = kComparableShare * near(best),
+                 least_share = kComparableShare * quick_share(best);
+    for (std::size_t i = 0; i < std::min(rivals.size(), kRefinedRivals) && rivals[i].value >= least_near;
+         ++i) {
+      const Eigen::Isometry3d rival = gicp(rivals[i].T_target_source, quick).T_target_source;
+      if (!rival.matrix().allFinite() || !far_apart(rival, best, source_.centre)) continue;
+      if (quick_share(rival) >= least_share) refine(rival);
     }
   }
 

@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// FastRegistrar beside PCL's own stages, pair by pair in one run and one thread.
-///   loopwise_registration_bench kitti DATA/kitti_pair [STARTS]    one pair of overlapping scans from random
-///   starts loopwise_registration_bench session DATA/kaist03 [PCL_EVERY]  all pairs of a session; PCL on
-///   every n-th loopwise_registration_bench foreign DATA                      scans of two places: to be
-///   rejected loopwise_registration_bench gicp DATA/kitti_pair [STARTS]     the refinement alone, 0.25 m
-///   voxels
+///   loopwise_registration_bench kitti DATA/kitti_pair [STARTS]
+///     one pair of overlapping scans from random starts
+///   loopwise_registration_bench session DATA/kaist03 [PCL_EVERY]
+///     all pairs of a session; PCL on every n-th
+///   loopwise_registration_bench foreign DATA
+///     scans of two places: to be rejected
+///   loopwise_registration_bench gicp DATA/kitti_pair [STARTS]
+///     the refinement alone, 0.25 m voxels
+///   loopwise_registration_bench symmetric all|KIND [COUNT [SEED]]
+///     FastRegistrar alone in generated rooms that repeat
 /// PCL: 0.5 m voxels, normals of 10 neighbours, FPFH of 2 m over all points or Harris key points, whichever
 /// is faster on the pair, 500 hypotheses, GICP. What belongs to a scan is computed before the pair is timed.
 /// Times are processor time of the thread: a busy machine shows less.

@@ -90,8 +90,9 @@ struct FastRegistrarOptions {
 /// Registration at an order of magnitude less cost than the reference, without random draws: the graph's
 /// guess first, where there is one; else mutual FPFH matches, consensus by second-order compatibility, and
 /// the hypotheses that the guess allows compared on the scans. The best are refined by generalized ICP
-/// (Gauss-Newton, from coarse to fine) and compared by the share of points on the target's surfaces. Hopeless
-/// pairs end before that. Thread-safe; what belongs to a scan or a submap is computed once.
+/// (Gauss-Newton, from coarse to fine) and compared in detail. A pose that passes the tests is compared with
+/// the ones that symmetries and periods of the place make of it; the pair is ambiguous if one fits as well.
+/// Hopeless pairs end before that. Thread-safe; what belongs to a scan or a submap is computed once.
 class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
