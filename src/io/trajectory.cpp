@@ -203,7 +203,7 @@ std::string span(const Trajectory& trajectory) {
   return seconds(*first) + " to " + seconds(*last) + " s";
 }
 
-/// What poses are told apart by.
+/// What names a pose in messages.
 std::string name_of(const Trajectory& trajectory, std::size_t i, bool by_stamp) {
   return by_stamp ? "stamp " + seconds(trajectory.stamps_ns[i]) : key_name(trajectory.keys[i]);
 }

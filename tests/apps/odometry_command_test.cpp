@@ -1,5 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // What commands make of odometry that others wrote, and of trajectories with unsorted stamps.
+#include <algorithm>
+
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/random.hpp>
@@ -87,7 +89,7 @@ TEST_CASE("optimize: a false edge between neighbours is reported, and doubted by
   REQUIRE(table.size() == 26);
   for (std::size_t e = 0; e < table.size(); ++e) REQUIRE(table.number(e, 3) == (e == 25 ? 0.0 : 1.0));
   const Json errors = json_of({"evaluate", out, truth, "--alignment", "se3"});
-  REQUIRE(errors.at("ate_m").at("rmse").get<double>() < 0.1);  // measured: see below
+  REQUIRE(errors.at("ate_m").at("rmse").get<double>() < 0.1);
 }
 
 TEST_CASE("optimize, rank, replay: --odometry lists the edges that are odometry", "[apps][odometry]") {
@@ -99,8 +101,7 @@ TEST_CASE("optimize, rank, replay: --odometry lists the edges that are odometry"
     const ProgramRun run = run_program(arguments);
     INFO(run.err);
     REQUIRE(run.status == 0);
-    return run.err.find("odometry chain broken (1 times, first: robot a, between nodes a2 and a3)") !=
-           std::string::npos;
+    return run.err.find("odometry chain broken (robot a, between nodes a2 and a3)") != std::string::npos;
   };
   REQUIRE(complains({"optimize", recording, "--odometry", pairs}));
   REQUIRE_FALSE(complains({"optimize", recording}));
@@ -131,8 +132,8 @@ TEST_CASE("evaluate: TUM files in any order have the same errors, and few pairs 
   write_tum(file("truth.tum"), truth);
   write_tum(file("sorted.tum"), estimate);
   std::vector<StampedPose> shuffled = estimate;
-  for (std::size_t i = 0; i < shuffled.size(); ++i)
-    std::swap(shuffled[i], shuffled[(7 * i) % shuffled.size()]);
+  std::rotate(shuffled.begin(), shuffled.begin() + 10, shuffled.end());
+  std::swap(shuffled[3], shuffled[17]);
   write_tum(file("shuffled.tum"), shuffled);
   const Json expected = json_of({"evaluate", file("sorted.tum"), file("truth.tum")});
   REQUIRE(json_of({"evaluate", file("shuffled.tum"), file("truth.tum")}) == expected);
@@ -164,7 +165,7 @@ TEST_CASE("commands: odometry and trajectories as others wrote them", "[apps][od
   const Json& robot = json.at("robots").at("0");
   REQUIRE(robot.at("path_length_m").get<double>() == Approx(53.3).margin(0.05));
   REQUIRE(robot.at("translation_percent").get<double>() == Approx(1.23).margin(0.005));
-  REQUIRE(json.at("rpe").at("translation_m").at("mean").get<double>() == Approx(0.213).margin(0.0005));
+  REQUIRE(json.at("rpe").at("translation_m").at("mean").get<double>() == Approx(0.213).margin(0.001));
   for (const std::string name : {"odometry_reversed", "odometry_id_gaps"}) {
     CAPTURE(name);
     const std::string run = (folder / name).string();

@@ -43,21 +43,21 @@ double cpu() {
   return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
 }
 
-struct Problem {
+struct Instance {
   PoseGraph graph;
   std::vector<LoopCandidate> candidates;
   std::vector<Eigen::Vector3d> midpoints;
 };
 
 /// The odometry of a simulated mission, and random ones of its proximity candidates.
-Problem make_problem(WorldKind world, std::uint64_t seed) {
+Instance make_problem(WorldKind world, std::uint64_t seed) {
   SimulationOptions options;
   options.world = world;
   options.length_m = kLengthM;
   options.radio = options.communication_gaps = false;
   const SimulatedMission simulated =
       simulate(options, seed, {}, {}, [](Key, const PointCloud&) { /* scans are not needed */ });
-  Problem p;
+  Instance p;
   p.graph = simulated.mission.graph;
   p.graph.remove_edges_if([](const Edge& edge) { return edge.kind != EdgeKind::kOdometry; });
   ProximityGenerator generator(proximity_preset("lamp_base"), simulated.mission.robots);
@@ -72,7 +72,7 @@ Problem make_problem(WorldKind world, std::uint64_t seed) {
 }
 
 /// Anneals within a budget of processor time or of evaluations, whichever is given.
-std::vector<std::size_t> anneal(GraphObjective& objective, const Problem& p, std::uint64_t seed,
+std::vector<std::size_t> anneal(GraphObjective& objective, const Instance& p, std::uint64_t seed,
                                 const std::vector<std::size_t>& start, double seconds,
                                 std::uint64_t evaluations) {
   const double begin = cpu();
@@ -91,7 +91,7 @@ void run(const std::string& weights, const std::string& out_path, std::uint64_t 
   const auto network = std::make_shared<const GraphNetwork>(weights);
   for (std::uint64_t seed = first; seed < first + count; ++seed) {
     for (const auto& [world, name] : enum_names(WorldKind{})) {
-      const Problem p = make_problem(world, seed);
+      const Instance p = make_problem(world, seed);
       const std::vector<Matrix6d> covariances = marginals(p.graph).covariances;
       CovarianceObjective exact(p.graph, p.candidates);
       const double none = exact.value();
@@ -182,7 +182,7 @@ void table(const std::string& path) {
 }
 
 void picture(const std::string& world, std::uint64_t seed, const std::string& path) {
-  const Problem p = make_problem(parse_enum<WorldKind>("world", world), seed);
+  const Instance p = make_problem(parse_enum<WorldKind>("world", world), seed);
   CovarianceObjective objective(p.graph, p.candidates);
   const Selection chosen = greedy(objective, p.midpoints, 50);
   Eigen::Vector3d low = p.graph.nodes()[0].pose.translation(), high = low;

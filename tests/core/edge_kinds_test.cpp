@@ -153,7 +153,7 @@ TEST_CASE("edges: the same measurement from its other end costs the same", "[cor
   REQUIRE(cost(other, b, a) == Approx(cost(edge, a, b)).epsilon(1e-4));  // measured: 2e-5
 }
 
-TEST_CASE("robots: labels in the keys tell robots apart, ordinary symbols have none", "[core][robots]") {
+TEST_CASE("robots: labels in the keys tell robots apart, ordinary symbols lack them", "[core][robots]") {
   const auto labelled = [](char character, char label, Key index) {
     return make_key(character, (Key{static_cast<unsigned char>(label)} << 48) | index);
   };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Which edges of recordings are odometry, whatever wrote them.
+// Which edges of recordings are odometry, in the forms of several writers.
 #include <algorithm>
 
 #include <loopwise/core/error.hpp>

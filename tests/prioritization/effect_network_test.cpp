@@ -50,16 +50,16 @@ std::shared_ptr<const EffectNetwork> load(const Json& json) {
   return std::make_shared<const EffectNetwork>(folder / "weights.json");
 }
 
-struct Problem {
+struct Instance {
   PoseGraph graph;
   std::vector<LoopCandidate> candidates;
 };
 
-Problem problem(Rng& rng, std::size_t nodes = 60, std::size_t candidates = 40) {
+Instance problem(Rng& rng, std::size_t nodes = 60, std::size_t candidates = 40) {
   testing::RandomGraphOptions shape;
   shape.nodes = nodes;
   shape.closures = 4;
-  Problem p;
+  Instance p;
   p.graph = testing::random_graph(rng, shape).graph;
   p.candidates = testing::random_candidates(p.graph, candidates, rng);
   return p;
@@ -69,7 +69,7 @@ Problem problem(Rng& rng, std::size_t nodes = 60, std::size_t candidates = 40) {
 
 TEST_CASE("effects: what one closure does is exact", "[prioritization][effects]") {
   Rng rng(3);
-  const Problem p = problem(rng);
+  const Instance p = problem(rng);
   const ClosureModelOptions options;
   const ClosureModel model = closure_model(options);
   const ClosureEffects effects = closure_effects(p.graph, p.candidates, options, model, 16);
@@ -94,7 +94,7 @@ TEST_CASE("effects: what one closure does is exact", "[prioritization][effects]"
 
 TEST_CASE("effects: the world frame and the threads do not show", "[prioritization][effects][property]") {
   Rng rng(8);
-  const Problem p = problem(rng);
+  const Instance p = problem(rng);
   const auto network = load(random_weights(rng));
   const ClosureModelOptions options;
   const ClosureModel model = closure_model(options);
@@ -126,7 +126,7 @@ TEST_CASE("effects: the world frame and the threads do not show", "[prioritizati
 TEST_CASE("effect network: a change of the set equals the whole", "[prioritization][effects]") {
   Rng rng(4);
   const auto network = load(random_weights(rng));
-  const Problem p = problem(rng);
+  const Instance p = problem(rng);
   const ClosureModelOptions options;
   EffectObjective objective(p.graph, p.candidates, network, options, closure_model(options));
   REQUIRE(objective.value() == Approx(objective.effects().trace_m2).epsilon(1e-12));
@@ -191,7 +191,7 @@ TEST_CASE("effect network: weights that cannot be used are refused by name",
   testing::write_text(folder / "other.json", R"({"__meta__": {"kind": "other"}})");
   REQUIRE_THROWS_WITH(network_kind(folder / "other.json"), Contains("of kind other"));
 
-  const Problem p = problem(rng, 20, 5);
+  const Instance p = problem(rng, 20, 5);
   const ClosureModelOptions options;
   const ClosureEffects effects = closure_effects(p.graph, p.candidates, options, closure_model(options));
   REQUIRE_THROWS_AS(load(good)->evaluate(effects, {5}), InputError);

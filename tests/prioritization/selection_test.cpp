@@ -12,18 +12,18 @@
 namespace loopwise {
 namespace {
 
-struct Problem {
+struct Instance {
   PoseGraph graph;
   std::vector<LoopCandidate> candidates;
   std::vector<Eigen::Vector3d> midpoints;
 };
 
-Problem random_problem(std::uint64_t seed, std::size_t nodes = 40, std::size_t candidates = 30) {
+Instance random_problem(std::uint64_t seed, std::size_t nodes = 40, std::size_t candidates = 30) {
   Rng rng(seed);
   testing::RandomGraphOptions shape;
   shape.nodes = nodes;
   shape.closures = 3;
-  Problem p;
+  Instance p;
   p.graph = testing::random_graph(rng, shape).graph;
   p.candidates = testing::random_candidates(p.graph, candidates, rng);
   p.midpoints = candidate_midpoints(p.graph, p.candidates);
@@ -57,7 +57,7 @@ TEST_CASE("selection: annealing finds the optimum of small problems, greedy come
           "[prioritization][selection]") {
   const std::uint64_t seed = GENERATE(range(1, 9));
   CAPTURE(seed);
-  const Problem p = random_problem(seed, 30, 12);
+  const Instance p = random_problem(seed, 30, 12);
   CovarianceObjective objective(p.graph, p.candidates);
   const double best = optimum(objective, 4);
   const Selection chosen = greedy(objective, p.midpoints, 4);
@@ -73,7 +73,7 @@ TEST_CASE("selection: annealing finds the optimum of small problems, greedy come
 TEST_CASE("selection: seeded annealing never ends above its seed", "[prioritization][selection]") {
   const std::uint64_t seed = GENERATE(range(1, 21));
   const std::string preset = GENERATE("default", "lamp");
-  const Problem p = random_problem(seed);
+  const Instance p = random_problem(seed);
   CovarianceObjective objective(p.graph, p.candidates);
   const Selection start = greedy(objective, p.midpoints, 8);
   SimulatedAnnealing annealing(objective, p.midpoints, 8, annealing_preset(preset), seed, start.set);
@@ -88,7 +88,7 @@ TEST_CASE("selection: seeded annealing never ends above its seed", "[prioritizat
 }
 
 TEST_CASE("selection: the same steps give the same set, however divided", "[prioritization][selection]") {
-  const Problem p = random_problem(3);
+  const Instance p = random_problem(3);
   const auto run = [&](const std::vector<std::uint64_t>& portions, std::uint64_t seed) {
     CovarianceObjective objective(p.graph, p.candidates);
     SimulatedAnnealing annealing(objective, p.midpoints, 10, {}, seed);
@@ -115,7 +115,7 @@ TEST_CASE("selection: the same steps give the same set, however divided", "[prio
 
 TEST_CASE("selection: a stop request ends the work, and the set is full all the same",
           "[prioritization][selection]") {
-  const Problem p = random_problem(4);
+  const Instance p = random_problem(4);
   StopSource stop;
   stop.request_stop();
   for (const bool lazy : {false, true}) {
@@ -136,7 +136,7 @@ TEST_CASE("selection: a stop request ends the work, and the set is full all the 
 }
 
 TEST_CASE("selection: sizes at the edge", "[prioritization][selection][error]") {
-  const Problem p = random_problem(5, 20, 6);
+  const Instance p = random_problem(5, 20, 6);
   CovarianceObjective objective(p.graph, p.candidates);
   for (const std::size_t count : {std::size_t{0}, std::size_t{6}, std::size_t{100}}) {
     const std::size_t all = std::min<std::size_t>(count, 6);
@@ -173,7 +173,7 @@ TEST_CASE("selection: sizes at the edge", "[prioritization][selection][error]") 
 
 TEST_CASE("selection: lazy greedy is exact for the log-determinant", "[prioritization][selection]") {
   const std::uint64_t seed = GENERATE(range(1, 6));
-  const Problem p = random_problem(seed, 60, 80);
+  const Instance p = random_problem(seed, 60, 80);
   LogDetObjective objective(p.graph, p.candidates);
   const Selection eager = greedy(objective, p.midpoints, 20);
   GreedyOptions options;
@@ -188,7 +188,7 @@ TEST_CASE("selection: lazy greedy is exact for the log-determinant", "[prioritiz
 }
 
 TEST_CASE("selection: candidates that tie parts together come first", "[prioritization][selection]") {
-  Problem p = random_problem(6, 20, 8);
+  Instance p = random_problem(6, 20, 8);
   Node lone;
   lone.key = 1000;
   p.graph.add_node(lone);
@@ -208,7 +208,7 @@ TEST_CASE("selection: spread and covariance", "[prioritization][selection]") {
   REQUIRE(farthest_points(points, 5).size() == 5);
   REQUIRE(farthest_points({}, 3).empty());
 
-  const Problem p = random_problem(7);
+  const Instance p = random_problem(7);
   const std::vector<Matrix6d> covariances = marginals(p.graph).covariances;
   const auto chosen = largest_covariance(p.graph, p.candidates, covariances, 5);
   const auto sum = [&](std::size_t i) {

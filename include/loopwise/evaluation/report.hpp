@@ -53,11 +53,11 @@ struct Report {
 /// A run that knew no truth is judged by that of its mission, any run by one that set_truth() gave; what old
 /// runs of sessions call errors becomes differences from a reference.
 ///
-/// The data hold, per run, summary.json as it stands but for that, its history over mission time, and the scene: nodes by
-/// robot with poses by the estimate, by odometry in truth and by a reference, points of the map, candidates by outcome. A
-/// layer with more than its bound of items is drawn at random without replacement, every item as likely; the
-/// total stands beside what is left. Arrays are base64 of little-endian numbers, points quantised to 16 bits
-/// per axis of a box that holds all but the outermost.
+/// The data hold, per run, summary.json as it stands but for that, its history over mission time, and the
+/// scene: nodes by robot with poses by the estimate, by odometry in truth and by a reference, points of the
+/// map, candidates by outcome. A layer with more than its bound of items is drawn at random without
+/// replacement, every item as likely; the total stands beside what is left. Arrays are base64 of
+/// little-endian numbers, points quantised to 16 bits per axis of a box that holds all but the outermost.
 ///
 /// \throws OptionError; InputError if a folder is neither, or a mission is none of the runs'; IoError;
 ///         ParseError.

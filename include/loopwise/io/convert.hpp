@@ -52,8 +52,8 @@ struct ConvertResult {
 /// priors and edges as write_g2o() writes them; keys.csv has every node's stamp and cloud; ranges.csv and
 /// gravity.csv, if there are such factors, are those of a mission folder; ground_truth/result.g2o the true
 /// poses. read_mission() gives all this back.
-/// **tum**, **kitti**: ROBOT.tum or ROBOT.kitti, ROBOT_truth.* where the truth is known and ROBOT_reference.* where there is a
-/// reference; of each robot the nodes in the order of their keys. No landmarks.
+/// **tum**, **kitti**: ROBOT.tum or ROBOT.kitti, ROBOT_truth.* where the truth is known and ROBOT_reference.*
+/// where there is a reference; of each robot the nodes in the order of their keys. No landmarks.
 ///
 /// The folder must not exist or be empty. A target that is not whole is never taken for one: mission.json or
 /// result.g2o is written last, trajectories appear all at once, and what was written is removed when this
