@@ -69,7 +69,8 @@ void apply_bin_layout(const std::string& layout, Config& config);
 
 /// Check of an option that takes a whole number, which would wrap round below zero or end at the largest.
 [[nodiscard]] CLI::Validator not_negative();
-/// Check of an option that names a file or folder to write: "-" is none, as standard output gets the results.
+/// Check of an option that names a file or folder to write: "-" is refused, as standard output gets the
+/// results.
 [[nodiscard]] CLI::Validator not_standard_output();
 
 /// Defaults, then the file of --config, then --set. \throws OptionError, IoError, ParseError

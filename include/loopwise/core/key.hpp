@@ -35,7 +35,7 @@ inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;  ///< These 
 
 inline constexpr int kKeyLabelShift = 48;  ///< Low bits of a labelled key that hold the index.
 
-/// The label of a gtsam::LabeledSymbol, a letter; 0 if the key is none.
+/// The label of a gtsam::LabeledSymbol, a letter; 0 if the key has no label.
 [[nodiscard]] LOOPWISE_EXPORT char key_label(Key key);
 
 /// For people: "a12" if the character is a letter, "gB12" if the key has a label as well, otherwise the plain

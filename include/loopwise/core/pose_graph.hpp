@@ -183,12 +183,12 @@ class LOOPWISE_EXPORT PoseGraph {
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
 /// Keys of each robot's nodes in the order of its path, which is that of the keys. Landmarks have no path,
-/// and nodes that no robot owns are on none.
+/// and nodes that no robot owns are left out.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::vector<Key>> robot_paths(const PoseGraph& graph,
                                                                         const Robots& robots);
 
-/// Which nodes follow each other on their robot's path: no node of the robot lies between them, whatever the
-/// gap of their keys, as long as it is below 2^47.
+/// Which nodes follow each other on their robot's path: no node of the robot lies between them, however large
+/// the gap of their keys, as long as it is below 2^47.
 class LOOPWISE_EXPORT Neighbours {
  public:
   /// Of the nodes that the graph has now.

@@ -30,7 +30,7 @@ struct FeatureOptions {
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
     field("max_range_m", self.max_range_m, at_least(0.0),
-          "Points further from the sensor are left out and counted, m; 0: none is. A cloud in world "
+          "Points further from the sensor are left out and counted, m; 0: no bound. A cloud in world "
           "coordinates "
           "is measured from its middle.");
     field("voxel_m", self.voxel_m, above(0.0), "Edge of the voxel grid that scans are downsampled with, m.");
