@@ -117,7 +117,7 @@ TEST_CASE("FastRegistrar: a furnished room is verified and right", "[registrar][
   REQUIRE(verified >= 8);
 }
 
-TEST_CASE("FastRegistrar: a straight corridor leaves its own direction free, with a guess or without",
+TEST_CASE("FastRegistrar: a straight corridor is never sure along itself, with a guess or without",
           "[registrar][ambiguity]") {
   Rng rng(5);
   testing::Room room;
@@ -134,8 +134,8 @@ TEST_CASE("FastRegistrar: a straight corridor leaves its own direction free, wit
     if (with_guess) guess = truth * Eigen::Translation3d(2.2, 0.0, 0.0);
     const RegistrationResult result = align(from, to, guess);
     CAPTURE(with_guess, result.message);
-    if (!result.verified()) continue;  // along it every pose is as good
-    REQUIRE(sigmas(result)[0] > 3.0);
+    REQUIRE((!result.verified() || sigmas(result)[0] > 3.0));  // along it every pose is as good
+    if (!result.verified()) continue;
     REQUIRE(sigmas(result)[1] < 0.05);
     REQUIRE(chi_square(*result.closure, truth) < kChiSquare999);
   }
