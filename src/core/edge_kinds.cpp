@@ -2,10 +2,10 @@
 // The one place that decides which edges of a graph are odometry.
 #include <algorithm>
 #include <map>
-#include <numeric>
 
 #include <Eigen/QR>
 
+#include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/pose_graph.hpp>
 
@@ -78,23 +78,15 @@ void mark_chain(PoseGraph& graph, const std::vector<std::size_t>& edges, Problem
 
 /// Places where odometry does not lead from a robot's node to its next, not even on a detour.
 void check_chains(const PoseGraph& graph, const Robots& robots, Problems& problems) {
-  std::vector<std::size_t> parent(graph.nodes().size());
-  std::iota(parent.begin(), parent.end(), std::size_t{0});
-  const auto root = [&parent](std::size_t i) {
-    while (parent[i] != i) i = parent[i] = parent[parent[i]];
-    return i;
-  };
+  DisjointSets chained(graph.nodes().size());
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-    if (graph.edges()[e].kind == EdgeKind::kOdometry)
-      parent[root(graph.ends(e).from)] = root(graph.ends(e).to);
+    if (graph.edges()[e].kind == EdgeKind::kOdometry) chained.join(graph.ends(e).from, graph.ends(e).to);
   }
   const std::vector<std::vector<Key>> paths = robot_paths(graph, robots);
   for (std::size_t robot = 0; robot < paths.size(); ++robot) {
     for (std::size_t i = 1; i < paths[robot].size(); ++i) {
       const Key a = paths[robot][i - 1], b = paths[robot][i];
-      const std::size_t root_a = root(graph.index_of(a)), root_b = root(graph.index_of(b));
-      if (root_a == root_b) continue;
-      parent[root_a] = root_b;  // what follows is counted once
+      if (!chained.join(graph.index_of(a), graph.index_of(b))) continue;  // joined now: a gap is counted once
       const std::string where = "robot " + robots[robot].name + ", between nodes " + between(a, b);
       if (b - a >= kLabelStep) {
         problems.add("robot whose keys have a jump of 2^47 or more",

@@ -2,11 +2,11 @@
 #include <loopwise/core/pose_graph.hpp>
 
 #include <cmath>
-#include <numeric>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/error.hpp>
 
 namespace loopwise {
@@ -217,22 +217,12 @@ void PoseGraph::set_information(std::size_t edge, const Matrix6d& information) {
 }
 
 std::vector<std::size_t> connected_components(const PoseGraph& graph) {
-  // Union-find with path halving; the smallest node number of a component is its root.
-  std::vector<std::size_t> parent(graph.nodes().size());
-  std::iota(parent.begin(), parent.end(), std::size_t{0});
-  const auto root = [&parent](std::size_t i) {
-    while (parent[i] != i) i = parent[i] = parent[parent[i]];
-    return i;
-  };
-  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-    const std::size_t a = root(graph.ends(e).from), b = root(graph.ends(e).to);
-    if (a < b) parent[b] = a;
-    if (b < a) parent[a] = b;
-  }
-  std::vector<std::size_t> component(parent.size());
+  DisjointSets joined(graph.nodes().size());
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) joined.join(graph.ends(e).from, graph.ends(e).to);
+  std::vector<std::size_t> component(graph.nodes().size());
   std::size_t count = 0;
-  for (std::size_t i = 0; i < parent.size(); ++i) {
-    const std::size_t r = root(i);
+  for (std::size_t i = 0; i < component.size(); ++i) {
+    const std::size_t r = joined.root(i);
     component[i] = r == i ? count++ : component[r];
   }
   return component;

@@ -23,7 +23,8 @@ struct RobotPath {
 };
 
 /// The trajectories name robots and hold stamps, the graph holds keys: a robot's file is the one that goes
-/// through the positions of the next keys in order. What no file goes through is told apart by characters.
+/// through the positions of the next keys in order. Keys that no file goes through belong to the robot of
+/// their character.
 [[nodiscard]] std::vector<RobotPath> robot_paths(const std::filesystem::path& folder, const PoseGraph& graph);
 
 /// The shortest tails of the paths that differ: "a/run" and "b/run" keep both words.

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numeric>
 
+#include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/optimization/auxiliary_factors.hpp>
 
@@ -265,31 +266,24 @@ double PoseProblem::cost(const std::vector<Pose>& poses, ThreadPool& pool,
 
 Freedom find_freedom(const PoseProblem& problem) {
   const std::size_t n = problem.nodes();
-  // Union-find over active factors; the smallest node of a component is its root, the fixed node stays apart.
-  std::vector<std::uint32_t> parent(n);
-  std::iota(parent.begin(), parent.end(), 0U);
-  const auto root = [&parent](std::uint32_t i) {
-    while (parent[i] != i) i = parent[i] = parent[parent[i]];
-    return i;
-  };
+  DisjointSets joined(n);  // by active factors; the fixed node stays apart
   std::vector<char> touched(n, 0), anchored(n, 0);
   for (std::size_t k = 0; k < problem.factors(); ++k) {
     if (problem.weight[k] <= 0.0) continue;
     touched[problem.to(k)] = 1;
     if (problem.from(k) == n) continue;
     touched[problem.from(k)] = 1;
-    const std::uint32_t a = root(problem.from(k)), b = root(problem.to(k));
-    parent[std::max(a, b)] = std::min(a, b);
+    joined.join(problem.from(k), problem.to(k));
   }
-  for (std::size_t k = problem.edges(); k < problem.factors(); ++k) anchored[root(problem.to(k))] = 1;
+  for (std::size_t k = problem.edges(); k < problem.factors(); ++k) anchored[joined.root(problem.to(k))] = 1;
 
   Freedom freedom;
   freedom.variable.assign(n + 1, Freedom::kFixed);
   freedom.component.assign(n, Freedom::kFixed);
   for (std::uint32_t i = 0; i < n; ++i) {
     if (touched[i] == 0) continue;
-    freedom.component[i] = root(i);
-    if (root(i) == i && anchored[i] == 0) {
+    freedom.component[i] = joined.root(i);
+    if (freedom.component[i] == i && anchored[i] == 0) {
       freedom.held.push_back(i);
       continue;
     }

@@ -8,6 +8,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 
+#include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/optimization/marginals.hpp>
@@ -38,20 +39,12 @@ struct Chains {
 
   explicit Chains(const PoseGraph& graph) {
     const std::size_t n = graph.nodes().size();
-    std::vector<std::uint32_t> parent(n);
-    std::iota(parent.begin(), parent.end(), 0U);
-    const auto root = [&](std::uint32_t i) {
-      while (parent[i] != i) i = parent[i] = parent[parent[i]];
-      return i;
-    };
+    DisjointSets chained(n);
     for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-      if (graph.edges()[e].kind != EdgeKind::kOdometry) continue;
-      const auto a = root(static_cast<std::uint32_t>(graph.ends(e).from));
-      const auto b = root(static_cast<std::uint32_t>(graph.ends(e).to));
-      parent[std::max(a, b)] = std::min(a, b);
+      if (graph.edges()[e].kind == EdgeKind::kOdometry) chained.join(graph.ends(e).from, graph.ends(e).to);
     }
     chain.resize(n);
-    for (std::uint32_t i = 0; i < n; ++i) chain[i] = root(i);
+    for (std::uint32_t i = 0; i < n; ++i) chain[i] = chained.root(i);
     order.resize(n);
     std::iota(order.begin(), order.end(), 0U);
     std::sort(order.begin(), order.end(), [&](std::uint32_t a, std::uint32_t b) {

@@ -30,10 +30,10 @@ namespace loopwise {
                                               const Eigen::Isometry3d& T_target_source,
                                               const Eigen::Matrix3d& axes, const ClosureTestOptions& options);
 
-/// A Hessian counts every point whose normal looks along a corridor, noise and repeated ribs as well. Whether
-/// the pose is told apart from others a metre away is tried out along the Hessian's three axes of
-/// translation, and the covariance grows by what stays undecided. With the odds o = u/(1 − u) of an undecided
-/// share u and those of `free_share`, o₀, σ along the axis is at least max_sigma_m · o⁴/(o⁴ + o₀⁴).
+/// A Hessian counts every point whose normal looks along a corridor, noise and repeated ribs as well. So the
+/// source is moved by a metre along each of the Hessian's three axes of translation, and the covariance grows
+/// along an axis where the points fit as well there as at the pose. With the odds o = u/(1 − u) of an
+/// undecided share u and those of `free_share`, o₀, σ along the axis is at least max_sigma_m · o⁴/(o⁴ + o₀⁴).
 void widen_undecided(const Side& source, std::size_t count, const Side& target,
                      const Eigen::Isometry3d& T_target_source, const AlignmentFigures& figures,
                      double free_share, const ClosureTestOptions& options, Matrix6d& covariance);

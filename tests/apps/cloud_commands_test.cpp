@@ -19,20 +19,13 @@
 namespace loopwise {
 namespace {
 
+using testing::json_of;
 using testing::ProgramRun;
 using testing::run_program;
 using testing::TemporaryFolder;
 
 /// χ² of six degrees of freedom at 0.999.
 constexpr double kChiSquare = 22.5;
-
-Json json_of(std::vector<std::string> arguments) {
-  arguments.insert(arguments.end(), {"--json", "-"});
-  const ProgramRun run = run_program(arguments);
-  INFO(run.err);
-  REQUIRE(run.status == 0);
-  return parse_json(run.out, "standard output");
-}
 
 Eigen::Isometry3d pose_of(const Json& json) {
   Eigen::Isometry3d T;

@@ -22,21 +22,13 @@
 namespace loopwise {
 namespace {
 
+using testing::json_of;
 using testing::ProgramRun;
 using testing::run_program;
 using testing::small_mission;
 using testing::TemporaryFolder;
 
 enum : int { kDone = 0, kBadUsage = 2, kBadInput = 3, kInterrupted = 130 };
-
-/// Runs a command with --json - and demands that standard output is JSON and nothing else.
-Json json_of(std::vector<std::string> arguments) {
-  arguments.insert(arguments.end(), {"--json", "-"});
-  const ProgramRun run = run_program(arguments);
-  INFO(run.err);
-  REQUIRE(run.status == kDone);
-  return parse_json(run.out, "standard output");
-}
 
 void require_fields(const Json& json, const std::vector<std::string>& fields) {
   for (const std::string& field : fields) {

@@ -16,6 +16,7 @@ namespace loopwise {
 namespace {
 
 namespace fs = std::filesystem;
+using testing::json_of;
 using testing::lamp_data;
 using testing::Program;
 using testing::ProgramRun;
@@ -24,14 +25,6 @@ using testing::small_mission;
 using testing::TemporaryFolder;
 
 enum : int { kDone = 0, kBadUsage = 2, kBadInput = 3, kInterrupted = 130 };
-
-Json json_of(std::vector<std::string> arguments) {
-  arguments.insert(arguments.end(), {"--json", "-", "--quiet"});
-  const ProgramRun run = run_program(arguments);
-  INFO(run.err);
-  REQUIRE(run.status == kDone);
-  return parse_json(run.out, "standard output");
-}
 
 TEST_CASE("convert: there and back, and what other commands make of it", "[apps][convert]") {
   const TemporaryFolder folder;

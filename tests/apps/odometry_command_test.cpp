@@ -17,17 +17,10 @@
 namespace loopwise {
 namespace {
 
+using testing::json_of;
 using testing::ProgramRun;
 using testing::run_program;
 using testing::TemporaryFolder;
-
-Json json_of(std::vector<std::string> arguments) {
-  arguments.insert(arguments.end(), {"--json", "-"});
-  const ProgramRun run = run_program(arguments);
-  INFO(run.err);
-  REQUIRE(run.status == 0);
-  return parse_json(run.out, "standard output");
-}
 
 /// A circle with noisy odometry, closed at its end, and the same with a false edge between two neighbours.
 struct Circle {

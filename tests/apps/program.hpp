@@ -11,6 +11,10 @@
 #include <string>
 #include <vector>
 
+#include <nlohmann/json.hpp>
+
+#include <loopwise/io/json_options.hpp>
+
 #include "testing.hpp"
 
 namespace loopwise::testing {
@@ -79,6 +83,15 @@ class Program {
 
 [[nodiscard]] inline ProgramRun run_program(const std::vector<std::string>& arguments) {
   return Program(arguments).finish();
+}
+
+/// Runs a command with --json - and demands that standard output is JSON and nothing else.
+inline Json json_of(std::vector<std::string> arguments) {
+  arguments.insert(arguments.end(), {"--json", "-"});
+  const ProgramRun run = run_program(arguments);
+  INFO(run.err);
+  REQUIRE(run.status == 0);
+  return parse_json(run.out, "standard output");
 }
 
 }  // namespace loopwise::testing

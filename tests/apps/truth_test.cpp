@@ -15,18 +15,11 @@ namespace loopwise {
 namespace {
 
 namespace fs = std::filesystem;
+using testing::json_of;
 using testing::ProgramRun;
 using testing::run_program;
 using testing::small_mission;
 using testing::TemporaryFolder;
-
-Json json_of(std::vector<std::string> arguments) {
-  arguments.insert(arguments.end(), {"--json", "-"});
-  const ProgramRun run = run_program(arguments);
-  INFO(run.err);
-  REQUIRE(run.status == 0);
-  return parse_json(run.out, "standard output");
-}
 
 /// A session of one robot: odometry that drifts, and optimised poses that are worse.
 void write_session(const fs::path& folder, const Mission& mission) {

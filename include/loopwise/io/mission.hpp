@@ -72,8 +72,8 @@ struct Mission {
   /// ground_truth stands in another frame and was laid on the mission: only aligned errors mean something.
   bool truth_is_aligned = false;
   std::string truth_file;  ///< What set_truth() took ground_truth from; empty if it was recorded.
-  /// Poses that another program computed, such as a session's own optimised poses: to compare with, never the
-  /// truth. Empty if there are none.
+  /// Poses that another program computed, such as a session's own optimised poses. They are to compare with,
+  /// never the truth. Empty if no such poses are recorded.
   std::map<Key, Eigen::Isometry3d> reference;
   std::vector<CommunicationGap> gaps;  ///< By robot, then begin.
   std::vector<RadioReading> radio;     ///< In the order of the file.
