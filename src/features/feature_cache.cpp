@@ -26,9 +26,11 @@ void normalize(std::vector<Eigen::Vector3f>& normals) {
 ScanFeatures compute_features(const PointCloud& cloud, const FeatureOptions& options) {
   ScanFeatures out;
   out.raw_points = cloud.size();
-  const PointCloud near = within_range(cloud, options.max_range_m);
-  out.far_points = cloud.size() - near.size();
-  out.cloud = adaptive_downsample(near, options.voxel_m, static_cast<std::size_t>(options.min_points));
+  const auto downsample = [&](const PointCloud& points) {
+    return adaptive_downsample(points, options.voxel_m, static_cast<std::size_t>(options.min_points));
+  };
+  out.far_points = points_beyond(cloud, options.max_range_m);
+  out.cloud = downsample(out.far_points == 0 ? cloud : within_range(cloud, options.max_range_m));
   out.tree = KdTree(out.cloud.points);
   if (options.use_file_normals && out.cloud.has_normals()) {
     normalize(out.cloud.normals);

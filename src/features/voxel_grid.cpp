@@ -69,6 +69,26 @@ struct Sum {
   std::uint32_t count = 0;
 };
 
+/// What lies too far from the sensor. World coordinates have no sensor at zero: there the middle of the
+/// points stands for it. A scan that looks one way has its middle ahead of the sensor, but nowhere as far.
+class Range {
+ public:
+  Range(const PointCloud& cloud, double max_range_m) : max_m_(max_range_m) {
+    constexpr double kNoScanM = 300.0;
+    const Eigen::Vector3d middle = robust_centre(cloud.points);
+    if (middle.norm() > std::max(kNoScanM, max_range_m)) sensor_ = middle;
+  }
+  /// Points that are not finite are left to the downsampling.
+  [[nodiscard]] bool is_beyond(const Eigen::Vector3f& p) const {
+    const double range = (p.cast<double>() - sensor_).norm();
+    return std::isfinite(range) && range > max_m_;
+  }
+
+ private:
+  double max_m_;
+  Eigen::Vector3d sensor_ = Eigen::Vector3d::Zero();
+};
+
 /// The points that are wanted, with all that belongs to them.
 template <class Wanted>
 PointCloud selected(const PointCloud& cloud, Wanted&& wanted) {
@@ -85,13 +105,17 @@ PointCloud selected(const PointCloud& cloud, Wanted&& wanted) {
 
 }  // namespace
 
+std::size_t points_beyond(const PointCloud& cloud, double max_range_m) {
+  if (max_range_m == 0.0) return 0;
+  const Range range(cloud, max_range_m);
+  return static_cast<std::size_t>(std::count_if(cloud.points.begin(), cloud.points.end(),
+                                                [&](const auto& p) { return range.is_beyond(p); }));
+}
+
 PointCloud within_range(const PointCloud& cloud, double max_range_m) {
   if (max_range_m == 0.0) return cloud;
-  Eigen::Vector3d sensor = robust_centre(cloud.points);
-  if (sensor.norm() <= max_range_m) sensor.setZero();
-  // Points that are not finite are left to the downsampling.
-  return selected(
-      cloud, [&](const Eigen::Vector3f& p) { return !((p.cast<double>() - sensor).norm() > max_range_m); });
+  const Range range(cloud, max_range_m);
+  return selected(cloud, [&](const Eigen::Vector3f& p) { return !range.is_beyond(p); });
 }
 
 PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m) {

@@ -181,6 +181,10 @@ void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, do
   covariance = (0.5 * (covariance + covariance.transpose())).eval();
 }
 
+Vector6d moved_from_guess(const Eigen::Isometry3d& guess_from_to, const Eigen::Isometry3d& T_from_to) {
+  return se3::log(guess_from_to.inverse() * T_from_to);
+}
+
 void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from_to,
                      const AlignmentFigures& figures, bool converged,
                      const std::optional<Eigen::Isometry3d>& guess_from_to,
@@ -219,7 +223,7 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
                   beyond("free directions:", free, "<=", options.max_free_directions, ""));
   }
   if (guess_from_to) {
-    const Vector6d moved = se3::log(guess_from_to->inverse() * *result.T_from_to);
+    const Vector6d moved = moved_from_guess(*guess_from_to, *result.T_from_to);
     const double rotation_rad = moved.tail<3>().norm();
     if (!(moved.head<3>().norm() <= options.max_translation_m)) {
       return reject(RejectionReason::kTransformThreshold,

@@ -13,11 +13,10 @@
 #include <loopwise/core/robust_centre.hpp>
 #include "consensus.hpp"
 #include "fpfh.hpp"
-#include "gicp.hpp"
 #include "matching.hpp"
 #include "normal_bins.hpp"
 #include "pose_scores.hpp"
-#include "rivals.hpp"
+#include "pose_search.hpp"
 #include "side.hpp"
 #include "sort_falling.hpp"
 
@@ -95,7 +94,8 @@ std::vector<Match> match(const KeyPoints& source, const KeyPoints& target, std::
 }
 
 /// Drops matches that no allowed pose explains: one moves a point no further from where the guess has it than
-/// the bound on the translation and the arc of the bound on the rotation, and turns no normal further.
+/// the bound on the translation and the arc of the bound on the rotation about the target's origin, and turns
+/// no normal further.
 void drop_impossible(std::vector<Match>& matches, const Eigen::Isometry3d& guess_target_source,
                      const FastRegistrarOptions& options) {
   constexpr double kNormalNoise = 20.0 * kDegree;
@@ -106,240 +106,10 @@ void drop_impossible(std::vector<Match>& matches, const Eigen::Isometry3d& guess
   const Eigen::Isometry3f T = guess_target_source.cast<float>();
   const auto impossible = [&](const Match& m) {
     return (T.linear() * m.source_normal).dot(m.target_normal) < least_cosine ||
-           (T * m.source - m.target).norm() > slack + arc * m.source.norm();
+           (T * m.source - m.target).norm() > slack + arc * (T * m.source).norm();
   };
   matches.erase(std::remove_if(matches.begin(), matches.end(), impossible), matches.end());
 }
-
-/// Whether two poses of a cloud about `centre` are different answers, not one answer twice.
-bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const Eigen::Vector3d& centre) {
-  return (a * centre - b * centre).norm() > 1.0 || se3::rotation_angle(a.inverse() * b) > 5.0 * kDegree;
-}
-
-struct Scored {
-  Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
-  double value = 0.0;
-  std::optional<double> fit;  // see PoseSearch::fit_of
-};
-
-/// Poses of one pair that are refined, compared and judged.
-class PoseSearch {
-  // Scans from two places of a periodic hall share less at the true pose than at one that lays the two
-  // sensors over each other: surfaces that one of them does not see count against a pose by little.
-  static constexpr double kShareWeight = 0.1;
-  static constexpr double kComparableShare = 0.45;
-  static constexpr std::size_t kScoredRivals = 16, kRefinedRivals = 4;
-
- public:
-  PoseSearch(const Side& source, const Side& target, const RegistrationTask& task,
-             const FastRegistrarOptions& options, RegistrationResult& result)
-      : source_(source),
-        target_(target),
-        task_(task),
-        options_(options),
-        result_(result),
-        passes_(gicp_passes(options.coarse_reach_m, options.fine_reach_m,
-                            static_cast<std::size_t>(options.coarse_points),
-                            static_cast<std::size_t>(options.fine_points))) {
-    fine_pass_ = {passes_.back()};
-    passes_.pop_back();
-  }
-
-  /// What the last test would refuse need not be tried; the refinement moves a start by its reach at most.
-  [[nodiscard]] bool allowed(const Eigen::Isometry3d& T_target_source) const {
-    if (!task_.guess_from_to) return true;
-    const Eigen::Isometry3d moved = *task_.guess_from_to * T_target_source;
-    return moved.translation().norm() <= options_.tests.max_translation_m + options_.coarse_reach_m &&
-           se3::rotation_angle(moved) <= options_.tests.max_rotation_rad + 5.0 * kDegree;
-  }
-
-  [[nodiscard]] bool empty() const { return refined_.empty(); }
-
-  /// Refines a start from coarse to fine and keeps it. Returns its share on the target's surfaces, against
-  /// what is expected of a right one; 0 if it went where it is not allowed.
-  double refine(const Eigen::Isometry3d& start) {
-    const Stopwatch watch;
-    Scored pose;
-    pose.T_target_source = gicp(start, passes_).T_target_source;
-    if (pose.T_target_source.matrix().allFinite() && allowed(pose.T_target_source)) {
-      pose.value = share_of(pose.T_target_source);
-      const auto worse = [&](const Scored& other) { return other.value < pose.value; };
-      refined_.insert(std::find_if(refined_.begin(), refined_.end(), worse), pose);
-    }
-    result_.refine_s += watch.seconds();
-    return pose.value;
-  }
-
-  /// Judges the best pose. One that passes is compared with its rivals.
-  void decide() {
-    const Stopwatch watch;
-    Scored best = best_in_detail();
-    judge(best.T_target_source);
-    if (result_.verified()) {
-      add_rivals(best.T_target_source);
-      const Scored better = best_in_detail();
-      if (!better.T_target_source.isApprox(best.T_target_source, 0.0)) {
-        best = better;
-        judge(best.T_target_source);
-      }
-    }
-    if (result_.verified()) refuse_if_ambiguous(best);
-    result_.refine_s += watch.seconds();
-  }
-
- private:
-  [[nodiscard]] double expected_on_plane() const {
-    return 0.5 * (source_.share.on_plane + target_.share.on_plane);
-  }
-  [[nodiscard]] std::size_t scored_points() const { return static_cast<std::size_t>(options_.score_points); }
-  [[nodiscard]] double share_of(const Eigen::Isometry3d& T_target_source) const {
-    return share_on_surface(source_, scored_points(), target_, T_target_source, options_.tests) /
-           (expected_on_plane() * target_.share.overlap);
-  }
-  [[nodiscard]] GicpResult gicp(const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) const {
-    return refine_gicp(source_.submap.cloud(), source_.order, target_.submap.cloud(), target_.submap.tree(),
-                       start, passes);
-  }
-
-  [[nodiscard]] AlignmentFigures figures_of(const Eigen::Isometry3d& T_target_source,
-                                            int measured_points) const {
-    const PointCloud& cloud = source_.submap.cloud();
-    ClosureTestOptions tests = options_.tests;
-    tests.measured_points = measured_points;
-    AlignmentFigures figures =
-        measure_alignment(cloud, target_.submap.cloud(), target_.submap.tree(), T_target_source, tests);
-    figures.expected_on_plane = expected_on_plane();
-    // Sparse scans of long range: fewer than half of the points have a neighbour.
-    figures.expected_overlap = std::min(1.0, 2.0 * target_.share.overlap);
-    constexpr std::size_t kLookedAt = 1000;
-    figures.contradiction = target_.range_image.contradiction(cloud, T_target_source, kLookedAt) +
-                            source_.range_image.contradiction(target_.submap.parts().front().features->cloud,
-                                                              T_target_source.inverse(), kLookedAt);
-    return figures;
-  }
-
-  /// Settles a pose and fills the result from it.
-  void judge(const Eigen::Isometry3d& T_target_source) {
-    result_.closure.reset();
-    const GicpResult final = gicp(T_target_source, fine_pass_);
-    const AlignmentFigures figures = figures_of(final.T_target_source, options_.tests.measured_points);
-    judge_alignment(result_, final.T_target_source.inverse(), figures, final.converged, task_.guess_from_to,
-                    options_.tests);
-    if (!result_.verified()) return;
-    widen_undecided(source_, scored_points(), target_, final.T_target_source, figures, options_.free_share,
-                    options_.tests, result_.closure->covariance);
-  }
-
-  /// How well a pose fits, for the comparison of poses: consistency + ln(share on surfaces) / 10. Settles the
-  /// pose first: coarse passes may leave a degree.
-  [[nodiscard]] double fit_of(Scored& pose) const {
-    if (!pose.fit) {
-      constexpr int kMeasured = 600;
-      const std::vector<GicpPass> settle{{options_.fine_reach_m, kMeasured, 10, 2e-3, 2e-4}};
-      pose.T_target_source = gicp(pose.T_target_source, settle).T_target_source;
-      pose.fit = consistency(figures_of(pose.T_target_source, kMeasured)) +
-                 kShareWeight * std::log(std::max(1e-6, share_of(pose.T_target_source)));
-    }
-    return *pose.fit;
-  }
-
-  /// The pose that fits best among those whose share comes near the largest.
-  [[nodiscard]] Scored best_in_detail() {
-    Scored* best = &refined_.front();
-    for (Scored& other : refined_) {
-      if (other.value < kComparableShare * refined_.front().value) break;
-      if (!far_apart(other.T_target_source, best->T_target_source, source_.centre)) continue;
-      if (fit_of(other) > fit_of(*best)) best = &other;
-    }
-    return *best;
-  }
-
-  /// Refines the rivals of a pose that come nearest to the target.
-  void add_rivals(const Eigen::Isometry3d& best) {
-    const auto near = [&](const Eigen::Isometry3d& T) {
-      return near_share(source_, scored_points() / 4, target_, T,
-                        static_cast<float>(options_.coarse_reach_m));
-    };
-    std::vector<Scored> rivals;
-    double max_turn_rad = kPi;
-    if (task_.guess_from_to) {
-      max_turn_rad = options_.tests.max_rotation_rad + se3::rotation_angle(*task_.guess_from_to * best);
-    }
-    for (const Eigen::Isometry3d& rival : find_rivals(source_, target_, best, max_turn_rad)) {
-      if (rivals.size() == kScoredRivals) break;
-      if (allowed(rival)) rivals.push_back({rival, near(rival), {}});
-    }
-    sort_falling(rivals, [](const Scored& rival) { return rival.value; });
-    // Most slide back to the pose itself, which few points show.
-    std::vector<GicpPass> quick = passes_;
-    const std::size_t few = scored_points() / 3;
-    for (GicpPass& pass : quick) pass.points = std::min(pass.points, few);
-    const auto quick_share = [&](const Eigen::Isometry3d& T) {
-      return share_on_surface(source_, few, target_, T, options_.tests);
-    };
-    const double least_near = kComparableShare * near(best),
-                 least_share = kComparableShare * quick_share(best);
-    for (std::size_t i = 0; i < std::min(rivals.size(), kRefinedRivals) && rivals[i].value >= least_near;
-         ++i) {
-      const Eigen::Isometry3d rival = gicp(rivals[i].T_target_source, quick).T_target_source;
-      if (!rival.matrix().allFinite() || !far_apart(rival, best, source_.centre)) continue;
-      if (quick_share(rival) >= least_share) refine(rival);
-    }
-  }
-
-  /// From the closure to another pose, as its covariance has it.
-  [[nodiscard]] Vector6d offset_to(const Eigen::Isometry3d& T_target_source) const {
-    return se3::log(result_.closure->T_from_to.inverse() * T_target_source.inverse());
-  }
-
-  /// Whether a pose lies beyond the 0.999 quantile of the closure's χ² of six.
-  [[nodiscard]] bool excluded(const Vector6d& offset) const {
-    constexpr double kChiSquare = 22.46;
-    return offset.dot(result_.closure->covariance.ldlt().solve(offset)) > kChiSquare;
-  }
-
-  /// Whether the closure says little about the direction of an offset: it is within eight deviations there.
-  /// Periods are a hundred away.
-  [[nodiscard]] bool along_free_direction(const Vector6d& offset) const {
-    const auto within = [&](Eigen::Index part) {
-      const Eigen::Vector3d d = offset.segment<3>(part);
-      const Eigen::Matrix3d C = result_.closure->covariance.block<3, 3>(part, part);
-      return d.squaredNorm() * d.squaredNorm() <= 64.0 * d.dot(C * d);
-    };
-    return within(0) && within(3);
-  }
-
-  void refuse_if_ambiguous(Scored best) {
-    const Eigen::Isometry3d found = result_.closure->T_from_to.inverse();
-    for (Scored& other : refined_) {
-      if (other.value < kComparableShare * best.value) break;
-      if (!far_apart(other.T_target_source, found, source_.centre)) continue;
-      if (!excluded(offset_to(other.T_target_source))) continue;
-      if (fit_of(other) < fit_of(best) - options_.ambiguous_margin) continue;
-      const Vector6d offset = offset_to(other.T_target_source);  // it has settled
-      if (along_free_direction(offset)) {
-        // The axis of a free direction is known to a degree or so: the covariance takes in the pose.
-        Matrix6d& covariance = result_.closure->covariance;
-        covariance += offset * offset.transpose();
-        covariance = (0.5 * (covariance + covariance.transpose())).eval();
-        continue;
-      }
-      result_.closure.reset();
-      result_.reason = RejectionReason::kAmbiguous;
-      result_.message = "another pose, " + std::to_string(offset.head<3>().norm()) + " m and " +
-                        std::to_string(offset.tail<3>().norm() / kDegree) + " degrees away, fits as well";
-      return;
-    }
-  }
-
-  const Side& source_;
-  const Side& target_;
-  const RegistrationTask& task_;
-  const FastRegistrarOptions& options_;
-  RegistrationResult& result_;
-  std::vector<GicpPass> passes_, fine_pass_;
-  std::vector<Scored> refined_;  // best first
-};
 
 }  // namespace
 
@@ -441,6 +211,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   };
   const Deadline deadline(task.time_limit_s);
   const auto late = [&] {
+    result.closure.reset();
     return reject(RejectionReason::kTimeLimit, "not done after " + std::to_string(task.time_limit_s) + " s");
   };
   Stopwatch features_watch;
@@ -478,9 +249,14 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     const Eigen::Isometry3d guess = task.guess_from_to->inverse();
     const bool promising = near_share(source, scored_points, target, guess, reach) >= options.min_score;
     result.global_s += watch.seconds();
-    if (promising && search.refine(guess) >= options.sure_share) {
-      search.decide();
+    const Stopwatch refine_watch;
+    if (promising && search.refine(guess) >= options.sure_share && !search.empty()) {
+      const bool in_time = search.decide(deadline);
+      result.refine_s += refine_watch.seconds();
+      if (!in_time) return late();
       if (result.verified() || result.reason == RejectionReason::kAmbiguous) return result;
+    } else {
+      result.refine_s += refine_watch.seconds();
     }
   }
   if (deadline.passed()) return late();
@@ -501,12 +277,16 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
       find_consensus(matches, options.match_tolerance_m, static_cast<std::size_t>(options.hypotheses),
                      [&](const Eigen::Isometry3d& T) { return search.allowed(T); });
   // A quarter of the points tells which hypotheses are worth all of them.
+  struct Scored {
+    Eigen::Isometry3d T_target_source;
+    double value;
+  };
   std::vector<Scored> scored;
   double most = 0.0;
   for (const Hypothesis& h : consensus.hypotheses) {
     if (deadline.passed()) return late();
     scored.push_back(
-        {h.T_target_source, near_share(source, scored_points / 4, target, h.T_target_source, reach), {}});
+        {h.T_target_source, near_share(source, scored_points / 4, target, h.T_target_source, reach)});
     most = std::max(most, scored.back().value);
   }
   for (Scored& s : scored) {
@@ -516,6 +296,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   sort_falling(scored, [](const Scored& s) { return s.value; });
   result.global_s += global_watch.seconds();
   if (!scored.empty()) result.T_from_to = scored.front().T_target_source.inverse();
+  const Stopwatch refine_watch;
   std::vector<Eigen::Isometry3d> starts;
   for (const Scored& s : scored) {
     if (s.value < options.min_score || s.value < 0.75 * scored.front().value ||
@@ -546,7 +327,8 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
                                                     ", must be >= " + std::to_string(options.min_score));
   }
   if (deadline.passed()) return late();
-  search.decide();
+  if (!search.decide(deadline)) return late();
+  result.refine_s += refine_watch.seconds();
   return result;
 }
 

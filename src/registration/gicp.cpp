@@ -9,7 +9,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 
-#include <loopwise/core/robust_centre.hpp>
 #include <loopwise/core/se3.hpp>
 
 namespace loopwise {
@@ -38,12 +37,12 @@ std::vector<GicpPass> gicp_passes(double coarse_reach_m, double fine_reach_m, st
           {fine_reach_m, fine_points, 30, 1e-3, 1e-4}};
 }
 
-GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t>& order,
-                       const PointCloud& target, const KdTree& target_tree, const Eigen::Isometry3d& start,
+GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_centre,
+                       const std::vector<std::uint32_t>& order, const PointCloud& target,
+                       const KdTree& target_tree, const Eigen::Isometry3d& start,
                        const std::vector<GicpPass>& passes) {
   GicpResult result;
   result.T_target_source = start;
-  const Eigen::Vector3d source_centre = robust_centre(source.points);
 
   // A point's last match bounds the search for its next one: the steps are small.
   constexpr std::uint32_t kNone = ~std::uint32_t{0};
@@ -56,8 +55,7 @@ GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t
     for (int iteration = 0; iteration < pass.iterations; ++iteration) {
       ++result.iterations;
       const Eigen::Isometry3d& T = result.T_target_source;
-      const Eigen::Vector3d centre =
-          T * source_centre;  // turning about it keeps the digits of far-away clouds
+      const Eigen::Vector3d centre = T * source_centre;
       // H = Σ JᵀMJ and b = Σ JᵀMd with J = [I, −[y]×], by blocks.
       Eigen::Matrix3d H_tt = Eigen::Matrix3d::Zero(), H_tr = Eigen::Matrix3d::Zero(),
                       H_rr = Eigen::Matrix3d::Zero();

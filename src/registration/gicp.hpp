@@ -32,9 +32,10 @@ struct GicpResult {
 
 /// Generalized ICP (Segal, Haehnel, Thrun, RSS 2009) with covariances from normals, by Gauss-Newton with
 /// analytic Jacobians and a Geman-McClure kernel of a third of the reach. `order` lists the source points
-/// that take part.
-[[nodiscard]] GicpResult refine_gicp(const PointCloud& source, const std::vector<std::uint32_t>& order,
-                                     const PointCloud& target, const KdTree& target_tree,
-                                     const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes);
+/// that take part; the steps turn about `source_centre`, which keeps the digits of far-away clouds.
+[[nodiscard]] GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_centre,
+                                     const std::vector<std::uint32_t>& order, const PointCloud& target,
+                                     const KdTree& target_tree, const Eigen::Isometry3d& start,
+                                     const std::vector<GicpPass>& passes);
 
 }  // namespace loopwise

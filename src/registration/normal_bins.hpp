@@ -32,6 +32,7 @@ inline constexpr std::size_t kUnknownNormal = 13;
 
 /// `count` points with a normal, drawn in turn from the bins; all of them if they are fewer. Those drawn
 /// first are spread like the rest, so a prefix is a draw of its own. Depends on the cloud alone.
-[[nodiscard]] LOOPWISE_EXPORT std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud, std::size_t count);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud,
+                                                                       std::size_t count);
 
 }  // namespace loopwise

@@ -107,18 +107,21 @@ Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Sid
   return away[0].cwiseQuotient(here[0]).cwiseMax(away[1].cwiseQuotient(here[1])).cast<double>();
 }
 
-void widen_undecided(const Side& source, std::size_t count, const Side& target,
-                     const Eigen::Isometry3d& T_target_source, const AlignmentFigures& figures,
-                     double free_share, const ClosureTestOptions& options, Matrix6d& covariance) {
+std::array<UndecidedAxis, 3> undecided_axes(const Side& source, std::size_t count, const Side& target,
+                                            const Eigen::Isometry3d& T_target_source,
+                                            const AlignmentFigures& figures, double free_share,
+                                            const ClosureTestOptions& options) {
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> solver(
       Eigen::Matrix3d(figures.hessian.topLeftCorner<3, 3>()));
   const Eigen::Matrix3d& axes = solver.eigenvectors();
   const Eigen::Vector3d undecided = undecided_share(source, count, target, T_target_source, axes, options);
+  std::array<UndecidedAxis, 3> out;
   for (Eigen::Index k = 0; k < 3; ++k) {
     const double free = std::pow(undecided[k] * (1.0 - free_share), 4);
     const double fixed = std::pow((1.0 - undecided[k]) * free_share, 4);
-    widen_covariance(covariance, axes.col(k), options.max_sigma_m * free / (free + fixed));
+    out[static_cast<std::size_t>(k)] = {axes.col(k), options.max_sigma_m * free / (free + fixed)};
   }
+  return out;
 }
 
 }  // namespace loopwise

@@ -3,6 +3,8 @@
 
 #include <cstddef>
 
+#include <array>
+
 #include <Eigen/Geometry>
 
 #include <loopwise/registration/closure_tests.hpp>
@@ -30,12 +32,20 @@ namespace loopwise {
                                               const Eigen::Isometry3d& T_target_source,
                                               const Eigen::Matrix3d& axes, const ClosureTestOptions& options);
 
+/// A direction of translation, in the target's frame, and the least deviation along it.
+struct UndecidedAxis {
+  Eigen::Vector3d axis = Eigen::Vector3d::UnitX();
+  double sigma_m = 0.0;
+};
+
 /// A Hessian counts every point whose normal looks along a corridor, noise and repeated ribs as well. So the
-/// source is moved by a metre along each of the Hessian's three axes of translation, and the covariance grows
-/// along an axis where the points fit as well there as at the pose. With the odds o = u/(1 − u) of an
-/// undecided share u and those of `free_share`, o₀, σ along the axis is at least max_sigma_m · o⁴/(o⁴ + o₀⁴).
-void widen_undecided(const Side& source, std::size_t count, const Side& target,
-                     const Eigen::Isometry3d& T_target_source, const AlignmentFigures& figures,
-                     double free_share, const ClosureTestOptions& options, Matrix6d& covariance);
+/// source is moved by a metre along each of the Hessian's three axes of translation. With the odds
+/// o = u/(1 − u) of an undecided share u and those of `free_share`, o₀, σ along the axis is at least
+/// max_sigma_m · o⁴/(o⁴ + o₀⁴).
+[[nodiscard]] std::array<UndecidedAxis, 3> undecided_axes(const Side& source, std::size_t count,
+                                                          const Side& target,
+                                                          const Eigen::Isometry3d& T_target_source,
+                                                          const AlignmentFigures& figures, double free_share,
+                                                          const ClosureTestOptions& options);
 
 }  // namespace loopwise

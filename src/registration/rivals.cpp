@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <memory>
 
 #include <loopwise/core/se3.hpp>
@@ -100,7 +101,6 @@ void add_turns(const Compass& source, const Compass& target, bool half_turns, st
 /// Votes for translations on a grid.
 class Votes {
  public:
-  void clear() { cells_->fill(0); }
   void add(const Eigen::Vector3f& t) {
     const Eigen::Vector3f at = t / kCellM + middle();
     if (!(at.minCoeff() >= 0.0F) || std::max(at.x(), at.y()) >= kAcross || at.z() >= kUp) return;
@@ -111,29 +111,39 @@ class Votes {
     Eigen::Vector3f t = Eigen::Vector3f::Zero();
     std::uint32_t count = 0;
   };
-  /// The fullest cubes of two by two by two cells, two cells or more apart.
-  [[nodiscard]] std::vector<Peak> peaks(std::size_t most) const {
+  /// The fullest cubes of two by two by two cells, two cells or more apart. Empties the cells.
+  [[nodiscard]] std::vector<Peak> take_peaks(std::size_t most) {
     // Sums over cubes, by adding the next cell along each axis in turn.
-    auto sums = std::make_unique<Cells>(*cells_);
+    Cells& sums = *cells_;
     for (const std::size_t step : {std::size_t{1}, index(0, 1, 0), index(0, 0, 1)}) {
       for (std::size_t i = 0; i + step < kCells; ++i) {
-        (*sums)[i] = static_cast<std::uint16_t>((*sums)[i] + (*sums)[i + step]);
+        sums[i] = static_cast<std::uint16_t>(sums[i] + sums[i + step]);
       }
     }
-    const std::uint32_t largest = *std::max_element(sums->begin(), sums->end());
-    std::vector<Peak> all;
-    for (std::size_t i = 0; i < kCells; ++i) {
-      const std::uint32_t sum = (*sums)[i];
-      if (sum < 4 || 3 * sum < largest) continue;
-      const Eigen::Vector3f corner(static_cast<float>(i % kAcross + 1),
-                                   static_cast<float>(i / kAcross % kAcross + 1),
-                                   static_cast<float>(i / (kAcross * kAcross) + 1));
-      all.push_back({kCellM * (corner - middle()), sum});
+    std::array<std::uint16_t, kCells / kAcross> rows{};  // the fullest of each row along x
+    for (std::size_t row = 0; row < rows.size(); ++row) {
+      std::uint16_t fullest = 0;
+      for (std::size_t x = 0; x < kAcross; ++x) fullest = std::max(fullest, sums[row * kAcross + x]);
+      rows[row] = fullest;
     }
+    const std::uint32_t largest = *std::max_element(rows.begin(), rows.end());
+    const std::uint32_t least = std::max(4U, (largest + 2) / 3);
+    std::vector<Peak> all;
+    for (std::size_t row = 0; row < rows.size(); ++row) {
+      if (rows[row] < least) continue;
+      for (std::size_t x = 0; x < kAcross; ++x) {
+        const std::uint32_t sum = sums[row * kAcross + x];
+        if (sum < least) continue;
+        const Eigen::Vector3f corner(static_cast<float>(x + 1), static_cast<float>(row % kAcross + 1),
+                                     static_cast<float>(row / kAcross + 1));
+        all.push_back({kCellM * (corner - middle()), sum});
+      }
+    }
+    sums.fill(0);
     sort_falling(all, [](const Peak& peak) { return peak.count; });
     std::vector<Peak> chosen;
     for (const Peak& peak : all) {
-      if (chosen.size() == most || 3 * peak.count < largest) break;
+      if (chosen.size() == most) break;
       const auto near = [&](const Peak& other) {
         return (other.t - peak.t).cwiseAbs().maxCoeff() < 2 * kCellM;
       };
@@ -156,7 +166,8 @@ class Votes {
 }  // namespace
 
 std::vector<Eigen::Isometry3d> find_rivals(const Side& source, const Side& target,
-                                           const Eigen::Isometry3d& found, double max_turn_rad) {
+                                           const Eigen::Isometry3d& found, double max_turn_rad,
+                                           const std::function<bool(const Eigen::Isometry3d&)>& allowed) {
   Eigen::Isometry3d T_level_target = Eigen::Isometry3d::Identity();
   T_level_target.linear() =
       Eigen::Quaterniond::FromTwoVectors(vertical_of(target), Eigen::Vector3d::UnitZ()).toRotationMatrix();
@@ -176,20 +187,19 @@ std::vector<Eigen::Isometry3d> find_rivals(const Side& source, const Side& targe
   Votes votes;
   for (const Turn& turn : turns) {
     if (Eigen::AngleAxisf(turn.R).angle() > static_cast<float>(max_turn_rad)) continue;
-    votes.clear();
     for (std::size_t i = 0; i < from.points.size(); ++i) {
       const Eigen::Vector3f p = turn.R * from.points[i], n = turn.R * from.normals[i];
       for (std::size_t j = 0; j < to.points.size(); ++j) {
         if (n.dot(to.normals[j]) > 0.95F) votes.add(to.points[j] - p);
       }
     }
-    for (const Votes::Peak& peak : votes.peaks(6)) {
+    for (const Votes::Peak& peak : votes.take_peaks(6)) {
       Eigen::Isometry3d moved = Eigen::Isometry3d::Identity();
       moved.linear() = turn.R.cast<double>();
       moved.translation() = peak.t.cast<double>();
       const Eigen::Isometry3d T = T_level_target.inverse() * moved * T_level_target * found;
       const bool same = peak.t.norm() < 1.5F && se3::rotation_angle(moved) < 0.1;
-      if (!same) candidates.push_back({T, peak.count});
+      if (!same && allowed(T)) candidates.push_back({T, peak.count});
     }
   }
   sort_falling(candidates, [](const Candidate& candidate) { return candidate.votes; });

@@ -28,6 +28,7 @@
 #include <vector>
 
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/robust_centre.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/io/cloud.hpp>
@@ -318,6 +319,7 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
       settings["PCL " + std::to_string(reach).substr(0, 3) + (own ? " own" : "")] = s;
     }
   }
+  const Eigen::Vector3d centre = robust_centre(source.cloud.points);
   for (std::uint64_t seed = 0; seed < starts; ++seed) {
     Rng rng(seed + 100);
     Eigen::Vector3d shift(rng.normal(), rng.normal(), rng.normal()),
@@ -330,7 +332,7 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
     GicpResult result;
     for (int i = 0; i < 3; ++i) {
       const double begin = thread_seconds();
-      result = refine_gicp(source.cloud, order, target.cloud, target.tree, start,
+      result = refine_gicp(source.cloud, centre, order, target.cloud, target.tree, start,
                            gicp_passes(4.0, 0.5, 1000, 6000));
       best = std::min(best, 1e3 * (thread_seconds() - begin));
     }

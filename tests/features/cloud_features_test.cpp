@@ -63,6 +63,20 @@ TEST_CASE("range: points too far from the sensor are left out and counted", "[fe
   REQUIRE(compute_features(cloud, {}).far_points == 60);
 }
 
+TEST_CASE("range: of a scan that looks one way the points at the sensor stay", "[features]") {
+  PointCloud ahead;  // from 1 to 30 m, and one point that is none
+  for (int i = 0; i < 600; ++i) {
+    ahead.points.emplace_back(1.0F + 0.05F * static_cast<float>(i), 0.01F * static_cast<float>(i % 7), 0.0F);
+  }
+  ahead.points.emplace_back(std::numeric_limits<float>::infinity(), 0.0F, 0.0F);
+  constexpr double kRangeM = 10.0;  // less than the middle of the points is away
+  REQUIRE(points_beyond(ahead, kRangeM) == 420);
+  for (const Eigen::Vector3f& p : within_range(ahead, kRangeM).points) {
+    REQUIRE((!p.allFinite() || p.norm() < 10.001F));
+  }
+  REQUIRE(within_range(ahead, kRangeM).size() == 181);
+}
+
 TEST_CASE("range: the cache reports each scan once", "[features]") {
   Rng rng(9);
   auto stray = std::make_shared<PointCloud>(room(rng, 2000));

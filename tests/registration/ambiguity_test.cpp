@@ -1,11 +1,17 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// Places that look the same from elsewhere: a pose is ambiguous, or right within its covariance.
+#include <algorithm>
+
 #include <Eigen/Cholesky>
 
+#include <loopwise/core/robust_centre.hpp>
+#include <loopwise/core/se3.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/registration/fast_registrar.hpp>
 
+#include "normal_bins.hpp"
+#include "rivals.hpp"
 #include "rooms.hpp"
 #include "scene.hpp"
 #include "testing.hpp"
@@ -92,11 +98,103 @@ TEST_CASE("FastRegistrar: a guess decides between periods if its bound does", "[
     REQUIRE(result.reason == RejectionReason::kAmbiguous);
   }
   FastRegistrarOptions near;
-  near.tests.max_translation_m = 1.0;
-  const RegistrationResult result = align(corridor.source, corridor.target, corridor.off_by(0.5), near);
+  for (const double bound_m : {1.0, 1.6}) {  // under half of the period
+    near.tests.max_translation_m = bound_m;
+    const RegistrationResult result = align(corridor.source, corridor.target, corridor.off_by(0.4), near);
+    CAPTURE(bound_m, result.message);
+    REQUIRE(result.verified());
+    REQUIRE(chi_square(*result.closure, corridor.truth) < kChiSquare999);
+  }
+}
+
+TEST_CASE("FastRegistrar: a free direction hides no period across it", "[registrar][ambiguity]") {
+  // Rows of shelves, one like the other: nothing says where along them, and every fourth metre across fits.
+  const std::uint64_t seed = GENERATE(1u, 2u, 3u, 4u);
+  CAPTURE(seed);
+  Rng rng(seed);
+  testing::Room room;
+  for (double y = -42.0; y <= 42.0; y += 4.0) room.add_box({0.0, y}, 160.0, 1.0, 0.0, 0.0, 1.8);
+  room.add_level(100.0, 0.0);
+  const Eigen::Isometry3d target = testing::room_pose(0.4, 0.3, 1.2, rng),
+                          source = testing::room_pose(1.6, -0.4, 1.2, rng);
+  const Eigen::Isometry3d truth = source.inverse() * target;
+  const RegistrationResult result = align(room.scan(source, 0.02, rng), room.scan(target, 0.02, rng), truth);
   CAPTURE(result.message);
-  REQUIRE(result.verified());
-  REQUIRE(chi_square(*result.closure, corridor.truth) < kChiSquare999);
+  if (!result.verified()) return;
+  const Eigen::Vector3d across = target.linear().transpose() * Eigen::Vector3d::UnitY();
+  REQUIRE(across.dot(result.closure->covariance.topLeftCorner<3, 3>() * across) < 0.25);
+  REQUIRE(chi_square(*result.closure, truth) < kChiSquare999);
+}
+
+TEST_CASE("FastRegistrar: flights of stairs are never sure of the step", "[registrar][ambiguity][property]") {
+  int verified = 0;
+  for (std::uint64_t seed = 400; seed < 430; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    const testing::RoomPair pair = testing::staircase(rng);
+    const CloudPtr target = pair.room.scan(pair.target, 0.02, rng);
+    const CloudPtr source = pair.room.scan(pair.source, 0.02, rng);
+    const Eigen::Isometry3d truth = pair.source.inverse() * pair.target;
+    const Eigen::Isometry3d guess =
+        pair.source.inverse() * Eigen::Translation3d(rng.uniform(-3.0, 3.0) * pair.along) * pair.target;
+    const RegistrationResult result = align(source, target, guess);
+    if (!result.verified()) continue;
+    ++verified;
+    REQUIRE(chi_square(*result.closure, truth) < kChiSquare999);
+  }
+  REQUIRE(verified >= 15);
+}
+
+TEST_CASE("FastRegistrar: a guess that leads out of its bounds is no pose", "[registrar][ambiguity][error]") {
+  const PillarCorridor corridor(1);
+  FastRegistrarOptions options;
+  options.sure_share = 0.0;
+  options.tests.max_translation_m = 0.01;
+  options.coarse_reach_m = 0.5;
+  for (const double off_m : {0.3, 1.5, 3.0}) {
+    const RegistrationResult result =
+        align(corridor.source, corridor.target, corridor.off_by(off_m), options);
+    REQUIRE((!result.verified() || chi_square(*result.closure, corridor.truth) < kChiSquare999));
+  }
+}
+
+TEST_CASE("find_rivals: the turned pose of a rectangle is among them", "[parts][ambiguity]") {
+  for (std::uint64_t seed = 60; seed < 70; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    const testing::RoomPair pair = testing::rectangle_room(rng, 0);
+    FeatureCache features(testing::loader(
+        {{0, pair.room.scan(pair.target, 0.02, rng)}, {1, pair.room.scan(pair.source, 0.02, rng)}}));
+    const auto side = [&](Key key) {
+      RegistrationResult ignored;
+      Side out;
+      out.submap = *Submap::load(features, {{key, Eigen::Isometry3d::Identity()}}, 0, ignored);
+      out.order = draw_balanced(out.submap.cloud(), 1000);
+      out.centre = robust_centre(out.submap.cloud().points);
+      return out;
+    };
+    const Side source = side(1), target = side(0);
+    const Eigen::Isometry3d truth = pair.target.inverse() * pair.source;
+    const Eigen::Isometry3d turned =
+        pair.target.inverse() * Eigen::AngleAxisd(3.14159265358979, Eigen::Vector3d::UnitZ()) * pair.source;
+    const auto distance = [&](const Eigen::Isometry3d& T) {
+      return (T * source.centre - turned * source.centre).norm();
+    };
+    const std::vector<Eigen::Isometry3d> rivals =
+        find_rivals(source, target, truth, 3.2, [](const Eigen::Isometry3d&) { return true; });
+    REQUIRE(std::any_of(rivals.begin(), rivals.end(), [&](const Eigen::Isometry3d& T) {
+      return distance(T) < 1.5 && se3::rotation_angle(turned.inverse() * T) < 0.15;
+    }));
+    // Bounds are kept, and the pose itself is not its rival.
+    for (const Eigen::Isometry3d& T : find_rivals(
+             source, target, truth, 0.5, [&](const Eigen::Isometry3d& R) { return distance(R) > 3.0; })) {
+      REQUIRE(se3::rotation_angle(truth.inverse() * T) < 0.51);
+      REQUIRE(distance(T) > 3.0);
+      REQUIRE((T * source.centre - truth * source.centre).norm() +
+                  20.0 * se3::rotation_angle(truth.inverse() * T) >
+              1.0);
+    }
+  }
 }
 
 TEST_CASE("FastRegistrar: a furnished room is verified and right", "[registrar][ambiguity]") {

@@ -13,6 +13,7 @@
 #include "scene.hpp"
 #include "testing.hpp"
 
+#include <loopwise/core/robust_centre.hpp>
 #include <loopwise/features/feature_cache.hpp>
 
 namespace loopwise {
@@ -174,8 +175,9 @@ TEST_CASE("refine_gicp: from 1 m and 10 degrees to the truth", "[parts]") {
   Vector6d offset;
   offset << 0.6 * random_direction(rng).cast<double>(), 0.12 * random_direction(rng).cast<double>();
   const std::vector<GicpPass> passes{{2.0, 600, 15, 0.02, 2e-3}, {1.0, 600, 15, 0.01, 1e-3}, {0.5, 3000, 30}};
-  const GicpResult result = refine_gicp(source.cloud, draw_balanced(source.cloud, 3000), target.cloud,
-                                        target.tree, truth * se3::exp(offset), passes);
+  const GicpResult result =
+      refine_gicp(source.cloud, robust_centre(source.cloud.points), draw_balanced(source.cloud, 3000),
+                  target.cloud, target.tree, truth * se3::exp(offset), passes);
   const Eigen::Isometry3d d = truth.inverse() * result.T_target_source;
   REQUIRE(result.converged);
   REQUIRE(d.translation().norm() < 0.015);  // measured at most 0.0035 m
@@ -203,8 +205,8 @@ TEST_CASE("refine_gicp: a wall seen from its other side does not attract", "[par
   }
   const auto aligned = [&]() -> Eigen::Vector3d {
     const GicpResult result =
-        refine_gicp(source, draw_balanced(source, source.size()), target, KdTree(target.points),
-                    Eigen::Isometry3d::Identity(), {{1.0, 1000, 30}});
+        refine_gicp(source, robust_centre(source.points), draw_balanced(source, source.size()), target,
+                    KdTree(target.points), Eigen::Isometry3d::Identity(), {{1.0, 1000, 30}});
     return result.T_target_source.translation();
   };
   REQUIRE(aligned().norm() < 0.01);  // measured 2e-5 m
@@ -220,8 +222,8 @@ TEST_CASE("refine_gicp: without matches it stays and says so", "[parts][error]")
   }
   far = cloud;
   for (auto& p : far.points) p.y() += 100.0F;
-  const GicpResult result = refine_gicp(cloud, draw_balanced(cloud, 50), far, KdTree(far.points),
-                                        Eigen::Isometry3d::Identity(), {{}});
+  const GicpResult result = refine_gicp(cloud, robust_centre(cloud.points), draw_balanced(cloud, 50), far,
+                                        KdTree(far.points), Eigen::Isometry3d::Identity(), {{}});
   REQUIRE_FALSE(result.converged);
   REQUIRE(testing::difference(result.T_target_source, Eigen::Isometry3d::Identity()) == 0.0);
 }
@@ -291,11 +293,12 @@ TEST_CASE("refine_gicp: the last match as a bound changes nothing", "[parts][pro
   const GicpPass one{1.0, 0, 1, 1e-9, 1e-9};
   Eigen::Isometry3d apart = Eigen::Isometry3d::Identity();
   for (int i = 0; i < 6; ++i)
-    apart = refine_gicp(b.cloud, order, a.cloud, a.tree, apart, {one}).T_target_source;
+    apart = refine_gicp(b.cloud, robust_centre(b.cloud.points), order, a.cloud, a.tree, apart, {one})
+                .T_target_source;
   GicpPass six = one;
   six.iterations = 6;
-  const GicpResult together =
-      refine_gicp(b.cloud, order, a.cloud, a.tree, Eigen::Isometry3d::Identity(), {six});
+  const GicpResult together = refine_gicp(b.cloud, robust_centre(b.cloud.points), order, a.cloud, a.tree,
+                                          Eigen::Isometry3d::Identity(), {six});
   REQUIRE(together.iterations == 6);
   REQUIRE(together.T_target_source.matrix() == apart.matrix());
 }

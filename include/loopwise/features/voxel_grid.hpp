@@ -8,8 +8,11 @@
 
 namespace loopwise {
 
-/// The points at most `max_range_m` from the sensor at coordinates of zero; from the middle of the points if
-/// that is further away itself, as in world coordinates. All points if it is 0.
+/// How many finite points are further than `max_range_m` from the sensor at coordinates of zero, or from the
+/// middle of the points if that lies beyond 300 m and the range, as in world coordinates. 0 if the range is 0.
+[[nodiscard]] LOOPWISE_EXPORT std::size_t points_beyond(const PointCloud& cloud, double max_range_m);
+
+/// All points but these.
 [[nodiscard]] LOOPWISE_EXPORT PointCloud within_range(const PointCloud& cloud, double max_range_m);
 
 /// One point per occupied cube of edge `voxel_m`: the mean of its points (and intensities; normals are

@@ -149,6 +149,11 @@ struct SurfaceShare {
 /// to at least `sigma_m`.
 LOOPWISE_EXPORT void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, double sigma_m);
 
+/// How far a pose lies from the graph's, as [translation, rotation]: log(guess⁻¹ · T_from_to), in the frame
+/// of `to`. The last test of judge_alignment() bounds the lengths of both parts.
+[[nodiscard]] LOOPWISE_EXPORT Vector6d moved_from_guess(const Eigen::Isometry3d& guess_from_to,
+                                                        const Eigen::Isometry3d& T_from_to);
+
 /// Fills `result` from an alignment: figures, reason and message, or the closure with its covariance.
 /// Tests in order: finite, converged, fitness, overlap, consistency, free directions, distance from the
 /// guess.

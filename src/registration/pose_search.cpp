@@ -1,0 +1,328 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "pose_search.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <string>
+
+#include <loopwise/core/se3.hpp>
+
+#include "pose_scores.hpp"
+#include "rivals.hpp"
+#include "sort_falling.hpp"
+
+namespace loopwise {
+namespace {
+
+constexpr double kPi = 3.14159265358979323846;
+constexpr double kDegree = kPi / 180.0;
+
+// Scans from two places of a periodic hall share less at the true pose than at one that lays the two
+// sensors over each other: surfaces that one of them does not see count against a pose by little.
+constexpr double kShareWeight = 0.1;
+constexpr double kComparableShare = 0.35;
+constexpr int kSettlingPoints = 600;
+constexpr float kNearM =
+    1.0F;  // A start of a rival is off by half a cell of the votes or bin of the compass.
+constexpr double kAttractionM = 2.0, kAttractionRad = 15.0 * kDegree;  // Such starts lead to one pose.
+constexpr std::size_t kScoredRivals = 32, kTriedRivals = 12;
+// A deviation below the first is no free direction, one above the second is. Then places at the third are
+// tried, and what ends within the fourth has slid back.
+constexpr double kFixedM = 0.2, kFreeM = 1.0, kMovedM = 2.0, kLeastM = 0.3;
+
+/// Whether a pose lies beyond the 0.999 quantile of a closure's χ² of six.
+bool excluded(const Vector6d& offset, const Matrix6d& covariance) {
+  constexpr double kChiSquare = 22.46;
+  return offset.dot(covariance.ldlt().solve(offset)) > kChiSquare;
+}
+
+/// Whether a pose has the overlap of a closure, or nearly: what has less is a patch of ground or wall that
+/// fits nearly anywhere.
+bool nearly_overlaps(const AlignmentFigures& figures, const ClosureTestOptions& options) {
+  constexpr double kNearly = 0.85;
+  return figures.overlap >= kNearly * options.min_overlap * figures.expected_overlap &&
+         figures.balanced_overlap >= kNearly * options.min_balanced_overlap * figures.expected_overlap;
+}
+
+/// Whether an offset leads along a direction about which a closure says little: in translation and in
+/// rotation it is within eight deviations (periods are a hundred away), where the direction is known to two
+/// degrees.
+bool along_free_direction(const Vector6d& offset, const Matrix6d& covariance) {
+  constexpr double kDeviations = 8.0, kDirectionRad = 0.035;
+  const auto within = [&](Eigen::Index part) {
+    const Eigen::Vector3d d = offset.segment<3>(part);
+    Eigen::Matrix3d C = covariance.block<3, 3>(part, part);
+    C.diagonal().array() += kDirectionRad * kDirectionRad * d.squaredNorm();
+    return d.dot(C.ldlt().solve(d)) <= kDeviations * kDeviations;
+  };
+  return within(0) && within(3);
+}
+
+}  // namespace
+
+bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const Eigen::Vector3d& centre) {
+  return (a * centre - b * centre).norm() > 1.0 || se3::rotation_angle(a.inverse() * b) > 5.0 * kDegree;
+}
+
+PoseSearch::PoseSearch(const Side& source, const Side& target, const RegistrationTask& task,
+                       const FastRegistrarOptions& options, RegistrationResult& result)
+    : source_(source),
+      target_(target),
+      task_(task),
+      options_(options),
+      result_(result),
+      passes_(gicp_passes(options.coarse_reach_m, options.fine_reach_m,
+                          static_cast<std::size_t>(options.coarse_points),
+                          static_cast<std::size_t>(options.fine_points))) {
+  fine_pass_ = {passes_.back()};
+  passes_.pop_back();
+}
+
+/// As the last test of a closure has it.
+bool PoseSearch::within_bounds(const Eigen::Isometry3d& T_target_source, double slack_m,
+                               double slack_rad) const {
+  if (!task_.guess_from_to) return true;
+  const Vector6d moved = moved_from_guess(*task_.guess_from_to, T_target_source.inverse());
+  return moved.head<3>().norm() <= options_.tests.max_translation_m + slack_m &&
+         moved.tail<3>().norm() <= options_.tests.max_rotation_rad + slack_rad;
+}
+
+double PoseSearch::expected_on_plane() const {
+  return 0.5 * (source_.share.on_plane + target_.share.on_plane);
+}
+
+double PoseSearch::share_of(const Eigen::Isometry3d& T_target_source, std::size_t points) const {
+  return share_on_surface(source_, points, target_, T_target_source, options_.tests) /
+         (expected_on_plane() * target_.share.overlap);
+}
+
+GicpResult PoseSearch::gicp(const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) const {
+  return refine_gicp(source_.submap.cloud(), source_.centre, source_.order, target_.submap.cloud(),
+                     target_.submap.tree(), start, passes);
+}
+
+AlignmentFigures PoseSearch::figures_of(const Eigen::Isometry3d& T_target_source,
+                                        const ClosureTestOptions& tests) const {
+  const PointCloud& cloud = source_.submap.cloud();
+  AlignmentFigures figures =
+      measure_alignment(cloud, target_.submap.cloud(), target_.submap.tree(), T_target_source, tests);
+  figures.expected_on_plane = expected_on_plane();
+  // Sparse scans of long range: fewer than half of the points have a neighbour.
+  figures.expected_overlap = std::min(1.0, 2.0 * target_.share.overlap);
+  constexpr std::size_t kLookedAt = 1000;
+  figures.contradiction = target_.range_image.contradiction(cloud, T_target_source, kLookedAt) +
+                          source_.range_image.contradiction(target_.submap.parts().front().features->cloud,
+                                                            T_target_source.inverse(), kLookedAt);
+  return figures;
+}
+
+double PoseSearch::refine(const Eigen::Isometry3d& start) {
+  Pose pose;
+  pose.T_target_source = gicp(start, passes_).T_target_source;
+  if (!pose.T_target_source.matrix().allFinite() || !allowed(pose.T_target_source)) return 0.0;
+  pose.share = share_of(pose.T_target_source, static_cast<std::size_t>(options_.score_points));
+  add(pose);
+  return pose.share;
+}
+
+void PoseSearch::add(const Pose& pose) {
+  const auto worse = [&](const Pose& other) { return other.share < pose.share; };
+  poses_.insert(std::find_if(poses_.begin(), poses_.end(), worse), pose);
+}
+
+PoseSearch::Judgement PoseSearch::judge(const Pose& pose) const {
+  Judgement out;
+  out.result = result_;
+  out.result.closure.reset();
+  const GicpResult settled = gicp(pose.T_target_source, fine_pass_);
+  out.T_target_source = settled.T_target_source;
+  out.figures = figures_of(out.T_target_source, options_.tests);
+  judge_alignment(out.result, out.T_target_source.inverse(), out.figures, settled.converged,
+                  task_.guess_from_to, options_.tests);
+  return out;
+}
+
+/// From the closure to another pose, as its covariance has it.
+Vector6d PoseSearch::Judgement::offset_to(const Eigen::Isometry3d& other_target_source) const {
+  return se3::log(result.closure->T_from_to.inverse() * other_target_source.inverse());
+}
+
+std::vector<GicpPass> PoseSearch::settle_pass() const {
+  return {{options_.fine_reach_m, kSettlingPoints, 10, 2e-3, 2e-4}};
+}
+
+/// How well a pose fits, for the comparison of poses: consistency + ln(share on surfaces) / 10. Settles the
+/// pose first: coarse passes may leave a degree.
+double PoseSearch::fit_of(Pose& pose) const {
+  if (pose.fit) return *pose.fit;
+  pose.T_target_source = gicp(pose.T_target_source, settle_pass()).T_target_source;
+  ClosureTestOptions tests = options_.tests;
+  tests.measured_points = kSettlingPoints;
+  tests.fitness_range_m = tests.overlap_distance_m;  // what lies further away does not enter
+  pose.share = share_of(pose.T_target_source, static_cast<std::size_t>(options_.score_points));
+  const AlignmentFigures figures = figures_of(pose.T_target_source, tests);
+  // More than neighbours within a scan reach is no evidence.
+  pose.fit = std::min(1.0, consistency(figures)) + kShareWeight * std::log(std::max(1e-6, pose.share));
+  pose.overlaps = nearly_overlaps(figures, options_.tests);
+  return *pose.fit;
+}
+
+/// The pose that fits best among those whose share comes near the largest; one within the bounds about the
+/// guess if there is any.
+PoseSearch::Pose& PoseSearch::best_in_detail() {
+  const auto inside = [&](const Pose& pose) { return within_bounds(pose.T_target_source, 0.0, 0.0); };
+  Pose* best = &poses_.front();
+  const double least = kComparableShare * best->share;
+  for (Pose& other : poses_) {
+    if (other.share < least) continue;
+    if (!far_apart(other.T_target_source, best->T_target_source, source_.centre)) continue;
+    const double fit = fit_of(other), best_fit = fit_of(*best);  // settles both
+    const bool better = inside(other) == inside(*best) ? fit > best_fit : inside(other);
+    if (better) best = &other;
+  }
+  return *best;
+}
+
+/// Whether the refinement may carry one pose to the other.
+bool PoseSearch::attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const {
+  return (a * source_.centre - b * source_.centre).norm() < kAttractionM &&
+         se3::rotation_angle(a.inverse() * b) < kAttractionRad;
+}
+
+/// Where rivals of a pose may be: starts at which enough points come near the target, most first, and no two
+/// that the refinement would carry to one pose.
+std::vector<Eigen::Isometry3d> PoseSearch::starts_of_rivals(const Eigen::Isometry3d& best) const {
+  const auto near = [&](const Eigen::Isometry3d& T) {
+    return near_share(source_, static_cast<std::size_t>(options_.score_points) / 4, target_, T, kNearM);
+  };
+  double max_turn_rad = kPi;
+  if (task_.guess_from_to) {
+    max_turn_rad = options_.tests.max_rotation_rad + se3::rotation_angle(*task_.guess_from_to * best);
+  }
+  struct Scored {
+    Eigen::Isometry3d T_target_source;
+    double near;
+  };
+  std::vector<Scored> scored;
+  for (const Eigen::Isometry3d& rival :
+       find_rivals(source_, target_, best, max_turn_rad, [&](const auto& T) { return allowed(T); })) {
+    if (scored.size() == kScoredRivals) break;
+    scored.push_back({rival, near(rival)});
+  }
+  sort_falling(scored, [](const Scored& rival) { return rival.near; });
+  const double least = kComparableShare * near(best);
+  std::vector<Eigen::Isometry3d> starts;
+  for (const Scored& rival : scored) {
+    if (rival.near < least || starts.size() == kTriedRivals) break;
+    const auto close = [&](const Eigen::Isometry3d& other) { return attracts(other, rival.T_target_source); };
+    if (std::none_of(starts.begin(), starts.end(), close)) starts.push_back(rival.T_target_source);
+  }
+  return starts;
+}
+
+/// Adds rivals of a verified pose until one fits as well. Returns whether there was time for it.
+bool PoseSearch::add_rivals(Pose& best, const Judgement& found, const Deadline& deadline) {
+  // Most slide back to the pose itself, which few points show.
+  const std::size_t few = static_cast<std::size_t>(options_.score_points) / 3;
+  std::vector<GicpPass> quick = passes_;
+  for (GicpPass& pass : quick) pass.points = std::min(pass.points, few);
+  const double least = kComparableShare * share_of(best.T_target_source, few);
+  const bool is_fixed = found.result.closure->covariance.diagonal().head<3>().maxCoeff() < kFixedM * kFixedM;
+  for (const Eigen::Isometry3d& start : starts_of_rivals(best.T_target_source)) {
+    if (deadline.passed()) return false;
+    Pose rival;
+    rival.T_target_source = gicp(start, quick).T_target_source;
+    const auto same = [&](const Pose& pose) {
+      return !far_apart(pose.T_target_source, rival.T_target_source, source_.centre);
+    };
+    if (!rival.T_target_source.matrix().allFinite() || std::any_of(poses_.begin(), poses_.end(), same) ||
+        share_of(rival.T_target_source, few) < least) {
+      continue;
+    }
+    if (attracts(rival.T_target_source, best.T_target_source)) {
+      rival.T_target_source = gicp(rival.T_target_source, passes_).T_target_source;
+    }
+    const double lead = fit_of(rival) - fit_of(best);
+    add(rival);
+    // Along a free direction there may be many that fit; else one is enough.
+    if (is_fixed && rival.overlaps && std::abs(lead) < options_.ambiguous_margin && differs(rival, found))
+      break;
+  }
+  return true;
+}
+
+/// Takes into the covariance what the points leave undecided.
+void PoseSearch::widen(Judgement& found) const {
+  Matrix6d& covariance = found.result.closure->covariance;
+  for (const UndecidedAxis& undecided :
+       undecided_axes(source_, static_cast<std::size_t>(options_.score_points), target_,
+                      found.T_target_source, found.figures, options_.free_share, options_.tests)) {
+    widen_covariance(covariance, undecided.axis, undecided.sigma_m);
+    if (undecided.sigma_m < kFreeM) continue;
+    // Where the points fit further along shows how well the direction is known and what turns with it.
+    for (const double along_m : {-kMovedM, kMovedM}) {
+      Eigen::Isometry3d moved = found.T_target_source;
+      moved.pretranslate(along_m * undecided.axis);
+      const Vector6d offset = found.offset_to(gicp(moved, settle_pass()).T_target_source);
+      if (offset.allFinite() && offset.head<3>().norm() > kLeastM) covariance += offset * offset.transpose();
+    }
+  }
+  covariance = (0.5 * (covariance + covariance.transpose())).eval();
+}
+
+/// Whether a pose is another answer than a closure that was found, one that the guess allows.
+bool PoseSearch::differs(const Pose& pose, const Judgement& found) const {
+  const bool settled = pose.fit.has_value();
+  return far_apart(pose.T_target_source, found.T_target_source, source_.centre) &&
+         excluded(found.offset_to(pose.T_target_source), found.result.closure->covariance) &&
+         within_bounds(pose.T_target_source, settled ? 0.0 : options_.coarse_reach_m,
+                       settled ? 0.0 : kSlackRad);
+}
+
+bool PoseSearch::decide(const Deadline& deadline) {
+  Pose* best = &best_in_detail();
+  Judgement found = judge(*best);
+  if (found.result.verified()) {
+    widen(found);
+    if (!add_rivals(*best, found, deadline)) return false;
+    Pose& better = best_in_detail();
+    if (&better != best && fit_of(better) > fit_of(*best) + options_.ambiguous_margin) {
+      // One that fits better and fails a test leaves the first where it is: then two poses fit.
+      Judgement other = judge(better);
+      if (other.result.verified()) {
+        widen(other);
+        found = std::move(other);
+        best = &better;
+      }
+    }
+    refuse_if_ambiguous(*best, found);
+  }
+  result_ = std::move(found.result);
+  return true;
+}
+
+void PoseSearch::refuse_if_ambiguous(Pose& best, Judgement& found) {
+  std::vector<Vector6d> offsets;  // of the poses that fit as well
+  for (Pose& other : poses_) {
+    if (!differs(other, found) || fit_of(other) < fit_of(best) - options_.ambiguous_margin) continue;
+    if (other.overlaps && differs(other, found))
+      offsets.push_back(found.offset_to(other.T_target_source));  // it has settled
+  }
+  sort_falling(offsets, [](const Vector6d& offset) { return -offset.head<3>().norm(); });
+  for (const Vector6d& offset : offsets) {
+    // The axis of a free direction is known to a degree or so: the covariance takes in the pose.
+    Matrix6d& covariance = found.result.closure->covariance;
+    if (along_free_direction(offset, covariance)) {
+      covariance += offset * offset.transpose();
+      covariance = (0.5 * (covariance + covariance.transpose())).eval();
+      continue;
+    }
+    found.result.closure.reset();
+    found.result.reason = RejectionReason::kAmbiguous;
+    found.result.message = "another pose, " + std::to_string(offset.head<3>().norm()) + " m and " +
+                           std::to_string(offset.tail<3>().norm() / kDegree) + " degrees away, fits as well";
+    return;
+  }
+}
+
+}  // namespace loopwise

@@ -1,0 +1,90 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <list>
+#include <optional>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/registration/fast_registrar.hpp>
+
+#include "gicp.hpp"
+#include "side.hpp"
+
+namespace loopwise {
+
+/// Whether two poses of a cloud about `centre` are different answers, not one answer twice.
+[[nodiscard]] bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b,
+                             const Eigen::Vector3d& centre);
+
+/// Poses T_target_source of one pair that are refined, compared and judged.
+class PoseSearch {
+ public:
+  /// All arguments must outlive it.
+  PoseSearch(const Side& source, const Side& target, const RegistrationTask& task,
+             const FastRegistrarOptions& options, RegistrationResult& result);
+
+  /// Whether the refinement of a start, which moves by its reach and 5 degrees at most, can end within the
+  /// bounds about the guess.
+  [[nodiscard]] bool allowed(const Eigen::Isometry3d& start) const {
+    return within_bounds(start, options_.coarse_reach_m, kSlackRad);
+  }
+
+  [[nodiscard]] bool empty() const { return poses_.empty(); }
+
+  /// Refines a start from coarse to fine and keeps it. Returns its share on the target's surfaces, against
+  /// what is expected of a right one; 0 if it went where it is not allowed.
+  double refine(const Eigen::Isometry3d& start);
+
+  /// Judges the best pose. One that passes is compared with its rivals. Returns whether there was time for
+  /// that; if not, the result is of no use.
+  [[nodiscard]] bool decide(const Deadline& deadline);
+
+ private:
+  static constexpr double kSlackRad = 5.0 * 3.14159265358979323846 / 180.0;
+
+  struct Pose {
+    Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
+    double share = 0.0;         // on surfaces, against what is expected of a right pose
+    std::optional<double> fit;  // see fit_of()
+    bool overlaps = false;      // enough to be a closure; known with the fit
+  };
+  struct Judgement {
+    Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();  // settled
+    AlignmentFigures figures;
+    RegistrationResult result;
+    [[nodiscard]] Vector6d offset_to(const Eigen::Isometry3d& other_target_source) const;
+  };
+
+  [[nodiscard]] bool within_bounds(const Eigen::Isometry3d& T_target_source, double slack_m,
+                                   double slack_rad) const;
+  [[nodiscard]] double expected_on_plane() const;
+  [[nodiscard]] double share_of(const Eigen::Isometry3d& T_target_source, std::size_t points) const;
+  [[nodiscard]] GicpResult gicp(const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) const;
+  [[nodiscard]] std::vector<GicpPass> settle_pass() const;
+  [[nodiscard]] AlignmentFigures figures_of(const Eigen::Isometry3d& T_target_source,
+                                            const ClosureTestOptions& tests) const;
+  void add(const Pose& pose);
+  double fit_of(Pose& pose) const;
+  [[nodiscard]] Pose& best_in_detail();
+  [[nodiscard]] Judgement judge(const Pose& pose) const;
+  void widen(Judgement& found) const;
+  [[nodiscard]] bool attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const;
+  [[nodiscard]] std::vector<Eigen::Isometry3d> starts_of_rivals(const Eigen::Isometry3d& best) const;
+  [[nodiscard]] bool add_rivals(Pose& best, const Judgement& found, const Deadline& deadline);
+  [[nodiscard]] bool differs(const Pose& pose, const Judgement& found) const;
+  void refuse_if_ambiguous(Pose& best, Judgement& found);
+
+  const Side& source_;
+  const Side& target_;
+  const RegistrationTask& task_;
+  const FastRegistrarOptions& options_;
+  RegistrationResult& result_;
+  std::vector<GicpPass> passes_, fine_pass_;
+  std::list<Pose> poses_;  // by falling share; references stay valid
+};
+
+}  // namespace loopwise
