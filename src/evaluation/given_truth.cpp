@@ -223,10 +223,11 @@ void require_own_stamps(const Mission& mission, const std::string& file, const M
   };
   if (options.start_together && mission.kind == MissionKind::kJoined)
     refuse("those of the mission were moved (--start-together): join without it");
+  // A bag leaves the stamp at 0, which pairs with nothing.
+  const bool is_bag = mission.kind == MissionKind::kBags || mission.kind == MissionKind::kLampZip;
   for (const Problem& problem : mission.problems.all()) {
-    // A bag leaves the stamp at 0, which pairs with nothing.
-    const bool invented = problem.kind == "no stamps given" ||
-                          (problem.kind == "node without stamp" && mission.kind != MissionKind::kBags);
+    const bool invented =
+        problem.kind == "no stamps given" || (problem.kind == "node without stamp" && !is_bag);
     if (invented) refuse("the nodes' are invented (" + to_string(problem) + "): give the recorded stamps");
   }
 }
