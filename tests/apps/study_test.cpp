@@ -580,38 +580,4 @@ TEST_CASE("replay: on a real clock the folder is the same in kind", "[apps][live
       kBadUsage, "--record-trace needs --clock real");
 }
 
-TEST_CASE("study acceptance: what can be fitted is kept, the other says why not", "[apps][study]") {
-  const TemporaryFolder folder;
-  const std::vector<std::string> missions = write_missions(folder);
-  const std::string chances = (folder / "chances.json").string(), report = (folder / "report.json").string();
-  // All that is verified is kept: nothing can be said of what the back end refuses.
-  const ProgramRun run =
-      run_program({"study", "acceptance", missions[0], missions[2], "-o", chances, "--json", report,
-                   "--skip-recent", "2", "--set", "replay.after_mission=true"});
-  INFO(run.out + run.err);
-  REQUIRE(run.status == kDone);
-  const Json fitted = parse_json(testing::read_text(report), report);
-  REQUIRE(fitted["verified_weights"]["weights"].size() == 6);
-  REQUIRE(fitted["right_weights"]["weights"].is_null());
-  CHECK_THAT(fitted["right_weights"]["reason"].get<std::string>(), Contains("all came to the same"));
-  CHECK_THAT(run.out, Contains("Not fitted: ") && Contains("--set expected.verified_weights="));
-  CHECK_THAT(run.err, Contains("right_weights not fitted"));
-  const Json kept = parse_json(testing::read_text(chances), chances);
-  REQUIRE(kept["expected"].contains("verified_weights"));
-  REQUIRE_FALSE(kept["expected"].contains("right_weights"));
-}
-
-TEST_CASE("replay: weights that cannot be read cost no earlier results", "[apps][replay][error]") {
-  const TemporaryFolder folder;
-  const std::string mission = write_missions(folder).front(), out = (folder / "out").string();
-  const std::vector<std::string> replay{
-      "replay", mission, "-o", out, "--overwrite", "--skip-recent", "2", "--max-registrations", "2"};
-  REQUIRE(run_program(replay).status == kDone);
-  const std::string before = testing::read_text(folder / "out" / "summary.json");
-  const ProgramRun run = run_program(with(replay, {"--set", "expected.right_weights=1,2"}));
-  CHECK(run.status == kBadUsage);
-  CHECK_THAT(run.err, Contains("expected.right_weights: 2 numbers, 6 are needed"));
-  REQUIRE(testing::read_text(folder / "out" / "summary.json") == before);
-}
-
 }  // namespace loopwise
