@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/io/trajectory.hpp>
@@ -80,6 +81,8 @@ Input read_input(const Options& options, const Config& config, Console& console,
   const auto read = [&](const std::filesystem::path& path, Poses wanted, bool by_stamp) {
     const Mission mission = read_mission(path, config.mission, console.progress_callback(), stop);
     input.robots = mission.robots;
+    // A trajectory of a run has the stamps that the mission was given.
+    if (by_stamp && wanted == Poses::kEstimate) require_own_stamps(mission, options.truth, config.mission);
     return trajectory_of(path, mission, wanted, by_stamp);
   };
   const auto by_stamp = [](bool recorded, const Trajectory& file) {
@@ -97,7 +100,7 @@ Input read_input(const Options& options, const Config& config, Console& console,
 }
 
 int run(const Options& options) {
-  if (options.map) return evaluate_map(options.common, options.estimate, options.truth);
+  if (options.map) return evaluate_map(options.common, options.estimate, options.truth, options.robots);
   constexpr double kDegrees = 57.29577951308232;
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -187,28 +190,35 @@ void add_evaluate(CLI::App& app, Action& chosen) {
       "both\n"
       "a recording of any kind: its graph is the estimate, its ground truth the truth.\n"
       "  loopwise evaluate out my_mission\n"
-      "  loopwise evaluate out/trajectories/husky.tum truth.tum --alignment se3");
+      "  loopwise evaluate out/trajectories/husky.tum truth.tum --alignment se3\n"
+      "With --map ESTIMATE is a run's folder, a g2o file or a recording with the same keys, TRUTH a "
+      "recording "
+      "with\n"
+      "scans: errors are not known then, but maps can be compared.\n"
+      "  loopwise evaluate --map out my_mission");
   command->add_option("estimate", options->estimate, "Estimated trajectory or graph, a run, or a recording")
       ->required()
       ->type_name("ESTIMATE");
   command->add_option("truth", options->truth, "True trajectory or graph, or a recording")
       ->required()
       ->type_name("TRUTH");
-  command
-      ->add_option("--alignment", options->alignment,
-                   "none: common frame; first: first poses agree; se3: best rigid motion (default none)")
-      ->type_name("WORD");
-  command->add_flag(
+  CLI::Option* const alignment =
+      command
+          ->add_option("--alignment", options->alignment,
+                       "none: common frame; first: first poses agree; se3: best rigid motion (default none)")
+          ->type_name("WORD");
+  CLI::Option* const map = command->add_flag(
       "--map", options->map,
       "Without truth: how well scans of TRUTH, a recording, agree at revisits, by its own poses and "
       "by those of ESTIMATE");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
-  command
-      ->add_option("--max-time-difference", options->max_time_difference_s,
-                   "TUM: largest gap of paired stamps, s (default 0.02)")
-      ->type_name("S")
-      ->check(CLI::NonNegativeNumber);
+  CLI::Option* const gap = command
+                               ->add_option("--max-time-difference", options->max_time_difference_s,
+                                            "TUM: largest gap of paired stamps, s (default 0.02)")
+                               ->type_name("S")
+                               ->check(CLI::NonNegativeNumber);
+  map->excludes(alignment)->excludes(gap);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -8,6 +8,7 @@
 namespace loopwise::cli {
 
 /// `evaluate --map`: scans at revisits of the recording, by its own poses and by the estimate's.
-int evaluate_map(const CommonOptions& common, const std::string& estimate, const std::string& recording);
+int evaluate_map(const CommonOptions& common, const std::string& estimate, const std::string& recording,
+                 const std::string& robots);
 
 }  // namespace loopwise::cli

@@ -180,11 +180,12 @@ int run(Options options) {
   json["options"] = parse_json(config_json(config), "options");
   json["methods"] = methods;
   json["worlds"] = Json::array();
-  std::string text =
-      "# Ablation\n\n" + budget_text(config) +
-      " Medians over missions and seeds, quartiles in brackets. ATE is the mean error of the "
-      "positions in the common frame without alignment; true inliers are within 0.05 m and 0.05 "
-      "rad of the truth. Intervals are percentile bootstraps over missions, 95 %.\n";
+  std::string text = "# Ablation\n\n" + budget_text(config) +
+                     " Medians over missions and seeds, quartiles in brackets. ATE is the mean error of the "
+                     "positions " +
+                     frame_text(study.missions()) +
+                     "; true inliers are within 0.05 m and 0.05 "
+                     "rad of the truth. Intervals are percentile bootstraps over missions, 95 %.\n";
   for (const World& world : worlds) {
     Json of_world = {{"world", world.name},
                      {"missions", world.missions.size()},

@@ -38,7 +38,14 @@ std::string scores_text(const AcceptanceFit& fit) {
     rows.push_back({score.mission, std::to_string(score.count), std::to_string(score.positive),
                     fixed(score.auc, 3), fixed(score.auc_by_distance, 3), fixed(score.brier, 3)});
   }
-  return fit.scores.empty() ? "One mission: nothing to leave out.\n" : markdown_table(rows);
+  if (fit.scores.empty()) return "One mission: nothing to leave out.\n";
+  const bool some_unscored =
+      std::any_of(fit.scores.begin(), fit.scores.end(),
+                  [](const AcceptanceScore& score) { return score.count > 0 && std::isnan(score.brier); });
+  return markdown_table(rows) +
+         (some_unscored
+              ? "\nA mission without a score: the others have no sample of each outcome to fit to.\n"
+              : "");
 }
 
 std::string reliability_text(const Calibration& calibration) {
@@ -113,15 +120,23 @@ int run(const Options& options) {
   }
 
   Json json = {{"terms", AcceptanceModel::term_names()}}, weights = Json::object();
-  std::string text = "# Chances of candidates\n";
+  std::string text = "# Chances of candidates\n", failure;
   for (const Model& model : kModels) {
-    const AcceptanceFit fit = fit_acceptance(missions, model.outcome);
-    weights[model.option] = weights_text(fit.weights);
-    json[model.option] = {{"weights", fit.weights}, {"left_out", scores_json(fit)}};
-    text += std::string("\n## ") + model.title + "\n\n" + scores_text(fit) +
-            reliability_text(fit.calibration) + "\nFitted to all: `--set expected." + model.option + "=" +
-            weights_text(fit.weights) + "`\n";
+    text += std::string("\n## ") + model.title + "\n\n";
+    try {
+      const AcceptanceFit fit = fit_acceptance(missions, model.outcome);
+      weights[model.option] = weights_text(fit.weights);
+      json[model.option] = {{"weights", fit.weights}, {"left_out", scores_json(fit)}};
+      text += scores_text(fit) + reliability_text(fit.calibration) + "\nFitted to all: `--set expected." +
+              model.option + "=" + weights_text(fit.weights) + "`\n";
+    } catch (const InputError& error) {
+      failure = error.what();
+      json[model.option] = {{"weights", nullptr}, {"reason", failure}};
+      text += "Not fitted: " + failure + "\n";
+      console.warn(std::string(model.option) + " not fitted: " + failure);
+    }
   }
+  if (weights.empty()) throw InputError(failure);
   if (!options.output.empty()) write_file(options.output, json_text({{"expected", weights}}, 2) + "\n");
   print_results(options.common, json, text);
   return kDone;

@@ -168,7 +168,10 @@ int run(Options options) {
   std::string text =
       "# Errors against computation\n\n" + budget_text(shown) +
       " Other numbers of workers are named. Medians over missions and seeds, quartiles in brackets; ATE "
-      "in m, common frame, no alignment, over the nodes that have arrived.";
+      "in m, " +
+      frame_text(study.missions()) +
+      ", over the nodes that have arrived; not known before a run's end where the truth stands in another "
+      "frame.";
   if (options.everything != "none") {
     text +=
         " *Everything computed*: after the mission's end until no candidate is pending, in the order of " +

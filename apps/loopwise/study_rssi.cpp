@@ -64,7 +64,8 @@ int run(Options options) {
   std::string text =
       "# Errors of each robot\n\n" + budget_text(units.front().config) +
       " Translation: mean error in % of the path so far, in brackets the largest in m; rotation: mean "
-      "error in ° per m of the path, in brackets the largest in °. Medians over missions and seeds.\n";
+      "error in ° per m of the path, in brackets the largest in °. Positions and rotations are compared " +
+      frame_text(study.missions()) + ". Medians over missions and seeds.\n";
   for (const World& world : worlds_of(study.missions())) {
     // By robot and method: figures of all missions and seeds.
     std::map<std::string, std::map<std::string, std::vector<RobotFigures>>> by_robot;

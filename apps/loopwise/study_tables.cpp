@@ -46,9 +46,10 @@ std::string number_text(double value) {
 }
 
 std::vector<std::string> run_columns() {
-  return {"world",  "mission",       "mission_seed",        "parameters_sha256",
-          "method", "seed",          "registration_time_s", "workers",
-          "thin",   "after_mission", "mission_end_s",       "mission_time_s"};
+  return {"world",          "mission",        "mission_seed",        "parameters_sha256",
+          "method",         "seed",           "registration_time_s", "refused_time_share",
+          "workers",        "thin",           "after_mission",       "mission_end_s",
+          "mission_time_s", "truth_alignment"};
 }
 
 std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit, const UnitResult& result) {
@@ -61,11 +62,13 @@ std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit, co
           to_string(r.prioritization.method),
           std::to_string(r.engine.seed),
           r.cost.measured_time ? "measured" : number_text(r.cost.registration_time_s),
+          number_text(r.cost.refused_time_share),
           std::to_string(r.cost.workers),
           std::to_string(r.engine.thin),
           r.after_mission ? "1" : "0",
           number_text(figure(result.summary, {"mission_end_s"})),
-          number_text(figure(result.summary, {"mission_time_s"}))};
+          number_text(figure(result.summary, {"mission_time_s"})),
+          m.truth_is_aligned ? "se3" : "none"};
 }
 
 std::vector<std::string> canonical_methods(const std::vector<std::string>& methods) {
@@ -136,11 +139,27 @@ std::string describe(const World& world) {
   return text;
 }
 
+std::string frame_text(const std::vector<StudyMission>& missions) {
+  std::string aligned;
+  std::size_t count = 0;
+  for (const StudyMission& mission : missions) {
+    if (!mission.truth_is_aligned) continue;
+    aligned += (count++ > 0 ? ", " : "") + mission.name;
+  }
+  if (count == 0) return "in the common frame without alignment";
+  const std::string after = "after the best rigid motion, since the truth stands in another frame";
+  if (count == missions.size()) return after;
+  return "in the common frame without alignment, but of " + aligned + " " + after +
+         " (aligned errors alone are comparable between these missions and the others)";
+}
+
 std::string budget_text(const Config& config) {
   const ReplayOptions& r = config.replay;
   std::string text = r.cost.measured_time
                          ? "A registration takes as long as it took here"
                          : "A registration takes " + fixed(r.cost.registration_time_s, 3) + " s";
+  if (r.cost.refused_time_share != 1.0)
+    text += " (" + fixed(r.cost.refused_time_share, 2) + " times as long if it is refused)";
   text += " of mission time on one of " + std::to_string(r.cost.workers) + " workers; batches of " +
           std::to_string(r.batch) + "; an evaluation of graph information takes " +
           fixed(r.cost.gi_evaluation_time_s, 3) + " s.";

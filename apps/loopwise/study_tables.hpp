@@ -59,6 +59,9 @@ struct World {
 /// "tunnel: 5 missions, parameters e7c1510012d8".
 [[nodiscard]] std::string describe(const World& world);
 
+/// Where ATE is measured: "in the common frame without alignment", unless truths stand in other frames.
+[[nodiscard]] std::string frame_text(const std::vector<StudyMission>& missions);
+
 /// How missions were replayed, in a sentence.
 [[nodiscard]] std::string budget_text(const Config& config);
 

@@ -76,15 +76,19 @@ StudyMission described(const std::string& path, const std::vector<std::string>& 
   if (out.world.empty()) out.world = mission.name;
   out.seed = text_at(provenance, "seed");
   out.has_radio = !mission.radio.empty();
+  out.truth_is_aligned = mission.truth_is_aligned;
   out.parameters_sha256 = text_at(provenance, "parameters_sha256");
   out.content = hash_of_files(fs::is_regular_file(path) && fs::path(path).filename() == "mission.json"
                                   ? fs::path(path).parent_path()
                                   : fs::path(path));
-  for (const std::string& file : truth) {
-    const ContentHash of_file = hash_of_files(fs::exists(file) ? file : file.substr(file.find('=') + 1));
+  for (const std::string& given : truth) {
+    // "ROBOT=FILE" as set_truth() reads it: whose poses they are counts, not where the file lies.
+    const std::size_t at = fs::exists(given) ? std::string::npos : given.find('=');
+    const ContentHash of_file = hash_of_files(at == std::string::npos ? given : given.substr(at + 1));
     out.content = ContentHasher()
                       .integer(out.content.high)
                       .integer(out.content.low)
+                      .text(at == std::string::npos ? "" : given.substr(0, at))
                       .integer(of_file.high)
                       .integer(of_file.low)
                       .finish();

@@ -45,7 +45,8 @@ struct StudyMission {
   std::string seed;   ///< That it was made with; empty if not known.
   std::string parameters_sha256;  ///< Of the world's parameters; empty if not known.
   bool has_radio = false;
-  ContentHash content;  ///< Of all files, given truth included.
+  bool truth_is_aligned = false;  ///< Its errors are those after alignment, see Mission.
+  ContentHash content;            ///< Of all files, given truth included.
 };
 
 /// A replay.

@@ -2,6 +2,7 @@
 #include "bindings.hpp"
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/g2o.hpp>
@@ -70,6 +71,8 @@ void bind_io(py::module_& module) {
       .def_property_readonly(
           "ground_truth", [](const Mission& mission) { return poses_dict(mission.ground_truth); },
           "key: (4, 4); empty if not known")
+      .def_readonly("truth_is_aligned", &Mission::truth_is_aligned,
+                    "set_truth() found the truth in another frame: only aligned errors mean something.")
       .def_property_readonly(
           "reference", [](const Mission& mission) { return poses_dict(mission.reference); },
           "key: (4, 4), of another program, such as a session's own optimised poses: not the truth")
@@ -102,6 +105,17 @@ void bind_io(py::module_& module) {
       "Reads whatever `loopwise info` knows: a mission folder, a session folder, a g2o file. Options are "
       "those of the "
       "section \"mission\" of a configuration.");
+  module.def(
+      "set_truth",
+      [](Mission& mission, const std::vector<std::string>& files, const py::object& options) {
+        Config config;
+        apply_section(config, "mission", options);
+        set_truth(mission, files, config.mission);
+      },
+      py::arg("mission"), py::arg("files"), py::arg("options") = py::none(),
+      "Makes the poses of TUM, KITTI or g2o files, each a path or \"ROBOT=PATH\", the ground truth. Options "
+      "are "
+      "those that the mission was read with.");
   module.def(
       "write_mission",
       [](const std::filesystem::path& folder, const Mission& mission) {

@@ -134,13 +134,16 @@ void bind_replay(py::module_& module) {
           [](const PythonRun& run, const std::filesystem::path& folder, double map_voxel_m) {
             const py::gil_scoped_release release;
             std::filesystem::create_directories(folder);
+            ReplayResult result = run.result;
             StitchedMap map;
             if (map_voxel_m > 0.0) {
-              map = stitch_map(run.result.graph, *run.mission->scans, map_voxel_m, {}, {},
+              map = stitch_map(result.graph, *run.mission->scans, map_voxel_m, {}, {},
                                run.config.replay.registration.features.max_range_m);
             }
-            write_run_folder(folder, *run.mission, run.config.replay, run.result,
-                             evaluate_run(*run.mission, run.result), run.history, map.cloud);
+            result.problems.add(map.problems);
+            add_scan_problems(result, *run.mission->scans);
+            write_run_folder(folder, *run.mission, run.config.replay, result,
+                             evaluate_run(*run.mission, result), run.history, map.cloud);
           },
           py::arg("folder"), py::arg("map_voxel_m") = 0.5, "Writes what `loopwise replay` does.");
 

@@ -151,24 +151,25 @@ void Engine::Impl::on(event::Candidates& event) {
   propose(std::move(event.candidates));
 }
 
-bool Engine::Impl::kept(const LoopCandidate& candidate) const {
-  constexpr std::uint64_t kStream = 0x7468696e;  // apart from the registrations' seeds
-  const auto [low, high] = pair_of(candidate.from, candidate.to);
-  return pair_seed(combine_seeds(options_.seed, kStream), low, high) %
-             static_cast<std::uint64_t>(options_.thin) ==
-         0;
-}
-
 void Engine::Impl::propose(std::vector<LoopCandidate> candidates) {
   if (candidates.empty() || !prioritizes_) return;
   if (options_.thin > 1) {
-    candidates.erase(std::remove_if(candidates.begin(), candidates.end(),
-                                    [this](const LoopCandidate& c) { return !kept(c); }),
-                     candidates.end());
+    candidates.erase(
+        std::remove_if(candidates.begin(), candidates.end(),
+                       [this](const LoopCandidate& c) { return !kept_by_thinning(options_, c); }),
+        candidates.end());
   }
   for (LoopCandidate& candidate : candidates) candidate.time_s = now_s_;
   guarded([&] { pool_.add(candidates); });
   may_choose_ = true;
+}
+
+bool kept_by_thinning(const EngineOptions& options, const LoopCandidate& candidate) {
+  constexpr std::uint64_t kStream = 0x7468696e;  // apart from the registrations' seeds
+  const auto [low, high] = pair_of(candidate.from, candidate.to);
+  return pair_seed(combine_seeds(options.seed, kStream), low, high) %
+             static_cast<std::uint64_t>(options.thin) ==
+         0;
 }
 
 Engine::Engine(const Robots& robots, const EngineOptions& options, RoundRobinQueue queue)

@@ -126,8 +126,6 @@ class Engine::Impl {
 
   void on(event::Candidates& event);
 
-  /// Whether a candidate is among those that EngineOptions::thin leaves.
-  [[nodiscard]] bool kept(const LoopCandidate& candidate) const;
   void propose(std::vector<LoopCandidate> candidates);
 
   // ---- choosing and computing

@@ -2,6 +2,7 @@
 #include <loopwise/evaluation/acceptance_fit.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <map>
 #include <memory>
@@ -82,16 +83,35 @@ std::vector<std::pair<CandidateEvidence, bool>> labelled(const AcceptanceSamples
   return out;
 }
 
+using Labelled = std::vector<std::pair<CandidateEvidence, bool>>;
+
+bool has_both_outcomes(const Labelled& samples) {
+  const auto came = [](const auto& sample) { return sample.second; };
+  return std::any_of(samples.begin(), samples.end(), came) &&
+         !std::all_of(samples.begin(), samples.end(), came);
+}
+
 AcceptanceModel fitted(const std::vector<std::pair<CandidateEvidence, bool>>& samples) {
   AcceptanceModel model(AcceptanceModel::Terms{}, kFitStrength);
   model.fit(samples);
   return model;
 }
 
-AcceptanceScore score_of(const AcceptanceModel& model, const AcceptanceSamples& mission,
-                         AcceptanceOutcome outcome, Calibration& all) {
+/// Where the other missions allow no fit.
+AcceptanceScore unscored(const AcceptanceSamples& mission, AcceptanceOutcome outcome) {
   AcceptanceScore score;
   score.mission = mission.mission;
+  score.auc = score.brier = score.auc_by_distance = kNan;
+  for (const auto& [evidence, came] : labelled(mission, outcome)) {
+    ++score.count;
+    score.positive += came ? 1 : 0;
+  }
+  return score;
+}
+
+AcceptanceScore score_of(const AcceptanceModel& model, const AcceptanceSamples& mission,
+                         AcceptanceOutcome outcome, Calibration& all) {
+  AcceptanceScore score = unscored(mission, outcome);
   Calibration own;
   std::vector<double> chances, nearness;
   std::vector<bool> positive;
@@ -103,8 +123,6 @@ AcceptanceScore score_of(const AcceptanceModel& model, const AcceptanceSamples& 
     nearness.push_back(-evidence.distance_m);
     positive.push_back(came);
   }
-  score.count = positive.size();
-  score.positive = static_cast<std::size_t>(std::count(positive.begin(), positive.end(), true));
   score.auc = roc_auc(chances, positive);
   score.auc_by_distance = roc_auc(nearness, positive);
   score.brier = own.brier();
@@ -142,8 +160,7 @@ AcceptanceFit fit_acceptance(const std::vector<AcceptanceSamples>& missions, Acc
     const auto own = labelled(mission, outcome);
     all.insert(all.end(), own.begin(), own.end());
   }
-  const auto positive = std::count_if(all.begin(), all.end(), [](const auto& s) { return s.second; });
-  if (positive == 0 || positive == static_cast<std::ptrdiff_t>(all.size())) {
+  if (!has_both_outcomes(all)) {
     throw InputError(
         std::string(outcome == AcceptanceOutcome::kVerified ? "candidates" : "verified closures") +
         " of these missions all came to the same: nothing can be fitted to " + std::to_string(all.size()) +
@@ -159,13 +176,19 @@ AcceptanceFit fit_acceptance(const std::vector<AcceptanceSamples>& missions, Acc
       const auto own = labelled(missions[m], outcome);
       others.insert(others.end(), own.begin(), own.end());
     }
-    fit.scores.push_back(score_of(fitted(others), missions[left_out], outcome, fit.calibration));
+    if (has_both_outcomes(others)) {
+      fit.scores.push_back(score_of(fitted(others), missions[left_out], outcome, fit.calibration));
+    } else {
+      fit.scores.push_back(unscored(missions[left_out], outcome));
+    }
   }
   return fit;
 }
 
 double roc_auc(const std::vector<double>& scores, const std::vector<bool>& positive) {
   if (scores.size() != positive.size()) throw InputError("roc_auc: as many scores as outcomes are needed");
+  if (std::any_of(scores.begin(), scores.end(), [](double score) { return std::isnan(score); }))
+    throw InputError("roc_auc: a score is not a number");
   std::vector<std::size_t> order(scores.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return scores[a] < scores[b]; });

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <optional>
+#include <string>
 #include <utility>
 
 #include <loopwise/core/error.hpp>
@@ -18,6 +19,7 @@ namespace {
 
 constexpr double kSameStamp_s = 0.02;  // as evaluate_trajectory() of two files
 constexpr double kStart_m = 10.0;      // odometry is good so far
+constexpr double kSameAngle_rad = 2.0 * 0.017453292519943295;
 constexpr double kBaseline_m = 5.0;    // well above the noise of a pose
 constexpr double kBodyMismatch = 0.5;  // of a displacement: 29 degrees
 
@@ -120,6 +122,7 @@ PosesByKey by_key(const TruthFile& file, const Trajectory& truth, const NodesByK
 
 PosesByKey read_truth_file(const TruthFile& file, Mission& mission, const MissionOptions& options) {
   const Trajectory truth = read_trajectory(file.path);
+  if (options.strict) require_unaltered(truth.problems);
   mission.problems.add(truth.problems);
   const std::map<std::size_t, NodesByKey> robots = nodes_by_robot(mission);
   NodesByKey nodes;
@@ -135,27 +138,57 @@ PosesByKey read_truth_file(const TruthFile& file, Mission& mission, const Missio
     throw InputError(file.path + ": does not say whose poses it holds, the mission has the robots " + names +
                      ": give ROBOT=FILE for each, or a g2o file with the nodes' keys");
   }
-  return truth.format == TrajectoryFormat::kTum
-             ? by_stamp(file, truth, nodes, options.truth_max_time_difference_s)
-             : by_row(file, truth, nodes);
+  if (truth.format != TrajectoryFormat::kTum) return by_row(file, truth, nodes);
+  require_own_stamps(mission, file.path, options);
+  return by_stamp(file, truth, nodes, options.truth_max_time_difference_s);
 }
 
-/// Whether the truth begins where the nodes do.
-bool begins_with_nodes(const Mission& mission, const PosesByKey& truth) {
-  for (const auto& [robot, nodes] : nodes_by_robot(mission)) {
-    const Node* last = nullptr;
-    double path_m = 0.0;
-    for (const auto& [key, node] : nodes) {
-      const auto known = truth.find(key);
-      if (known == truth.end()) continue;
-      const Eigen::Vector3d at = node->pose.translation();
-      if (last != nullptr) path_m += (at - last->pose.translation()).norm();
-      if (path_m > kStart_m) break;
-      if ((at - known->second.translation()).norm() > 0.5 + 0.1 * path_m) return false;
-      last = node;
-    }
+/// What the beginning of a robot's path says of the frame of the truth.
+enum class Frame { kSame, kOther, kUnknown };
+
+/// Positions are compared one by one, orientations in their mean: those of a truth may be noisy.
+Frame frame_of(const NodesByKey& nodes, const PosesByKey& truth) {
+  const Node* last = nullptr;
+  double path_m = 0.0;
+  Eigen::Vector4d turns = Eigen::Vector4d::Zero();  // sum of quaternions
+  for (const auto& [key, node] : nodes) {
+    const Eigen::Vector3d at = node->pose.translation();
+    if (last != nullptr) path_m += (at - last->pose.translation()).norm();
+    if (path_m > kStart_m) break;
+    last = node;
+    const auto known = truth.find(key);
+    if (known == truth.end()) continue;
+    if ((at - known->second.translation()).norm() > 0.5 + 0.1 * path_m) return Frame::kOther;
+    const Eigen::Vector4d turn =
+        Eigen::Quaterniond(node->pose.linear() * known->second.linear().transpose()).coeffs();
+    turns += turns.dot(turn) < 0.0 ? (-turn).eval() : turn;
   }
-  return true;
+  if (turns.isZero(0.0)) return Frame::kUnknown;
+  const double angle_rad =
+      Eigen::Quaterniond(turns.normalized()).angularDistance(Eigen::Quaterniond::Identity());
+  return angle_rad > kSameAngle_rad ? Frame::kOther : Frame::kSame;
+}
+
+/// Whether the truth begins where the nodes do, of each robot of which it knows the beginning.
+bool begins_with_nodes(Mission& mission, const PosesByKey& truth) {
+  bool some_same = false, some_other = false;
+  std::vector<std::string> unknown;
+  for (const auto& [robot, nodes] : nodes_by_robot(mission)) {
+    const bool has_truth = std::any_of(nodes.begin(), nodes.end(),
+                                       [&](const auto& node) { return truth.count(node.first) != 0; });
+    if (!has_truth) continue;
+    const Frame frame = frame_of(nodes, truth);
+    some_same = some_same || frame == Frame::kSame;
+    some_other = some_other || frame == Frame::kOther;
+    if (frame == Frame::kUnknown) unknown.push_back(mission.robots[robot].name);
+  }
+  const bool same = some_same && !some_other;
+  for (const std::string& name : unknown) {
+    mission.problems.add("truth begins late", "robot " + name + ": no true pose within the first 10 m, " +
+                                                  (same ? "taken to stand in the frame of the others'"
+                                                        : "its frame is not known"));
+  }
+  return same;
 }
 
 /// How far the displacements that the bodies see differ between truth and nodes, by their length: the median
@@ -182,6 +215,22 @@ std::optional<double> body_mismatch(const Mission& mission, const PosesByKey& tr
 }
 
 }  // namespace
+
+void require_own_stamps(const Mission& mission, const std::string& file, const MissionOptions& options) {
+  const auto refuse = [&](const std::string& why) {
+    throw InputError(file + ": pairs by stamp, but " + why +
+                     "; give a g2o file with the nodes' keys, or KITTI rows, one for each node");
+  };
+  if (options.start_together && mission.kind == MissionKind::kJoined)
+    refuse("those of the mission were moved (--start-together): join without it");
+  // A bag leaves the stamp at 0, which pairs with nothing.
+  const bool is_bag = mission.kind == MissionKind::kBags || mission.kind == MissionKind::kLampZip;
+  for (const Problem& problem : mission.problems.all()) {
+    const bool invented =
+        problem.kind == "no stamps given" || (problem.kind == "node without stamp" && !is_bag);
+    if (invented) refuse("the nodes' are invented (" + to_string(problem) + "): give the recorded stamps");
+  }
+}
 
 void set_truth(Mission& mission, const std::vector<std::string>& files, const MissionOptions& options) {
   if (files.empty()) return;

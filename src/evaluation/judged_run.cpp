@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <optional>
+#include <utility>
 
 #include <nlohmann/json.hpp>
 
@@ -93,6 +94,29 @@ std::optional<RunEvaluation> evaluate_folder(const fs::path& folder, const Missi
   return evaluation;
 }
 
+/// Whether two summaries say the same of the errors, but for the digits that the run's files keep.
+bool is_judged_alike(const Json& a, const Json& b) {
+  const auto number = [](const Json& summary, const char* section,
+                         const char* name) -> std::optional<double> {
+    if (is_null_at(summary, section) || !summary[section].is_object()) return std::nullopt;
+    const Json value = summary[section].value(name, Json());
+    return value.is_number() ? std::optional(value.get<double>()) : std::nullopt;
+  };
+  const auto alignment = [](const Json& summary) {
+    return is_null_at(summary, "truth") ? Json() : summary["truth"].value("alignment", Json());
+  };
+  if (alignment(a) != alignment(b)) return false;
+  constexpr double kSame = 1e-5;  // m, rad, 1
+  for (const auto& [section, name] :
+       {std::pair("truth", "poses"), std::pair("closures", "true_inliers"), std::pair("ate_m", "odometry"),
+        std::pair("ate_m", "optimized"), std::pair("ate_rad", "odometry"), std::pair("ate_rad", "optimized"),
+        std::pair("ate_se3_m", "odometry"), std::pair("ate_se3_m", "optimized")}) {
+    const auto x = number(a, section, name), y = number(b, section, name);
+    if (x.has_value() != y.has_value() || (x && std::abs(*x - *y) > kSame)) return false;
+  }
+  return true;
+}
+
 /// Summaries of before references: those of sessions are of what is a reference now.
 bool bring_up_to_date(Json& summary) {
   summary["residuals"] = nullptr;
@@ -126,8 +150,12 @@ bool judge_run(const fs::path& folder, const Mission* mission, Json& summary,
   bool changed = is_of_today ? false : bring_up_to_date(summary);
   if (knows_more || knows_better) {
     if (const auto evaluation = evaluate_folder(folder, *mission)) {
-      put_errors(*mission, *evaluation, summary);
-      changed = true;
+      Json judged = summary;
+      put_errors(*mission, *evaluation, judged);
+      if (changed || !is_judged_alike(summary, judged)) {
+        summary = std::move(judged);
+        changed = true;
+      }
     } else {
       notes.push_back("not judged by the mission's truth: needs graph.g2o, closures.csv and trajectories");
     }

@@ -21,7 +21,6 @@
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/features/kd_tree.hpp>
 #include <loopwise/generation/radio.hpp>
-#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
@@ -31,7 +30,6 @@
 #include "report_arrays.hpp"
 #include "report_parts.hpp"
 #include "report_paths.hpp"
-#include "report_template.hpp"
 #include "run_journal.hpp"
 
 namespace loopwise {
@@ -40,7 +38,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-constexpr std::string_view kMark = "@LOOPWISE_DATA@";
 constexpr std::size_t kHistoryRows = 2000;
 constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
 
@@ -571,41 +568,6 @@ Report make_report(const std::vector<fs::path>& folders, const std::vector<Missi
                      {"studies", std::move(studies)},
                      {"missions", std::move(mission_list)}};
   report.data = data.dump(-1, ' ', true, Json::error_handler_t::replace);
-  return report;
-}
-
-bool report_pages_built() {
-  return !report_template().empty();
-}
-
-std::string report_page(std::string_view data) {
-  const std::string_view page = report_template();
-  if (page.empty()) {
-    throw Error(
-        "this build cannot write reports: its page is bundled by npm, which was absent or failed when this "
-        "program was built. Install npm, configure with -DLOOPWISE_WITH_REPORT=ON and build again");
-  }
-  const std::size_t at = page.find(kMark);
-  std::string out(page.substr(0, at));
-  out.reserve(page.size() + data.size() + data.size() / 16);
-  // In JSON '<' stands in strings alone: as an escape it can end no element and begin no comment.
-  for (const char c : data) {
-    if (c == '<') {
-      out += "\\u003c";
-    } else {
-      out += c;
-    }
-  }
-  out += page.substr(at + kMark.size());
-  return out;
-}
-
-Report write_report(const fs::path& file, const std::vector<fs::path>& folders,
-                    const std::vector<Mission>& missions, const ReportOptions& options, ThreadPool& threads,
-                    const ProgressCallback& progress) {
-  if (!report_pages_built()) static_cast<void>(report_page("{}"));  // says why before the work
-  Report report = make_report(folders, missions, options, threads, progress);
-  write_file(file, report_page(report.data));
   return report;
 }
 

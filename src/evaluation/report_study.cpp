@@ -60,8 +60,15 @@ namespace {
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 /// Says of what kind a run of a study is: runs that differ in mission and seed alone are repetitions.
-const std::vector<std::string> kVariant{"world",   "method", "registration_time_s",
-                                        "workers", "thin",   "after_mission"};
+const std::vector<std::string> kVariant{"world",   "method", "registration_time_s", "refused_time_share",
+                                        "workers", "thin",   "after_mission",       "truth_alignment"};
+
+/// What tables and units of earlier versions, which lack them, have in columns of kVariant.
+Json former(const std::string& name) {
+  if (name == "refused_time_share") return 1.0;
+  if (name == "truth_alignment") return "none";
+  return nullptr;
+}
 
 struct StudyMoment {
   double share = 0.0;  ///< Of the mission's time; beyond 1 after its end.
@@ -84,7 +91,10 @@ std::vector<StudyCurve> read_curves(const fs::path& path) {
   };
   std::vector<std::size_t> about;
   for (const char* name : {"mission", "seed"}) about.push_back(column(name));
-  for (const std::string& name : kVariant) about.push_back(column(name));
+  for (const std::string& name : kVariant) {
+    if (former(name).is_null() || std::find(names.begin(), names.end(), name) != names.end())
+      about.push_back(column(name));
+  }
   const std::size_t end = column("mission_end_s"), time = column("time_s");
   // The rows of a run stand together, in order of time. Missions of one name are told apart by that alone.
   std::vector<std::string> last;
@@ -130,10 +140,13 @@ std::vector<StudyCurve> read_units(const fs::path& folder) {
                    {"method", summary.at("method")},
                    {"seed", summary.at("seed")},
                    {"registration_time_s", cost.at("registration_time_s")},
+                   {"refused_time_share", cost.value("refused_time_share", 1.0)},
                    {"workers", cost.at("workers")},
                    {"thin", options.at("engine").value("thin", 1)},
                    {"after_mission", options.at("replay").at("after_mission").get<bool>() ? 1 : 0}};
       if (cost.value("measured_time", false)) curve.run["registration_time_s"] = "measured";
+      if (summary.contains("truth") && summary["truth"].is_object())
+        curve.run["truth_alignment"] = summary["truth"].value("alignment", Json("none"));
       if (summary.contains("ate_m") && summary["ate_m"].is_object())
         curve.run["ate_m"] = summary["ate_m"].value("optimized", Json());
       const double end_s = summary.at("mission_end_s").get<double>();
@@ -161,7 +174,7 @@ Json curves_json(const std::vector<StudyCurve>& curves) {
     if (curve.moments.empty() || !std::isfinite(curve.moments.back().share)) continue;
     Json key = Json::array();
     for (const std::string& name : kVariant)
-      key.push_back(curve.run.contains(name) ? curve.run[name] : Json());
+      key.push_back(curve.run.contains(name) ? curve.run[name] : former(name));
     auto& group = groups[key.dump(-1, ' ', true, Json::error_handler_t::replace)];
     if (group.empty()) order.push_back(key.dump(-1, ' ', true, Json::error_handler_t::replace));
     group.push_back(&curve);
@@ -228,9 +241,9 @@ Json rows_of(const fs::path& path, std::vector<std::string>& names) {
 std::vector<StudyCurve> units_of(const Json& rows, const fs::path& folder) {
   const auto which = [](const Json& row) {
     Json key = Json::array();
-    for (const char* name :
-         {"world", "mission", "method", "seed", "workers", "thin", "after_mission", "ate_m"}) {
-      const Json value = row.contains(name) ? row[name] : Json();
+    for (const char* name : {"world", "mission", "method", "seed", "refused_time_share", "workers", "thin",
+                             "after_mission", "truth_alignment", "ate_m"}) {
+      const Json value = row.contains(name) ? row[name] : former(name);
       key.push_back(value.is_number() ? Json(value.get<double>()) : value);
     }
     return key.dump(-1, ' ', true, Json::error_handler_t::replace);

@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
+#include <numeric>
 #include <string>
 #include <utility>
 
@@ -67,6 +69,13 @@ std::vector<std::vector<double>> singles(const std::vector<double>& values) {
   return groups;
 }
 
+std::vector<std::vector<double>> values_of(const std::map<std::size_t, std::vector<double>>& groups) {
+  std::vector<std::vector<double>> values;
+  values.reserve(groups.size());
+  for (const auto& [group, own] : groups) values.push_back(own);
+  return values;
+}
+
 }  // namespace
 
 double quantile(std::vector<double> values, double p) {
@@ -95,26 +104,37 @@ Interval bootstrap_median(const std::vector<std::vector<double>>& groups, const 
 
 PairedComparison compare_paired(const std::vector<double>& a, const std::vector<double>& b,
                                 const BootstrapOptions& options) {
-  if (a.size() != b.size()) {
+  std::vector<std::size_t> each(a.size());
+  std::iota(each.begin(), each.end(), std::size_t{0});
+  return compare_paired(a, b, each, options);
+}
+
+PairedComparison compare_paired(const std::vector<double>& a, const std::vector<double>& b,
+                                const std::vector<std::size_t>& groups, const BootstrapOptions& options) {
+  if (a.size() != b.size() || a.size() != groups.size()) {
     throw InputError("paired comparison: " + std::to_string(a.size()) + " values against " +
-                     std::to_string(b.size()));
+                     std::to_string(b.size()) + " in " + std::to_string(groups.size()) + " groups");
   }
   validate(options);
   PairedComparison out;
   std::vector<double> differences, logs;
+  std::map<std::size_t, std::vector<double>> differences_of, logs_of;
   for (std::size_t i = 0; i < a.size(); ++i) {
     if (std::isnan(a[i]) || std::isnan(b[i])) continue;
     ++out.count;
     out.better += a[i] < b[i] ? 1 : 0;
     differences.push_back(a[i] - b[i]);
-    if (a[i] > 0.0 && b[i] > 0.0) logs.push_back(std::log(a[i] / b[i]));
+    differences_of[groups[i]].push_back(differences.back());
+    if (!(a[i] > 0.0 && b[i] > 0.0)) continue;
+    logs.push_back(std::log(a[i] / b[i]));
+    logs_of[groups[i]].push_back(logs.back());
   }
   if (out.count == 0) return out;
   out.mean_difference = mean(differences);
-  out.difference = bootstrap(singles(differences), options, mean);
+  out.difference = bootstrap(values_of(differences_of), options, mean);
   if (logs.size() < out.count) return out;
   out.ratio = std::exp(mean(logs));
-  const Interval of_logs = bootstrap(singles(logs), options, mean);
+  const Interval of_logs = bootstrap(values_of(logs_of), options, mean);
   out.ratio_interval = {std::exp(of_logs.low), std::exp(of_logs.high)};
   return out;
 }

@@ -2,7 +2,9 @@
 #include <loopwise/evaluation/surface_agreement.hpp>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstdint>
 #include <limits>
 #include <map>
 
@@ -37,6 +39,54 @@ std::vector<PathNode> path_nodes(const Mission& mission, const PosesByKey& poses
   }
   return nodes;
 }
+
+/// Path between two nodes, m: that of their robot, or of both from their starts, which share a frame. Poses
+/// over a short path say nothing of a map, so neither do robots side by side at the start.
+double loop_m(const PathNode& a, const PathNode& b) {
+  return a.robot == b.robot ? std::abs(a.along_m - b.along_m) : a.along_m + b.along_m;
+}
+
+/// Nodes in cells that are as large as the reach.
+class NearNodes {
+ public:
+  NearNodes(const std::vector<PathNode>& nodes, double reach_m) : nodes_(nodes), reach_m_(reach_m) {
+    for (std::size_t i = 0; i < nodes.size(); ++i) cells_[cell_of(nodes[i].position)].push_back(i);
+  }
+
+  /// Calls visit(nodes[i], nodes[j]) for all pairs in reach, j < i, in the order of i, then j.
+  template <class Visitor>
+  void for_each_pair(Visitor&& visit) const {
+    std::vector<std::size_t> others;
+    for (std::size_t i = 0; i < nodes_.size(); ++i) {
+      others.clear();
+      const Cell own = cell_of(nodes_[i].position);
+      for (int n = 0; n < 27; ++n) {
+        const auto cell = cells_.find({own[0] + n % 3 - 1, own[1] + n / 3 % 3 - 1, own[2] + n / 9 - 1});
+        if (cell == cells_.end()) continue;
+        for (const std::size_t j : cell->second) {
+          if (j < i && (nodes_[i].position - nodes_[j].position).norm() <= reach_m_) others.push_back(j);
+        }
+      }
+      std::sort(others.begin(), others.end());
+      for (const std::size_t j : others) visit(nodes_[i], nodes_[j]);
+    }
+  }
+
+ private:
+  using Cell = std::array<std::int64_t, 3>;
+  [[nodiscard]] Cell cell_of(const Eigen::Vector3d& p) const {
+    constexpr double kLimit = 1e15;  // keeps the cast defined
+    Cell cell{};
+    for (int axis = 0; axis < 3; ++axis)
+      cell[static_cast<std::size_t>(axis)] =
+          static_cast<std::int64_t>(std::clamp(std::floor(p[axis] / reach_m_), -kLimit, kLimit));
+    return cell;
+  }
+
+  const std::vector<PathNode>& nodes_;
+  double reach_m_;
+  std::map<Cell, std::vector<std::size_t>> cells_;
+};
 
 /// Share of a's points with a point of b near them.
 double share_on(const PointCloud& a, const KdTree& b, const Eigen::Isometry3f& T_b_a,
@@ -73,19 +123,38 @@ Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
                        const SurfaceAgreementOptions& options) {
   validate(options);
   const std::vector<PathNode> nodes = path_nodes(mission, poses);
-  Revisits all;
-  for (std::size_t i = 0; i < nodes.size(); ++i) {
-    for (std::size_t j = 0; j < i; ++j) {
-      if ((nodes[i].position - nodes[j].position).norm() > options.reach_m) continue;
-      if (nodes[i].robot == nodes[j].robot && nodes[i].along_m - nodes[j].along_m < options.apart_m) continue;
-      all.emplace_back(nodes[i].key, nodes[j].key);
-    }
-  }
-  const auto wanted = static_cast<std::size_t>(options.pairs);
-  if (all.size() <= wanted) return all;
+  const NearNodes near(nodes, options.reach_m);
+  std::size_t count = 0;
+  near.for_each_pair(
+      [&](const PathNode& a, const PathNode& b) { count += loop_m(a, b) >= options.apart_m ? 1 : 0; });
+  // Of all of them those in the middle of as many equal stretches as are wanted.
+  const std::size_t wanted = std::min(count, static_cast<std::size_t>(options.pairs));
   Revisits drawn;
-  for (std::size_t k = 0; k < wanted; ++k) drawn.push_back(all[(2 * k + 1) * all.size() / (2 * wanted)]);
+  std::size_t rank = 0;
+  near.for_each_pair([&](const PathNode& a, const PathNode& b) {
+    if (loop_m(a, b) < options.apart_m || drawn.size() == wanted) return;
+    if (rank++ == (2 * drawn.size() + 1) * count / (2 * wanted)) drawn.emplace_back(a.key, b.key);
+  });
   return drawn;
+}
+
+std::vector<std::size_t> revisit_groups(const Mission& mission, const PosesByKey& poses,
+                                        const Revisits& revisits, double stretch_m) {
+  if (!(stretch_m > 0.0)) throw OptionError("stretch_m = " + std::to_string(stretch_m) + ", must be > 0");
+  std::map<Key, std::pair<std::size_t, double>> stretches;
+  for (const PathNode& node : path_nodes(mission, poses))
+    stretches[node.key] = {node.robot, std::floor(node.along_m / stretch_m)};
+  std::map<std::pair<std::pair<std::size_t, double>, std::pair<std::size_t, double>>, std::size_t> numbers;
+  std::vector<std::size_t> groups;
+  for (const auto& [from, to] : revisits) {
+    const auto a = stretches.find(from), b = stretches.find(to);
+    if (a == stretches.end() || b == stretches.end()) {
+      throw InputError("revisit of " + key_name(from) + " and " + key_name(to) +
+                       ": a pose or a scan is missing");
+    }
+    groups.push_back(numbers.emplace(std::minmax(a->second, b->second), numbers.size()).first->second);
+  }
+  return groups;
 }
 
 SurfaceAgreement surface_agreement(const Mission& mission, const PosesByKey& poses, const Revisits& revisits,

@@ -82,6 +82,16 @@ void validate_replay(const ReplayOptions& options) {
   } catch (const OptionError& error) {
     throw OptionError(std::string("generation.") + error.what());
   }
+  const ExpectedOptions& expected = options.prioritization.expected;
+  for (const auto& [weights, name] : {std::pair(&expected.verified_weights, "expected.verified_weights"),
+                                      std::pair(&expected.right_weights, "expected.right_weights")}) {
+    if (!weights->empty()) static_cast<void>(AcceptanceModel::parse(*weights, name));
+  }
+  if (options.cost.measured_time && options.cost.refused_time_share != 1.0) {
+    throw OptionError(
+        "cost.refused_time_share models the time of refused registrations, cost.measured_time measures it: "
+        "give one of them");
+  }
 }
 
 void validate_config(const Config& config) {

@@ -58,9 +58,10 @@ CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
     Node node = feed[i].frame.node;
     node.pose = odometry[i];
     graph.add_node(node);
-    if (mission.robots.is_landmark(node.key)) continue;
+    if (mission.robots.is_landmark(node.key) || !options.engine.use_proximity) continue;
     for (const LoopCandidate& candidate : generator.on_node(graph, node.key, feed[i].time_s)) {
-      if (has_scan(candidate.from) && has_scan(candidate.to)) chosen.see(candidate);
+      if (has_scan(candidate.from) && has_scan(candidate.to) && kept_by_thinning(options.engine, candidate))
+        chosen.see(candidate);
     }
   }
   for (const Edge& edge : replay_edges(mission, options)) {
@@ -94,7 +95,9 @@ CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
 
 CostForecast forecast_cost(const ReplayResult& result) {
   CostForecast forecast;
-  forecast.candidates = result.accounting.queued();
+  const auto without_scan = result.expired.find("missing_scan");
+  forecast.candidates =
+      result.accounting.queued() - (without_scan == result.expired.end() ? 0 : without_scan->second);
   forecast.mission_s = result.mission_end_s;
   double sum_s = 0.0;
   for (const ComputedCandidate& computed : result.computed) {

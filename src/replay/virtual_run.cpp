@@ -171,10 +171,13 @@ class Run {
   // ---- registration
 
   /// Registrations that end before the clock does, those on their way included; a bound, as batches wait for
-  /// each other. What measured times will be is not known.
+  /// each other. What measured times will be is not known; where refusals are free there is no bound.
   [[nodiscard]] std::size_t reachable() const {
-    if (options_.after_mission || options_.cost.measured_time) return std::numeric_limits<std::size_t>::max();
-    const double turns = std::floor((end_s_ - now_s_) / options_.cost.registration_time_s);
+    const double least_s =
+        options_.cost.registration_time_s * std::min(1.0, options_.cost.refused_time_share);
+    if (options_.after_mission || options_.cost.measured_time || least_s == 0.0)
+      return std::numeric_limits<std::size_t>::max();
+    const double turns = std::floor((end_s_ - now_s_) / least_s);
     const double most = std::min(turns * static_cast<double>(options_.cost.workers), 1e15);
     return std::max(outstanding_, static_cast<std::size_t>(std::max(most, 0.0)));
   }

@@ -154,6 +154,97 @@ TEST_CASE("truth: --truth says what is true", "[apps][truth]") {
         "--truth needs the --mission");
 }
 
+TEST_CASE("truth: stamps that a session lacks pair with nothing", "[apps][truth][error]") {
+  const TemporaryFolder folder;
+  const Mission mission = small_mission(8);
+  write_session(folder / "s", mission);
+  write_truth(folder / "truth.tum", mission);
+  fs::remove(folder / "s" / "times.txt");
+  const std::string session = (folder / "s").string(), truth = (folder / "truth.tum").string();
+  for (const std::vector<std::string>& arguments :
+       {std::vector<std::string>{"info", session, "--truth", truth},
+        {"replay", session, "-o", (folder / "out").string(), "--truth", truth},
+        {"evaluate", session, truth}}) {
+    CAPTURE(arguments.front());
+    const ProgramRun run = run_program(arguments);
+    CHECK(run.status == 3);
+    CHECK_THAT(run.err, Contains("truth.tum: pairs by stamp") && Contains("times.txt") &&
+                            Contains("give the recorded stamps"));
+  }
+}
+
+TEST_CASE("truth: a study says where its errors are measured, and whose truth they are of",
+          "[apps][truth][study]") {
+  const TemporaryFolder folder;
+  Mission mission = small_mission(8);
+  std::vector<Eigen::Isometry3d> rows;
+  for (std::uint64_t i = 0; i < 8; ++i) rows.push_back(mission.ground_truth.at(make_key('a', i)));
+  write_kitti(folder / "a.kitti", rows);
+  mission.ground_truth.clear();
+  write_mission(folder / "m", mission);
+  const auto studied = [&](const std::string& robot) {
+    return run_program({"study", "ablation", (folder / "m").string(), "-o", (folder / "study").string(),
+                        "--truth", robot + "=" + (folder / "a.kitti").string(), "--methods", "baseline",
+                        "--skip-recent", "2", "--max-registrations", "3"});
+  };
+  ProgramRun run = studied("a");
+  INFO(run.err);
+  REQUIRE(run.status == 0);
+  CHECK_THAT(run.out, Contains("positions in the common frame without alignment"));
+  CHECK_THAT(testing::read_text(folder / "study" / "runs.csv"),
+             Contains(",truth_alignment,") && Contains(",none,"));
+  // The same file as the truth of the other robot: begins elsewhere.
+  run = studied("b");
+  REQUIRE(run.status == 0);
+  CHECK_THAT(run.err, !Contains("finished already"));
+  CHECK_THAT(run.out, Contains("positions after the best rigid motion") && !Contains("without alignment"));
+  CHECK_THAT(testing::read_text(folder / "study" / "runs.csv"), Contains(",se3,"));
+}
+
+TEST_CASE("truth: without it maps are compared at the revisits that both have", "[apps][truth][map]") {
+  const TemporaryFolder folder;
+  const Mission mission = small_mission(12);
+  write_mission(folder / "m", mission);
+  const std::string recording = (folder / "m").string();
+  const auto write_estimate = [&](const char* name, std::uint64_t nodes, char robot) {
+    PoseGraph graph;
+    for (Node node : mission.graph.nodes()) {
+      const std::uint64_t index = key_index(node.key);
+      if (index >= nodes) continue;
+      if (robot != 0) node.key = make_key(robot, index);
+      if (!graph.contains(node.key)) graph.add_node(node);
+    }
+    for (const Edge& edge : mission.graph.edges()) {
+      if (graph.contains(edge.from) && graph.contains(edge.to)) graph.add_edge(edge);
+    }
+    write_g2o(folder / name, graph);
+    return (folder / name).string();
+  };
+  const Json whole = json_of({"evaluate", "--map", write_estimate("whole.g2o", 12, 0), recording});
+  CHECK(whole["compared"] == whole["revisits"]);
+  CHECK(whole["stretches"].get<int>() > 0);
+  CHECK(whole["stretches"].get<int>() < whole["revisits"].get<int>());
+  CHECK(whole["difference"] == 0.0);
+  // The same poses of fewer nodes are as good.
+  const Json part = json_of({"evaluate", "--map", write_estimate("part.g2o", 8, 0), recording});
+  CHECK(part["revisits"].get<int>() > 0);
+  CHECK(part["revisits"].get<int>() < whole["revisits"].get<int>());
+  CHECK(part["share_on_surfaces"]["recording"] == part["share_on_surfaces"]["estimate"]);
+  CHECK(part["difference"] == 0.0);
+
+  const auto fails = [](const std::vector<std::string>& arguments, int status, const std::string& why) {
+    const ProgramRun run = run_program(arguments);
+    CAPTURE(arguments);
+    CHECK(run.status == status);
+    CHECK_THAT(run.err, Contains(why));
+  };
+  const std::string other = write_estimate("other.g2o", 8, 'z');
+  fails({"evaluate", "--map", other, recording}, 3, "other.g2o: has no node of");
+  fails({"evaluate", "--map", other, recording, "--alignment", "se3"}, 2, "--alignment");
+  fails({"evaluate", "--map", other, recording, "--max-time-difference", "1"}, 2, "--max-time-difference");
+  fails({"evaluate", "--map", other, recording, "--robots", "c,d"}, 3, "a0");
+}
+
 TEST_CASE("truth: a real session's poses are not taken for it", "[apps][truth][data]") {
   for (const char* name : {"hku1", "scpgo_a"}) {
     const auto path = testing::test_data(name);

@@ -63,6 +63,25 @@ TEST_CASE("acceptance fit: outcomes that are all alike are an error", "[evaluati
   REQUIRE_THROWS_WITH(fit_acceptance({mission}, AcceptanceOutcome::kRight), Contains("verified closures"));
 }
 
+TEST_CASE("acceptance fit: folds that allow no fit have no score", "[evaluation][acceptance]") {
+  const AcceptanceModel verified({-2.0, 3.0, 2.0, 0.0, -0.8, 0.0}), right({1.0, 2.0, 0.0, 0.0, -0.4, 0.0});
+  const AcceptanceSamples whole = drawn("whole", verified, right, 1);
+  AcceptanceSamples failed = drawn("failed", verified, right, 2);
+  for (AcceptanceSample& sample : failed.samples) sample.verified = sample.right = false;
+  // Without "whole" there is no verified candidate to fit to; what is said of "failed" counts.
+  const AcceptanceFit fit = fit_acceptance({whole, failed}, AcceptanceOutcome::kVerified);
+  REQUIRE(fit.scores.size() == 2);
+  REQUIRE(fit.scores[0].count == 6000);
+  REQUIRE(fit.scores[0].positive > 0);
+  REQUIRE(std::isnan(fit.scores[0].auc));
+  REQUIRE(std::isnan(fit.scores[0].auc_by_distance));
+  REQUIRE(std::isnan(fit.scores[0].brier));
+  REQUIRE(fit.scores[1].brier >= 0.0);
+  std::size_t calibrated = 0;
+  for (const Calibration::Bin& bin : fit.calibration.bins()) calibrated += bin.count;
+  REQUIRE(calibrated == 6000);
+}
+
 TEST_CASE("acceptance fit: the area under the ROC curve", "[evaluation][acceptance]") {
   REQUIRE(roc_auc({0.1, 0.2, 0.3, 0.4}, {false, false, true, true}) == 1.0);
   REQUIRE(roc_auc({0.4, 0.3, 0.2, 0.1}, {false, false, true, true}) == 0.0);
@@ -71,6 +90,7 @@ TEST_CASE("acceptance fit: the area under the ROC curve", "[evaluation][acceptan
   REQUIRE(roc_auc({1.0, 2.0, 2.0, 3.0}, {true, false, true, false}) == Approx(1.0 - 3.5 / 4.0));
   REQUIRE(std::isnan(roc_auc({0.1, 0.2}, {true, true})));
   REQUIRE_THROWS_WITH(roc_auc({0.1}, {}), Contains("as many scores"));
+  REQUIRE_THROWS_WITH(roc_auc({0.1, std::nan("")}, {true, false}), Contains("not a number"));
 }
 
 TEST_CASE("acceptance fit: a replay gives the evidence of what it computed", "[evaluation][acceptance]") {

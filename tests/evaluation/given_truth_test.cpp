@@ -161,6 +161,120 @@ TEST_CASE("given truth: another frame moves no error", "[evaluation][truth]") {
   CHECK(mission.truth_is_aligned);
 }
 
+TEST_CASE("given truth: a few degrees are another frame, noise is not", "[evaluation][truth]") {
+  const TemporaryFolder folder;
+  const auto is_aligned = [&](const Eigen::Isometry3d& T) {
+    write_truth_g2o(folder / "t.g2o", T);
+    Mission mission = without_truth();
+    set_truth(mission, {(folder / "t.g2o").string()});
+    return mission.truth_is_aligned;
+  };
+  CHECK_FALSE(is_aligned(Eigen::Isometry3d::Identity()));
+  // Within half a metre and a tenth of the path everywhere.
+  for (const double degrees : {-8.0, -4.0, 4.0, 8.0}) {
+    CAPTURE(degrees);
+    CHECK(is_aligned(Eigen::Isometry3d(Eigen::AngleAxisd(degrees * 0.0174533, Eigen::Vector3d::UnitZ()))));
+  }
+
+  // Orientations that are 1.5 degrees off in every pose, at random.
+  PoseGraph noisy;
+  Rng rng(5);
+  for (const auto& [key, pose] : testing::two_circles().ground_truth) {
+    Node node;
+    node.key = key;
+    node.pose = pose;
+    const Eigen::Vector3d off(rng.normal(0.0, 1.0), rng.normal(0.0, 1.0), rng.normal(0.0, 1.0));
+    node.pose.linear() *= se3::so3_exp(0.026 * off.normalized());
+    noisy.add_node(node);
+  }
+  write_g2o(folder / "noisy.g2o", noisy);
+  Mission mission = without_truth();
+  set_truth(mission, {(folder / "noisy.g2o").string()});
+  CHECK_FALSE(mission.truth_is_aligned);
+}
+
+TEST_CASE("given truth: one that begins late says so", "[evaluation][truth]") {
+  const TemporaryFolder folder;
+  const auto late = [&](char robot, std::size_t skipped) {
+    std::vector<StampedPose> path = true_path(robot);
+    path.erase(path.begin(), path.begin() + static_cast<std::ptrdiff_t>(skipped));
+    const std::string file = (folder / (std::string(1, robot) + ".tum")).string();
+    write_tum(file, path);
+    return std::string(1, robot) + "=" + file;
+  };
+  // The odometry has drifted by the time that the truth begins: the frame is that of the other robot's truth.
+  Mission mission = without_truth();
+  set_truth(mission, {late('a', 0), late('b', 15)});
+  CHECK_FALSE(mission.truth_is_aligned);
+  CHECK(mission.problems.count("truth begins late") == 1);
+  CHECK_THAT(
+      mission.problems.all().front().example,
+      Contains("robot b: no true pose within the first 10 m, taken to stand in the frame of the others'"));
+  // Alone it does not say where it stands.
+  mission = without_truth();
+  set_truth(mission, {late('b', 15)});
+  CHECK(mission.truth_is_aligned);
+  CHECK(mission.problems.count("truth begins late") == 1);
+  CHECK(mission.problems.count("truth in another frame") == 1);
+  // The path begins at the robot's first node, known or not.
+  mission = without_truth();
+  set_truth(mission, {late('b', 3)});
+  CHECK_FALSE(mission.truth_is_aligned);
+  CHECK(mission.problems.count("truth begins late") == 0);
+}
+
+TEST_CASE("given truth: invented or moved stamps pair with nothing", "[evaluation][truth][error]") {
+  const TemporaryFolder folder;
+  write_tum(folder / "a.tum", true_path('a'));
+  std::vector<Eigen::Isometry3d> rows;
+  for (const StampedPose& pose : true_path('a')) rows.push_back(pose.pose);
+  write_kitti(folder / "a.kitti", rows);
+  const std::string by_stamp = "a=" + (folder / "a.tum").string(),
+                    by_row = "a=" + (folder / "a.kitti").string();
+  // As readers put it where they take a node every 2 s.
+  for (const char* kind : {"no stamps given", "node without stamp"}) {
+    CAPTURE(kind);
+    Mission mission = without_truth();
+    mission.problems.add(kind, "session/times.txt");
+    CHECK_THROWS_WITH(set_truth(mission, {by_stamp}),
+                      Contains("a.tum: pairs by stamp") && Contains("are invented") &&
+                          Contains("session/times.txt") && Contains("give a g2o file"));
+    CHECK(mission.ground_truth.empty());
+    set_truth(mission, {by_row});
+    CHECK(mission.ground_truth.size() == 40);
+  }
+  Mission mission = without_truth();
+  mission.kind = MissionKind::kJoined;
+  MissionOptions options;
+  options.start_together = true;
+  CHECK_THROWS_WITH(set_truth(mission, {by_stamp}, options), Contains("moved (--start-together)"));
+  options.start_together = false;
+  set_truth(mission, {by_stamp}, options);
+  CHECK(mission.ground_truth.size() == 40);
+}
+
+TEST_CASE("given truth: strict reading covers its files", "[evaluation][truth][error]") {
+  const TemporaryFolder folder;
+  std::string text;
+  for (const StampedPose& at : true_path('a')) {
+    const Eigen::Vector3d p = at.pose.translation();
+    const Eigen::Quaterniond q(at.pose.linear());
+    text += std::to_string(at.stamp_ns / 1'000'000'000) + ".0 " + std::to_string(p.x()) + " " +
+            std::to_string(p.y()) + " " + std::to_string(p.z()) + " " + std::to_string(1.02 * q.x()) + " " +
+            std::to_string(1.02 * q.y()) + " " + std::to_string(1.02 * q.z()) + " " +
+            std::to_string(1.02 * q.w()) + "\n";
+  }
+  testing::write_text(folder / "a.tum", text);
+  const std::vector<std::string> files{"a=" + (folder / "a.tum").string()};
+  Mission mission = without_truth();
+  set_truth(mission, files);
+  CHECK(mission.problems.count("non-unit quaternion") == 40);
+  mission = without_truth();
+  MissionOptions options;
+  options.strict = true;
+  CHECK_THROWS_WITH(set_truth(mission, files, options), Contains("non-unit quaternion"));
+}
+
 TEST_CASE("given truth: what cannot be the nodes' is refused with a remedy", "[evaluation][truth][error]") {
   const TemporaryFolder folder;
   Mission mission = without_truth();

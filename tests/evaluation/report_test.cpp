@@ -296,6 +296,14 @@ TEST_CASE("report: a truth that comes later judges the run", "[evaluation][repor
   REQUIRE_FALSE(after.at("history").at("columns").contains("ate_m"));
   REQUIRE(after.at("history").at("columns").contains("gnc_inliers"));
 
+  // The same truth, given by a file, changes nothing.
+  Mission again = right;
+  again.truth_file = "again.tum";
+  const Json same = made({knew.folder.path()}, {again}).at("runs").at(0);
+  REQUIRE(same.at("summary") == expected);
+  REQUIRE(same.at("history").at("columns").contains("ate_m"));
+  REQUIRE_FALSE(Contains("errors over time are not known").match(notes(same)));
+
   // One that is given counts for more than what the run took for true; without files it cannot be used.
   Mission given = right;
   given.truth_file = "better.tum";
@@ -479,6 +487,28 @@ TEST_CASE("report: studies become medians over mission time", "[evaluation][repo
   testing::write_text(folder / "runs.csv", about + ",ate_m,\xff\x80,\xfe\x80\n" + run(1, "100") + ",2,1,1\n");
   REQUIRE_THROWS_WITH(made({folder.path()}, {}),
                       (folder / "runs.csv").string() + ":1: the name of a column is not UTF-8");
+}
+
+TEST_CASE("report: runs of other costs or truths are no repetitions", "[evaluation][report]") {
+  const testing::TemporaryFolder folder;
+  std::string text =
+      "world,mission,mission_seed,parameters_sha256,method,seed,registration_time_s,refused_time_share,"
+      "workers,"
+      "thin,after_mission,mission_end_s,mission_time_s,truth_alignment,time_s,computed,queued,verified,"
+      "gnc_inliers,true_inliers,ate_m,odometry_ate_m\n";
+  for (const char* share : {"1", "0"}) {
+    for (const char* alignment : {"none", "se3"}) {
+      for (const char* moment : {"0,0,0,0,0,0,0,0", "100,20,200,9,6,5,2,3"})
+        text +=
+            std::string("w,m,1,ab,obs,1,1.3,") + share + ",10,1,0,100,100," + alignment + "," + moment + "\n";
+    }
+  }
+  testing::write_text(folder / "curves.csv", text);
+  const Json study = made({folder.path()}, {}).at("studies").at(0);
+  REQUIRE(study.at("curves").size() == 4);
+  for (const Json& series : study.at("curves")) REQUIRE(count(series, "runs") == 1);
+  REQUIRE(study.at("curves").at(1).at("truth_alignment") == "se3");
+  REQUIRE(study.at("curves").at(2).at("refused_time_share") == 0.0);
 }
 
 TEST_CASE("report: studies that share a folder, missions that share a name", "[evaluation][report]") {

@@ -141,4 +141,29 @@ TEST_CASE("paired comparison: pairs count, not the spread between them", "[evalu
   REQUIRE_THROWS_AS(compare_paired({1.0}, {}), InputError);
 }
 
+TEST_CASE("paired comparison: repetitions of a pair do not narrow the interval", "[evaluation][statistics]") {
+  Rng rng(6);
+  std::vector<double> a, b, repeated_a, repeated_b;
+  std::vector<std::size_t> groups;
+  for (std::size_t i = 0; i < 12; ++i) {
+    b.push_back(rng.uniform(1.0, 2.0));
+    a.push_back(b.back() + rng.normal(0.0, 0.2));
+    for (int times = 0; times < 30; ++times) {
+      repeated_a.push_back(a.back());
+      repeated_b.push_back(b.back());
+      groups.push_back(7 * i);  // any numbers
+    }
+  }
+  const PairedComparison once = compare_paired(a, b), apart = compare_paired(repeated_a, repeated_b),
+                         grouped = compare_paired(repeated_a, repeated_b, groups);
+  REQUIRE(grouped.count == 360);
+  REQUIRE(grouped.mean_difference == Approx(once.mean_difference));
+  REQUIRE(grouped.difference.low == Approx(once.difference.low));
+  REQUIRE(grouped.difference.high == Approx(once.difference.high));
+  REQUIRE(grouped.ratio_interval.low == Approx(once.ratio_interval.low));
+  REQUIRE(apart.difference.high - apart.difference.low <
+          0.3 * (grouped.difference.high - grouped.difference.low));
+  REQUIRE_THROWS_AS(compare_paired({1.0}, {2.0}, std::vector<std::size_t>{}), InputError);
+}
+
 }  // namespace loopwise

@@ -4,6 +4,7 @@
 import json
 import os
 import pathlib
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -233,6 +234,30 @@ class Replay(unittest.TestCase):
             run.write(pathlib.Path(folder) / "out", map_voxel_m=0)
             summary = json.loads((pathlib.Path(folder) / "out" / "summary.json").read_text())
             self.assertEqual(summary["closures"], run.summary["closures"])
+
+    def test_what_a_map_lacks_is_written(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "m"
+            shutil.copytree(SAMPLE, path)
+            broken = sorted((path / "scans").iterdir())[3]
+            broken.write_text("no cloud")
+            run = lw.replay(lw.read_mission(path), method="odom")  # reads no scan
+            run.write(pathlib.Path(folder) / "out")
+            summary = json.loads((pathlib.Path(folder) / "out" / "summary.json").read_text())
+            self.assertTrue(any(broken.stem in problem for problem in summary["problems"]), summary["problems"])
+
+    def test_truth_from_files(self):
+        truth = lw.PoseGraph()
+        for key, T in self.mission.ground_truth.items():
+            truth.add_node(key, pose(3.0, yaw=0.1) @ T)
+        with tempfile.TemporaryDirectory() as folder:
+            path = str(pathlib.Path(folder) / "truth.g2o")
+            lw.write_g2o(path, truth)
+            self.assertFalse(self.mission.truth_is_aligned)
+            lw.set_truth(self.mission, [path])
+        self.assertTrue(self.mission.truth_is_aligned)
+        with self.assertRaisesRegex(lw.OptionError, "no robot"):
+            lw.set_truth(self.mission, ["nobody=truth.tum"])
 
     def test_a_prioritizer_in_python(self):
         own = Newest()

@@ -26,6 +26,16 @@ TEST_CASE("cost forecast: all candidates of the mission, by a sample of registra
   const ReplayResult run = MissionReplay(mission, options, {features, registrar}).run(threads);
   REQUIRE(forecast.candidates == run.accounting.queued());
 
+  // The same of thinned ones; a method without proximity has none.
+  options.engine.thin = 3;
+  const ReplayResult thinned = MissionReplay(mission, options, {features, registrar}).run(threads);
+  REQUIRE(forecast_cost(mission, options, 0).candidates == thinned.accounting.queued());
+  REQUIRE(thinned.accounting.queued() < run.accounting.queued() / 2);
+  options.engine.use_proximity = false;
+  REQUIRE(forecast_cost(mission, options, 5).candidates == 0);
+  options.engine.use_proximity = true;
+  options.engine.thin = 1;
+
   const CostForecast none = forecast_cost(mission, options, 0);
   REQUIRE(none.candidates == forecast.candidates);
   REQUIRE(none.measured == 0);
@@ -56,6 +66,10 @@ TEST_CASE("cost forecast: after a run it is of its registrations", "[replay][for
   const CostForecast forecast = forecast_cost(result);
   REQUIRE(forecast.measured == 2);
   REQUIRE(forecast.registration_s == Approx(1.5));
+  REQUIRE(forecast.candidates == 10);
+  result.accounting.expired = 5;
+  result.expired = {{"missing_scan", 4}, {"too_old", 1}};
+  REQUIRE(forecast_cost(result).candidates == 6);
 }
 
 }  // namespace loopwise

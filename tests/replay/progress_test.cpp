@@ -45,6 +45,15 @@ TEST_CASE("replay: progress counts what the clock has time for", "[replay][progr
   REQUIRE(largest <= account.computed + 4);  // two turns of the workers
   REQUIRE(shown.progress.back().done == account.computed);
 
+  // Refusals that take less time leave time for more.
+  options.cost.refused_time_share = 0.1;
+  const Shown cheap = replayed(options);
+  for (const Progress& progress : cheap.progress) {
+    if (2 * progress.done < cheap.result.accounting.computed) continue;  // few candidates are there yet
+    REQUIRE(progress.total >= cheap.result.accounting.computed);
+  }
+  options.cost.refused_time_share = 1.0;
+
   // After the mission there is time for all.
   options.after_mission = true;
   const Shown whole = replayed(options);

@@ -311,6 +311,20 @@ TEST_CASE("replay: a refused registration may take a share of the time, or none"
   }
 }
 
+TEST_CASE("replay: options that contradict each other are refused", "[replay][error]") {
+  ReplayOptions config;
+  config.cost.measured_time = true;
+  config.cost.refused_time_share = 0.5;
+  REQUIRE_THROWS_WITH(validate_replay(config), Contains("cost.refused_time_share"));
+  config.cost.refused_time_share = 1.0;
+  REQUIRE_NOTHROW(validate_replay(config));
+  config.prioritization.expected.verified_weights = "1,2,3";
+  REQUIRE_THROWS_WITH(validate_replay(config), Contains("expected.verified_weights: 3 numbers"));
+  config.prioritization.expected.verified_weights = "1,2,3,4,5,6";
+  config.prioritization.expected.right_weights = "1,2,3,4,5,x";
+  REQUIRE_THROWS_WITH(validate_replay(config), Contains("expected.right_weights: \"x\""));
+}
+
 TEST_CASE("replay: thinning keeps a uniform share of the pairs, the same for every method",
           "[replay][replay]") {
   const Mission mission = two_circles();

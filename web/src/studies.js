@@ -14,10 +14,14 @@ export const median = (values) => quantile(values, 0.5);
 
 export const worldOf = (study, row) => String(row.world ?? row.mission ?? study.label);
 
+/** What tells runs of one method apart, with what rows of earlier versions lack. */
+const kVariants = { registration_time_s: undefined, refused_time_share: 1, workers: undefined, thin: undefined, after_mission: undefined, truth_alignment: 'none' };
+
 /** The method, and what else differs between a study's runs: "full, workers 50". */
 export function variantOf(study) {
-  const differing = ['registration_time_s', 'workers', 'thin', 'after_mission'].filter((name) => new Set(study.rows.map((row) => row[name])).size > 1);
-  return (row) => [String(row.method), ...differing.map((name) => `${name.replace(/_s$/, '').replace(/_/g, ' ')} ${row[name]}`)].join(', ');
+  const value = (row, name) => row[name] ?? kVariants[name];
+  const differing = Object.keys(kVariants).filter((name) => new Set(study.rows.map((row) => value(row, name))).size > 1);
+  return (row) => [String(row.method), ...differing.map((name) => `${name.replace(/_s$/, '').replace(/_/g, ' ')} ${value(row, name)}`)].join(', ');
 }
 
 const share = (part, whole) => (row) => (row[whole] > 0 && isNumber(row[part]) ? (100 * row[part]) / row[whole] : null);

@@ -75,6 +75,10 @@ struct EngineOptions {
   }
 };
 
+/// Whether a candidate is among those that options.thin leaves.
+[[nodiscard]] LOOPWISE_EXPORT bool kept_by_thinning(const EngineOptions& options,
+                                                    const LoopCandidate& candidate);
+
 /// Decides everything about a mission: where nodes lie, which candidates there are, which are computed next,
 /// when the graph is optimised, and what becomes of results and estimates. Events in, effects out. It knows
 /// neither threads, clocks nor files: a driver brings the time and carries out the effects. The same events

@@ -44,7 +44,8 @@ struct AcceptanceSamples {
                                                                    ThreadPool& threads,
                                                                    const ReplayHooks& hooks = {});
 
-/// How well a model ranks and foretells samples that it was not fitted to.
+/// How well a model ranks and foretells samples that it was not fitted to. Figures are NaN where the other
+/// missions have no sample of each outcome, which allows no fit.
 struct AcceptanceScore {
   std::string mission;           ///< Left out of the fit.
   std::size_t count = 0;         ///< Of samples.
@@ -58,7 +59,7 @@ struct AcceptanceScore {
 struct AcceptanceFit {
   AcceptanceModel::Terms weights{};     ///< For AcceptanceModel.
   std::vector<AcceptanceScore> scores;  ///< A mission each; empty for a single mission.
-  Calibration calibration;              ///< Of all left-out samples together.
+  Calibration calibration;              ///< Of all left-out samples that have a score together.
 };
 
 /// Which outcome a model foretells.
@@ -73,7 +74,7 @@ enum class AcceptanceOutcome {
 
 /// Area under the ROC curve of scores: the share of pairs of a positive and a negative sample in which the
 /// positive one has the higher score, ties counting half. NaN if all are alike. \throws InputError if the
-/// sizes differ
+/// sizes differ or a score is NaN
 [[nodiscard]] LOOPWISE_EXPORT double roc_auc(const std::vector<double>& scores,
                                              const std::vector<bool>& positive);
 

@@ -17,15 +17,25 @@ namespace loopwise {
 ///   options.truth_max_time_difference_s apart gets the pose between. Of one robot.
 /// - KITTI: the rows are the robot's nodes in the order of their keys, as many. Of one robot.
 ///
-/// A truth that does not begin where the nodes do (0.5 m and a tenth of the path, over the first 10 m of each
-/// robot) stands in another frame: it is laid on the nodes by the rigid motion of least squares,
-/// mission.truth_is_aligned is set, and "truth in another frame" is counted among the mission's problems. So
-/// are "node without ground truth" and, of g2o files, "ground truth without node".
+/// A truth that does not begin where the nodes do (0.5 m and a tenth of the path, 2 degrees in the mean, over
+/// the first 10 m of each robot) stands in another frame: it is laid on the nodes by the rigid motion of
+/// least squares, mission.truth_is_aligned is set, and "truth in another frame" is counted among the
+/// mission's problems. So is a truth that knows no robot's first 10 m, since its frame is not known: "truth
+/// begins late" is counted for each such robot. Counted also are "node without ground truth" and, of g2o
+/// files, "ground truth without node".
 ///
 /// \throws IoError; ParseError naming file and line; OptionError naming an unknown robot; InputError if a
-///         file holds no pose of any node, does not say whose poses it holds, or has orientations that are
-///         not those of the nodes, as of a camera or of GPS, which has no orientations
+///         file holds no pose of any node, does not say whose poses it holds, pairs by stamps that the
+///         mission does not have, see require_own_stamps(), or has orientations that are not those of the
+///         nodes, as of a camera or of GPS, which has no orientations; also if options.strict and a line of
+///         a file had to be repaired
 LOOPWISE_EXPORT void set_truth(Mission& mission, const std::vector<std::string>& files,
                                const MissionOptions& options = {});
+
+/// For what pairs nodes with the poses of `file` by stamp. \throws InputError with the remedy if the stamps
+/// of the nodes are not those of the recording: invented by the reader ("no stamps given", "node without
+/// stamp"), or moved by options.start_together
+LOOPWISE_EXPORT void require_own_stamps(const Mission& mission, const std::string& file,
+                                        const MissionOptions& options = {});
 
 }  // namespace loopwise

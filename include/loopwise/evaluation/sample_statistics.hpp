@@ -76,4 +76,11 @@ struct PairedComparison {
                                                               const std::vector<double>& b,
                                                               const BootstrapOptions& options = {});
 
+/// The same of pairs that come in groups: each resample draws whole groups, so that pairs which repeat each
+/// other do not narrow the intervals. `groups` has the number of each pair's group.
+[[nodiscard]] LOOPWISE_EXPORT PairedComparison compare_paired(const std::vector<double>& a,
+                                                              const std::vector<double>& b,
+                                                              const std::vector<std::size_t>& groups,
+                                                              const BootstrapOptions& options = {});
+
 }  // namespace loopwise

@@ -30,7 +30,8 @@ struct SurfaceAgreementOptions {
     field("reach_m", self.reach_m, above(0.0),
           "Nodes this near, by the poses that choose, are a revisit, m.");
     field("apart_m", self.apart_m, at_least(0.0),
-          "Nodes of one robot are a revisit only if its path between them is this long, m.");
+          "Nodes are a revisit only if the path between them is this long, m: that of their robot; of two "
+          "robots both paths from their starts.");
     field("near_m", self.near_m, above(0.0),
           "A point lies on a surface if the other scan has one this near, m.");
     field("pairs", self.pairs, at_least(1), "Revisits to look at, drawn evenly from all.");
@@ -45,6 +46,14 @@ using Revisits = std::vector<std::pair<Key, Key>>;
 /// for instance. \throws OptionError
 [[nodiscard]] LOOPWISE_EXPORT Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
                                                      const SurfaceAgreementOptions& options = {});
+
+/// Numbers the revisits by robots and by the stretches of path that their ends lie on. Revisits of one group
+/// share the errors of the poses there and much of the scans: they are repetitions, not independent. \throws
+/// OptionError; InputError on a node without pose or scan
+[[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> revisit_groups(const Mission& mission,
+                                                                      const PosesByKey& poses,
+                                                                      const Revisits& revisits,
+                                                                      double stretch_m = 20.0);
 
 /// What the agreement of a map came to.
 struct SurfaceAgreement {

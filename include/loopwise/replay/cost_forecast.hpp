@@ -32,18 +32,17 @@ struct CostForecast {
   [[nodiscard]] bool all_in_time(int threads) const { return all_s(threads) <= mission_s; }
 };
 
-/// Before a run: candidates by the mission's odometry, and a random sample of them computed on one thread.
-/// Odometry drifts, so a run that closes loops generates somewhat other candidates.
-/// \param mission with its scans
-/// \param options of the run
-/// \param sample candidates to compute
-/// \param stop ends the measuring early; the forecast is then of the registrations that were done
-/// \throws OptionError; InputError
+/// Before a run: candidates by proximity along the mission's odometry, as the options of the engine thin
+/// them, and a random sample of them computed on one thread. Odometry drifts, so a run that closes loops
+/// generates somewhat other candidates; those by radio are not counted. \param mission with its scans \param
+/// options of the run \param sample candidates to compute \param stop ends the measuring early; the forecast
+/// is then of the registrations that were done \throws OptionError; InputError
 [[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
                                                          std::size_t sample, const StopToken& stop = {});
 
-/// After a run: its candidates and its registrations, those from a store with the time that was stored. The
-/// mean has the preparation of scans in it as it fell to those registrations.
+/// After a run: its candidates but those whose scan never came, and its registrations, those from a store
+/// with the time that was stored. The mean has the preparation of scans in it as it fell to those
+/// registrations.
 [[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const ReplayResult& result);
 
 /// A sentence for people: "12 500 candidates: 1.9 min on 2 threads, …". Empty if nothing was measured.

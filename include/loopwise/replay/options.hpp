@@ -28,7 +28,8 @@ struct CostModel {
           "Mission time that one registration takes on one worker, s.");
     field("refused_time_share", self.refused_time_share, at_least(0.0),
           "Mission time of a registration that is refused, in units of registration_time_s. 0: refusals are "
-          "free, as if an oracle knew them beforehand; no order of computation can do better than that.");
+          "free, as if an oracle knew them beforehand; no order of computation can do better than that. "
+          "1 with measured_time.");
     field(
         "measured_time", self.measured_time, any_value(),
         "A registration takes as long as it took on this machine, as recorded with its outcome, in place of "
