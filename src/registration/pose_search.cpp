@@ -36,12 +36,23 @@ bool excluded(const Vector6d& offset, const Matrix6d& covariance) {
   return offset.dot(covariance.ldlt().solve(offset)) > kChiSquare;
 }
 
+/// Whether a pose has this part of a closure's overlap.
+bool overlaps(const AlignmentFigures& figures, double part, const ClosureTestOptions& options) {
+  return figures.overlap >= part * options.min_overlap * figures.expected_overlap &&
+         figures.balanced_overlap >= part * options.min_balanced_overlap * figures.expected_overlap;
+}
+
 /// Whether a pose has the overlap of a closure, or nearly: what has less is a patch of ground or wall that
 /// fits nearly anywhere.
 bool nearly_overlaps(const AlignmentFigures& figures, const ClosureTestOptions& options) {
-  constexpr double kNearly = 0.85;
-  return figures.overlap >= kNearly * options.min_overlap * figures.expected_overlap &&
-         figures.balanced_overlap >= kNearly * options.min_balanced_overlap * figures.expected_overlap;
+  return overlaps(figures, 0.85, options);
+}
+
+/// Whether a pose that few points have settled may still pass the tests with all of them.
+bool may_pass(const AlignmentFigures& figures, const ClosureTestOptions& options) {
+  constexpr double kSettlesBy = 0.5;
+  return overlaps(figures, 0.55, options) &&
+         (options.min_consistency == 0.0 || consistency(figures) >= options.min_consistency - kSettlesBy);
 }
 
 /// Whether an offset leads along a direction about which a closure says little: in translation and in
@@ -130,15 +141,26 @@ void PoseSearch::add(const Pose& pose) {
   poses_.insert(std::find_if(poses_.begin(), poses_.end(), worse), pose);
 }
 
-PoseSearch::Judgement PoseSearch::judge(const Pose& pose) const {
+/// A pose that few points refuse clearly is not settled with all of them.
+PoseSearch::Judgement PoseSearch::judge(Pose& pose) const {
   Judgement out;
   out.result = result_;
   out.result.closure.reset();
-  const GicpResult settled = gicp(pose.T_target_source, fine_pass_);
-  out.T_target_source = settled.T_target_source;
-  out.figures = figures_of(out.T_target_source, options_.tests);
-  judge_alignment(out.result, out.T_target_source.inverse(), out.figures, settled.converged,
-                  task_.guess_from_to, options_.tests);
+  const Eigen::Isometry3d start = pose.T_target_source;
+  fit_of(pose);
+  ClosureTestOptions tests = options_.tests;
+  bool converged = true;
+  out.T_target_source = pose.T_target_source;
+  if (may_pass(pose.figures, tests)) {
+    const GicpResult settled = gicp(start, fine_pass_);
+    out.T_target_source = settled.T_target_source;
+    converged = settled.converged;
+  } else {
+    tests.measured_points = kSettlingPoints;
+  }
+  out.figures = figures_of(out.T_target_source, tests);
+  judge_alignment(out.result, out.T_target_source.inverse(), out.figures, converged, task_.guess_from_to,
+                  options_.tests);
   return out;
 }
 
@@ -160,10 +182,9 @@ double PoseSearch::fit_of(Pose& pose) const {
   tests.measured_points = kSettlingPoints;
   tests.fitness_range_m = tests.overlap_distance_m;  // what lies further away does not enter
   pose.share = share_of(pose.T_target_source, static_cast<std::size_t>(options_.score_points));
-  const AlignmentFigures figures = figures_of(pose.T_target_source, tests);
+  pose.figures = figures_of(pose.T_target_source, tests);
   // More than neighbours within a scan reach is no evidence.
-  pose.fit = std::min(1.0, consistency(figures)) + kShareWeight * std::log(std::max(1e-6, pose.share));
-  pose.overlaps = nearly_overlaps(figures, options_.tests);
+  pose.fit = std::min(1.0, consistency(pose.figures)) + kShareWeight * std::log(std::max(1e-6, pose.share));
   return *pose.fit;
 }
 
@@ -245,7 +266,8 @@ bool PoseSearch::add_rivals(Pose& best, const Judgement& found, const Deadline& 
     const double lead = fit_of(rival) - fit_of(best);
     add(rival);
     // Along a free direction there may be many that fit; else one is enough.
-    if (is_fixed && rival.overlaps && std::abs(lead) < options_.ambiguous_margin && differs(rival, found))
+    if (is_fixed && nearly_overlaps(rival.figures, options_.tests) &&
+        std::abs(lead) < options_.ambiguous_margin && differs(rival, found))
       break;
   }
   return true;
@@ -305,7 +327,7 @@ void PoseSearch::refuse_if_ambiguous(Pose& best, Judgement& found) {
   std::vector<Vector6d> offsets;  // of the poses that fit as well
   for (Pose& other : poses_) {
     if (!differs(other, found) || fit_of(other) < fit_of(best) - options_.ambiguous_margin) continue;
-    if (other.overlaps && differs(other, found))
+    if (nearly_overlaps(other.figures, options_.tests) && differs(other, found))
       offsets.push_back(found.offset_to(other.T_target_source));  // it has settled
   }
   sort_falling(offsets, [](const Vector6d& offset) { return -offset.head<3>().norm(); });

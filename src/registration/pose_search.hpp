@@ -50,7 +50,7 @@ class PoseSearch {
     Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
     double share = 0.0;         // on surfaces, against what is expected of a right pose
     std::optional<double> fit;  // see fit_of()
-    bool overlaps = false;      // enough to be a closure; known with the fit
+    AlignmentFigures figures;   // with few points; known with the fit
   };
   struct Judgement {
     Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();  // settled
@@ -70,7 +70,7 @@ class PoseSearch {
   void add(const Pose& pose);
   double fit_of(Pose& pose) const;
   [[nodiscard]] Pose& best_in_detail();
-  [[nodiscard]] Judgement judge(const Pose& pose) const;
+  [[nodiscard]] Judgement judge(Pose& pose) const;
   void widen(Judgement& found) const;
   [[nodiscard]] bool attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const;
   [[nodiscard]] std::vector<Eigen::Isometry3d> starts_of_rivals(const Eigen::Isometry3d& best) const;
