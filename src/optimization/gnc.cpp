@@ -89,7 +89,8 @@ struct Gross {
 /// spoil, and the threshold follows it down, with a margin for heavy tails. It never follows it up. Closures
 /// that repeat the odometry to within rounding (made from it, or registered from the same scans) say nothing
 /// of the noise and are not counted: a quarter of them would take the threshold to 0, and all others with it.
-Gross find_gross(const PoseGraph& graph, const OdometryForest& forest, double probability) {
+Gross find_gross(const PoseGraph& graph, const OdometryForest& forest, double probability,
+                 double odometry_margin = 1.0) {
   constexpr double kMargin = 25.0;
   constexpr std::size_t kFewest = 8;
   // Less is no noise: by information pessimistic by 10⁶ one true closure in 50 000 has so little. The scale
@@ -107,7 +108,8 @@ Gross find_gross(const PoseGraph& graph, const OdometryForest& forest, double pr
     std::nth_element(known.begin(), quartile, known.end());
     gross.scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
   }
-  const double threshold = gross.scale * chi_squared_quantile(probability, 6);
+  const double threshold =
+      odometry_margin * odometry_margin * gross.scale * chi_squared_quantile(probability, 6);
   for (std::size_t k = 0; k < d2.size(); ++k) gross.aside[k] = d2[k] > threshold ? 1 : 0;
   return gross;
 }
@@ -423,36 +425,91 @@ bool keep_better(GncResult& first, GncResult&& second) {
 
 }  // namespace
 
+namespace {
+
+/// Everything that starts of one robust problem share.
+struct RobustProblem {
+  const PoseGraph& graph;
+  const OdometryForest& forest;
+  const std::vector<Pose>& start;
+  const OptimizerOptions& options;
+  const GncOptions& gnc;
+  ThreadPool& pool;
+  const StopToken& stop;
+};
+
+/// A result and what it is the components of.
+struct Solution {
+  std::vector<Pose> poses;
+  GncResult result;
+  Freedom freedom;
+};
+
+Solution solve_from(const RobustProblem& given, const Gross& gross, PoseProblem& problem,
+                    std::vector<Pose> poses, int factorizations) {
+  NormalEquations equations(given.options.factorization);
+  Solution out;
+  out.poses = std::move(poses);
+  out.result.optimization.factorizations = factorizations;
+  RobustSolver(given.graph, given.forest, gross, problem, equations, given.start, out.poses, given.options,
+               given.gnc, given.pool, given.stop)
+      .solve(out.result);
+  out.freedom = equations.freedom();
+  return out;
+}
+
+/// From the chordal estimate of the closures that odometry does not rule out.
+Solution solve_from_chordal(const RobustProblem& given, const Gross& gross) {
+  PoseProblem problem(given.graph);
+  for (std::size_t k = 0; k < problem.edges(); ++k) problem.weight[k] = gross.aside[k] != 0 ? 0.0 : 1.0;
+  OptimizerOptions chordal = given.options;
+  chordal.initialization = Initialization::kChordal;
+  int factorizations = 0;
+  std::vector<Pose> poses = problem.poses_of(first_estimate(given.graph, problem, chordal, factorizations));
+  return solve_from(given, gross, problem, std::move(poses), factorizations);
+}
+
+/// Closures that odometry rules out and the result leaves out.
+bool leaves_out(const Gross& gross, const GncResult& result) {
+  for (std::size_t k = 0; k < gross.aside.size(); ++k) {
+    if (gross.aside[k] != 0 && result.weights[k] <= 0.5) return true;
+  }
+  return false;
+}
+
+}  // namespace
+
 Freedom solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations& equations,
                   std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
                   ThreadPool& pool, const StopToken& stop, GncResult& result) {
   const OdometryForest forest(graph);
-  const Gross gross = find_gross(graph, forest, gnc.innovation_probability);
+  Gross gross = find_gross(graph, forest, gnc.innovation_probability);
   const std::vector<Pose> start = poses;
   RobustSolver(graph, forest, gross, problem, equations, start, poses, options, gnc, pool, stop)
       .solve(result);
-  const bool graduated = gnc.kernel == RobustKernel::kGncTls || gnc.kernel == RobustKernel::kTls;
-  if (!gnc.second_start || !graduated || result.outliers == 0 ||
-      options.initialization == Initialization::kChordal) {
-    return equations.freedom();
+  Freedom freedom = equations.freedom();
+  const bool truncates = gnc.kernel == RobustKernel::kGncTls || gnc.kernel == RobustKernel::kTls;
+  if (!gnc.second_start || !truncates) return freedom;
+  const RobustProblem given{graph, forest, start, options, gnc, pool, stop};
+  const auto keep_if_better = [&](Solution&& other) {
+    if (!keep_better(result, std::move(other.result))) return false;
+    poses = std::move(other.poses);
+    freedom = std::move(other.freedom);
+    return true;
+  };
+  // Closures that odometry rules out may be right, and the odometry worse than it says.
+  if (leaves_out(gross, result) && !stop.stop_requested()) {
+    Gross fewer = find_gross(graph, forest, gnc.innovation_probability, gnc.odometry_margin);
+    PoseProblem again(graph);
+    if (fewer.aside != gross.aside && keep_if_better(solve_from(given, fewer, again, start, 0))) {
+      gross = std::move(fewer);
+    }
   }
-  if (stop.stop_requested()) {
-    set_termination(Termination::kStopped, result.optimization);
-    return equations.freedom();
+  if (result.outliers > 0 && options.initialization != Initialization::kChordal && !stop.stop_requested()) {
+    keep_if_better(solve_from_chordal(given, gross));
   }
-  PoseProblem again(graph);
-  for (std::size_t k = 0; k < again.edges(); ++k) again.weight[k] = gross.aside[k] != 0 ? 0.0 : 1.0;
-  OptimizerOptions chordal = options;
-  chordal.initialization = Initialization::kChordal;
-  GncResult second;
-  std::vector<Pose> others =
-      again.poses_of(first_estimate(graph, again, chordal, second.optimization.factorizations));
-  NormalEquations equations_again(options.factorization);
-  RobustSolver(graph, forest, gross, again, equations_again, start, others, options, gnc, pool, stop)
-      .solve(second);
-  if (!keep_better(result, std::move(second))) return equations.freedom();
-  poses = std::move(others);
-  return equations_again.freedom();
+  if (stop.stop_requested()) set_termination(Termination::kStopped, result.optimization);
+  return freedom;
 }
 
 }  // namespace detail

@@ -173,8 +173,8 @@ std::vector<GicpPass> PoseSearch::settle_pass() const {
   return {{options_.fine_reach_m, kSettlingPoints, 10, 2e-3, 2e-4}};
 }
 
-/// How well a pose fits, for the comparison of poses: consistency + ln(share on surfaces) / 10. Settles the
-/// pose first: coarse passes may leave a degree.
+/// How well a pose fits, for the comparison of poses: min(1, consistency) + ln(share on surfaces) / 10.
+/// Settles the pose first: coarse passes may leave a degree.
 double PoseSearch::fit_of(Pose& pose) const {
   if (pose.fit) return *pose.fit;
   pose.T_target_source = gicp(pose.T_target_source, settle_pass()).T_target_source;

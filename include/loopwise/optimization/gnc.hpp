@@ -30,6 +30,7 @@ struct GncOptions {
   double weight_tolerance = 1e-4;
   bool second_start = false;
   double innovation_probability = 0.9999;
+  double odometry_margin = 3.0;
   bool growth = true;
 
   template <class Self, class Visitor>
@@ -45,17 +46,24 @@ struct GncOptions {
           "Gauss-Newton steps for each value of mu.");
     field("weight_tolerance", self.weight_tolerance, between(0.0, 0.5),
           "Weights count as settled within this of 0 or 1.");
-    field("second_start", self.second_start, any_value(),
-          "Where closures are left out, start again from the chordal estimate, and keep what costs less: "
-          "graduation from an estimate that is far off can lose closures that all agree. Takes up to three "
-          "times as "
-          "long; replays and the live module do it.");
+    field(
+        "second_start", self.second_start, any_value(),
+        "Where closures are left out, start again, and keep what costs least: from the chordal estimate, as "
+        "graduation from an estimate that is far off can lose closures that all agree, and with the closures "
+        "that odometry would allow if it were worse than it says, see odometry_margin. Takes up to four "
+        "times "
+        "as long; replays and the live module do it.");
     field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true},
           "Share of true closures that what odometry alone says of their ends does not put aside at first: "
           "quantile "
           "of chi-squared with 6 degrees of freedom, on the innovation. One that the estimate then confirms "
           "comes "
           "back. 1 puts none aside.");
+    field(
+        "odometry_margin", self.odometry_margin, Bounds{1.0, 1e6, false},
+        "How many times larger than stated odometry's deviations may be for second_start: closures that such "
+        "odometry allows are tried. More helps where odometry slips, and lets groups of false closures that "
+        "agree with each other, as from two floors of one plan, bend it.");
     field("growth", self.growth, any_value(),
           "At the end of truncated least squares, let closures in that the innovation test has put aside and "
           "that agree with the kept ones around them, as long as that lowers the truncated cost: where "

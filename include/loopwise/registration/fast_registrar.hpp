@@ -67,10 +67,11 @@ struct FastRegistrarOptions {
     field("sure_share", self.sure_share, between(0.0, 1.0),
           "Share of the scored points on the target's surfaces, against that within the scans themselves, at "
           "which the refined guess is judged before matches are sought.");
-    field("ambiguous_margin", self.ambiguous_margin, at_least(0.0),
-          "A pair is refused if a second pose, more than 1 m or 5 degrees away and outside the closure's "
-          "covariance, fits worse by no more than this; the fit is consistency + ln(share of points on "
-          "surfaces) / 10.");
+    field(
+        "ambiguous_margin", self.ambiguous_margin, at_least(0.0),
+        "A pair is refused if a second pose, more than 1 m or 5 degrees away and outside the closure's "
+        "covariance, fits worse by no more than this; the fit is min(1, consistency) + ln(share of points on "
+        "surfaces) / 10.");
     field("free_share", self.free_share, between(0.01, 0.99),
           "Along an axis where this share of the points that fix it would lie on surfaces a metre away as "
           "well, "
