@@ -38,6 +38,8 @@ bool agree(const Edge& first, const Edge& second) {
   const Matrix6d& A = first.information;
   const Matrix6d B = second.from == first.from ? second.information : reversed(second).information;
   const Vector6d r = difference(first, second);
+  // The form below exceeds neither of these, which are all that repeated edges need.
+  if (std::min(r.dot(A * r), r.dot(B * r)) <= kLargestDistance) return true;
   // (A⁻¹ + B⁻¹)⁻¹ = A (A + B)⁺ B: either may be singular.
   const Matrix6d both = A + B;
   return r.dot(A * both.completeOrthogonalDecomposition().solve(B * r)) <= kLargestDistance;
