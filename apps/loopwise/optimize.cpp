@@ -165,9 +165,9 @@ int run(const Options& options) {
     console.warn(file.problems);
     graph = std::move(file.graph);
     const std::string& robots = config.mission.robots;
-    console.warn(classify_edges(
-        graph, robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(robots), config.mission));
-    fill_information(graph, file.without_information, config.mission);
+    console.warn(classify_edges(graph,
+                                robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(robots),
+                                config.mission, file.without_information));
   }
   PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
   add_priors(graph, options, console);

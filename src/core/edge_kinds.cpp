@@ -38,6 +38,8 @@ bool agree(const Edge& first, const Edge& second) {
   const Matrix6d& A = first.information;
   const Matrix6d B = second.from == first.from ? second.information : reversed(second).information;
   const Vector6d r = difference(first, second);
+  // The form below exceeds neither of these, which are all that repeated edges need.
+  if (std::min(r.dot(A * r), r.dot(B * r)) <= kLargestDistance) return true;
   // (A⁻¹ + B⁻¹)⁻¹ = A (A + B)⁺ B: either may be singular.
   const Matrix6d both = A + B;
   return r.dot(A * both.completeOrthogonalDecomposition().solve(B * r)) <= kLargestDistance;
@@ -50,26 +52,25 @@ bool fits_poses(const PoseGraph& graph, const Edge& edge) {
   return r.dot(edge.information * r) <= kLargestDistance;
 }
 
-/// Of edges between the same two nodes, the odometry and what agrees with it: the nodes' poses, which most
-/// programs chain along the odometry, tell which of two that contradict each other it is, else the order
-/// does.
-void mark_chain(PoseGraph& graph, const std::vector<std::size_t>& edges, Problems& problems) {
+/// Of edges between the same two nodes, the odometry: in the order of the file, but first those that fit the
+/// nodes' poses, which most programs chain along the odometry, each that agrees with all before it. To agree
+/// with one of them is not enough: a weak measurement agrees with any.
+void mark_chain(PoseGraph& graph, std::vector<std::size_t> edges, Problems& problems) {
   const auto edge = [&](std::size_t e) -> const Edge& { return graph.edges()[e]; };
-  const auto agrees = [&](std::size_t a) {
-    return [&edge, a](std::size_t b) { return a == b || agree(edge(a), edge(b)); };
-  };
-  std::size_t odometry = edges.front();
-  if (!std::all_of(edges.begin(), edges.end(), agrees(odometry))) {
-    const auto fitting =
-        std::find_if(edges.begin(), edges.end(), [&](std::size_t e) { return fits_poses(graph, edge(e)); });
-    if (fitting != edges.end()) odometry = *fitting;
+  if (edges.size() > 1) {
+    std::stable_partition(edges.begin(), edges.end(),
+                          [&](std::size_t e) { return fits_poses(graph, edge(e)); });
   }
+  std::vector<std::size_t> odometry;
   for (const std::size_t e : edges) {
-    if (agrees(odometry)(e)) {
+    const auto contradicted = std::find_if(odometry.begin(), odometry.end(),
+                                           [&](std::size_t o) { return !agree(edge(o), edge(e)); });
+    if (contradicted == odometry.end()) {
+      odometry.push_back(e);
       graph.set_kind(e, EdgeKind::kOdometry);
       continue;
     }
-    const Vector6d r = difference(edge(odometry), edge(e));
+    const Vector6d r = difference(edge(*contradicted), edge(e));
     problems.add("edge that contradicts odometry taken for a loop closure",
                  "between " + between(edge(e).from, edge(e).to) + ", " + std::to_string(r.head<3>().norm()) +
                      " m and " + std::to_string(r.tail<3>().norm()) + " rad from the odometry");
@@ -159,6 +160,12 @@ Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& 
   for (const auto& [a, b] : odometry) missing.insert(std::minmax(a, b));
   const KeyPairs listed = missing;
   for (const Edge& edge : graph.edges()) missing.erase(ends_of(edge));
+  for (const auto& [a, b] : listed) {
+    for (const Key key : {a, b}) {
+      if (robots.is_landmark(key))
+        throw InputError("between " + between(a, b) + " is no odometry: " + key_name(key) + " is a landmark");
+    }
+  }
   if (!missing.empty()) {
     throw InputError("the graph has no edge between " +
                      between(missing.begin()->first, missing.begin()->second));

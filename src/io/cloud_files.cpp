@@ -92,12 +92,12 @@ NamedClouds name_clouds(const FileSource& files, const KeyTable& table, Problems
     const std::string& name = files.names[i];
     if (!is_cloud_file(name)) {
       const bool known = name == "keys.csv" || name == parts::kRanges || name == parts::kGravity ||
-                         fs::path(name).extension() == ".g2o" || fs::path(name).extension() == ".bag" ||
-                         fs::path(name).extension() == ".zip";
+                         name == parts::kOdometry || fs::path(name).extension() == ".g2o" ||
+                         fs::path(name).extension() == ".bag" || fs::path(name).extension() == ".zip";
       if (!known) problems.add("foreign file in scans", files.path(i));
       continue;
     }
-    const std::string stem = fs::path(name).stem().string();
+    const std::string stem = parts::cloud_stem(name);
     Key key = 0;
     auto* list = &clouds.by_key;
     const auto listed = table.key_of.find(name);

@@ -111,12 +111,17 @@ std::size_t write_scans(const Mission& mission, const std::vector<Key>& keys, co
   return written;
 }
 
+void count_lost_kinds(const parts::OdometryList& odometry, const std::string& name, Problems& left_out) {
+  left_out.add("kind of an edge left out", name + ": of several between the same nodes", odometry.lost);
+}
+
 ConvertResult write_folder(const Mission& mission, const fs::path& folder, const ConvertOptions& options) {
   ConvertResult result;
   const MissionWriter writer(folder, options.encoding);
   result.scans = write_scans(mission, mission.scans->keys(), options,
                              [&](Key key, const PointCloud& cloud) { writer.add_scan(key, cloud); });
   writer.finish(mission);
+  count_lost_kinds(parts::odometry_list(mission.graph, mission.robots), mission.name, result.left_out);
   return result;
 }
 
@@ -148,9 +153,9 @@ class FullKeys {
       first.emplace(robots_.of(key), written.back());
       if (robots_.is_landmark(key)) landmarks.insert(key_character(written.back()));
     }
-    const Robots read = parts::with_landmarks(Robots::from_keys(written), landmarks);
+    read_ = parts::with_landmarks(Robots::from_keys(written), landmarks);
     for (const auto& [robot, key] : first) {
-      const std::string& name = read[read.of(key)].name;
+      const std::string& name = read_[read_.of(key)].name;
       if (robots_[robot].name != name) {
         left_out.add("robot name left out", robots_[robot].name + " becomes " + name);
       }
@@ -166,6 +171,9 @@ class FullKeys {
     const std::size_t robot = robots_.of(key);
     return make_key(letters_[robot], key - robots_[robot].first);
   }
+
+  /// Whose the keys are to those who read the files.
+  [[nodiscard]] const Robots& robots() const { return read_; }
 
  private:
   void assign_letters() {
@@ -184,6 +192,7 @@ class FullKeys {
   }
 
   Robots robots_;
+  Robots read_;
   bool renamed_ = false;
   std::string letters_;  // by robot
 };
@@ -271,6 +280,9 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   }
   if (!graph.ranges().empty()) write_file(folder / parts::kRanges, parts::ranges_text(graph));
   if (!graph.gravities().empty()) write_file(folder / parts::kGravity, parts::gravity_text(graph));
+  const parts::OdometryList odometry = parts::odometry_list(graph, keys.robots());
+  if (!odometry.text.empty()) write_file(folder / parts::kOdometry, odometry.text);
+  count_lost_kinds(odometry, mission.name, result.left_out);
   flush_file_system(folder);  // the clouds, before the graph that stands for the whole
   write_g2o(folder / kGraph, graph);
   return result;

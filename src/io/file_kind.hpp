@@ -20,6 +20,7 @@ enum class FileKind {
   kSqlite,
   kMcap,
   kBag,
+  kOldBag,
   kPcd,
   kPly,
   kLas,

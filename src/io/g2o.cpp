@@ -66,17 +66,17 @@ class Reader {
     text::Lines lines(contents);
     for (std::string_view line; lines.next(line);) {
       line_ = lines.number();
-      try {
-        read_line(line);
-      } catch (const ParseError&) {
-        if (!unfinished_ || lines.ended()) throw;
+      if (unfinished_ && !lines.ended() && !text::trim(line).empty()) {
         out_.problems.add_altered("unfinished last line left out", here());
+      } else {
+        read_line(line);
       }
     }
     if (out_.graph.empty()) {
+      if (unfinished_ && !lines.ended()) return std::move(out_);
       throw InputError(file_ + (contents.empty() ? ": is empty, " : ": ") + "no VERTEX_SE3:QUAT line");
     }
-    if (!lines.ended()) {
+    if (!unfinished_ && !lines.ended()) {
       out_.problems.add("no line end after the last line", here());
       refuse_cut_edge();
     }
@@ -86,8 +86,8 @@ class Reader {
       out_.problems.add_altered("unknown tag " + tag, text::Place{file_, met.first_line}.str(), met.count);
     }
     // Flaws of the odometry are counted by those who need it, and know the robots.
-    static_cast<void>(classify_edges(out_.graph, Robots::from_keys(out_.graph.keys())));
-    fill_information(out_.graph, out_.without_information, {});
+    static_cast<void>(classify_edges(out_.graph, Robots::from_keys(out_.graph.keys()), MissionOptions(),
+                                     out_.without_information));
     return std::move(out_);
   }
 
@@ -143,13 +143,9 @@ class Reader {
     const bool others_have = std::all_of(edges_.begin(), edges_.end() - 1,
                                          [](const EdgeLine& edge) { return edge.has_information; });
     if (edges_.size() == 1 || !others_have) return;
-    if (!unfinished_) {
-      place().fail(
-          "EDGE_SE3:QUAT needs 28 values after the ids as the other edges have, found 7: the file is "
-          "cut short");
-    }
-    edges_.pop_back();
-    out_.problems.add_altered("unfinished last line left out", here());
+    place().fail(
+        "EDGE_SE3:QUAT needs 28 values after the ids as the other edges have, found 7: the file is cut "
+        "short");
   }
 
   void read_vertex(std::string_view tag, std::string_view line) {
@@ -285,15 +281,14 @@ class Reader {
       // With sensor offset O, r = Log(Z⁻¹TO) = Ad(O⁻¹)·Log((ZO⁻¹)⁻¹T): a prior of the body itself.
       const Eigen::Isometry3d O_inverse = offset->second.offset.inverse();
       if (!O_inverse.matrix().isIdentity(0.0)) {
-        const Matrix6d ad = se3::adjoint(O_inverse);
         prior.pose = prior.pose * O_inverse;
-        const Matrix6d moved = ad.transpose() * prior.information * ad;
-        prior.information = 0.5 * (moved + moved.transpose());
+        prior.information = moved_information(prior.information, O_inverse);
       }
       add(line.line, [&] { out_.graph.add_prior(prior); });
     }
     for (const FixLine& line : fixed_) {
       if (hangs_on_other_vertex("FIX", line.line, line.key)) continue;
+      out_.fixed.push_back(line.key);
       add(line.line, [&] {
         out_.graph.add_prior(
             {line.key, out_.graph.node(line.key).pose, Matrix6d::Identity() / (kFixedSigma * kFixedSigma)});

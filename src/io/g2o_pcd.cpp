@@ -217,7 +217,9 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
                 with_landmarks(Robots::from_keys(graph.keys()), landmark_characters(graph, found.clouds)));
 
   Stamps stamps;
-  for (const auto& [key, stamp] : found.table.stamps) {
+  for (const auto& [written, stamp] : found.table.stamps) {
+    const auto known = full.find(written);
+    const Key key = known == full.end() ? written : known->second;
     if (graph.contains(key)) {
       stamps.emplace(key, stamp);
     } else {
@@ -232,8 +234,11 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   }
   std::vector<PriorFactor> priors = graph.priors();
   complete_priors(graph, mission.robots, options, file.string(), priors, mission.problems);
-  mission.graph = assemble(graph, stamps, priors, mission.robots, options, mission.problems);
-  fill_information(mission.graph, g2o.without_information, options);
+  MissionOptions own = options;
+  if (own.odometry.empty() && fs::is_regular_file(folder / kOdometry))
+    own.odometry = (folder / kOdometry).string();
+  mission.graph =
+      assemble(graph, stamps, priors, mission.robots, own, mission.problems, g2o.without_information);
   check_stamps(mission);
 
   const TruthFiles truth = find_truth(folder);

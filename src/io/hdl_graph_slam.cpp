@@ -7,6 +7,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
 
+#include "information.hpp"
 #include "text.hpp"
 
 namespace loopwise {
@@ -33,14 +34,28 @@ bool is_number(const std::string& name) {
          std::all_of(name.begin(), name.end(), [](unsigned char c) { return std::isdigit(c); });
 }
 
+/// What `anchor_node ID` says, -1 for nothing.
+std::optional<std::set<Key>> read_anchors(const fs::path& file) {
+  if (!fs::is_regular_file(file)) return std::nullopt;
+  const std::string name = file.string(), contents = read_file(file);
+  std::set<Key> anchors;
+  text::Lines lines(contents);
+  for (std::string_view line; lines.next(line);) {
+    if (text::next_word(line) != "anchor_node") continue;
+    std::int64_t id = 0;
+    if (!text::parse_int64(text::next_word(line), id))
+      text::Place{name, lines.number()}.fail("anchor_node needs the id of a node, or -1");
+    if (id >= 0) anchors.insert(static_cast<Key>(id));
+  }
+  return anchors;
+}
+
 /// The prior that an edge to a fixed node makes of its other end, with the same residual up to its frame.
 PriorFactor prior_of(const Edge& edge, bool fixed_is_from, const Eigen::Isometry3d& fixed) {
   if (fixed_is_from) return {edge.to, se3::normalized(fixed * edge.T_from_to), edge.information};
   // r = Log(Z⁻¹T⁻¹F) = −Ad(Z⁻¹)·Log((FZ⁻¹)⁻¹T)
   const Eigen::Isometry3d inverse = edge.T_from_to.inverse();
-  const Matrix6d ad = se3::adjoint(inverse);
-  const Matrix6d moved = ad.transpose() * edge.information * ad;
-  return {edge.from, se3::normalized(fixed * inverse), 0.5 * (moved + moved.transpose())};
+  return {edge.from, se3::normalized(fixed * inverse), moved_information(edge.information, inverse)};
 }
 
 }  // namespace
@@ -95,17 +110,23 @@ std::optional<KeyFrameFolders> find_key_frame_folders(const fs::path& folder, Pr
     return read_file(folder / names[n]);
   };
   for (const auto& [id, number] : owner) found.ids.insert(id);
+  found.anchors = read_anchors(folder / "special_nodes.csv");
   return found;
 }
 
 G2oFile without_anchors(G2oFile file, const KeyFrameFolders& key_frames, const std::string& name) {
   std::set<Key> anchors;
-  for (const PriorFactor& prior : file.graph.priors()) {
-    if (key_frames.ids.count(prior.key) == 0) anchors.insert(prior.key);
+  for (const Key key : file.fixed) {
+    const bool named = !key_frames.anchors || key_frames.anchors->count(key) != 0;
+    if (named && key_frames.ids.count(key) == 0) anchors.insert(key);
   }
   if (anchors.empty()) return file;
   G2oFile out;
   out.problems = std::move(file.problems);
+  if (!key_frames.anchors) {
+    out.problems.add_altered("fixed node without key frame taken for an anchor",
+                             name + ": " + std::to_string(*anchors.begin()), anchors.size());
+  }
   const auto is_anchor = [&](Key key) { return anchors.count(key) != 0; };
   for (const Node& node : file.graph.nodes()) {
     if (!is_anchor(node.key)) out.graph.add_node(node);
@@ -116,7 +137,11 @@ G2oFile without_anchors(G2oFile file, const KeyFrameFolders& key_frames, const s
   const std::set<std::size_t> bare(file.without_information.begin(), file.without_information.end());
   for (std::size_t e = 0; e < file.graph.edges().size(); ++e) {
     const Edge& edge = file.graph.edges()[e];
-    if (is_anchor(edge.from) && is_anchor(edge.to)) continue;
+    const std::string where = name + ": " + std::to_string(edge.from) + " to " + std::to_string(edge.to);
+    if (is_anchor(edge.from) && is_anchor(edge.to)) {
+      out.problems.add_altered("edge between fixed nodes left out", where);
+      continue;
+    }
     if (!is_anchor(edge.from) && !is_anchor(edge.to)) {
       if (bare.count(e) != 0) out.without_information.push_back(out.graph.edges().size());
       out.graph.add_edge(edge);
@@ -124,8 +149,7 @@ G2oFile without_anchors(G2oFile file, const KeyFrameFolders& key_frames, const s
     }
     const Key anchor = is_anchor(edge.from) ? edge.from : edge.to;
     out.graph.add_prior(prior_of(edge, anchor == edge.from, file.graph.node(anchor).pose));
-    out.problems.add("edge to a fixed node that is no key frame made a prior",
-                     name + ": " + std::to_string(edge.from) + " to " + std::to_string(edge.to));
+    out.problems.add("edge to a fixed node that is no key frame made a prior", where);
   }
   return out;
 }

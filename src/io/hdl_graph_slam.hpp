@@ -29,6 +29,9 @@ struct KeyFrameFolders {
   FileSource files;                   ///< NUMBER/cloud.pcd of each.
   std::map<Key, std::size_t> clouds;  ///< Number of the file; a key frame may lack it.
   parts::Stamps stamps;               ///< A key frame may lack it.
+  /// What special_nodes.csv says is the node that holds the first; old versions of the program do not write
+  /// it.
+  std::optional<std::set<Key>> anchors;
 };
 
 /// Key frames in folders NUMBER/ with a file `data`. Nothing if there is no such folder. \throws ParseError;
@@ -36,8 +39,9 @@ struct KeyFrameFolders {
 [[nodiscard]] std::optional<KeyFrameFolders> find_key_frame_folders(const std::filesystem::path& folder,
                                                                     Problems& problems);
 
-/// The graph without the fixed nodes that are no key frames, which hdl_graph_slam ties its first node to.
-/// What ties others to them becomes priors of the others, of the same cost; counted.
+/// The graph without the fixed node that hdl_graph_slam ties its first node to: that of special_nodes.csv,
+/// without it those that are fixed and no key frames, which is counted as a guess. What ties others to it
+/// becomes priors of the others, of the same cost; counted.
 [[nodiscard]] G2oFile without_anchors(G2oFile graph, const KeyFrameFolders& key_frames,
                                       const std::string& name);
 

@@ -69,4 +69,10 @@ SoundInformation nearest_information(const Matrix6d& information) {
   return nearest;
 }
 
+Matrix6d moved_information(const Matrix6d& information, const Eigen::Isometry3d& T) {
+  const Matrix6d ad = se3::adjoint(T);
+  const Matrix6d moved = ad.transpose() * information * ad;
+  return nearest_information(0.5 * (moved + moved.transpose())).matrix;
+}
+
 }  // namespace loopwise

@@ -24,4 +24,7 @@ struct SoundInformation {
 /// one; of a rounded matrix those of its form with a unit diagonal, in which metres and radians count alike.
 [[nodiscard]] SoundInformation nearest_information(const Matrix6d& information);
 
+/// Ad(T)ᵀ Ω Ad(T), without the indefiniteness that rounding leaves in information of low rank.
+[[nodiscard]] Matrix6d moved_information(const Matrix6d& information, const Eigen::Isometry3d& T);
+
 }  // namespace loopwise

@@ -75,6 +75,13 @@ std::vector<Eigen::Isometry3d> read_frames(const fs::path& file, const std::vect
   return out;
 }
 
+/// As programs begin that know no other frame than their own; gravity may have turned it.
+bool begins_at_origin(const Mission& mission) {
+  constexpr double kNear_m = 0.5;
+  const std::vector<Key> first = first_nodes(mission.graph, mission.robots);
+  return !first.empty() && mission.graph.node(first.front()).pose.translation().norm() < kNear_m;
+}
+
 }  // namespace
 
 Mission join_missions(const std::vector<Mission>& missions, const MissionOptions& options) {
@@ -92,6 +99,9 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
   if (!options.frames.empty()) frames = read_frames(options.frames, sources);
   joined.start_ns = missions.front().start_ns;
   for (const Mission& mission : missions) joined.start_ns = std::min(joined.start_ns, mission.start_ns);
+
+  // Where one alone begins there, poses stand apart as a common frame has them.
+  const auto at_origin = std::count_if(missions.begin(), missions.end(), begins_at_origin);
 
   std::vector<Robot> robots;
   std::set<std::string> names, beacons;
@@ -112,7 +122,7 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
       name = mission.name + "_" + std::to_string(n);
     }
     names.insert({name, name + "_landmarks"});
-    if (options.frames.empty()) {
+    if (options.frames.empty() && at_origin > 1 && begins_at_origin(mission)) {
       joined.problems.add(
           "joined without a frame",
           name + ": its origin is taken for that of the common frame; --frames says where it is");
@@ -202,9 +212,10 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
     joined.problems.add(mission.problems);
   }
   joined.robots = robots_of(joined.graph, options, Robots(std::move(robots)));
-  Problems known;  // each source has counted the flaws of its odometry, unless it is another by now
-  Problems& flaws = options.odometry.empty() && options.robots.empty() ? known : joined.problems;
-  joined.graph = assemble(joined.graph, stamps, priors, joined.robots, options, flaws);
+  joined.graph = with_stamps(joined.graph, stamps, priors);
+  // Else each source knows the kinds of its edges, and has counted the flaws of its odometry.
+  if (!options.odometry.empty() || !options.robots.empty())
+    joined.problems.add(classify_edges(joined.graph, joined.robots, options));
   // The options may have divided the keys in another way.
   for (BeaconDrop& drop : joined.beacons) drop.robot = joined.robots.of(drop.drop_key);
   for (CommunicationGap& gap : joined.gaps) {

@@ -72,6 +72,12 @@ struct SeenGraph {
   std::vector<SeenGravity> gravities;
 };
 
+/// Whether LAMP gives such keys to what robots saw.
+[[nodiscard]] bool is_landmark(Key key);
+
+/// The first word of a topic, which names its robot; empty if it has one word alone.
+[[nodiscard]] std::string first_word(const std::string& topic);
+
 /// Gathers messages in any order: a scan may come before its node, and whatever comes again is taken once.
 class Gatherer {
  public:

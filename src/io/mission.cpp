@@ -41,9 +41,9 @@ Mission read_g2o_mission(const fs::path& path, const MissionOptions& options) {
     mission.problems.add("no prior given", path.string() + ": node " + std::to_string(first) + " gets one");
   }
   mission.problems.add("no stamps given", path.string());
-  mission.graph = parts::assemble(file.graph, parts::regular_stamps(file.graph, mission.robots, options),
-                                  priors, mission.robots, options, mission.problems);
-  fill_information(mission.graph, file.without_information, options);
+  mission.graph =
+      parts::assemble(file.graph, parts::regular_stamps(file.graph, mission.robots, options), priors,
+                      mission.robots, options, mission.problems, file.without_information);
   parts::check_stamps(mission);
   return mission;
 }
@@ -70,8 +70,7 @@ Robots robots_of(const PoseGraph& graph, const MissionOptions& options, const Ro
   return robots;
 }
 
-PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps, const std::vector<PriorFactor>& priors,
-                   const Robots& robots, const MissionOptions& options, Problems& problems) {
+PoseGraph with_stamps(const PoseGraph& graph, const Stamps& stamps, const std::vector<PriorFactor>& priors) {
   PoseGraph out;
   for (Node node : graph.nodes()) {
     const auto stamp = stamps.find(node.key);
@@ -82,8 +81,47 @@ PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps, const std::vect
   for (const Edge& edge : graph.edges()) out.add_edge(edge);
   for (const RangeFactor& range : graph.ranges()) out.add_range(range);
   for (const GravityFactor& gravity : graph.gravities()) out.add_gravity(gravity);
-  problems.add(classify_edges(out, robots, options));
   return out;
+}
+
+PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps, const std::vector<PriorFactor>& priors,
+                   const Robots& robots, const MissionOptions& options, Problems& problems,
+                   const std::vector<std::size_t>& without_information) {
+  PoseGraph out = with_stamps(graph, stamps, priors);
+  problems.add(classify_edges(out, robots, options, without_information));
+  return out;
+}
+
+OdometryList odometry_list(const PoseGraph& graph, const Robots& robots) {
+  const auto is_sighting = [&](const Edge& edge) {
+    return robots.is_landmark(edge.from) || robots.is_landmark(edge.to);
+  };
+  const auto is_odometry = [](const Edge& edge) { return edge.kind == EdgeKind::kOdometry; };
+  PoseGraph read = graph;
+  const auto others = [&] {
+    std::size_t count = 0;
+    for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+      const Edge& edge = graph.edges()[e];
+      if (!is_sighting(edge) && is_odometry(edge) != is_odometry(read.edges()[e])) ++count;
+    }
+    return count;
+  };
+  static_cast<void>(classify_edges(read, robots));
+  OdometryList list;
+  if (others() == 0) return list;
+  KeyPairs pairs;
+  for (const Edge& edge : graph.edges()) {
+    if (!is_sighting(edge) && is_odometry(edge)) pairs.insert(std::minmax(edge.from, edge.to));
+  }
+  if (pairs.empty()) {  // of a graph that was never classified
+    list.lost = others();
+    return list;
+  }
+  list.text = "# from,to of the edges that are odometry\n";
+  for (const auto& [a, b] : pairs) list.text += std::to_string(a) + "," + std::to_string(b) + "\n";
+  static_cast<void>(classify_edges(read, robots, pairs));
+  list.lost = others();
+  return list;
 }
 
 Stamps regular_stamps(const PoseGraph& graph, const Robots& robots, const MissionOptions& options) {
@@ -128,6 +166,11 @@ PriorFactor default_prior(const PoseGraph& graph, Key key, const MissionOptions&
   return {key, graph.node(key).pose, information_of_sigmas(options.prior_sigmas.data())};
 }
 
+std::string cloud_stem(const fs::path& file) {
+  const fs::path stem = file.stem();
+  return (file.extension() == ".bin" && stem.extension() == ".pcd" ? stem.stem() : stem).string();
+}
+
 std::map<Key, fs::path> find_scans(const fs::path& folder,
                                    const std::function<std::optional<Key>(const std::string&)>& key_of,
                                    Problems& problems) {
@@ -146,7 +189,7 @@ std::map<Key, fs::path> find_scans(const fs::path& folder,
   }
   if (error) throw IoError(folder.string(), error.message());
   for (const fs::path& file : files) {
-    const auto key = is_cloud_file(file) ? key_of(file.stem().string()) : std::nullopt;
+    const auto key = is_cloud_file(file) ? key_of(cloud_stem(file)) : std::nullopt;
     if (!key) {
       problems.add("foreign file in scans", file.string());
     } else if (!scans.emplace(*key, file).second) {
@@ -160,7 +203,8 @@ void count_scans(Mission& mission, const std::vector<Key>& keys,
                  const std::function<std::string(Key)>& where) {
   const std::set<Key> present(keys.begin(), keys.end());
   if (keys.empty()) {
-    mission.problems.add("node without scan", "no scans at all", mission.graph.nodes().size());
+    mission.problems.add("node without scan", "no scans at all",
+                         key_frames(mission.graph, mission.robots).size());
   } else {
     for (const Node& node : mission.graph.nodes()) {
       if (present.count(node.key) == 0 && !mission.robots.is_landmark(node.key))
@@ -231,9 +275,31 @@ void check_stamps(Mission& mission) {
 
 }  // namespace parts
 
-Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOptions& options) {
-  if (options.odometry.empty()) return classify_edges(graph, robots);
+namespace {
+
+/// `joins(a, b)`: whether an edge between these nodes may be odometry.
+template <class Joins>
+void fill_information(PoseGraph& graph, const std::vector<std::size_t>& edges, const MissionOptions& options,
+                      Joins&& joins) {
+  for (const std::size_t e : edges) {
+    const Edge& edge = graph.edges()[e];
+    graph.set_information(e, joins(edge.from, edge.to) ? odometry_information(edge.T_from_to, options)
+                                                       : parts::closure_information());
+  }
+}
+
+}  // namespace
+
+Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOptions& options,
+                        const std::vector<std::size_t>& without_information) {
+  if (options.odometry.empty()) {
+    fill_information(graph, without_information, options, Neighbours(graph, robots));
+    return classify_edges(graph, robots);
+  }
   const KeyPairs pairs = parts::parse_key_pairs(read_file(options.odometry), options.odometry);
+  fill_information(graph, without_information, options, [&](Key a, Key b) {
+    return pairs.count({a, b}) + pairs.count({b, a}) != 0;
+  });
   try {
     return classify_edges(graph, robots, pairs);
   } catch (const InputError& error) {
@@ -247,15 +313,6 @@ Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& 
   const double rad = std::max(options.odometry_min_sigma_rad, options.odometry_sigma_rad_per_m * length);
   const double sigmas[] = {m, m, m, rad, rad, rad};
   return parts::information_of_sigmas(sigmas);
-}
-
-void fill_information(PoseGraph& graph, const std::vector<std::size_t>& edges,
-                      const MissionOptions& options) {
-  for (const std::size_t e : edges) {
-    const Edge& edge = graph.edges()[e];
-    graph.set_information(e, edge.kind == EdgeKind::kOdometry ? odometry_information(edge.T_from_to, options)
-                                                              : parts::closure_information());
-  }
 }
 
 namespace {

@@ -41,6 +41,7 @@ struct Files {
   fs::path beacons = "beacons.csv";
   fs::path ranges = parts::kRanges;
   fs::path gravity = parts::kGravity;
+  fs::path odometry = parts::kOdometry;
   fs::path ground_truth = "ground_truth.g2o";
   fs::path reference = "reference.g2o";
 };
@@ -132,8 +133,8 @@ class Description {
     if (!json_.contains("files")) return files;
     const Json& names = json_["files"];
     only(names, "files",
-         {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "ground_truth",
-          "reference"});
+         {"graph", "stamps", "priors", "scans", "radio", "beacons", "ranges", "gravity", "odometry",
+          "ground_truth", "reference"});
     const auto set = [&](const char* key, fs::path& file) {
       if (!names.contains(key)) return;
       const std::string name = text(names, "files", key);
@@ -151,6 +152,7 @@ class Description {
     set("beacons", files.beacons);
     set("ranges", files.ranges);
     set("gravity", files.gravity);
+    set("odometry", files.odometry);
     set("ground_truth", files.ground_truth);
     set("reference", files.reference);
     return files;
@@ -386,8 +388,10 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
       mission.problems.add("no prior given", folder.string() + ": node " + std::to_string(key) + " gets one");
     }
   }
-  mission.graph = assemble(g2o.graph, stamps, priors, mission.robots, options, mission.problems);
-  fill_information(mission.graph, g2o.without_information, options);
+  MissionOptions own = options;
+  if (own.odometry.empty() && present(files.odometry)) own.odometry = (folder / files.odometry).string();
+  mission.graph =
+      assemble(g2o.graph, stamps, priors, mission.robots, own, mission.problems, g2o.without_information);
   check_stamps(mission);
   if (const auto start = description.start_ns()) {
     if (*start > mission.start_ns) {
@@ -451,7 +455,8 @@ void MissionWriter::finish(const Mission& mission) const {
     priors.row(prior.key, t.x(), t.y(), t.z(), q.x(), q.y(), q.z(), q.w(), s[0], s[1], s[2], s[3], s[4],
                s[5]);
   }
-  const std::string ranges = parts::ranges_text(graph), gravity = parts::gravity_text(graph);
+  const std::string ranges = parts::ranges_text(graph), gravity = parts::gravity_text(graph),
+                    odometry = parts::odometry_list(graph, mission.robots).text;
   CsvText radio(kRadioColumns), beacons(kBeaconColumns);
   for (const RadioReading& r : mission.radio)
     radio.row(r.key, r.beacon, r.transmit_dbm, r.receiver, r.receive_dbm);
@@ -484,6 +489,7 @@ void MissionWriter::finish(const Mission& mission) const {
   write_file(folder_ / files.priors, priors.text());
   if (!graph.ranges().empty()) write_file(folder_ / files.ranges, ranges);
   if (!graph.gravities().empty()) write_file(folder_ / files.gravity, gravity);
+  if (!odometry.empty()) write_file(folder_ / files.odometry, odometry);
   if (!mission.radio.empty()) write_file(folder_ / files.radio, radio.text());
   if (!mission.beacons.empty()) write_file(folder_ / files.beacons, beacons.text());
   const auto write_poses = [this](const fs::path& file, const std::map<Key, Eigen::Isometry3d>& poses) {

@@ -23,8 +23,9 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
 /// folder.
 inline constexpr const char* kUnfinished = ".unfinished";
 
-/// Files of ranges and gravity beside a graph.
+/// Files of ranges, gravity and the list of odometry beside a graph.
 inline constexpr const char* kRanges = "ranges.csv";
+inline constexpr const char* kOdometry = "odometry.csv";
 inline constexpr const char* kGravity = "gravity.csv";
 
 /// Stamps are held to ±4.6e18 ns (the year 2115), so that differences never overflow.
@@ -46,11 +47,22 @@ inline constexpr const char* kGravity = "gravity.csv";
 /// Keys of all nodes but landmarks, in order.
 [[nodiscard]] std::vector<Key> key_frames(const PoseGraph& graph, const Robots& robots);
 
-/// The graph with these stamps (0 where none), priors and robots; its edges are classified as the options
-/// say, and flaws of the odometry counted.
+/// The graph with these stamps (0 where none) and priors.
+[[nodiscard]] PoseGraph with_stamps(const PoseGraph& graph, const Stamps& stamps,
+                                    const std::vector<PriorFactor>& priors);
+
+/// The same, its edges classified as the options say, and flaws of the odometry counted.
 [[nodiscard]] PoseGraph assemble(const PoseGraph& graph, const Stamps& stamps,
                                  const std::vector<PriorFactor>& priors, const Robots& robots,
-                                 const MissionOptions& options, Problems& problems);
+                                 const MissionOptions& options, Problems& problems,
+                                 const std::vector<std::size_t>& without_information = {});
+
+/// Which edges are odometry, where neighbours do not tell it.
+struct OdometryList {
+  std::string text;      ///< As MissionOptions::odometry takes it; empty if neighbours tell it.
+  std::size_t lost = 0;  ///< Edges that get another kind even by the list.
+};
+[[nodiscard]] OdometryList odometry_list(const PoseGraph& graph, const Robots& robots);
 
 /// When landmarks were first seen: the earliest of the stamps of the nodes that an edge or a range ties to
 /// each. Those tied to none are not listed.
@@ -89,6 +101,9 @@ void read_gravity(const std::filesystem::path& file, PoseGraph& graph);
 /// What they read. \throws InputError naming a gravity factor whose reference is not -z: no file holds it
 [[nodiscard]] std::string ranges_text(const PoseGraph& graph);
 [[nodiscard]] std::string gravity_text(const PoseGraph& graph);
+
+/// The name of a cloud without its extensions, of which nuScenes writes two: NUMBER.pcd.bin.
+[[nodiscard]] std::string cloud_stem(const std::filesystem::path& file);
 
 /// Scan files of a folder by the key that `key_of` finds in their names (without extension). Counts foreign
 /// files and second files of one key, of which the first by name is taken.

@@ -9,6 +9,7 @@
 #include <loopwise/io/trajectory.hpp>
 
 #include "g2o_text.hpp"
+#include "information.hpp"
 #include "mission_parts.hpp"
 #include "text.hpp"
 
@@ -24,15 +25,12 @@ struct Step {
   Matrix6d information;
 };
 
-/// The text without a last line that its program was stopped in the middle of: too few words, no line end.
-std::string whole_lines(std::string contents, std::size_t words, const std::string& name,
-                        Problems& problems) {
-  if (contents.empty() || contents.back() == '\n') return contents;
+/// The text without a last line that has no line end: its program was stopped in the middle of it, perhaps
+/// within the last number. A line alone is kept, of a file of one pose by hand.
+std::string whole_lines(std::string contents, const std::string& name, Problems& problems) {
   const std::size_t last = contents.rfind('\n') + 1;
   std::string_view line = std::string_view(contents).substr(last);
-  std::size_t found = 0;
-  while (!text::next_word(line).empty()) ++found;
-  if (found == 0 || found >= words) return contents;
+  if (last == 0 || text::next_word(line).empty()) return contents;
   const auto number = 1 + std::count(contents.begin(), contents.end(), '\n');
   problems.add_altered("unfinished last line left out", name + ":" + std::to_string(number));
   contents.resize(last);
@@ -45,9 +43,8 @@ bool is_blank_file(const std::string& contents) {
 
 /// Nothing if the file is missing, or empty as a program leaves it that is stopped while it replaces it.
 std::optional<Poses> read_poses(const fs::path& file, Problems& problems) {
-  constexpr std::size_t kNumbers = 12;
   if (!fs::is_regular_file(file)) return std::nullopt;
-  const std::string contents = whole_lines(read_file(file), kNumbers, file.string(), problems);
+  const std::string contents = whole_lines(read_file(file), file.string(), problems);
   if (is_blank_file(contents)) {
     problems.add_altered("empty file not used", file.string());
     return std::nullopt;
@@ -66,7 +63,7 @@ Step step_between(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const 
 std::vector<std::int64_t> read_times(const fs::path& file, Problems& problems) {
   std::vector<std::int64_t> stamps;
   if (!fs::is_regular_file(file)) return stamps;
-  const std::string name = file.string(), contents = read_file(file);
+  const std::string name = file.string(), contents = whole_lines(read_file(file), name, problems);
   text::Lines lines(contents);
   for (std::string_view line; lines.next(line);) {
     const std::string_view word = text::next_word(line);
@@ -75,11 +72,6 @@ std::vector<std::int64_t> read_times(const fs::path& file, Problems& problems) {
     if (!text::next_word(line).empty()) place.fail("more than one value, expected the stamp in seconds");
     const auto stamp = text::parse_seconds_ns(word);
     if (!stamp || !stamp_in_range(*stamp)) place.fail(text::quoted(word) + " is no stamp in seconds");
-    // A stamp that was cut short is a smaller number.
-    if (!lines.ended() && !stamps.empty() && *stamp < stamps.back()) {
-      problems.add_altered("unfinished last line left out", place.str());
-      continue;
-    }
     stamps.push_back(*stamp);
   }
   return stamps;
@@ -102,13 +94,21 @@ std::optional<PoseGraph> read_graph(const fs::path& file, std::size_t rows, cons
   G2oFile session = parse_unfinished_g2o(contents, file.string());
   problems.add(session.problems);
   const std::vector<Key> keys = session.graph.keys();
+  if (keys.empty()) {
+    problems.add_altered("session graph not used", file.string() + ": it holds no vertex yet");
+    return std::nullopt;
+  }
   if (!may_belong_together(keys.size(), rows) ||
       *std::max_element(keys.begin(), keys.end()) != keys.size() - 1) {
     problems.add_altered("session graph not used",
                          file.string() + ": its keys are not the rows of the poses file");
     return std::nullopt;
   }
-  fill_information(session.graph, session.without_information, options);
+  MissionOptions by_neighbours = options;
+  by_neighbours.odometry.clear();  // that of the mission, which has other edges
+  // Its flaws are counted where its steps are taken.
+  static_cast<void>(classify_edges(session.graph, Robots({{"0", 0, keys.size() - 1}}), by_neighbours,
+                                   session.without_information));
   return std::move(session.graph);
 }
 
@@ -118,13 +118,19 @@ std::vector<std::optional<Step>> steps_of_graph(const PoseGraph& graph, std::siz
   std::vector<std::optional<Step>> steps(rows - 1);
   for (const Edge& written : graph.edges()) {
     const Edge edge = written.from < written.to ? written : reversed(written);
-    const bool is_step = edge.kind == EdgeKind::kOdometry && edge.to == edge.from + 1;
-    if (is_step && edge.to >= rows) continue;  // of a row that is left out
-    if (is_step && !steps[edge.from]) {
-      steps[edge.from] = Step{edge.T_from_to, edge.information};
+    const std::string where =
+        file + ": " + std::to_string(written.from) + " to " + std::to_string(written.to);
+    if (edge.to != edge.from + 1) {
+      problems.add("closure of the session's own graph left out", where);
+    } else if (edge.to >= rows) {
+      continue;  // of a row that is left out
+    } else if (edge.kind != EdgeKind::kOdometry) {
+      problems.add_altered("edge that contradicts the session's odometry left out", where);
+    } else if (steps[edge.from]) {
+      problems.add_altered("repeated odometry of the session's graph left out", where);
     } else {
-      problems.add("closure of the session's own graph left out",
-                   file + ": " + std::to_string(written.from) + " to " + std::to_string(written.to));
+      // Its way to the other end may have left it indefinite by rounding.
+      steps[edge.from] = Step{edge.T_from_to, nearest_information(edge.information).matrix};
     }
   }
   return steps;
@@ -157,8 +163,12 @@ SessionFiles read_files(const fs::path& folder, const MissionOptions& options, P
   return session;
 }
 
-/// Number of rows that all files have: a program that is stopped leaves them one or a few rows apart.
-std::size_t common_rows(const SessionFiles& session, const fs::path& folder, Problems& problems) {
+/// How many rows the files of a session have: a program that is stopped leaves them one or a few apart.
+struct Rows {
+  std::size_t common;  ///< That all files have.
+  std::size_t most;    ///< That any has.
+};
+Rows count_rows(const SessionFiles& session, const fs::path& folder, Problems& problems) {
   std::vector<std::pair<std::string, std::size_t>> files;
   const auto add = [&](const char* name, std::size_t rows) {
     if (rows > 0) files.emplace_back((folder / name).string(), rows);
@@ -180,7 +190,7 @@ std::size_t common_rows(const SessionFiles& session, const fs::path& folder, Pro
         file + " has " + std::to_string(count) + " rows, the common part " + std::to_string(rows),
         count - rows);
   }
-  return rows;
+  return {rows, most->second};
 }
 
 std::vector<Step> odometry_steps(const SessionFiles& session, std::size_t rows, const fs::path& folder,
@@ -210,6 +220,26 @@ std::vector<Step> odometry_steps(const SessionFiles& session, std::size_t rows, 
   return steps;
 }
 
+/// Nodes stand where odometry takes them from the first pose, where the optimised poses put it if there are
+/// any.
+PoseGraph chained(const Eigen::Isometry3d& first, const std::vector<Step>& steps, const std::string& name) {
+  PoseGraph graph;
+  Node node;
+  node.pose = first;
+  try {
+    graph.add_node(node);
+    for (std::size_t i = 0; i < steps.size(); ++i) {
+      node.key = i + 1;
+      node.pose = se3::normalized(node.pose * steps[i].T_from_to);
+      graph.add_node(node);
+      graph.add_edge({i, i + 1, steps[i].T_from_to, steps[i].information});
+    }
+  } catch (const InputError& error) {
+    throw InputError(name + ": " + error.what());
+  }
+  return graph;
+}
+
 /// "000012" is row 12.
 std::optional<Key> row_of(const std::string& stem) {
   Key row = 0;
@@ -219,11 +249,12 @@ std::optional<Key> row_of(const std::string& stem) {
   return row;
 }
 
-/// Scans by row. Some programs count them from 1: then only the first row seems to lack one.
-std::map<Key, fs::path> scans_by_row(std::map<Key, fs::path> scans, std::size_t rows, Problems& problems) {
+/// Scans by row. Some programs count them from 1: then the last has the number of rows that were saved.
+std::map<Key, fs::path> scans_by_row(std::map<Key, fs::path> scans, std::size_t saved_rows,
+                                     Problems& problems) {
   if (scans.empty() || scans.begin()->first != 1) return scans;
   const std::string first = scans.begin()->second.string();
-  if (scans.count(rows) == 0) {
+  if (scans.rbegin()->first != saved_rows) {
     problems.add("scans may be counted from 1", first + ": the first, taken for that of row 1");
     return scans;
   }
@@ -242,21 +273,11 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   mission.name = name_of(folder);
 
   const SessionFiles session = read_files(folder, options, mission.problems);
-  const std::size_t rows = common_rows(session, folder, mission.problems);
+  const auto [rows, saved_rows] = count_rows(session, folder, mission.problems);
 
-  // Nodes stand where odometry takes them from the first pose, where the optimised poses put it if there are
-  // any.
   const std::vector<Step> steps = odometry_steps(session, rows, folder, options, mission.problems);
-  PoseGraph graph;
-  Node node;
-  node.pose = session.optimized ? session.optimized->front() : session.odometry->front();
-  graph.add_node(node);
-  for (std::size_t i = 0; i < steps.size(); ++i) {
-    node.key = i + 1;
-    node.pose = se3::normalized(node.pose * steps[i].T_from_to);
-    graph.add_node(node);
-    graph.add_edge({i, i + 1, steps[i].T_from_to, steps[i].information});
-  }
+  const PoseGraph graph = chained(session.optimized ? session.optimized->front() : session.odometry->front(),
+                                  steps, folder.string());
 
   mission.robots = robots_of(graph, options, Robots({{"0", 0, rows - 1}}));
   Stamps stamps;
@@ -276,7 +297,8 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   }
   fs::path folder_of_scans = folder / "Scans";
   if (!fs::is_directory(folder_of_scans)) folder_of_scans = folder / "scans";
-  auto scans = scans_by_row(find_scans(folder_of_scans, row_of, mission.problems), rows, mission.problems);
+  auto scans =
+      scans_by_row(find_scans(folder_of_scans, row_of, mission.problems), saved_rows, mission.problems);
   set_scans(mission, std::move(scans), options);
   return mission;
 }

@@ -3,9 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
-#include <limits>
+#include <functional>
 #include <map>
 #include <numeric>
+#include <queue>
 #include <string_view>
 #include <tuple>
 
@@ -157,42 +158,70 @@ IndexPairs pair_by_key(const Trajectory& estimate, const Trajectory& truth) {
   return pairs;
 }
 
-/// The larger minus the smaller: no stamps are too far apart for it.
-std::uint64_t gap_ns(std::int64_t a, std::int64_t b) {
-  const auto larger = static_cast<std::uint64_t>(std::max(a, b));
-  return larger - static_cast<std::uint64_t>(std::min(a, b));
+/// A pose of either trajectory on their common time line.
+struct Moment {
+  std::int64_t stamp;
+  std::size_t rank;  ///< Among the poses of its trajectory with this stamp: these are paired in their order.
+  bool of_truth;
+  std::size_t row;
+};
+
+std::vector<Moment> time_line(const Trajectory& estimate, const Trajectory& truth) {
+  std::vector<Moment> line;
+  for (const bool of_truth : {false, true}) {
+    const std::vector<std::int64_t>& stamps = of_truth ? truth.stamps_ns : estimate.stamps_ns;
+    const std::vector<std::size_t> order = by_stamp(stamps);
+    for (std::size_t i = 0, rank = 0; i < order.size(); ++i) {
+      const std::int64_t stamp = stamps[order[i]];
+      rank = i > 0 && stamp == stamps[order[i - 1]] ? rank + 1 : 0;
+      line.push_back({stamp, rank, of_truth, order[i]});
+    }
+  }
+  std::sort(line.begin(), line.end(), [](const Moment& a, const Moment& b) {
+    return std::tie(a.stamp, a.rank, a.of_truth) < std::tie(b.stamp, b.rank, b.of_truth);
+  });
+  return line;
 }
 
-/// All pairs within the tolerance, closest first; each pose is used once.
+/// Pairs within the tolerance, closest first; each pose is used once. The closest of what is left always
+/// follow each other on the time line, so that there is no need to list all pairs within the tolerance.
 IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, double tolerance_s) {
   struct Choice {
     std::uint64_t gap_ns;
-    std::size_t estimate;
-    std::size_t truth;
-  };
-  const auto tolerance_ns = static_cast<std::int64_t>(std::llround(std::clamp(tolerance_s, 0.0, 1e9) * 1e9));
-  const std::int64_t least = std::numeric_limits<std::int64_t>::min() + tolerance_ns;
-  const std::vector<std::size_t> order = by_stamp(truth.stamps_ns);
-  std::vector<Choice> choices;
-  for (std::size_t i = 0; i < estimate.stamps_ns.size(); ++i) {
-    const std::int64_t stamp = estimate.stamps_ns[i];
-    auto t = std::lower_bound(order.begin(), order.end(), std::max(stamp, least) - tolerance_ns,
-                              [&](std::size_t row, std::int64_t s) { return truth.stamps_ns[row] < s; });
-    for (; t != order.end(); ++t) {
-      const std::uint64_t gap = gap_ns(truth.stamps_ns[*t], stamp);
-      if (gap > static_cast<std::uint64_t>(tolerance_ns)) break;
-      choices.push_back({gap, i, *t});
+    std::size_t estimate, truth;  // rows
+    std::size_t left, right;      // moments
+    bool operator>(const Choice& other) const {
+      return std::tie(gap_ns, estimate, truth) > std::tie(other.gap_ns, other.estimate, other.truth);
     }
+  };
+  const auto tolerance_ns = static_cast<std::uint64_t>(std::llround(std::clamp(tolerance_s, 0.0, 1e9) * 1e9));
+  const std::vector<Moment> line = time_line(estimate, truth);
+  std::vector<std::size_t> before(line.size()), after(line.size());
+  std::vector<char> used(line.size());
+  std::priority_queue<Choice, std::vector<Choice>, std::greater<>> choices;
+  const auto consider = [&](std::size_t left, std::size_t right) {
+    const Moment &a = line[left], &b = line[right];
+    // No stamps are too far apart for the larger minus the smaller.
+    const std::uint64_t gap = static_cast<std::uint64_t>(b.stamp) - static_cast<std::uint64_t>(a.stamp);
+    if (a.of_truth == b.of_truth || gap > tolerance_ns) return;
+    choices.push({gap, a.of_truth ? b.row : a.row, a.of_truth ? a.row : b.row, left, right});
+  };
+  for (std::size_t i = 0; i < line.size(); ++i) {
+    before[i] = i - 1;  // of the first, beyond the end as well
+    after[i] = i + 1;
+    if (i > 0) consider(i - 1, i);
   }
-  std::sort(choices.begin(), choices.end(), [](const Choice& a, const Choice& b) {
-    return std::tie(a.gap_ns, a.estimate, a.truth) < std::tie(b.gap_ns, b.estimate, b.truth);
-  });
-  std::vector<char> estimate_used(estimate.poses.size()), truth_used(truth.poses.size());
   IndexPairs pairs;
-  for (const Choice& choice : choices) {
-    if (estimate_used[choice.estimate] || truth_used[choice.truth]) continue;
-    estimate_used[choice.estimate] = truth_used[choice.truth] = 1;
+  while (!choices.empty()) {
+    const Choice choice = choices.top();
+    choices.pop();
+    if (used[choice.left] || used[choice.right]) continue;
+    used[choice.left] = used[choice.right] = 1;
     pairs.emplace_back(choice.estimate, choice.truth);
+    const std::size_t left = before[choice.left], right = after[choice.right];
+    if (left < line.size()) after[left] = right;
+    if (right < line.size()) before[right] = left;
+    if (left < line.size() && right < line.size()) consider(left, right);
   }
   std::sort(pairs.begin(), pairs.end());
   return pairs;

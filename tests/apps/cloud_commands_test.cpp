@@ -257,6 +257,13 @@ TEST_CASE("info: joined sessions without frames say where each is taken to stand
   run = run_program(arguments);
   REQUIRE(run.status == 0);
   REQUIRE(run.out.find("joined without a frame") == std::string::npos);
+
+  // Poses that stand apart already share a frame.
+  testing::write_text(folder / "second" / "odom_poses.txt",
+                      "1 0 0 7 0 1 0 0 0 0 1 0\n1 0 0 8 0 1 0 0 0 0 1 0\n");
+  run = run_program({arguments[0], arguments[1], arguments[2]});
+  REQUIRE(run.status == 0);
+  REQUIRE(run.out.find("joined without a frame") == std::string::npos);
 }
 
 }  // namespace loopwise

@@ -119,6 +119,26 @@ TEST_CASE("edges: of two between neighbours that contradict each other, one is a
   REQUIRE(graph.edges()[1].kind == kOdometry);
 }
 
+TEST_CASE("edges: a weak edge that agrees with all hides no contradiction", "[core][graph][odometry]") {
+  PoseGraph graph = nodes({0, 1});
+  Edge weak = measured(graph, 0, 1, 0.2);
+  weak.information = 0.01 * Matrix6d::Identity();
+  std::vector<Edge> edges = {weak, measured(graph, 0, 1), measured(graph, 0, 1, 5.0)};
+  const std::vector<std::size_t> order =
+      GENERATE(values<std::vector<std::size_t>>({{0, 1, 2}, {0, 2, 1}, {1, 2, 0}, {2, 0, 1}, {2, 1, 0}}));
+  for (const std::size_t i : order) graph.add_edge(edges[i]);
+  const bool chained = GENERATE(true, false);
+  if (!chained) graph.set_poses(std::vector<Eigen::Isometry3d>(2, Eigen::Isometry3d::Identity()));
+  const Problems problems = classify(graph);
+  REQUIRE(problems.count(kContradicts) == 1);
+  REQUIRE(problems.count(kBroken) == 0);
+  const bool right_first = order[0] == 1 || (order[0] == 0 && order[1] == 1);
+  for (std::size_t i = 0; i < 3; ++i) {
+    const bool is_closure = order[i] == (chained || right_first ? 2 : 1);
+    REQUIRE(graph.edges()[i].kind == (is_closure ? kClosure : kOdometry));
+  }
+}
+
 TEST_CASE("edges: odometry is what a list of pairs says", "[core][graph][odometry]") {
   PoseGraph graph = nodes({0, 1, 2});
   graph.add_edge(measured(graph, 0, 2));
@@ -130,6 +150,10 @@ TEST_CASE("edges: odometry is what a list of pairs says", "[core][graph][odometr
   REQUIRE(kinds(graph) == std::vector<EdgeKind>{kOdometry, kOdometry, kClosure});
   REQUIRE(classify_edges(graph, robots, {{1, 2}}).count(kBroken) == 1);
   REQUIRE_THROWS_WITH(classify_edges(graph, robots, {{1, 7}}), "the graph has no edge between 1 and 7");
+  std::vector<Robot> with_landmark = {{"r", 0, 1}, {"seen", 2, 9}};
+  with_landmark.back().landmarks = true;
+  REQUIRE_THROWS_WITH(classify_edges(graph, Robots(with_landmark), {{0, 1}, {2, 1}}),
+                      "between 1 and 2 is no odometry: 2 is a landmark");
 }
 
 TEST_CASE("edges: the same measurement from its other end costs the same", "[core][graph][odometry]") {

@@ -38,9 +38,9 @@ struct Sweep {
                                    std::sin(azimuth) * std::cos(elevation), std::sin(elevation));
   }
 
-  static std::string bytes(BinLayout layout) {
+  static std::string bytes(BinLayout layout, int points = kPoints) {
     std::string out;
-    for (int i = 0; i < kPoints; ++i) {
+    for (int i = 0; i < points; ++i) {
       const Eigen::Vector3d p = point(i);
       const double bright = i % 97, ring = i % 16, time_s = 1e-5 * i, time_ns = 1e4 * i;
       const auto xyz = [&] { put_all<float>(out, {p.x(), p.y(), p.z()}); };
@@ -125,6 +125,31 @@ TEST_CASE("bin layout: each is read when it is named, and named when it is not",
     CHECK_THROWS_WITH(read_cloud(file),
                       Contains("scan.bin: ") && Contains("--bin-layout " + std::string(word)));
   }
+}
+
+TEST_CASE("bin layout: a wrong one is seen whatever the number of points", "[io][cloud]") {
+  const TemporaryFolder folder;
+  // Misread as xyzi, these are a whole multiple of 2000 points, which a regular stride meets at one field.
+  const auto [layout, points] = GENERATE(table<BinLayout, int>({{BinLayout::kXyz, 24000},
+                                                                {BinLayout::kXyzir, 32000},
+                                                                {BinLayout::kXyzir, 64000},
+                                                                {BinLayout::kXyzirt, 32000},
+                                                                {BinLayout::kXyzDouble, 16000}}));
+  CAPTURE(enum_name(layout), points);
+  testing::write_text(folder / "a.bin", Sweep::bytes(layout, points));
+  CHECK_THROWS_WITH(read_cloud(folder / "a.bin"), Contains("--bin-layout " + enum_name(layout)));
+}
+
+TEST_CASE("bin layout: a level beam whose sine was rounded is no sign of another", "[io][cloud]") {
+  const TemporaryFolder folder;
+  std::string text;
+  for (int i = 0; i < 400; ++i) {
+    const double azimuth = 2.0 * 3.14159265358979 * i / 400.0, range = 6.0 + 2.0 * std::sin(3.0 * azimuth);
+    put_all<float>(text,
+                   {range * std::cos(azimuth), range * std::sin(azimuth), range * 6e-17, 0.5 * (i % 9)});
+  }
+  testing::write_text(folder / "a.bin", text);
+  CHECK(read_cloud(folder / "a.bin").cloud.size() == 400);
 }
 
 TEST_CASE("bin layout: a wrong one that is named is read and said", "[io][cloud]") {

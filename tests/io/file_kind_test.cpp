@@ -106,10 +106,13 @@ TEST_CASE("file kinds: our own kinds in the wrong place", "[io][file_kind][error
   testing::write_text(folder / "a.tum", "1.5 1 2 3 0 0 0 1\n");
   testing::write_text(folder / "a.g2o", "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n");
   testing::write_text(folder / "empty.bag", "");
+  testing::write_text(folder / "old.bag", "#ROSLOG V1.1\n0001");
   testing::write_text(folder / "pointer.bag", kPointer);
   CHECK_THROWS_WITH(read_mission(folder / "a.ply"), Contains("is a PLY cloud, expected a mission"));
   CHECK_THROWS_WITH(read_mission(folder / "a.pcd"), Contains("is a PCD cloud, expected a mission"));
   CHECK_THROWS_WITH(read_mission(folder / "a.tum"), Contains("TUM") && Contains("loopwise evaluate"));
+  CHECK_THROWS_WITH(read_mission(folder / "old.bag"),
+                    Contains("old version") && Contains("'rosbag fix' makes one of version 2.0"));
   CHECK_THROWS_WITH(read_mission(folder / "empty.bag"), Contains("empty.bag: is empty"));
   CHECK_THROWS_WITH(read_mission(folder / "pointer.bag"), Contains("git lfs pull"));
   CHECK_THROWS_WITH(read_transform(folder / "a.g2o"), Contains("is a g2o graph"));

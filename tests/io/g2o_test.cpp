@@ -177,6 +177,23 @@ TEST_CASE("g2o: the offset of a prior's sensor is folded in without changing the
   CHECK(r.dot(prior.information * r) == Approx(expected.dot(information * expected)).epsilon(1e-12));
 }
 
+TEST_CASE("g2o: a prior of low rank stays usable where the offset of its sensor takes it", "[io][g2o]") {
+  const double angle = 0.3 + 0.2 * GENERATE(range(0, 12));
+  const bool towards_axis = GENERATE(true, false);
+  CAPTURE(angle, towards_axis);
+  const double c = std::cos(angle), s = towards_axis ? std::sin(angle) : -std::sin(angle);
+  std::ostringstream text;
+  text.precision(17);
+  text << kTwoVertices << "PARAMS_SE3OFFSET 0 0 0 0 0 0 " << std::sin(angle / 2) << " " << std::cos(angle / 2)
+       << "\nEDGE_SE3_PRIOR 0 0 0 0 0 0 0 0 1 " << 100 * c * c << " " << 100 * c * s << " 0 0 0 0 "
+       << 100 * s * s;
+  for (int i = 0; i < 14; ++i) text << " 0";
+  const G2oFile file = read(text.str() + "\n");
+  REQUIRE(file.graph.priors().size() == 1);
+  CHECK(file.problems.empty());
+  CHECK(file.graph.priors()[0].information.trace() == Approx(100.0));
+}
+
 TEST_CASE("g2o: flaws that one can live with are counted", "[io][g2o]") {
   const G2oFile file =
       read(kTwoVertices + kEdge + kEdge +

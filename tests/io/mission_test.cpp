@@ -218,6 +218,7 @@ TEST_CASE("mission: landmarks, ranges and gravity come back", "[io][mission]") {
   REQUIRE(b.graph.gravities().size() == 1);
   CHECK((b.graph.gravities()[0].direction - a.graph.gravities()[0].direction).norm() < 1e-15);
   CHECK(b.problems.count("node without ground truth") == 0);
+  CHECK(b.problems.count("node without scan") == a.graph.nodes().size() - 1);
   CHECK(b.graph.priors().size() == 2);
 
   gravity.reference = Eigen::Vector3d::UnitX();

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // What the programs save that the documents name, whole and stopped under way.
 #include <cmath>
+#include <sstream>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/mission.hpp>
@@ -159,6 +160,37 @@ TEST_CASE("savers: last lines that were not written to their end", "[io][session
     CHECK(mission.problems.count("unfinished last line left out") == 1);
     CHECK(mission.problems.count("stamps not ascending") == 0);
   }
+  SECTION("a pose, within its last number") {
+    append_text(session / "optimized_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 -1.");
+    const Mission mission = read_mission(session);
+    CHECK(mission.reference.size() == 12);
+    CHECK(mission.problems.count("unfinished last line left out") == 1);
+    CHECK(mission.problems.count("row beyond the common part left out") == 0);
+  }
+  SECTION("a pose and a stamp, behind the exponent's sign") {
+    append_text(session / "optimized_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 -1.2e-");
+    append_text(session / "times.txt", "1.5674e+");
+    const Mission mission = read_mission(session);
+    CHECK(mission.graph.nodes().size() == 12);
+    CHECK(mission.problems.count("unfinished last line left out") == 2);
+  }
+  SECTION("a step of the graph, within its last number") {
+    std::string text = testing::read_text(session / "singlesession_posegraph.g2o");
+    text.resize(text.find("EDGE_SE3:QUAT 11 0"));
+    text.resize(text.size() - 6);  // 0.99…
+    testing::write_text(session / "singlesession_posegraph.g2o", text);
+    const Mission mission = read_mission(session);
+    CHECK(mission.problems.count("unfinished last line left out") == 1);
+    CHECK(mission.problems.count("odometry missing in the session's graph") == 1);
+  }
+  SECTION("the graph within its first vertex") {
+    testing::write_text(session / "singlesession_posegraph.g2o", "VERTEX_SE3:QUAT 0 0 0 0 0 0");
+    const Mission mission = read_mission(session);
+    CHECK(mission.graph.nodes().size() == 12);
+    CHECK(mission.problems.count("unfinished last line left out") == 1);
+    CHECK(mission.problems.count("session graph not used") == 1);
+    CHECK(mission.problems.count("odometry taken from the optimised poses") == 1);
+  }
   SECTION("an edge, before the vertex that it leads to") {
     append_text(session / "singlesession_posegraph.g2o",
                 "EDGE_SE3:QUAT 11 12 1 0 0 0 0 0 1\nEDGE_SE3:QUAT 10 1");
@@ -204,6 +236,65 @@ TEST_CASE("savers: scans that are counted from 1", "[io][session][saver]") {
   CHECK(unclear.problems.count("scans may be counted from 1") == 1);
   CHECK(unclear.problems.count("node without scan") == 1);
   CHECK(unclear.scans->load(1)->size() == 20);
+}
+
+TEST_CASE("savers: a missing first scan is no count from 1", "[io][session][saver]") {
+  const TemporaryFolder folder;
+  testing::write_fast_lio_slam(folder / "s", drive(12));
+  fs::remove_all(folder / "s" / "Scans");
+  SECTION("of a session whose stamps are a row short") {
+    testing::write_scans(folder / "s" / "Scans", 11, 1);  // 1 to 11, row by row
+    drop_last_line(folder / "s" / "times.txt");
+  }
+  SECTION("of a session with scans beyond its rows") {
+    testing::write_scans(folder / "s" / "Scans", 15, 1);
+  }
+  const Mission mission = read_mission(folder / "s");
+  CHECK(mission.problems.count("scans are counted from 1") == 0);
+  CHECK(mission.problems.count("scans may be counted from 1") == 1);
+  CHECK(mission.scans->load(1)->size() == 20);
+  CHECK(mission.scans->load(10)->size() == 29);
+}
+
+TEST_CASE("savers: scans with two extensions", "[io][session][g2o_pcd][saver]") {
+  const TemporaryFolder folder;
+  testing::write_fast_lio_slam(folder / "s", drive(3));
+  fs::remove_all(folder / "s" / "Scans");
+  fs::create_directories(folder / "s" / "Scans");
+  fs::create_directories(folder / "g" / "pcd");
+  testing::write_text(folder / "g" / "a.g2o", testing::posegraph_text(drive(3).odometry, drive(3).odometry));
+  for (const char* name : {"000000.pcd.bin", "000001.pcd.bin", "000002.pcd.bin"}) {
+    testing::write_text(folder / "s" / "Scans" / name, std::string(16 * 30, '\0'));
+    testing::write_text(folder / "g" / "pcd" / name, std::string(16 * 30, '\0'));
+  }
+  for (const char* name : {"s", "g"}) {
+    const Mission mission = read_mission(folder / name);
+    CHECK(mission.problems.count("foreign file in scans") == 0);
+    CHECK(mission.problems.count("node without scan") == 0);
+    CHECK(mission.scans->load(2)->size() == 30);
+  }
+}
+
+TEST_CASE("savers: information of low rank stays usable from the other end", "[io][session][saver]") {
+  const TemporaryFolder folder;
+  const fs::path session = folder / "s";
+  fs::create_directories(session);
+  testing::write_text(session / "optimized_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 1 0 1 0 0 0 0 1 0\n");
+  const double angle = (0.3 + 0.2 * GENERATE(range(0, 12))) * GENERATE(1.0, -1.0);
+  CAPTURE(angle);
+  // Known across a corridor alone, which the other node sees along an axis.
+  const double c = std::cos(angle), s = std::sin(angle);
+  std::ostringstream edge;
+  edge.precision(17);
+  edge << "EDGE_SE3:QUAT 1 0 0 0 0 0 0 " << -std::sin(0.5 * angle) << " " << std::cos(0.5 * angle) << " "
+       << 100 * c * c << " " << 100 * c * s << " 0 0 0 0 " << 100 * s * s;
+  for (int i = 0; i < 14; ++i) edge << " 0";
+  edge << "\n";
+  testing::write_text(session / "singlesession_posegraph.g2o",
+                      "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n" + edge.str());
+  const Mission mission = read_mission(session);
+  REQUIRE(mission.graph.edges().size() == 1);
+  CHECK(mission.graph.edges()[0].information.trace() == Approx(100.0));
 }
 
 TEST_CASE("savers: files that are not of one session", "[io][session][saver][error]") {
@@ -267,6 +358,57 @@ TEST_CASE("savers: hdl_graph_slam's dump without anchor and floor, and broken on
   CHECK_THROWS_WITH(read_mission(dump), Contains("data:1: stamp needs seconds and nanoseconds"));
 }
 
+TEST_CASE("savers: the stamps of hdl_graph_slam's dump get the robot's character too",
+          "[io][g2o_pcd][saver]") {
+  const TemporaryFolder folder;
+  const std::vector<std::size_t> ids =
+      testing::write_hdl_dump(folder / "dump", drive(5), {true, false, false});
+  MissionOptions options;
+  options.robot_character = "c";
+  const Mission mission = read_mission(folder / "dump", options);
+  CHECK(mission.problems.count("stamp without node") == 0);
+  CHECK(mission.problems.count("no stamps given") == 0);
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    CHECK(mission.graph.node(make_key('c', ids[i])).stamp_ns ==
+          static_cast<std::int64_t>(1567410201 + i) * 1'000'000'000 + 250'000'000);
+    CHECK(mission.scans->load(make_key('c', ids[i]))->size() == 20 + i);
+  }
+}
+
+TEST_CASE("savers: of hdl_graph_slam's fixed nodes the anchor alone goes", "[io][g2o_pcd][saver]") {
+  const TemporaryFolder folder;
+  const fs::path dump = folder / "dump";
+  testing::write_hdl_dump(dump, drive(12), {true, false, false});
+  // A key frame that lost its folder, fixed or with a prior, stays.
+  const std::string graph = testing::read_text(dump / "graph.g2o");
+  const std::string pins = "FIX 0\nPARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\nEDGE_SE3_PRIOR 5 0 1 2 3 0 0 0 1" +
+                           std::string(" 4 0 0 0 0 0 4 0 0 0 0 4 0 0 0 9 0 0 9 0 9\n");
+  testing::write_text(dump / "graph.g2o", graph + pins);
+  fs::remove_all(dump / "000000");
+  fs::remove_all(dump / "000004");
+  const Mission mission = read_mission(dump);
+  CHECK(mission.graph.nodes().size() == 12);
+  CHECK(mission.graph.contains(0));
+  CHECK(mission.graph.contains(5));
+  CHECK(mission.graph.priors().size() == 3);
+  CHECK(mission.problems.count("node without scan") == 2);
+  CHECK(mission.problems.count("odometry chain broken") == 0);
+  CHECK(mission.problems.count("fixed node without key frame taken for an anchor") == 0);
+
+  // Without the file that names it, the fixed ones are taken, and said.
+  fs::remove(dump / "special_nodes.csv");
+  const Mission guessed = read_mission(dump);
+  CHECK(guessed.graph.nodes().size() == 11);
+  CHECK(guessed.graph.contains(5));
+  CHECK(guessed.problems.count("fixed node without key frame taken for an anchor") == 2);
+  CHECK(guessed.problems.count("edge between fixed nodes left out") == 1);
+  MissionOptions strict;
+  strict.strict = true;
+  CHECK_THROWS_WITH(read_mission(dump, strict), Contains("taken for an anchor"));
+  testing::write_text(dump / "special_nodes.csv", "anchor_node x\n");
+  CHECK_THROWS_WITH(read_mission(dump), Contains("special_nodes.csv:1: anchor_node needs the id"));
+}
+
 TEST_CASE("savers: an edge to a fixed node costs the same as the prior that it becomes",
           "[io][g2o_pcd][saver]") {
   const TemporaryFolder folder;
@@ -279,6 +421,7 @@ TEST_CASE("savers: an edge to a fixed node costs the same as the prior that it b
   const fs::path dump = folder / "dump";
   testing::write_hdl_dump(dump, drive(2), {false, false, false});
   const std::string pose = testing::streamed(anchor), own = testing::streamed(node);
+  testing::write_text(dump / "special_nodes.csv", "anchor_node 7\nanchor_edge 0\nfloor_node -1\n");
   testing::write_text(dump / "graph.g2o",
                       "VERTEX_SE3:QUAT 0 " + own + "\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\nVERTEX_SE3:QUAT 7 " +
                           pose + "\nFIX 7\nEDGE_SE3:QUAT " + (from_anchor ? "7 0 " : "0 7 ") +

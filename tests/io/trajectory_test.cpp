@@ -1,8 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/io/trajectory.hpp>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
+#include <map>
+#include <set>
+#include <tuple>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/g2o.hpp>
@@ -129,6 +133,60 @@ TEST_CASE("trajectory: TUM poses come in the order of their stamps, and flaws of
   t = read(".7 0" + pose + ".9 1" + pose + ".1 2" + pose);
   CHECK(t.problems.count(without_seconds) == 1);
   CHECK(read("5.7 0" + pose + "5.9 1" + pose + "5.1 2" + pose).problems.count(without_seconds) == 0);
+}
+
+TEST_CASE("associate: stamps with too few digits are paired in their order, without listing all pairs",
+          "[io][trajectory]") {
+  constexpr std::size_t kPoses = 30000;  // as pairs, 20 GB
+  Trajectory estimate;
+  estimate.format = TrajectoryFormat::kTum;
+  estimate.stamps_ns.assign(kPoses, 1600000000000000000);
+  estimate.poses.assign(kPoses, Eigen::Isometry3d::Identity());
+  for (Key i = 0; i < kPoses; ++i) estimate.keys.push_back(i);
+  Trajectory truth = estimate;
+  for (std::size_t i = 0; i < kPoses; ++i) truth.poses[i].translation().x() = static_cast<double>(i);
+  const PosePairs pairs = associate(estimate, truth);
+  REQUIRE(pairs.keys == estimate.keys);
+  CHECK(pairs.truth[kPoses - 1].translation().x() == static_cast<double>(kPoses - 1));
+}
+
+TEST_CASE("associate: closest first, as of all pairs", "[io][trajectory][property]") {
+  const unsigned seed = GENERATE(range(1u, 41u));
+  CAPTURE(seed);
+  Rng rng(seed);
+  const auto trajectory = [&](std::size_t count) {
+    std::set<std::int64_t> stamps;  // distinct: equal ones may be paired in several ways
+    while (stamps.size() < count) stamps.insert(static_cast<std::int64_t>(rng.below(1000000000)));
+    Trajectory out;
+    out.format = TrajectoryFormat::kTum;
+    out.stamps_ns.assign(stamps.begin(), stamps.end());
+    rng.shuffle(out.stamps_ns);
+    out.poses.assign(count, Eigen::Isometry3d::Identity());
+    for (std::size_t i = 0; i < count; ++i) {
+      out.poses[i].translation().x() = static_cast<double>(i);
+      out.keys.push_back(i);
+    }
+    return out;
+  };
+  const Trajectory estimate = trajectory(60), truth = trajectory(80);
+  std::vector<std::tuple<std::int64_t, std::size_t, std::size_t>> all;
+  for (std::size_t e = 0; e < 60; ++e) {
+    for (std::size_t t = 0; t < 80; ++t) {
+      const std::int64_t gap = std::abs(estimate.stamps_ns[e] - truth.stamps_ns[t]);
+      if (gap <= 20000000) all.emplace_back(gap, e, t);
+    }
+  }
+  std::sort(all.begin(), all.end());
+  std::map<std::size_t, std::size_t> expected;
+  std::set<std::size_t> used;
+  for (const auto& [gap, e, t] : all) {
+    if (expected.count(e) == 0 && used.insert(t).second) expected[e] = t;
+  }
+  const PosePairs pairs = associate(estimate, truth, 0.02);
+  REQUIRE(pairs.keys.size() == expected.size());
+  for (std::size_t i = 0; i < pairs.keys.size(); ++i) {
+    CHECK(pairs.truth[i].translation().x() == static_cast<double>(expected.at(pairs.keys[i])));
+  }
 }
 
 TEST_CASE("associate: by key, by stamp, by row", "[io][trajectory]") {

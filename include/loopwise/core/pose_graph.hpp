@@ -210,13 +210,13 @@ using KeyPairs = std::set<std::pair<Key, Key>>;
 /// Decides what every edge is. Those that join neighbours of one robot, in either direction, are odometry;
 /// those that end at a landmark are sightings of it, and all others loop closures. Of several edges between
 /// the same neighbours, those that contradict the odometry (beyond quantile 0.9999 of chi-squared) are loop
-/// closures, which robust optimisation may doubt: the odometry is the first that the nodes' poses fit, else
-/// the first.
-/// \returns flaws: "edge that contradicts odometry taken for a loop closure", "odometry chain broken", "robot
-/// whose keys have a jump of 2^47 or more", with the place of the first.
+/// closures, which robust optimisation may doubt: the odometry is, first of those that the nodes' poses fit
+/// and then of the others, in their order, what agrees with all odometry before it. \returns flaws: "edge
+/// that contradicts odometry taken for a loop closure", "odometry chain broken", "robot whose keys have a
+/// jump of 2^47 or more", with the place of the first.
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots);
 /// The same, where odometry is what joins these pairs and nothing else. \throws InputError naming a pair that
-/// no edge joins.
+/// no edge joins, or that ends at a landmark.
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& odometry);
 
 /// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.

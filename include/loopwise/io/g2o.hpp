@@ -15,10 +15,11 @@ namespace loopwise {
 /// A graph as it was read.
 struct G2oFile {
   PoseGraph graph;  ///< Nodes, priors and edges in the order of the file.
-  /// Numbers of the edges for which the file has no information. They got that of MissionOptions as it
-  /// stands: odometry by its sigmas, others 0.1 m and 0.02 rad.
+  /// Numbers of the edges for which the file has no information. They got that which
+  /// classify_edges() gives them by MissionOptions as it stands.
   std::vector<std::size_t> without_information;
-  Problems problems;  ///< Flaws that the reader could live with.
+  std::vector<Key> fixed;  ///< Nodes of `FIX` lines, whose priors the graph has.
+  Problems problems;       ///< Flaws that the reader could live with.
 };
 
 /// Reads a 3D pose graph. Ids are full 64-bit keys; nodes, priors and edges keep the order of the file; an

@@ -162,19 +162,16 @@ struct MissionOptions {
   }
 };
 
-/// classify_edges() as the options say. \throws IoError; ParseError naming the line of the file; InputError
-/// naming the file and a pair that no edge joins
-LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots,
-                                        const MissionOptions& options);
+/// classify_edges() as the options say. Edges of the numbers `without_information`, for which a file has none
+/// (G2oFile::without_information), get it first: odometry_information() where odometry may be, between
+/// neighbours or as listed, others 0.1 m and 0.02 rad. \throws IoError; ParseError naming the line of the
+/// file; InputError naming the file and a pair that no edge joins, or that ends at a landmark
+LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOptions& options,
+                                        const std::vector<std::size_t>& without_information = {});
 
 /// Information of an odometry edge over a step T, by the session sigmas of the options.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
                                                             const MissionOptions& options = {});
-
-/// Gives the edges of these numbers, for which a file has no information (G2oFile::without_information), that
-/// of their kind: odometry_information(), others 0.1 m and 0.02 rad.
-LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::size_t>& edges,
-                                      const MissionOptions& options = {});
 
 /// What lies at the path: a file by what it begins with, a folder by what it holds. The data set's own
 /// folder, with rosbag/ or g2o_pcd/ in it, counts as what read_mission() takes from it. \throws InputError
@@ -190,8 +187,8 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// - mission.json: `{"format": "loopwise-mission", "version": 1, "name", "frame", "clock": {"start_ns"},
 ///   "robots": [{"name", "first", "last", "landmarks"}], "communication_gaps": [{"robot", "begin_s",
 ///   "end_s"}], "provenance": {...}, "files": {"graph", "stamps", "priors", "scans", "radio", "beacons",
-///   "ranges", "gravity", "ground_truth", "reference"}}`; only format and version must be there, other keys
-///   are errors, and `files` may not lead out of the folder
+///   "ranges", "gravity", "odometry", "ground_truth", "reference"}}`; only format and version must be there,
+///   other keys are errors, and `files` may not lead out of the folder
 /// - graph.g2o
 /// - stamps.csv: `key,stamp_ns`, a row for every node
 /// - priors.csv: `key,x,y,z,qx,qy,qz,qw,sx,sy,sz,srx,sry,srz`, sigmas in m, rad
@@ -200,6 +197,7 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// - beacons.csv: `beacon,robot,drop_key,stamp_ns`
 /// - ranges.csv: `from,to,range_m,sigma_m`
 /// - gravity.csv: `key,x,y,z,sigma_rad`, the direction of gravity (-z of the common frame) in the body frame
+/// - odometry.csv: as MissionOptions::odometry takes it, which comes first
 /// - ground_truth.g2o: vertices alone
 /// - reference.g2o: the same, poses that another program computed
 ///
@@ -221,10 +219,10 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// by key, or as keys.csv says (`key,file,stamp_ns`, no header). Ids in the graph may lack the robot's
 /// character if they are of one robot, which options.robot_character or the clouds' names tell. Closures in
 /// the graph are kept, as those of a mission folder. Nodes under capital letters or 'u' that have neither
-/// clouds nor edges among themselves are landmarks. ranges.csv and gravity.csv are those of a mission folder.
-/// The truth is in ground_truth/, inside or beside. A dump of hdl_graph_slam is such a folder, with clouds in
-/// NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to a fixed node that is no key frame become
-/// priors.
+/// clouds nor edges among themselves are landmarks. ranges.csv, gravity.csv and odometry.csv are those of a
+/// mission folder. The truth is in ground_truth/, inside or beside. A dump of hdl_graph_slam is such a
+/// folder, with clouds in NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to the fixed node that is
+/// no key frame, as special_nodes.csv says, become priors.
 ///
 /// **Bags**: a bag, or a folder's bags, as one recording. Messages are told apart by type: KeyedScan,
 /// PoseGraph and CommNodeStatus of pose_graph_msgs, silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag
@@ -243,12 +241,14 @@ LOOPWISE_EXPORT void fill_information(PoseGraph& graph, const std::vector<std::s
 /// node", "radio reading without node", "stamp without node", "foreign file in scans", and what
 /// classify_edges() and the readers of the parts count. Sessions also: "row beyond the common part left out",
 /// "unfinished last line left out", "empty file not used", "edge to a missing vertex left out", "session
-/// graph not used", "closure of the session's own graph left out", "odometry missing in the session's graph",
-/// "odometry taken from the optimised poses", "scans are counted from 1", "scans may be counted from 1".
-/// Dumps of hdl_graph_slam also: "edge to a fixed node that is no key frame made a prior", "key frame without
-/// node left out", "key frame's WORD not used". Bags also: "message cannot be read", "message at time 0 left
-/// out", "bag altered in a place that is not read", "node without stamp", "node without usable pose", "edge
-/// without node", "edge without pose", "unusable edge", "repeated edge with other numbers", "covariance
+/// graph not used", "closure of the session's own graph left out", "edge that contradicts the session's
+/// odometry left out", "repeated odometry of the session's graph left out", "odometry missing in the
+/// session's graph", "odometry taken from the optimised poses", "scans are counted from 1", "scans may be
+/// counted from 1". Dumps of hdl_graph_slam also: "edge to a fixed node that is no key frame made a prior",
+/// "fixed node without key frame taken for an anchor", "edge between fixed nodes left out", "key frame
+/// without node left out", "key frame's WORD not used". Bags also: "message cannot be read", "message at time
+/// 0 left out", "bag altered in a place that is not read", "node without stamp", "node without usable pose",
+/// "edge without node", "edge without pose", "unusable edge", "repeated edge with other numbers", "covariance
 /// absent", "unusable covariance", "odometry covariance looks swapped", "odometry not between consecutive
 /// nodes", "unusable range factor", "unusable gravity factor", "gravity factor that points up left out",
 /// "range factor of a landmark left out", "landmark left out", "landmark by ranges alone gets a prior", "edge
