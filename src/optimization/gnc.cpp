@@ -483,7 +483,7 @@ Freedom solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations&
                   std::vector<Pose>& poses, const OptimizerOptions& options, const GncOptions& gnc,
                   ThreadPool& pool, const StopToken& stop, GncResult& result) {
   const OdometryForest forest(graph);
-  Gross gross = find_gross(graph, forest, gnc.innovation_probability);
+  const Gross gross = find_gross(graph, forest, gnc.innovation_probability);
   const std::vector<Pose> start = poses;
   RobustSolver(graph, forest, gross, problem, equations, start, poses, options, gnc, pool, stop)
       .solve(result);
@@ -499,10 +499,10 @@ Freedom solve_gnc(const PoseGraph& graph, PoseProblem& problem, NormalEquations&
   };
   // Closures that odometry rules out may be right, and the odometry worse than it says.
   if (leaves_out(gross, result) && !stop.stop_requested()) {
-    Gross fewer = find_gross(graph, forest, gnc.innovation_probability, gnc.odometry_margin);
-    PoseProblem again(graph);
-    if (fewer.aside != gross.aside && keep_if_better(solve_from(given, fewer, again, start, 0))) {
-      gross = std::move(fewer);
+    const Gross fewer = find_gross(graph, forest, gnc.innovation_probability, gnc.odometry_margin);
+    if (fewer.aside != gross.aside) {
+      PoseProblem again(graph);
+      keep_if_better(solve_from(given, fewer, again, start, 0));
     }
   }
   if (result.outliers > 0 && options.initialization != Initialization::kChordal && !stop.stop_requested()) {

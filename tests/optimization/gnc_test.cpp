@@ -333,6 +333,82 @@ TEST_CASE("gnc: closures that agree with each other, but hardly with the odometr
   REQUIRE(believing.truncated_cost < result.truncated_cost);
 }
 
+/// Two robots on one street. The second turns a little at each step, which its odometry does not see: two
+/// deviations of a step, forty degrees in all. Right closures between the two from the fortieth node on, and
+/// then a few random ones.
+PoseGraph two_robots(std::uint64_t seed, std::size_t right, std::size_t random) {
+  constexpr Key kNodes = 100;
+  Rng rng(seed);
+  Vector6d sigmas;
+  sigmas << Eigen::Vector3d::Constant(0.03), Eigen::Vector3d::Constant(0.004);
+  const Matrix6d information = sigmas.cwiseAbs2().cwiseInverse().asDiagonal();
+  const auto noise = [&](double scale) {
+    Vector6d xi;
+    for (int i = 0; i < 6; ++i) xi[i] = scale * sigmas[i] * rng.normal();
+    return se3::exp(xi);
+  };
+  PoseGraph graph;
+  for (Key k = 0; k < 2 * kNodes; ++k) {
+    Node node;
+    node.key = k;
+    node.pose.translation() =
+        Eigen::Vector3d(2.0 * static_cast<double>(k % kNodes), k < kNodes ? 0.0 : 1.0, 0.0);
+    graph.add_node(node);
+    if (k % kNodes == 0) graph.add_prior(testing::prior_at(k, node.pose));
+  }
+  const std::vector<Eigen::Isometry3d> truth = graph.poses();
+  const auto join = [&](Key from, Key to, const Eigen::Isometry3d& T, EdgeKind kind) {
+    Edge edge;
+    edge.from = from;
+    edge.to = to;
+    edge.T_from_to = T;
+    edge.information = kind == EdgeKind::kOdometry ? information : Matrix6d(information / 25.0);
+    edge.kind = kind;
+    graph.add_edge(edge);
+  };
+  for (Key k = 0; k < 2 * kNodes; ++k) {
+    if (k % kNodes == 0) continue;
+    Eigen::Isometry3d step = truth[k - 1].inverse() * truth[k] * noise(1.0);
+    if (k > kNodes) step.rotate(Eigen::AngleAxisd(0.007, Eigen::Vector3d::UnitZ()));
+    join(k - 1, k, step, EdgeKind::kOdometry);
+  }
+  for (Key k = 40; k < 40 + right; ++k) {
+    join(k, kNodes + k, truth[k].inverse() * truth[kNodes + k] * noise(5.0), EdgeKind::kLoopClosure);
+  }
+  for (std::size_t i = 0; i < random; ++i) {
+    join(rng.below(kNodes), kNodes + rng.below(kNodes), testing::random_pose(rng, 20.0),
+         EdgeKind::kLoopClosure);
+  }
+  return graph;
+}
+
+TEST_CASE("gnc: closures that all agree are kept where odometry is worse than it says",
+          "[optimization][gnc]") {
+  constexpr std::size_t kRight = 60, kRandom = 10;
+  OptimizerOptions options;
+  options.initialization = Initialization::kOdometry;
+  std::size_t lost = 0;
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    CAPTURE(seed);
+    const PoseGraph graph = two_robots(seed, kRight, kRandom);
+    GncOptions gnc;
+    gnc.second_start = true;
+    gnc.odometry_margin = 1.0;
+    const GncResult trusting = optimize_gnc(graph, options, gnc);
+    lost += trusting.inliers >= kRight ? 0 : kRight - trusting.inliers;
+    gnc.odometry_margin = 3.0;
+    const GncResult doubting = optimize_gnc(graph, options, gnc);
+    CAPTURE(trusting.inliers);
+    REQUIRE(doubting.inliers >= kRight - 3);  // measured at least 58
+    for (std::size_t e = doubting.weights.size() - kRandom; e < doubting.weights.size(); ++e) {
+      REQUIRE(doubting.weights[e] == 0.0);
+    }
+    REQUIRE(doubting.truncated_cost <= trusting.truncated_cost);
+  }
+  CAPTURE(lost);
+  REQUIRE(lost > 300);  // measured all 600
+}
+
 TEST_CASE("gnc: true closures come back where odometry drifts more than its information says",
           "[optimization][gnc]") {
   for (std::uint64_t seed = 1; seed <= 4; ++seed) {
