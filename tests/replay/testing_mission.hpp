@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// A small mission in memory, and a registrar that knows the truth: what tests of replays and of the module run on.
+/// A small mission in memory, and a registrar that knows the truth: what tests of replays and of the module
+/// run on.
 #pragma once
 
 #include <cmath>

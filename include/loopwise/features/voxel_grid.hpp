@@ -9,7 +9,8 @@
 namespace loopwise {
 
 /// How many finite points are further than `max_range_m` from the sensor at coordinates of zero, or from the
-/// middle of the points if that lies beyond 300 m and the range, as in world coordinates. 0 if the range is 0.
+/// middle of the points if that lies beyond 300 m and the range, as in world coordinates. 0 if the range is
+/// 0.
 [[nodiscard]] LOOPWISE_EXPORT std::size_t points_beyond(const PointCloud& cloud, double max_range_m);
 
 /// All points but these.
