@@ -311,6 +311,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
     starts.push_back(s.T_target_source);
     search.refine(s.T_target_source);
   }
+  result.refine_s += refine_watch.seconds();
   if (search.empty()) {
     if (consensus.hypotheses.empty() && consensus.refused == 0) {
       return reject(RejectionReason::kFewMatches,
@@ -327,9 +328,10 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
                                                     ", must be >= " + std::to_string(options.min_score));
   }
   if (deadline.passed()) return late();
-  if (!search.decide(deadline)) return late();
-  result.refine_s += refine_watch.seconds();
-  return result;
+  const Stopwatch decide_watch;
+  const bool in_time = search.decide(deadline);
+  result.refine_s += decide_watch.seconds();
+  return in_time ? result : late();
 }
 
 }  // namespace loopwise

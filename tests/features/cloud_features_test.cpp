@@ -64,7 +64,7 @@ TEST_CASE("range: points too far from the sensor are left out and counted", "[fe
 }
 
 TEST_CASE("range: of a scan that looks one way the points at the sensor stay", "[features]") {
-  PointCloud ahead;  // from 1 to 30 m, and one point that is none
+  PointCloud ahead;  // points from 1 to 31 m, and one that is infinitely far away
   for (int i = 0; i < 600; ++i) {
     ahead.points.emplace_back(1.0F + 0.05F * static_cast<float>(i), 0.01F * static_cast<float>(i % 7), 0.0F);
   }
