@@ -18,6 +18,7 @@
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
+#include <loopwise/io/mission.hpp>
 #include <loopwise/io/trajectory.hpp>
 
 #include "run_errors.hpp"
@@ -209,6 +210,8 @@ void write_run_folder(const std::filesystem::path& folder, const Mission& missio
                       const RunEvaluation& evaluation, const std::vector<HistoryRow>& history,
                       const PointCloud& map) {
   write_g2o(folder / "graph.g2o", result.graph);
+  if (const std::string list = odometry_list(result.graph, mission.robots); !list.empty())
+    write_file(folder / "odometry.csv", list);
   std::error_code failure;
   std::filesystem::create_directories(folder / "trajectories", failure);
   if (failure) throw IoError((folder / "trajectories").string(), failure.message());

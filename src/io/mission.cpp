@@ -275,6 +275,10 @@ void check_stamps(Mission& mission) {
 
 }  // namespace parts
 
+std::string odometry_list(const PoseGraph& graph, const Robots& robots) {
+  return parts::odometry_list(graph, robots).text;
+}
+
 namespace {
 
 /// `joins(a, b)`: whether an edge between these nodes may be odometry.

@@ -103,6 +103,9 @@ TEST_CASE("optimize, rank, replay: --odometry lists the edges that are odometry"
   const std::string out = (folder / "out").string();
   REQUIRE(complains({"replay", recording, "-o", out, "--method", "odom", "--odometry", pairs}));
   REQUIRE(read_g2o(folder / "out" / "graph.g2o").graph.edges().size() == 5);
+  REQUIRE(complains({"optimize", out}));  // its folder holds the list
+  REQUIRE(run_program({"replay", recording, "-o", out, "--method", "odom", "--overwrite"}).status == 0);
+  REQUIRE_FALSE(std::filesystem::exists(folder / "out" / "odometry.csv"));
   testing::write_text(folder / "pairs.txt", "a0 a3\n");
   for (const std::string command : {"optimize", "rank"}) {
     const ProgramRun run = run_program({command, recording, "--odometry", pairs});

@@ -169,6 +169,10 @@ struct MissionOptions {
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                                         const std::vector<std::size_t>& without_information = {});
 
+/// The edges that are odometry, as MissionOptions::odometry takes them, of a graph whose edges are
+/// classified; empty if neighbours tell it. For odometry.csv beside a graph that is written.
+[[nodiscard]] LOOPWISE_EXPORT std::string odometry_list(const PoseGraph& graph, const Robots& robots);
+
 /// Information of an odometry edge over a step T, by the session sigmas of the options.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
                                                             const MissionOptions& options = {});
