@@ -160,6 +160,10 @@ int run(const Options& options) {
     console.warn(mission.problems);
     graph = std::move(mission.graph);  // whose edges have their kinds already
   } else {
+    // A run whose odometry is not between neighbours has the list beside its graph.
+    if (const auto list = of_run.parent_path() / "odometry.csv";
+        !of_run.empty() && config.mission.odometry.empty() && std::filesystem::exists(list))
+      config.mission.odometry = list.string();
     G2oFile file = read_g2o(of_run.empty() ? std::filesystem::path(options.input) : of_run);
     if (config.mission.strict) require_unaltered(file.problems);
     console.warn(file.problems);
@@ -185,9 +189,11 @@ int run(const Options& options) {
     json["gnc"] = {{"outer_iterations", gnc.outer_iterations},
                    {"inliers", gnc.inliers},
                    {"outliers", gnc.outliers},
+                   {"start", enum_name(gnc.start)},
                    {"truncated_cost", gnc.truncated_cost}};
     text += "closures     " + std::to_string(gnc.inliers) + " inliers, " + std::to_string(gnc.outliers) +
-            " outliers, " + std::to_string(gnc.outer_iterations) + " outer iterations\n";
+            " outliers, " + std::to_string(gnc.outer_iterations) + " outer iterations, start " +
+            enum_name(gnc.start) + "\n";
   } else {
     result = optimize(graph, config.replay.back_end.optimization, interrupt.token());
   }
@@ -220,6 +226,7 @@ int run(const Options& options) {
                {"iterations", result.iterations},
                {"factorizations", result.factorizations},
                {"converged", result.converged},
+               {"initialization", enum_name(result.initialization)},
                {"termination", enum_name(result.termination)},
                {"message", result.message},
                {"seconds",
@@ -231,10 +238,11 @@ int run(const Options& options) {
   char line[256];
   std::snprintf(line, sizeof line,
                 "graph        %zu poses, %zu edges, %zu component%s\ncost         %.12g -> %.12g\n"
-                "optimisation %d steps, %d factorisations, %s, %.3f s\n",
+                "optimisation from %s, %d steps, %d factorisations, %s, %.3f s\n",
                 graph.nodes().size(), graph.edges().size(), result.components,
-                result.components == 1 ? "" : "s", result.cost_initial, result.cost, result.iterations,
-                result.factorizations, enum_name(result.termination).c_str(), optimized_s - reading_s);
+                result.components == 1 ? "" : "s", result.cost_initial, result.cost,
+                enum_name(result.initialization).c_str(), result.iterations, result.factorizations,
+                enum_name(result.termination).c_str(), optimized_s - reading_s);
   print_results(options.common, head, (options.verbose ? trace_table(result) + "\n" : "") + line + text);
   if (interrupt.interrupted()) return kInterrupted;
   if (!result.converged) console.warn("not converged: " + result.message);
@@ -265,7 +273,8 @@ void add_optimize(CLI::App& app, Action& chosen) {
       ->type_name("P")
       ->check(CLI::Range(1e-6, 1.0 - 1e-12));
   command
-      ->add_option("--initialization", options->initialization, "First estimate: file, odometry or chordal")
+      ->add_option("--initialization", options->initialization,
+                   "First estimate: auto (the cheapest), file, odometry or chordal")
       ->type_name("WORD");
   add_odometry_option(*command, options->odometry);
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")

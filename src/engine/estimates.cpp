@@ -20,17 +20,18 @@ bool fits(const PriorFactor& prior, const Eigen::Isometry3d& pose) {
   return r.dot(prior.information * r) < kNegligible || fits(prior.pose, pose);
 }
 
-void Engine::Impl::on(event::Settle&) {
-  if (!computing_) start_estimate();
+void Engine::Impl::on(event::Settle& settle) {
+  if (!computing_) start_estimate(settle.last);
 }
 
-void Engine::Impl::start_estimate() {
+void Engine::Impl::start_estimate(bool last) {
+  if (last && estimate_continues_) wants_estimate_ = true;
   if (!wants_estimate_ || !options_.use_back_end || optimizing_) return;
   wants_estimate_ = removed_since_job_ = false;
   moved_since_job_.clear();
   optimizing_ = true;
   const auto now = snapshot();
-  emit(effect::Optimize{std::shared_ptr<const PoseGraph>(now, &now->graph)});
+  emit(effect::Optimize{std::shared_ptr<const PoseGraph>(now, &now->graph), last});
 }
 
 void Engine::Impl::on(event::Optimized& event) {
@@ -40,6 +41,7 @@ void Engine::Impl::on(event::Optimized& event) {
   const bool nothing = event.stopped || !event.failure.empty();
   // One made with edges that were taken out since is not worth keeping: the next is already wanted.
   if (nothing || removed_since_job_) return;
+  estimate_continues_ = !event.gnc.fresh;
   const std::vector<Eigen::Isometry3d>& poses = event.gnc.optimization.poses;
   PoseGraph& graph = change_graph();
   for (std::size_t e = 0; e < event.gnc.weights.size(); ++e) graph.set_weight(e, event.gnc.weights[e]);

@@ -106,6 +106,7 @@ std::string run_summary_json(const Mission& mission, const ReplayOptions& option
   json["key_frames"] = result.graph.nodes().size();
   json["batches"] = result.batches;
   json["optimizations"] = result.optimizations;
+  json["continued_optimizations"] = result.continued_optimizations;
   json["candidates"] = {{"generated", a.generated}, {"pruned", a.pruned},   {"expired", a.expired},
                         {"waiting", a.waiting},     {"pending", a.pending}, {"in_flight", a.in_flight},
                         {"computed", a.computed},   {"queued", a.queued()}};

@@ -461,6 +461,21 @@ void BlockCholesky::solve(Eigen::VectorXd& x) const {
   }
 }
 
+Eigen::MatrixXd BlockCholesky::inverse_between(const Eigen::MatrixXd& b) const {
+  if (!fronts_) {
+    Eigen::MatrixXd solved = b;
+    solve(solved);
+    return b.transpose() * solved;
+  }
+  Eigen::MatrixXd y(b.rows(), b.cols());
+  for (std::size_t v = 0; v < variables_; ++v) {
+    y.middleRows<6>(6 * static_cast<Eigen::Index>(position_[v])) =
+        b.middleRows<6>(6 * static_cast<Eigen::Index>(v));
+  }
+  for (Eigen::Index c = 0; c < y.cols(); ++c) fronts_->solve_lower(y.col(c).data());
+  return y.transpose() * y;
+}
+
 void BlockCholesky::solve(Eigen::MatrixXd& x) const {
   if (variables_ == 0 || x.cols() == 0) return;
   if (fronts_) {

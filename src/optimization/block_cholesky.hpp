@@ -65,6 +65,8 @@ class BlockCholesky {
   /// Solves in place; one column a right-hand side, in the order of the variables.
   void solve(Eigen::VectorXd& x) const;
   void solve(Eigen::MatrixXd& x) const;
+  /// bᵀH⁻¹b. Cheaper than by solve(), the more of b is zero.
+  [[nodiscard]] Eigen::MatrixXd inverse_between(const Eigen::MatrixXd& b) const;
 
   /// What was chosen; never kAutomatic.
   [[nodiscard]] Factorization factorization() const { return chosen_; }

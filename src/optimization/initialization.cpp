@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "initialization.hpp"
 
+#include <algorithm>
+#include <cmath>
 #include <deque>
 
 #include <Eigen/SVD>
@@ -11,9 +13,9 @@ namespace loopwise {
 namespace detail {
 namespace {
 
-std::vector<Eigen::Isometry3d> chain(const PoseGraph& graph) {
-  std::vector<Eigen::Isometry3d> poses = graph.poses();
-  std::vector<char> known(poses.size(), 0);
+/// Chained from the nodes that are known, then from priors, then from the first node of what is left.
+std::vector<Eigen::Isometry3d> chain(const PoseGraph& graph, std::vector<Eigen::Isometry3d> poses,
+                                     std::vector<char> known) {
   std::deque<std::size_t> fresh;
   // Closures wait until the odometry from all known nodes has been followed.
   std::deque<std::pair<std::size_t, std::size_t>> closures;  // edge, known end
@@ -50,6 +52,10 @@ std::vector<Eigen::Isometry3d> chain(const PoseGraph& graph) {
       }
     }
   };
+  for (std::size_t node = 0; node < poses.size(); ++node) {
+    if (known[node] != 0) fresh.push_back(node);
+  }
+  spread();
   for (const PriorFactor& prior : graph.priors()) {
     const std::size_t node = graph.index_of(prior.key);
     if (known[node] == 0) place(node, prior.pose);
@@ -195,29 +201,64 @@ class Chordal {
 
 }  // namespace
 
-std::vector<Eigen::Isometry3d> first_estimate(const PoseGraph& graph, const PoseProblem& problem,
-                                              const OptimizerOptions& options, int& factorizations) {
-  switch (options.initialization) {
-    case Initialization::kFile:
-      break;
-    case Initialization::kOdometry:
-      return chain(graph);
-    case Initialization::kChordal: {
-      std::vector<Eigen::Isometry3d> poses = graph.poses();
-      if (Chordal(problem, options).solve(poses, factorizations)) return poses;
-      return chain(graph);  // information without a rotational or translational part: no linear system
-    }
-  }
-  return graph.poses();
+std::vector<Eigen::Isometry3d> extended(const PoseGraph& graph, std::vector<Eigen::Isometry3d> poses,
+                                        std::vector<char> known) {
+  return chain(graph, std::move(poses), std::move(known));
+}
+
+std::vector<Pose> first_estimate(Initialization kind, const PoseGraph& graph, const PoseProblem& problem,
+                                 const OptimizerOptions& options, int& factorizations) {
+  const auto chained = [&] {
+    return problem.poses_of(chain(graph, graph.poses(), std::vector<char>(graph.nodes().size(), 0)));
+  };
+  if (kind == Initialization::kOdometry) return chained();
+  if (kind != Initialization::kChordal) return problem.poses_of(graph.poses());
+  std::vector<Eigen::Isometry3d> poses = graph.poses();
+  if (Chordal(problem, options).solve(poses, factorizations)) return problem.poses_of(poses);
+  return chained();  // information without a rotational or translational part: no linear system
+}
+
+std::vector<FirstEstimate> ranked_estimates(const PoseGraph& graph, const PoseProblem& problem,
+                                            const OptimizerOptions& options, bool chordal,
+                                            const std::function<double(const std::vector<Pose>&)>& cost,
+                                            int& factorizations) {
+  // Noise alone costs half its degrees of freedom; from a few times as much every step leads downhill.
+  constexpr double kGoodStart = 4.0;
+  const double redundant =
+      6.0 * (static_cast<double>(problem.factors()) - static_cast<double>(problem.nodes()));
+  std::vector<FirstEstimate> out;
+  const auto add = [&](Initialization kind) {
+    FirstEstimate estimate{kind, first_estimate(kind, graph, problem, options, factorizations), 0.0};
+    estimate.cost = cost(estimate.poses);
+    if (std::isfinite(estimate.cost) || out.empty()) out.push_back(std::move(estimate));
+  };
+  add(Initialization::kFile);
+  if (out.front().cost <= kGoodStart * 0.5 * std::max(redundant, 1.0)) return out;
+  add(Initialization::kOdometry);
+  if (chordal) add(Initialization::kChordal);
+  std::stable_sort(out.begin(), out.end(), [](const FirstEstimate& a, const FirstEstimate& b) {
+    return a.cost < b.cost || (std::isfinite(a.cost) && !std::isfinite(b.cost));
+  });
+  return out;
 }
 
 }  // namespace detail
 
 std::vector<Eigen::Isometry3d> initial_poses(const PoseGraph& graph, Initialization initialization) {
-  OptimizerOptions options;
-  options.initialization = initialization;
+  const detail::PoseProblem problem(graph);
+  const OptimizerOptions options;
   int factorizations = 0;
-  return detail::first_estimate(graph, detail::PoseProblem(graph), options, factorizations);
+  if (initialization != Initialization::kAuto) {
+    return problem.isometries(
+        detail::first_estimate(initialization, graph, problem, options, factorizations));
+  }
+  ThreadPool pool(1);
+  std::vector<Vector6d> residuals;
+  const auto cost = [&](const std::vector<detail::Pose>& poses) {
+    return problem.cost(poses, pool, residuals);
+  };
+  return problem.isometries(
+      detail::ranked_estimates(graph, problem, options, true, cost, factorizations).front().poses);
 }
 
 }  // namespace loopwise

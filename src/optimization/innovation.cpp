@@ -25,18 +25,17 @@ Matrix6d on_the_right(const Matrix6d& between, const Eigen::Isometry3d& T) {
   return ad * between * ad.transpose();
 }
 
-/// d² of a residual whose closure has this information, where the rest predicts with this covariance.
-double squared_innovation(const Matrix6d& information, const Matrix6d& prediction, const Vector6d& r) {
-  // S⁻¹ = (I + ΩP)⁻¹Ω holds for a semi-definite Ω too.
-  const Matrix6d m = Matrix6d::Identity() + information * prediction;
-  return r.dot(m.partialPivLu().solve(information * r));
-}
-
 double steps(std::uint32_t a, std::uint32_t b) {
   return std::abs(static_cast<double>(a) - b);
 }
 
 }  // namespace
+
+double squared_innovation(const Matrix6d& information, const Matrix6d& prediction, const Vector6d& r) {
+  // S⁻¹ = (I + ΩP)⁻¹Ω holds for a semi-definite Ω too.
+  const Matrix6d m = Matrix6d::Identity() + information * prediction;
+  return r.dot(m.partialPivLu().solve(information * r));
+}
 
 std::vector<double> innovations(const PoseGraph& graph, const OdometryForest& forest) {
   std::vector<double> out(graph.edges().size(), kNotKnown);
@@ -44,12 +43,17 @@ std::vector<double> innovations(const PoseGraph& graph, const OdometryForest& fo
     const Edge& edge = graph.edges()[e];
     if (known_inlier(edge)) continue;
     const auto [from, to] = graph.ends(e);
-    const auto path = forest.between(from, to);
-    if (!path) continue;
-    const Vector6d r = edge_residual(edge, forest.pose(from), forest.pose(to));
-    out[e] = squared_innovation(edge.information, on_the_right(*path, forest.pose(to)), r);
+    out[e] = innovation(graph, forest, e, edge_residual(edge, forest.pose(from), forest.pose(to)));
   }
   return out;
+}
+
+double innovation(const PoseGraph& graph, const OdometryForest& forest, std::size_t edge,
+                  const Vector6d& residual) {
+  const auto [from, to] = graph.ends(edge);
+  const auto path = forest.between(from, to);
+  if (!path) return kNotKnown;
+  return squared_innovation(graph.edges()[edge].information, on_the_right(*path, forest.pose(to)), residual);
 }
 
 void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {

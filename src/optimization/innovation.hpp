@@ -19,6 +19,15 @@ namespace loopwise::detail {
 /// known inliers and priors joins the ends.
 [[nodiscard]] std::vector<double> innovations(const PoseGraph& graph, const OdometryForest& forest);
 
+/// d² of a residual whose closure has this information, where the rest predicts with this covariance.
+[[nodiscard]] double squared_innovation(const Matrix6d& information, const Matrix6d& prediction,
+                                        const Vector6d& residual);
+
+/// d² of one edge whose residual at an estimate is known: S has the way between its ends through the forest.
+/// NaN where there is none. Edges of the forest that the estimate rests on bound from above what it allows.
+[[nodiscard]] double innovation(const PoseGraph& graph, const OdometryForest& forest, std::size_t edge,
+                                const Vector6d& residual);
+
 /// How far closures that an estimate leaves out lie from those that it keeps around them: d² = rᵀS⁻¹r with r
 /// the residual at the estimate and S the closure's covariance plus that of the way from one end along
 /// odometry to the nearest kept closure, across it, and on along odometry to the other end. That is one way

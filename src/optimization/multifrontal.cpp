@@ -236,12 +236,18 @@ bool MultifrontalCholesky::factorize(const double* values) {
 }
 
 void MultifrontalCholesky::solve(double* x) const {
+  solve_lower(x);
+  solve_upper(x);
+}
+
+void MultifrontalCholesky::solve_lower(double* x) const {
   const FrontKernels& kernel = front_kernels();
   std::vector<double> gathered;
   for (std::size_t s = 0; s < size(); ++s) {
     const int w = width(s), m = below(s), h = w + m;
     const double* l = values_.data() + value_start_[s];
     double* top = x + 6 * static_cast<std::size_t>(first_[s]);
+    if (std::all_of(top, top + w, [](double value) { return value == 0.0; })) continue;
     gathered.assign(static_cast<std::size_t>(m), 0.0);
     for (int j = 0; j < w; j += 6) {
       const double* block = l + static_cast<std::ptrdiff_t>(j) * h + j;
@@ -260,6 +266,11 @@ void MultifrontalCholesky::solve(double* x) const {
             gathered[static_cast<std::size_t>(i + r)];
     }
   }
+}
+
+void MultifrontalCholesky::solve_upper(double* x) const {
+  const FrontKernels& kernel = front_kernels();
+  std::vector<double> gathered;
   for (std::size_t s = size(); s-- > 0;) {
     const int w = width(s), m = below(s), h = w + m;
     const double* l = values_.data() + value_start_[s];

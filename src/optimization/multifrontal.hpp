@@ -36,6 +36,8 @@ class MultifrontalCholesky {
 
   /// Solves L·Lᵀ·x = y in place.
   void solve(double* x) const;
+  /// x := L⁻¹x. Fronts above which x is zero cost nothing.
+  void solve_lower(double* x) const;
   /// Squares of the diagonal of L. \pre factorize() was successful
   [[nodiscard]] std::vector<double> pivots() const;
   [[nodiscard]] Panels panels() const;
@@ -43,6 +45,8 @@ class MultifrontalCholesky {
   [[nodiscard]] Panels take_panels();
 
  private:
+  /// x := L⁻ᵀx
+  void solve_upper(double* x) const;
   [[nodiscard]] std::size_t size() const { return first_.size() - 1; }
   [[nodiscard]] int width(std::size_t s) const { return 6 * static_cast<int>(first_[s + 1] - first_[s]); }
   [[nodiscard]] int below(std::size_t s) const {

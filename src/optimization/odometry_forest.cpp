@@ -13,6 +13,12 @@ namespace {
 
 constexpr std::uint32_t kNone = UINT32_MAX;
 
+std::vector<char> known_inliers(const PoseGraph& graph) {
+  std::vector<char> out(graph.edges().size());
+  for (std::size_t e = 0; e < out.size(); ++e) out[e] = known_inlier(graph.edges()[e]) ? 1 : 0;
+  return out;
+}
+
 }  // namespace
 
 std::optional<Matrix6d> covariance_of(const Matrix6d& information) {
@@ -22,7 +28,9 @@ std::optional<Matrix6d> covariance_of(const Matrix6d& information) {
   return Matrix6d(factor.solve(Matrix6d::Identity()));
 }
 
-OdometryForest::OdometryForest(const PoseGraph& graph)
+OdometryForest::OdometryForest(const PoseGraph& graph) : OdometryForest(graph, known_inliers(graph)) {}
+
+OdometryForest::OdometryForest(const PoseGraph& graph, const std::vector<char>& in_tree)
     : parent_(graph.nodes().size(), kNone),
       root_(graph.nodes().size(), kNone),
       depth_(graph.nodes().size(), 0),
@@ -37,15 +45,15 @@ OdometryForest::OdometryForest(const PoseGraph& graph)
     const Matrix6d ad = se3::adjoint(prior.pose);
     covariance_[node] = ad * *own * ad.transpose();
     anchored_[node] = 1;
-    grow(graph, node);
+    grow(graph, node, in_tree);
   }
   for (std::uint32_t node = 0; node < root_.size(); ++node) {
-    if (root_[node] == kNone) grow(graph, node);
+    if (root_[node] == kNone) grow(graph, node, in_tree);
   }
   index_ancestors();
 }
 
-void OdometryForest::grow(const PoseGraph& graph, std::uint32_t from) {
+void OdometryForest::grow(const PoseGraph& graph, std::uint32_t from, const std::vector<char>& in_tree) {
   std::vector<std::uint32_t> queue{from};
   root_[from] = from;
   for (std::size_t head = 0; head < queue.size(); ++head) {
@@ -55,7 +63,7 @@ void OdometryForest::grow(const PoseGraph& graph, std::uint32_t from) {
       const auto ends = graph.ends(e);
       const bool forward = ends.from == node;
       const auto next = static_cast<std::uint32_t>(forward ? ends.to : ends.from);
-      if (root_[next] != kNone || !known_inlier(edge)) continue;
+      if (root_[next] != kNone || in_tree[e] == 0) continue;
       const auto step = covariance_of(edge.information);
       if (!step) continue;
       poses_[next] = se3::normalized(poses_[node] * (forward ? edge.T_from_to : edge.T_from_to.inverse()));

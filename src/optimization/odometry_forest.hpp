@@ -20,6 +20,8 @@ namespace loopwise::detail {
 class OdometryForest {
  public:
   explicit OdometryForest(const PoseGraph& graph);
+  /// Trees of other edges: those of `in_tree` (by edge), by fewest edges from the root.
+  OdometryForest(const PoseGraph& graph, const std::vector<char>& in_tree);
 
   [[nodiscard]] const Eigen::Isometry3d& pose(std::size_t node) const { return poses_[node]; }
   [[nodiscard]] std::uint32_t root(std::size_t node) const { return root_[node]; }
@@ -30,7 +32,7 @@ class OdometryForest {
   [[nodiscard]] std::uint32_t place(std::size_t node) const { return first_visit_[node]; }
 
  private:
-  void grow(const PoseGraph& graph, std::uint32_t from);
+  void grow(const PoseGraph& graph, std::uint32_t from, const std::vector<char>& in_tree);
   void index_ancestors();
   [[nodiscard]] std::uint32_t common_ancestor(std::size_t a, std::size_t b) const;
   [[nodiscard]] std::uint32_t higher(std::uint32_t a, std::uint32_t b) const {

@@ -2,6 +2,7 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 #include <algorithm>
+#include <optional>
 #include <utility>
 
 #include <loopwise/core/clock.hpp>
@@ -16,7 +17,8 @@
 namespace loopwise {
 
 EnumNames<Initialization> enum_names(Initialization) {
-  return {{Initialization::kFile, "file"},
+  return {{Initialization::kAuto, "auto"},
+          {Initialization::kFile, "file"},
           {Initialization::kOdometry, "odometry"},
           {Initialization::kChordal, "chordal"}};
 }
@@ -36,12 +38,106 @@ EnumNames<Termination> enum_names(Termination) {
           {Termination::kStopped, "stopped"}};
 }
 
+namespace {
+
+/// What a robust result is continued from.
+struct LastResult {
+  detail::PoseProblem problem;
+  std::vector<Key> keys;  // by node
+  std::vector<Eigen::Isometry3d> poses;
+  std::vector<char> kept;           // by edge
+  std::size_t closures_when_fresh;  // when all starts were tried last
+  std::size_t left_out_confirmed;   // then
+};
+
+std::size_t closures_of(const PoseGraph& graph) {
+  return static_cast<std::size_t>(std::count_if(graph.edges().begin(), graph.edges().end(),
+                                                [](const Edge& edge) { return !known_inlier(edge); }));
+}
+
+/// Whether the first nodes and edges of a graph are those of the last result.
+bool continues(const PoseGraph& graph, const detail::PoseProblem& problem, const LastResult& last) {
+  if (graph.nodes().size() < last.keys.size() || problem.edges() < last.problem.edges()) return false;
+  for (std::size_t i = 0; i < last.keys.size(); ++i) {
+    if (graph.nodes()[i].key != last.keys[i]) return false;
+  }
+  for (std::size_t k = 0; k < last.problem.edges(); ++k) {
+    const detail::Pose &now = problem.inverse_measurement(k), &then = last.problem.inverse_measurement(k);
+    if (problem.from(k) != last.problem.from(k) || problem.to(k) != last.problem.to(k) || now.t != then.t ||
+        now.R != then.R || problem.information(k) != last.problem.information(k))
+      return false;
+  }
+  return true;
+}
+
+/// The last result carried on to a graph that continues it; nothing if the graph does not.
+std::optional<detail::WarmStart> warm_start(const PoseGraph& graph, const detail::PoseProblem& problem,
+                                            const std::optional<LastResult>& last, double growth) {
+  if (!last || !continues(graph, problem, *last)) return std::nullopt;
+  detail::WarmStart out;
+  std::vector<Eigen::Isometry3d> poses = graph.poses();
+  std::vector<char> placed(poses.size(), 0);
+  for (std::size_t i = 0; i < last->poses.size(); ++i) {
+    poses[i] = last->poses[i];
+    placed[i] = 1;
+  }
+  out.poses = problem.poses_of(detail::extended(graph, std::move(poses), std::move(placed)));
+  out.known.assign(problem.edges(), 0);
+  std::fill_n(out.known.begin(), last->kept.size(), 1);
+  out.kept = last->kept;
+  out.kept.resize(problem.edges(), 0);
+  out.left_out_confirmed = last->left_out_confirmed;
+  out.due = static_cast<double>(closures_of(graph)) >=
+            (1.0 + growth) * static_cast<double>(std::max<std::size_t>(last->closures_when_fresh, 1));
+  return out;
+}
+
+}  // namespace
+
 struct PoseGraphOptimizer::Impl {
   OptimizerOptions options;
   ThreadPool pool;
   detail::NormalEquations equations;
+  std::optional<LastResult> last;
 
   explicit Impl(const OptimizerOptions& o) : options(o), pool(o.threads), equations(o.factorization) {}
+
+  [[nodiscard]] double cost(const detail::PoseProblem& problem, const std::vector<detail::Pose>& poses) {
+    std::vector<Vector6d> residuals;
+    return problem.cost(poses, pool, residuals);
+  }
+
+  /// From the cheapest first estimate; where that does not converge also from the next, and the lower cost
+  /// wins. \returns the poses
+  std::vector<detail::Pose> minimize_from_best(const PoseGraph& graph, const detail::PoseProblem& problem,
+                                               const StopToken& stop, OptimizationResult& result) {
+    int factorizations = 0;
+    auto estimates = detail::ranked_estimates(
+        graph, problem, options, true, [&](const auto& poses) { return cost(problem, poses); },
+        factorizations);
+    std::vector<detail::Pose> best;
+    for (detail::FirstEstimate& estimate : estimates) {
+      OptimizationResult attempt;
+      attempt.initialization = estimate.kind;
+      attempt.factorizations = factorizations;
+      minimize(problem, estimate.poses, stop, attempt);
+      if (best.empty() || attempt.cost < result.cost) {
+        attempt.iterations += result.iterations;
+        result = std::move(attempt);
+        best = std::move(estimate.poses);
+      }
+      factorizations = result.factorizations;
+      if (result.converged || result.termination == Termination::kStopped) break;
+    }
+    return best;
+  }
+
+  void minimize(const detail::PoseProblem& problem, std::vector<detail::Pose>& poses, const StopToken& stop,
+                OptimizationResult& result) {
+    detail::StepControl control;
+    control.damping = options.initial_damping;
+    detail::minimize(problem, equations, poses, options, control, pool, stop, result);
+  }
 };
 
 PoseGraphOptimizer::PoseGraphOptimizer(OptimizerOptions options) {
@@ -72,11 +168,15 @@ OptimizationResult PoseGraphOptimizer::optimize(const PoseGraph& graph, const St
   const detail::SingleThreadedBlas guard;
   OptimizationResult result;
   const detail::PoseProblem problem(graph);
-  auto poses =
-      problem.poses_of(detail::first_estimate(graph, problem, impl_->options, result.factorizations));
-  detail::StepControl control;
-  control.damping = impl_->options.initial_damping;
-  detail::minimize(problem, impl_->equations, poses, impl_->options, control, impl_->pool, stop, result);
+  std::vector<detail::Pose> poses;
+  if (impl_->options.initialization == Initialization::kAuto) {
+    poses = impl_->minimize_from_best(graph, problem, stop, result);
+  } else {
+    result.initialization = impl_->options.initialization;
+    poses =
+        detail::first_estimate(result.initialization, graph, problem, impl_->options, result.factorizations);
+    impl_->minimize(problem, poses, stop, result);
+  }
   result.poses = problem.isometries(poses);
   describe_graph(graph, impl_->equations.freedom(), result);
   result.seconds = watch.seconds();
@@ -89,13 +189,37 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
   const Stopwatch watch;
   const detail::SingleThreadedBlas guard;
   GncResult result;
-  detail::PoseProblem problem(graph);
-  auto poses = problem.poses_of(
-      detail::first_estimate(graph, problem, impl_->options, result.optimization.factorizations));
-  const detail::Freedom freedom = detail::solve_gnc(graph, problem, impl_->equations, poses, impl_->options,
-                                                    options, impl_->pool, stop, result);
+  const detail::PoseProblem problem(graph);
+  const std::optional<detail::WarmStart> warm =
+      options.warm_start ? warm_start(graph, problem, impl_->last, options.warm_growth) : std::nullopt;
+  Initialization from = impl_->options.initialization;
+  std::vector<detail::Pose> poses;
+  if (from == Initialization::kAuto) {
+    // Not the chordal estimate: what false closures do to it, second_start sees to.
+    const double c2 = chi_squared_quantile(options.inlier_probability, 6);
+    auto estimates = detail::ranked_estimates(
+        graph, problem, impl_->options, false,
+        [&](const auto& at) { return detail::truncated_cost(graph, problem, at, c2); },
+        result.optimization.factorizations);
+    from = estimates.front().kind;
+    poses = std::move(estimates.front().poses);
+  } else {
+    poses = detail::first_estimate(from, graph, problem, impl_->options, result.optimization.factorizations);
+  }
+  std::size_t left_out_confirmed = warm ? warm->left_out_confirmed : 0;
+  const detail::Freedom freedom = detail::solve_gnc(
+      graph, problem, impl_->equations, poses, warm ? &*warm : nullptr, impl_->options, options, impl_->pool,
+      stop, result, options.warm_start ? &left_out_confirmed : nullptr);
+  result.optimization.initialization = from;
   result.optimization.poses = problem.isometries(poses);
   describe_graph(graph, freedom, result.optimization);
+  if (options.warm_start && result.optimization.termination != Termination::kStopped) {
+    std::vector<char> kept(problem.edges());
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = result.weights[k] > 0.5 ? 1 : 0;
+    const std::size_t when_fresh = result.fresh ? closures_of(graph) : impl_->last->closures_when_fresh;
+    impl_->last = LastResult{problem,         graph.keys(), result.optimization.poses,
+                             std::move(kept), when_fresh,   left_out_confirmed};
+  }
   result.optimization.seconds = watch.seconds();
   return result;
 }

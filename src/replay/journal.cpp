@@ -78,6 +78,7 @@ std::string estimate_line(double time_s, const GncResult& gnc, const CandidateAc
   line["inliers"] = gnc.inliers;
   line["outliers"] = gnc.outliers;
   line["outer_iterations"] = gnc.outer_iterations;
+  line["start"] = enum_name(gnc.start);
   line["converged"] = gnc.optimization.converged;
   return finish(std::move(line), a);
 }

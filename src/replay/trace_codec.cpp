@@ -242,7 +242,10 @@ struct Encoder {
     line["event"] = "choose";
     line["count"] = event.count;
   }
-  void operator()(const event::Settle&) const { line["event"] = "settle"; }
+  void operator()(const event::Settle& settle) const {
+    line["event"] = "settle";
+    if (settle.last) line["last"] = true;
+  }
   void operator()(const event::NoMoreScans&) const { line["event"] = "no_more_scans"; }
 };
 
@@ -313,7 +316,7 @@ Event event_from(const Json& line) {
                           })};
   }
   if (name == "choose") return event::Choose{whole_from(line, "count")};
-  if (name == "settle") return event::Settle{};
+  if (name == "settle") return event::Settle{line.value("last", false)};
   if (name == "no_more_scans") return event::NoMoreScans{};
   throw InputError("unknown event \"" + name + "\"");
 }

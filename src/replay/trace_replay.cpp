@@ -109,7 +109,9 @@ class TraceRun {
       return;
     }
     const Stopwatch watch;
-    optimized.gnc = optimizer_->optimize_gnc(*asked_, header_.options.back_end.gnc, hooks_.stop);
+    GncOptions options = header_.options.back_end.gnc;
+    if (from_scratch_) options.warm_growth = 0.0;
+    optimized.gnc = optimizer_->optimize_gnc(*asked_, options, hooks_.stop);
     asked_.reset();
     if (optimized.gnc.optimization.termination == Termination::kStopped) {
       optimized.stopped = true;
@@ -126,7 +128,10 @@ class TraceRun {
   // ---- effects
 
   void carry_out(effect::Compute& /*compute*/) { ++result_.batches; }
-  void carry_out(effect::Optimize& optimize) { asked_ = std::move(optimize.graph); }
+  void carry_out(effect::Optimize& optimize) {
+    asked_ = std::move(optimize.graph);
+    from_scratch_ = optimize.from_scratch;
+  }
   void carry_out(effect::Closure& /*closure*/) {}
   void carry_out(effect::Computed& computed) { result_.computed.push_back({computed.result, now_s_, 0.0}); }
   void carry_out(effect::EstimateReady& ready) {
@@ -159,6 +164,7 @@ class TraceRun {
   std::optional<ScanSignature> signature_;
   std::optional<Engine> engine_;
   std::optional<PoseGraphOptimizer> optimizer_;
+  bool from_scratch_ = false;
   std::shared_ptr<const PoseGraph> asked_;
   double now_s_ = 0.0;
   ReplayResult result_;

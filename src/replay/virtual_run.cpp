@@ -123,10 +123,13 @@ class Run {
 
   void carry_out(effect::Optimize& optimize) {
     const Stopwatch watch;
-    const GncResult gnc = optimizer_.optimize_gnc(*optimize.graph, options_.back_end.gnc);
+    GncOptions options = options_.back_end.gnc;
+    if (optimize.from_scratch) options.warm_growth = 0.0;
+    const GncResult gnc = optimizer_.optimize_gnc(*optimize.graph, options);
     for (const auto& [edge, computed] : closure_edges_) result_.computed[computed].weight = gnc.weights[edge];
     feed(event::Optimized{gnc, false, {}});
     ++result_.optimizations;
+    if (!gnc.fresh) ++result_.continued_optimizations;
     result_.optimization_s += watch.seconds();
     log_.write(journal::estimate_line(now_s_, gnc, account()));
   }
@@ -278,7 +281,7 @@ class Run {
     }
     feed(event::NoMoreScans{});
     feed(event::BatchDone{not_computed()});
-    feed(event::Settle{});
+    feed(event::Settle{true});
     const CandidatePool& pool = engine_.pool();
     take_account(pool, result_);
     result_.mission_time_s = now_s_;

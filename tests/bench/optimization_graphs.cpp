@@ -15,6 +15,8 @@ namespace {
 
 constexpr double kSigmaM = 0.02;
 constexpr double kSigmaRad = 0.005;
+constexpr double kTorusSigmaM = 0.1;
+constexpr double kTorusSigmaRad = 0.05;
 
 PriorFactor firm_prior(Key key, const Eigen::Isometry3d& pose) {
   PriorFactor prior;
@@ -24,21 +26,22 @@ PriorFactor firm_prior(Key key, const Eigen::Isometry3d& pose) {
   return prior;
 }
 
-Matrix6d information() {
+Matrix6d information(double sigma_m, double sigma_rad) {
   Vector6d d;
-  d << Eigen::Vector3d::Constant(1.0 / (kSigmaM * kSigmaM)),
-      Eigen::Vector3d::Constant(1.0 / (kSigmaRad * kSigmaRad));
+  d << Eigen::Vector3d::Constant(1.0 / (sigma_m * sigma_m)),
+      Eigen::Vector3d::Constant(1.0 / (sigma_rad * sigma_rad));
   return d.asDiagonal();
 }
 
-Edge measured(Rng& rng, Key from, Key to, const Eigen::Isometry3d& T, EdgeKind kind) {
+Edge measured(Rng& rng, Key from, Key to, const Eigen::Isometry3d& T, EdgeKind kind, double sigma_m = kSigmaM,
+              double sigma_rad = kSigmaRad) {
   Vector6d noise;
-  for (int i = 0; i < 6; ++i) noise[i] = (i < 3 ? kSigmaM : kSigmaRad) * rng.normal();
+  for (int i = 0; i < 6; ++i) noise[i] = (i < 3 ? sigma_m : sigma_rad) * rng.normal();
   Edge edge;
   edge.from = from;
   edge.to = to;
   edge.T_from_to = se3::normalized(T * se3::exp(noise));
-  edge.information = information();
+  edge.information = information(sigma_m, sigma_rad);
   edge.kind = kind;
   return edge;
 }
@@ -51,7 +54,8 @@ Eigen::Isometry3d pose_at(const Eigen::Vector3d& place, double yaw) {
 }
 
 /// Nodes chained along noisy odometry; every robot starts at its true pose and has a prior there.
-BenchGraph walk(Rng& rng, const std::vector<std::vector<Eigen::Isometry3d>>& paths) {
+BenchGraph walk(Rng& rng, const std::vector<std::vector<Eigen::Isometry3d>>& paths, double sigma_m = kSigmaM,
+                double sigma_rad = kSigmaRad) {
   BenchGraph out;
   std::vector<Edge> edges;
   Key key = 0;
@@ -59,7 +63,8 @@ BenchGraph walk(Rng& rng, const std::vector<std::vector<Eigen::Isometry3d>>& pat
     Eigen::Isometry3d estimate = path.front();
     for (std::size_t i = 0; i < path.size(); ++i, ++key) {
       if (i > 0) {
-        edges.push_back(measured(rng, key - 1, key, path[i - 1].inverse() * path[i], EdgeKind::kOdometry));
+        edges.push_back(measured(rng, key - 1, key, path[i - 1].inverse() * path[i], EdgeKind::kOdometry,
+                                 sigma_m, sigma_rad));
         estimate = se3::normalized(estimate * edges.back().T_from_to);
       }
       Node node;
@@ -202,6 +207,33 @@ BenchGraph lattice(std::size_t poses, std::uint64_t seed) {
       out.graph.add_edge(measured(rng, a, b, path[a].inverse() * path[b], EdgeKind::kLoopClosure));
       out.is_false.push_back(false);
     }
+  }
+  return out;
+}
+
+BenchGraph torus(std::size_t poses, std::uint64_t seed) {
+  constexpr std::size_t kAround = 100;
+  constexpr double kPi = 3.14159265358979323846;
+  Rng rng(seed);
+  std::vector<Eigen::Isometry3d> path;
+  for (std::size_t i = 0; i < poses; ++i) {
+    const double turns = static_cast<double>(poses) / kAround;
+    const double small = 2.0 * kPi * static_cast<double>(i % kAround) / kAround;
+    const double large = 2.0 * kPi * static_cast<double>(i) / static_cast<double>(poses);
+    Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+    pose.rotate(Eigen::AngleAxisd(large, Eigen::Vector3d::UnitZ()));
+    pose.translate(Eigen::Vector3d(2.0 + 0.03 * turns, 0.0, 0.0));
+    pose.rotate(Eigen::AngleAxisd(small, Eigen::Vector3d::UnitY()));
+    pose.translate(Eigen::Vector3d(2.0, 0.0, 0.0));
+    path.push_back(pose);
+  }
+  BenchGraph out = walk(rng, {path}, kTorusSigmaM, kTorusSigmaRad);
+  out.name = "torus " + std::to_string(poses);
+  for (std::size_t i = kAround; i < poses; ++i) {
+    const Key a = i - kAround;
+    out.graph.add_edge(measured(rng, a, i, path[a].inverse() * path[i], EdgeKind::kLoopClosure, kTorusSigmaM,
+                                kTorusSigmaRad));
+    out.is_false.push_back(false);
   }
   return out;
 }

@@ -30,6 +30,10 @@ struct BenchGraph {
 /// A lattice of poses in three dimensions walked row by row, with closures between neighbours.
 [[nodiscard]] BenchGraph lattice(std::size_t poses, std::uint64_t seed);
 
+/// A path wound around a torus in steps as long as the odometry's noise (0.13 m, 0.1 m and 0.05 rad), with
+/// closures to the turn before: chained odometry says nothing of places 100 steps away.
+[[nodiscard]] BenchGraph torus(std::size_t poses, std::uint64_t seed);
+
 /// Adds `groups` sets of `size` false closures that agree with each other: a stretch of the path taken for
 /// another.
 void add_false_groups(BenchGraph& graph, std::size_t groups, std::size_t size, std::uint64_t seed);

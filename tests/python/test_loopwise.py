@@ -96,13 +96,15 @@ class Optimization(unittest.TestCase):
         self.assertLess(np.linalg.norm(result.poses[8, :3, 3]), 0.1 * before)
         self.assertLess(result.cost, result.cost_initial)
 
-    def test_begins_with_the_poses_of_the_graph(self):
+    def test_begins_where_the_options_say(self):
         graph = square(drift=0.0)
         poses = graph.poses
         poses[4, 0, 3] += 1.0
         graph.poses = poses
-        for optimize in (lw.optimize, lambda graph: lw.optimize_gnc(graph).optimization):
-            self.assertGreater(optimize(graph).cost_initial, 1.0)  # 0 where odometry alone leads
+        file = {"initialization": "file"}
+        for optimize in (lw.optimize, lambda *arguments: lw.optimize_gnc(*arguments).optimization):
+            self.assertGreater(optimize(graph, file).cost_initial, 1.0)
+            self.assertLess(optimize(graph).cost_initial, 1.0)  # where odometry leads
 
     def test_gnc_finds_the_false_closure(self):
         graph = square(drift=0.0)

@@ -118,7 +118,11 @@ struct Choose {
   std::size_t count = 0;  ///< Fewer if there are fewer, or if prioritisers hold some back.
 };
 /// Nothing else needs the back end now: an estimate that is wanted may be made.
-struct Settle {};
+struct Settle {
+  /// This is the last: an estimate that only continues the one before (GncOptions::warm_start) is made again
+  /// from scratch.
+  bool last = false;
+};
 /// No more scans will come: candidates that wait for one expire.
 struct NoMoreScans {};
 
@@ -156,6 +160,7 @@ struct Compute {
 /// To be optimised robustly. Answered by event::Optimized.
 struct Optimize {
   std::shared_ptr<const PoseGraph> graph;  ///< A snapshot, which does not change.
+  bool from_scratch = false;               ///< As if GncOptions::warm_growth were 0.
 };
 /// A verified closure has entered the graph.
 struct Closure {

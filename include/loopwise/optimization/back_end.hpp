@@ -6,11 +6,12 @@
 
 namespace loopwise {
 
-/// Options of a back end that estimates the same graph again and again as it grows. Each estimate starts from
-/// odometry: an earlier estimate may have been bent by a false closure, which would then seem to fit.
+/// Options of a back end that estimates the same graph again and again as it grows: from the last result, and
+/// now and then from odometry too, as an earlier estimate may have been bent by a false closure, which then
+/// seems to fit.
 struct BackEndOptions {
   OptimizerOptions optimization = from_odometry();  ///< Minimisation.
-  GncOptions gnc = with_second_start();             ///< Robust weights.
+  GncOptions gnc = from_last_result();              ///< Robust weights.
 
   /// Calls visitor(name, section) for both.
   template <class Self, class Visitor>
@@ -25,9 +26,9 @@ struct BackEndOptions {
     options.initialization = Initialization::kOdometry;
     return options;
   }
-  [[nodiscard]] static GncOptions with_second_start() {
+  [[nodiscard]] static GncOptions from_last_result() {
     GncOptions options;
-    options.second_start = true;
+    options.warm_start = true;
     return options;
   }
 };

@@ -20,6 +20,16 @@ enum class RobustKernel {
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<RobustKernel> enum_names(RobustKernel);
 
+/// Where a robust solution started.
+enum class GncStart {
+  kFirstEstimate,    ///< OptimizerOptions::initialization, graduated.
+  kConfirmed,        ///< The chordal estimate of the closures that closures near them confirm.
+  kDoubtedOdometry,  ///< As kFirstEstimate, with closures that worse odometry would allow.
+  kChordal,          ///< The chordal estimate of the closures that odometry does not rule out.
+  kLastResult,       ///< The last result of the PoseGraphOptimizer.
+};
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<GncStart> enum_names(GncStart);
+
 /// Robust optimisation: kernel, threshold and schedule.
 struct GncOptions {
   RobustKernel kernel = RobustKernel::kGncTls;
@@ -28,10 +38,12 @@ struct GncOptions {
   int max_outer_iterations = 100;
   int steps_per_iteration = 1;
   double weight_tolerance = 1e-4;
-  bool second_start = false;
+  bool second_start = true;
   double innovation_probability = 0.9999;
   double odometry_margin = 3.0;
   bool growth = true;
+  bool warm_start = false;
+  double warm_growth = 0.2;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -46,13 +58,12 @@ struct GncOptions {
           "Gauss-Newton steps for each value of mu.");
     field("weight_tolerance", self.weight_tolerance, between(0.0, 0.5),
           "Weights count as settled within this of 0 or 1.");
-    field(
-        "second_start", self.second_start, any_value(),
-        "Where closures are left out, start again, and keep what costs least: from the chordal estimate, as "
-        "graduation from an estimate that is far off can lose closures that all agree, and with the closures "
-        "that odometry would allow if it were worse than it says, see odometry_margin. Takes up to four "
-        "times "
-        "as long; replays and the live module do it.");
+    field("second_start", self.second_start, any_value(),
+          "Several starts, of which the result of the lowest truncated cost is kept. First the closures that "
+          "others near them confirm; if they are many, all stay, and every other closure contradicts them, "
+          "that is the result. Else also the first estimate; the closures that odometry would allow if it "
+          "were worse than it says, see odometry_margin; and the chordal estimate. Without: the first "
+          "estimate alone.");
     field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true},
           "Share of true closures that what odometry alone says of their ends does not put aside at first: "
           "quantile "
@@ -68,6 +79,17 @@ struct GncOptions {
           "At the end of truncated least squares, let closures in that the innovation test has put aside and "
           "that agree with the kept ones around them, as long as that lowers the truncated cost: where "
           "odometry drifts more than its information says that test puts true ones aside.");
+    field(
+        "warm_start", self.warm_start, any_value(),
+        "For a graph that is optimised again and again as it grows: start from the last result, with the new "
+        "closures that neither it nor the odometry contradicts. The result of a solution from scratch "
+        "replaces it where a kept closure is lost, where a new one is neither kept nor contradicted, where "
+        "more left-out closures confirm each other than before, and as warm_growth says. Replays and the "
+        "live module do it.");
+    field(
+        "warm_growth", self.warm_growth, at_least(0.0),
+        "For warm_start: a solution from scratch is due when there are this share more closures than at the "
+        "last one. 0: always.");
   }
 };
 
@@ -78,8 +100,10 @@ struct GncResult {
   OptimizationResult optimization;
   std::vector<double> weights;  ///< One per edge, in graph order. Odometry and trusted edges have 1.
   int outer_iterations = 0;     ///< Of all starts.
-  std::size_t inliers = 0;      ///< Closures (edges that are not known inliers) of weight > 0.5.
-  std::size_t outliers = 0;     ///< The other closures.
+  GncStart start = GncStart::kFirstEstimate;  ///< The start that led to the result.
+  bool fresh = true;                          ///< Starts other than the last result were tried.
+  std::size_t inliers = 0;   ///< Closures (edges that are not known inliers) of weight > 0.5.
+  std::size_t outliers = 0;  ///< The other closures.
   /// ½ Σ rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures, at the poses.
   double truncated_cost = 0.0;
 };
@@ -87,8 +111,8 @@ struct GncResult {
 /// Optimisation that finds out which loop closures are false. Odometry, priors and trusted edges are known
 /// inliers; every other edge gets a weight in [0, 1] from its residual. The weights that the graph's edges
 /// carry are not used. A closure whose weight has vanished leaves the sparsity structure, and returns when
-/// the estimate makes it fit again. With second_start the result of lower truncated cost of two starts is
-/// taken: the options' first estimate, and the chordal one of the closures that odometry does not rule out.
+/// the estimate makes it fit again. Of several starts the result of the lowest truncated cost is taken
+/// (GncOptions::second_start).
 /// If all closures turn out false the result is the odometry's, each loose component held at its first node.
 /// \throws OptionError, InputError as optimize() does.
 [[nodiscard]] LOOPWISE_EXPORT GncResult optimize_gnc(const PoseGraph& graph,

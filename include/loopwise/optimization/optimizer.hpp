@@ -17,6 +17,8 @@ namespace loopwise {
 
 /// Where the first estimate comes from.
 enum class Initialization {
+  kAuto,      ///< The cheapest of the three below, by the cost that is minimised; the next if that does not
+              ///< converge. The graph's poses alone where they cost little more than noise does.
   kFile,      ///< The poses of the graph as they are.
   kOdometry,  ///< Chained along odometry edges from the prior or the first node of each stretch, then across
               ///< the other edges, breadth first.
@@ -51,7 +53,7 @@ struct OptimizerOptions {
   double gradient_tolerance = 5e-7;
   double step_tolerance = 1e-9;
   double initial_damping = 0.0;
-  Initialization initialization = Initialization::kFile;
+  Initialization initialization = Initialization::kAuto;
   Factorization factorization = Factorization::kAutomatic;
   int threads = 1;
 
@@ -67,7 +69,8 @@ struct OptimizerOptions {
     field("initial_damping", self.initial_damping, at_least(0.0),
           "Levenberg-Marquardt damping of the first step, relative to the Hessian's diagonal. 0 starts with "
           "Gauss-Newton steps and brings damping in when one fails.");
-    field("initialization", self.initialization, any_value(), "First estimate: file, odometry or chordal.");
+    field("initialization", self.initialization, any_value(),
+          "First estimate: auto, file, odometry or chordal. auto takes the one of the lowest cost.");
     field("factorization", self.factorization, any_value(),
           "Sparse Cholesky: automatic, multifrontal, simplicial or supernodal.");
     field("threads", self.threads, between(0, 1024),
@@ -98,7 +101,9 @@ struct OptimizationResult {
   int factorizations = 0;         ///< Numeric factorisations, refused steps and initialisation included.
   bool converged = false;         ///< Ended by the tolerances, or had nothing to do.
   Termination termination = Termination::kNothingToDo;  ///< Why it ended.
-  std::string message;                                  ///< For people; never parse it.
+  /// The first estimate that led here; never kAuto.
+  Initialization initialization = Initialization::kFile;
+  std::string message;         ///< For people; never parse it.
   std::size_t components = 0;  ///< Connected components of the graph, lone nodes included.
   /// Nodes held in place because nothing anchors their component: no prior acts in it. Nodes without any
   /// factor stay in place as well and are not listed.
@@ -146,7 +151,8 @@ class LOOPWISE_EXPORT PoseGraphOptimizer {
 
   /// As the free function optimize().
   [[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const StopToken& stop = {});
-  /// As the free function optimize_gnc(). \throws OptionError
+  /// As the free function optimize_gnc(). With GncOptions::warm_start a graph that has only grown since the
+  /// last call (its first nodes and edges are those of then) starts from that result. \throws OptionError
   [[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const GncOptions& options,
                                        const StopToken& stop = {});
 

@@ -97,16 +97,17 @@ struct ReplayResult {
   std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
   /// Of the prioritisers that say chances: what was said against what came, by name.
   std::vector<std::pair<std::string, Calibration>> calibration;
-  double mission_time_s = 0.0;    ///< When the run ended.
-  double mission_end_s = 0.0;     ///< When the last key frame arrives.
-  std::size_t batches = 0;        ///< Handed to the computation.
-  std::size_t optimizations = 0;  ///< Estimates made by the back end.
-  bool interrupted = false;       ///< A stop was requested: the result is what there was until then.
-  Problems problems;              ///< Flaws of the mission that the run met.
-  double registration_s = 0.0;    ///< Wall time by stage. For reports only.
-  double optimization_s = 0.0;    ///< Of the back end.
-  double decision_s = 0.0;        ///< Of the engine: which candidates there are, and their order.
-  double total_s = 0.0;           ///< Of the whole run.
+  double mission_time_s = 0.0;              ///< When the run ended.
+  double mission_end_s = 0.0;               ///< When the last key frame arrives.
+  std::size_t batches = 0;                  ///< Handed to the computation.
+  std::size_t optimizations = 0;            ///< Estimates made by the back end.
+  std::size_t continued_optimizations = 0;  ///< Those of them that only continued the one before.
+  bool interrupted = false;     ///< A stop was requested: the result is what there was until then.
+  Problems problems;            ///< Flaws of the mission that the run met.
+  double registration_s = 0.0;  ///< Wall time by stage. For reports only.
+  double optimization_s = 0.0;  ///< Of the back end.
+  double decision_s = 0.0;      ///< Of the engine: which candidates there are, and their order.
+  double total_s = 0.0;         ///< Of the whole run.
 };
 
 /// Makes the prioritisers of one run, in the order of their turns.

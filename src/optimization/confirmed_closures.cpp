@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "confirmed_closures.hpp"
+
+#include <algorithm>
+#include <cstdint>
+#include <tuple>
+
+#include <Eigen/Dense>
+
+#include <loopwise/core/se3.hpp>
+#include <loopwise/optimization/gnc.hpp>
+
+namespace loopwise::detail {
+namespace {
+
+/// Steps of odometry at both ends together within which a closure is near another.
+constexpr std::uint32_t kNearSteps = 12;
+/// Neighbours that are tried for a closure, nearest first.
+constexpr std::size_t kMostTried = 12;
+
+std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
+  return a < b ? b - a : a - b;
+}
+
+Matrix6d on_the_right(const Matrix6d& between, const Eigen::Isometry3d& T) {
+  const Matrix6d ad = se3::adjoint(T.inverse());
+  return ad * between * ad.transpose();
+}
+
+/// A closure as seen from one of its ends.
+struct Seen {
+  std::uint32_t root, other_root, place, other_place, edge;
+  bool reversed;
+};
+
+class Confirmation {
+ public:
+  Confirmation(const PoseGraph& graph, const OdometryForest& forest, double c2)
+      : graph_(graph), forest_(forest), c2_(c2), confirmed_(graph.edges().size(), 0) {
+    for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+      if (known_inlier(graph.edges()[e])) continue;
+      for (const bool reversed : {false, true}) seen_.push_back(seen(e, reversed));
+    }
+    std::sort(seen_.begin(), seen_.end(), [](const Seen& a, const Seen& b) {
+      return std::tie(a.root, a.other_root, a.place, a.other_place, a.edge, a.reversed) <
+             std::tie(b.root, b.other_root, b.place, b.other_place, b.edge, b.reversed);
+    });
+  }
+
+  std::vector<char> find(const std::vector<char>& wanted) {
+    for (std::size_t i = 0; i < seen_.size(); ++i) {
+      const std::uint32_t e = seen_[i].edge;
+      if (!seen_[i].reversed && wanted[e] != 0 && confirmed_[e] == 0) look_around(i);
+    }
+    for (std::size_t e = 0; e < confirmed_.size(); ++e) {
+      if (wanted[e] == 0) confirmed_[e] = 0;
+    }
+    return std::move(confirmed_);
+  }
+
+ private:
+  [[nodiscard]] Seen seen(std::size_t e, bool reversed) const {
+    auto [from, to] = graph_.ends(e);
+    if (reversed) std::swap(from, to);
+    return {forest_.root(from),
+            forest_.root(to),
+            forest_.place(from),
+            forest_.place(to),
+            static_cast<std::uint32_t>(e),
+            reversed};
+  }
+
+  void look_around(std::size_t i) {
+    const Seen& own = seen_[i];
+    near_.clear();
+    const auto consider = [&](const Seen& other) {
+      if (other.root != own.root || other.other_root != own.other_root) return false;
+      const std::uint32_t at_this_end = steps(other.place, own.place);
+      if (at_this_end > kNearSteps) return false;
+      const std::uint32_t all = at_this_end + steps(other.other_place, own.other_place);
+      if (all <= kNearSteps && other.edge != own.edge) near_.emplace_back(all, &other);
+      return true;
+    };
+    for (std::size_t k = i + 1; k < seen_.size() && consider(seen_[k]);) ++k;
+    for (std::size_t k = i; k > 0 && consider(seen_[k - 1]);) --k;
+    std::sort(near_.begin(), near_.end(), [](const auto& a, const auto& b) {
+      return std::tie(a.first, a.second->edge) < std::tie(b.first, b.second->edge);
+    });
+    if (near_.size() > kMostTried) near_.resize(kMostTried);
+    for (const auto& [distance, other] : near_) {
+      if (!agree(own.edge, *other)) continue;
+      confirmed_[own.edge] = confirmed_[other->edge] = 1;
+      return;
+    }
+  }
+
+  /// Whether the way A B C over the other closure predicts this one's measurement.
+  [[nodiscard]] bool agree(std::size_t e, const Seen& other) const {
+    const auto [from, to] = graph_.ends(e);
+    const Edge& edge = graph_.edges()[e];
+    const Edge& across = graph_.edges()[other.edge];
+    auto [near_from, near_to] = graph_.ends(other.edge);
+    auto own = covariance_of(edge.information), others = covariance_of(across.information);
+    if (!own || !others) return false;
+    Eigen::Isometry3d B = across.T_from_to;
+    if (other.reversed) {
+      std::swap(near_from, near_to);
+      others = on_the_right(*others, B.inverse());
+      B = B.inverse();
+    }
+    const auto there = forest_.between(from, near_from), on = forest_.between(near_to, to);
+    if (!there || !on) return false;
+    const Eigen::Isometry3d A = forest_.pose(from).inverse() * forest_.pose(near_from);
+    const Eigen::Isometry3d C = forest_.pose(near_to).inverse() * forest_.pose(to);
+    const Matrix6d S = *own + on_the_right(*there, forest_.pose(near_from) * B * C) +
+                       on_the_right(*others, C) + on_the_right(*on, forest_.pose(to));
+    const Vector6d r = se3::log(edge.T_from_to.inverse() * A * B * C);
+    const double d2 = r.dot(S.ldlt().solve(r));
+    return d2 >= 0.0 && d2 <= c2_;
+  }
+
+  const PoseGraph& graph_;
+  const OdometryForest& forest_;
+  const double c2_;
+  std::vector<char> confirmed_;  // by edge
+  std::vector<Seen> seen_;
+  std::vector<std::pair<std::uint32_t, const Seen*>> near_;
+};
+
+}  // namespace
+
+std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryForest& forest,
+                                     const std::vector<char>& wanted, double c2) {
+  return Confirmation(graph, forest, c2).find(wanted);
+}
+
+}  // namespace loopwise::detail

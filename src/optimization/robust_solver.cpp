@@ -1,0 +1,445 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "robust_solver.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/se3.hpp>
+
+#include "gnc_solver.hpp"
+
+namespace loopwise::detail {
+
+/// The threshold assumes that information is honest. Where it is pessimistic by far
+/// (parking-garage: by 10⁶), true closures are far below the threshold and false ones may be, too; so the
+/// noise is first measured on the lower quartile of d², which half of the closures being false does not
+/// spoil, and the threshold follows it down, with a margin for heavy tails. It never follows it up. Closures
+/// that repeat the odometry to within rounding (made from it, or registered from the same scans) say nothing
+/// of the noise and are not counted: a quarter of them would take the threshold to 0, and all others with it.
+Gross find_gross(const PoseGraph& graph, const std::vector<double>& d2, double probability,
+                 double odometry_margin) {
+  constexpr double kMargin = 25.0;
+  constexpr std::size_t kFewest = 8;
+  // Less is no noise: by information pessimistic by 10⁶ one true closure in 50 000 has so little. The scale
+  // is therefore 7e-7 at least.
+  constexpr double kLeast = 1e-7;
+  Gross gross{std::vector<char>(graph.edges().size(), 0)};
+  if (probability >= 1.0) return gross;
+  std::vector<double> known;
+  for (const double d : d2) {
+    if (d >= kLeast) known.push_back(d);
+  }
+  if (known.size() >= kFewest) {
+    const auto quartile = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 4);
+    std::nth_element(known.begin(), quartile, known.end());
+    gross.scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
+  }
+  const double threshold =
+      odometry_margin * odometry_margin * gross.scale * chi_squared_quantile(probability, 6);
+  for (std::size_t k = 0; k < d2.size(); ++k) gross.aside[k] = d2[k] > threshold ? 1 : 0;
+  return gross;
+}
+
+namespace {
+
+/// Beyond this multiple of c² a residual is as good as infinite: graduation starts no farther out.
+constexpr double kFarthestStart = 1e6;
+/// Rounds of plain truncated least squares at the end; each lowers the truncated cost, so two or three do.
+constexpr int kTruncatedRounds = 20;
+/// Times that closures are let in again to see whether that lowers the truncated cost.
+constexpr int kGrowthAttempts = 30;
+constexpr double kLeastGain = 1e-9;
+/// Closures for which the covariance of the whole solution is asked: six half solutions by the factor for
+/// each.
+constexpr std::size_t kMostExact = 256;
+constexpr double kKept = 0.5;  ///< Least weight of a closure that counts as kept
+
+}  // namespace
+
+namespace {
+
+/// Whether the poses of two nodes depend on each other: one component, or both held by priors.
+bool tied(const Freedom& freedom, std::size_t a, std::size_t b) {
+  const auto is_anchored = [&](std::size_t node) {
+    const std::uint32_t component = freedom.component[node];
+    return component != Freedom::kFixed &&
+           !std::binary_search(freedom.held.begin(), freedom.held.end(), std::size_t{component});
+  };
+  return (freedom.component[a] == freedom.component[b] && freedom.component[a] != Freedom::kFixed) ||
+         (is_anchored(a) && is_anchored(b));
+}
+
+/// Ad(T_a⁻¹ T_b)
+Matrix6d relative_adjoint(const Pose& a, const Pose& b) {
+  const Eigen::Matrix3d R = a.R.transpose() * b.R;
+  const Eigen::Vector3d t = a.R.transpose() * (b.t - a.t);
+  Matrix6d ad = Matrix6d::Zero();
+  ad.topLeftCorner<3, 3>() = ad.bottomRightCorner<3, 3>() = R;
+  ad.topRightCorner<3, 3>() = se3::skew(t) * R;
+  return ad;
+}
+
+}  // namespace
+
+RobustSolver::RobustSolver(const RobustProblem& given, const Gross& gross, PoseProblem& problem,
+                           NormalEquations& equations, std::vector<Pose>& poses)
+    : graph_(given.graph),
+      problem_(problem),
+      equations_(equations),
+      poses_(poses),
+      start_(given.start),
+      options_(given.options),
+      gnc_(given.gnc),
+      pool_(given.pool),
+      stop_(given.stop),
+      gross_(gross),
+      neighbours_(given.graph, given.forest),
+      c2_(chi_squared_quantile(given.gnc.inlier_probability, 6)) {
+  for (std::size_t k = 0; k < problem.edges(); ++k) {
+    problem.weight[k] = 1.0;
+    if (!known_inlier(given.graph.edges()[k])) closures_.push_back(k);
+  }
+  r2_.resize(closures_.size());
+  std::vector<Vector6d> residuals;
+  total_.cost_initial = problem.cost(poses, pool_, residuals);
+  if (!std::isfinite(total_.cost_initial)) throw InputError("the cost of the first estimate is not finite");
+  evaluate();
+}
+
+void RobustSolver::solve(GncResult& result) {
+  switch (gnc_.kernel) {
+    case RobustKernel::kGncTls:
+      graduate();
+      truncate();
+      grow(gross_.aside);
+      break;
+    case RobustKernel::kTls:
+      truncate();
+      grow(gross_.aside);
+      break;
+    case RobustKernel::kCauchy:
+    case RobustKernel::kGemanMcClure:
+      reweight();
+      break;
+  }
+  report(result);
+}
+
+void RobustSolver::solve_from(const std::vector<char>& chosen, const std::vector<char>& may_grow,
+                              GncResult& result) {
+  trusts_information_ = true;
+  for (const std::size_t k : closures_) problem_.weight[k] = chosen[k] != 0 ? 1.0 : 0.0;
+  descend_fully();
+  truncate(true);
+  grow(may_grow);
+  report(result);
+}
+
+void RobustSolver::evaluate() {
+  by_all_.clear();
+  for (std::size_t i = 0; i < closures_.size(); ++i) r2_[i] = problem_.squared_residual(closures_[i], poses_);
+}
+
+/// Out of the question for now; it comes back when the estimate makes it fit.
+bool RobustSolver::set_aside(std::size_t i) const {
+  return gross_.aside[closures_[i]] != 0 && r2_[i] > c2_;
+}
+
+/// Sets the closures' weights; one within the tolerance of 0 leaves the structure. \returns the largest
+/// change.
+template <class Weight>
+double RobustSolver::set_weights(Weight&& weight) {
+  double change = 0.0;
+  for (std::size_t i = 0; i < closures_.size(); ++i) {
+    double w = set_aside(i) ? 0.0 : weight(r2_[i]);
+    if (w <= gnc_.weight_tolerance) w = 0.0;
+    change = std::max(change, std::abs(w - problem_.weight[closures_[i]]));
+    problem_.weight[closures_[i]] = w;
+  }
+  return change;
+}
+
+void RobustSolver::descend(StepControl& control) {
+  OptimizationResult part;
+  minimize(problem_, equations_, poses_, options_, control, pool_, stop_, part);
+  part.cost_initial = total_.cost_initial;
+  part.factorizations += total_.factorizations;
+  for (IterationRecord& record : part.trace) record.iteration += total_.iterations;
+  part.iterations += total_.iterations;
+  total_.trace.insert(total_.trace.end(), part.trace.begin(), part.trace.end());
+  part.trace = std::move(total_.trace);
+  total_ = std::move(part);
+  evaluate();
+}
+
+/// To the minimum for the weights as they are.
+void RobustSolver::descend_fully() {
+  StepControl control;
+  control.damping = options_.initial_damping;
+  descend(control);
+  bring_back();
+}
+
+/// Asked to end, and so with work left undone, whatever the last descent came to.
+bool RobustSolver::stopped() {
+  stopped_ = stopped_ || stop_.stop_requested();
+  return stopped_;
+}
+
+/// Yang et al. 2020, §IV, from the residuals of the first estimate rather than of a solution with all
+/// closures in: that solution is what false closures spoil, and it costs an almost dense factorisation.
+void RobustSolver::graduate() {
+  double largest = 0.0;
+  for (std::size_t i = 0; i < r2_.size(); ++i) {
+    if (!set_aside(i)) largest = std::max(largest, r2_[i]);
+  }
+  double mu = c2_ / (2.0 * std::min(largest, kFarthestStart * c2_) - c2_);
+  StepControl control;
+  control.max_accepted = gnc_.steps_per_iteration;
+  control.damping = options_.initial_damping;
+  while (mu > 0.0 && outer_ < gnc_.max_outer_iterations && !stopped()) {
+    ++outer_;
+    const double full = mu / (mu + 1.0) * c2_, none = (mu + 1.0) / mu * c2_;
+    bool settled = true;
+    set_weights([&](double r2) {
+      if (r2 <= full) return 1.0;
+      if (r2 >= none) return 0.0;
+      const double w = std::clamp(std::sqrt(c2_ / r2 * mu * (mu + 1.0)) - mu, 0.0, 1.0);
+      if (w > gnc_.weight_tolerance && w < 1.0 - gnc_.weight_tolerance) settled = false;
+      return w;
+    });
+    descend(control);
+    if (settled) break;
+    mu *= gnc_.mu_step;
+  }
+}
+
+/// Full weight within the threshold, none beyond, the minimum for these weights, until they reproduce
+/// themselves.
+void RobustSolver::truncate(bool at_minimum) {
+  for (int round = 0; round < kTruncatedRounds && !stopped(); ++round) {
+    const double change = set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
+    if (change == 0.0 && (round > 0 || at_minimum)) break;
+    if (gnc_.kernel == RobustKernel::kTls) ++outer_;
+    descend_fully();
+  }
+}
+
+/// Lets closures in that were put aside but agree with the kept ones around them: those with d² ≤ c², by
+/// the noise as measured. To let one in costs at least ½d² to first order, to leave it out ½c²: the others
+/// are not worth a try, and these stay if the truncated cost is the lower for it. Inliers thus spread from
+/// where odometry was sure of them to where it no longer is.
+void RobustSolver::grow(const std::vector<char>& may_grow) {
+  if (!gnc_.growth) return;
+  std::vector<char> tried(closures_.size(), 0);
+  for (std::size_t i = 0; i < tried.size() && !may_grow.empty(); ++i) {
+    tried[i] = may_grow[closures_[i]] != 0 ? 0 : 1;
+  }
+  int attempts = 0;
+  bool stale = false;
+  while (!stopped()) {
+    std::vector<std::size_t> agreeing = agreeing_with_kept(tried);
+    bool better = false;
+    while (!agreeing.empty() && !better && attempts++ < kGrowthAttempts && !stopped()) {
+      better = let_in(agreeing);
+      stale = !better;
+      if (!better) agreeing.resize(agreeing.size() == 1 ? 0 : (agreeing.size() + 3) / 4);
+    }
+    if (!better) break;
+    for (const std::size_t i : agreeing) tried[i] = 1;
+  }
+  if (stale) descend_fully();  // so that equations, cost and gradient are those of the weights
+}
+
+/// The minimum with these closures too. If its truncated cost is not lower, poses and weights are as before,
+/// and the equations are stale.
+bool RobustSolver::let_in(const std::vector<std::size_t>& closures) {
+  const std::vector<Pose> poses = poses_;
+  const std::vector<double> weights = problem_.weight;
+  const double cost = truncated_cost();
+  for (const std::size_t i : closures) problem_.weight[closures_[i]] = 1.0;
+  descend_fully();
+  truncate(true);
+  if (!stopped() && truncated_cost() < cost * (1.0 - kLeastGain)) return true;
+  poses_ = poses;
+  problem_.weight = weights;
+  evaluate();
+  return false;
+}
+
+/// By closure; those of which the kept ones are surest come first, and no more than are kept.
+std::vector<std::size_t> RobustSolver::agreeing_with_kept(const std::vector<char>& tried) {
+  std::vector<std::size_t> kept, left_out;
+  for (std::size_t i = 0; i < closures_.size(); ++i) {
+    if (problem_.weight[closures_[i]] > kKept) {
+      kept.push_back(closures_[i]);
+    } else if (tried[i] == 0) {
+      left_out.push_back(i);
+    }
+  }
+  if (left_out.empty()) return {};
+  neighbours_.set_kept(kept);
+  const OdometryForest rests_on = forest_of_kept();
+  std::vector<std::size_t> agreeing;
+  std::vector<double> variance(closures_.size());
+  for (const std::size_t i : left_out) {
+    if (stopped()) return {};
+    const auto innovation = neighbours_(closures_[i], problem_.residual(closures_[i], poses_));
+    variance[i] = innovation.variance;
+    if (!(innovation.d2 <= gross_.scale * c2_)) continue;
+    if (!trusts_information_ || !contradicted(closures_[i], rests_on)) agreeing.push_back(i);
+  }
+  std::vector<std::size_t> edges;
+  for (const std::size_t i : agreeing) edges.push_back(closures_[i]);
+  if (trusts_information_) test_by_all(edges);
+  agreeing.erase(std::remove_if(agreeing.begin(), agreeing.end(),
+                                [&](std::size_t i) { return contradicted_by_all(closures_[i]); }),
+                 agreeing.end());
+  std::stable_sort(agreeing.begin(), agreeing.end(),
+                   [&](std::size_t a, std::size_t b) { return variance[a] < variance[b]; });
+  if (agreeing.size() > kept.size()) agreeing.resize(kept.size());
+  return agreeing;
+}
+
+std::vector<char> RobustSolver::plausible(const std::vector<char>& known,
+                                          const std::vector<char>& kept) const {
+  std::vector<char> chosen(kept.size(), 0);
+  for (const std::size_t k : closures_) chosen[k] = kept[k];
+  const OdometryForest rests_on = forest_of(chosen);
+  for (const std::size_t k : closures_) {
+    if (known[k] == 0) chosen[k] = gross_.aside[k] != 0 || contradicted(k, rests_on) ? 0 : 1;
+  }
+  return chosen;
+}
+
+std::vector<std::size_t> RobustSolver::unexplained() {
+  const OdometryForest rests_on = forest_of_kept();
+  std::vector<std::size_t> out;
+  for (const std::size_t k : closures_) {
+    if (problem_.weight[k] <= kKept && !contradicted(k, rests_on)) out.push_back(k);
+  }
+  test_by_all(out);
+  out.erase(std::remove_if(out.begin(), out.end(), [&](std::size_t k) { return contradicted_by_all(k); }),
+            out.end());
+  return out;
+}
+
+/// Finds out which of these closures the covariance of the whole solution contradicts, unless they are many.
+void RobustSolver::test_by_all(const std::vector<std::size_t>& edges) {
+  if (edges.size() > kMostExact || stopped()) return;
+  std::vector<std::size_t> open;
+  for (const std::size_t k : edges) {
+    if (by_all_.find(k) == by_all_.end()) open.push_back(k);
+  }
+  if (open.empty() || !factorize_here()) return;
+  const Freedom& freedom = equations_.freedom();
+  Eigen::MatrixXd ends(6 * static_cast<Eigen::Index>(freedom.nodes.size()), 6);
+  for (const std::size_t k : open) {
+    // Error on the right of the relative pose: δ_to − Ad(T_to⁻¹ T_from) δ_from.
+    const std::size_t from = problem_.from(k), to = problem_.to(k);
+    const std::uint32_t a = freedom.variable[from], b = freedom.variable[to];
+    ends.setZero();
+    if (b != Freedom::kFixed) ends.middleRows<6>(6 * static_cast<Eigen::Index>(b)).setIdentity();
+    if (a != Freedom::kFixed) {
+      ends.middleRows<6>(6 * static_cast<Eigen::Index>(a)) -=
+          relative_adjoint(poses_[to], poses_[from]).transpose();
+    }
+    const Matrix6d P = equations_.hessian().inverse_between(ends);
+    // One between components that nothing ties to each other may have any pose.
+    by_all_[k] =
+        tied(freedom, from, to) &&
+        squared_innovation(problem_.information(k), P, problem_.residual(k, poses_)) > gross_.scale * c2_;
+  }
+}
+
+/// \returns whether the factor of the poses and weights as they are exists
+bool RobustSolver::factorize_here() {
+  std::vector<Vector6d> residuals;
+  problem_.cost(poses_, pool_, residuals);
+  equations_.set_structure(problem_);
+  equations_.linearize(problem_, poses_, residuals, pool_);
+  ++total_.factorizations;
+  return equations_.hessian().factorize() && equations_.hessian().smallest_pivot().first >= kSingularPivot;
+}
+
+/// As test_by_all() found.
+bool RobustSolver::contradicted_by_all(std::size_t edge) const {
+  const auto found = by_all_.find(edge);
+  return found != by_all_.end() && found->second;
+}
+
+/// Of the known inliers and these closures.
+OdometryForest RobustSolver::forest_of(std::vector<char> closures) const {
+  for (std::size_t k = 0; k < closures.size(); ++k) {
+    if (known_inlier(graph_.edges()[k])) closures[k] = 1;
+  }
+  return OdometryForest(graph_, closures);
+}
+
+OdometryForest RobustSolver::forest_of_kept() const {
+  std::vector<char> kept(graph_.edges().size(), 0);
+  for (const std::size_t k : closures_) kept[k] = problem_.weight[k] > kKept ? 1 : 0;
+  return forest_of(std::move(kept));
+}
+
+bool RobustSolver::contradicted(std::size_t edge, const OdometryForest& rests_on) const {
+  return innovation(graph_, rests_on, edge, problem_.residual(edge, poses_)) > gross_.scale * c2_;
+}
+
+void RobustSolver::reweight() {
+  StepControl control;
+  control.max_accepted = gnc_.steps_per_iteration;
+  control.damping = options_.initial_damping;
+  bool settled = false;
+  for (; !settled && outer_ < gnc_.max_outer_iterations && !stopped(); ++outer_) {
+    settled = set_weights([&](double r2) {
+                const double w = 1.0 / (1.0 + r2 / c2_);
+                return gnc_.kernel == RobustKernel::kCauchy ? w : w * w;
+              }) < gnc_.weight_tolerance;
+    descend(control);
+  }
+  StepControl last;
+  if (!stopped()) descend(last);
+  bring_back();
+}
+
+/// A component that lost its last tie to a prior may have been moved before it did: its held node goes back
+/// to the first estimate and takes the component along, at no cost.
+void RobustSolver::bring_back() {
+  const Freedom& freedom = equations_.freedom();
+  for (const std::size_t held : freedom.held) {
+    const Pose& now = poses_[held];
+    const Pose& then = start_[held];
+    const Eigen::Matrix3d R = then.R * now.R.transpose();
+    const Eigen::Vector3d t = then.t - R * now.t;
+    if (R == Eigen::Matrix3d::Identity() && t.isZero()) continue;
+    for (std::size_t i = 0; i < problem_.nodes(); ++i) {
+      if (freedom.component[i] != held) continue;
+      poses_[i].R = R * poses_[i].R;
+      poses_[i].t = R * poses_[i].t + t;
+    }
+  }
+  // So does a node that lost its last factor altogether.
+  for (std::size_t i = 0; i < problem_.nodes(); ++i) {
+    if (freedom.component[i] == Freedom::kFixed) poses_[i] = start_[i];
+  }
+  evaluate();
+}
+
+void RobustSolver::report(GncResult& result) {
+  total_.factorizations += result.optimization.factorizations;  // of the first estimate
+  if (stopped_ || total_.termination == Termination::kStopped) set_termination(Termination::kStopped, total_);
+  result.optimization = std::move(total_);
+  result.outer_iterations = outer_;
+  result.weights.assign(problem_.weight.begin(),
+                        problem_.weight.begin() + static_cast<std::ptrdiff_t>(problem_.edges()));
+  for (const std::size_t k : closures_) ++(problem_.weight[k] > kKept ? result.inliers : result.outliers);
+  result.truncated_cost = truncated_cost();
+}
+
+double RobustSolver::truncated_cost() const {
+  return detail::truncated_cost(graph_, problem_, poses_, c2_);
+}
+
+}  // namespace loopwise::detail

@@ -1,0 +1,311 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Where optimisation starts: graphs whose odometry says nothing over the whole, and graphs that grow.
+#include <numeric>
+
+#include <loopwise/optimization/gnc.hpp>
+
+#include "confirmed_closures.hpp"
+#include "odometry_forest.hpp"
+#include "pose_problem.hpp"
+#include "support.hpp"
+
+namespace loopwise {
+namespace {
+
+/// A path wound around a torus, each turn beside the one before, with closures between neighbours in adjacent
+/// turns. Odometry is so bad that its chain knows nothing of the path's other end. The false closures are
+/// random poses between random nodes.
+testing::RandomGraph torus(std::uint64_t seed, std::size_t turns, double false_share) {
+  constexpr std::size_t kAround = 100;
+  constexpr double kSigmaM = 0.1, kSigmaRad = 0.05;
+  constexpr double kPi = 3.14159265358979323846;
+  Rng rng(seed);
+  const auto noise = [&] {
+    Vector6d xi;
+    for (int i = 0; i < 6; ++i) xi[i] = (i < 3 ? kSigmaM : kSigmaRad) * rng.normal();
+    return se3::exp(xi);
+  };
+  testing::RandomGraph out;
+  const std::size_t count = turns * kAround;
+  for (std::size_t i = 0; i < count; ++i) {
+    const double large = 2.0 * kPi * static_cast<double>(i) / static_cast<double>(count);
+    const double small = 2.0 * kPi * static_cast<double>(i % kAround) / static_cast<double>(kAround);
+    Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+    pose.rotate(Eigen::AngleAxisd(large, Eigen::Vector3d::UnitZ()));
+    pose.translate(Eigen::Vector3d(0.05 * static_cast<double>(turns), 0.0, 0.0));
+    pose.rotate(Eigen::AngleAxisd(small, Eigen::Vector3d::UnitY()));
+    pose.translate(Eigen::Vector3d(1.0, 0.0, 0.0));
+    pose.linear() = pose.linear() * testing::random_pose(rng, 0.0).linear();
+    out.truth.push_back(pose);
+  }
+  Matrix6d information = Matrix6d::Zero();
+  information.diagonal() << Eigen::Vector3d::Constant(1.0 / (kSigmaM * kSigmaM)),
+      Eigen::Vector3d::Constant(1.0 / (kSigmaRad * kSigmaRad));
+  std::vector<Edge> edges;
+  const auto measure = [&](Key from, Key to, const Eigen::Isometry3d& T, EdgeKind kind) {
+    Edge edge{from, to, se3::normalized(T), information};
+    edge.kind = kind;
+    edges.push_back(edge);
+  };
+  Eigen::Isometry3d drifted = out.truth[0];
+  for (std::size_t i = 0; i < count; ++i) {
+    if (i > 0) {
+      measure(i - 1, i, out.truth[i - 1].inverse() * out.truth[i] * noise(), EdgeKind::kOdometry);
+      drifted = se3::normalized(drifted * edges.back().T_from_to);
+    }
+    Node node;
+    node.key = i;
+    node.pose = drifted;
+    out.graph.add_node(node);
+  }
+  for (std::size_t i = kAround; i < count; ++i) {
+    measure(i - kAround, i, out.truth[i - kAround].inverse() * out.truth[i] * noise(),
+            EdgeKind::kLoopClosure);
+  }
+  out.is_false.assign(edges.size(), false);
+  const auto wrong =
+      static_cast<std::size_t>(false_share / (1.0 - false_share) * static_cast<double>(count - kAround));
+  for (std::size_t k = 0; k < wrong; ++k) {
+    const Key a = rng.below(count - 1), b = rng.below(count - 1);
+    if (a == b) continue;
+    measure(a, b, testing::random_pose(rng, 2.0), EdgeKind::kLoopClosure);
+    out.is_false.push_back(true);
+  }
+  for (const Edge& edge : edges) out.graph.add_edge(edge);
+  out.graph.add_prior(testing::prior_at(0, out.truth[0]));
+  return out;
+}
+
+/// With poses of an estimate that is far off: the path winds itself up.
+testing::RandomGraph wound_up(testing::RandomGraph graph) {
+  std::vector<Eigen::Isometry3d> poses = graph.graph.poses();
+  for (std::size_t i = 0; i < poses.size(); ++i) {
+    poses[i] = Eigen::AngleAxisd(0.05 * static_cast<double>(i), Eigen::Vector3d::UnitZ()) * poses[i];
+  }
+  graph.graph.set_poses(poses);
+  return graph;
+}
+
+struct Kept {
+  std::size_t right = 0, wrong = 0;  ///< Closures
+};
+
+Kept kept_by(const testing::RandomGraph& graph, const GncResult& result) {
+  Kept kept;
+  for (std::size_t e = 0; e < graph.is_false.size(); ++e) {
+    if (known_inlier(graph.graph.edges()[e]) || result.weights[e] <= 0.5) continue;
+    ++(graph.is_false[e] ? kept.wrong : kept.right);
+  }
+  return kept;
+}
+
+std::size_t right_closures(const testing::RandomGraph& graph) {
+  std::size_t count = 0;
+  for (std::size_t e = 0; e < graph.is_false.size(); ++e) {
+    count += !known_inlier(graph.graph.edges()[e]) && !graph.is_false[e] ? 1 : 0;
+  }
+  return count;
+}
+
+/// The first nodes of a graph, with what joins them.
+PoseGraph beginning(const PoseGraph& whole, std::size_t nodes) {
+  PoseGraph out;
+  for (std::size_t i = 0; i < nodes; ++i) out.add_node(whole.nodes()[i]);
+  for (const PriorFactor& prior : whole.priors()) out.add_prior(prior);
+  // In the order in which they come to be: each edge with the later of its ends.
+  for (std::size_t i = 0; i < nodes; ++i) {
+    for (std::size_t e = 0; e < whole.edges().size(); ++e) {
+      const auto ends = whole.ends(e);
+      if (std::max(ends.from, ends.to) == i) out.add_edge(whole.edges()[e]);
+    }
+  }
+  return out;
+}
+
+}  // namespace
+
+TEST_CASE("starts: random false closures are found where odometry says nothing over the whole",
+          "[optimization][gnc]") {
+  for (const double share : {0.1, 0.3, 0.5}) {
+    for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+      CAPTURE(share, seed);
+      const testing::RandomGraph graph = torus(seed, 8, share);
+      const std::size_t right = right_closures(graph);
+      const GncResult result = optimize_gnc(graph.graph);
+      const Kept kept = kept_by(graph, result);
+      REQUIRE(static_cast<double>(kept.right) >= 0.98 * static_cast<double>(right));
+      REQUIRE(kept.wrong == 0);
+      REQUIRE(result.optimization.converged);
+      REQUIRE(result.start == GncStart::kConfirmed);
+      GncOptions once;
+      once.second_start = false;
+      const GncResult graduated = optimize_gnc(graph.graph, {}, once);
+      REQUIRE(2 * result.optimization.factorizations < graduated.optimization.factorizations);
+    }
+  }
+}
+
+TEST_CASE("starts: a closure is confirmed by one near it, a false one between random places is not",
+          "[optimization][gnc]") {
+  testing::RandomGraph graph = torus(7, 8, 0.5);
+  // Two false ones that agree with each other.
+  Edge first = graph.graph.edges().back();
+  first.from = 30;
+  first.to = 300;
+  Edge second = first;
+  second.from = 31;
+  second.to = 301;
+  const auto step = [&](Key k) { return graph.graph.edges()[k].T_from_to; };  // odometry from k to k + 1
+  second.T_from_to = step(30).inverse() * first.T_from_to * step(300);
+  graph.graph.add_edge(first);
+  graph.graph.add_edge(second);
+  graph.is_false.resize(graph.graph.edges().size(), true);
+  const std::vector<char> all(graph.graph.edges().size(), 1);
+  const std::vector<char> confirmed =
+      detail::confirmed_closures(graph.graph, detail::OdometryForest(graph.graph), all, 16.8);
+  std::size_t right = 0, wrong = 0;
+  for (std::size_t e = 0; e + 2 < confirmed.size(); ++e) (graph.is_false[e] ? wrong : right) += confirmed[e];
+  REQUIRE(static_cast<double>(right) > 0.95 * static_cast<double>(right_closures(graph)));
+  REQUIRE(wrong == 0);
+  REQUIRE(confirmed[confirmed.size() - 2] == 1);
+  REQUIRE(confirmed.back() == 1);
+}
+
+TEST_CASE("starts: auto ends where the best of the first estimates does", "[optimization]") {
+  std::size_t stuck = 0;
+  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+    CAPTURE(seed);
+    const PoseGraph graph = wound_up(torus(seed, 20, 0.0)).graph;
+    const auto cost_from = [&](Initialization start) {
+      OptimizerOptions options;
+      options.initialization = start;
+      options.max_iterations = 100;
+      return optimize(graph, options).cost;
+    };
+    const OptimizationResult result = optimize(graph);
+    REQUIRE(result.converged);
+    REQUIRE(result.initialization != Initialization::kFile);
+    const double best = std::min(cost_from(Initialization::kChordal), cost_from(Initialization::kOdometry));
+    REQUIRE(result.cost == Approx(best).epsilon(1e-6));
+    stuck += cost_from(Initialization::kFile) > 1.1 * result.cost ? 1 : 0;
+
+    PoseGraph solved = graph;
+    solved.set_poses(result.poses);
+    const OptimizationResult again = optimize(solved);
+    REQUIRE(again.initialization == Initialization::kFile);
+    REQUIRE(again.factorizations == 1);
+  }
+  CAPTURE(stuck);
+  REQUIRE(stuck >= 1);  // from the graph's own poses it ends at a local minimum
+}
+
+TEST_CASE("starts: continued estimates of a growing graph are those from scratch, for less",
+          "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    testing::RandomGraphOptions shape;
+    shape.nodes = 240;
+    shape.closures = 300;
+    shape.false_closures = 20;
+    const testing::RandomGraph whole = testing::random_graph(rng, shape);
+    GncOptions continuing;
+    continuing.warm_start = true;
+    PoseGraphOptimizer optimizer;
+    int continued = 0, all = 0, factorizations = 0, from_scratch = 0;
+    for (std::size_t nodes = 60; nodes <= 240; nodes += 6, ++all) {
+      const PoseGraph graph = beginning(whole.graph, nodes);
+      const GncResult result = optimizer.optimize_gnc(graph, continuing);
+      const GncResult scratch = optimize_gnc(graph);
+      continued += result.fresh ? 0 : 1;
+      factorizations += result.optimization.factorizations;
+      from_scratch += scratch.optimization.factorizations;
+      REQUIRE(result.truncated_cost <= scratch.truncated_cost * 1.01);
+      REQUIRE(result.weights.size() == graph.edges().size());
+    }
+    REQUIRE(2 * continued > all);
+    REQUIRE(factorizations < from_scratch);
+  }
+}
+
+TEST_CASE("starts: a graph that is another than the last is solved from scratch", "[optimization][gnc]") {
+  Rng rng(3);
+  testing::RandomGraph random = testing::random_graph(rng);
+  GncOptions continuing;
+  continuing.warm_start = true;
+  PoseGraphOptimizer optimizer;
+  REQUIRE(optimizer.optimize_gnc(random.graph, continuing).fresh);
+  const GncResult same = optimizer.optimize_gnc(random.graph, continuing);
+  REQUIRE_FALSE(same.fresh);
+  REQUIRE(same.start == GncStart::kLastResult);
+  SECTION("an edge was taken out") {
+    random.graph.remove_edges_if([&](const Edge& edge) { return &edge == &random.graph.edges().back(); });
+    random.graph.remove_edges_if([&](const Edge& edge) { return edge.from == 0 && edge.to > 1; });
+    REQUIRE(optimizer.optimize_gnc(random.graph, continuing).fresh ==
+            (random.graph.edges().size() != random.is_false.size()));
+  }
+  SECTION("other measurements between the same nodes") {
+    const testing::RandomGraph other = testing::random_graph(rng);
+    REQUIRE(optimizer.optimize_gnc(other.graph, continuing).fresh);
+  }
+  SECTION("it is not asked for") {
+    REQUIRE(optimizer.optimize_gnc(random.graph, GncOptions()).fresh);
+  }
+  SECTION("a bound of 0 on growth") {
+    continuing.warm_growth = 0.0;
+    REQUIRE(optimizer.optimize_gnc(random.graph, continuing).fresh);
+  }
+}
+
+TEST_CASE("starts: a false closure that came first is found when others contradict it",
+          "[optimization][gnc]") {
+  // Its company is odometry alone, which allows it; twenty right ones say otherwise, later.
+  Rng rng(11);
+  testing::RandomGraphOptions shape;
+  shape.nodes = 120;
+  shape.closures = 0;
+  testing::RandomGraph random = testing::random_graph(rng, shape);
+  GncOptions continuing;
+  continuing.warm_start = true;
+  PoseGraphOptimizer optimizer;
+  const Matrix6d information = random.graph.edges().front().information;
+  const auto join = [&](Key from, Key to, const Eigen::Isometry3d& error) {
+    Edge edge{from, to, random.truth[from].inverse() * random.truth[to] * error, information};
+    random.graph.add_edge(edge);
+  };
+  Eigen::Isometry3d wrong = Eigen::Isometry3d::Identity();
+  wrong.translation() = Eigen::Vector3d(0.2, -0.2, 0.1);
+  join(20, 100, wrong);
+  const GncResult early = optimizer.optimize_gnc(random.graph, continuing);
+  REQUIRE(early.inliers == 1);
+  for (Key k = 0; k < 20; ++k) join(15 + k, 95 + k, Eigen::Isometry3d::Identity());
+  const GncResult late = optimizer.optimize_gnc(random.graph, continuing);
+  REQUIRE(late.inliers == 20);
+  REQUIRE(late.weights[119] == 0.0);
+}
+
+TEST_CASE("starts: the inverse between sparse columns is that of the whole matrix", "[optimization]") {
+  Rng rng(4);
+  testing::RandomGraphOptions shape;
+  shape.nodes = 60;
+  shape.closures = 60;
+  const PoseGraph graph = testing::random_graph(rng, shape).graph;
+  const Eigen::MatrixXd H = testing::dense_hessian(graph, nullptr);
+  const detail::PoseProblem problem(graph);
+  ThreadPool pool(1);
+  const std::vector<detail::Pose> poses = problem.poses_of(graph.poses());
+  for (const Factorization kind : {Factorization::kMultifrontal, Factorization::kSimplicial}) {
+    std::vector<Vector6d> residuals;
+    static_cast<void>(problem.cost(poses, pool, residuals));
+    detail::NormalEquations equations(kind);
+    equations.set_structure(problem);
+    equations.linearize(problem, poses, residuals, pool);
+    REQUIRE(equations.hessian().factorize());
+    Eigen::MatrixXd b = Eigen::MatrixXd::Zero(H.rows(), 6);
+    for (const Eigen::Index node : {7, 44}) b.middleRows<6>(6 * node) = Matrix6d::Random();
+    const Eigen::MatrixXd expected = b.transpose() * H.ldlt().solve(b);
+    REQUIRE((equations.hessian().inverse_between(b) - expected).norm() < 1e-8 * expected.norm());
+  }
+}
+
+}  // namespace loopwise
