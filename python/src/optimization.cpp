@@ -45,7 +45,7 @@ void bind_optimization(py::module_& module) {
       "optimize",
       [](const PoseGraph& graph, const py::object& options) {
         Config config;
-        config.replay.back_end.optimization = OptimizerOptions();  // begins with the graph's poses, as in C++
+        config.replay.back_end.optimization = OptimizerOptions();  // those of C++, not of a replay
         apply_section(config, "optimization", options);
         const py::gil_scoped_release release;
         return optimize(graph, config.replay.back_end.optimization);

@@ -64,6 +64,7 @@ class Engine::Impl {
   bool prioritizes_;
   double now_s_ = 0.0;
   bool wants_estimate_ = false, optimizing_ = false, computing_ = false;
+  bool last_wanted_ = false;
   bool estimate_continues_ = false;  // the last one was not made from all starts
   std::multimap<Key, std::pair<double, Factor>> waiting_factors_;  // by a missing node; since when
   std::size_t factors_dropped_ = 0;

@@ -25,13 +25,16 @@ void Engine::Impl::on(event::Settle& settle) {
 }
 
 void Engine::Impl::start_estimate(bool last) {
-  if (last && estimate_continues_) wants_estimate_ = true;
+  if (last && options_.use_back_end && (estimate_continues_ || optimizing_)) {
+    wants_estimate_ = last_wanted_ = true;
+  }
   if (!wants_estimate_ || !options_.use_back_end || optimizing_) return;
   wants_estimate_ = removed_since_job_ = false;
   moved_since_job_.clear();
   optimizing_ = true;
   const auto now = snapshot();
-  emit(effect::Optimize{std::shared_ptr<const PoseGraph>(now, &now->graph), last});
+  emit(effect::Optimize{std::shared_ptr<const PoseGraph>(now, &now->graph),
+                        std::exchange(last_wanted_, false)});
 }
 
 void Engine::Impl::on(event::Optimized& event) {
@@ -128,6 +131,7 @@ void Engine::Impl::publish() {
   auto estimate = std::make_shared<Estimate>();
   estimate->graph = graph_;
   estimate->revision = ++revision_;
+  estimate->continued = estimate_continues_;
   for (const Edge& edge : graph_.edges()) {
     if (edge.kind != EdgeKind::kLoopClosure) continue;
     ++estimate->closures;

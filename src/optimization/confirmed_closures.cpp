@@ -17,6 +17,8 @@ namespace {
 constexpr std::uint32_t kNearSteps = 12;
 /// Neighbours that are tried for a closure, nearest first.
 constexpr std::size_t kMostTried = 12;
+/// Closures that are looked at to either side: many may end at one place.
+constexpr std::size_t kMostSeen = 2000;
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
   return a < b ? b - a : a - b;
@@ -73,8 +75,9 @@ class Confirmation {
   void look_around(std::size_t i) {
     const Seen& own = seen_[i];
     near_.clear();
+    std::size_t seen = 0;
     const auto consider = [&](const Seen& other) {
-      if (other.root != own.root || other.other_root != own.other_root) return false;
+      if (++seen > kMostSeen || other.root != own.root || other.other_root != own.other_root) return false;
       const std::uint32_t at_this_end = steps(other.place, own.place);
       if (at_this_end > kNearSteps) return false;
       const std::uint32_t all = at_this_end + steps(other.other_place, own.other_place);
@@ -82,6 +85,7 @@ class Confirmation {
       return true;
     };
     for (std::size_t k = i + 1; k < seen_.size() && consider(seen_[k]);) ++k;
+    seen = 0;
     for (std::size_t k = i; k > 0 && consider(seen_[k - 1]);) --k;
     std::sort(near_.begin(), near_.end(), [](const auto& a, const auto& b) {
       return std::tie(a.first, a.second->edge) < std::tie(b.first, b.second->edge);

@@ -89,7 +89,6 @@ namespace {
 
 /// Costs that differ by less than this share are equal: the earlier start is taken.
 constexpr double kEqual = 1e-9;
-constexpr double kKept = 0.5;  ///< Least weight of a closure that counts as kept
 
 /// Closures that others confirm start a solution of their own if they are this share of those that odometry
 /// does not rule out, and the solution stands alone if it keeps all but this share of them.
@@ -123,14 +122,11 @@ class Starts {
     std::vector<char> is_new(warm.known.size());
     for (std::size_t k = 0; k < is_new.size(); ++k) is_new[k] = warm.known[k] != 0 ? 0 : 1;
     solver.solve_from(chosen, is_new, out.result);
-    bool in_doubt = false;
+    bool in_doubt = !out.result.optimization.converged;
     for (std::size_t k = 0; k < warm.kept.size(); ++k) {
       in_doubt = in_doubt || (warm.kept[k] != 0 && problem.weight[k] <= kKept);
     }
-    if (!in_doubt) {
-      const std::vector<std::size_t> open = solver.unexplained();
-      in_doubt = std::any_of(open.begin(), open.end(), [&](std::size_t k) { return is_new[k] != 0; });
-    }
+    in_doubt = in_doubt || !solver.unexplained(is_new).empty();
     if (!in_doubt) {
       const double before = static_cast<double>(warm.left_out_confirmed);
       in_doubt = static_cast<double>(left_out_confirmed(problem)) > (1.0 + given_.gnc.warm_growth) * before;
@@ -160,7 +156,7 @@ class Starts {
       lost += confirmed[k] != 0 && problem.weight[k] <= kKept ? 1 : 0;
     }
     const bool beyond_doubt = static_cast<double>(lost) <= kMostConfirmedLost * static_cast<double>(seeds) &&
-                              solver.unexplained().empty() && left_out_confirmed(problem) <= lost;
+                              solver.unexplained(allowed).empty() && left_out_confirmed(problem) <= lost;
     out.result.start = GncStart::kConfirmed;
     take(std::move(out));
     return beyond_doubt;
@@ -289,9 +285,8 @@ double plain_cost(PoseProblem problem, const std::vector<Pose>& poses, ThreadPoo
 }
 
 void solve_from_all(const RobustProblem& given, Starts& starts) {
-  const bool truncates = given.gnc.kernel == RobustKernel::kGncTls || given.gnc.kernel == RobustKernel::kTls;
   const auto stopped = [&] { return given.stop.stop_requested(); };
-  const bool several = given.gnc.second_start && truncates;
+  const bool several = given.gnc.second_start && truncates(given.gnc.kernel);
   if (several && starts.from_confirmed()) return;
   if (!starts.has_solution() || !stopped()) starts.from_first_estimate();
   if (!several) return;
@@ -322,18 +317,21 @@ Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEqua
   const double first_cost = plain_cost(problem, start, pool);
   const RobustProblem given{graph, forest, start, options, gnc, pool, stop};
   Starts starts(given, problem, equations);
-  const bool enough = warm != nullptr && starts.from_last(*warm) && !warm->due;
-  if (!enough && (warm == nullptr || !stop.stop_requested())) {
-    // Not compared with the others by cost: what false closures that agree with each other have bent costs
-    // less, the more of them were taken in, and the test on odometry has no say in it any more.
+  bool fresh = false;
+  const bool enough = warm != nullptr && !warm->due && starts.from_last(*warm);
+  if (!enough && (!starts.has_solution() || !stop.stop_requested())) {
+    // The last result is not compared with the others by cost: what false closures that agree with each other
+    // have bent costs less, the more of them were taken in, and the test on odometry has no say in it any
+    // more.
     starts.forget();
     solve_from_all(given, starts);
+    fresh = true;
   }
-  if (left_out_confirmed != nullptr && !enough) *left_out_confirmed = starts.left_out_confirmed();
+  if (left_out_confirmed != nullptr && fresh) *left_out_confirmed = starts.left_out_confirmed();
   Solution best = std::move(starts).best();
   const int before = result.optimization.factorizations;
   result = std::move(best.result);
-  result.fresh = !enough;
+  result.fresh = fresh;
   result.optimization.cost_initial = first_cost;
   result.optimization.factorizations += before;
   if (stop.stop_requested()) set_termination(Termination::kStopped, result.optimization);

@@ -15,7 +15,7 @@ struct WarmStart {
   std::vector<char> known;  ///< By edge: whether it was there
   std::vector<char> kept;   ///< By edge: whether it was there and kept
   std::size_t left_out_confirmed = 0;  ///< Closures left out that others confirm, by the last fresh solution
-  bool due = false;                    ///< A solution from scratch is due, to compare with
+  bool due = false;                    ///< A solution from scratch is due, and the last result not continued
 };
 
 /// Robust optimisation from `poses`, which end at the result; fills all of it but poses, components, held,
@@ -27,6 +27,13 @@ Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEqua
                   std::vector<Pose>& poses, const WarmStart* warm, const OptimizerOptions& options,
                   const GncOptions& gnc, ThreadPool& pool, const StopToken& stop, GncResult& result,
                   std::size_t* left_out_confirmed = nullptr);
+
+constexpr double kKept = 0.5;  ///< A closure of more weight counts as kept
+
+/// Whether a kernel is that of truncated least squares.
+[[nodiscard]] inline bool truncates(RobustKernel kernel) {
+  return kernel == RobustKernel::kGncTls || kernel == RobustKernel::kTls;
+}
 
 /// ½ Σ rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures.
 [[nodiscard]] double truncated_cost(const PoseGraph& graph, const PoseProblem& problem,

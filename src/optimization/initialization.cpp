@@ -230,15 +230,15 @@ std::vector<FirstEstimate> ranked_estimates(const PoseGraph& graph, const PosePr
   const auto add = [&](Initialization kind) {
     FirstEstimate estimate{kind, first_estimate(kind, graph, problem, options, factorizations), 0.0};
     estimate.cost = cost(estimate.poses);
+    if (!out.empty() && !std::isfinite(out.front().cost)) out.clear();
     if (std::isfinite(estimate.cost) || out.empty()) out.push_back(std::move(estimate));
   };
   add(Initialization::kFile);
   if (out.front().cost <= kGoodStart * 0.5 * std::max(redundant, 1.0)) return out;
   add(Initialization::kOdometry);
   if (chordal) add(Initialization::kChordal);
-  std::stable_sort(out.begin(), out.end(), [](const FirstEstimate& a, const FirstEstimate& b) {
-    return a.cost < b.cost || (std::isfinite(a.cost) && !std::isfinite(b.cost));
-  });
+  std::stable_sort(out.begin(), out.end(),
+                   [](const FirstEstimate& a, const FirstEstimate& b) { return a.cost < b.cost; });
   return out;
 }
 

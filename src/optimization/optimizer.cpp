@@ -87,8 +87,9 @@ std::optional<detail::WarmStart> warm_start(const PoseGraph& graph, const detail
   out.kept = last->kept;
   out.kept.resize(problem.edges(), 0);
   out.left_out_confirmed = last->left_out_confirmed;
-  out.due = static_cast<double>(closures_of(graph)) >=
-            (1.0 + growth) * static_cast<double>(std::max<std::size_t>(last->closures_when_fresh, 1));
+  out.due = growth == 0.0 ||
+            static_cast<double>(closures_of(graph)) >=
+                (1.0 + growth) * static_cast<double>(std::max<std::size_t>(last->closures_when_fresh, 1));
   return out;
 }
 
@@ -111,7 +112,7 @@ struct PoseGraphOptimizer::Impl {
   /// wins. \returns the poses
   std::vector<detail::Pose> minimize_from_best(const PoseGraph& graph, const detail::PoseProblem& problem,
                                                const StopToken& stop, OptimizationResult& result) {
-    int factorizations = 0;
+    int iterations = 0, factorizations = 0;
     auto estimates = detail::ranked_estimates(
         graph, problem, options, true, [&](const auto& poses) { return cost(problem, poses); },
         factorizations);
@@ -119,16 +120,19 @@ struct PoseGraphOptimizer::Impl {
     for (detail::FirstEstimate& estimate : estimates) {
       OptimizationResult attempt;
       attempt.initialization = estimate.kind;
-      attempt.factorizations = factorizations;
       minimize(problem, estimate.poses, stop, attempt);
+      iterations += attempt.iterations;
+      factorizations += attempt.factorizations;
+      const bool stopped = attempt.termination == Termination::kStopped;
       if (best.empty() || attempt.cost < result.cost) {
-        attempt.iterations += result.iterations;
         result = std::move(attempt);
         best = std::move(estimate.poses);
       }
-      factorizations = result.factorizations;
-      if (result.converged || result.termination == Termination::kStopped) break;
+      if (stopped) detail::set_termination(Termination::kStopped, result);
+      if (stopped || result.converged) break;
     }
+    result.iterations = iterations;
+    result.factorizations = factorizations;
     return best;
   }
 
@@ -190,8 +194,9 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
   const detail::SingleThreadedBlas guard;
   GncResult result;
   const detail::PoseProblem problem(graph);
+  const bool may_continue = options.warm_start && detail::truncates(options.kernel);
   const std::optional<detail::WarmStart> warm =
-      options.warm_start ? warm_start(graph, problem, impl_->last, options.warm_growth) : std::nullopt;
+      may_continue ? warm_start(graph, problem, impl_->last, options.warm_growth) : std::nullopt;
   Initialization from = impl_->options.initialization;
   std::vector<detail::Pose> poses;
   if (from == Initialization::kAuto) {
@@ -207,15 +212,15 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
     poses = detail::first_estimate(from, graph, problem, impl_->options, result.optimization.factorizations);
   }
   std::size_t left_out_confirmed = warm ? warm->left_out_confirmed : 0;
-  const detail::Freedom freedom = detail::solve_gnc(
-      graph, problem, impl_->equations, poses, warm ? &*warm : nullptr, impl_->options, options, impl_->pool,
-      stop, result, options.warm_start ? &left_out_confirmed : nullptr);
+  const detail::Freedom freedom =
+      detail::solve_gnc(graph, problem, impl_->equations, poses, warm ? &*warm : nullptr, impl_->options,
+                        options, impl_->pool, stop, result, may_continue ? &left_out_confirmed : nullptr);
   result.optimization.initialization = from;
   result.optimization.poses = problem.isometries(poses);
   describe_graph(graph, freedom, result.optimization);
-  if (options.warm_start && result.optimization.termination != Termination::kStopped) {
+  if (may_continue && result.optimization.termination != Termination::kStopped) {
     std::vector<char> kept(problem.edges());
-    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = result.weights[k] > 0.5 ? 1 : 0;
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = result.weights[k] > detail::kKept ? 1 : 0;
     const std::size_t when_fresh = result.fresh ? closures_of(graph) : impl_->last->closures_when_fresh;
     impl_->last = LastResult{problem,         graph.keys(), result.optimization.poses,
                              std::move(kept), when_fresh,   left_out_confirmed};

@@ -53,7 +53,6 @@ constexpr double kLeastGain = 1e-9;
 /// Closures for which the covariance of the whole solution is asked: six half solutions by the factor for
 /// each.
 constexpr std::size_t kMostExact = 256;
-constexpr double kKept = 0.5;  ///< Least weight of a closure that counts as kept
 
 }  // namespace
 
@@ -313,11 +312,11 @@ std::vector<char> RobustSolver::plausible(const std::vector<char>& known,
   return chosen;
 }
 
-std::vector<std::size_t> RobustSolver::unexplained() {
+std::vector<std::size_t> RobustSolver::unexplained(const std::vector<char>& among) {
   const OdometryForest rests_on = forest_of_kept();
   std::vector<std::size_t> out;
   for (const std::size_t k : closures_) {
-    if (problem_.weight[k] <= kKept && !contradicted(k, rests_on)) out.push_back(k);
+    if (among[k] != 0 && problem_.weight[k] <= kKept && !contradicted(k, rests_on)) out.push_back(k);
   }
   test_by_all(out);
   out.erase(std::remove_if(out.begin(), out.end(), [&](std::size_t k) { return contradicted_by_all(k); }),
@@ -336,6 +335,7 @@ void RobustSolver::test_by_all(const std::vector<std::size_t>& edges) {
   const Freedom& freedom = equations_.freedom();
   Eigen::MatrixXd ends(6 * static_cast<Eigen::Index>(freedom.nodes.size()), 6);
   for (const std::size_t k : open) {
+    if (stopped()) return;
     // Error on the right of the relative pose: δ_to − Ad(T_to⁻¹ T_from) δ_from.
     const std::size_t from = problem_.from(k), to = problem_.to(k);
     const std::uint32_t a = freedom.variable[from], b = freedom.variable[to];
@@ -358,6 +358,7 @@ bool RobustSolver::factorize_here() {
   std::vector<Vector6d> residuals;
   problem_.cost(poses_, pool_, residuals);
   equations_.set_structure(problem_);
+  if (equations_.hessian().variables() == 0) return false;
   equations_.linearize(problem_, poses_, residuals, pool_);
   ++total_.factorizations;
   return equations_.hessian().factorize() && equations_.hessian().smallest_pivot().first >= kSingularPivot;
@@ -401,6 +402,7 @@ void RobustSolver::reweight() {
   }
   StepControl last;
   if (!stopped()) descend(last);
+  equations_.set_structure(problem_);  // also where a stop came before the first descent
   bring_back();
 }
 
@@ -429,6 +431,7 @@ void RobustSolver::bring_back() {
 
 void RobustSolver::report(GncResult& result) {
   total_.factorizations += result.optimization.factorizations;  // of the first estimate
+  equations_.set_structure(problem_);  // whose components the caller asks for, also where nothing was solved
   if (stopped_ || total_.termination == Termination::kStopped) set_termination(Termination::kStopped, total_);
   result.optimization = std::move(total_);
   result.outer_iterations = outer_;

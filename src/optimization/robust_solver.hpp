@@ -54,8 +54,8 @@ class RobustSolver {
   /// nor the poses and what they rest on contradict. All by edge.
   [[nodiscard]] std::vector<char> plausible(const std::vector<char>& known,
                                             const std::vector<char>& kept) const;
-  /// Closures (edges) that the result leaves out although what it rests on does not contradict them.
-  [[nodiscard]] std::vector<std::size_t> unexplained();
+  /// Closures (edges) of some that the result leaves out although what it rests on does not contradict them.
+  [[nodiscard]] std::vector<std::size_t> unexplained(const std::vector<char>& among);
 
  private:
   void evaluate();

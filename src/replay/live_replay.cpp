@@ -84,6 +84,7 @@ class LiveRun {
     callbacks.on_estimate = [this](const std::shared_ptr<const Estimate>& estimate) {
       take_weights(estimate->graph, result_.computed);
       ++result_.optimizations;
+      if (estimate->continued) ++result_.continued_optimizations;
       if (hooks_.moment) {
         show(ReplayMoment::Kind::kBatch, now_s_, estimate->graph, odometry_, module_.statistics().candidates);
       }

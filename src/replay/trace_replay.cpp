@@ -118,6 +118,7 @@ class TraceRun {
       return;
     }
     ++result_.optimizations;
+    if (!optimized.gnc.fresh) ++result_.continued_optimizations;
     result_.optimization_s += watch.seconds();
     if (estimate_hash(optimized.gnc) != traced.estimate_hash) {
       result_.problems.add(

@@ -281,7 +281,7 @@ class Run {
     }
     feed(event::NoMoreScans{});
     feed(event::BatchDone{not_computed()});
-    feed(event::Settle{true});
+    feed(event::Settle{!result_.interrupted});
     const CandidatePool& pool = engine_.pool();
     take_account(pool, result_);
     result_.mission_time_s = now_s_;

@@ -288,6 +288,9 @@ TEST_CASE("optimize: bad input has a documented result or a clear error", "[opti
     REQUIRE_THROWS_AS(optimize(graph, from_graph), InputError);
     REQUIRE_THROWS_AS(optimize_gnc(graph, from_graph), InputError);
     REQUIRE(optimize(graph).cost == 0.0);  // auto has another estimate
+    OptimizerOptions short_of_steps;
+    short_of_steps.max_iterations = 0;
+    REQUIRE(optimize(graph, short_of_steps).cost == 0.0);
   }
   SECTION("an edge from a node to itself, NaN and indefinite information do not get into a graph") {
     Edge edge = random.graph.edges()[3];

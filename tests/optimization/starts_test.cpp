@@ -284,6 +284,79 @@ TEST_CASE("starts: a false closure that came first is found when others contradi
   REQUIRE(late.weights[119] == 0.0);
 }
 
+TEST_CASE("starts: kernels that do not truncate are not continued", "[optimization][gnc]") {
+  Rng rng(6);
+  testing::RandomGraphOptions shape;
+  shape.false_closures = 4;
+  const PoseGraph graph = testing::random_graph(rng, shape).graph;
+  GncOptions cauchy;
+  cauchy.kernel = RobustKernel::kCauchy;
+  cauchy.warm_start = true;
+  PoseGraphOptimizer optimizer;
+  const GncResult first = optimizer.optimize_gnc(graph, cauchy),
+                  again = optimizer.optimize_gnc(graph, cauchy);
+  REQUIRE(again.fresh);
+  REQUIRE(again.weights == first.weights);
+}
+
+TEST_CASE("starts: closures that contradict each other alone leave nothing free", "[optimization][gnc]") {
+  PoseGraph graph;
+  for (const Key key : {0, 1}) {
+    Node node;
+    node.key = key;
+    node.pose.translation().x() = 5.0 * static_cast<double>(key);
+    graph.add_node(node);
+  }
+  OptimizerOptions options;
+  options.initialization = Initialization::kFile;
+  GncOptions gnc;
+  gnc.warm_start = true;
+  PoseGraphOptimizer optimizer(options);
+  REQUIRE(optimizer.optimize_gnc(graph, gnc).inliers == 0);
+  for (const double x : {0.0, 10.0}) {
+    Edge edge{0, 1, Eigen::Isometry3d::Identity(), 100.0 * Matrix6d::Identity()};
+    edge.T_from_to.translation().x() = x;
+    graph.add_edge(edge);
+  }
+  const GncResult result = optimizer.optimize_gnc(graph, gnc);
+  REQUIRE(result.inliers <= 1);
+  REQUIRE(result.optimization.poses.size() == 2);
+}
+
+TEST_CASE("starts: a request to stop before anything is solved leaves the graph's components",
+          "[optimization][gnc]") {
+  Rng rng(8);
+  PoseGraph large;
+  for (const std::size_t offset : {0, 100}) {
+    for (Key k = 0; k < 40; ++k) {
+      Node node;
+      node.key = offset + k;
+      large.add_node(node);
+      if (k == 0) continue;
+      Edge edge{node.key - 1, node.key, testing::random_pose(rng), Matrix6d::Identity()};
+      edge.kind = EdgeKind::kOdometry;
+      large.add_edge(edge);
+    }
+  }
+  const PoseGraph small = testing::random_graph(rng).graph;
+  StopSource stop;
+  stop.request_stop();
+  for (const RobustKernel kernel :
+       {RobustKernel::kGncTls, RobustKernel::kTls, RobustKernel::kCauchy, RobustKernel::kGemanMcClure}) {
+    GncOptions gnc;
+    gnc.kernel = kernel;
+    gnc.warm_start = true;
+    PoseGraphOptimizer fresh, used;
+    REQUIRE(used.optimize_gnc(large, gnc).optimization.held.size() == 2);
+    for (PoseGraphOptimizer* optimizer : {&fresh, &used}) {
+      const GncResult result = optimizer->optimize_gnc(small, gnc, stop.token());
+      REQUIRE(result.optimization.termination == Termination::kStopped);
+      REQUIRE(result.optimization.components == 1);
+      REQUIRE(result.optimization.held.empty());
+    }
+  }
+}
+
 TEST_CASE("starts: the inverse between sparse columns is that of the whole matrix", "[optimization]") {
   Rng rng(4);
   testing::RandomGraphOptions shape;

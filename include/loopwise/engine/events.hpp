@@ -70,6 +70,7 @@ struct Estimate {
   std::uint64_t revision = 0;  ///< Counts up from 1.
   std::size_t closures = 0;    ///< Of the edges, loop closures.
   std::size_t inliers = 0;     ///< Of these, with a weight above 0.5.
+  bool continued = false;      ///< It only continues the one before (GncOptions::warm_start).
 };
 
 /// Events: what Engine::handle() takes. Those that are not listed here are KeyFrame, Factors,

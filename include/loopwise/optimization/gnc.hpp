@@ -83,13 +83,14 @@ struct GncOptions {
         "warm_start", self.warm_start, any_value(),
         "For a graph that is optimised again and again as it grows: start from the last result, with the new "
         "closures that neither it nor the odometry contradicts. The result of a solution from scratch "
-        "replaces it where a kept closure is lost, where a new one is neither kept nor contradicted, where "
-        "more left-out closures confirm each other than before, and as warm_growth says. Replays and the "
-        "live module do it.");
+        "replaces it where it did not converge, where a kept closure is lost, where a new one is neither "
+        "kept "
+        "nor contradicted, and as warm_growth says. For truncated least squares alone. Replays and the live "
+        "module do it.");
     field(
         "warm_growth", self.warm_growth, at_least(0.0),
         "For warm_start: a solution from scratch is due when there are this share more closures than at the "
-        "last one. 0: always.");
+        "last one, or more left-out closures that others confirm. 0: always.");
   }
 };
 
