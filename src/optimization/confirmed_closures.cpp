@@ -10,6 +10,8 @@
 #include <loopwise/core/se3.hpp>
 #include <loopwise/optimization/gnc.hpp>
 
+#include "innovation.hpp"
+
 namespace loopwise::detail {
 namespace {
 
@@ -22,11 +24,6 @@ constexpr std::size_t kMostSeen = 2000;
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
   return a < b ? b - a : a - b;
-}
-
-Matrix6d on_the_right(const Matrix6d& between, const Eigen::Isometry3d& T) {
-  const Matrix6d ad = se3::adjoint(T.inverse());
-  return ad * between * ad.transpose();
 }
 
 /// A closure as seen from one of its ends.

@@ -18,18 +18,16 @@ namespace {
 
 constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
 
-/// Covariance of the errors between two nodes, which the forest has on the left of poses, as an error on the
-/// right of the pose T.
-Matrix6d on_the_right(const Matrix6d& between, const Eigen::Isometry3d& T) {
-  const Matrix6d ad = se3::adjoint(T.inverse());
-  return ad * between * ad.transpose();
-}
-
 double steps(std::uint32_t a, std::uint32_t b) {
   return std::abs(static_cast<double>(a) - b);
 }
 
 }  // namespace
+
+Matrix6d on_the_right(const Matrix6d& between, const Eigen::Isometry3d& T) {
+  const Matrix6d ad = se3::adjoint(T.inverse());
+  return ad * between * ad.transpose();
+}
 
 double squared_innovation(const Matrix6d& information, const Matrix6d& prediction, const Vector6d& r) {
   // S⁻¹ = (I + ΩP)⁻¹Ω holds for a semi-definite Ω too.

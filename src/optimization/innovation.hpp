@@ -23,8 +23,13 @@ namespace loopwise::detail {
 [[nodiscard]] double squared_innovation(const Matrix6d& information, const Matrix6d& prediction,
                                         const Vector6d& residual);
 
-/// d² of one edge whose residual at an estimate is known: S has the way between its ends through the forest.
-/// NaN where there is none. Edges of the forest that the estimate rests on bound from above what it allows.
+/// Covariance of the errors between two nodes, which the forest has on the left of poses, as an error on the
+/// right of the pose T.
+[[nodiscard]] Matrix6d on_the_right(const Matrix6d& between, const Eigen::Isometry3d& T);
+
+/// d² of one edge with its residual at an estimate. S is the edge's covariance plus that of the path between
+/// its ends in the forest; NaN if no path joins them. The forest holds some of the edges that the estimate
+/// keeps, so S is at least the covariance of the whole estimate.
 [[nodiscard]] double innovation(const PoseGraph& graph, const OdometryForest& forest, std::size_t edge,
                                 const Vector6d& residual);
 

@@ -54,10 +54,6 @@ constexpr double kLeastGain = 1e-9;
 /// each.
 constexpr std::size_t kMostExact = 256;
 
-}  // namespace
-
-namespace {
-
 /// Whether the poses of two nodes depend on each other: one component, or both held by priors.
 bool tied(const Freedom& freedom, std::size_t a, std::size_t b) {
   const auto is_anchored = [&](std::size_t node) {

@@ -328,7 +328,6 @@ void show_hard(const BenchGraph& graph, const std::string& what, int& failures) 
   const std::vector<Eigen::Isometry3d> clean = optimize(clean_graph).poses;
   const double clean_ms = 1e3 * (thread_seconds() - start);
   const double c2 = chi_squared_quantile(GncOptions().inlier_probability, 6);
-  BenchGraph judged = graph;
   std::vector<char> beyond(graph.is_false.size(), 0);
   for (std::size_t e = 0; e < beyond.size(); ++e) {
     const Edge& edge = graph.graph.edges()[e];
