@@ -77,6 +77,8 @@ class BlockCholesky {
   [[nodiscard]] Panels panels() const;
   /// The same without a copy where that is possible; factorize() again before any further use of the factor.
   [[nodiscard]] Panels take_panels();
+  /// The fronts of the analysis. \pre factorization() is kMultifrontal, and there are variables
+  [[nodiscard]] FrontShape front_shape() const { return fronts_->front_shape(); }
 
  private:
   struct Cholmod;

@@ -4,8 +4,7 @@
 #include <algorithm>
 #include <cstring>
 
-#include "blas.hpp"
-#include "front_kernels.hpp"
+#include "front.hpp"
 
 namespace loopwise::detail {
 namespace {
@@ -14,43 +13,6 @@ namespace {
 bool worth_merging(std::size_t block_columns, double zeros, double entries) {
   const double share = zeros / entries;
   return block_columns <= 2 ? share < 0.4 : block_columns <= 8 ? share < 0.2 : share < 0.05;
-}
-
-/// From this many operations on, BLAS updates a front faster than the kernels.
-constexpr double kBlasFlops = 1e7;
-/// Columns that the kernels eliminate before BLAS updates the rest of a wide panel.
-constexpr int kStripe = 96;
-
-/// Cholesky factor of the first w columns of a front, which has h rows. \returns the columns done, w unless a
-/// pivot is not positive.
-int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l) {
-  for (int stripe = 0; stripe < w; stripe += kStripe) {
-    const int end = std::min(w, stripe + kStripe);
-    double* block = l + static_cast<std::ptrdiff_t>(stripe) * (h + 1);
-    if (stripe > 0) {
-      blas::gemm('N', 'T', h - stripe, end - stripe, stripe, -1.0, l + stripe, h, l + stripe, h, 1.0, block,
-                 h);
-    }
-    for (int j = stripe; j < end; j += 6, block += 6 * (static_cast<std::ptrdiff_t>(h) + 1)) {
-      const double* left = l + static_cast<std::ptrdiff_t>(stripe) * h + j;
-      if (j > stripe) kernel.multiply(h - j, j - stripe, left, h, left, h, block, h, false);
-      if (!kernel.eliminate(h - j, block, h)) return j;
-    }
-  }
-  return w;
-}
-
-/// U −= R·Rᵀ, or U = −R·Rᵀ if `overwrite`, of which the lower triangle counts; R is m×w.
-void subtract_product(const FrontKernels& kernel, int m, int w, const double* r, int ldr, double* u,
-                      bool overwrite) {
-  if (static_cast<double>(m) * m * w > kBlasFlops) {
-    blas::syrk(m, w, -1.0, r, ldr, overwrite ? 0.0 : 1.0, u, m);
-    return;
-  }
-  for (int j = 0; j < m; j += 6) {
-    kernel.multiply(m - j, w, r + j, ldr, r + j, ldr, u + static_cast<std::ptrdiff_t>(j) * (m + 1), m,
-                    overwrite);
-  }
 }
 
 }  // namespace
@@ -161,29 +123,8 @@ void MultifrontalCholesky::make_rows(const BlockPattern& pattern) {
 
 void MultifrontalCholesky::add_child(std::size_t child, const double* update, std::size_t s, double* l,
                                      double* u) const {
-  const auto columns = first_[s + 1] - first_[s];
-  const auto h = static_cast<std::size_t>(width(s) + below(s)), m = static_cast<std::size_t>(below(s));
-  const std::uint32_t* relative = relative_.data() + row_start_[child];
-  const std::size_t count = row_start_[child + 1] - row_start_[child], ld = 6 * count;
-  for (std::size_t j = 0; j < count; ++j) {
-    // The front is split: columns of the panel are in l, all others in u, which leaves out the panel's rows.
-    const bool in_panel = relative[j] < columns;
-    const std::uint32_t skipped = in_panel ? 0 : columns;
-    const std::size_t stride = in_panel ? h : m;
-    double* column = (in_panel ? l : u) + 6 * std::size_t{relative[j] - skipped} * stride;
-    // Rows that stay neighbours are added in one go.
-    for (std::size_t i = j; i < count;) {
-      std::size_t end = i + 1;
-      while (end < count && relative[end] == relative[end - 1] + 1) ++end;
-      const double* from = update + 6 * j * ld + 6 * i;
-      double* to = column + 6 * std::size_t{relative[i] - skipped};
-      const std::size_t length = 6 * (end - i);
-      for (int c = 0; c < 6; ++c, from += ld, to += stride) {
-        for (std::size_t r = 0; r < length; ++r) to[r] += from[r];
-      }
-      i = end;
-    }
-  }
+  add_update(relative_.data() + row_start_[child], row_start_[child + 1] - row_start_[child], update,
+             first_[s + 1] - first_[s], static_cast<std::size_t>(below(s)), l, u);
 }
 
 void MultifrontalCholesky::load_panel(std::size_t s, const double* values, double* l) const {
@@ -244,27 +185,10 @@ void MultifrontalCholesky::solve_lower(double* x) const {
   const FrontKernels& kernel = front_kernels();
   std::vector<double> gathered;
   for (std::size_t s = 0; s < size(); ++s) {
-    const int w = width(s), m = below(s), h = w + m;
-    const double* l = values_.data() + value_start_[s];
     double* top = x + 6 * static_cast<std::size_t>(first_[s]);
-    if (std::all_of(top, top + w, [](double value) { return value == 0.0; })) continue;
-    gathered.assign(static_cast<std::size_t>(m), 0.0);
-    for (int j = 0; j < w; j += 6) {
-      const double* block = l + static_cast<std::ptrdiff_t>(j) * h + j;
-      double* y = top + j;
-      for (int c = 0; c < 6; ++c) {
-        y[c] /= block[c * (h + 1)];
-        for (int r = c + 1; r < 6; ++r) y[r] -= block[c * h + r] * y[c];
-      }
-      kernel.apply(w - j - 6, block + 6, h, y, y + 6);
-      kernel.apply(m, l + static_cast<std::ptrdiff_t>(j) * h + w, h, y, gathered.data());
-    }
-    const std::uint32_t* row = rows_.data() + row_start_[s];
-    for (int i = 0; i < m; i += 6, ++row) {
-      for (int r = 0; r < 6; ++r)
-        x[6 * static_cast<std::size_t>(*row) + static_cast<std::size_t>(r)] +=
-            gathered[static_cast<std::size_t>(i + r)];
-    }
+    if (std::all_of(top, top + width(s), [](double value) { return value == 0.0; })) continue;
+    solve_front_lower(kernel, width(s), below(s), values_.data() + value_start_[s],
+                      rows_.data() + row_start_[s], top, x, gathered);
   }
 }
 
@@ -272,24 +196,8 @@ void MultifrontalCholesky::solve_upper(double* x) const {
   const FrontKernels& kernel = front_kernels();
   std::vector<double> gathered;
   for (std::size_t s = size(); s-- > 0;) {
-    const int w = width(s), m = below(s), h = w + m;
-    const double* l = values_.data() + value_start_[s];
-    double* top = x + 6 * static_cast<std::size_t>(first_[s]);
-    gathered.resize(static_cast<std::size_t>(m));
-    const std::uint32_t* row = rows_.data() + row_start_[s];
-    for (int i = 0; i < m; i += 6, ++row) {
-      std::copy_n(x + 6 * static_cast<std::size_t>(*row), 6, gathered.begin() + i);
-    }
-    for (int j = w - 6; j >= 0; j -= 6) {
-      const double* block = l + static_cast<std::ptrdiff_t>(j) * h + j;
-      double* y = top + j;
-      kernel.apply_transposed(m, l + static_cast<std::ptrdiff_t>(j) * h + w, h, gathered.data(), y);
-      kernel.apply_transposed(w - j - 6, block + 6, h, y + 6, y);
-      for (int c = 5; c >= 0; --c) {
-        for (int r = c + 1; r < 6; ++r) y[c] -= block[c * h + r] * y[r];
-        y[c] /= block[c * (h + 1)];
-      }
-    }
+    solve_front_upper(kernel, width(s), below(s), values_.data() + value_start_[s],
+                      rows_.data() + row_start_[s], x + 6 * static_cast<std::size_t>(first_[s]), x, gathered);
   }
 }
 

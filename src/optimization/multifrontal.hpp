@@ -16,6 +16,14 @@ struct BlockPattern {
   std::vector<std::uint32_t> rows;
 };
 
+/// Which block columns make a front, and which block rows lie below them.
+struct FrontShape {
+  std::vector<std::uint32_t> first;    ///< Block column, by front; one more at the end.
+  std::vector<int> parent;             ///< Front, -1 for a root
+  std::vector<std::size_t> row_start;  ///< Into rows, by front; one more at the end.
+  std::vector<std::uint32_t> rows;
+};
+
 /// Cholesky factorisation of a symmetric matrix of 6×6 blocks by fronts (Duff and Reid, 1983): the columns of
 /// L that share their rows are one dense panel, and what they take from later columns is handed to the parent
 /// in the elimination tree as a dense matrix. Columns are in postorder. Pose graphs have hundreds of small
@@ -41,6 +49,7 @@ class MultifrontalCholesky {
   /// Squares of the diagonal of L. \pre factorize() was successful
   [[nodiscard]] std::vector<double> pivots() const;
   [[nodiscard]] Panels panels() const;
+  [[nodiscard]] FrontShape front_shape() const { return {first_, parent_, row_start_, rows_}; }
   /// The same without a copy; the next factorisation starts afresh.
   [[nodiscard]] Panels take_panels();
 

@@ -20,146 +20,6 @@ constexpr std::size_t kFactorsPerTask = 256;
 /// Tasks whose linearisations are held at a time.
 constexpr std::size_t kTasksPerWave = 64;
 
-Pose inverse(const Eigen::Isometry3d& T) {
-  Pose out;
-  out.R = T.linear().transpose();
-  out.t = -(out.R * T.translation());
-  return out;
-}
-
-Eigen::Isometry3d isometry(const Pose& pose) {
-  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-  T.linear() = pose.R;
-  T.translation() = pose.t;
-  return T;
-}
-
-/// T_a⁻¹ T_b
-Pose between(const Pose& a, const Pose& b) {
-  Pose out;
-  out.R.noalias() = a.R.transpose() * b.R;
-  out.t.noalias() = a.R.transpose() * (b.t - a.t);
-  return out;
-}
-
-Vector6d log_of_product(const Pose& z, const Pose& e) {
-  Vector6d r;
-  const Matrix3d R = z.R * e.R;
-  const Vector3d phi = se3::so3_log(R);
-  const Vector3d t = z.R * e.t + z.t;
-  // J_l⁻¹(φ) t without forming the matrix.
-  const Vector3d wt = phi.cross(t);
-  r.head<3>() = t - 0.5 * wt + se3::detail::inverse_jacobian_coefficient(phi.squaredNorm()) * phi.cross(wt);
-  r.tail<3>() = phi;
-  return r;
-}
-
-/// What one factor adds to the system: blocks of H and of g.
-struct Contribution {
-  Matrix6d to_to, to_from, from_from;
-  Vector6d g_to, g_from;
-};
-
-/// J_r⁻¹(r) = [a b; 0 a].
-struct InverseJacobian {
-  Matrix3d a, b;
-};
-
-/// Coefficients of Q(ρ, φ) (se3::detail::jacobian_coupling) as functions of θ².
-struct CouplingCoefficients {
-  double c1, c2, c3;
-};
-
-CouplingCoefficients coupling_coefficients(double t2) {
-  if (t2 < 1.0) {
-    // Σ (−θ²)ᵏ/(2k+3)!, Σ (−θ²)ᵏ/(2k+4)!, Σ (k+1)(−θ²)ᵏ/(2k+5)!: the first left out is below 1e-17.
-    static constexpr double k1[] = {
-        1.0 / 6,        1.0 / 120,        1.0 / 5040,          1.0 / 362880,
-        1.0 / 39916800, 1.0 / 6227020800, 1.0 / 1307674368000, 1.0 / 355687428096000};
-    static constexpr double k2[] = {
-        1.0 / 24,        1.0 / 720,         1.0 / 40320,          1.0 / 3628800,
-        1.0 / 479001600, 1.0 / 87178291200, 1.0 / 20922789888000, 1.0 / 6402373705728000};
-    static constexpr double k3[] = {
-        1.0 / 120,        2.0 / 5040,          3.0 / 362880,          4.0 / 39916800,
-        5.0 / 6227020800, 6.0 / 1307674368000, 7.0 / 355687428096000, 8.0 / 121645100408832000.0};
-    CouplingCoefficients c{k1[7], k2[7], k3[7]};
-    for (int k = 6; k >= 0; --k) {
-      c.c1 = k1[k] - t2 * c.c1;
-      c.c2 = k2[k] - t2 * c.c2;
-      c.c3 = k3[k] - t2 * c.c3;
-    }
-    return c;
-  }
-  const double t = std::sqrt(t2), sine = std::sin(t), cosine = std::cos(t);
-  return {(t - sine) / (t2 * t), (0.5 * t2 + cosine - 1.0) / (t2 * t2),
-          (2.0 * t + t * cosine - 3.0 * sine) / (2.0 * t2 * t2 * t)};
-}
-
-/// se3::right_jacobian_inverse without its matrix products: with d = φ·ρ, [φ][ρ][φ] = −d[φ] and
-/// [φ]²[ρ] + [ρ][φ]² = −θ²[ρ] − d[φ], so Q is a skew matrix plus outer products.
-InverseJacobian inverse_right_jacobian(const Vector3d& rho, const Vector3d& phi) {
-  const double t2 = phi.squaredNorm(), d = phi.dot(rho);
-  const Matrix3d outer = phi * phi.transpose();
-  const Matrix3d square = outer - t2 * Matrix3d::Identity();  // [φ]²
-  InverseJacobian j;
-  j.a = Matrix3d::Identity() + 0.5 * se3::skew(phi) + se3::detail::inverse_jacobian_coefficient(t2) * square;
-  const CouplingCoefficients c = coupling_coefficients(t2);
-  const Matrix3d mixed = rho * phi.transpose();
-  // Q(−ρ, −φ): the skew part changes its sign, d and the outer products do not.
-  Matrix3d Q = c.c1 * (mixed + mixed.transpose()) - 2.0 * c.c3 * d * square;
-  Q.diagonal().array() -= 2.0 * c.c1 * d;
-  Q -= se3::skew((0.5 - c.c2 * t2) * rho + (2.0 * c.c2 - c.c1) * d * phi);
-  j.b = -(j.a * Q * j.a);
-  return j;
-}
-
-/// With J_to = J_r⁻¹(r) =: [a b; 0 a] and J_from = −J_to Ad(E), E = T_to⁻¹ T_from, all blocks follow from
-/// A = J_toᵀ wΩ J_to and B = A Ad(E), taken apart into 3×3 products because half of every factor is zero or
-/// repeated.
-void linearize_factor(const Vector6d& r, const Pose& e, const Matrix6d& information, double weight, bool both,
-                      Contribution& out) {
-  const Vector3d rho = r.head<3>(), phi = r.tail<3>();
-  const InverseJacobian j = inverse_right_jacobian(rho, phi);
-  const Matrix3d &a = j.a, &b = j.b;
-  const Matrix3d o11 = weight * information.topLeftCorner<3, 3>();
-  const Matrix3d o12 = weight * information.topRightCorner<3, 3>();
-  const Matrix3d o22 = weight * information.bottomRightCorner<3, 3>();
-
-  const Matrix3d oa11 = o11 * a;
-  const Matrix3d oa12 = o11 * b + o12 * a;
-  const Matrix3d oa22 = o12.transpose() * b + o22 * a;
-  const Matrix3d a11 = a.transpose() * oa11;
-  const Matrix3d a12 = a.transpose() * oa12;
-  const Matrix3d a22 = b.transpose() * oa12 + a.transpose() * oa22;
-  out.to_to.topLeftCorner<3, 3>() = a11;
-  out.to_to.topRightCorner<3, 3>() = a12;
-  out.to_to.bottomLeftCorner<3, 3>() = a12.transpose();
-  out.to_to.bottomRightCorner<3, 3>() = a22;
-
-  const Vector3d u = o11 * rho + o12 * phi, v = o12.transpose() * rho + o22 * phi;
-  const Vector3d g_t = a.transpose() * u, g_r = b.transpose() * u + a.transpose() * v;
-  out.g_to.head<3>() = g_t;
-  out.g_to.tail<3>() = g_r;
-  if (!both) return;
-
-  const Matrix3d& R = e.R;
-  const Matrix3d tR = se3::skew(e.t) * R;
-  const Matrix3d b11 = a11 * R, b12 = a11 * tR + a12 * R;
-  const Matrix3d b21 = a12.transpose() * R, b22 = a12.transpose() * tR + a22 * R;
-  out.to_from.topLeftCorner<3, 3>() = -b11;
-  out.to_from.topRightCorner<3, 3>() = -b12;
-  out.to_from.bottomLeftCorner<3, 3>() = -b21;
-  out.to_from.bottomRightCorner<3, 3>() = -b22;
-  const Matrix3d c11 = R.transpose() * b11, c12 = R.transpose() * b12;
-  const Matrix3d c22 = tR.transpose() * b12 + R.transpose() * b22;
-  out.from_from.topLeftCorner<3, 3>() = c11;
-  out.from_from.topRightCorner<3, 3>() = c12;
-  out.from_from.bottomLeftCorner<3, 3>() = c12.transpose();
-  out.from_from.bottomRightCorner<3, 3>() = c22;
-  out.g_from.head<3>() = -(R.transpose() * g_t);
-  out.g_from.tail<3>() = -(tR.transpose() * g_t + R.transpose() * g_r);
-}
-
 void add_block(double* values, const BlockCholesky::Slot& slot, const Matrix6d& m) {
   double* to = values + slot.offset;
   if (slot.transposed) {
@@ -407,19 +267,10 @@ void NormalEquations::linearize_gradient(const PoseProblem& problem, const std::
   gradient_.setZero();
   for (const std::size_t k : active_) {
     const std::uint32_t from = freedom_.variable[problem.from(k)], to = freedom_.variable[problem.to(k)];
-    const Vector6d& r = residuals[k];
-    const InverseJacobian j = inverse_right_jacobian(r.head<3>(), r.tail<3>());
-    const Vector6d weighted = problem.weight[k] * (problem.information(k) * r);
-    const Vector3d g_t = j.a.transpose() * weighted.head<3>();
-    const Vector3d g_r = j.b.transpose() * weighted.head<3>() + j.a.transpose() * weighted.tail<3>();
-    if (to != Freedom::kFixed) {
-      gradient_.segment<3>(6 * static_cast<Eigen::Index>(to)) += g_t;
-      gradient_.segment<3>(6 * static_cast<Eigen::Index>(to) + 3) += g_r;
-    }
-    if (from == Freedom::kFixed) continue;
     const Pose e = between(poses[problem.to(k)], poses[problem.from(k)]);
-    gradient_.segment<3>(6 * static_cast<Eigen::Index>(from)) -= e.R.transpose() * g_t;
-    gradient_.segment<3>(6 * static_cast<Eigen::Index>(from) + 3) -= e.R.transpose() * (g_r - e.t.cross(g_t));
+    const FactorGradient g = factor_gradient(residuals[k], e, problem.information(k), problem.weight[k]);
+    if (to != Freedom::kFixed) gradient_.segment<6>(6 * static_cast<Eigen::Index>(to)) += g.to;
+    if (from != Freedom::kFixed) gradient_.segment<6>(6 * static_cast<Eigen::Index>(from)) += g.from;
   }
   linearize_auxiliary(problem, poses, false);
 }
@@ -429,11 +280,7 @@ std::vector<Pose> NormalEquations::moved(const std::vector<Pose>& poses, const E
   for (std::size_t v = 0; v < freedom_.nodes.size(); ++v) {
     const auto xi = step.segment<6>(6 * static_cast<Eigen::Index>(v));
     Pose& pose = out[freedom_.nodes[v]];
-    const Vector3d phi = xi.tail<3>();
-    pose.t += pose.R * (se3::so3_left_jacobian(phi) * xi.head<3>());
-    // One step of Newton's iteration for the polar factor keeps rounding from building up.
-    const Matrix3d R = pose.R * se3::so3_exp(phi);
-    pose.R = 1.5 * R - 0.5 * R * (R.transpose() * R);
+    pose = moved_by(pose, xi);
   }
   return out;
 }

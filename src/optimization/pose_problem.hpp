@@ -12,13 +12,9 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 #include "block_cholesky.hpp"
+#include "linearization.hpp"
 
 namespace loopwise::detail {
-
-struct Pose {
-  Eigen::Matrix3d R = Eigen::Matrix3d::Identity();
-  Eigen::Vector3d t = Eigen::Vector3d::Zero();
-};
 
 /// A pose graph laid out for solving. Factor k is edge k of the graph, then come the priors: a prior is an
 /// edge from a last, fixed node at the origin. A factor of weight 0 does not take part. Ranges and gravity,

@@ -34,6 +34,7 @@
 #include "blas_threads.hpp"
 #include "optimization_ceres.hpp"
 #include "optimization_graphs.hpp"
+#include "optimization_incremental.hpp"
 #include "pose_problem.hpp"
 
 namespace loopwise::bench {
@@ -538,12 +539,15 @@ int main(int argc, char** argv) {
     bench::compare_sizes(bound(2, 10000), bound(3, 0), argc > 4 ? argv[4] : "");
   } else if (what == "groups") {
     bench::compare_groups();
+  } else if (what == "batches") {
+    bench::compare_batches(argc > 2 ? static_cast<std::size_t>(std::atoll(argv[2])) : 10000,
+                           argc > 3 ? static_cast<std::uint64_t>(std::atoll(argv[3])) : 1);
   } else if (what == "hard") {
     bench::compare_hard(argc > 2 ? static_cast<std::uint64_t>(std::atoll(argv[2])) : 1);
   } else {
     std::fprintf(stderr,
                  "usage: %s files FOLDER | gnc FOLDER [CLEAN.g2o] | sizes [LARGEST [SMALLEST [SVG]]] | "
-                 "groups | hard [SEED]\n",
+                 "groups | hard [SEED] | batches [POSES [SEED]]\n",
                  argv[0]);
     return 2;
   }

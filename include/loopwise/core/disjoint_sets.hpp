@@ -18,6 +18,9 @@ class DisjointSets {
     std::iota(parent_.begin(), parent_.end(), std::uint32_t{0});
   }
 
+  /// One more number, which is a set of its own.
+  void add() { parent_.push_back(static_cast<std::uint32_t>(parent_.size())); }
+
   /// The smallest number of the set that holds i.
   [[nodiscard]] std::uint32_t root(std::size_t i) {
     auto at = static_cast<std::uint32_t>(i);

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <memory>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+
+namespace loopwise {
+
+/// How closely an incremental estimate follows the minimum.
+struct IncrementalOptions {
+  /// Steps below this share of the deviation that a node's own factors leave it (1/√Hjj) are not followed
+  /// further, until they have added up to more.
+  double tolerance = 0.05;
+  /// An update ends with a step that lowers the cost by what the linear model promised, but for this share.
+  /// The next update goes on from there. 0: update until the steps are below the tolerance.
+  double remainder = 0.05;
+  /// A factor is linearised anew when the relative pose of its two ends has turned by this much (rad), or
+  /// moved by this share of its length (at least 1 m), since it was linearised.
+  double relinearization = 0.005;
+  /// Bound on the steps of one update. The next update goes on.
+  int max_iterations = 30;
+
+  /// Calls visitor(name, field, bounds, description) for every option.
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("tolerance", self.tolerance, Bounds{0.0, 1.0, true},
+          "Steps below this share of the deviation that a node's own factors leave it are not followed.");
+    field("remainder", self.remainder, between(0.0, 1.0),
+          "An update ends with a step that lowers the cost as promised, but for this share. 0: when the "
+          "steps are below the tolerance.");
+    field("relinearization", self.relinearization, between(0.0, 1.0),
+          "A factor is linearised anew when its two ends have turned against each other by this (rad), or "
+          "moved by this share of their distance (at least 1 m).");
+    field("max_iterations", self.max_iterations, at_least(1), "Bound on the steps of one update.");
+  }
+};
+
+/// What one update did.
+struct IncrementalResult {
+  double cost = 0.0;             ///< ½ Σ w rᵀΩr over all factors, at the poses.
+  int iterations = 0;            ///< Steps taken.
+  bool converged = false;        ///< The last step was below the tolerance, or there was nothing to do.
+  bool reordered = false;        ///< The order of elimination was made anew, and everything factorised.
+  bool from_scratch = false;     ///< The whole graph was optimised as by optimize().
+  std::size_t moved = 0;         ///< Poses that an iteration computed a step for, with repetitions.
+  std::size_t relinearized = 0;  ///< Factors linearised anew, with repetitions.
+  double seconds = 0.0;          ///< Wall time. For reports only.
+};
+
+/// The minimum of a pose graph that grows, kept up to date at a cost that depends on how much of the graph
+/// new measurements move, and little on its size. Same cost function and same minimum as optimize(), up to
+/// IncrementalOptions::tolerance: the gradient is always exact, and the factorised Hessian, which only
+/// decides the way there, is renewed where the estimate has changed.
+///
+/// After the method of Kaess et al. (iSAM2, IJRR 2012): an elimination tree whose part above changed columns
+/// is factorised again, and steps that are followed down the tree as far as they matter. Works on the weights
+/// that edges carry; robust optimisation is for optimize_gnc(), whose weights set_weight() takes. Memory:
+/// about twice that of the factor. Not for several threads at a time.
+class LOOPWISE_EXPORT IncrementalOptimizer {
+ public:
+  /// Optimises a graph as optimize() does, and goes on from there.
+  /// \param optimization of the first solution and of those from scratch
+  /// \throws OptionError; InputError as optimize() does
+  explicit IncrementalOptimizer(PoseGraph graph = {}, const OptimizerOptions& optimization = {},
+                                const IncrementalOptions& options = {});
+  ~IncrementalOptimizer();
+  IncrementalOptimizer(IncrementalOptimizer&&) noexcept;
+  IncrementalOptimizer& operator=(IncrementalOptimizer&&) noexcept;
+
+  /// Adds a node. Its pose is where the next update starts from: usually the present pose of the node before
+  /// it, times the odometry between the two. \returns its number. \throws as PoseGraph::add_node()
+  std::size_t add_node(const Node& node);
+  /// \returns the edge's number. \throws as PoseGraph::add_edge()
+  std::size_t add_edge(const Edge& edge);
+  /// \throws as PoseGraph::add_prior()
+  std::size_t add_prior(const PriorFactor& prior);
+  /// \throws as PoseGraph::add_range()
+  std::size_t add_range(const RangeFactor& range);
+  /// \throws as PoseGraph::add_gravity()
+  std::size_t add_gravity(const GravityFactor& gravity);
+  /// \throws InputError unless the weight lies in [0, 1]
+  void set_weight(std::size_t edge, double weight);
+
+  /// Brings the poses to the minimum. One that is stopped ends at the poses of its last step.
+  /// \throws InputError if the cost of the poses is not finite
+  IncrementalResult update(const StopToken& stop = {});
+
+  /// Everything that was added, with the poses of the last update.
+  [[nodiscard]] const PoseGraph& graph() const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// One front of a multifrontal factorisation: w columns that share their rows as a dense panel `l` of w + m
+/// rows, and the m×m matrix `u` that it hands to its parent. All counts of scalars are multiples of six.
+#pragma once
+
+#include <algorithm>
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include "blas.hpp"
+#include "front_kernels.hpp"
+
+namespace loopwise::detail {
+
+/// From this many operations on, BLAS updates a front faster than the kernels.
+inline constexpr double kBlasFlops = 1e7;
+/// Columns that the kernels eliminate before BLAS updates the rest of a wide panel.
+inline constexpr int kStripe = 96;
+
+/// Cholesky factor of the first w columns of a front, which has h rows. \returns the columns done, w unless a
+/// pivot is not positive.
+inline int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l) {
+  for (int stripe = 0; stripe < w; stripe += kStripe) {
+    const int end = std::min(w, stripe + kStripe);
+    double* block = l + static_cast<std::ptrdiff_t>(stripe) * (h + 1);
+    if (stripe > 0) {
+      blas::gemm('N', 'T', h - stripe, end - stripe, stripe, -1.0, l + stripe, h, l + stripe, h, 1.0, block,
+                 h);
+    }
+    for (int j = stripe; j < end; j += 6, block += 6 * (static_cast<std::ptrdiff_t>(h) + 1)) {
+      const double* left = l + static_cast<std::ptrdiff_t>(stripe) * h + j;
+      if (j > stripe) kernel.multiply(h - j, j - stripe, left, h, left, h, block, h, false);
+      if (!kernel.eliminate(h - j, block, h)) return j;
+    }
+  }
+  return w;
+}
+
+/// U −= R·Rᵀ, or U = −R·Rᵀ if `overwrite`, of which the lower triangle counts; R is m×w.
+inline void subtract_product(const FrontKernels& kernel, int m, int w, const double* r, int ldr, double* u,
+                             bool overwrite) {
+  if (static_cast<double>(m) * m * w > kBlasFlops) {
+    blas::syrk(m, w, -1.0, r, ldr, overwrite ? 0.0 : 1.0, u, m);
+    return;
+  }
+  for (int j = 0; j < m; j += 6) {
+    kernel.multiply(m - j, w, r + j, ldr, r + j, ldr, u + static_cast<std::ptrdiff_t>(j) * (m + 1), m,
+                    overwrite);
+  }
+}
+
+/// Adds what a child hands up to the front of its parent.
+/// \param relative the child's `count` block rows as block rows of the parent, ascending
+/// \param columns block columns of the parent's panel
+/// \param m the parent's scalar rows below its panel
+inline void add_update(const std::uint32_t* relative, std::size_t count, const double* update,
+                       std::uint32_t columns, std::size_t m, double* l, double* u) {
+  const std::size_t h = 6 * std::size_t{columns} + m, ld = 6 * count;
+  for (std::size_t j = 0; j < count; ++j) {
+    // The front is split: columns of the panel are in l, all others in u, which leaves out the panel's rows.
+    const bool in_panel = relative[j] < columns;
+    const std::uint32_t skipped = in_panel ? 0 : columns;
+    const std::size_t stride = in_panel ? h : m;
+    double* column = (in_panel ? l : u) + 6 * std::size_t{relative[j] - skipped} * stride;
+    // Rows that stay neighbours are added in one go.
+    for (std::size_t i = j; i < count;) {
+      std::size_t end = i + 1;
+      while (end < count && relative[end] == relative[end - 1] + 1) ++end;
+      const double* from = update + 6 * j * ld + 6 * i;
+      double* to = column + 6 * std::size_t{relative[i] - skipped};
+      const std::size_t length = 6 * (end - i);
+      for (int c = 0; c < 6; ++c, from += ld, to += stride) {
+        for (std::size_t r = 0; r < length; ++r) to[r] += from[r];
+      }
+      i = end;
+    }
+  }
+}
+
+/// One front's part of x := L⁻¹x.
+/// \param rows block rows of the m rows below, \param top its columns' part of x
+inline void solve_front_lower(const FrontKernels& kernel, int w, int m, const double* l,
+                              const std::uint32_t* rows, double* top, double* x,
+                              std::vector<double>& gathered) {
+  const int h = w + m;
+  gathered.assign(static_cast<std::size_t>(m), 0.0);
+  for (int j = 0; j < w; j += 6) {
+    const double* block = l + static_cast<std::ptrdiff_t>(j) * h + j;
+    double* y = top + j;
+    for (int c = 0; c < 6; ++c) {
+      y[c] /= block[c * (h + 1)];
+      for (int r = c + 1; r < 6; ++r) y[r] -= block[c * h + r] * y[c];
+    }
+    kernel.apply(w - j - 6, block + 6, h, y, y + 6);
+    kernel.apply(m, l + static_cast<std::ptrdiff_t>(j) * h + w, h, y, gathered.data());
+  }
+  for (int i = 0; i < m; i += 6, ++rows) {
+    for (int r = 0; r < 6; ++r) {
+      x[6 * static_cast<std::size_t>(*rows) + static_cast<std::size_t>(r)] +=
+          gathered[static_cast<std::size_t>(i + r)];
+    }
+  }
+}
+
+/// One front's part of x := L⁻ᵀx; parameters as of solve_front_lower().
+inline void solve_front_upper(const FrontKernels& kernel, int w, int m, const double* l,
+                              const std::uint32_t* rows, double* top, const double* x,
+                              std::vector<double>& gathered) {
+  const int h = w + m;
+  gathered.resize(static_cast<std::size_t>(m));
+  for (int i = 0; i < m; i += 6, ++rows) {
+    std::copy_n(x + 6 * static_cast<std::size_t>(*rows), 6, gathered.begin() + i);
+  }
+  for (int j = w - 6; j >= 0; j -= 6) {
+    const double* block = l + static_cast<std::ptrdiff_t>(j) * h + j;
+    double* y = top + j;
+    kernel.apply_transposed(m, l + static_cast<std::ptrdiff_t>(j) * h + w, h, gathered.data(), y);
+    kernel.apply_transposed(w - j - 6, block + 6, h, y + 6, y);
+    for (int c = 5; c >= 0; --c) {
+      for (int r = c + 1; r < 6; ++r) y[c] -= block[c * h + r] * y[r];
+      y[c] /= block[c * (h + 1)];
+    }
+  }
+}
+
+}  // namespace loopwise::detail

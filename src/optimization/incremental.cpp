@@ -1,0 +1,263 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/optimization/incremental.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include <loopwise/core/clock.hpp>
+
+#include "blas_threads.hpp"
+#include "incremental_problem.hpp"
+
+namespace loopwise {
+
+using detail::NumberSet;
+using detail::Pose;
+
+namespace {
+
+/// A step that promises more than this share of what the one before did is a sign of slow descent.
+constexpr double kFastDescent = 0.1;
+/// Of the share from which factors are linearised anew, then.
+constexpr double kTightening = 0.1;
+
+}  // namespace
+
+struct IncrementalOptimizer::Impl {
+  detail::IncrementalProblem problem;
+  OptimizerOptions optimization;
+  IncrementalOptions options;
+  ThreadPool pool;
+  NumberSet moved;                     // nodes whose poses `problem.graph` does not have yet
+  std::vector<double> x;               // the step, six values a position; zero between solutions
+  std::vector<std::uint32_t> visited;  // positions that the step was found for
+
+  Impl(const OptimizerOptions& of_whole, const IncrementalOptions& of_updates)
+      : optimization(of_whole), options(of_updates), pool(of_whole.threads) {}
+
+  struct Step {
+    double promise = 0.0;  ///< By how much the linear model lowers the cost
+    double largest = 0.0;  ///< Element, in units of the deviation that a node's own factors leave it
+  };
+  Step solve();
+  double move(std::vector<Pose>& before);
+  void move_back(const std::vector<Pose>& before);
+  void close();
+  void store_poses();
+  void from_scratch(Initialization initialization, const StopToken& stop, IncrementalResult& result);
+  void descend(const StopToken& stop, IncrementalResult& result);
+  void update(const StopToken& stop, IncrementalResult& result);
+
+  [[nodiscard]] bool small(const Step& step) const {
+    return step.promise < 0.5 * options.tolerance * options.tolerance || step.largest < options.tolerance;
+  }
+};
+
+/// The step for the open nodes, in `x`.
+IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve() {
+  detail::IncrementalCholesky& cholesky = problem.cholesky();
+  const std::vector<std::uint32_t>& open = problem.open().numbers();
+  x.resize(6 * problem.poses.size(), 0.0);
+  const auto at = [&](std::uint32_t position) {
+    return Eigen::Map<Vector6d>(x.data() + 6 * std::size_t{position});
+  };
+  std::vector<std::uint32_t> nonzero;
+  for (const std::uint32_t node : open) {
+    nonzero.push_back(cholesky.position(node));
+    at(nonzero.back()) = problem.held(node) ? Vector6d(Vector6d::Zero()) : Vector6d(-problem.gradient(node));
+  }
+  cholesky.solve(nonzero, options.tolerance, x, visited);
+  Step step;
+  for (std::size_t i = 0; i < open.size(); ++i) {
+    step.promise -= 0.5 * problem.gradient(open[i]).dot(at(nonzero[i]));
+  }
+  for (const std::uint32_t p : visited) {
+    for (int k = 0; k < 6; ++k)
+      step.largest = std::max(step.largest, std::abs(at(p)[k]) * cholesky.firmness(p, k));
+  }
+  return step;
+}
+
+/// Moves the visited nodes by `x`, which is zero afterwards. \returns what the cost has changed by
+double IncrementalOptimizer::Impl::move(std::vector<Pose>& before) {
+  before.clear();
+  problem.clear_changed();
+  for (const std::uint32_t p : visited) {
+    Eigen::Map<Vector6d> step(x.data() + 6 * std::size_t{p});
+    const std::uint32_t node = problem.cholesky().variable_at(p);
+    before.push_back(problem.poses[node]);
+    if (!problem.held(node)) problem.poses[node] = detail::moved_by(problem.poses[node], step);
+    step.setZero();
+    problem.change_at(node);
+  }
+  return problem.evaluate_changed(pool);
+}
+
+void IncrementalOptimizer::Impl::move_back(const std::vector<Pose>& before) {
+  for (std::size_t i = 0; i < visited.size(); ++i) {
+    problem.poses[problem.cholesky().variable_at(visited[i])] = before[i];
+  }
+  problem.evaluate_changed(pool);
+}
+
+/// After the last step: what it left to do lies at the border of the visited nodes.
+void IncrementalOptimizer::Impl::close() {
+  NumberSet been;
+  been.grow(problem.poses.size());
+  for (const std::uint32_t p : visited) been.insert(problem.cholesky().variable_at(p));
+  problem.open().clear();
+  problem.reopen_changed(&been);
+}
+
+void IncrementalOptimizer::Impl::store_poses() {
+  for (const std::uint32_t node : moved.numbers()) {
+    problem.graph.set_pose(problem.graph.nodes()[node].key, detail::isometry(problem.poses[node]));
+  }
+  moved.clear();
+}
+
+void IncrementalOptimizer::Impl::from_scratch(Initialization initialization, const StopToken& stop,
+                                              IncrementalResult& result) {
+  store_poses();
+  OptimizerOptions from = optimization;
+  from.initialization = initialization;
+  const OptimizationResult solution = loopwise::optimize(problem.graph, from, stop);
+  problem.graph.set_poses(solution.poses);
+  for (std::size_t i = 0; i < problem.poses.size(); ++i) {
+    problem.poses[i].R = solution.poses[i].linear();
+    problem.poses[i].t = solution.poses[i].translation();
+  }
+  problem.reorder();
+  problem.open().clear();
+  // Where this fails, so does the next update, which is then made from scratch too.
+  static_cast<void>(problem.factorize());
+  result.from_scratch = result.reordered = true;
+  result.iterations += solution.iterations;
+  result.converged = solution.converged;
+}
+
+/// Quasi-Newton: exact gradient, a Hessian of poses near by. A step that does not lower the cost is taken
+/// back and tried with the Hessian of the present poses; if that fails too the damped optimiser takes over.
+void IncrementalOptimizer::Impl::descend(const StopToken& stop, IncrementalResult& result) {
+  std::vector<Pose> before;
+  double share = options.relinearization, promise = std::numeric_limits<double>::infinity();
+  while (result.iterations < options.max_iterations && !problem.open().numbers().empty()) {
+    if (stop.stop_requested()) return;
+    if (!problem.factorize()) return from_scratch(Initialization::kFile, stop, result);
+    const Step step = solve();
+    const double difference = move(before);
+    if (!std::isfinite(difference) || (difference > 1e-12 * problem.cost() && !small(step))) {
+      move_back(before);
+      if (share == 0.0 || problem.relinearize(0.0) == 0)
+        return from_scratch(Initialization::kFile, stop, result);
+      share = 0.0;
+      continue;
+    }
+    ++result.iterations;
+    result.moved += visited.size();
+    for (const std::uint32_t p : visited) moved.insert(problem.cholesky().variable_at(p));
+    // Where the steps shrink slowly the Hessian is of poses that are too far away.
+    share = step.promise > kFastDescent * promise ? kTightening * std::min(share, options.relinearization)
+                                                  : options.relinearization;
+    promise = step.promise;
+    result.relinearized += problem.relinearize(share);
+    if (small(step)) {
+      result.converged = true;
+      return close();
+    }
+    problem.open().clear();
+    problem.reopen_changed();
+    if (std::abs(step.promise + difference) < options.remainder * step.promise) return;
+  }
+}
+
+void IncrementalOptimizer::Impl::update(const StopToken& stop, IncrementalResult& result) {
+  moved.grow(problem.poses.size());
+  if (problem.poses.size() > 2 * problem.absorbed_nodes()) {
+    const bool first = problem.absorbed_nodes() == 0;
+    from_scratch(first ? optimization.initialization : Initialization::kFile, stop, result);
+  } else {
+    result.reordered = problem.reorder_is_due();
+    if (result.reordered) {
+      problem.reorder();
+    } else {
+      problem.absorb();
+    }
+    descend(stop, result);
+    store_poses();
+    result.converged = result.converged || problem.open().numbers().empty();
+  }
+  result.cost = problem.cost();
+}
+
+IncrementalOptimizer::IncrementalOptimizer(PoseGraph graph, const OptimizerOptions& optimization,
+                                           const IncrementalOptions& options) {
+  validate(optimization);
+  validate(options);
+  impl_ = std::make_unique<Impl>(optimization, options);
+  detail::IncrementalProblem& problem = impl_->problem;
+  problem.graph = std::move(graph);
+  const PoseGraph& g = problem.graph;
+  for (std::size_t i = 0; i < g.nodes().size(); ++i) problem.know_node(i);
+  for (std::size_t k = 0; k < g.edges().size(); ++k) problem.know_edge(k);
+  for (std::size_t k = 0; k < g.priors().size(); ++k) problem.know_prior(k);
+  for (std::size_t k = 0; k < g.ranges().size(); ++k) problem.know_range(k);
+  for (std::size_t k = 0; k < g.gravities().size(); ++k) problem.know_gravity(k);
+  if (!g.empty()) static_cast<void>(update());
+}
+IncrementalOptimizer::~IncrementalOptimizer() = default;
+IncrementalOptimizer::IncrementalOptimizer(IncrementalOptimizer&&) noexcept = default;
+IncrementalOptimizer& IncrementalOptimizer::operator=(IncrementalOptimizer&&) noexcept = default;
+
+std::size_t IncrementalOptimizer::add_node(const Node& node) {
+  const std::size_t number = impl_->problem.graph.add_node(node);
+  impl_->problem.know_node(number);
+  return number;
+}
+
+std::size_t IncrementalOptimizer::add_edge(const Edge& edge) {
+  const std::size_t number = impl_->problem.graph.add_edge(edge);
+  impl_->problem.know_edge(number);
+  return number;
+}
+
+std::size_t IncrementalOptimizer::add_prior(const PriorFactor& prior) {
+  const std::size_t number = impl_->problem.graph.add_prior(prior);
+  impl_->problem.know_prior(number);
+  return number;
+}
+
+std::size_t IncrementalOptimizer::add_range(const RangeFactor& range) {
+  const std::size_t number = impl_->problem.graph.add_range(range);
+  impl_->problem.know_range(number);
+  return number;
+}
+
+std::size_t IncrementalOptimizer::add_gravity(const GravityFactor& gravity) {
+  const std::size_t number = impl_->problem.graph.add_gravity(gravity);
+  impl_->problem.know_gravity(number);
+  return number;
+}
+
+void IncrementalOptimizer::set_weight(std::size_t edge, double weight) {
+  impl_->problem.graph.set_weight(edge, weight);
+  impl_->problem.weight_changed(edge);
+}
+
+IncrementalResult IncrementalOptimizer::update(const StopToken& stop) {
+  const Stopwatch watch;
+  const detail::SingleThreadedBlas guard;
+  IncrementalResult result;
+  impl_->update(stop, result);
+  result.seconds = watch.seconds();
+  return result;
+}
+
+const PoseGraph& IncrementalOptimizer::graph() const {
+  return impl_->problem.graph;
+}
+
+}  // namespace loopwise

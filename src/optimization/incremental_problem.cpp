@@ -1,0 +1,400 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "incremental_problem.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <loopwise/optimization/auxiliary_factors.hpp>
+
+namespace loopwise::detail {
+namespace {
+
+/// What a new order of elimination costs, in factorisations of everything: it is due when updates have cost
+/// that much more than factorisations by a new order would have.
+constexpr double kFactorizationsPerOrder = 8.0;
+/// Added to the diagonal of the Hessian where a node is held: no step moves it then.
+constexpr double kHeld = 1e30;
+
+Pose inverse_of(const Pose& pose) {
+  return {pose.R.transpose(), -(pose.R.transpose() * pose.t)};
+}
+
+Pose pose_of(const Node& node) {
+  Pose out;
+  out.R = Eigen::Quaterniond(node.pose.linear()).normalized().toRotationMatrix();
+  out.t = node.pose.translation();
+  return out;
+}
+
+/// How much a relative pose has changed: rad, or share of its length (at least 1 m).
+double change(const Pose& before, const Pose& now) {
+  const double angle = (before.R - now.R).norm() / std::sqrt(2.0);  // 2 sin(θ/2)
+  return std::max(angle, (before.t - now.t).norm() / std::max(1.0, before.t.norm()));
+}
+
+/// A range depends on nothing but T_to⁻¹ T_from.
+LinearizedRange linearize_range(const RangeFactor& range, const Pose& e) {
+  return linearize(range, isometry(e), Eigen::Isometry3d::Identity());
+}
+
+}  // namespace
+
+void NumberSet::sort() {
+  if (numbers_.size() < in_.size() / 16) {
+    std::sort(numbers_.begin(), numbers_.end());
+    return;
+  }
+  numbers_.clear();
+  for (std::uint32_t i = 0; i < in_.size(); ++i) {
+    if (in_[i] != 0) numbers_.push_back(i);
+  }
+}
+
+std::uint32_t IncrementalProblem::add_factor(Kind kind, std::size_t index, std::uint32_t from,
+                                             std::uint32_t to) {
+  const auto k = static_cast<std::uint32_t>(factors_.size());
+  factors_.push_back({kind, static_cast<std::uint32_t>(index), from, to});
+  active_.push_back(0);
+  drift_.push_back(0.0);
+  changed_.grow(factors_.size());
+  factors_of_[to].push_back(k);
+  if (from != kFixed) factors_of_[from].push_back(k);
+  return k;
+}
+
+void IncrementalProblem::know_node(std::size_t node) {
+  poses.push_back(pose_of(graph.nodes()[node]));
+  factors_of_.emplace_back();
+  gradients_.emplace_back(Vector6d::Zero());
+  diagonals_.emplace_back(Matrix6d::Zero());
+  open_.grow(poses.size());
+}
+
+void IncrementalProblem::know_edge(std::size_t edge) {
+  const PoseGraph::Ends ends = graph.ends(edge);
+  edge_factor_.push_back(add_factor(Kind::kEdge, edge, static_cast<std::uint32_t>(ends.from),
+                                    static_cast<std::uint32_t>(ends.to)));
+  weight_changed(edge);
+}
+
+void IncrementalProblem::know_prior(std::size_t prior) {
+  waiting_.push_back(add_factor(Kind::kPrior, prior, kFixed, number(graph.priors()[prior].key)));
+}
+
+void IncrementalProblem::know_range(std::size_t range) {
+  const RangeFactor& factor = graph.ranges()[range];
+  waiting_.push_back(add_factor(Kind::kRange, range, number(factor.from), number(factor.to)));
+}
+
+void IncrementalProblem::know_gravity(std::size_t gravity) {
+  waiting_.push_back(add_factor(Kind::kGravity, gravity, kFixed, number(graph.gravities()[gravity].key)));
+}
+
+/// T_to⁻¹ T_from, on which all that a factor says depends; of gravity the pose of its node.
+Pose IncrementalProblem::relative_pose(const Factor& f) const {
+  if (f.kind == Kind::kGravity) return poses[f.to];
+  return f.from == kFixed ? inverse_of(poses[f.to]) : between(poses[f.to], poses[f.from]);
+}
+
+IncrementalProblem::Measurement IncrementalProblem::measurement(const Factor& f) const {
+  if (f.kind == Kind::kEdge) {
+    const Edge& edge = graph.edges()[f.index];
+    return {edge.T_from_to, edge.information};
+  }
+  const PriorFactor& prior = graph.priors()[f.index];
+  return {prior.pose, prior.information};
+}
+
+/// Blocks of the Hessian at a relative pose.
+Contribution IncrementalProblem::contribution(const Factor& f, const Pose& e) const {
+  Contribution out;
+  if (f.kind == Kind::kRange) {
+    const LinearizedRange l = linearize_range(graph.ranges()[f.index], e);
+    out.to_to = l.J_to.transpose() * l.J_to;
+    out.to_from = l.J_to.transpose() * l.J_from;
+    out.from_from = l.J_from.transpose() * l.J_from;
+  } else if (f.kind == Kind::kGravity) {
+    const LinearizedGravity l = linearize(graph.gravities()[f.index], isometry(e));
+    out.to_to = l.J.transpose() * l.J;
+  } else {
+    const Measurement m = measurement(f);
+    const Vector6d r = log_of_product(inverse(m.Z), inverse_of(e));
+    linearize_factor(r, e, m.information, f.weight, f.from != kFixed, out);
+  }
+  return out;
+}
+
+/// At a relative pose.
+void IncrementalProblem::evaluate(const Factor& f, const Pose& e, FactorGradient& gradient,
+                                  double& cost) const {
+  if (f.kind == Kind::kRange) {
+    const LinearizedRange l = linearize_range(graph.ranges()[f.index], e);
+    gradient = {l.J_to.transpose() * l.r, l.J_from.transpose() * l.r};
+    cost = 0.5 * l.r * l.r;
+  } else if (f.kind == Kind::kGravity) {
+    const LinearizedGravity l = linearize(graph.gravities()[f.index], isometry(e));
+    gradient.to = l.J.transpose() * l.r;
+    cost = 0.5 * l.r.squaredNorm();
+  } else {
+    const Measurement m = measurement(f);
+    const Vector6d r = log_of_product(inverse(m.Z), inverse_of(e));
+    gradient = factor_gradient(r, e, m.information, f.weight);
+    cost = 0.5 * f.weight * r.dot(m.information * r);
+  }
+}
+
+/// Puts a factor's gradient and cost into the sums (sign 1), or takes them out (-1).
+void IncrementalProblem::add_to_sums(const Factor& f, double sign) {
+  gradients_[f.to] += sign * f.gradient.to;
+  if (f.from != kFixed) gradients_[f.from] += sign * f.gradient.from;
+  cost_ += sign * f.cost;
+}
+
+/// Adds a factor's part to the Hessian (sign 1), or takes it out (-1).
+void IncrementalProblem::add_to_hessian(Factor& f, double sign) {
+  const Contribution c = contribution(f, f.linear);
+  diagonals_[f.to] += sign * c.to_to;
+  cholesky_.touch(f.to);
+  if (f.from == kFixed) return;
+  diagonals_[f.from] += sign * c.from_from;
+  f.cross = c.to_from;
+  cholesky_.touch(f.from);
+}
+
+void IncrementalProblem::linearize_here(std::uint32_t k) {
+  factors_[k].linear = relative_pose(factors_[k]);
+  drift_[k] = 0.0;
+  add_to_hessian(factors_[k], 1.0);
+}
+
+void IncrementalProblem::activate(std::uint32_t k) {
+  Factor& f = factors_[k];
+  active_[k] = 1;
+  evaluate(f, relative_pose(f), f.gradient, f.cost);
+  add_to_sums(f, 1.0);
+  linearize_here(k);
+  reopen(f);
+}
+
+void IncrementalProblem::deactivate(std::uint32_t k) {
+  if (active_[k] == 0) return;
+  Factor& f = factors_[k];
+  add_to_hessian(f, -1.0);
+  add_to_sums(f, -1.0);
+  reopen(f);
+  active_[k] = 0;
+}
+
+void IncrementalProblem::reopen(const Factor& f) {
+  open_.insert(f.to);
+  if (f.from != kFixed) open_.insert(f.from);
+}
+
+void IncrementalProblem::absorb() {
+  const auto first = static_cast<std::uint32_t>(absorbed_nodes_);
+  for (; absorbed_nodes_ < poses.size(); ++absorbed_nodes_) {
+    cholesky_.append();
+    components_.add();
+    has_prior_.push_back(0);
+    held_at_.push_back(kFixed);
+    held_.push_back(0);
+  }
+  std::vector<std::uint32_t> arrived;
+  arrived.swap(waiting_);
+  for (const std::uint32_t k : arrived) take_in(k);
+  if (came_apart_) {
+    find_components();
+  } else {
+    hold_components(first);
+  }
+}
+
+void IncrementalProblem::take_in(std::uint32_t k) {
+  Factor& f = factors_[k];
+  const bool was_active = active_[k] != 0;
+  deactivate(k);
+  if (f.kind == Kind::kEdge) f.weight = graph.edges()[f.index].weight;
+  if (f.weight == 0.0) {
+    came_apart_ |= was_active;
+    return;
+  }
+  if (f.from != kFixed) cholesky_.insert(f.from, f.to);
+  activate(k);
+  if (f.kind == Kind::kEdge) join(f);
+  if (f.kind == Kind::kPrior) {
+    const std::uint32_t root = components_.root(f.to);
+    has_prior_[root] = 1;
+    release(root);
+  }
+}
+
+void IncrementalProblem::reorder() {
+  for (const std::uint32_t k : waiting_) {
+    Factor& f = factors_[k];
+    if (f.kind == Kind::kEdge) f.weight = graph.edges()[f.index].weight;
+    active_[k] = f.weight > 0.0 ? 1 : 0;
+    reopen(f);
+  }
+  waiting_.clear();
+  absorbed_nodes_ = poses.size();
+  std::vector<BlockCholesky::Pair> pairs;
+  for (std::size_t k = 0; k < factors_.size(); ++k) {
+    const Factor& f = factors_[k];
+    if (active_[k] != 0 && f.from != kFixed) pairs.emplace_back(f.from, f.to);
+  }
+  cholesky_.analyze(poses.size(), pairs);
+  flops_when_ordered_ = cholesky_.flops();
+  excess_ = cost_ = 0.0;
+  std::fill(gradients_.begin(), gradients_.end(), Vector6d::Zero());
+  std::fill(diagonals_.begin(), diagonals_.end(), Matrix6d::Zero());
+  for (std::size_t k = 0; k < factors_.size(); ++k) {
+    Factor& f = factors_[k];
+    if (active_[k] == 0) continue;
+    evaluate(f, relative_pose(f), f.gradient, f.cost);
+    add_to_sums(f, 1.0);
+    linearize_here(static_cast<std::uint32_t>(k));
+  }
+  find_components();
+}
+
+bool IncrementalProblem::reorder_is_due() const {
+  return !sound_ || excess_ > kFactorizationsPerOrder * flops_when_ordered_;
+}
+
+bool IncrementalProblem::factorize() {
+  const double before = cholesky_.flops_spent();
+  sound_ = cholesky_.refactorize([this](std::uint32_t node, auto&& add) {
+    add(node, held(node) ? Matrix6d(diagonals_[node] + kHeld * Matrix6d::Identity()) : diagonals_[node]);
+    for (const std::uint32_t k : factors_of_[node]) {
+      const Factor& f = factors_[k];
+      if (active_[k] == 0) continue;
+      const std::uint32_t other = f.to == node ? f.from : f.to;
+      if (other == kFixed || cholesky_.position(other) < cholesky_.position(node)) continue;
+      add(other, f.to == node ? Matrix6d(f.cross.transpose()) : f.cross);
+    }
+  });
+  excess_ += std::max(0.0, cholesky_.flops_spent() - before - flops_when_ordered_);
+  return sound_;
+}
+
+/// One node is enough to hold a component.
+void IncrementalProblem::join(const Factor& f) {
+  const std::uint32_t a = components_.root(f.from), b = components_.root(f.to);
+  if (!components_.join(a, b)) return;
+  const auto [root, other] = std::minmax(a, b);
+  const bool prior = has_prior_[a] != 0 || has_prior_[b] != 0;
+  if (prior || held_at_[root] != kFixed) release(other);
+  if (prior) release(root);
+  if (held_at_[root] == kFixed) held_at_[root] = std::exchange(held_at_[other], kFixed);
+  has_prior_[root] = prior ? 1 : 0;
+}
+
+void IncrementalProblem::find_components() {
+  came_apart_ = false;
+  components_ = DisjointSets(poses.size());
+  has_prior_.assign(poses.size(), 0);
+  const std::vector<char> held_before = held_;
+  held_at_.assign(poses.size(), kFixed);
+  held_.assign(poses.size(), 0);
+  for (std::size_t k = 0; k < factors_.size(); ++k) {
+    const Factor& f = factors_[k];
+    if (active_[k] != 0 && f.kind == Kind::kEdge) components_.join(f.from, f.to);
+  }
+  for (std::size_t k = 0; k < factors_.size(); ++k) {
+    const Factor& f = factors_[k];
+    if (active_[k] != 0 && f.kind == Kind::kPrior) has_prior_[components_.root(f.to)] = 1;
+  }
+  hold_components(0);
+  for (std::uint32_t i = 0; i < held_before.size(); ++i) {
+    if (held_before[i] == held_[i]) continue;
+    cholesky_.touch(i);
+    open_.insert(i);
+  }
+}
+
+/// \param first nodes before are held already
+void IncrementalProblem::hold_components(std::uint32_t first) {
+  for (std::uint32_t i = first; i < poses.size(); ++i) {
+    if (components_.root(i) == i && has_prior_[i] == 0 && held_at_[i] == kFixed) hold(i);
+  }
+}
+
+void IncrementalProblem::hold(std::uint32_t node) {
+  held_at_[node] = node;
+  held_[node] = 1;
+  cholesky_.touch(node);
+}
+
+void IncrementalProblem::release(std::uint32_t root) {
+  const std::uint32_t node = std::exchange(held_at_[root], kFixed);
+  if (node == kFixed) return;
+  held_[node] = 0;
+  cholesky_.touch(node);
+  open_.insert(node);
+}
+
+void IncrementalProblem::change_at(std::uint32_t node) {
+  for (const std::uint32_t k : factors_of_[node]) {
+    if (active_[k] != 0) changed_.insert(k);
+  }
+}
+
+double IncrementalProblem::evaluate_changed(ThreadPool& pool) {
+  struct Evaluation {
+    FactorGradient gradient;
+    double cost = 0.0;
+  };
+  constexpr std::size_t kTask = 512, kWave = 32 * kTask;
+  const double former = cost_;
+  changed_.sort();
+  const std::vector<std::uint32_t>& numbers = changed_.numbers();
+  std::vector<Evaluation> evaluations(std::min(numbers.size(), kWave));
+  for (std::size_t begin = 0; begin < numbers.size(); begin += kWave) {
+    const std::size_t end = std::min(numbers.size(), begin + kWave);
+    pool.for_each((end - begin + kTask - 1) / kTask, [&](std::size_t task) {
+      const std::size_t last = std::min(end, begin + (task + 1) * kTask);
+      for (std::size_t i = begin + task * kTask; i < last; ++i) {
+        Evaluation& e = evaluations[i - begin];
+        const Factor& f = factors_[numbers[i]];
+        const Pose now = relative_pose(f);
+        evaluate(f, now, e.gradient, e.cost);
+        drift_[numbers[i]] = change(f.linear, now);
+      }
+    });
+    // Summed in the order of the factors: the number of threads does not change the result.
+    for (std::size_t i = begin; i < end; ++i) {
+      Factor& f = factors_[numbers[i]];
+      const Evaluation& e = evaluations[i - begin];
+      gradients_[f.to] += e.gradient.to - f.gradient.to;
+      if (f.from != kFixed) gradients_[f.from] += e.gradient.from - f.gradient.from;
+      cost_ += e.cost - f.cost;
+      f.gradient = e.gradient;
+      f.cost = e.cost;
+    }
+  }
+  return cost_ - former;
+}
+
+std::size_t IncrementalProblem::relinearize(double share) {
+  std::size_t count = 0;
+  for (const std::uint32_t k : changed_.numbers()) {
+    if (drift_[k] <= share) continue;
+    Factor& f = factors_[k];
+    add_to_hessian(f, -1.0);
+    linearize_here(k);
+    ++count;
+  }
+  return count;
+}
+
+void IncrementalProblem::reopen_changed(const NumberSet* within) {
+  for (const std::uint32_t k : changed_.numbers()) {
+    const Factor& f = factors_[k];
+    const bool inside =
+        within != nullptr && within->contains(f.to) && (f.from == kFixed || within->contains(f.from));
+    if (!inside) reopen(f);
+  }
+}
+
+}  // namespace loopwise::detail

@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <vector>
+
+#include <loopwise/core/disjoint_sets.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/thread_pool.hpp>
+
+#include "incremental_cholesky.hpp"
+#include "linearization.hpp"
+
+namespace loopwise::detail {
+
+/// Numbers, each at most once, in the order in which they came.
+class NumberSet {
+ public:
+  void grow(std::size_t count) { in_.resize(count, 0); }
+  void insert(std::uint32_t number) {
+    if (in_[number] != 0) return;
+    in_[number] = 1;
+    numbers_.push_back(number);
+  }
+  void clear() {
+    for (const std::uint32_t number : numbers_) in_[number] = 0;
+    numbers_.clear();
+  }
+  /// Makes the order ascending.
+  void sort();
+  [[nodiscard]] bool contains(std::uint32_t number) const { return in_[number] != 0; }
+  [[nodiscard]] const std::vector<std::uint32_t>& numbers() const { return numbers_; }
+
+ private:
+  std::vector<char> in_;
+  std::vector<std::uint32_t> numbers_;
+};
+
+/// A pose graph with the gradient at its poses and a factorised Hessian, both kept up to date as factors come
+/// and go and poses move. The Hessian's parts belong to poses near by: every factor has its own.
+class IncrementalProblem {
+ public:
+  PoseGraph graph;          ///< Its poses are behind `poses` during an update
+  std::vector<Pose> poses;  ///< By node
+
+  /// What was last added to `graph`; it takes effect with absorb().
+  void know_node(std::size_t node);
+  void know_edge(std::size_t edge);
+  void know_prior(std::size_t prior);
+  void know_range(std::size_t range);
+  void know_gravity(std::size_t gravity);
+  /// The edge's weight in `graph` is another; it takes effect with absorb().
+  void weight_changed(std::size_t edge) { waiting_.push_back(edge_factor_[edge]); }
+
+  /// Nodes that are in the Hessian.
+  [[nodiscard]] std::size_t absorbed_nodes() const { return absorbed_nodes_; }
+  /// Takes in what has been added or weighted since the last call.
+  void absorb();
+  /// The same with a new order of elimination, and everything linearised at the poses.
+  void reorder();
+  /// Whether that is needed, or worth what it costs.
+  [[nodiscard]] bool reorder_is_due() const;
+  /// \returns false if the Hessian is not positive definite
+  [[nodiscard]] bool factorize();
+
+  [[nodiscard]] IncrementalCholesky& cholesky() { return cholesky_; }
+  [[nodiscard]] double cost() const { return cost_; }
+  [[nodiscard]] const Vector6d& gradient(std::uint32_t node) const { return gradients_[node]; }
+  /// Whether a node holds its component in place.
+  [[nodiscard]] bool held(std::uint32_t node) const { return held_[node] != 0; }
+  /// Nodes whose gradient has changed since the set was cleared.
+  [[nodiscard]] NumberSet& open() { return open_; }
+
+  /// Begins a choice of factors that are all empty of.
+  void clear_changed() { changed_.clear(); }
+  /// The active factors at a node are among those whose relative pose has changed.
+  void change_at(std::uint32_t node);
+  /// Brings cost and gradient of the changed factors up to date. \returns what the cost has changed by
+  double evaluate_changed(ThreadPool& pool);
+  /// Linearises the changed factors anew whose relative pose has changed by more than a share of itself.
+  /// \returns how many
+  std::size_t relinearize(double share);
+  /// Makes the nodes of the changed factors open: of all, or of those that do not lie wholly within a set.
+  void reopen_changed(const NumberSet* within = nullptr);
+
+ private:
+  static constexpr std::uint32_t kFixed = UINT32_MAX;
+  enum class Kind : std::uint8_t { kEdge, kPrior, kRange, kGravity };
+  struct Factor {
+    Kind kind;
+    std::uint32_t index;                ///< In the graph's list of its kind
+    std::uint32_t from, to;             ///< Nodes; `from` is kFixed where there is one
+    double weight = 1.0;                ///< Of an edge, as far as it has been taken in
+    double cost = 0.0;                  ///< At the poses
+    FactorGradient gradient{};          ///< At the poses
+    Pose linear{};                      ///< relative_pose() that its part of the Hessian belongs to
+    Matrix6d cross = Matrix6d::Zero();  ///< Of that part: rows of `to`, columns of `from`
+  };
+  struct Measurement {
+    const Eigen::Isometry3d& Z;
+    const Matrix6d& information;
+  };
+
+  [[nodiscard]] std::uint32_t number(Key key) const {
+    return static_cast<std::uint32_t>(graph.index_of(key));
+  }
+  std::uint32_t add_factor(Kind kind, std::size_t index, std::uint32_t from, std::uint32_t to);
+
+  [[nodiscard]] Pose relative_pose(const Factor& f) const;
+  [[nodiscard]] Measurement measurement(const Factor& f) const;
+  [[nodiscard]] Contribution contribution(const Factor& f, const Pose& e) const;
+  void evaluate(const Factor& f, const Pose& e, FactorGradient& gradient, double& cost) const;
+  void add_to_sums(const Factor& f, double sign);
+  void add_to_hessian(Factor& f, double sign);
+  void linearize_here(std::uint32_t k);
+  void activate(std::uint32_t k);
+  void deactivate(std::uint32_t k);
+  void reopen(const Factor& f);
+
+  void take_in(std::uint32_t k);
+  void join(const Factor& f);
+  void find_components();
+  void hold_components(std::uint32_t first);
+  void hold(std::uint32_t node);
+  void release(std::uint32_t root);
+
+  std::vector<Factor> factors_;
+  std::vector<char> active_;   // by factor: it takes part
+  std::vector<double> drift_;  // by factor: share by which its relative pose differs from Factor::linear
+  std::vector<std::uint32_t> edge_factor_;              // by edge
+  std::vector<std::vector<std::uint32_t>> factors_of_;  // by node
+  std::vector<std::uint32_t> waiting_;                  // factors that are new or of another weight
+  std::size_t absorbed_nodes_ = 0;
+
+  DisjointSets components_{0};
+  std::vector<char> has_prior_;         // by component's root
+  std::vector<std::uint32_t> held_at_;  // by component's root without a prior: the node that holds it
+  std::vector<char> held_;              // by node
+  bool came_apart_ = false;             // an edge has left: components may have
+
+  IncrementalCholesky cholesky_;
+  std::vector<Matrix6d> diagonals_;  // by node: its block of the Hessian
+  std::vector<Vector6d> gradients_;  // by node, at the poses
+  double cost_ = 0.0;
+  NumberSet open_;                   // nodes
+  bool sound_ = true;                // the last factorisation succeeded
+  NumberSet changed_;                // factors
+  double flops_when_ordered_ = 0.0;  // of a factorisation of everything
+  double excess_ = 0.0;              // operations of factorisations beyond that
+};
+
+}  // namespace loopwise::detail
