@@ -102,6 +102,18 @@ std::string trace_table(const OptimizationResult& result) {
   return table(rows);
 }
 
+/// A line for every chain of odometry that is worse than stated.
+std::string odometry_text(const GncResult& gnc) {
+  std::string text;
+  for (const OdometryScale& odometry : gnc.odometry_scales) {
+    char factor[32];
+    std::snprintf(factor, sizeof factor, "%.2f", odometry.scale);
+    text += "odometry     from " + key_name(odometry.first) + " on: deviations " + factor +
+            " times those stated\n";
+  }
+  return text;
+}
+
 void write_weights(const std::string& path, const PoseGraph& graph, const std::vector<double>& weights) {
   CsvText csv({"edge", "from", "to", "weight"});
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
@@ -191,9 +203,13 @@ int run(const Options& options) {
                    {"outliers", gnc.outliers},
                    {"start", enum_name(gnc.start)},
                    {"truncated_cost", gnc.truncated_cost}};
+    for (const OdometryScale& odometry : gnc.odometry_scales) {
+      json["gnc"]["odometry_scales"].push_back({{"first", odometry.first}, {"scale", odometry.scale}});
+    }
     text += "closures     " + std::to_string(gnc.inliers) + " inliers, " + std::to_string(gnc.outliers) +
             " outliers, " + std::to_string(gnc.outer_iterations) + " outer iterations, start " +
             enum_name(gnc.start) + "\n";
+    text += odometry_text(gnc);
   } else {
     result = optimize(graph, config.replay.back_end.optimization, interrupt.token());
   }

@@ -382,10 +382,10 @@ void BlockCholesky::set_diagonal(const Eigen::VectorXd& diagonal) {
   }
 }
 
-bool BlockCholesky::factorize() {
+bool BlockCholesky::factorize(ThreadPool* pool) {
   if (variables_ == 0) return true;
   const SingleThreadedBlas guard;
-  if (fronts_) return fronts_->factorize(values_.data());
+  if (fronts_) return fronts_->factorize(values_.data(), pool);
   Cholmod& c = *cholmod_;
   const std::size_t n = variables_ * static_cast<std::size_t>(block_);
   cholmod_sparse a =

@@ -58,7 +58,8 @@ class BlockCholesky {
 
   /// False if the matrix turned out not to be positive definite. A simplicial factor of an indefinite one may
   /// exist: ask for the smallest pivot before trusting it.
-  [[nodiscard]] bool factorize();
+  /// \param pool for the fronts, or null; it never changes the result
+  [[nodiscard]] bool factorize(ThreadPool* pool = nullptr);
   /// After factorize(): smallest pivot in relation to the matrix's diagonal, in (0, 1], and its variable. 0
   /// if it failed.
   [[nodiscard]] std::pair<double, std::size_t> smallest_pivot() const;

@@ -12,6 +12,7 @@
 #include "initialization.hpp"
 #include "innovation.hpp"
 #include "minimize.hpp"
+#include "odometry_scale.hpp"
 #include "robust_solver.hpp"
 
 namespace loopwise {
@@ -94,10 +95,31 @@ constexpr double kEqual = 1e-9;
 /// does not rule out, and the solution stands alone if it keeps all but this share of them.
 constexpr double kFewestConfirmed = 1.0 / 3.0;
 constexpr double kMostConfirmedLost = 0.01;
+/// A solution with closures that odometry as stated rules out may give up this share of those kept without
+/// them. Closures that agree with each other and not with the others, as of two floors of one plan, would
+/// replace more.
+constexpr double kMostGivenUp = 0.03;
+
+/// Rounds of estimating odometry's uncertainty and solving with it; each lets more closures in, which then
+/// show more.
+constexpr int kScaleRounds = 4;
+/// Variance factors that differ by less are the same.
+constexpr double kSameVariance = 1.1;
+
+bool differ(const OdometryVariances& a, const OdometryVariances& b) {
+  const auto beyond = [](const OdometryVariances& some, const OdometryVariances& others) {
+    return std::any_of(some.begin(), some.end(), [&](const auto& entry) {
+      const auto found = others.find(entry.first);
+      return entry.second > kSameVariance * (found == others.end() ? 1.0 : found->second);
+    });
+  };
+  return beyond(a, b) || beyond(b, a);
+}
 
 /// A result and what it is the components of.
 struct Solution {
   std::vector<Pose> poses;
+  OdometryVariances odometry_variances;
   GncResult result;
   Freedom freedom;
 };
@@ -114,10 +136,12 @@ class Starts {
 
   /// From the last result. \returns whether nothing calls for the other starts
   bool from_last(const WarmStart& warm) {
-    PoseProblem problem = problem_;
+    Scaled scaled(given_, problem_, warm.odometry_variances);
+    PoseProblem& problem = scaled.problem();
     Solution out;
     out.poses = warm.poses;
-    RobustSolver solver(given_, gross_, problem, equations_, out.poses);
+    out.odometry_variances = warm.odometry_variances;
+    RobustSolver solver(scaled.given(), gross_, problem, equations_, out.poses);
     const std::vector<char> chosen = solver.plausible(warm.known, warm.kept);
     std::vector<char> is_new(warm.known.size());
     for (std::size_t k = 0; k < is_new.size(); ++k) is_new[k] = warm.known[k] != 0 ? 0 : 1;
@@ -164,13 +188,6 @@ class Starts {
 
   void from_first_estimate() { take(solved_from(gross_, given_.start, GncStart::kFirstEstimate)); }
 
-  /// With the closures that odometry would allow if it were worse than it says.
-  void from_doubted_odometry() {
-    const Gross fewer =
-        find_gross(given_.graph, d2_, given_.gnc.innovation_probability, given_.gnc.odometry_margin);
-    if (fewer.aside != gross_.aside) take(solved_from(fewer, given_.start, GncStart::kDoubtedOdometry));
-  }
-
   /// From the chordal estimate of the closures that odometry does not rule out.
   void from_chordal() {
     std::vector<char> chosen(gross_.aside.size());
@@ -179,6 +196,90 @@ class Starts {
     Solution out = chordal_of(problem, chosen);
     RobustSolver(given_, gross_, problem, equations_, out.poses).solve(out.result);
     out.result.start = GncStart::kChordal;
+    take(std::move(out));
+  }
+
+  /// Goes on from the best solution with odometry as uncertain as its closures show it to be, and lets in
+  /// what agrees with them then: closures that stated odometry contradicts although they are right. Those
+  /// that the innovation test rules out return only by growth, as everywhere. What the stated information has
+  /// left out cannot speak for itself, so that is done from two sides: from odometry as stated, and from
+  /// odometry that is uncertain throughout, which the closures then take back. The side that keeps more
+  /// closures counts.
+  void rescale_odometry() {
+    if (best_->result.outliers == 0) return refine({});
+    Solution stated = *best_;
+    refine({});
+    Solution from_below = std::move(*best_);
+    best_ = std::move(stated);
+    OdometryVariances doubted;
+    for (std::size_t k = 0; k < problem_.edges(); ++k) {
+      if (given_.graph.edges()[k].kind != EdgeKind::kOdometry) continue;
+      doubted[given_.forest.root(given_.graph.ends(k).from)] = given_.gnc.odometry_margin;
+    }
+    refine(std::move(doubted));
+    if (from_below.result.inliers < best_->result.inliers) {
+      spend(from_below.result);
+    } else {
+      spend(best_->result);
+      best_ = std::move(from_below);
+    }
+  }
+
+  /// From the first estimate again, with the closures that odometry allows if it is as uncertain as the best
+  /// solution has it; if that takes it as stated, as uncertain as it may be.
+  void from_doubted_odometry() {
+    const OdometryVariances variances = best_->odometry_variances;
+    const double probability = given_.gnc.innovation_probability;
+    Scaled scaled(given_, problem_, variances);
+    const Gross fewer =
+        variances.empty()
+            ? find_gross(given_.graph, d2_, probability, given_.gnc.odometry_margin)
+            : find_gross(given_.graph, innovations(scaled.given().graph, scaled.given().forest), probability);
+    if (fewer.aside == gross_.aside) return;
+    Solution out;
+    out.poses = given_.start;
+    out.odometry_variances = variances;
+    RobustSolver(scaled.given(), fewer, scaled.problem(), equations_, out.poses).solve(out.result);
+    out.result.start = GncStart::kDoubtedOdometry;
+    std::size_t kept = 0, lost = 0;
+    for (std::size_t k = 0; k < problem_.edges(); ++k) {
+      if (known_inlier(given_.graph.edges()[k]) || best_->result.weights[k] <= kKept) continue;
+      ++kept;
+      lost += out.result.weights[k] <= kKept ? 1 : 0;
+    }
+    if (static_cast<double>(lost) > kMostGivenUp * static_cast<double>(kept)) return spend(out.result);
+    take(std::move(out));
+    if (best_->result.start == GncStart::kDoubtedOdometry) refine({});
+  }
+
+  /// Solves from the best solution with these variance factors, unless empty, and then with those that every
+  /// solution shows.
+  void refine(OdometryVariances first) {
+    const double largest = given_.gnc.odometry_margin * given_.gnc.odometry_margin;
+    if (!first.empty()) solve_with(std::move(first));
+    for (int round = 0; round < kScaleRounds && !given_.stop.stop_requested(); ++round) {
+      const OdometryVariances& before = best_->odometry_variances;
+      const Scaled last(given_, problem_, before);
+      OdometryVariances variances =
+          odometry_variances(last.given().graph, given_.forest, problem_.isometries(best_->poses),
+                             best_->result.weights, before, largest);
+      if (!differ(variances, before)) break;
+      solve_with(std::move(variances));
+    }
+  }
+
+  /// The best solution gives way to one that goes on from it with these variance factors.
+  void solve_with(OdometryVariances variances) {
+    Scaled scaled(given_, problem_, variances);
+    PoseProblem& problem = scaled.problem();
+    Solution out;
+    out.poses = best_->poses;
+    out.odometry_variances = std::move(variances);
+    std::vector<char> kept(problem.edges());
+    for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = best_->result.weights[k] > kKept ? 1 : 0;
+    RobustSolver(scaled.given(), gross_, problem, equations_, out.poses).solve_from(kept, {}, out.result);
+    out.result.start = best_->result.start;
+    forget();
     take(std::move(out));
   }
 
@@ -212,6 +313,31 @@ class Starts {
   }
 
  private:
+  /// The problem with more uncertain odometry.
+  class Scaled {
+   public:
+    Scaled(const RobustProblem& stated, const PoseProblem& problem, const OdometryVariances& variances) {
+      if (!variances.empty()) {
+        graph_.emplace(with_odometry_variances(stated.graph, stated.forest, variances));
+        forest_.emplace(*graph_);
+      }
+      given_.emplace(RobustProblem{graph_ ? *graph_ : stated.graph, forest_ ? *forest_ : stated.forest,
+                                   stated.start, stated.options, stated.gnc, stated.pool, stated.stop});
+      problem_.emplace(graph_ ? PoseProblem(*graph_) : problem);
+    }
+    Scaled(const Scaled&) = delete;
+    Scaled& operator=(const Scaled&) = delete;
+
+    [[nodiscard]] const RobustProblem& given() const { return *given_; }
+    [[nodiscard]] PoseProblem& problem() { return *problem_; }
+
+   private:
+    std::optional<PoseGraph> graph_;
+    std::optional<OdometryForest> forest_;
+    std::optional<RobustProblem> given_;
+    std::optional<PoseProblem> problem_;
+  };
+
   Solution solved_from(const Gross& gross, std::vector<Pose> poses, GncStart start) {
     PoseProblem problem = problem_;
     Solution out;
@@ -284,15 +410,30 @@ double plain_cost(PoseProblem problem, const std::vector<Pose>& poses, ThreadPoo
   return cost;
 }
 
+/// Says in a result how uncertain its odometry is.
+void report_odometry(const PoseGraph& graph, const OdometryForest& forest, const OdometryVariances& variances,
+                     GncResult& result) {
+  for (const auto& [root, variance] : variances) {
+    result.odometry_scales.push_back({graph.nodes()[root].key, std::sqrt(variance)});
+  }
+  for (std::size_t k = 0; k < result.weights.size(); ++k) {
+    if (graph.edges()[k].kind != EdgeKind::kOdometry) continue;
+    const auto found = variances.find(forest.root(graph.ends(k).from));
+    if (found != variances.end()) result.weights[k] = 1.0 / found->second;
+  }
+}
+
 void solve_from_all(const RobustProblem& given, Starts& starts) {
   const auto stopped = [&] { return given.stop.stop_requested(); };
   const bool several = given.gnc.second_start && truncates(given.gnc.kernel);
   if (several && starts.from_confirmed()) return;
   if (!starts.has_solution() || !stopped()) starts.from_first_estimate();
   if (!several) return;
-  if (starts.leaves_out_what_odometry_rules_out() && !stopped()) starts.from_doubted_odometry();
   if (starts.leaves_closures_out() && given.options.initialization != Initialization::kChordal && !stopped())
     starts.from_chordal();
+  if (given.gnc.odometry_margin <= 1.0) return;
+  if (!stopped()) starts.rescale_odometry();
+  if (starts.leaves_out_what_odometry_rules_out() && !stopped()) starts.from_doubted_odometry();
 }
 
 }  // namespace
@@ -311,7 +452,7 @@ double truncated_cost(const PoseGraph& graph, const PoseProblem& problem, const 
 Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEquations& equations,
                   std::vector<Pose>& poses, const WarmStart* warm, const OptimizerOptions& options,
                   const GncOptions& gnc, ThreadPool& pool, const StopToken& stop, GncResult& result,
-                  std::size_t* left_out_confirmed) {
+                  std::size_t* left_out_confirmed, OdometryVariances& variances) {
   const OdometryForest forest(graph);
   const std::vector<Pose> start = poses;
   const double first_cost = plain_cost(problem, start, pool);
@@ -336,6 +477,8 @@ Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEqua
   result.optimization.factorizations += before;
   if (stop.stop_requested()) set_termination(Termination::kStopped, result.optimization);
   poses = std::move(best.poses);
+  report_odometry(graph, forest, best.odometry_variances, result);
+  variances = std::move(best.odometry_variances);
   return std::move(best.freedom);
 }
 

@@ -18,6 +18,8 @@ namespace loopwise {
 namespace {
 
 constexpr std::uint32_t kHeld = detail::Freedom::kFixed;
+/// From so many on, one selected inversion costs less than columns of the inverse.
+constexpr std::size_t kManyPairs = 32;
 
 void add_traces(Marginals& m) {
   m.trace_translation = m.trace_full = 0.0;
@@ -86,7 +88,98 @@ struct HessianFactor::Impl {
     detail::solve(panels, x);
     return x;
   }
+
+  using Pairs = std::vector<std::pair<std::size_t, std::size_t>>;
+  /// The joint covariances of some pairs by the columns of their nodes, a bounded number at a time.
+  void joint_by_columns(const Pairs& pairs, const std::vector<std::size_t>& some,
+                        std::vector<Matrix12d>& out) const;
+  /// Those of the pairs whose blocks are in the factor. \returns the others
+  [[nodiscard]] std::vector<std::size_t> joint_by_selection(const Pairs& pairs,
+                                                            std::vector<Matrix12d>& out) const;
 };
+
+void HessianFactor::Impl::joint_by_columns(const Pairs& pairs, const std::vector<std::size_t>& some,
+                                           std::vector<Matrix12d>& out) const {
+  constexpr std::size_t kNodesAtATime = 64;
+  std::map<std::size_t, std::vector<std::size_t>> by_node;  // node: pairs that it is in
+  for (const std::size_t k : some) {
+    by_node[pairs[k].first].push_back(k);
+    if (pairs[k].second != pairs[k].first) by_node[pairs[k].second].push_back(k);
+  }
+  std::vector<std::size_t> nodes;
+  nodes.reserve(by_node.size());
+  for (const auto& [node, uses] : by_node) nodes.push_back(node);
+  for (std::size_t begin = 0; begin < nodes.size(); begin += kNodesAtATime) {
+    const std::size_t end = std::min(nodes.size(), begin + kNodesAtATime);
+    const std::vector<std::size_t> now(nodes.begin() + static_cast<std::ptrdiff_t>(begin),
+                                       nodes.begin() + static_cast<std::ptrdiff_t>(end));
+    const Eigen::MatrixXd x = columns(now);
+    for (std::size_t i = 0; i < now.size(); ++i) {
+      if (held(now[i])) continue;
+      for (const std::size_t k : by_node[now[i]]) {
+        const std::size_t ends[2] = {pairs[k].first, pairs[k].second};
+        for (int column = 0; column < 2; ++column) {
+          if (ends[column] != now[i]) continue;
+          for (int r = 0; r < 2; ++r) {
+            if (held(ends[r])) continue;
+            out[k].block<6, 6>(6 * r, 6 * column) =
+                x.block<6, 6>(row(ends[r]), 6 * static_cast<Eigen::Index>(i));
+          }
+        }
+      }
+    }
+  }
+}
+
+std::vector<std::size_t> HessianFactor::Impl::joint_by_selection(const Pairs& pairs,
+                                                                 std::vector<Matrix12d>& out) const {
+  std::vector<std::size_t> left;
+  std::vector<std::pair<Eigen::Index, std::size_t>> wanted;  // first column of the block, pair
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    const auto [a, b] = pairs[k];
+    if (a == b || held(a) || held(b)) {
+      left.push_back(k);
+    } else {
+      wanted.emplace_back(std::min(row(a), row(b)), k);
+    }
+  }
+  std::sort(wanted.begin(), wanted.end());
+  const auto take = [&](std::size_t panel, const double* z) {
+    const int first = panels.first[panel], end = panels.first[panel + 1], height = panels.height(panel);
+    const int* rows = panels.rows.data() + panels.row_start[panel];
+    const auto begin =
+        std::lower_bound(wanted.begin(), wanted.end(), std::pair<Eigen::Index, std::size_t>(first, 0));
+    for (auto it = begin; it != wanted.end() && it->first < end; ++it) {
+      const auto [a, b] = pairs[it->second];
+      const bool a_first = row(a) < row(b);
+      const Eigen::Index later = a_first ? row(b) : row(a);
+      const int* found = std::lower_bound(rows, rows + height, static_cast<int>(later));
+      if (found == rows + height || *found != later) {
+        left.push_back(it->second);
+        continue;
+      }
+      const Matrix6d block = Eigen::Map<const Matrix6d, 0, Eigen::OuterStride<>>(
+          z + (it->first - first) * height + (found - rows), Eigen::OuterStride<>(height));
+      // Rows of the later node, columns of the earlier one.
+      if (a_first) {
+        out[it->second].bottomLeftCorner<6, 6>() = block;
+        out[it->second].topRightCorner<6, 6>() = block.transpose();
+      } else {
+        out[it->second].topRightCorner<6, 6>() = block;
+        out[it->second].bottomLeftCorner<6, 6>() = block.transpose();
+      }
+    }
+  };
+  const Eigen::MatrixXd diagonal = detail::selected_inverse(panels, 6, take);
+  std::vector<char> is_left(pairs.size(), 0);
+  for (const std::size_t k : left) is_left[k] = 1;
+  for (std::size_t k = 0; k < pairs.size(); ++k) {
+    if (is_left[k] != 0) continue;
+    out[k].topLeftCorner<6, 6>() = diagonal.middleCols<6>(row(pairs[k].first));
+    out[k].bottomRightCorner<6, 6>() = diagonal.middleCols<6>(row(pairs[k].second));
+  }
+  return left;
+}
 
 HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& options)
     : impl_(std::make_unique<Impl>()) {
@@ -102,7 +195,7 @@ HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& opt
     throw InputError("the cost at the poses is not finite");
   equations.linearize(problem, poses, residuals, pool);
   detail::BlockCholesky& cholesky = equations.hessian();
-  const bool definite = cholesky.factorize();
+  const bool definite = cholesky.factorize(&pool);
   const auto [pivot, variable] =
       cholesky.variables() > 0 ? cholesky.smallest_pivot() : std::pair<double, std::size_t>(1.0, 0);
   if (!definite || pivot < detail::kSingularPivot) {
@@ -179,41 +272,21 @@ Marginals HessianFactor::marginals() const {
 
 std::vector<Matrix12d> HessianFactor::joint(
     const std::vector<std::pair<std::size_t, std::size_t>>& pairs) const {
-  // Columns of distinct nodes, a bounded number of right-hand sides at a time.
-  constexpr std::size_t kNodesAtATime = 64;
-  std::vector<Matrix12d> out(pairs.size(), Matrix12d::Zero());
-  std::map<std::size_t, std::vector<std::size_t>> by_node;  // node: pairs that it is in
+  const Impl& m = *impl_;
+  std::vector<std::size_t> all(pairs.size());
   for (std::size_t k = 0; k < pairs.size(); ++k) {
-    if (std::max(pairs[k].first, pairs[k].second) >= impl_->variable.size()) {
+    if (std::max(pairs[k].first, pairs[k].second) >= m.variable.size()) {
       throw InputError("pair " + std::to_string(k) + ": no such node number");
     }
-    by_node[pairs[k].first].push_back(k);
-    if (pairs[k].second != pairs[k].first) by_node[pairs[k].second].push_back(k);
+    all[k] = k;
   }
-  std::vector<std::size_t> nodes;
-  nodes.reserve(by_node.size());
-  for (const auto& [node, uses] : by_node) nodes.push_back(node);
-  for (std::size_t begin = 0; begin < nodes.size(); begin += kNodesAtATime) {
-    const std::size_t end = std::min(nodes.size(), begin + kNodesAtATime);
-    const std::vector<std::size_t> some(nodes.begin() + static_cast<std::ptrdiff_t>(begin),
-                                        nodes.begin() + static_cast<std::ptrdiff_t>(end));
-    const Eigen::MatrixXd x = impl_->columns(some);
-    for (std::size_t i = 0; i < some.size(); ++i) {
-      if (impl_->held(some[i])) continue;
-      for (const std::size_t k : by_node[some[i]]) {
-        const std::size_t ends[2] = {pairs[k].first, pairs[k].second};
-        for (int column = 0; column < 2; ++column) {
-          if (ends[column] != some[i]) continue;
-          for (int r = 0; r < 2; ++r) {
-            if (impl_->held(ends[r])) continue;
-            out[k].block<6, 6>(6 * r, 6 * column) =
-                x.block<6, 6>(impl_->row(ends[r]), 6 * static_cast<Eigen::Index>(i));
-          }
-        }
-      }
-    }
+  std::vector<Matrix12d> out(pairs.size(), Matrix12d::Zero());
+  if (pairs.size() < kManyPairs) {
+    m.joint_by_columns(pairs, all, out);
+  } else {
+    m.joint_by_columns(pairs, m.joint_by_selection(pairs, out), out);
   }
-  for (Matrix12d& m : out) m = 0.5 * (m + m.transpose()).eval();
+  for (Matrix12d& joint : out) joint = 0.5 * (joint + joint.transpose()).eval();
   return out;
 }
 

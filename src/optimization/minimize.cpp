@@ -183,7 +183,7 @@ class Minimizer {
     ++result_.factorizations;
     // A damped matrix may be as good as singular; an undamped one would give a step along an open direction.
     const double least = damping > 0.0 ? std::numeric_limits<double>::min() : kSingularPivot;
-    const bool sound = hessian_.factorize() && hessian_.smallest_pivot().first >= least;
+    const bool sound = hessian_.factorize(&pool_) && hessian_.smallest_pivot().first >= least;
     if (!sound && damping < kFirstDamping) result_.underdetermined = true;
     return sound;
   }

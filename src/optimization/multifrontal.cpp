@@ -15,6 +15,11 @@ bool worth_merging(std::size_t block_columns, double zeros, double entries) {
   return block_columns <= 2 ? share < 0.4 : block_columns <= 8 ? share < 0.2 : share < 0.05;
 }
 
+/// Below so many operations threads are not worth waking.
+constexpr double kLeastParallelFlops = 5e7;
+/// Work is handed to threads in pieces of at most this part of the whole.
+constexpr double kSubtreesOfWork = 16.0;
+
 }  // namespace
 
 MultifrontalCholesky::MultifrontalCholesky(const BlockPattern& pattern, const std::vector<int>& parent,
@@ -137,43 +142,139 @@ void MultifrontalCholesky::load_panel(std::size_t s, const double* values, doubl
   }
 }
 
-bool MultifrontalCholesky::factorize(const double* values) {
-  const FrontKernels& kernel = front_kernels();
-  values_.resize(value_start_.back());
-  if (!stack_) stack_.reset(new double[stack_size_]);
-  std::vector<std::size_t> waiting;  // panels whose updates are on the stack
+/// Memory for the updates of one run, and the updates that wait for their parents.
+struct MultifrontalCholesky::Run {
+  struct Update {
+    std::size_t panel;
+    const double* u;
+    std::size_t size;  ///< On this run's stack; 0: another run's
+  };
+  double* stack;
   std::size_t top = 0;
-  broken_at_ = first_.back();
-  for (std::size_t s = 0; s < size(); ++s) {
+  std::vector<Update> waiting{};
+  std::size_t broken_at = 0;  ///< Block column
+};
+
+/// Panels begin … end − 1, whose children are among them or among the updates that wait.
+bool MultifrontalCholesky::factorize_range(std::size_t begin, std::size_t end, const double* values,
+                                           Run& run) {
+  const FrontKernels& kernel = front_kernels();
+  for (std::size_t s = begin; s < end; ++s) {
     const int w = width(s), m = below(s), h = w + m;
     double* l = values_.data() + value_start_[s];
-    double* u = stack_.get() + top;
+    double* u = run.stack + run.top;
     load_panel(s, values, l);
-    const auto has_child = [&] { return !waiting.empty() && parent_[waiting.back()] == static_cast<int>(s); };
+    const auto has_child = [&] {
+      return !run.waiting.empty() && parent_[run.waiting.back().panel] == static_cast<int>(s);
+    };
     const bool leaf = !has_child();
     for (int c = 0; c < m && !leaf; ++c) {
       const int first = c - c % 6;  // whole blocks, the diagonal one included
       std::fill_n(u + static_cast<std::ptrdiff_t>(c) * m + first, m - first, 0.0);
     }
-    std::size_t base = top;
+    std::size_t base = run.top;
     while (has_child()) {
-      base -= update_size(waiting.back());
-      add_child(waiting.back(), stack_.get() + base, s, l, u);
-      waiting.pop_back();
+      const Run::Update& child = run.waiting.back();
+      base -= child.size;
+      add_child(child.panel, child.u, s, l, u);
+      run.waiting.pop_back();
     }
     const int done = eliminate_columns(kernel, w, h, l);
     if (done < w) {
-      broken_at_ = first_[s] + static_cast<std::size_t>(done / 6);
+      run.broken_at = first_[s] + static_cast<std::size_t>(done / 6);
       return false;
     }
-    top = base;
+    run.top = base;
     if (m == 0) continue;
     subtract_product(kernel, m, w, l + w, h, u, leaf);
-    std::memmove(stack_.get() + base, u, update_size(s) * sizeof(double));
-    top += update_size(s);
-    waiting.push_back(s);
+    std::memmove(run.stack + base, u, update_size(s) * sizeof(double));
+    run.waiting.push_back({s, run.stack + base, update_size(s)});
+    run.top += update_size(s);
   }
   return true;
+}
+
+bool MultifrontalCholesky::factorize(const double* values, ThreadPool* pool) {
+  values_.resize(value_start_.back());
+  if (!stack_) stack_.reset(new double[stack_size_]);
+  broken_at_ = first_.back();
+  Run top{stack_.get()};
+  std::vector<Subtree> subtrees;
+  if (pool != nullptr && pool->num_threads() > 1) subtrees = independent_subtrees();
+  std::vector<Run> runs;
+  std::vector<std::unique_ptr<double[]>> stacks;
+  for (const Subtree& subtree : subtrees) {
+    stacks.emplace_back(new double[subtree.stack_size]);
+    runs.push_back({stacks.back().get()});
+  }
+  std::vector<char> sound(subtrees.size(), 0);
+  if (!subtrees.empty()) {
+    pool->for_each(subtrees.size(), [&](std::size_t k) {
+      sound[k] = factorize_range(subtrees[k].begin, subtrees[k].end, values, runs[k]) ? 1 : 0;
+    });
+  }
+  // Fronts add their children in the same order in any case: the number of threads does not change a bit.
+  std::size_t at = 0;
+  for (std::size_t k = 0; k < subtrees.size(); ++k) {
+    if (!factorize_range(at, subtrees[k].begin, values, top)) return broken(top);
+    if (sound[k] == 0) return broken(runs[k]);
+    for (Run::Update update : runs[k].waiting) {
+      update.size = 0;
+      top.waiting.push_back(update);
+    }
+    at = subtrees[k].end;
+  }
+  return factorize_range(at, size(), values, top) || broken(top);
+}
+
+bool MultifrontalCholesky::broken(const Run& run) {
+  broken_at_ = run.broken_at;
+  return false;
+}
+
+/// Disjoint subtrees that are each a small part of the work; in order.
+std::vector<MultifrontalCholesky::Subtree> MultifrontalCholesky::independent_subtrees() const {
+  std::vector<double> flops(size());
+  std::vector<std::size_t> first(size());
+  double all = 0.0;
+  for (std::size_t s = 0; s < size(); ++s) {
+    const double w = width(s), m = below(s);
+    const double own = w * (w * w / 3.0 + w * m + m * m);
+    all += own;
+    flops[s] += own;
+  }
+  std::vector<double> of_subtree = flops;
+  for (std::size_t s = 0; s < size(); ++s) first[s] = s;
+  for (std::size_t s = 0; s < size(); ++s) {
+    if (parent_[s] < 0) continue;
+    const auto p = static_cast<std::size_t>(parent_[s]);
+    of_subtree[p] += of_subtree[s];
+    first[p] = std::min(first[p], first[s]);
+  }
+  std::vector<Subtree> out;
+  if (all < kLeastParallelFlops) return out;
+  const auto is_small = [&](std::size_t s) { return of_subtree[s] <= all / kSubtreesOfWork; };
+  for (std::size_t s = 0; s < size(); ++s) {
+    if (!is_small(s) || (parent_[s] >= 0 && is_small(static_cast<std::size_t>(parent_[s])))) continue;
+    out.push_back({first[s], s + 1, stack_size(first[s], s + 1)});
+  }
+  return out;
+}
+
+/// What factorize_range() puts on its stack.
+std::size_t MultifrontalCholesky::stack_size(std::size_t begin, std::size_t end) const {
+  std::vector<std::size_t> waiting;
+  std::size_t top = 0, most = 0;
+  for (std::size_t s = begin; s < end; ++s) {
+    most = std::max(most, top + update_size(s));
+    while (!waiting.empty() && parent_[waiting.back()] == static_cast<int>(s)) {
+      top -= update_size(waiting.back());
+      waiting.pop_back();
+    }
+    top += update_size(s);
+    if (below(s) > 0) waiting.push_back(s);
+  }
+  return std::max<std::size_t>(most, 1);
 }
 
 void MultifrontalCholesky::solve(double* x) const {

@@ -6,6 +6,8 @@
 #include <memory>
 #include <vector>
 
+#include <loopwise/core/thread_pool.hpp>
+
 #include "panels.hpp"
 
 namespace loopwise::detail {
@@ -37,8 +39,9 @@ class MultifrontalCholesky {
 
   /// \param values the blocks of the pattern one after the other, 36 values each, column-major; of a diagonal
   ///        block the lower triangle counts.
+  /// \param pool for independent subtrees of the elimination tree, or null; it never changes the result
   /// \returns false if the matrix is not positive definite.
-  [[nodiscard]] bool factorize(const double* values);
+  [[nodiscard]] bool factorize(const double* values, ThreadPool* pool = nullptr);
   /// Block column at which the last factorisation broke off; the number of columns if it did not.
   [[nodiscard]] std::size_t broken_at() const { return broken_at_; }
 
@@ -66,6 +69,15 @@ class MultifrontalCholesky {
     const auto m = static_cast<std::size_t>(below(s));
     return m * m;
   }
+  struct Run;
+  /// Panels begin … end − 1, all below the last of them in the tree.
+  struct Subtree {
+    std::size_t begin, end, stack_size;
+  };
+  [[nodiscard]] bool factorize_range(std::size_t begin, std::size_t end, const double* values, Run& run);
+  [[nodiscard]] bool broken(const Run& run);
+  [[nodiscard]] std::vector<Subtree> independent_subtrees() const;
+  [[nodiscard]] std::size_t stack_size(std::size_t begin, std::size_t end) const;
   void make_panels(const std::vector<int>& parent, const std::vector<int>& count);
   void make_rows(const BlockPattern& pattern);
   void load_panel(std::size_t s, const double* values, double* l) const;

@@ -48,6 +48,7 @@ struct LastResult {
   std::vector<char> kept;           // by edge
   std::size_t closures_when_fresh;  // when all starts were tried last
   std::size_t left_out_confirmed;   // then
+  detail::OdometryVariances odometry_variances;
 };
 
 std::size_t closures_of(const PoseGraph& graph) {
@@ -87,6 +88,7 @@ std::optional<detail::WarmStart> warm_start(const PoseGraph& graph, const detail
   out.kept = last->kept;
   out.kept.resize(problem.edges(), 0);
   out.left_out_confirmed = last->left_out_confirmed;
+  out.odometry_variances = last->odometry_variances;
   out.due = growth == 0.0 ||
             static_cast<double>(closures_of(graph)) >=
                 (1.0 + growth) * static_cast<double>(std::max<std::size_t>(last->closures_when_fresh, 1));
@@ -212,9 +214,10 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
     poses = detail::first_estimate(from, graph, problem, impl_->options, result.optimization.factorizations);
   }
   std::size_t left_out_confirmed = warm ? warm->left_out_confirmed : 0;
-  const detail::Freedom freedom =
-      detail::solve_gnc(graph, problem, impl_->equations, poses, warm ? &*warm : nullptr, impl_->options,
-                        options, impl_->pool, stop, result, may_continue ? &left_out_confirmed : nullptr);
+  detail::OdometryVariances variances;
+  const detail::Freedom freedom = detail::solve_gnc(
+      graph, problem, impl_->equations, poses, warm ? &*warm : nullptr, impl_->options, options, impl_->pool,
+      stop, result, may_continue ? &left_out_confirmed : nullptr, variances);
   result.optimization.initialization = from;
   result.optimization.poses = problem.isometries(poses);
   describe_graph(graph, freedom, result.optimization);
@@ -222,8 +225,8 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
     std::vector<char> kept(problem.edges());
     for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = result.weights[k] > detail::kKept ? 1 : 0;
     const std::size_t when_fresh = result.fresh ? closures_of(graph) : impl_->last->closures_when_fresh;
-    impl_->last = LastResult{problem,         graph.keys(), result.optimization.poses,
-                             std::move(kept), when_fresh,   left_out_confirmed};
+    impl_->last = LastResult{problem,    graph.keys(),       result.optimization.poses, std::move(kept),
+                             when_fresh, left_out_confirmed, std::move(variances)};
   }
   result.optimization.seconds = watch.seconds();
   return result;

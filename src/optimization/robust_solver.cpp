@@ -357,7 +357,8 @@ bool RobustSolver::factorize_here() {
   if (equations_.hessian().variables() == 0) return false;
   equations_.linearize(problem_, poses_, residuals, pool_);
   ++total_.factorizations;
-  return equations_.hessian().factorize() && equations_.hessian().smallest_pivot().first >= kSingularPivot;
+  return equations_.hessian().factorize(&pool_) &&
+         equations_.hessian().smallest_pivot().first >= kSingularPivot;
 }
 
 /// As test_by_all() found.

@@ -21,7 +21,8 @@ std::vector<int> owners(const Panels& panels) {
 
 }  // namespace
 
-Eigen::MatrixXd selected_inverse(const Panels& panels, int block) {
+Eigen::MatrixXd selected_inverse(const Panels& panels, int block,
+                                 const std::function<void(std::size_t, const double*)>& visit) {
   const SingleThreadedBlas guard;
   const auto n = static_cast<Eigen::Index>(panels.first.empty() ? 0 : panels.first.back());
   Eigen::MatrixXd out(block, n);
@@ -97,6 +98,7 @@ Eigen::MatrixXd selected_inverse(const Panels& panels, int block) {
       blas::gemm('T', 'N', width, width, below, -1.0, y.data(), below, z.data() + w, height, 1.0, z.data(),
                  height);
     }
+    if (visit) visit(s, z.data());
     // A panel never splits a block: its columns continue each other's pattern.
     for (int column = 0; column < width; column += block) {
       out.middleCols(panels.first[s] + column, block) =

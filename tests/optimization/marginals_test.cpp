@@ -63,6 +63,21 @@ TEST_CASE("marginals: equal to dense inversion", "[optimization][property]") {
       REQUIRE(relative_difference(joint[0].topRightCorner<6, 6>(), inverse.block<6, 6>(18, 102)) < 1e-9);
       REQUIRE(relative_difference(joint[1].topRightCorner<6, 6>(), inverse.block<6, 6>(102, 18)) < 1e-9);
       REQUIRE(relative_difference(joint[2].bottomLeftCorner<6, 6>(), inverse.block<6, 6>(30, 30)) < 1e-9);
+
+      // So many pairs are taken from a selected inversion, where they are blocks of the factor.
+      std::vector<std::pair<std::size_t, std::size_t>> pairs;
+      for (std::size_t a = 0; a < graph.nodes().size(); ++a) {
+        for (std::size_t b = 0; b < graph.nodes().size(); ++b) pairs.emplace_back(a, b);
+      }
+      const auto all = factor.joint(pairs);
+      for (std::size_t k = 0; k < pairs.size(); ++k) {
+        const auto a = 6 * static_cast<Eigen::Index>(pairs[k].first);
+        const auto b = 6 * static_cast<Eigen::Index>(pairs[k].second);
+        Matrix12d expected;
+        expected << inverse.block<6, 6>(a, a), inverse.block<6, 6>(a, b), inverse.block<6, 6>(b, a),
+            inverse.block<6, 6>(b, b);
+        REQUIRE(relative_difference(all[k], expected) < 1e-9);
+      }
     }
   }
 }

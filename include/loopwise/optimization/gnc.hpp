@@ -72,9 +72,11 @@ struct GncOptions {
           "back. 1 puts none aside.");
     field(
         "odometry_margin", self.odometry_margin, Bounds{1.0, 1e6, false},
-        "How many times larger than stated odometry's deviations may be for second_start: closures that such "
-        "odometry allows are tried. More helps where odometry slips, and lets groups of false closures that "
-        "agree with each other, as from two floors of one plan, bend it.");
+        "How many times larger than stated odometry's deviations may be for second_start. Closures that such "
+        "odometry allows are tried. And the odometry of each robot is weighted down to what the kept "
+        "closures "
+        "show of it, as far as this. More helps where odometry slips, and lets groups of false closures that "
+        "agree with each other, as from two floors of one plan, bend it. 1: neither.");
     field("growth", self.growth, any_value(),
           "At the end of truncated least squares, let closures in that the innovation test has put aside and "
           "that agree with the kept ones around them, as long as that lowers the truncated cost: where "
@@ -94,28 +96,37 @@ struct GncOptions {
   }
 };
 
+/// How much worse the odometry of one chain (usually: robot) is than its information says.
+struct OdometryScale {
+  Key first = 0;       ///< Where the chain begins: its node with a prior, or the first of its nodes.
+  double scale = 1.0;  ///< True deviations by stated ones.
+};
+
 /// What robust optimisation came to.
 struct GncResult {
   /// Poses, cost with the final weights; cost_initial is the plain cost, all weights 1, at the first
   /// estimate.
   OptimizationResult optimization;
-  std::vector<double> weights;  ///< One per edge, in graph order. Odometry and trusted edges have 1.
-  int outer_iterations = 0;     ///< Of all starts.
-  GncStart start = GncStart::kFirstEstimate;  ///< The start that led to the result.
-  bool fresh = true;                          ///< Starts other than the last result were tried.
+  /// One per edge, in graph order. Trusted edges have 1, odometry 1/scale² by odometry_scales.
+  std::vector<double> weights;
+  std::vector<OdometryScale> odometry_scales;  ///< Of chains whose odometry is found to be worse than stated.
+  int outer_iterations = 0;                    ///< Of all starts.
+  GncStart start = GncStart::kFirstEstimate;   ///< The start that led to the result.
+  bool fresh = true;                           ///< Starts other than the last result were tried.
   std::size_t inliers = 0;   ///< Closures (edges that are not known inliers) of weight > 0.5.
   std::size_t outliers = 0;  ///< The other closures.
-  /// ½ Σ rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures, at the poses.
+  /// ½ Σ w rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures, at the poses.
   double truncated_cost = 0.0;
 };
 
 /// Optimisation that finds out which loop closures are false. Odometry, priors and trusted edges are known
 /// inliers; every other edge gets a weight in [0, 1] from its residual. The weights that the graph's edges
-/// carry are not used. A closure whose weight has vanished leaves the sparsity structure, and returns when
-/// the estimate makes it fit again. Of several starts the result of the lowest truncated cost is taken
-/// (GncOptions::second_start).
-/// If all closures turn out false the result is the odometry's, each loose component held at its first node.
-/// \throws OptionError, InputError as optimize() does.
+/// carry are not used. Odometry that the closures show to be worse than its information says is weighted down
+/// as a whole, see GncOptions::odometry_margin. A closure whose weight has vanished leaves the sparsity
+/// structure, and returns when the estimate makes it fit again. Of several starts the result of the lowest
+/// truncated cost is taken (GncOptions::second_start). If all closures turn out false the result is the
+/// odometry's, each loose component held at its first node. \throws OptionError, InputError as optimize()
+/// does.
 [[nodiscard]] LOOPWISE_EXPORT GncResult optimize_gnc(const PoseGraph& graph,
                                                      const OptimizerOptions& options = {},
                                                      const GncOptions& gnc = {}, const StopToken& stop = {});

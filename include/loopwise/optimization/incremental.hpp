@@ -64,9 +64,8 @@ struct IncrementalResult {
 /// about twice that of the factor. Not for several threads at a time.
 class LOOPWISE_EXPORT IncrementalOptimizer {
  public:
-  /// Optimises a graph as optimize() does, and goes on from there.
-  /// \param optimization of the first solution and of those from scratch
-  /// \throws OptionError; InputError as optimize() does
+  /// Optimises a graph as optimize() does, and goes on from there; `optimization` is for this solution and
+  /// for others from scratch. \throws OptionError; InputError as optimize() does
   explicit IncrementalOptimizer(PoseGraph graph = {}, const OptimizerOptions& optimization = {},
                                 const IncrementalOptions& options = {});
   ~IncrementalOptimizer();
