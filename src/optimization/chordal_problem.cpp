@@ -227,12 +227,17 @@ CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_step
   system.linearize(X, G);
   double gradient = system.gradient().lpNorm<Eigen::Infinity>();
   double damping = kLeastDamping;
+  bool raised = false;  // since the last step: less damping is not worth a trial at once
+  const auto raise = [&] {
+    raised = true;
+    damping = std::max(10.0 * damping, kFirstDamping);
+    return damping <= kMostDamping;
+  };
   Eigen::VectorXd step;
   while (out.steps < max_steps && !stop.stop_requested()) {
     if (gradient == 0.0) break;
     if (!system.step(damping, step)) {
-      damping = std::max(10.0 * damping, kFirstDamping);
-      if (damping > kMostDamping) break;
+      if (!raise()) break;
       continue;
     }
     ++out.steps;
@@ -241,8 +246,7 @@ CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_step
     const double predicted = -0.5 * step.dot(system.gradient());
     const bool visible = predicted > kVisible * cost;
     if (visible && !(next_cost < cost)) {
-      damping = std::max(10.0 * damping, kFirstDamping);
-      if (damping > kMostDamping) break;
+      if (!raise()) break;
       continue;
     }
     LiftedPoses next_G = problem.gradient(next);
@@ -255,8 +259,8 @@ CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_step
     cost = next_cost;
     gradient = next_gradient;
     if (out.converged) break;
-    damping = std::max(0.1 * damping, kLeastDamping);
-    if (damping < kFirstDamping) damping = kLeastDamping;
+    if (!raised) damping = 0.1 * damping < kFirstDamping ? kLeastDamping : 0.1 * damping;
+    raised = false;
   }
   out.converged = out.converged || gradient == 0.0;
   out.X = std::move(X);

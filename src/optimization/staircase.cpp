@@ -101,31 +101,39 @@ LiftedPoses rounded(const LiftedPoses& Y) {
   return X;
 }
 
+/// Minimises the poses next to a point of higher rank and takes them if they cost less. \returns whether they
+/// are certified, which ends the search
+bool round_back(const ChordalProblem& problem, const LiftedPoses& X, const CertificateOptions& options,
+                const StopToken& stop, DualOutcome& out) {
+  CriticalPoint back = descend(problem, rounded(X), options.max_steps, stop);
+  out.steps += back.steps;
+  if (back.cost >= (1.0 - options.relative_gap) * out.best_cost) return false;
+  out.status = CertificateStatus::kImprovable;
+  out.best = std::move(back.X);
+  out.best_cost = back.cost;
+  const DualTest at_poses = test(problem, out.best, out.best_cost, options, stop);
+  out.lower_bound = std::max(out.lower_bound, at_poses.lower_bound);
+  return at_poses.certified;
+}
+
 /// From a critical point that is not certified: the lowest poses found and the best bound.
 void climb(const ChordalProblem& problem, DualTest current, const CertificateOptions& options,
            const StopToken& stop, DualOutcome& out) {
   LiftedPoses X = out.critical.X;
-  for (int rank = 4; rank <= options.max_rank && !stop.stop_requested(); ++rank) {
+  for (int rank = 4; rank <= options.max_rank && !out.relaxation_solved && !stop.stop_requested(); ++rank) {
     if (current.negative.vector.size() == 0 || current.negative.value >= 0.0) break;
     CriticalPoint point =
         descend(problem, lifted_along(problem, X, current.negative.vector), options.max_steps, stop);
     out.steps += point.steps;
     out.rank = rank;
     X = std::move(point.X);
+    // Poses are cheap to come back to, and are often optimal long before the relaxation is solved.
+    out.relaxation_solved = round_back(problem, X, options, stop, out);
+    if (out.relaxation_solved) break;
     current = test(problem, X, point.cost, options, stop);
     out.lower_bound = std::max(out.lower_bound, current.lower_bound);
-    if (current.certified) {
-      out.relaxation_solved = true;
-      break;
-    }
+    out.relaxation_solved = current.certified;
   }
-  if (out.rank == 3) return;
-  CriticalPoint back = descend(problem, rounded(X), options.max_steps, stop);
-  out.steps += back.steps;
-  if (back.cost >= (1.0 - options.relative_gap) * out.critical.cost) return;
-  out.status = CertificateStatus::kImprovable;
-  out.best = std::move(back.X);
-  out.best_cost = back.cost;
 }
 
 }  // namespace
