@@ -166,6 +166,8 @@ std::string certificate_text(const CertifiedEstimate& estimate) {
                   estimate.cost_before, estimate.cost);
     text += line;
   }
+  if (c.components == 0 && c.status == CertificateStatus::kCertified)
+    return text + "certificate  nothing to certify: " + c.message + "\n";
   if (c.status == CertificateStatus::kUnsupported)
     return text + "certificate  not certified: " + c.message + "\n";
   if (c.status == CertificateStatus::kCertified) {

@@ -76,7 +76,7 @@ std::vector<Component> components_of(const PoseGraph& graph) {
 double isotropic(const Eigen::Matrix3d& information, bool& lost) {
   constexpr double kSingular = 1e-12;
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(information, Eigen::EigenvaluesOnly);
-  const Eigen::Vector3d values = eigen.eigenvalues();
+  const Eigen::Vector3d& values = eigen.eigenvalues();
   if (values[0] > kSingular * values[2]) return 3.0 / values.cwiseInverse().sum();
   lost = lost || values[2] > 0.0;
   return 0.0;
@@ -201,7 +201,7 @@ class Summary {
 
   [[nodiscard]] std::string message() const {
     char text[200];
-    if (out_.components == 0) return "no factor: every pose is as good as any other";
+    if (out_.components == 0) return "no edge, and no priors that could contradict each other";
     switch (out_.status) {
       case CertificateStatus::kCertified:
         std::snprintf(text, sizeof text, "no poses have a lower isotropic chordal cost, up to %.1e of it",
