@@ -12,6 +12,7 @@
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/mission.hpp>
+#include <loopwise/optimization/certificate.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/marginals.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -26,6 +27,7 @@ struct Options {
   std::string input;
   std::string output;
   bool gnc = false;
+  bool certify = false;
   bool verbose = false;
   double inlier_probability = 0.0;  // 0: as configured
   std::string initialization;
@@ -144,6 +146,84 @@ void write_marginals(const std::string& path, const PoseGraph& graph, const Marg
   write_file(path, text);
 }
 
+Json certificate_json(const CertifiedEstimate& estimate) {
+  const Certificate& c = estimate.certificate;
+  return {{"status", enum_name(c.status)},
+          {"message", c.message},
+          {"cost", c.cost},
+          {"cost_at_estimate", c.cost_at_estimate},
+          {"lower_bound", c.lower_bound},
+          {"relative_gap", c.relative_gap},
+          {"min_eigenvalue", c.min_eigenvalue},
+          {"eigenvalue_tolerance", c.eigenvalue_tolerance},
+          {"components", c.components},
+          {"certified_components", c.certified_components},
+          {"reduced_factors", c.reduced_factors},
+          {"difference",
+           {{"rotation_max_rad", c.rotation_max_rad},
+            {"rotation_rms_rad", c.rotation_rms_rad},
+            {"translation_max_m", c.translation_max_m},
+            {"translation_rms_m", c.translation_rms_m}}},
+          {"same_minimum", estimate.same_minimum},
+          {"cost_before", estimate.cost_before},
+          {"seconds", c.seconds}};
+}
+
+std::string certificate_text(const CertifiedEstimate& estimate) {
+  const Certificate& c = estimate.certificate;
+  char line[256];
+  std::string text;
+  if (estimate.improved) {
+    std::snprintf(line, sizeof line, "improved     a lower minimum was found: cost %.9g -> %.9g\n",
+                  estimate.cost_before, estimate.cost);
+    text += line;
+  }
+  if (c.components == 0 && c.status == CertificateStatus::kCertified)
+    return text + "certificate  nothing to certify: " + c.message + "\n";
+  if (c.status == CertificateStatus::kUnsupported)
+    return text + "certificate  not certified: " + c.message + "\n";
+  if (c.status == CertificateStatus::kCertified) {
+    std::snprintf(
+        line, sizeof line,
+        "certificate  certified: globally optimal (isotropic chordal relaxation, smallest eigenvalue "
+        "> -%.1e, cost within %.1e)\n",
+        c.eigenvalue_tolerance, c.relative_gap);
+    text += line;
+  } else {
+    if (c.min_eigenvalue < 0.0) std::snprintf(line, sizeof line, " (eigenvalue %.3g)", c.min_eigenvalue);
+    text += std::string("certificate  not certified") + (c.min_eigenvalue < 0.0 ? line : "") + ": " +
+            c.message + "\n";
+  }
+  const char* next_to_it = c.status != CertificateStatus::kCertified ? ""
+                           : estimate.same_minimum ? "; the estimate is the minimum next to it"
+                                                   : "; the minimum next to it is not the estimate";
+  std::snprintf(line, sizeof line,
+                "             its optimum is up to %.2g rad and %.2g m from the estimate (rms %.2g rad, %.2g "
+                "m)%s, %.3f s\n",
+                c.rotation_max_rad, c.translation_max_m, c.rotation_rms_rad, c.translation_rms_m, next_to_it,
+                c.seconds);
+  text += line;
+  return text;
+}
+
+/// Certifies the optimum and goes on from lower poses where there are such.
+std::string certify_result(const OptimizerOptions& optimizer, const StopToken& stop, Console& console,
+                           PoseGraph& graph, OptimizationResult& result, Json& json) {
+  const CertifiedEstimate estimate = optimize_certified(graph, optimizer, {}, stop);
+  if (estimate.improved) {
+    result.poses = estimate.poses;
+    result.cost = estimate.cost;
+    graph.set_poses(estimate.poses);
+  }
+  if (const std::size_t reduced = estimate.certificate.reduced_factors; reduced > 0) {
+    console.warn(
+        "certificate: " + std::to_string(reduced) +
+        " factors without information in some direction count without their translation or rotation");
+  }
+  json["certificate"] = certificate_json(estimate);
+  return certificate_text(estimate);
+}
+
 int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
@@ -216,6 +296,11 @@ int run(const Options& options) {
   graph.set_poses(result.poses);
   for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
   const double optimized_s = watch.seconds();
+  if (options.certify) {
+    text +=
+        certify_result(config.replay.back_end.optimization, interrupt.token(), console, graph, result, json);
+  }
+  const double certified_s = watch.seconds();
 
   if (!options.marginals.empty()) {
     const Marginals covariances = marginals(graph, config.replay.back_end.optimization);
@@ -249,7 +334,8 @@ int run(const Options& options) {
                 {{"total", watch.seconds()},
                  {"reading", reading_s},
                  {"optimization", optimized_s - reading_s},
-                 {"marginals", marginals_s - optimized_s}}}};
+                 {"certificate", certified_s - optimized_s},
+                 {"marginals", marginals_s - certified_s}}}};
   head.update(json);
   char line[256];
   std::snprintf(line, sizeof line,
@@ -311,6 +397,8 @@ void add_optimize(CLI::App& app, Action& chosen) {
                    "Marginal covariances of all poses, CSV: upper triangle, translation before rotation")
       ->type_name("M.csv")
       ->check(not_standard_output());
+  command->add_flag("--certify", options->certify,
+                    "Say whether the estimate is globally optimal; where it is not, go on from lower poses");
   command->add_flag("--verbose", options->verbose, "Cost of every step");
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });

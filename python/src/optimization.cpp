@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "bindings.hpp"
 
+#include <loopwise/optimization/certificate.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/marginals.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -40,6 +41,30 @@ void bind_optimization(py::module_& module) {
           "(n, 6, 6), order translation, rotation, body frame")
       .def_readonly("trace_translation", &Marginals::trace_translation)
       .def_readonly("trace_full", &Marginals::trace_full);
+  py::class_<Certificate>(module, "Certificate")
+      .def_property_readonly(
+          "status", [](const Certificate& c) { return enum_name(c.status); },
+          "certified, improvable, undecided or unsupported")
+      .def_readonly("message", &Certificate::message)
+      .def_readonly("cost", &Certificate::cost)
+      .def_readonly("cost_at_estimate", &Certificate::cost_at_estimate)
+      .def_readonly("lower_bound", &Certificate::lower_bound)
+      .def_readonly("relative_gap", &Certificate::relative_gap)
+      .def_readonly("min_eigenvalue", &Certificate::min_eigenvalue)
+      .def_readonly("eigenvalue_tolerance", &Certificate::eigenvalue_tolerance)
+      .def_property_readonly(
+          "poses", [](const Certificate& c) { return poses_array(c.poses); },
+          "(n, 4, 4), the critical point of the isotropic chordal cost next to the estimate")
+      .def_property_readonly(
+          "best_poses", [](const Certificate& c) { return poses_array(c.best_poses); },
+          "(n, 4, 4), the lowest that was found")
+      .def_readonly("best_cost", &Certificate::best_cost)
+      .def_readonly("rotation_max_rad", &Certificate::rotation_max_rad)
+      .def_readonly("translation_max_m", &Certificate::translation_max_m)
+      .def_readonly("components", &Certificate::components)
+      .def_readonly("certified_components", &Certificate::certified_components)
+      .def_readonly("reduced_factors", &Certificate::reduced_factors)
+      .def_readonly("seconds", &Certificate::seconds);
 
   module.def(
       "optimize",
@@ -68,6 +93,16 @@ void bind_optimization(py::module_& module) {
       py::arg("graph"), py::arg("options") = py::none(), py::arg("gnc") = py::none(),
       "Robust: finds out which loop closures are false. Options of the sections \"optimization\" and "
       "\"gnc\".");
+  module.def(
+      "certify",
+      [](const PoseGraph& graph) {
+        const py::gil_scoped_release release;
+        return certify(graph);
+      },
+      py::arg("graph"),
+      "Whether the graph's poses are globally optimal, seen through the isotropic chordal cost. Set the "
+      "poses "
+      "of an optimisation first: graph.poses = result.poses.");
   module.def(
       "marginals",
       [](const PoseGraph& graph) {

@@ -13,6 +13,7 @@
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/io/trajectory.hpp>
+#include <loopwise/optimization/optimizer.hpp>
 
 #include "program.hpp"
 #include "registration/scene.hpp"
@@ -231,6 +232,49 @@ TEST_CASE("optimize: fields and files", "[apps]") {
   require_failure({"optimize", in, "--initialization", "luck"}, kBadUsage, "luck");
   REQUIRE(run_program({"optimize", in, "--json", (folder / "r.json").string(), "--quiet"}).status == kDone);
   REQUIRE(parse_json(testing::read_text(folder / "r.json"), "r.json").at("poses") == 5);
+}
+
+TEST_CASE("optimize --certify: proves optima, and leaves local minima", "[apps]") {
+  const TemporaryFolder folder;
+  const std::string in = (folder / "in.g2o").string(), out = (folder / "out.g2o").string();
+  PoseGraph graph = small_graph();
+  write_g2o(in, graph);
+  Json json = json_of({"optimize", in, "--gnc", "--certify"});
+  require_fields(json.at("certificate"),
+                 {"status", "message", "cost", "cost_at_estimate", "lower_bound", "relative_gap",
+                  "min_eigenvalue", "eigenvalue_tolerance", "components", "certified_components",
+                  "reduced_factors", "difference", "same_minimum", "cost_before", "seconds"});
+  REQUIRE(json.at("certificate").at("status") == "certified");
+  REQUIRE(json.at("certificate").at("same_minimum") == true);
+  REQUIRE_THAT(run_program({"optimize", in, "--gnc", "--certify", "--quiet"}).out,
+               Contains("certified: globally optimal"));
+  require_fields(json.at("seconds"), {"certificate"});
+  REQUIRE_FALSE(json_of({"optimize", in}).contains("certificate"));
+
+  // Headings wound once around a ring.
+  PoseGraph ring;
+  constexpr int kCount = 20;
+  for (int i = 0; i < kCount; ++i) {
+    Node node;
+    node.key = static_cast<Key>(i);
+    node.pose.linear() =
+        Eigen::AngleAxisd(6.283185307179586 * i / kCount, Eigen::Vector3d::UnitZ()).toRotationMatrix();
+    ring.add_node(node);
+  }
+  for (int i = 0; i < kCount; ++i) {
+    Edge edge;
+    edge.from = static_cast<Key>(i);
+    edge.to = static_cast<Key>((i + 1) % kCount);
+    ring.add_edge(edge);
+  }
+  write_g2o(in, ring);
+  const std::vector<std::string> command{"optimize", in, "-o", out, "--certify", "--initialization", "file"};
+  json = json_of(command);
+  REQUIRE(json.at("certificate").at("status") == "certified");
+  REQUIRE(json.at("certificate").at("cost_before").get<double>() > 0.5);
+  REQUIRE(json.at("cost").get<double>() < 1e-9);
+  REQUIRE(graph_cost(read_g2o(out).graph) < 1e-9);
+  REQUIRE_THAT(run_program(command).out, Contains("a lower minimum was found"));
 }
 
 TEST_CASE("evaluate: robots of a recording keep their names and ranges", "[apps]") {

@@ -7,6 +7,7 @@
 ///   loopwise_optimization_bench groups              false closures that agree in groups
 ///   loopwise_optimization_bench hard [SEED]         generated graphs with many false closures, random and in
 ///                                                   groups, and information that is wrong
+///   loopwise_optimization_bench certify FILE...     the certificate of global optimality on g2o files
 /// Times are processor time of the one thread that works, so that a busy machine shows less. They are
 /// medians; those of `files` are taken in turns with the peers'.
 #include <sys/resource.h>
@@ -33,6 +34,7 @@
 
 #include "blas_threads.hpp"
 #include "optimization_ceres.hpp"
+#include "optimization_certify.hpp"
 #include "optimization_graphs.hpp"
 #include "optimization_incremental.hpp"
 #include "pose_problem.hpp"
@@ -544,10 +546,12 @@ int main(int argc, char** argv) {
                            argc > 3 ? static_cast<std::uint64_t>(std::atoll(argv[3])) : 1);
   } else if (what == "hard") {
     bench::compare_hard(argc > 2 ? static_cast<std::uint64_t>(std::atoll(argv[2])) : 1);
+  } else if (what == "certify" && argc > 2) {
+    bench::certify_files({argv + 2, argv + argc});
   } else {
     std::fprintf(stderr,
                  "usage: %s files FOLDER | gnc FOLDER [CLEAN.g2o] | sizes [LARGEST [SMALLEST [SVG]]] | "
-                 "groups | hard [SEED] | batches [POSES [SEED]]\n",
+                 "groups | hard [SEED] | batches [POSES [SEED]] | certify FILE...\n",
                  argv[0]);
     return 2;
   }

@@ -114,6 +114,15 @@ class Optimization(unittest.TestCase):
         np.testing.assert_array_equal(result.weights > 0.5, [True] * 9 + [False])
         self.assertEqual((result.inliers, result.outliers), (1, 1))
 
+    def test_certify(self):
+        graph = square(drift=0.02)
+        graph.poses = lw.optimize(graph).poses
+        result = lw.certify(graph)
+        self.assertEqual(result.status, "certified")
+        self.assertEqual(result.poses.shape, (9, 4, 4))
+        self.assertLessEqual(result.lower_bound, result.cost)
+        self.assertEqual((result.components, result.certified_components, result.reduced_factors), (1, 1, 0))
+
     def test_marginals(self):
         result = lw.marginals(square())
         self.assertEqual(result.covariances.shape, (9, 6, 6))

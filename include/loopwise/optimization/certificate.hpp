@@ -1,0 +1,117 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/optimization/optimizer.hpp>
+
+namespace loopwise {
+
+/// What is known of a critical point of the isotropic chordal cost.
+enum class CertificateStatus {
+  kCertified,    ///< No poses cost less, but for the relative gap that was asked for.
+  kImprovable,   ///< Poses that cost less were found.
+  kUndecided,    ///< Neither: the relaxation is not tight, or the search for lower poses did not end.
+  kUnsupported,  ///< The graph has factors that the relaxation does not know: ranges or gravity.
+};
+[[nodiscard]] LOOPWISE_EXPORT EnumNames<CertificateStatus> enum_names(CertificateStatus);
+
+/// How sure a certificate is, and how long to look for lower poses where there is no certificate.
+struct CertificateOptions {
+  double relative_gap = 1e-6;
+  int max_steps = 200;
+  int max_rank = 5;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("relative_gap", self.relative_gap, between(1e-12, 0.1),
+          "Certified if the cost is at most this share above a bound on all poses' cost.");
+    field("max_steps", self.max_steps, at_least(1), "Bound on Newton steps of each descent.");
+    field("max_rank", self.max_rank, between(3.0, 6.0),
+          "Bound on the rank of the relaxation in which lower poses are looked for; 3 looks for no lower "
+          "poses.");
+  }
+};
+
+/// Whether an estimate is globally optimal, seen through the isotropic chordal cost
+///
+///     F = ½ Σ w (κ ‖R_j − R_i R̃‖² + τ ‖t_j − t_i − R_i t̃‖²),   τ = 3 / tr(Ω_t⁻¹),   κ = 3 / (2 tr(Ω_R⁻¹))
+///
+/// over edges and priors. It is this cost that is certified, at its critical point next to the estimate, and
+/// not ½ Σ w rᵀΩr. The two agree to second order in the residuals where Ω_t and Ω_R are multiples of the
+/// identity and there is no coupling between them.
+struct Certificate {
+  CertificateStatus status =
+      CertificateStatus::kUndecided;  ///< Of all components: the least certain of them.
+  std::string message;                ///< For people; never parse it.
+  double cost_at_estimate = 0.0;      ///< F at the graph's poses.
+  double cost = 0.0;                  ///< F at the critical point reached from them.
+  double lower_bound = 0.0;           ///< No poses have a lower F; at least 0.
+  double relative_gap = 0.0;  ///< (cost − lower_bound) / cost; 0 if the cost is below 1e-12 a factor.
+  /// Smallest eigenvalue of the dual certificate matrix, its places eliminated, over all components. Where a
+  /// component is certified it is 0, that of the poses themselves, and its eigenvalues are above
+  /// −eigenvalue_tolerance.
+  double min_eigenvalue = 0.0;
+  double eigenvalue_tolerance = 0.0;  ///< The largest of all components.
+  /// Critical point of F reached from the estimate, one pose per node. A component's first node, or the node
+  /// of its only prior, stays where it was.
+  std::vector<Eigen::Isometry3d> poses;
+  /// The poses of the lowest F that was found, where the status is kImprovable; otherwise `poses`.
+  std::vector<Eigen::Isometry3d> best_poses;
+  double best_cost = 0.0;                ///< F at best_poses.
+  double rotation_max_rad = 0.0;         ///< Largest angle between the estimate and `poses`.
+  double rotation_rms_rad = 0.0;         ///< Root mean square of these angles over all nodes with a factor.
+  double translation_max_m = 0.0;        ///< Largest distance between the estimate and `poses`.
+  double translation_rms_m = 0.0;        ///< Root mean square of these distances.
+  std::size_t components = 0;            ///< Components with at least one factor to certify.
+  std::size_t certified_components = 0;  ///< Those of them that are certified.
+  /// Factors whose information has rank 1 or 2 in translation or rotation: that part has no isotropic
+  /// counterpart and is left out of F.
+  std::size_t reduced_factors = 0;
+  /// Whether lower_bound is the optimum of the relaxation, up to CertificateOptions::relative_gap. If so and
+  /// the status is kUndecided, the relaxation is not tight: no certificate of this kind exists.
+  bool relaxation_solved = false;
+  int rank = 3;          ///< Largest rank of the relaxation that was needed.
+  int steps = 0;         ///< Newton steps, of all descents.
+  double seconds = 0.0;  ///< Wall time. For reports only.
+};
+
+/// Asks whether the graph's poses, which are to be those of an optimisation, are globally optimal: goes down
+/// to the critical point of F next to them and tests the dual certificate of the semidefinite relaxation
+/// (Rosen et al., SE-Sync, IJRR 2019), each component on its own. Edges count by their weights; those of
+/// weight 0 do not take part. Several priors of a component count as edges from one more pose; a single one
+/// costs nothing at the optimum. Where the certificate fails, lower poses are looked for in relaxations of
+/// higher rank. \throws OptionError; Error if a factor of the matrices would be too large
+[[nodiscard]] LOOPWISE_EXPORT Certificate certify(const PoseGraph& graph,
+                                                  const CertificateOptions& options = {},
+                                                  const StopToken& stop = {});
+
+/// An estimate with its certificate, see optimize_certified().
+struct CertifiedEstimate {
+  std::vector<Eigen::Isometry3d> poses;  ///< One per node, in graph order.
+  double cost_before = 0.0;              ///< ½ Σ w rᵀΩr at the graph's poses.
+  double cost = 0.0;                     ///< The same at `poses`; never higher.
+  bool improved = false;                 ///< Whether `poses` are others than the graph's, of lower cost.
+  /// Whether minimising ½ Σ w rᵀΩr from the poses of the certificate comes to the cost of the estimate: then
+  /// the estimate is the minimum next to what is certified.
+  bool same_minimum = false;
+  Certificate certificate;  ///< Of `poses`.
+};
+
+/// Certifies the graph's poses, which are to be those of an optimisation, minimises ½ Σ w rᵀΩr from the
+/// lowest poses that the certificate knows, and where that ends lower does the same with its result. The
+/// weights of the edges stay. \throws OptionError; Error if a factor of the matrices would be too large
+[[nodiscard]] LOOPWISE_EXPORT CertifiedEstimate optimize_certified(const PoseGraph& graph,
+                                                                   const OptimizerOptions& optimizer = {},
+                                                                   const CertificateOptions& options = {},
+                                                                   const StopToken& stop = {});
+
+}  // namespace loopwise

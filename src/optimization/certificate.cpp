@@ -1,0 +1,282 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/optimization/certificate.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <cstdio>
+#include <limits>
+#include <optional>
+#include <utility>
+
+#include <Eigen/Dense>
+
+#include <loopwise/core/clock.hpp>
+#include <loopwise/core/disjoint_sets.hpp>
+#include <loopwise/core/se3.hpp>
+
+#include "blas_threads.hpp"
+#include "chordal_problem.hpp"
+#include "dual_matrix.hpp"
+#include "staircase.hpp"
+
+namespace loopwise {
+
+EnumNames<CertificateStatus> enum_names(CertificateStatus) {
+  return {{CertificateStatus::kCertified, "certified"},
+          {CertificateStatus::kImprovable, "improvable"},
+          {CertificateStatus::kUndecided, "undecided"},
+          {CertificateStatus::kUnsupported, "unsupported"}};
+}
+
+namespace {
+
+using detail::ChordalProblem;
+using detail::ChordalTerm;
+using detail::LiftedPoses;
+
+/// The part of a graph that hangs together. Pose 0 of its problem is held: the frame of its priors if there
+/// are several, otherwise its prior's node or its first.
+struct Component {
+  std::vector<std::size_t> nodes;          // of poses 0, 1, …, or of 1, 2, … behind the frame of priors
+  std::vector<std::size_t> priors;         // that take part
+  std::vector<std::size_t> edges;          // of non-zero weight
+  std::optional<Eigen::Isometry3d> frame;  // of the priors
+  std::size_t first_pose() const { return frame ? 1 : 0; }
+};
+
+std::vector<Component> components_of(const PoseGraph& graph) {
+  DisjointSets sets(graph.nodes().size());
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    if (graph.edges()[e].weight > 0.0) sets.join(graph.ends(e).from, graph.ends(e).to);
+  }
+  std::vector<Component> by_root(graph.nodes().size());
+  for (std::size_t i = 0; i < graph.nodes().size(); ++i) by_root[sets.root(i)].nodes.push_back(i);
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    if (graph.edges()[e].weight > 0.0) by_root[sets.root(graph.ends(e).from)].edges.push_back(e);
+  }
+  for (std::size_t k = 0; k < graph.priors().size(); ++k)
+    by_root[sets.root(graph.index_of(graph.priors()[k].key))].priors.push_back(k);
+  std::vector<Component> out;
+  for (Component& c : by_root) {
+    if (c.priors.size() > 1) {
+      c.frame = graph.priors()[c.priors.front()].pose;
+    } else if (c.priors.size() == 1) {
+      // Satisfied without cost by moving the whole component: it only says which node is held.
+      const std::size_t node = graph.index_of(graph.priors()[c.priors.front()].key);
+      std::swap(*std::find(c.nodes.begin(), c.nodes.end(), node), c.nodes.front());
+      c.priors.clear();
+    }
+    if (!c.edges.empty() || c.frame) out.push_back(std::move(c));
+  }
+  return out;
+}
+
+/// 3 / tr(Ω⁻¹): what an isotropic information with the same mean variance has. 0 if some direction has no
+/// information; `lost` says whether another one had.
+double isotropic(const Eigen::Matrix3d& information, bool& lost) {
+  constexpr double kSingular = 1e-12;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(information, Eigen::EigenvaluesOnly);
+  const Eigen::Vector3d& values = eigen.eigenvalues();
+  if (values[0] > kSingular * values[2]) return 3.0 / values.cwiseInverse().sum();
+  lost = lost || values[2] > 0.0;
+  return 0.0;
+}
+
+ChordalTerm term_of(std::size_t from, std::size_t to, const Eigen::Isometry3d& measured,
+                    const Matrix6d& information, double weight, std::size_t& reduced) {
+  bool lost = false;
+  ChordalTerm term;
+  term.from = static_cast<std::uint32_t>(from);
+  term.to = static_cast<std::uint32_t>(to);
+  term.measured = se3::normalized(measured).matrix();
+  term.tau = weight * isotropic(information.topLeftCorner<3, 3>(), lost);
+  term.kappa = 0.5 * weight * isotropic(information.bottomRightCorner<3, 3>(), lost);
+  if (lost) ++reduced;
+  return term;
+}
+
+ChordalProblem problem_of(const PoseGraph& graph, const Component& c, std::size_t& reduced) {
+  std::vector<std::size_t> pose(graph.nodes().size());
+  for (std::size_t i = 0; i < c.nodes.size(); ++i) pose[c.nodes[i]] = i + c.first_pose();
+  std::vector<ChordalTerm> terms;
+  for (const std::size_t e : c.edges) {
+    const Edge& edge = graph.edges()[e];
+    terms.push_back(term_of(pose[graph.ends(e).from], pose[graph.ends(e).to], edge.T_from_to,
+                            edge.information, edge.weight, reduced));
+  }
+  for (const std::size_t k : c.priors) {
+    const PriorFactor& prior = graph.priors()[k];
+    terms.push_back(term_of(0, pose[graph.index_of(prior.key)], c.frame->inverse() * prior.pose,
+                            prior.information, 1.0, reduced));
+  }
+  return ChordalProblem(c.nodes.size() + c.first_pose(), std::move(terms));
+}
+
+/// Frame in which a component's poses are computed: near them, for the digits of those far from the origin.
+Eigen::Isometry3d frame_of(const PoseGraph& graph, const Component& c) {
+  return c.frame ? *c.frame : se3::normalized(graph.nodes()[c.nodes.front()].pose);
+}
+
+LiftedPoses lifted_poses(const PoseGraph& graph, const Component& c) {
+  const Eigen::Isometry3d back = frame_of(graph, c).inverse();
+  LiftedPoses X(3, 4 * static_cast<Eigen::Index>(c.nodes.size() + c.first_pose()));
+  X.leftCols<4>() = Eigen::Matrix<double, 3, 4>::Identity();
+  for (std::size_t i = 0; i < c.nodes.size(); ++i) {
+    const Eigen::Isometry3d local = back * se3::normalized(graph.nodes()[c.nodes[i]].pose);
+    X.middleCols<4>(4 * static_cast<Eigen::Index>(i + c.first_pose())) = local.matrix().topRows<3>();
+  }
+  return X;
+}
+
+/// Writes a component's poses, with pose 0 where the frame is.
+void place(const PoseGraph& graph, const Component& c, const LiftedPoses& X,
+           std::vector<Eigen::Isometry3d>& poses) {
+  const auto pose = [&](std::size_t i) {
+    Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+    T.matrix().topRows<3>() = X.middleCols<4>(4 * static_cast<Eigen::Index>(i));
+    return T;
+  };
+  const Eigen::Isometry3d to_world = frame_of(graph, c) * pose(0).inverse();
+  for (std::size_t i = 0; i < c.nodes.size(); ++i)
+    poses[c.nodes[i]] = se3::normalized(to_world * pose(i + c.first_pose()));
+}
+
+/// Sums over components of what a Certificate says.
+class Summary {
+ public:
+  explicit Summary(const PoseGraph& graph) : graph_(graph) {
+    out_.poses = out_.best_poses = graph.poses();
+    out_.status = CertificateStatus::kCertified;
+    out_.relaxation_solved = true;
+  }
+
+  void certify(const Component& c, const CertificateOptions& options, const StopToken& stop) {
+    const ChordalProblem problem = problem_of(graph_, c, out_.reduced_factors);
+    const LiftedPoses start = lifted_poses(graph_, c);
+    const detail::DualOutcome outcome = detail::certify_component(problem, start, options, stop);
+    out_.cost_at_estimate += problem.cost(start);
+    out_.cost += outcome.critical.cost;
+    out_.best_cost += outcome.best_cost;
+    out_.lower_bound += outcome.lower_bound;
+    negligible_ += detail::negligible_cost(problem);
+    lost_in_rounding_ = lost_in_rounding_ || outcome.lost_in_rounding;
+    out_.min_eigenvalue = std::min(out_.min_eigenvalue, outcome.min_eigenvalue);
+    out_.eigenvalue_tolerance = std::max(out_.eigenvalue_tolerance, outcome.eigenvalue_tolerance);
+    out_.rank = std::max(out_.rank, outcome.rank);
+    out_.steps += outcome.steps;
+    out_.status = std::max(out_.status, outcome.status,
+                           [](CertificateStatus a, CertificateStatus b) { return rank(a) < rank(b); });
+    out_.relaxation_solved = out_.relaxation_solved && outcome.relaxation_solved;
+    ++out_.components;
+    if (outcome.status == CertificateStatus::kCertified) ++out_.certified_components;
+    place(graph_, c, outcome.critical.X, out_.poses);
+    place(graph_, c, outcome.best, out_.best_poses);
+    for (const std::size_t node : c.nodes) measure(node);
+  }
+
+  Certificate finish() {
+    const double n = static_cast<double>(std::max<std::size_t>(nodes_, 1));
+    out_.rotation_rms_rad = std::sqrt(out_.rotation_rms_rad / n);
+    out_.translation_rms_m = std::sqrt(out_.translation_rms_m / n);
+    out_.relative_gap = out_.cost > negligible_ ? (out_.cost - out_.lower_bound) / out_.cost : 0.0;
+    out_.message = message();
+    return std::move(out_);
+  }
+
+ private:
+  /// A lower cost outweighs a doubt: it is certain.
+  static int rank(CertificateStatus status) {
+    return status == CertificateStatus::kCertified ? 0 : status == CertificateStatus::kUndecided ? 1 : 2;
+  }
+
+  void measure(std::size_t node) {
+    const Eigen::Isometry3d change = graph_.nodes()[node].pose.inverse() * out_.poses[node];
+    const double angle = se3::rotation_angle(se3::normalized(change)), distance = change.translation().norm();
+    out_.rotation_max_rad = std::max(out_.rotation_max_rad, angle);
+    out_.translation_max_m = std::max(out_.translation_max_m, distance);
+    out_.rotation_rms_rad += angle * angle;
+    out_.translation_rms_m += distance * distance;
+    ++nodes_;
+  }
+
+  [[nodiscard]] std::string message() const {
+    char text[200];
+    if (out_.components == 0) return "no edge, and no priors that could contradict each other";
+    switch (out_.status) {
+      case CertificateStatus::kCertified:
+        std::snprintf(text, sizeof text, "no poses have a lower isotropic chordal cost, up to %.1e of it",
+                      out_.relative_gap);
+        break;
+      case CertificateStatus::kImprovable:
+        std::snprintf(text, sizeof text, "a lower minimum was found: isotropic chordal cost %.9g -> %.9g",
+                      out_.cost, out_.best_cost);
+        break;
+      default:
+        std::snprintf(text, sizeof text, "the lowest isotropic chordal cost lies between %.9g and %.9g%s",
+                      out_.lower_bound, out_.best_cost,
+                      lost_in_rounding_ ? "; the information of the factors differs too much to say more"
+                      : out_.relaxation_solved ? "; the relaxation is not tight"
+                                               : "");
+    }
+    return text;
+  }
+
+  const PoseGraph& graph_;
+  Certificate out_;
+  std::size_t nodes_ = 0;
+  double negligible_ = 0.0;
+  bool lost_in_rounding_ = false;
+};
+
+}  // namespace
+
+Certificate certify(const PoseGraph& graph, const CertificateOptions& options, const StopToken& stop) {
+  validate(options);
+  const Stopwatch watch;
+  const detail::SingleThreadedBlas guard;
+  if (!graph.ranges().empty() || !graph.gravities().empty()) {
+    Certificate out;
+    out.status = CertificateStatus::kUnsupported;
+    out.poses = out.best_poses = graph.poses();
+    out.relative_gap = std::numeric_limits<double>::infinity();
+    out.message = std::string("the graph has ") + (graph.ranges().empty() ? "gravity" : "ranges") +
+                  ", which the relaxation does not know";
+    out.seconds = watch.seconds();
+    return out;
+  }
+  Summary summary(graph);
+  for (const Component& c : components_of(graph)) summary.certify(c, options, stop);
+  Certificate out = summary.finish();
+  out.seconds = watch.seconds();
+  return out;
+}
+
+CertifiedEstimate optimize_certified(const PoseGraph& graph, const OptimizerOptions& optimizer,
+                                     const CertificateOptions& options, const StopToken& stop) {
+  // Costs of one minimum differ by what the optimiser's tolerances leave.
+  constexpr double kLower = 1e-8, kSame = 1e-6;
+  constexpr int kMostImprovements = 3;
+  const double zero = 1e-12 * static_cast<double>(graph.edges().size() + graph.priors().size());
+  OptimizerOptions from_there = optimizer;
+  from_there.initialization = Initialization::kFile;
+  CertifiedEstimate out;
+  PoseGraph current = graph;
+  out.cost = out.cost_before = graph_cost(graph);
+  out.certificate = certify(current, options, stop);
+  for (int round = 0; round < kMostImprovements; ++round) {
+    if (out.certificate.status == CertificateStatus::kUnsupported || stop.stop_requested()) break;
+    PoseGraph other = current;
+    other.set_poses(out.certificate.best_poses);
+    const OptimizationResult result = optimize(other, from_there, stop);
+    out.same_minimum = result.cost <= (1.0 + kSame) * out.cost + zero;
+    if (result.cost >= (1.0 - kLower) * out.cost - zero) break;
+    out.cost = result.cost;
+    out.improved = true;
+    current.set_poses(result.poses);
+    out.certificate = certify(current, options, stop);
+  }
+  out.poses = current.poses();
+  return out;
+}
+
+}  // namespace loopwise

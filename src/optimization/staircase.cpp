@@ -1,0 +1,167 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "staircase.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include <Eigen/Dense>
+
+#include "dual_matrix.hpp"
+
+namespace loopwise::detail {
+namespace {
+
+/// Share of the cost that rounding may take from the bound. More comes from information many orders of
+/// magnitude above the rest, such as priors of 1e-7 m.
+constexpr double kMostRounding = 1e-3;
+
+/// The dual certificate at a critical point of any rank.
+struct DualTest {
+  bool certified = false;
+  double lower_bound = 0.0;        // of the cost
+  double tolerance = 0.0;          // of the eigenvalue
+  double rounding = 0.0;           // of the cost, part of the bound
+  DualMatrix::Eigenpair negative;  // where it is not certified
+};
+
+DualTest test(const ChordalProblem& problem, const LiftedPoses& X, double cost,
+              const CertificateOptions& options, const StopToken& stop) {
+  DualTest out;
+  DualMatrix dual(problem, problem.multipliers(X, problem.gradient(X)));
+  const double dimension = 3.0 * static_cast<double>(problem.poses());
+  const auto bound = [&](double shift) {
+    return std::max(0.0, 0.5 * (dual.trace_of_multipliers() - dimension * shift - dual.rounding()));
+  };
+  out.rounding = 0.5 * dual.rounding();
+  out.tolerance = options.relative_gap * 2.0 * cost / dimension + dual.rounding() / dimension;
+  const double shift = options.relative_gap * 2.0 * cost / dimension;
+  if (dual.positive_with(shift)) {
+    out.lower_bound = bound(shift);
+    // The factor proves a bound for any multipliers; it is only good if X is critical and rounding is small.
+    out.certified = cost <= negligible_cost(problem) ||
+                    (out.rounding <= kMostRounding * cost &&
+                     cost - out.lower_bound <= 2.0 * options.relative_gap * cost + out.rounding);
+    return out;
+  }
+  // Shifts from which on the factor exists, then the eigenvalue within the last step.
+  double larger = std::max(10.0 * shift, 10.0 * out.rounding / dimension);
+  while (!dual.positive_with(larger)) {
+    if (stop.stop_requested() || !std::isfinite(larger)) return out;
+    larger *= 10.0;
+  }
+  out.negative = dual.smallest_eigenpair(larger);
+  // A Ritz value lies above the eigenvalue; what the shift proves does not depend on its convergence.
+  out.lower_bound = bound(out.negative.converged ? std::max(0.0, -1.001 * out.negative.value) : larger);
+  return out;
+}
+
+/// X with one more row, along the eigenvector as far as that lowers the cost.
+LiftedPoses lifted_along(const ChordalProblem& problem, const LiftedPoses& X, const Eigen::VectorXd& v) {
+  LiftedPoses base = LiftedPoses::Zero(X.rows() + 1, X.cols());
+  base.topRows(X.rows()) = X;
+  const double cost = problem.cost(X);
+  double largest = 0.0;
+  for (Eigen::Index at = 0; at < v.size(); at += 4) largest = std::max(largest, v.segment<3>(at).norm());
+  LiftedPoses best = base;
+  double lowest = cost;
+  for (double length = 1.0 / largest; length * largest > 1e-6; length *= 0.5) {
+    LiftedPoses moved = base;
+    moved.bottomRows<1>() = length * v.transpose();
+    orthonormalize(moved);
+    const double moved_cost = problem.cost(moved);
+    if (moved_cost < lowest) {
+      lowest = moved_cost;
+      best = std::move(moved);
+    } else if (lowest < cost) {
+      break;
+    }
+  }
+  return best;
+}
+
+/// Poses near a point of higher rank: its three strongest directions, each rotation brought to SO(3).
+LiftedPoses rounded(const LiftedPoses& Y) {
+  Eigen::MatrixXd rotations(Y.rows(), Y.cols() / 4 * 3);
+  for (Eigen::Index i = 0; i < Y.cols() / 4; ++i) rotations.middleCols<3>(3 * i) = Y.middleCols<3>(4 * i);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(rotations * rotations.transpose());
+  Eigen::MatrixXd directions = eigen.eigenvectors().rightCols<3>();
+  LiftedPoses X = directions.transpose() * Y;
+  Eigen::Index mirrored = 0;
+  for (Eigen::Index at = 0; at < X.cols(); at += 4)
+    mirrored += X.middleCols<3>(at).determinant() < 0.0 ? 1 : 0;
+  if (2 * mirrored > X.cols() / 4) X.row(0) = -X.row(0).eval();
+  for (Eigen::Index at = 0; at < X.cols(); at += 4) {
+    const Eigen::Matrix3d block = X.middleCols<3>(at);
+    const Eigen::JacobiSVD<Eigen::Matrix3d> svd(block, Eigen::ComputeFullU | Eigen::ComputeFullV);
+    Eigen::Matrix3d u = svd.matrixU();
+    if ((u * svd.matrixV().transpose()).determinant() < 0.0) u.col(2) = -u.col(2);
+    X.middleCols<3>(at) = u * svd.matrixV().transpose();
+  }
+  return X;
+}
+
+/// Minimises the poses next to a point of higher rank and takes them if they cost less. \returns whether they
+/// are certified, which ends the search
+bool round_back(const ChordalProblem& problem, const LiftedPoses& X, const CertificateOptions& options,
+                const StopToken& stop, DualOutcome& out) {
+  CriticalPoint back = descend(problem, rounded(X), options.max_steps, stop);
+  out.steps += back.steps;
+  if (back.cost >= (1.0 - options.relative_gap) * out.best_cost) return false;
+  out.status = CertificateStatus::kImprovable;
+  out.best = std::move(back.X);
+  out.best_cost = back.cost;
+  const DualTest at_poses = test(problem, out.best, out.best_cost, options, stop);
+  out.lower_bound = std::max(out.lower_bound, at_poses.lower_bound);
+  return at_poses.certified;
+}
+
+/// From a critical point that is not certified: the lowest poses found and the best bound.
+void climb(const ChordalProblem& problem, DualTest current, const CertificateOptions& options,
+           const StopToken& stop, DualOutcome& out) {
+  LiftedPoses X = out.critical.X;
+  for (int rank = 4; rank <= options.max_rank && !out.relaxation_solved && !stop.stop_requested(); ++rank) {
+    if (current.negative.vector.size() == 0 || current.negative.value >= 0.0) break;
+    CriticalPoint point =
+        descend(problem, lifted_along(problem, X, current.negative.vector), options.max_steps, stop);
+    out.steps += point.steps;
+    out.rank = rank;
+    X = std::move(point.X);
+    // Poses are cheap to come back to, and are often optimal long before the relaxation is solved.
+    out.relaxation_solved = round_back(problem, X, options, stop, out);
+    if (out.relaxation_solved) break;
+    current = test(problem, X, point.cost, options, stop);
+    out.lower_bound = std::max(out.lower_bound, current.lower_bound);
+    out.relaxation_solved = current.certified;
+  }
+}
+
+}  // namespace
+
+double negligible_cost(const ChordalProblem& problem) {
+  return 1e-12 * static_cast<double>(problem.terms().size());
+}
+
+DualOutcome certify_component(const ChordalProblem& problem, const LiftedPoses& start,
+                              const CertificateOptions& options, const StopToken& stop) {
+  DualOutcome out;
+  out.critical = descend(problem, start, options.max_steps, stop);
+  out.steps = out.critical.steps;
+  out.best = out.critical.X;
+  out.best_cost = out.critical.cost;
+  DualTest first = test(problem, out.critical.X, out.critical.cost, options, stop);
+  out.lower_bound = first.lower_bound;
+  out.lost_in_rounding =
+      first.rounding > kMostRounding * out.critical.cost && out.critical.cost > negligible_cost(problem);
+  out.eigenvalue_tolerance = first.tolerance;
+  if (first.certified) {
+    out.status = CertificateStatus::kCertified;
+    out.relaxation_solved = true;
+    return out;
+  }
+  out.min_eigenvalue = first.negative.value;
+  climb(problem, std::move(first), options, stop, out);
+  return out;
+}
+
+}  // namespace loopwise::detail

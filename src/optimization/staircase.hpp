@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/optimization/certificate.hpp>
+
+#include "chordal_problem.hpp"
+
+namespace loopwise::detail {
+
+/// What became of one component.
+struct DualOutcome {
+  CertificateStatus status = CertificateStatus::kUndecided;
+  CriticalPoint critical;  ///< Reached from the start.
+  LiftedPoses best;        ///< Of the lowest cost found, 3 rows.
+  double best_cost = 0.0;
+  double lower_bound = 0.0;
+  bool lost_in_rounding = false;  ///< Rounding leaves the bound too far below the cost.
+  double min_eigenvalue = 0.0;
+  double eigenvalue_tolerance = 0.0;
+  bool relaxation_solved =
+      false;  ///< lower_bound is the optimum of the relaxation, but for the relative gap.
+  int rank = 3;
+  int steps = 0;
+};
+
+/// Costs that are zero for every purpose: residuals of about a millionth of their deviation.
+[[nodiscard]] double negligible_cost(const ChordalProblem& problem);
+
+/// Descends from poses, tests the dual certificate there, and where it fails climbs the Riemannian staircase
+/// (Boumal, NIPS 2016): relaxations of growing rank, entered along the eigenvector of the negative
+/// eigenvalue, until one is certified, and back to poses.
+[[nodiscard]] DualOutcome certify_component(const ChordalProblem& problem, const LiftedPoses& start,
+                                            const CertificateOptions& options, const StopToken& stop);
+
+}  // namespace loopwise::detail
