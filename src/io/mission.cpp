@@ -72,6 +72,7 @@ Robots robots_of(const PoseGraph& graph, const MissionOptions& options, const Ro
 
 PoseGraph with_stamps(const PoseGraph& graph, const Stamps& stamps, const std::vector<PriorFactor>& priors) {
   PoseGraph out;
+  out.set_planar(graph.planar());
   for (Node node : graph.nodes()) {
     const auto stamp = stamps.find(node.key);
     node.stamp_ns = stamp == stamps.end() ? 0 : stamp->second;

@@ -10,6 +10,7 @@
 
 #include <Eigen/LU>
 
+#include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/engine/engine.hpp>
 #include <loopwise/replay/replay.hpp>
@@ -96,6 +97,10 @@ std::vector<double> arrival_times(const Mission& mission) {
 }
 
 std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& options) {
+  if (mission.graph.planar()) {
+    throw InputError(mission.path.string() +
+                     ": has a 2D graph, and registration finds closures in 3D: a replay needs a 3D graph");
+  }
   const std::vector<Node>& nodes = mission.graph.nodes();
   const std::vector<double> times = arrival_times(mission);
   std::vector<std::size_t> order(nodes.size());
