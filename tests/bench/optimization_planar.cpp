@@ -24,9 +24,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A closure is right if the truth agrees with it to so much.
+/// A closure is right if the truth has its ends to so much where it has them. Of headings nothing is asked:
+/// those of satellite positions are poor.
 constexpr double kRight_m = 3.0;
-constexpr double kRight_rad = 0.5;
+/// Bounds of how far closures are off, for the counts in detail.
+constexpr double kBounds_m[] = {1.0, 3.0, 10.0, std::numeric_limits<double>::infinity()};
 /// Of turns over a stretch of path before and after a pose.
 constexpr double kStretch_m = 2.0;
 /// Truth farther apart says nothing of what lies between.
@@ -178,7 +180,7 @@ Truth find_truth(const PoseGraph& graph, const std::vector<Eigen::Isometry3d>& o
   return Truth(graph.nodes().size());
 }
 
-/// Root mean square of the distances after the best motion in the plane; NaN without truth.
+/// Root mean square of the distances after the best motion in the plane.
 double absolute_error(const std::vector<Eigen::Isometry3d>& poses, const Truth& truth) {
   Eigen::Vector2d mean_p = Eigen::Vector2d::Zero(), mean_q = mean_p;
   double count = 0.0;
@@ -221,15 +223,14 @@ double squared_residual(const PoseGraph& graph, std::size_t e, const std::vector
   return r.dot(graph.edges()[e].information * r);
 }
 
-/// Closures that the truth can judge (by edge): 1 right, 0 wrong, −1 not judged.
-std::vector<int> judged(const PoseGraph& graph, const Truth& truth) {
-  std::vector<int> out(graph.edges().size(), -1);
+/// How far each closure is off by the truth (by edge), m; NaN for odometry and where truth is missing.
+std::vector<double> errors_of(const PoseGraph& graph, const Truth& truth) {
+  std::vector<double> out(graph.edges().size(), kNaN);
   for (std::size_t e = 0; e < out.size(); ++e) {
     const auto [from, to] = graph.ends(e);
     if (known_inlier(graph.edges()[e]) || !truth[from] || !truth[to]) continue;
-    const Eigen::Isometry3d off = graph.edges()[e].T_from_to.inverse() * truth[from]->inverse() * *truth[to];
-    const bool right = off.translation().norm() <= kRight_m && std::abs(planar::heading(off)) <= kRight_rad;
-    out[e] = right ? 1 : 0;
+    const Eigen::Isometry3d T = truth[from]->inverse() * *truth[to];
+    out[e] = (T.translation() - graph.edges()[e].T_from_to.translation()).norm();
   }
   return out;
 }
@@ -242,26 +243,37 @@ std::vector<Eigen::Isometry3d> optimum_of(PoseGraph graph, Keep&& keep) {
   return optimize(graph).poses;
 }
 
-/// How the residuals of the right closures are, where nothing wrong bends the graph.
-void show_noise(const PoseGraph& graph, const std::vector<int>& right,
-                const std::vector<Eigen::Isometry3d>& clean) {
+/// Of the closures that are off by so much: how many are kept, their residuals at the result, and how far
+/// odometry alone is from them.
+void show_closures(const PoseGraph& graph, const std::vector<double>& off, const GncResult& gnc) {
   const std::vector<double> d2 = detail::innovations(graph, detail::OdometryForest(graph));
-  const double c2 = chi_squared_quantile(GncOptions().inlier_probability, graph.degrees_of_freedom());
-  std::vector<double> of_right, of_wrong, residuals;
-  std::size_t beyond = 0;
-  for (std::size_t e = 0; e < right.size(); ++e) {
-    if (right[e] < 0) continue;
-    (right[e] == 1 ? of_right : of_wrong).push_back(d2[e]);
-    if (right[e] == 0) continue;
-    residuals.push_back(squared_residual(graph, e, clean));
-    beyond += residuals.back() > c2 ? 1 : 0;
+  std::size_t kept_right = 0, kept = 0, right = 0;
+  double above = 0.0;
+  for (const double bound : kBounds_m) {
+    std::vector<double> of_odometry, residuals;
+    std::size_t kept_here = 0;
+    for (std::size_t e = 0; e < off.size(); ++e) {
+      if (!(off[e] >= above && off[e] < bound)) continue;
+      kept_here += gnc.weights[e] > 0.5 ? 1 : 0;
+      of_odometry.push_back(d2[e]);
+      residuals.push_back(squared_residual(graph, e, gnc.optimization.poses));
+    }
+    if (!residuals.empty())
+      std::printf("  off by %2.0f to %3.0f m: kept %3zu of %3zu; median r² %.3g, d² over odometry %.3g\n",
+                  above, bound, kept_here, residuals.size(), median(residuals), median(of_odometry));
+    kept += kept_here;
+    if (bound <= kRight_m) {
+      kept_right += kept_here;
+      right += residuals.size();
+    }
+    above = bound;
   }
-  if (residuals.empty()) return;
-  std::printf(
-      "  right closures alone: median r² %.3g, %zu of %zu beyond c² = %.1f; median d² over odometry %.3g "
-      "right, "
-      "%.3g wrong\n",
-      median(residuals), beyond, residuals.size(), c2, median(of_right), median(of_wrong));
+  if (kept > 0 && right > 0) {
+    std::printf("  precision %.3f, recall %.3f of the kept, c² = %.1f\n",
+                static_cast<double>(kept_right) / static_cast<double>(kept),
+                static_cast<double>(kept_right) / static_cast<double>(right),
+                chi_squared_quantile(GncOptions().inlier_probability, graph.degrees_of_freedom()));
+  }
 }
 
 void show(const fs::path& file, const std::vector<fs::path>& files) {
@@ -278,7 +290,7 @@ void show(const fs::path& file, const std::vector<fs::path>& files) {
   std::printf("%s\n", file.stem().c_str());
   for (const Problem& problem : read.problems.all()) std::printf("  %s\n", to_string(problem).c_str());
   const Truth truth = find_truth(graph, odometry, files);
-  const std::vector<int> right = judged(graph, truth);
+  const std::vector<double> off = errors_of(graph, truth);
 
   double start = seconds_now();
   const std::vector<Eigen::Isometry3d> all = optimum_of(graph, [](std::size_t) { return true; });
@@ -286,28 +298,17 @@ void show(const fs::path& file, const std::vector<fs::path>& files) {
   start = seconds_now();
   const GncResult gnc = optimize_gnc(graph);
   const double gnc_s = seconds_now() - start;
-  const auto clean = optimum_of(graph, [&](std::size_t e) { return right[e] == 1; });
-
-  std::size_t counts[2][2] = {};  // by right, by kept
-  for (std::size_t e = 0; e < right.size(); ++e) {
-    if (right[e] >= 0) ++counts[right[e]][gnc.weights[e] > 0.5 ? 1 : 0];
-  }
-  const auto share = [](std::size_t part, std::size_t other) {
-    return part + other == 0 ? kNaN : static_cast<double>(part) / static_cast<double>(part + other);
-  };
-  const auto error = [&](const std::vector<Eigen::Isometry3d>& poses) {
-    return absolute_error(poses, truth);
-  };
   std::printf(
       "  poses %zu, edges %zu, closures %zu: kept %zu, left out %zu; %.2f s, all believed %.2f s; start %s, "
-      "%s\n"
-      "  ATE m: odometry %.2f, all closures %.2f, GNC %.2f, right closures %.2f\n"
-      "  by truth: %zu right, %zu wrong; precision %.3f, recall %.3f of the kept\n",
+      "%s\n",
       graph.nodes().size(), graph.edges().size(), closures, gnc.inliers, gnc.outliers, gnc_s, all_s,
-      enum_name(gnc.start).c_str(), gnc.optimization.converged ? "converged" : "not converged",
-      error(odometry), error(all), error(gnc.optimization.poses), error(clean), counts[1][0] + counts[1][1],
-      counts[0][0] + counts[0][1], share(counts[1][1], counts[0][1]), share(counts[1][1], counts[1][0]));
-  show_noise(graph, right, clean);
+      enum_name(gnc.start).c_str(), gnc.optimization.converged ? "converged" : "not converged");
+  if (std::none_of(truth.begin(), truth.end(), [](const auto& pose) { return pose.has_value(); })) return;
+  const auto right = optimum_of(graph, [&](std::size_t e) { return off[e] <= kRight_m; });
+  std::printf("  ATE m: odometry %.2f, all closures %.2f, GNC %.2f, right closures %.2f\n",
+              absolute_error(odometry, truth), absolute_error(all, truth),
+              absolute_error(gnc.optimization.poses, truth), absolute_error(right, truth));
+  show_closures(graph, off, gnc);
   std::fflush(stdout);
 }
 

@@ -96,7 +96,7 @@ struct Edge {
 /// of freedom. Of information only x, y and the rotation about z count (see planar::information()).
 class LOOPWISE_EXPORT PoseGraph {
  public:
-  /// Declares the graph planar, or no longer planar. From then on whatever leaves the plane is an error: a
+  /// Declares the graph planar, or no longer planar. From then on what leaves the plane is an error: a
   /// pose with z, roll or pitch, information that ties these to the plane, gravity. \throws InputError naming
   /// what the graph already has outside the plane.
   void set_planar(bool planar = true);
