@@ -233,6 +233,15 @@ TEST_CASE("g2o: edges without information get that of their kind", "[io][g2o]") 
   CHECK(file.graph.edges()[2].information(3, 3) == Approx(2500.0));
 }
 
+TEST_CASE("g2o: the longest odometry without information still gets some", "[io][g2o]") {
+  const std::string spatial = kTwoVertices + "EDGE_SE3:QUAT 0 1 1e308 1e308 0 0 0 0 1\n";
+  const std::string planar = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1e308 1e308 0\n";
+  const PoseGraph graph = read(GENERATE_COPY(spatial, planar)).graph;
+  REQUIRE(graph.edges().size() == 1);
+  CHECK(graph.edges()[0].information.diagonal().minCoeff() > 0.0);
+  CHECK(parse_g2o(g2o_text(graph, {}), "again").graph.edges().size() == 1);
+}
+
 TEST_CASE("g2o: vertices that are not read take what hangs on them along", "[io][g2o]") {
   const std::string text = "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\nFIX 60 0\n" + kTwoVertices +
                            "VERTEX_PLANE 60 0 0 1 0.5 0.2 0.2 0.2\n" + "VERTEX_TRACKXYZ 61 1 2 3\nFIX 61\n" +
