@@ -99,7 +99,8 @@ std::vector<double> arrival_times(const Mission& mission) {
 std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& options) {
   if (mission.graph.planar()) {
     throw InputError(mission.path.string() +
-                     ": has a 2D graph, and registration finds closures in 3D: a replay needs a 3D graph");
+                     ": has a 2D graph, but candidates are found and registered in 3D: optimize, evaluate, "
+                     "info and convert take it");
   }
   const std::vector<Node>& nodes = mission.graph.nodes();
   const std::vector<double> times = arrival_times(mission);

@@ -235,11 +235,13 @@ TEST_CASE("optimize: a 2D graph is optimised and written in two dimensions", "[a
   const Json info = json_of({"info", in});
   REQUIRE(info.at("planar") == true);
   REQUIRE(info.at("odometry_edges") == 39);
-  const ProgramRun ranked = run_program({"rank", in});
-  REQUIRE(ranked.status == 0);
-  const ProgramRun replayed = run_program({"replay", in, "-o", (folder / "run").string()});
-  REQUIRE(replayed.status == 3);
-  REQUIRE_THAT(replayed.err, Contains("in.g2o: has a 2D graph"));
+  const std::vector<std::vector<std::string>> refused = {{"rank", in},
+                                                         {"replay", in, "-o", (folder / "run").string()}};
+  for (const std::vector<std::string>& command : refused) {
+    const ProgramRun run = run_program(command);
+    REQUIRE(run.status == 3);
+    REQUIRE_THAT(run.err, Contains("in.g2o: has a 2D graph"));
+  }
 }
 
 }  // namespace loopwise
