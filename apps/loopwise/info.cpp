@@ -241,6 +241,7 @@ int run(const Options& options) {
       {"run", is_run},
       {"robots", robots},
       {"nodes", mission.graph.nodes().size()},
+      {"planar", mission.graph.planar()},
       {"edges", mission.graph.edges().size()},
       {"odometry_edges", odometry},
       {"priors", mission.graph.priors().size()},
@@ -263,7 +264,7 @@ int run(const Options& options) {
   text += "\ngraph        " + std::to_string(mission.graph.nodes().size()) + " nodes, " +
           std::to_string(mission.graph.edges().size()) + " edges (" + std::to_string(odometry) +
           " odometry), " + std::to_string(mission.graph.priors().size()) + " priors, " +
-          std::to_string(component_count) + " components";
+          std::to_string(component_count) + " components" + (mission.graph.planar() ? ", planar" : "");
   if (sightings + mission.graph.ranges().size() + mission.graph.gravities().size() > 0) {
     text += "\nother        " + std::to_string(sightings) + " sightings of landmarks, " +
             std::to_string(mission.graph.ranges().size()) + " ranges, gravity at " +

@@ -320,6 +320,7 @@ int run(const Options& options) {
   if (!options.weights.empty()) write_weights(options.weights, graph, weights);
 
   Json head = {{"poses", graph.nodes().size()},
+               {"planar", graph.planar()},
                {"edges", graph.edges().size()},
                {"components", result.components},
                {"cost_initial", result.cost_initial},
@@ -339,12 +340,12 @@ int run(const Options& options) {
   head.update(json);
   char line[256];
   std::snprintf(line, sizeof line,
-                "graph        %zu poses, %zu edges, %zu component%s\ncost         %.12g -> %.12g\n"
+                "graph        %zu poses, %zu edges, %zu component%s%s\ncost         %.12g -> %.12g\n"
                 "optimisation from %s, %d steps, %d factorisations, %s, %.3f s\n",
                 graph.nodes().size(), graph.edges().size(), result.components,
-                result.components == 1 ? "" : "s", result.cost_initial, result.cost,
-                enum_name(result.initialization).c_str(), result.iterations, result.factorizations,
-                enum_name(result.termination).c_str(), optimized_s - reading_s);
+                result.components == 1 ? "" : "s", graph.planar() ? ", planar" : "", result.cost_initial,
+                result.cost, enum_name(result.initialization).c_str(), result.iterations,
+                result.factorizations, enum_name(result.termination).c_str(), optimized_s - reading_s);
   print_results(options.common, head, (options.verbose ? trace_table(result) + "\n" : "") + line + text);
   if (interrupt.interrupted()) return kInterrupted;
   if (!result.converged) console.warn("not converged: " + result.message);
@@ -361,7 +362,8 @@ void add_optimize(CLI::App& app, Action& chosen) {
       "  loopwise optimize graph.g2o -o out.g2o\n"
       "  loopwise optimize graph.g2o -o out.g2o --gnc --weights weights.csv --robots 0-624,625-1249 \\\n"
       "      --prior 0 --prior 625:1e-4:1e-4");
-  command->add_option("input", options->input, "Pose graph: g2o (3D), a run, or a recording of any kind")
+  command
+      ->add_option("input", options->input, "Pose graph: g2o (2D or 3D), a run, or a recording of any kind")
       ->required()
       ->type_name("GRAPH");
   command->add_option("-o,--output", options->output, "Optimised graph, g2o")

@@ -158,6 +158,9 @@ void bind_core(py::module_& module) {
           "index_of",
           [](const PoseGraph& graph, const py::object& key) { return graph.index_of(key_from(key)); },
           py::arg("key"), "Number of a node: its row in poses and covariances.")
+      .def_property(
+          "planar", &PoseGraph::planar, [](PoseGraph& graph, bool planar) { graph.set_planar(planar); },
+          "Whether the graph is one of the plane z = 0; then what leaves the plane is an error.")
       .def_property_readonly("keys", [](const PoseGraph& graph) { return keys_array(graph.keys()); })
       .def_property(
           "poses", [](const PoseGraph& graph) { return poses_array(graph.poses()); },

@@ -16,8 +16,10 @@ namespace {
 /// 2^48 less the length of a path, makes such steps, a path does not.
 constexpr Key kLabelStep = Key{1} << (kKeyLabelShift - 1);
 
-/// Quantile 0.9999 of chi-squared with 6 degrees of freedom.
-constexpr double kLargestDistance = 27.86;
+/// Quantile 0.9999 of chi-squared with the degrees of freedom of the graph's poses.
+double largest_distance(const PoseGraph& graph) {
+  return graph.planar() ? 21.11 : 27.86;
+}
 
 std::pair<Key, Key> ends_of(const Edge& edge) {
   return std::minmax(edge.from, edge.to);
@@ -34,22 +36,22 @@ Vector6d difference(const Edge& first, const Edge& second) {
 }
 
 /// Whether the noise of both explains their difference.
-bool agree(const Edge& first, const Edge& second) {
+bool agree(const Edge& first, const Edge& second, double largest) {
   const Matrix6d& A = first.information;
   const Matrix6d B = second.from == first.from ? second.information : reversed(second).information;
   const Vector6d r = difference(first, second);
   // The form below exceeds neither of these, which are all that repeated edges need.
-  if (std::min(r.dot(A * r), r.dot(B * r)) <= kLargestDistance) return true;
+  if (std::min(r.dot(A * r), r.dot(B * r)) <= largest) return true;
   // (A⁻¹ + B⁻¹)⁻¹ = A (A + B)⁺ B: either may be singular.
   const Matrix6d both = A + B;
-  return r.dot(A * both.completeOrthogonalDecomposition().solve(B * r)) <= kLargestDistance;
+  return r.dot(A * both.completeOrthogonalDecomposition().solve(B * r)) <= largest;
 }
 
 /// Whether the noise explains how far the nodes' poses are from the measurement.
 bool fits_poses(const PoseGraph& graph, const Edge& edge) {
   const Vector6d r =
       se3::log(edge.T_from_to.inverse() * graph.node(edge.from).pose.inverse() * graph.node(edge.to).pose);
-  return r.dot(edge.information * r) <= kLargestDistance;
+  return r.dot(edge.information * r) <= largest_distance(graph);
 }
 
 /// Of edges between the same two nodes, the odometry: in the order of the file, but first those that fit the
@@ -57,6 +59,7 @@ bool fits_poses(const PoseGraph& graph, const Edge& edge) {
 /// with one of them is not enough: a weak measurement agrees with any.
 void mark_chain(PoseGraph& graph, std::vector<std::size_t> edges, Problems& problems) {
   const auto edge = [&](std::size_t e) -> const Edge& { return graph.edges()[e]; };
+  const double largest = largest_distance(graph);
   if (edges.size() > 1) {
     std::stable_partition(edges.begin(), edges.end(),
                           [&](std::size_t e) { return fits_poses(graph, edge(e)); });
@@ -64,7 +67,7 @@ void mark_chain(PoseGraph& graph, std::vector<std::size_t> edges, Problems& prob
   std::vector<std::size_t> odometry;
   for (const std::size_t e : edges) {
     const auto contradicted = std::find_if(odometry.begin(), odometry.end(),
-                                           [&](std::size_t o) { return !agree(edge(o), edge(e)); });
+                                           [&](std::size_t o) { return !agree(edge(o), edge(e), largest); });
     if (contradicted == odometry.end()) {
       odometry.push_back(e);
       graph.set_kind(e, EdgeKind::kOdometry);

@@ -8,6 +8,7 @@
 
 #include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/planar.hpp>
 
 namespace loopwise {
 namespace {
@@ -19,15 +20,6 @@ std::string describe(Key key) {
 
 bool is_rigid(const Eigen::Isometry3d& pose) {
   return pose.matrix().allFinite() && se3::rotation_defect(pose.linear()) <= 1e-6;
-}
-
-void require_pose(const Eigen::Isometry3d& pose, const std::string& what) {
-  if (!pose.matrix().allFinite()) throw InputError(what + ": pose is not finite");
-  if (!is_rigid(pose)) throw InputError(what + ": pose is not a rigid transform");
-}
-
-void require_information(const Matrix6d& information, const std::string& what) {
-  if (const char* why = check_information(information)) throw InputError(what + ": information is " + why);
 }
 
 /// A weight 1/sigma² must be a number as well.
@@ -43,6 +35,24 @@ void make_room(std::vector<Value>& values) {
 }
 
 }  // namespace
+
+void PoseGraph::require_pose(const Eigen::Isometry3d& pose, const std::string& what) const {
+  if (!pose.matrix().allFinite()) throw InputError(what + ": pose is not finite");
+  if (!is_rigid(pose)) throw InputError(what + ": pose is not a rigid transform");
+  if (planar_ && !planar::is_pose(pose))
+    throw InputError(what + ": pose has z, roll or pitch, but the graph is planar");
+}
+
+bool PoseGraph::fits(const Eigen::Isometry3d& pose) const {
+  return is_rigid(pose) && (!planar_ || planar::is_pose(pose));
+}
+
+void PoseGraph::require_information(const Matrix6d& information, const std::string& what) const {
+  if (const char* why = check_information(information)) throw InputError(what + ": information is " + why);
+  if (planar_ && !planar::is_information(information)) {
+    throw InputError(what + ": information ties z, roll or pitch to x, y or yaw, but the graph is planar");
+  }
+}
 
 const char* check_information(const Matrix6d& information) {
   if (!information.allFinite()) return "not finite";
@@ -60,6 +70,20 @@ const char* check_information(const Matrix6d& information) {
   if (Eigen::LLT<Matrix6d>(scaled).info() == Eigen::Success) return nullptr;
   const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(scaled, Eigen::EigenvaluesOnly);
   return solver.eigenvalues().minCoeff() < -1e-9 * scaled.cwiseAbs().maxCoeff() ? "indefinite" : nullptr;
+}
+
+void PoseGraph::set_planar(bool planar) {
+  if (!planar || planar_) {
+    planar_ = planar;
+    return;
+  }
+  PoseGraph plane;
+  plane.planar_ = true;
+  for (const Node& node : nodes_) plane.add_node(node);
+  for (const PriorFactor& prior : priors_) plane.add_prior(prior);
+  for (const Edge& edge : edges_) plane.add_edge(edge);
+  for (const GravityFactor& gravity : gravities_) plane.add_gravity(gravity);
+  planar_ = true;
 }
 
 std::size_t PoseGraph::add_node(const Node& node) {
@@ -115,6 +139,7 @@ std::size_t PoseGraph::add_range(const RangeFactor& range) {
 std::size_t PoseGraph::add_gravity(const GravityFactor& gravity) {
   static_cast<void>(index_of(gravity.key));
   const std::string what = "gravity at " + describe(gravity.key);
+  if (planar_) throw InputError(what + ": gravity says nothing about yaw, and the graph is planar");
   GravityFactor unit = gravity;
   for (Eigen::Vector3d* direction : {&unit.direction, &unit.reference}) {
     const double length = direction->norm();
@@ -177,7 +202,7 @@ std::vector<Key> PoseGraph::keys() const {
 }
 
 void PoseGraph::set_pose(Key key, const Eigen::Isometry3d& pose) {
-  if (!is_rigid(pose)) require_pose(pose, "node " + describe(key));
+  if (!fits(pose)) require_pose(pose, "node " + describe(key));
   nodes_[index_of(key)].pose = pose;
 }
 
@@ -186,7 +211,7 @@ void PoseGraph::set_poses(const std::vector<Eigen::Isometry3d>& poses) {
     throw InputError(std::to_string(poses.size()) + " poses for " + std::to_string(nodes_.size()) + " nodes");
   }
   for (std::size_t i = 0; i < poses.size(); ++i) {
-    if (!is_rigid(poses[i])) require_pose(poses[i], "node " + describe(nodes_[i].key));
+    if (!fits(poses[i])) require_pose(poses[i], "node " + describe(nodes_[i].key));
   }
   for (std::size_t i = 0; i < poses.size(); ++i) nodes_[i].pose = poses[i];
 }

@@ -241,6 +241,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   });
 
   PoseGraph graph, truth;
+  graph.set_planar(mission.graph.planar());
   std::string table;
   for (Node node : mission.graph.nodes()) {
     const std::string key = std::to_string(keys.of(node.key));

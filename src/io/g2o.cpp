@@ -3,13 +3,17 @@
 
 #include <algorithm>
 #include <array>
+#include <cmath>
+#include <cstdio>
 #include <cstring>
 #include <map>
+#include <optional>
 #include <set>
 #include <unordered_map>
 #include <vector>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/planar.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/io/atomic_file.hpp>
 
@@ -29,6 +33,14 @@ constexpr std::size_t kFactorNumbers = 28;  // a pose and the upper triangle of 
 
 using PoseNumbers = std::array<double, kPoseNumbers>;
 using FactorNumbers = std::array<double, kFactorNumbers>;
+
+/// Poses and factors of SE(3), or of the plane. A file holds either.
+struct Form {
+  std::string_view vertex, edge, prior;
+  std::size_t pose_numbers, factor_numbers;  // of a factor: a pose and the upper triangle of its information
+};
+constexpr Form kSpatial{"VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "EDGE_SE3_PRIOR", kPoseNumbers, kFactorNumbers};
+constexpr Form kPlanar{"VERTEX_SE2", "EDGE_SE2", "EDGE_PRIOR_SE2", 3, 9};
 
 struct VertexLine {
   std::size_t line;
@@ -74,7 +86,8 @@ class Reader {
     }
     if (out_.graph.empty()) {
       if (unfinished_ && !lines.ended()) return std::move(out_);
-      throw InputError(file_ + (contents.empty() ? ": is empty, " : ": ") + "no VERTEX_SE3:QUAT line");
+      throw InputError(file_ + (contents.empty() ? ": is empty, " : ": ") +
+                       "no VERTEX_SE3:QUAT line, and no VERTEX_SE2");
     }
     if (!unfinished_ && !lines.ended()) {
       out_.problems.add("no line end after the last line", here());
@@ -98,18 +111,23 @@ class Reader {
   void read_line(std::string_view line) {
     const std::string_view tag = text::next_word(line);
     if (tag.empty()) return;
-    if (tag == "EDGE_SE3:QUAT") {
-      read_edge(tag, line);
-    } else if (tag == "VERTEX_SE3:QUAT") {
-      read_vertex(tag, line);
-    } else if (tag == "EDGE_SE3_PRIOR") {
-      PriorLine prior{line_, id(tag, line), id(tag, line), {}};
-      numbers(tag, line, prior.numbers);
-      priors_.push_back(prior);
+    if (const Form* form = form_of(tag)) {
+      require_form(tag, *form);
+      if (tag == form->edge) {
+        read_edge(tag, line);
+      } else if (tag == form->vertex) {
+        read_vertex(tag, line);
+      } else {
+        PriorLine prior{line_, id(tag, line), 0, {}};
+        if (form == &kSpatial) prior.parameter = id(tag, line);
+        numbers(tag, line, prior.numbers, form->factor_numbers);
+        priors_.push_back(prior);
+      }
     } else if (tag == "PARAMS_SE3OFFSET") {
+      require_form(tag, kSpatial);
       const Key parameter = id(tag, line);
       PoseNumbers values;
-      numbers(tag, line, values);
+      numbers(tag, line, values, kPoseNumbers);
       if (!offsets_.emplace(parameter, OffsetLine{line_, pose(values.data(), line_)}).second) {
         place().fail("parameter " + std::to_string(parameter) + " is defined twice, first in line " +
                      std::to_string(offsets_.at(parameter).line));
@@ -124,15 +142,32 @@ class Reader {
     }
   }
 
+  static const Form* form_of(std::string_view tag) {
+    for (const Form* form : {&kSpatial, &kPlanar}) {
+      if (tag == form->vertex || tag == form->edge || tag == form->prior) return form;
+    }
+    return nullptr;
+  }
+
+  /// Of the first line that has one.
+  void require_form(std::string_view tag, const Form& form) {
+    if (form_ == nullptr) {
+      form_ = &form;
+      first_of_form_ = std::string(tag) + " in line " + std::to_string(line_);
+      out_.graph.set_planar(&form == &kPlanar);
+    } else if (form_ != &form) {
+      place().fail(std::string(tag) + " in the file of a " + (form_ == &kPlanar ? "2D" : "3D") + " graph (" +
+                   first_of_form_ + "): write a file for each");
+    }
+  }
+
   void read_edge(std::string_view tag, std::string_view line) {
     EdgeLine edge{line_, id(tag, line), id(tag, line), {}, true};
-    const std::size_t found = text::read_numbers(line, edge.numbers.data(), kFactorNumbers, place());
-    edge.has_information = found != kPoseNumbers;
-    if (edge.has_information && found != kFactorNumbers) {
-      place().fail(
-          "EDGE_SE3:QUAT needs 28 values after the ids (7 of the pose, 21 of the information) or the "
-          "7 alone, found " +
-          std::to_string(found));
+    const std::size_t found = text::read_numbers(line, edge.numbers.data(), form_->factor_numbers, place());
+    edge.has_information = found != form_->pose_numbers;
+    if (edge.has_information && found != form_->factor_numbers) {
+      place().fail(needs(tag, "the ids", form_->factor_numbers) + " or the " +
+                   std::to_string(form_->pose_numbers) + " alone, found " + std::to_string(found));
     }
     edges_.push_back(edge);
   }
@@ -143,16 +178,16 @@ class Reader {
     const bool others_have = std::all_of(edges_.begin(), edges_.end() - 1,
                                          [](const EdgeLine& edge) { return edge.has_information; });
     if (edges_.size() == 1 || !others_have) return;
-    place().fail(
-        "EDGE_SE3:QUAT needs 28 values after the ids as the other edges have, found 7: the file is cut "
-        "short");
+    place().fail(std::string(form_->edge) + " needs " + std::to_string(form_->factor_numbers) +
+                 " values after the ids as the other edges have, found " +
+                 std::to_string(form_->pose_numbers) + ": the file is cut short");
   }
 
   void read_vertex(std::string_view tag, std::string_view line) {
     Node node;
     node.key = id(tag, line);
     VertexLine vertex{line_, {}};
-    numbers(tag, line, vertex.numbers);
+    numbers(tag, line, vertex.numbers, form_->pose_numbers);
     if (const auto known = out_.graph.find(node.key)) {
       const VertexLine& first = vertices_[*known];
       if (first.numbers != vertex.numbers) {
@@ -173,14 +208,13 @@ class Reader {
   }
 
   void read_other(std::string_view tag, std::string_view line) {
-    static constexpr std::string_view kPlanar[] = {"VERTEX_SE2",     "EDGE_SE2", "VERTEX_XY", "EDGE_SE2_XY",
-                                                   "EDGE_PRIOR_SE2", "VERTEX2",  "EDGE2"};
+    if (tag == "VERTEX2" || tag == "EDGE2") {
+      place().fail(std::string(tag) +
+                   ": programs differ in the direction and the order of numbers of this tag, expected "
+                   "VERTEX_SE2 and EDGE_SE2 (from, to, pose, information by rows)");
+    }
     static constexpr std::string_view kOtherForms[] = {"VERTEX3", "EDGE3", "VERTEX_SE3:EULER",
                                                        "EDGE_SE3:EULER"};
-    if (std::find(std::begin(kPlanar), std::end(kPlanar), tag) != std::end(kPlanar)) {
-      place().fail(std::string(tag) +
-                   ": 2D pose graphs are not supported, expected VERTEX_SE3:QUAT and EDGE_SE3:QUAT");
-    }
     if (std::find(std::begin(kOtherForms), std::end(kOtherForms), tag) != std::end(kOtherForms)) {
       place().fail(std::string(tag) +
                    ": Euler angles are not supported, expected VERTEX_SE3:QUAT and EDGE_SE3:QUAT");
@@ -218,6 +252,14 @@ class Reader {
     return true;
   }
 
+  /// Whether it moves nothing: place recognition finds the place where a robot stands as well.
+  bool begins_where_it_ends(const EdgeLine& line) {
+    if (line.from != line.to || !out_.graph.contains(line.from)) return false;
+    out_.problems.add_altered("edge from a vertex to itself left out",
+                              text::Place{file_, line.line}.str() + ": vertex " + std::to_string(line.from));
+    return true;
+  }
+
   Key id(std::string_view tag, std::string_view& line) const {
     const std::string_view word = text::next_word(line);
     if (word.empty()) place().fail(std::string(tag) + ": id missing");
@@ -228,33 +270,54 @@ class Reader {
     return key;
   }
 
-  template <std::size_t n>
-  void numbers(std::string_view tag, std::string_view line, std::array<double, n>& values) const {
-    const std::size_t found = text::read_numbers(line, values.data(), n, place());
-    if (found != n) {
-      place().fail(std::string(tag) + " needs " + std::to_string(n) + " values after the id" +
-                   (n == kFactorNumbers ? "s (7 of the pose, 21 of the information)" : "") + ", found " +
-                   std::to_string(found));
+  static std::string needs(std::string_view tag, const char* after, std::size_t count) {
+    std::string out = std::string(tag) + " needs " + std::to_string(count) + " values after " + after;
+    for (const Form& form : {kSpatial, kPlanar}) {
+      if (count != form.factor_numbers) continue;
+      out += " (" + std::to_string(form.pose_numbers) + " of the pose, " +
+             std::to_string(form.factor_numbers - form.pose_numbers) + " of the information)";
     }
+    return out;
+  }
+
+  /// The first `count` of the values.
+  template <std::size_t n>
+  void numbers(std::string_view tag, std::string_view line, std::array<double, n>& values,
+               std::size_t count) const {
+    const std::size_t found = text::read_numbers(line, values.data(), count, place());
+    if (found == count) return;
+    const char* after = tag == kSpatial.prior ? "the ids" : "the id";
+    place().fail(needs(tag, after, count) + ", found " + std::to_string(found));
   }
 
   Eigen::Isometry3d pose(const double* values, std::size_t line) {
+    if (form_ == &kPlanar) return planar::pose(values[0], values[1], values[2]);
     const text::Place at{file_, line};
     const text::Pose parsed = text::pose_of(values, at);
     if (!parsed.was_unit) out_.problems.add_altered("non-unit quaternion", at.str());
     return parsed.pose;
   }
 
-  Matrix6d information(const double* triangle, std::size_t line) {
-    Matrix6d out;
-    for (int i = 0; i < 6; ++i) {
-      for (int j = i; j < 6; ++j) out(i, j) = out(j, i) = *triangle++;
+  template <int n>
+  static Eigen::Matrix<double, n, n> symmetric(const double* triangle) {
+    Eigen::Matrix<double, n, n> out;
+    for (int i = 0; i < n; ++i) {
+      for (int j = i; j < n; ++j) out(i, j) = out(j, i) = *triangle++;
     }
-    const SoundInformation sound = nearest_information(out);
+    return out;
+  }
+
+  Matrix6d information(const std::array<double, kFactorNumbers>& numbers, std::size_t line) {
+    const double* triangle = numbers.data() + form_->pose_numbers;
+    const bool planar = form_ == &kPlanar;
+    const SoundInformation sound =
+        nearest_information(planar ? planar::information(symmetric<3>(triangle)) : symmetric<6>(triangle));
     const std::string at = text::Place{file_, line}.str();
     if (sound.flaw == InformationFlaw::kRounded) out_.problems.add("rounded information", at);
     if (sound.flaw == InformationFlaw::kIndefinite) out_.problems.add_altered("indefinite information", at);
-    return sound.matrix;
+    if (!planar || sound.flaw == InformationFlaw::kSound) return sound.matrix;
+    // The decomposition leaves rounding between the plane and the other coordinates.
+    return planar::information(planar::block(sound.matrix));
   }
 
   /// Nothing depends on a factor of zero information: it would only seem to tie its nodes.
@@ -267,23 +330,13 @@ class Reader {
 
   void add_priors() {
     for (const PriorLine& line : priors_) {
-      if (hangs_on_other_vertex("EDGE_SE3_PRIOR", line.line, line.key)) continue;
+      if (hangs_on_other_vertex(form_->prior, line.line, line.key)) continue;
       PriorFactor prior;
       prior.key = line.key;
       prior.pose = pose(line.numbers.data(), line.line);
-      prior.information = information(line.numbers.data() + kPoseNumbers, line.line);
+      prior.information = information(line.numbers, line.line);
       if (says_nothing(prior.information, "prior", line.line)) continue;
-      const auto offset = offsets_.find(line.parameter);
-      if (offset == offsets_.end()) {
-        text::Place{file_, line.line}.fail("parameter " + std::to_string(line.parameter) +
-                                           " is not in the file");
-      }
-      // With sensor offset O, r = Log(Z⁻¹TO) = Ad(O⁻¹)·Log((ZO⁻¹)⁻¹T): a prior of the body itself.
-      const Eigen::Isometry3d O_inverse = offset->second.offset.inverse();
-      if (!O_inverse.matrix().isIdentity(0.0)) {
-        prior.pose = prior.pose * O_inverse;
-        prior.information = moved_information(prior.information, O_inverse);
-      }
+      if (form_ == &kSpatial) fold_offset(line, prior);
       add(line.line, [&] { out_.graph.add_prior(prior); });
     }
     for (const FixLine& line : fixed_) {
@@ -296,22 +349,35 @@ class Reader {
     }
   }
 
+  /// With sensor offset O, r = Log(Z⁻¹TO) = Ad(O⁻¹)·Log((ZO⁻¹)⁻¹T): a prior of the body itself.
+  void fold_offset(const PriorLine& line, PriorFactor& prior) const {
+    const auto offset = offsets_.find(line.parameter);
+    if (offset == offsets_.end()) {
+      text::Place{file_, line.line}.fail("parameter " + std::to_string(line.parameter) +
+                                         " is not in the file");
+    }
+    const Eigen::Isometry3d O_inverse = offset->second.offset.inverse();
+    if (O_inverse.matrix().isIdentity(0.0)) return;
+    prior.pose = prior.pose * O_inverse;
+    prior.information = moved_information(prior.information, O_inverse);
+  }
+
   void add_edges() {
     std::unordered_map<std::uint64_t, std::size_t> seen;
     seen.reserve(edges_.size());
     for (std::size_t i = 0; i < edges_.size(); ++i) {
       const EdgeLine& line = edges_[i];
-      const bool cannot_be_used = hangs_on_other_vertex("EDGE_SE3:QUAT", line.line, line.from) ||
-                                  hangs_on_other_vertex("EDGE_SE3:QUAT", line.line, line.to) ||
+      const bool cannot_be_used = hangs_on_other_vertex(form_->edge, line.line, line.from) ||
+                                  hangs_on_other_vertex(form_->edge, line.line, line.to) ||
                                   hangs_on_missing_vertex(line.line, line.from) ||
-                                  hangs_on_missing_vertex(line.line, line.to);
+                                  hangs_on_missing_vertex(line.line, line.to) || begins_where_it_ends(line);
       if (cannot_be_used) continue;
       Edge edge;
       edge.from = line.from;
       edge.to = line.to;
       edge.T_from_to = pose(line.numbers.data(), line.line);
       if (line.has_information) {
-        edge.information = information(line.numbers.data() + kPoseNumbers, line.line);
+        edge.information = information(line.numbers, line.line);
         if (says_nothing(edge.information, "edge", line.line)) continue;
       } else {
         out_.without_information.push_back(out_.graph.edges().size());
@@ -361,6 +427,8 @@ class Reader {
   std::string file_;
   bool unfinished_;
   std::size_t line_ = 0;
+  const Form* form_ = nullptr;
+  std::string first_of_form_;  // tag and line
   G2oFile out_;
   std::vector<VertexLine> vertices_;  // as the nodes of the graph
   std::vector<EdgeLine> edges_;
@@ -371,46 +439,112 @@ class Reader {
   std::unordered_map<Key, std::string> other_vertices_;  // tags of vertices that are not read
 };
 
-void append_information(std::string& out, const Matrix6d& information) {
-  for (int i = 0; i < 6; ++i) {
-    for (int j = i; j < 6; ++j) {
+template <class Matrix>
+void append_triangle(std::string& out, const Matrix& m) {
+  for (int i = 0; i < m.rows(); ++i) {
+    for (int j = i; j < m.cols(); ++j) {
       out += ' ';
-      text::append(out, information(i, j));
+      text::append(out, m(i, j));
     }
   }
-  out += '\n';
 }
+
+/// An angle near this one whose pose has the very rotation, of few digits if it can be.
+std::optional<double> angle_of(double angle, const Eigen::Matrix3d& R) {
+  constexpr int kRounding = 4;  // atan2 may be off by as many of the last bits
+  const auto fits = [&R](double value) { return planar::pose(0.0, 0.0, value).linear() == R; };
+  char digits[40];
+  for (int precision = 1; precision <= 17; ++precision) {
+    const int length = std::snprintf(digits, sizeof digits, "%.*g", precision, angle);
+    const std::string_view word(digits, static_cast<std::size_t>(length));
+    double value = 0.0;
+    if (text::parse_double(word, value) == text::Number::kOk && fits(value)) return value;
+  }
+  double up = angle, down = angle;
+  for (int i = 0; i < kRounding; ++i) {
+    up = std::nextafter(up, 4.0);
+    down = std::nextafter(down, -4.0);
+    if (fits(up)) return up;
+    if (fits(down)) return down;
+  }
+  return std::nullopt;
+}
+
+/// What was read is written again. A rotation that no angle has exactly is written as that of its angle.
+void append_heading(std::string& out, const Eigen::Isometry3d& T) {
+  const double angle = planar::heading(T);
+  auto same = angle_of(angle, T.linear());
+  if (!same) {
+    const Eigen::Isometry3d near = planar::pose(0.0, 0.0, angle);
+    same = angle_of(planar::heading(near), near.linear());
+  }
+  text::append(out, same.value_or(angle));
+}
+
+/// Lines of a graph in the form that it has.
+class Writer {
+ public:
+  explicit Writer(bool planar) : planar_(planar), form_(planar ? kPlanar : kSpatial) {}
+
+  void vertex(const Node& node) {
+    begin(form_.vertex, node.key);
+    pose(node.pose);
+    out += '\n';
+  }
+  void prior(const PriorFactor& prior) {
+    begin(form_.prior, prior.key);
+    if (!planar_) out += "0 ";
+    pose(prior.pose);
+    information(prior.information);
+  }
+  void edge(const Edge& edge) {
+    begin(form_.edge, edge.from);
+    text::append(out, edge.to);
+    out += ' ';
+    pose(edge.T_from_to);
+    information(edge.information);
+  }
+
+  std::string out;
+
+ private:
+  void begin(std::string_view tag, Key key) {
+    out += tag;
+    out += ' ';
+    text::append(out, key);
+    out += ' ';
+  }
+  void pose(const Eigen::Isometry3d& T) {
+    if (!planar_) return text::append_pose(out, T);
+    for (int axis = 0; axis < 2; ++axis) {
+      text::append(out, T.translation()[axis]);
+      out += ' ';
+    }
+    append_heading(out, T);
+  }
+  void information(const Matrix6d& m) {
+    if (planar_) {
+      append_triangle(out, planar::block(m));
+    } else {
+      append_triangle(out, m);
+    }
+    out += '\n';
+  }
+
+  bool planar_;
+  Form form_;
+};
 
 }  // namespace
 
 std::string g2o_text(const PoseGraph& graph, const std::vector<PriorFactor>& priors) {
-  std::string out;
-  out.reserve(graph.nodes().size() * 160 + graph.edges().size() * 300);
-  for (const Node& node : graph.nodes()) {
-    out += "VERTEX_SE3:QUAT ";
-    text::append(out, node.key);
-    out += ' ';
-    text::append_pose(out, node.pose);
-    out += '\n';
-  }
-  if (!priors.empty()) out += "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n";
-  for (const PriorFactor& prior : priors) {
-    out += "EDGE_SE3_PRIOR ";
-    text::append(out, prior.key);
-    out += " 0 ";
-    text::append_pose(out, prior.pose);
-    append_information(out, prior.information);
-  }
-  for (const Edge& edge : graph.edges()) {
-    out += "EDGE_SE3:QUAT ";
-    text::append(out, edge.from);
-    out += ' ';
-    text::append(out, edge.to);
-    out += ' ';
-    text::append_pose(out, edge.T_from_to);
-    append_information(out, edge.information);
-  }
-  return out;
+  Writer to(graph.planar());
+  to.out.reserve(graph.nodes().size() * 160 + graph.edges().size() * 300);
+  for (const Node& node : graph.nodes()) to.vertex(node);
+  if (!priors.empty() && !graph.planar()) to.out += "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n";
+  for (const PriorFactor& prior : priors) to.prior(prior);
+  for (const Edge& edge : graph.edges()) to.edge(edge);
+  return std::move(to.out);
 }
 
 G2oFile parse_g2o(std::string_view text, const std::string& source) {

@@ -138,6 +138,7 @@ std::map<Key, Key> full_keys(const PoseGraph& graph, const NamedClouds& clouds, 
 PoseGraph renamed(const PoseGraph& graph, const std::map<Key, Key>& full) {
   if (full.empty()) return graph;
   PoseGraph out;
+  out.set_planar(graph.planar());
   for (Node node : graph.nodes()) {
     node.key = full.at(node.key);
     out.add_node(node);

@@ -122,6 +122,7 @@ G2oFile without_anchors(G2oFile file, const KeyFrameFolders& key_frames, const s
   }
   if (anchors.empty()) return file;
   G2oFile out;
+  out.graph.set_planar(file.graph.planar());
   out.problems = std::move(file.problems);
   if (!key_frames.anchors) {
     out.problems.add_altered("fixed node without key frame taken for an anchor",

@@ -111,6 +111,8 @@ Mission join_missions(const std::vector<Mission>& missions, const MissionOptions
   for (std::size_t i = 0; i < missions.size(); ++i) {
     const Mission& mission = missions[i];
     const Eigen::Isometry3d& T = frames[i];
+    if (mission.graph.planar())
+      throw InputError(mission.path.string() + ": has a 2D graph: only 3D missions can be joined");
     const std::vector<Key> firsts = first_nodes(mission.graph, mission.robots);
     if (firsts.size() != 1) {
       throw InputError(mission.path.string() + ": has " + std::to_string(firsts.size()) +

@@ -72,6 +72,7 @@ Robots robots_of(const PoseGraph& graph, const MissionOptions& options, const Ro
 
 PoseGraph with_stamps(const PoseGraph& graph, const Stamps& stamps, const std::vector<PriorFactor>& priors) {
   PoseGraph out;
+  out.set_planar(graph.planar());
   for (Node node : graph.nodes()) {
     const auto stamp = stamps.find(node.key);
     node.stamp_ns = stamp == stamps.end() ? 0 : stamp->second;
@@ -312,9 +313,13 @@ Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOpt
 }
 
 Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& options) {
-  const double length = T.translation().norm();
-  const double m = std::max(options.odometry_min_sigma_m, options.odometry_sigma_m_per_m * length);
-  const double rad = std::max(options.odometry_min_sigma_rad, options.odometry_sigma_rad_per_m * length);
+  static constexpr double kLargest = 1e12;  // beyond it the information vanishes, and the edge with it
+  const double length = T.translation().stableNorm();
+  const auto sigma = [length](double least, double per_m) {
+    return std::min(kLargest, std::max(least, per_m * length));
+  };
+  const double m = sigma(options.odometry_min_sigma_m, options.odometry_sigma_m_per_m);
+  const double rad = sigma(options.odometry_min_sigma_rad, options.odometry_sigma_rad_per_m);
   const double sigmas[] = {m, m, m, rad, rad, rad};
   return parts::information_of_sigmas(sigmas);
 }

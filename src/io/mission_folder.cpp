@@ -7,6 +7,7 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/planar.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
@@ -274,6 +275,8 @@ std::vector<PriorFactor> read_priors(const fs::path& file, const PoseGraph& grap
     const text::Pose pose = text::pose_of(values, place);
     if (!pose.was_unit) problems.add_altered("non-unit quaternion", place.str());
     prior.pose = pose.pose;
+    if (graph.planar() && !planar::is_pose(prior.pose))
+      place.fail("the pose has z, roll or pitch, but the graph is 2D");
     for (std::size_t i = 7; i < 13; ++i) {
       // Beyond these, the information overflows or vanishes.
       if (!(values[i] >= 1e-12 && values[i] <= 1e12))

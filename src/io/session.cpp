@@ -104,6 +104,10 @@ std::optional<PoseGraph> read_graph(const fs::path& file, std::size_t rows, cons
                          file.string() + ": its keys are not the rows of the poses file");
     return std::nullopt;
   }
+  if (session.graph.planar()) {
+    problems.add_altered("session graph not used", file.string() + ": it is a 2D graph, of a 3D session");
+    return std::nullopt;
+  }
   MissionOptions by_neighbours = options;
   by_neighbours.odometry.clear();  // that of the mission, which has other edges
   // Its flaws are counted where its steps are taken.

@@ -348,7 +348,7 @@ class Starts {
   }
 
   [[nodiscard]] std::vector<char> confirmed_of(const std::vector<char>& wanted) const {
-    const double c2 = chi_squared_quantile(given_.gnc.inlier_probability, 6);
+    const double c2 = chi_squared_quantile(given_.gnc.inlier_probability, given_.graph.degrees_of_freedom());
     return confirmed_closures(given_.graph, given_.forest, wanted, gross_.scale * c2);
   }
 

@@ -7,6 +7,8 @@
 
 #include <Eigen/SVD>
 
+#include <loopwise/core/planar.hpp>
+
 #include "minimize.hpp"
 
 namespace loopwise {
@@ -214,7 +216,10 @@ std::vector<Pose> first_estimate(Initialization kind, const PoseGraph& graph, co
   if (kind == Initialization::kOdometry) return chained();
   if (kind != Initialization::kChordal) return problem.poses_of(graph.poses());
   std::vector<Eigen::Isometry3d> poses = graph.poses();
-  if (Chordal(problem, options).solve(poses, factorizations)) return problem.poses_of(poses);
+  if (Chordal(problem, options).solve(poses, factorizations)) {
+    if (graph.planar()) std::transform(poses.begin(), poses.end(), poses.begin(), planar::flattened);
+    return problem.poses_of(poses);
+  }
   return chained();  // information without a rotational or translational part: no linear system
 }
 
@@ -224,8 +229,8 @@ std::vector<FirstEstimate> ranked_estimates(const PoseGraph& graph, const PosePr
                                             int& factorizations) {
   // Noise alone costs half its degrees of freedom; from a few times as much every step leads downhill.
   constexpr double kGoodStart = 4.0;
-  const double redundant =
-      6.0 * (static_cast<double>(problem.factors()) - static_cast<double>(problem.nodes()));
+  const double redundant = graph.degrees_of_freedom() *
+                           (static_cast<double>(problem.factors()) - static_cast<double>(problem.nodes()));
   std::vector<FirstEstimate> out;
   const auto add = [&](Initialization kind) {
     FirstEstimate estimate{kind, first_estimate(kind, graph, problem, options, factorizations), 0.0};

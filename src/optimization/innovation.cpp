@@ -10,6 +10,7 @@
 
 #include <Eigen/Dense>
 
+#include <loopwise/core/planar.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/optimization/gnc.hpp>
 
@@ -20,6 +21,11 @@ constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
 
 double steps(std::uint32_t a, std::uint32_t b) {
   return std::abs(static_cast<double>(a) - b);
+}
+
+/// Mean over the directions in which poses of the graph are free.
+double mean_variance(const PoseGraph& graph, const Matrix6d& m) {
+  return (graph.planar() ? planar::trace(m) : m.trace()) / graph.degrees_of_freedom();
 }
 
 }  // namespace
@@ -59,7 +65,7 @@ void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {
   for (const std::size_t e : edges) {
     const auto covariance = covariance_of(graph_.edges()[e].information);
     if (!covariance) continue;
-    const double variance = covariance->trace();
+    const double variance = mean_variance(graph_, *covariance);
     const auto [from, to] = graph_.ends(e);
     const auto edge = static_cast<std::uint32_t>(e);
     const std::uint32_t roots[2] = {forest_.root(from), forest_.root(to)};
@@ -128,12 +134,12 @@ NeighbourInnovations::Innovation NeighbourInnovations::operator()(std::size_t e,
   const auto chain = forest_.between(from, to);
   if (!chain) return {};
   const Matrix6d direct = on_the_right(*chain, forest_.pose(to));
-  const Kept* kept = nearest(from, to, direct.trace());
+  const Kept* kept = nearest(from, to, mean_variance(graph_, direct));
   if (kept == nullptr) return {};
   const Matrix6d across = covariance_across(*kept, from, to);
   const Matrix6d& information = graph_.edges()[e].information;
-  const double variance = (information * across).trace() / 6.0;
-  if (!(variance < (information * direct).trace() / 6.0)) return {};
+  const double variance = mean_variance(graph_, information * across);
+  if (!(variance < mean_variance(graph_, information * direct))) return {};
   const double d2 = squared_innovation(information, across, residual);
   // Far from the origin a difference of covariances may have lost its digits.
   return d2 >= 0.0 && variance >= 0.0 ? Innovation{d2, variance} : Innovation{};

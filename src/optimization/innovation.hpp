@@ -14,9 +14,9 @@ namespace loopwise::detail {
 
 /// How far each closure lies from what the known inliers alone say, before anything is solved: d² = rᵀS⁻¹r,
 /// with r the residual at poses chained along odometry and S the closure's covariance plus that of the chain
-/// between its ends, carried along to first order. A true closure's d² has six degrees of freedom if the
-/// information is honest. One value per edge in graph order; NaN for known inliers and where no chain of
-/// known inliers and priors joins the ends.
+/// between its ends, carried along to first order. A true closure's d² has six degrees of freedom (three in a
+/// planar graph) if the information is honest. One value per edge in graph order; NaN for known inliers and
+/// where no chain of known inliers and priors joins the ends.
 [[nodiscard]] std::vector<double> innovations(const PoseGraph& graph, const OdometryForest& forest);
 
 /// d² of a residual whose closure has this information, where the rest predicts with this covariance.
@@ -46,7 +46,7 @@ class NeighbourInnovations {
   void set_kept(const std::vector<std::size_t>& edges);
   struct Innovation {
     double d2 = std::numeric_limits<double>::quiet_NaN();
-    /// Of the way, mean over six directions in which the closure's own is 1.
+    /// Of the way, mean over the directions in which the closure's own is 1.
     double variance = std::numeric_limits<double>::infinity();
   };
   /// Of a closure with its residual; NaN and ∞ where no chain of odometry joins its ends, or one that is as
@@ -60,7 +60,7 @@ class NeighbourInnovations {
     std::uint32_t place, other_place;  ///< Places in the forest's tour
     std::uint32_t edge;
     bool reversed;    ///< Seen from the edge's `to`
-    double variance;  ///< Trace of its covariance
+    double variance;  ///< Of its covariance, mean over the directions
   };
   [[nodiscard]] const Kept* nearest(std::size_t from, std::size_t to, double variance_limit) const;
   [[nodiscard]] Matrix6d covariance_across(const Kept& kept, std::size_t from, std::size_t to) const;

@@ -8,6 +8,7 @@
 #include <Eigen/Dense>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/planar.hpp>
 
 #include "blas_threads.hpp"
 #include "minimize.hpp"
@@ -47,6 +48,7 @@ struct HessianFactor::Impl {
   Factorization factorization = Factorization::kMultifrontal;
   double nonzeros = 0.0;
   double log_determinant = 0.0;
+  bool planar = false;
 
   [[nodiscard]] Eigen::Index row(std::size_t node) const {
     return 6 * static_cast<Eigen::Index>(position[variable[node]]);
@@ -61,6 +63,16 @@ struct HessianFactor::Impl {
     return found->second;
   }
 
+  /// Solves with the factor. Of a planar graph z, roll and pitch are known exactly.
+  template <class Solve>
+  void solve_with(Solve&& solve, Eigen::MatrixXd& x) const {
+    solve(panels, x);
+    if (!planar) return;
+    for (Eigen::Index row = 0; row < x.rows(); row += 6) {
+      for (const int across : planar::kAcross) x.row(row + across).setZero();
+    }
+  }
+
   template <class Solve>
   [[nodiscard]] Eigen::MatrixXd apply(const Eigen::MatrixXd& rhs, Solve&& solve) const {
     if (rhs.rows() != 6 * static_cast<Eigen::Index>(variable.size())) {
@@ -71,7 +83,7 @@ struct HessianFactor::Impl {
     for (std::size_t node = 0; node < variable.size(); ++node) {
       if (!held(node)) x.middleRows<6>(row(node)) = rhs.middleRows<6>(6 * static_cast<Eigen::Index>(node));
     }
-    solve(panels, x);
+    solve_with(solve, x);
     Eigen::MatrixXd out = Eigen::MatrixXd::Zero(rhs.rows(), rhs.cols());
     for (std::size_t node = 0; node < variable.size(); ++node) {
       if (!held(node)) out.middleRows<6>(6 * static_cast<Eigen::Index>(node)) = x.middleRows<6>(row(node));
@@ -85,7 +97,7 @@ struct HessianFactor::Impl {
     for (std::size_t k = 0; k < nodes.size(); ++k) {
       if (!held(nodes[k])) x.block<6, 6>(row(nodes[k]), 6 * static_cast<Eigen::Index>(k)).setIdentity();
     }
-    detail::solve(panels, x);
+    solve_with([](const auto& factor, auto& rhs) { detail::solve(factor, rhs); }, x);
     return x;
   }
 
@@ -205,6 +217,7 @@ HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& opt
   }
   Impl& m = *impl_;
   m.poses = graph.poses();
+  m.planar = graph.planar();
   for (std::size_t i = 0; i < graph.nodes().size(); ++i) m.keys.emplace_back(graph.nodes()[i].key, i);
   std::sort(m.keys.begin(), m.keys.end());
   m.variable = equations.freedom().variable;
@@ -264,7 +277,13 @@ Marginals HessianFactor::marginals() const {
   for (std::size_t node = 0; node < out.covariances.size(); ++node) {
     if (impl_->held(node)) continue;
     const Matrix6d block = blocks.middleCols<6>(impl_->row(node));
-    out.covariances[node] = 0.5 * (block + block.transpose());
+    Matrix6d& covariance = out.covariances[node];
+    covariance = 0.5 * (block + block.transpose());
+    if (!impl_->planar) continue;
+    for (const int across : planar::kAcross) {
+      covariance.row(across).setZero();
+      covariance.col(across).setZero();
+    }
   }
   add_traces(out);
   return out;
@@ -286,7 +305,16 @@ std::vector<Matrix12d> HessianFactor::joint(
   } else {
     m.joint_by_columns(pairs, m.joint_by_selection(pairs, out), out);
   }
-  for (Matrix12d& joint : out) joint = 0.5 * (joint + joint.transpose()).eval();
+  for (Matrix12d& joint : out) {
+    joint = 0.5 * (joint + joint.transpose()).eval();
+    if (!m.planar) continue;
+    for (const int across : planar::kAcross) {
+      for (const int a : {across, across + 6}) {
+        joint.row(a).setZero();
+        joint.col(a).setZero();
+      }
+    }
+  }
   return out;
 }
 

@@ -60,6 +60,7 @@ OdometryVariances odometry_variances(const PoseGraph& graph, const OdometryFores
   } catch (const InputError&) {
     return variances;  // the factors leave a pose open: there are no covariances
   }
+  const double degrees_of_freedom = graph.degrees_of_freedom();
   std::map<std::uint32_t, Sums> sums;
   for (std::size_t i = 0; i < odometry.size(); ++i) {
     const Edge& edge = graph.edges()[odometry[i]];
@@ -70,7 +71,7 @@ OdometryVariances odometry_variances(const PoseGraph& graph, const OdometryFores
     J.leftCols<6>() = -J.rightCols<6>() * se3::adjoint(to.inverse() * from);
     Sums& of_tree = sums[forest.root(ends[i].first)];
     of_tree.squares += r.dot(edge.information * r);
-    of_tree.redundancy += 6.0 - (edge.information * J * joint[i] * J.transpose()).trace();
+    of_tree.redundancy += degrees_of_freedom - (edge.information * J * joint[i] * J.transpose()).trace();
   }
   OdometryVariances out;
   for (const auto& [root, sum] : sums) {

@@ -203,7 +203,7 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
   std::vector<detail::Pose> poses;
   if (from == Initialization::kAuto) {
     // Not the chordal estimate: what false closures do to it, second_start sees to.
-    const double c2 = chi_squared_quantile(options.inlier_probability, 6);
+    const double c2 = chi_squared_quantile(options.inlier_probability, graph.degrees_of_freedom());
     auto estimates = detail::ranked_estimates(
         graph, problem, impl_->options, false,
         [&](const auto& at) { return detail::truncated_cost(graph, problem, at, c2); },

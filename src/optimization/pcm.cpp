@@ -92,7 +92,7 @@ PcmResult pairwise_consistent(const PoseGraph& graph, const PcmOptions& options)
   PcmResult result;
   result.kept.assign(graph.edges().size(), true);
   const detail::OdometryForest forest(graph);
-  const double threshold = chi_squared_quantile(options.inlier_probability, 6);
+  const double threshold = chi_squared_quantile(options.inlier_probability, graph.degrees_of_freedom());
 
   std::map<std::pair<std::uint32_t, std::uint32_t>, std::vector<Candidate>> groups;
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {

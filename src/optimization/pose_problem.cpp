@@ -6,6 +6,7 @@
 #include <numeric>
 
 #include <loopwise/core/disjoint_sets.hpp>
+#include <loopwise/core/planar.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/optimization/auxiliary_factors.hpp>
 
@@ -36,7 +37,7 @@ void add_block(double* values, const BlockCholesky::Slot& slot, const Matrix6d& 
 }  // namespace
 
 PoseProblem::PoseProblem(const PoseGraph& graph)
-    : nodes_(graph.nodes().size()), edges_(graph.edges().size()) {
+    : nodes_(graph.nodes().size()), edges_(graph.edges().size()), planar_(graph.planar()) {
   const std::size_t count = edges_ + graph.priors().size();
   from_.reserve(count);
   to_.reserve(count);
@@ -234,6 +235,23 @@ void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Po
     });
   }
   linearize_auxiliary(problem, poses, true);
+  if (problem.planar()) pin_to_plane();
+}
+
+/// Nothing ties z, roll and pitch to the plane, so that the other rows of H are the two-dimensional ones, and
+/// its determinant and pivots those of the two-dimensional H.
+void NormalEquations::pin_to_plane() {
+  double* values = cholesky_.values().data();
+  const auto set = [&](const BlockCholesky::Slot& slot, bool diagonal) {
+    for (const int r : planar::kAcross) {
+      for (const int c : planar::kAcross) {
+        values[slot.offset + static_cast<std::size_t>(c) * slot.stride + static_cast<std::size_t>(r)] =
+            diagonal && r == c ? 1.0 : 0.0;
+      }
+    }
+  };
+  for (std::size_t v = 0; v < freedom_.nodes.size(); ++v) set(cholesky_.diagonal_slot(v), true);
+  for (std::size_t pair = 0; pair < pairs_.size(); ++pair) set(cholesky_.pair_slot(pair), false);
 }
 
 void NormalEquations::linearize_auxiliary(const PoseProblem& problem, const std::vector<Pose>& poses,

@@ -25,6 +25,7 @@ class PoseProblem {
 
   [[nodiscard]] std::size_t nodes() const { return nodes_; }
   [[nodiscard]] std::size_t edges() const { return edges_; }
+  [[nodiscard]] bool planar() const { return planar_; }
   [[nodiscard]] std::size_t factors() const { return from_.size(); }
   [[nodiscard]] std::uint32_t from(std::size_t k) const { return from_[k]; }
   [[nodiscard]] std::uint32_t to(std::size_t k) const { return to_[k]; }
@@ -63,6 +64,7 @@ class PoseProblem {
  private:
   std::size_t nodes_;
   std::size_t edges_;
+  bool planar_;
   std::vector<std::uint32_t> from_, to_;
   std::vector<Pose> inverse_;
   std::vector<Matrix6d> information_;
@@ -91,6 +93,7 @@ class NormalEquations {
   /// before.
   void set_structure(const PoseProblem& problem);
   /// H = Σ w JᵀΩJ and g = Σ w JᵀΩr over the free nodes, at poses with these residuals (PoseProblem::cost).
+  /// Of a planar problem H is the identity over z, roll and pitch, where g is 0: solutions stay in the plane.
   /// \pre set_structure(problem)
   void linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
                  const std::vector<Vector6d>& residuals, ThreadPool& pool);
@@ -108,6 +111,7 @@ class NormalEquations {
   [[nodiscard]] std::vector<Pose> moved(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const;
 
  private:
+  void pin_to_plane();
   void linearize_auxiliary(const PoseProblem& problem, const std::vector<Pose>& poses, bool hessian);
 
   BlockCholesky cholesky_;

@@ -26,6 +26,7 @@ Gross find_gross(const PoseGraph& graph, const std::vector<double>& d2, double p
   constexpr double kLeast = 1e-7;
   Gross gross{std::vector<char>(graph.edges().size(), 0)};
   if (probability >= 1.0) return gross;
+  const int dof = graph.degrees_of_freedom();
   std::vector<double> known;
   for (const double d : d2) {
     if (d >= kLeast) known.push_back(d);
@@ -33,10 +34,10 @@ Gross find_gross(const PoseGraph& graph, const std::vector<double>& d2, double p
   if (known.size() >= kFewest) {
     const auto quartile = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 4);
     std::nth_element(known.begin(), quartile, known.end());
-    gross.scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, 6));
+    gross.scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, dof));
   }
   const double threshold =
-      odometry_margin * odometry_margin * gross.scale * chi_squared_quantile(probability, 6);
+      odometry_margin * odometry_margin * gross.scale * chi_squared_quantile(probability, dof);
   for (std::size_t k = 0; k < d2.size(); ++k) gross.aside[k] = d2[k] > threshold ? 1 : 0;
   return gross;
 }
@@ -90,7 +91,7 @@ RobustSolver::RobustSolver(const RobustProblem& given, const Gross& gross, PoseP
       stop_(given.stop),
       gross_(gross),
       neighbours_(given.graph, given.forest),
-      c2_(chi_squared_quantile(given.gnc.inlier_probability, 6)) {
+      c2_(chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom())) {
   for (std::size_t k = 0; k < problem.edges(); ++k) {
     problem.weight[k] = 1.0;
     if (!known_inlier(given.graph.edges()[k])) closures_.push_back(k);

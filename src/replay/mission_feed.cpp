@@ -10,6 +10,7 @@
 
 #include <Eigen/LU>
 
+#include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/engine/engine.hpp>
 #include <loopwise/replay/replay.hpp>
@@ -96,6 +97,11 @@ std::vector<double> arrival_times(const Mission& mission) {
 }
 
 std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& options) {
+  if (mission.graph.planar()) {
+    throw InputError(mission.path.string() +
+                     ": has a 2D graph, but candidates are found and registered in 3D: optimize, evaluate, "
+                     "info and convert take it");
+  }
   const std::vector<Node>& nodes = mission.graph.nodes();
   const std::vector<double> times = arrival_times(mission);
   std::vector<std::size_t> order(nodes.size());

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // What commands make of odometry that others wrote, and of trajectories with unsorted stamps.
 #include <algorithm>
+#include <array>
 
 #include <nlohmann/json.hpp>
 
@@ -186,6 +187,60 @@ TEST_CASE("commands: odometry and trajectories as others wrote them", "[apps][od
     REQUIRE(run_program({"replay", file(name), "-o", run, "--max-registrations", "20", "--method", "obs"})
                 .status == 0);
     REQUIRE(read_g2o(folder / name / "graph.g2o").graph.edges().size() == 43);
+  }
+}
+
+TEST_CASE("optimize: a 2D graph is optimised and written in two dimensions", "[apps][planar]") {
+  const TemporaryFolder folder;
+  // A square of 10 m a side, walked twice with odometry that turns too far; a right closure and a false one.
+  std::string vertices, edges, truth;
+  double x = 0.0, y = 0.0, drifted = 0.0;
+  for (int i = 0; i < 40; ++i) {
+    const int side = i / 5 % 4;
+    truth += "VERTEX_SE2 " + std::to_string(i) + " " + std::to_string(x) + " " + std::to_string(y) + " " +
+             std::to_string(1.5707963 * side) + "\n";
+    vertices += "VERTEX_SE2 " + std::to_string(i) + " 0 0 0\n";
+    x += std::array<double, 4>{2, 0, -2, 0}[static_cast<std::size_t>(side)];
+    y += std::array<double, 4>{0, 2, 0, -2}[static_cast<std::size_t>(side)];
+    drifted = i % 5 == 4 ? 1.5717963 : 0.001;
+    if (i < 39) {
+      edges += "EDGE_SE2 " + std::to_string(i) + " " + std::to_string(i + 1) + " 2 0 " +
+               std::to_string(drifted) + " 2500 0 0 2500 0 1e5\n";
+    }
+    if (i >= 20)
+      edges +=
+          "EDGE_SE2 " + std::to_string(i) + " " + std::to_string(i - 20) + " 0 0 0 2500 0 0 2500 0 1e5\n";
+  }
+  edges += "EDGE_SE2 35 3 1 1 1 2500 0 0 2500 0 1e5\n";
+  const std::string in = (folder / "in.g2o").string(), out = (folder / "out.g2o").string(),
+                    of_truth = (folder / "truth.g2o").string(), marginals = (folder / "m.csv").string();
+  testing::write_text(in, vertices + edges);
+  testing::write_text(of_truth, truth);
+  const Json json = json_of({"optimize", in, "-o", out, "--gnc", "--marginals", marginals});
+  REQUIRE(json.at("planar") == true);
+  REQUIRE(json.at("converged") == true);
+  REQUIRE(json.at("gnc").at("inliers") == 20);
+  REQUIRE(json.at("gnc").at("outliers") == 1);
+  REQUIRE(read_g2o(out).graph.planar());
+  // x and y are known to some extent; z, roll and pitch exactly.
+  const std::string table = testing::read_text(marginals);
+  std::istringstream row(table.substr(table.rfind("\n39,") + 1));
+  std::vector<std::string> columns;
+  for (std::string column; std::getline(row, column, ',');) columns.push_back(column);
+  REQUIRE(columns.size() == 22);
+  for (const std::size_t axis : {3u, 12u, 13u, 16u, 19u}) REQUIRE(columns[axis] == "0");
+  REQUIRE(std::stod(columns[1]) > 0.0);
+  const Json errors = json_of({"evaluate", out, of_truth});
+  REQUIRE(errors.at("ate_m").at("rmse") < 0.1);
+  const Json info = json_of({"info", in});
+  REQUIRE(info.at("planar") == true);
+  REQUIRE(info.at("odometry_edges") == 39);
+  const std::vector<std::vector<std::string>> refused = {{"rank", in},
+                                                         {"replay", in, "-o", (folder / "run").string()}};
+  for (const std::vector<std::string>& command : refused) {
+    const ProgramRun run = run_program(command);
+    REQUIRE(run.status == 3);
+    REQUIRE_THAT(run.err, Contains("in.g2o: has a 2D graph"));
   }
 }
 

@@ -7,7 +7,9 @@
 ///   loopwise_optimization_bench groups              false closures that agree in groups
 ///   loopwise_optimization_bench hard [SEED]         generated graphs with many false closures, random and in
 ///                                                   groups, and information that is wrong
+///   loopwise_optimization_bench batches [POSES [SEED]]  closures and poses that arrive in batches
 ///   loopwise_optimization_bench certify FILE...     the certificate of global optimality on g2o files
+///   loopwise_optimization_bench planar DATA/rrr     2D graphs of real robots, judged by their truth
 /// Times are processor time of the one thread that works, so that a busy machine shows less. They are
 /// medians; those of `files` are taken in turns with the peers'.
 #include <sys/resource.h>
@@ -37,6 +39,7 @@
 #include "optimization_certify.hpp"
 #include "optimization_graphs.hpp"
 #include "optimization_incremental.hpp"
+#include "optimization_planar.hpp"
 #include "pose_problem.hpp"
 
 namespace loopwise::bench {
@@ -548,10 +551,12 @@ int main(int argc, char** argv) {
     bench::compare_hard(argc > 2 ? static_cast<std::uint64_t>(std::atoll(argv[2])) : 1);
   } else if (what == "certify" && argc > 2) {
     bench::certify_files({argv + 2, argv + argc});
+  } else if (what == "planar" && argc == 3) {
+    bench::compare_planar(argv[2]);
   } else {
     std::fprintf(stderr,
                  "usage: %s files FOLDER | gnc FOLDER [CLEAN.g2o] | sizes [LARGEST [SMALLEST [SVG]]] | "
-                 "groups | hard [SEED] | batches [POSES [SEED]] | certify FILE...\n",
+                 "groups | hard [SEED] | batches [POSES [SEED]] | certify FILE... | planar FOLDER\n",
                  argv[0]);
     return 2;
   }

@@ -216,4 +216,16 @@ TEST_CASE("robots: labels in the keys tell robots apart, ordinary symbols lack t
   REQUIRE(kinds(numbered) == std::vector<EdgeKind>{kOdometry, kClosure, kOdometry});
 }
 
+TEST_CASE("edges: odometry of a planar graph is judged by three degrees of freedom",
+          "[core][graph][odometry][planar]") {
+  const bool is_planar = GENERATE(true, false);
+  CAPTURE(is_planar);
+  PoseGraph graph = nodes({0, 1});
+  graph.set_planar(is_planar);
+  graph.add_edge(measured(graph, 0, 1));
+  graph.add_edge(measured(graph, 0, 1, 0.07));  // d² of both: 24.5, thresholds 21.1 and 27.9
+  REQUIRE(classify(graph).count(kContradicts) == (is_planar ? 1 : 0));
+  REQUIRE(kinds(graph) == std::vector<EdgeKind>{kOdometry, is_planar ? kClosure : kOdometry});
+}
+
 }  // namespace loopwise

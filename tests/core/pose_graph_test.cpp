@@ -134,4 +134,47 @@ TEST_CASE("graph: components and the kinds of edges", "[core][graph]") {
   REQUIRE(graph.edges()[3].kind == EdgeKind::kLoopClosure);
 }
 
+TEST_CASE("graph: nothing leaves the plane of a planar graph", "[core][graph][planar]") {
+  PoseGraph graph = chain(3);
+  CHECK_FALSE(graph.planar());
+  CHECK(graph.degrees_of_freedom() == 6);
+  graph.set_planar();
+  REQUIRE(graph.planar());
+  CHECK(graph.degrees_of_freedom() == 3);
+
+  Eigen::Isometry3d above = Eigen::Isometry3d::Identity(), tilted = above;
+  above.translation().z() = 1e-300;
+  tilted.linear() = se3::so3_exp({0.0, 1e-9, 0.3});
+  for (const Eigen::Isometry3d& pose : {above, tilted}) {
+    Node node;
+    node.key = 9;
+    node.pose = pose;
+    Edge edge = edge_between(0, 2);
+    edge.T_from_to = pose;
+    const auto leaves = Contains("pose has z, roll or pitch, but the graph is planar");
+    REQUIRE_THROWS_WITH(graph.add_node(node), leaves && Contains("node 9"));
+    REQUIRE_THROWS_WITH(graph.add_edge(edge), leaves && Contains("edge 0 to 2"));
+    REQUIRE_THROWS_WITH(graph.add_prior({1, pose, Matrix6d::Identity()}), leaves && Contains("prior of 1"));
+    REQUIRE_THROWS_WITH(graph.set_pose(1, pose), leaves);
+    REQUIRE_THROWS_WITH(graph.set_poses({pose, pose, pose}), leaves);
+  }
+  Edge tied = edge_between(0, 2);
+  tied.information(0, 4) = tied.information(4, 0) = 0.1;
+  REQUIRE_THROWS_WITH(graph.add_edge(tied), Contains("information ties z, roll or pitch"));
+  REQUIRE_THROWS_WITH(graph.set_information(0, tied.information), Contains("ties z, roll or pitch"));
+  GravityFactor gravity;
+  gravity.key = 1;
+  REQUIRE_THROWS_WITH(graph.add_gravity(gravity), Contains("the graph is planar"));
+  graph.add_range({0, 2, 2.0, 0.1});
+  REQUIRE(graph.edges().size() == 2);
+
+  graph.set_planar(false);
+  graph.add_gravity(gravity);
+  REQUIRE_THROWS_WITH(graph.set_planar(), Contains("gravity at 1"));
+  PoseGraph spatial = chain(2);
+  spatial.set_pose(1, above);
+  REQUIRE_THROWS_WITH(spatial.set_planar(), Contains("node 1: pose has z, roll or pitch"));
+  CHECK_FALSE(spatial.planar());
+}
+
 }  // namespace loopwise

@@ -9,6 +9,7 @@ namespace {
 using namespace loopwise;
 
 void check_same(const PoseGraph& a, const PoseGraph& b) {
+  fuzz::expect(a.planar() == b.planar(), "written and read again: a planar graph is planar");
   fuzz::expect(a.keys() == b.keys(), "written and read again: the nodes are the same");
   fuzz::expect(a.edges().size() == b.edges().size() && a.priors().size() == b.priors().size(),
                "written and read again: edges and priors are as many");

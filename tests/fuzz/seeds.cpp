@@ -47,6 +47,10 @@ Seeds io_seeds() {
   const auto file = [](const fs::path& path) { return read_file(path); };
 
   all["g2o"] = {{"graph", file(missions / "g2o_pcd" / "result.g2o")},
+                {"planar",
+                 "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0.5 -2.25\nEDGE_PRIOR_SE2 0 0 0 0 9 0 0 9 0 9\nFIX 0\n"
+                 "EDGE_SE2 0 1 1 0.5 -2.25 10 1 2 20 3 30\nEDGE_SE2 1 1 0 0 0 1 0 0 1 0 1\n"
+                 "EDGE_SE2 1 0 -1 0 3.1 1 1.000001 0 1 0 1\nEDGE_SE2 1 0 -1 0 3.1\nVERTEX_XY 5 1 2\n"},
                 {"tags",
                  "# comment\nVERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 2\r\nFIX 0 1\n"
                  "PARAMS_SE3OFFSET 3 0 0 1 0 0 0 1\nEDGE_SE3_PRIOR 1 3 1 0 0 0 0 0 1"

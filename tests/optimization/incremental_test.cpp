@@ -2,9 +2,11 @@
 #include <catch2/catch.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <vector>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/planar.hpp>
 #include <loopwise/optimization/incremental.hpp>
 
 #include "incremental_cholesky.hpp"
@@ -283,6 +285,43 @@ TEST_CASE("incremental: a Hessian that is singular is left to the damped optimis
   const IncrementalResult result = optimizer.update();
   CHECK(result.from_scratch);
   CHECK(result.cost == Approx(optimize(optimizer.graph(), from_file()).cost).epsilon(1e-6));
+}
+
+TEST_CASE("incremental: planar poses stay in the plane", "[optimization][planar]") {
+  Rng rng(12);
+  PoseGraph graph;
+  graph.set_planar(true);
+  std::vector<Eigen::Isometry3d> truth;
+  for (Key key = 0; key < 60; ++key) {
+    const double angle = 0.2 * static_cast<double>(key);
+    truth.push_back(planar::pose(5.0 * std::cos(angle), 5.0 * std::sin(angle), angle));
+    Node node;
+    node.key = key;
+    node.pose = truth.back();
+    graph.add_node(node);
+  }
+  const auto add = [&](PoseGraph& to, Key a, Key b, EdgeKind kind) {
+    Edge edge;
+    edge.from = a;
+    edge.to = b;
+    edge.T_from_to = truth[a].inverse() * truth[b] *
+                     planar::pose(0.05 * rng.normal(), 0.05 * rng.normal(), 0.01 * rng.normal());
+    edge.information = 400.0 * Matrix6d::Identity();
+    edge.kind = kind;
+    to.add_edge(edge);
+  };
+  for (Key key = 1; key < 60; ++key) add(graph, key - 1, key, EdgeKind::kOdometry);
+  IncrementalOptimizer optimizer(graph, {}, exact());
+  PoseGraph closures = graph;
+  for (Key key = 0; key < 25; ++key) {
+    add(closures, key, key + 31, EdgeKind::kLoopClosure);
+    optimizer.add_edge(closures.edges().back());
+  }
+  const IncrementalResult result = optimizer.update();
+  CHECK(result.converged);
+  CHECK_FALSE(result.from_scratch);
+  check_against_optimize(optimizer.graph(), result.cost);
+  for (const Node& node : optimizer.graph().nodes()) CHECK(planar::is_pose(node.pose));
 }
 
 TEST_CASE("incremental: the same bits for any number of threads", "[optimization][property]") {

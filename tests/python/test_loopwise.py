@@ -85,6 +85,24 @@ class Graph(unittest.TestCase):
             with self.assertRaises(lw.IoError):
                 lw.read_g2o(path.with_name("absent.g2o"))
 
+    def test_planar(self):
+        with tempfile.TemporaryDirectory() as folder:
+            path = pathlib.Path(folder) / "plane.g2o"
+            path.write_text("VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0.5\n"
+                            "EDGE_SE2 0 1 1 0 0.5 10 0 0 10 0 40\n")
+            graph, problems = lw.read_g2o(path)
+            self.assertEqual(problems, [])
+            self.assertTrue(graph.planar)
+            self.assertFalse(square().planar)
+            tilted = np.eye(4)
+            tilted[2, 3] = 1.0
+            with self.assertRaisesRegex(lw.InputError, "the graph is planar"):
+                graph.add_node(2, tilted)
+            graph.planar = False
+            graph.add_node(2, tilted)
+            with self.assertRaisesRegex(lw.InputError, "node 2: pose has z"):
+                graph.planar = True
+
 
 class Optimization(unittest.TestCase):
     def test_closure_closes(self):

@@ -791,4 +791,20 @@ TEST_CASE("replay: position fixes neither turn the path nor are left out of the 
   REQUIRE(error(by_fixes) < 0.5 * error(by_odometry));
 }
 
+TEST_CASE("replay: a 2D graph is refused before anything is computed", "[replay][planar][error]") {
+  Mission mission = testing::two_circles();
+  PoseGraph flat;
+  flat.set_planar();
+  Node node;
+  node.key = make_key('a', 0);
+  flat.add_node(node);
+  mission.graph = flat;
+  mission.path = "flat.g2o";
+  const auto registrar = std::make_shared<OracleRegistrar>(mission.ground_truth);
+  const auto features = std::make_shared<FeatureCache>(mission.scans->loader());
+  ThreadPool threads(1);
+  REQUIRE_THROWS_WITH(MissionReplay(mission, {}, {features, registrar}).run(threads),
+                      Contains("flat.g2o: has a 2D graph"));
+}
+
 }  // namespace loopwise

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <optional>
 #include <set>
+#include <string>
 #include <unordered_map>
 #include <utility>
 #include <vector>
@@ -89,8 +90,21 @@ struct Edge {
 /// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, every
 /// factor's nodes exist, poses and information are finite, information is symmetric and not indefinite. Nodes
 /// and edges are numbered in the order of arrival; the numbers are what solvers work with.
+///
+/// A planar graph is one of the plane z = 0, as robots on wheels and 2D lidars have it: z, roll and pitch of
+/// poses and measurements are 0, covariances have nothing there, and tests of chi-squared count three degrees
+/// of freedom. Of information only x, y and the rotation about z count (see planar::information()).
 class LOOPWISE_EXPORT PoseGraph {
  public:
+  /// Declares the graph planar, or no longer planar. From then on what leaves the plane is an error: a
+  /// pose with z, roll or pitch, information that ties these to the plane, gravity. \throws InputError naming
+  /// what the graph already has outside the plane.
+  void set_planar(bool planar = true);
+  /// Whether the graph is one of the plane z = 0.
+  [[nodiscard]] bool planar() const { return planar_; }
+  /// Of a relative pose: 3 in a planar graph, else 6.
+  [[nodiscard]] int degrees_of_freedom() const { return planar_ ? 3 : 6; }
+
   /// \returns its number. \throws InputError on a repeated key or a pose that is not finite.
   std::size_t add_node(const Node& node);
   /// \throws UnknownKeyError; InputError on bad numbers (see check_information).
@@ -167,7 +181,11 @@ class LOOPWISE_EXPORT PoseGraph {
 
  private:
   std::size_t replace_edges(std::vector<Edge> edges);
+  [[nodiscard]] bool fits(const Eigen::Isometry3d& pose) const;
+  void require_pose(const Eigen::Isometry3d& pose, const std::string& what) const;
+  void require_information(const Matrix6d& information, const std::string& what) const;
 
+  bool planar_ = false;
   std::vector<Node> nodes_;
   std::vector<PriorFactor> priors_;
   std::vector<Edge> edges_;

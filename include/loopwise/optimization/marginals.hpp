@@ -18,7 +18,7 @@ namespace loopwise {
 using Matrix12d = Eigen::Matrix<double, 12, 12>;
 
 /// Marginal covariances of the poses: right perturbation, order [translation, rotation], m and rad, body
-/// frame.
+/// frame. Those of a planar graph are zero in z, roll and pitch, and so these add nothing to the traces.
 struct Marginals {
   std::vector<Matrix6d>
       covariances;                 ///< One per node, in graph order; zero for nodes that are held in place.
@@ -35,7 +35,8 @@ struct Marginals {
 
 /// The factorised Gauss-Newton Hessian H = Σ w JᵀΩJ of a graph at its poses, and what follows from Σ = H⁻¹.
 /// Coordinates: node i of the graph owns rows 6i … 6i+5. Nodes that are held (see Marginals) count as known
-/// exactly: their rows and columns of Σ are zero. Immutable; const calls are safe from several threads.
+/// exactly: their rows and columns of Σ are zero. So are those of z, roll and pitch in a planar graph, whose
+/// rows of H are those of the identity. Immutable; const calls are safe from several threads.
 class LOOPWISE_EXPORT HessianFactor {
  public:
   /// Linearises, orders and factorises. Of the options, factorization and threads are used.
@@ -67,7 +68,7 @@ class LOOPWISE_EXPORT HessianFactor {
   /// poses): a low-rank update of `base`, without another factorisation. Pays for few edges.
   [[nodiscard]] Marginals marginals_with(const std::vector<Edge>& edges, const Marginals& base) const;
 
-  /// log det H over the free poses.
+  /// log det H over the free poses; of a planar graph that of the three rows a pose that there are.
   [[nodiscard]] double log_determinant() const;
   /// Non-zeros of the factor.
   [[nodiscard]] double factor_nonzeros() const;
