@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "bindings.hpp"
 
+#include <map>
+
 #include <loopwise/optimization/certificate.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/marginals.hpp>
@@ -34,7 +36,19 @@ void bind_optimization(py::module_& module) {
           "one for each edge, in the order of the graph")
       .def_readonly("inliers", &GncResult::inliers)
       .def_readonly("outliers", &GncResult::outliers)
-      .def_readonly("truncated_cost", &GncResult::truncated_cost);
+      .def_readonly("truncated_cost", &GncResult::truncated_cost)
+      .def_property_readonly(
+          "start", [](const GncResult& r) { return enum_name(r.start); },
+          "the start that led to the result: first_estimate, confirmed, doubted_odometry, chordal or "
+          "last_result")
+      .def_property_readonly(
+          "odometry_scales",
+          [](const GncResult& r) {
+            std::map<Key, double> scales;
+            for (const OdometryScale& odometry : r.odometry_scales) scales[odometry.first] = odometry.scale;
+            return scales;
+          },
+          "of chains whose odometry is worse than stated: first node, and true deviations by stated ones");
   py::class_<Marginals>(module, "Marginals")
       .def_property_readonly(
           "covariances", [](const Marginals& m) { return matrices_array(m.covariances); },

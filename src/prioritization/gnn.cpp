@@ -465,7 +465,8 @@ GraphNetwork::Input graph_input(const PoseGraph& graph, GnnFeatures features,
   }
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
     const ::loopwise::Edge& edge = graph.edges()[e];
-    if (edge.weight <= 0.5) continue;  // what the back end holds to be false is no edge
+    // What the back end holds to be false is no edge; odometry has less weight where it is worse than stated.
+    if (edge.kind != EdgeKind::kOdometry && !edge.trusted && edge.weight <= 0.5) continue;
     connect(graph.ends(e).from, graph.ends(e).to, edge.kind == EdgeKind::kOdometry ? kOdometry : kClosure);
   }
   out.edge_attributes = Eigen::MatrixXd::Zero(static_cast<Index>(types.size()), kEdgeTypes);

@@ -5,10 +5,10 @@
 #include <cmath>
 #include <fstream>
 #include <map>
-#include <sstream>
 
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/se3.hpp>
+#include <loopwise/io/g2o.hpp>
 
 namespace loopwise::bench {
 namespace {
@@ -84,44 +84,15 @@ BenchGraph walk(Rng& rng, const std::vector<std::vector<Eigen::Isometry3d>>& pat
 BenchGraph read_bench_graph(const std::filesystem::path& path) {
   BenchGraph out;
   out.name = path.stem().string();
-  std::ifstream in(path);
-  std::vector<Edge> edges;
-  const auto read_pose = [](std::istream& s) {
-    double x, y, z, qx, qy, qz, qw;
-    s >> x >> y >> z >> qx >> qy >> qz >> qw;
-    Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-    T.linear() = Eigen::Quaterniond(qw, qx, qy, qz).normalized().toRotationMatrix();
-    T.translation() << x, y, z;
-    return T;
-  };
-  for (std::string line; std::getline(in, line);) {
-    std::istringstream s(line);
-    std::string tag;
-    s >> tag;
-    if (tag == "VERTEX_SE3:QUAT") {
-      Node node;
-      s >> node.key;
-      node.pose = read_pose(s);
-      out.graph.add_node(node);
-    } else if (tag == "EDGE_SE3:QUAT") {
-      Edge edge;
-      s >> edge.from >> edge.to;
-      edge.T_from_to = read_pose(s);
-      for (int r = 0; r < 6; ++r) {
-        for (int c = r; c < 6; ++c) {
-          s >> edge.information(r, c);
-          edge.information(c, r) = edge.information(r, c);
-        }
-      }
-      edge.kind = edge.to == edge.from + 1 ? EdgeKind::kOdometry : EdgeKind::kLoopClosure;
-      edges.push_back(edge);
-    }
+  out.graph = read_g2o(path).graph;
+  for (std::size_t k = 0; k < out.graph.edges().size(); ++k) {
+    const Edge& edge = out.graph.edges()[k];
+    out.graph.set_kind(k, edge.to == edge.from + 1 ? EdgeKind::kOdometry : EdgeKind::kLoopClosure);
   }
-  for (const Edge& edge : edges) out.graph.add_edge(edge);
   std::vector<Key> anchors{out.graph.nodes().front().key};
   if (out.name.rfind("tunnel1250", 0) == 0) anchors.push_back(625);
   for (const Key key : anchors) out.graph.add_prior(firm_prior(key, out.graph.node(key).pose));
-  out.is_false.assign(edges.size(), false);
+  out.is_false.assign(out.graph.edges().size(), false);
   std::filesystem::path labels = path;
   std::ifstream label_file(labels.replace_extension(".labels"));
   int label = 0;

@@ -18,7 +18,7 @@ struct BenchGraph {
   std::vector<bool> is_false;  ///< By edge.
 };
 
-/// 3D g2o with consecutive ids as odometry, priors of sigma 1e-4 on node 0 (and 625 in a tunnel1250), labels
+/// A g2o graph with consecutive ids as odometry, priors of sigma 1e-4 on node 0 (and 625 in a tunnel1250), labels
 /// from the file of the same name ending in .labels where there is one.
 [[nodiscard]] BenchGraph read_bench_graph(const std::filesystem::path& path);
 

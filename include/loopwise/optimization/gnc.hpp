@@ -24,7 +24,7 @@ enum class RobustKernel {
 enum class GncStart {
   kFirstEstimate,    ///< OptimizerOptions::initialization, graduated.
   kConfirmed,        ///< The chordal estimate of the closures that closures near them confirm.
-  kDoubtedOdometry,  ///< As kFirstEstimate, with closures that worse odometry would allow.
+  kDoubtedOdometry,  ///< As kFirstEstimate, with closures that odometry weighted down allows.
   kChordal,          ///< The chordal estimate of the closures that odometry does not rule out.
   kLastResult,       ///< The last result of the PoseGraphOptimizer.
 };
@@ -61,22 +61,22 @@ struct GncOptions {
     field("second_start", self.second_start, any_value(),
           "Several starts, of which the result of the lowest truncated cost is kept. First the closures that "
           "others near them confirm; if they are many, all stay, and every other closure contradicts them, "
-          "that is the result. Else also the first estimate; the closures that odometry would allow if it "
-          "were worse than it says, see odometry_margin; and the chordal estimate. Without: the first "
-          "estimate alone.");
+          "that is the result. Else also the first estimate, the chordal estimate, and what follows if "
+          "odometry is worse than it says, see odometry_margin. Without: the first estimate alone.");
     field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true},
           "Share of true closures that what odometry alone says of their ends does not put aside at first: "
           "quantile "
           "of chi-squared with 6 degrees of freedom, on the innovation. One that the estimate then confirms "
           "comes "
           "back. 1 puts none aside.");
-    field(
-        "odometry_margin", self.odometry_margin, Bounds{1.0, 1e6, false},
-        "How many times larger than stated odometry's deviations may be for second_start. Closures that such "
-        "odometry allows are tried. And the odometry of each robot is weighted down to what the kept "
-        "closures "
-        "show of it, as far as this. More helps where odometry slips, and lets groups of false closures that "
-        "agree with each other, as from two floors of one plan, bend it. 1: neither.");
+    field("odometry_margin", self.odometry_margin, Bounds{1.0, 1e6, false},
+          "How many times larger than stated odometry's deviations may be for second_start. The odometry of "
+          "each "
+          "robot is weighted down to what the kept closures show of it, as far as this, and closures that it "
+          "allows "
+          "then are tried. More helps where odometry slips, and lets groups of false closures that agree "
+          "with each "
+          "other, as from two floors of one plan, bend it. 1: odometry is as it says.");
     field("growth", self.growth, any_value(),
           "At the end of truncated least squares, let closures in that the innovation test has put aside and "
           "that agree with the kept ones around them, as long as that lowers the truncated cost: where "
@@ -96,9 +96,10 @@ struct GncOptions {
   }
 };
 
-/// How much worse the odometry of one chain (usually: robot) is than its information says.
+/// How much worse the odometry of one chain (usually: robot) is than its information says. A chain is what
+/// edges of kind odometry join.
 struct OdometryScale {
-  Key first = 0;       ///< Where the chain begins: its node with a prior, or the first of its nodes.
+  Key first = 0;       ///< The first of its nodes, in the order of the graph.
   double scale = 1.0;  ///< True deviations by stated ones.
 };
 
@@ -107,7 +108,7 @@ struct GncResult {
   /// Poses, cost with the final weights; cost_initial is the plain cost, all weights 1, at the first
   /// estimate.
   OptimizationResult optimization;
-  /// One per edge, in graph order. Trusted edges have 1, odometry 1/scale² by odometry_scales.
+  /// One per edge, in graph order. Odometry has 1/scale² by odometry_scales, other trusted edges 1.
   std::vector<double> weights;
   std::vector<OdometryScale> odometry_scales;  ///< Of chains whose odometry is found to be worse than stated.
   int outer_iterations = 0;                    ///< Of all starts.
@@ -121,12 +122,12 @@ struct GncResult {
 
 /// Optimisation that finds out which loop closures are false. Odometry, priors and trusted edges are known
 /// inliers; every other edge gets a weight in [0, 1] from its residual. The weights that the graph's edges
-/// carry are not used. Odometry that the closures show to be worse than its information says is weighted down
-/// as a whole, see GncOptions::odometry_margin. A closure whose weight has vanished leaves the sparsity
-/// structure, and returns when the estimate makes it fit again. Of several starts the result of the lowest
-/// truncated cost is taken (GncOptions::second_start). If all closures turn out false the result is the
-/// odometry's, each loose component held at its first node. \throws OptionError, InputError as optimize()
-/// does.
+/// carry are not used. Where the first solution is in doubt, odometry that the closures show to be worse than
+/// its information says is weighted down, chain by chain, see GncOptions::odometry_margin. A closure whose
+/// weight has vanished leaves the sparsity structure, and returns when the estimate makes it fit again. Of
+/// several starts the result of the lowest truncated cost is taken (GncOptions::second_start). If all
+/// closures turn out false the result is the odometry's, each loose component held at its first node. \throws
+/// OptionError, InputError as optimize() does.
 [[nodiscard]] LOOPWISE_EXPORT GncResult optimize_gnc(const PoseGraph& graph,
                                                      const OptimizerOptions& options = {},
                                                      const GncOptions& gnc = {}, const StopToken& stop = {});
