@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <optional>
 
 #include <loopwise/core/error.hpp>
@@ -131,16 +132,18 @@ class Starts {
       : given_(given),
         problem_(problem),
         equations_(equations),
+        chains_(odometry_chains(given.graph)),
         d2_(innovations(given.graph, given.forest)),
         gross_(find_gross(given.graph, d2_, given.gnc.innovation_probability)) {}
 
   /// From the last result. \returns whether nothing calls for the other starts
   bool from_last(const WarmStart& warm) {
-    Scaled scaled(given_, problem_, warm.odometry_variances);
+    const OdometryVariances variances = allowed(warm.odometry_variances);
+    Scaled scaled(*this, variances);
     PoseProblem& problem = scaled.problem();
     Solution out;
     out.poses = warm.poses;
-    out.odometry_variances = warm.odometry_variances;
+    out.odometry_variances = variances;
     RobustSolver solver(scaled.given(), gross_, problem, equations_, out.poses);
     const std::vector<char> chosen = solver.plausible(warm.known, warm.kept);
     std::vector<char> is_new(warm.known.size());
@@ -206,18 +209,22 @@ class Starts {
   /// odometry that is uncertain throughout, which the closures then take back. The side that keeps more
   /// closures counts.
   void rescale_odometry() {
-    if (best_->result.outliers == 0) return refine({});
+    if (best_->result.outliers == 0) {
+      refine(true);
+      return;
+    }
     Solution stated = *best_;
-    refine({});
+    if (!refine(true) || given_.stop.stop_requested()) return;
     Solution from_below = std::move(*best_);
     best_ = std::move(stated);
     OdometryVariances doubted;
     for (std::size_t k = 0; k < problem_.edges(); ++k) {
-      if (given_.graph.edges()[k].kind != EdgeKind::kOdometry) continue;
-      doubted[given_.forest.root(given_.graph.ends(k).from)] = given_.gnc.odometry_margin;
+      // Of deviations the geometric mean of those stated and the largest allowed.
+      if (given_.graph.edges()[k].kind == EdgeKind::kOdometry)
+        doubted[chains_[given_.graph.ends(k).from]] = given_.gnc.odometry_margin;
     }
-    refine(std::move(doubted));
-    if (from_below.result.inliers < best_->result.inliers) {
+    const bool finished = solve_with(std::move(doubted)) && refine(true);
+    if (finished && from_below.result.inliers < best_->result.inliers) {
       spend(from_below.result);
     } else {
       spend(best_->result);
@@ -230,7 +237,7 @@ class Starts {
   void from_doubted_odometry() {
     const OdometryVariances variances = best_->odometry_variances;
     const double probability = given_.gnc.innovation_probability;
-    Scaled scaled(given_, problem_, variances);
+    Scaled scaled(*this, variances);
     const Gross fewer =
         variances.empty()
             ? find_gross(given_.graph, d2_, probability, given_.gnc.odometry_margin)
@@ -249,28 +256,28 @@ class Starts {
     }
     if (static_cast<double>(lost) > kMostGivenUp * static_cast<double>(kept)) return spend(out.result);
     take(std::move(out));
-    if (best_->result.start == GncStart::kDoubtedOdometry) refine({});
+    if (best_->result.start == GncStart::kDoubtedOdometry) refine(true);
   }
 
-  /// Solves from the best solution with these variance factors, unless empty, and then with those that every
-  /// solution shows.
-  void refine(OdometryVariances first) {
-    const double largest = given_.gnc.odometry_margin * given_.gnc.odometry_margin;
-    if (!first.empty()) solve_with(std::move(first));
-    for (int round = 0; round < kScaleRounds && !given_.stop.stop_requested(); ++round) {
-      const OdometryVariances& before = best_->odometry_variances;
-      const Scaled last(given_, problem_, before);
-      OdometryVariances variances =
-          odometry_variances(last.given().graph, given_.forest, problem_.isometries(best_->poses),
-                             best_->result.weights, before, largest);
-      if (!differ(variances, before)) break;
-      solve_with(std::move(variances));
+  /// Solves from the best solution with the variance factors that it shows, until it shows those it has.
+  /// \param keep_unmeasured of chains that it says nothing of
+  /// \returns false if there are no covariances that would show any, or it was stopped
+  bool refine(bool keep_unmeasured) {
+    for (int round = 0; round < kScaleRounds; ++round) {
+      std::optional<OdometryVariances> variances = estimated_odometry_variances(
+          given_.graph, chains_, problem_.isometries(best_->poses), best_->result.weights,
+          best_->odometry_variances, largest_variance(), keep_unmeasured, given_.options);
+      if (!variances) return false;
+      if (!differ(*variances, best_->odometry_variances)) break;
+      if (!solve_with(std::move(*variances))) return false;
     }
+    return true;
   }
 
   /// The best solution gives way to one that goes on from it with these variance factors.
-  void solve_with(OdometryVariances variances) {
-    Scaled scaled(given_, problem_, variances);
+  /// \returns false if that was stopped: the best solution stays
+  bool solve_with(OdometryVariances variances) {
+    Scaled scaled(*this, variances);
     PoseProblem& problem = scaled.problem();
     Solution out;
     out.poses = best_->poses;
@@ -279,8 +286,13 @@ class Starts {
     for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = best_->result.weights[k] > kKept ? 1 : 0;
     RobustSolver(scaled.given(), gross_, problem, equations_, out.poses).solve_from(kept, {}, out.result);
     out.result.start = best_->result.start;
+    if (out.result.optimization.termination == Termination::kStopped) {
+      spend(out.result);
+      return false;
+    }
     forget();
     take(std::move(out));
+    return true;
   }
 
   [[nodiscard]] bool has_solution() const { return best_.has_value(); }
@@ -303,6 +315,24 @@ class Starts {
     if (best_) spend(best_->result);
     best_.reset();
   }
+  /// Says in the best result how uncertain its odometry is.
+  void report_odometry() {
+    GncResult& result = best_->result;
+    OdometryVariances& variances = best_->odometry_variances;
+    for (auto entry = variances.begin(); entry != variances.end();) {
+      // A chain that has become part of another has its factor.
+      entry = chains_[entry->first] == entry->first ? std::next(entry) : variances.erase(entry);
+    }
+    for (const auto& [chain, variance] : variances) {
+      result.odometry_scales.push_back({given_.graph.nodes()[chain].key, std::sqrt(variance)});
+    }
+    for (std::size_t k = 0; k < result.weights.size(); ++k) {
+      if (given_.graph.edges()[k].kind != EdgeKind::kOdometry) continue;
+      const auto found = variances.find(chains_[given_.graph.ends(k).from]);
+      if (found != variances.end()) result.weights[k] = 1.0 / found->second;
+    }
+  }
+
   /// With what all starts took.
   [[nodiscard]] Solution best() && {
     GncResult& result = best_->result;
@@ -313,17 +343,28 @@ class Starts {
   }
 
  private:
+  [[nodiscard]] double largest_variance() const {
+    return given_.gnc.odometry_margin * given_.gnc.odometry_margin;
+  }
+  /// As far as the options allow them.
+  [[nodiscard]] OdometryVariances allowed(OdometryVariances variances) const {
+    if (!given_.gnc.second_start || given_.gnc.odometry_margin <= 1.0) return {};
+    for (auto& [chain, variance] : variances) variance = std::min(variance, largest_variance());
+    return variances;
+  }
+
   /// The problem with more uncertain odometry.
   class Scaled {
    public:
-    Scaled(const RobustProblem& stated, const PoseProblem& problem, const OdometryVariances& variances) {
+    Scaled(const Starts& starts, const OdometryVariances& variances) {
+      const RobustProblem& stated = starts.given_;
       if (!variances.empty()) {
-        graph_.emplace(with_odometry_variances(stated.graph, stated.forest, variances));
+        graph_.emplace(with_odometry_variances(stated.graph, starts.chains_, variances));
         forest_.emplace(*graph_);
       }
       given_.emplace(RobustProblem{graph_ ? *graph_ : stated.graph, forest_ ? *forest_ : stated.forest,
                                    stated.start, stated.options, stated.gnc, stated.pool, stated.stop});
-      problem_.emplace(graph_ ? PoseProblem(*graph_) : problem);
+      problem_.emplace(graph_ ? PoseProblem(*graph_) : starts.problem_);
     }
     Scaled(const Scaled&) = delete;
     Scaled& operator=(const Scaled&) = delete;
@@ -395,7 +436,8 @@ class Starts {
   const RobustProblem& given_;
   const PoseProblem& problem_;
   NormalEquations& equations_;
-  const std::vector<double> d2_;  // innovations, by edge
+  const std::vector<std::uint32_t> chains_;  // of odometry, by node
+  const std::vector<double> d2_;             // innovations, by edge
   const Gross gross_;
   std::optional<Solution> best_;
   GncResult spent_;  // by solutions that are not the best: counts alone
@@ -410,19 +452,6 @@ double plain_cost(PoseProblem problem, const std::vector<Pose>& poses, ThreadPoo
   return cost;
 }
 
-/// Says in a result how uncertain its odometry is.
-void report_odometry(const PoseGraph& graph, const OdometryForest& forest, const OdometryVariances& variances,
-                     GncResult& result) {
-  for (const auto& [root, variance] : variances) {
-    result.odometry_scales.push_back({graph.nodes()[root].key, std::sqrt(variance)});
-  }
-  for (std::size_t k = 0; k < result.weights.size(); ++k) {
-    if (graph.edges()[k].kind != EdgeKind::kOdometry) continue;
-    const auto found = variances.find(forest.root(graph.ends(k).from));
-    if (found != variances.end()) result.weights[k] = 1.0 / found->second;
-  }
-}
-
 void solve_from_all(const RobustProblem& given, Starts& starts) {
   const auto stopped = [&] { return given.stop.stop_requested(); };
   const bool several = given.gnc.second_start && truncates(given.gnc.kernel);
@@ -434,6 +463,7 @@ void solve_from_all(const RobustProblem& given, Starts& starts) {
   if (given.gnc.odometry_margin <= 1.0) return;
   if (!stopped()) starts.rescale_odometry();
   if (starts.leaves_out_what_odometry_rules_out() && !stopped()) starts.from_doubted_odometry();
+  if (!stopped()) starts.refine(false);
 }
 
 }  // namespace
@@ -469,6 +499,7 @@ Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEqua
     fresh = true;
   }
   if (left_out_confirmed != nullptr && fresh) *left_out_confirmed = starts.left_out_confirmed();
+  starts.report_odometry();
   Solution best = std::move(starts).best();
   const int before = result.optimization.factorizations;
   result = std::move(best.result);
@@ -477,7 +508,6 @@ Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEqua
   result.optimization.factorizations += before;
   if (stop.stop_requested()) set_termination(Termination::kStopped, result.optimization);
   poses = std::move(best.poses);
-  report_odometry(graph, forest, best.odometry_variances, result);
   variances = std::move(best.odometry_variances);
   return std::move(best.freedom);
 }

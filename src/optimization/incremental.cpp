@@ -4,10 +4,12 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <string>
 #include <utility>
 #include <vector>
 
 #include <loopwise/core/clock.hpp>
+#include <loopwise/core/error.hpp>
 
 #include "blas_threads.hpp"
 #include "incremental_problem.hpp"
@@ -44,7 +46,7 @@ struct IncrementalOptimizer::Impl {
   };
   Step solve();
   double move(std::vector<Pose>& before);
-  void move_back(const std::vector<Pose>& before);
+  void move_back(const std::vector<Pose>& before, double cost);
   void close();
   void store_poses();
   void from_scratch(Initialization initialization, const StopToken& stop, IncrementalResult& result);
@@ -96,11 +98,11 @@ double IncrementalOptimizer::Impl::move(std::vector<Pose>& before) {
   return problem.evaluate_changed(pool);
 }
 
-void IncrementalOptimizer::Impl::move_back(const std::vector<Pose>& before) {
+void IncrementalOptimizer::Impl::move_back(const std::vector<Pose>& before, double cost) {
   for (std::size_t i = 0; i < visited.size(); ++i) {
     problem.poses[problem.cholesky().variable_at(visited[i])] = before[i];
   }
-  problem.evaluate_changed(pool);
+  problem.evaluate_back(cost, pool);
 }
 
 /// After the last step: what it left to do lies at the border of the visited nodes.
@@ -132,6 +134,7 @@ void IncrementalOptimizer::Impl::from_scratch(Initialization initialization, con
   }
   problem.reorder();
   problem.open().clear();
+  for (std::uint32_t i = 0; i < problem.poses.size() && !solution.converged; ++i) problem.open().insert(i);
   // Where this fails, so does the next update, which is then made from scratch too.
   static_cast<void>(problem.factorize());
   result.from_scratch = result.reordered = true;
@@ -148,9 +151,9 @@ void IncrementalOptimizer::Impl::descend(const StopToken& stop, IncrementalResul
     if (stop.stop_requested()) return;
     if (!problem.factorize()) return from_scratch(Initialization::kFile, stop, result);
     const Step step = solve();
-    const double difference = move(before);
-    if (!std::isfinite(difference) || (difference > 1e-12 * problem.cost() && !small(step))) {
-      move_back(before);
+    const double cost = problem.cost(), difference = move(before);
+    if (!std::isfinite(difference) || (difference > 1e-12 * cost && !small(step))) {
+      move_back(before, cost);
       if (share == 0.0 || problem.relinearize(0.0) == 0)
         return from_scratch(Initialization::kFile, stop, result);
       share = 0.0;
@@ -175,21 +178,17 @@ void IncrementalOptimizer::Impl::descend(const StopToken& stop, IncrementalResul
 }
 
 void IncrementalOptimizer::Impl::update(const StopToken& stop, IncrementalResult& result) {
-  moved.grow(problem.poses.size());
-  if (problem.poses.size() > 2 * problem.absorbed_nodes()) {
+  const std::size_t nodes = problem.graph.nodes().size();
+  moved.grow(nodes);
+  if (nodes > 2 * problem.absorbed_nodes()) {
     const bool first = problem.absorbed_nodes() == 0;
     from_scratch(first ? optimization.initialization : Initialization::kFile, stop, result);
   } else {
-    result.reordered = problem.reorder_is_due();
-    if (result.reordered) {
-      problem.reorder();
-    } else {
-      problem.absorb();
-    }
+    result.reordered = problem.absorb();
     descend(stop, result);
     store_poses();
-    result.converged = result.converged || problem.open().numbers().empty();
   }
+  result.converged = result.converged || problem.open().numbers().empty();
   result.cost = problem.cost();
 }
 
@@ -198,51 +197,36 @@ IncrementalOptimizer::IncrementalOptimizer(PoseGraph graph, const OptimizerOptio
   validate(optimization);
   validate(options);
   impl_ = std::make_unique<Impl>(optimization, options);
-  detail::IncrementalProblem& problem = impl_->problem;
-  problem.graph = std::move(graph);
-  const PoseGraph& g = problem.graph;
-  for (std::size_t i = 0; i < g.nodes().size(); ++i) problem.know_node(i);
-  for (std::size_t k = 0; k < g.edges().size(); ++k) problem.know_edge(k);
-  for (std::size_t k = 0; k < g.priors().size(); ++k) problem.know_prior(k);
-  for (std::size_t k = 0; k < g.ranges().size(); ++k) problem.know_range(k);
-  for (std::size_t k = 0; k < g.gravities().size(); ++k) problem.know_gravity(k);
-  if (!g.empty()) static_cast<void>(update());
+  impl_->problem.graph = std::move(graph);
+  if (!impl_->problem.graph.empty()) static_cast<void>(update());
 }
 IncrementalOptimizer::~IncrementalOptimizer() = default;
 IncrementalOptimizer::IncrementalOptimizer(IncrementalOptimizer&&) noexcept = default;
 IncrementalOptimizer& IncrementalOptimizer::operator=(IncrementalOptimizer&&) noexcept = default;
 
 std::size_t IncrementalOptimizer::add_node(const Node& node) {
-  const std::size_t number = impl_->problem.graph.add_node(node);
-  impl_->problem.know_node(number);
-  return number;
+  return impl_->problem.graph.add_node(node);
 }
 
 std::size_t IncrementalOptimizer::add_edge(const Edge& edge) {
-  const std::size_t number = impl_->problem.graph.add_edge(edge);
-  impl_->problem.know_edge(number);
-  return number;
+  return impl_->problem.graph.add_edge(edge);
 }
 
 std::size_t IncrementalOptimizer::add_prior(const PriorFactor& prior) {
-  const std::size_t number = impl_->problem.graph.add_prior(prior);
-  impl_->problem.know_prior(number);
-  return number;
+  return impl_->problem.graph.add_prior(prior);
 }
 
 std::size_t IncrementalOptimizer::add_range(const RangeFactor& range) {
-  const std::size_t number = impl_->problem.graph.add_range(range);
-  impl_->problem.know_range(number);
-  return number;
+  return impl_->problem.graph.add_range(range);
 }
 
 std::size_t IncrementalOptimizer::add_gravity(const GravityFactor& gravity) {
-  const std::size_t number = impl_->problem.graph.add_gravity(gravity);
-  impl_->problem.know_gravity(number);
-  return number;
+  return impl_->problem.graph.add_gravity(gravity);
 }
 
 void IncrementalOptimizer::set_weight(std::size_t edge, double weight) {
+  if (edge >= impl_->problem.graph.edges().size())
+    throw InputError("edge " + std::to_string(edge) + " is not in the graph");
   impl_->problem.graph.set_weight(edge, weight);
   impl_->problem.weight_changed(edge);
 }

@@ -14,7 +14,7 @@ namespace loopwise::detail {
 /// The Cholesky factor of a growing matrix of 6×6 blocks. Blocks may change, come between variables that are
 /// there, or come with new variables, which are last in the order of elimination. refactorize() makes the
 /// fronts of changed columns again, and those above them in the elimination tree. Every front keeps what it
-/// hands to its parent, which about doubles the memory of the factor.
+/// hands to its parent, which takes several times the memory of the factor.
 class IncrementalCholesky {
  public:
   /// Orders a matrix with these off-diagonal blocks anew; pairs may repeat, in either direction.

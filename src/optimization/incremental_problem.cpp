@@ -13,6 +13,9 @@ namespace {
 /// What a new order of elimination costs, in factorisations of everything: it is due when updates have cost
 /// that much more than factorisations by a new order would have.
 constexpr double kFactorizationsPerOrder = 8.0;
+/// Shares of a graph that may arrive at once without a new order.
+constexpr double kMostNewNodes = 0.1;
+constexpr double kMostNewFactors = 0.1;
 /// Added to the diagonal of the Hessian where a node is held: no step moves it then.
 constexpr double kHeld = 1e30;
 
@@ -63,32 +66,37 @@ std::uint32_t IncrementalProblem::add_factor(Kind kind, std::size_t index, std::
   return k;
 }
 
-void IncrementalProblem::know_node(std::size_t node) {
-  poses.push_back(pose_of(graph.nodes()[node]));
-  factors_of_.emplace_back();
-  gradients_.emplace_back(Vector6d::Zero());
-  diagonals_.emplace_back(Matrix6d::Zero());
+/// What has come to `graph` since the last call.
+void IncrementalProblem::know_additions() {
+  for (std::size_t i = poses.size(); i < graph.nodes().size(); ++i) {
+    poses.push_back(pose_of(graph.nodes()[i]));
+    factors_of_.emplace_back();
+    gradients_.emplace_back(Vector6d::Zero());
+    diagonals_.emplace_back(Matrix6d::Zero());
+  }
   open_.grow(poses.size());
+  while (edge_factor_.size() < graph.edges().size()) know_edge(edge_factor_.size());
+  for (; known_priors_ < graph.priors().size(); ++known_priors_) {
+    const std::uint32_t node = number(graph.priors()[known_priors_].key);
+    waiting_.push_back(add_factor(Kind::kPrior, known_priors_, kFixed, node));
+  }
+  for (; known_ranges_ < graph.ranges().size(); ++known_ranges_) {
+    const RangeFactor& range = graph.ranges()[known_ranges_];
+    waiting_.push_back(add_factor(Kind::kRange, known_ranges_, number(range.from), number(range.to)));
+  }
+  for (; known_gravities_ < graph.gravities().size(); ++known_gravities_) {
+    const std::uint32_t node = number(graph.gravities()[known_gravities_].key);
+    waiting_.push_back(add_factor(Kind::kGravity, known_gravities_, kFixed, node));
+  }
+  for (const std::size_t edge : reweighted_) waiting_.push_back(edge_factor_[edge]);
+  reweighted_.clear();
 }
 
 void IncrementalProblem::know_edge(std::size_t edge) {
   const PoseGraph::Ends ends = graph.ends(edge);
   edge_factor_.push_back(add_factor(Kind::kEdge, edge, static_cast<std::uint32_t>(ends.from),
                                     static_cast<std::uint32_t>(ends.to)));
-  weight_changed(edge);
-}
-
-void IncrementalProblem::know_prior(std::size_t prior) {
-  waiting_.push_back(add_factor(Kind::kPrior, prior, kFixed, number(graph.priors()[prior].key)));
-}
-
-void IncrementalProblem::know_range(std::size_t range) {
-  const RangeFactor& factor = graph.ranges()[range];
-  waiting_.push_back(add_factor(Kind::kRange, range, number(factor.from), number(factor.to)));
-}
-
-void IncrementalProblem::know_gravity(std::size_t gravity) {
-  waiting_.push_back(add_factor(Kind::kGravity, gravity, kFixed, number(graph.gravities()[gravity].key)));
+  waiting_.push_back(edge_factor_.back());
 }
 
 /// T_to⁻¹ T_from, on which all that a factor says depends; of gravity the pose of its node.
@@ -144,11 +152,26 @@ void IncrementalProblem::evaluate(const Factor& f, const Pose& e, FactorGradient
   }
 }
 
-/// Puts a factor's gradient and cost into the sums (sign 1), or takes them out (-1).
-void IncrementalProblem::add_to_sums(const Factor& f, double sign) {
-  gradients_[f.to] += sign * f.gradient.to;
-  if (f.from != kFixed) gradients_[f.from] += sign * f.gradient.from;
-  cost_ += sign * f.cost;
+/// Puts a factor's gradient and cost into the sums.
+void IncrementalProblem::add_to_sums(const Factor& f) {
+  gradients_[f.to] += f.gradient.to;
+  if (f.from != kFixed) gradients_[f.from] += f.gradient.from;
+  cost_ += f.cost;
+}
+
+void IncrementalProblem::sum_gradient(std::uint32_t node) {
+  gradients_[node].setZero();
+  for (const std::uint32_t k : factors_of_[node]) {
+    const Factor& f = factors_[k];
+    if (active_[k] != 0) gradients_[node] += f.to == node ? f.gradient.to : f.gradient.from;
+  }
+}
+
+void IncrementalProblem::sum_cost() {
+  cost_ = 0.0;
+  for (std::size_t k = 0; k < factors_.size(); ++k) {
+    if (active_[k] != 0) cost_ += factors_[k].cost;
+  }
 }
 
 /// Adds a factor's part to the Hessian (sign 1), or takes it out (-1).
@@ -172,7 +195,7 @@ void IncrementalProblem::activate(std::uint32_t k) {
   Factor& f = factors_[k];
   active_[k] = 1;
   evaluate(f, relative_pose(f), f.gradient, f.cost);
-  add_to_sums(f, 1.0);
+  add_to_sums(f);
   linearize_here(k);
   reopen(f);
 }
@@ -181,9 +204,11 @@ void IncrementalProblem::deactivate(std::uint32_t k) {
   if (active_[k] == 0) return;
   Factor& f = factors_[k];
   add_to_hessian(f, -1.0);
-  add_to_sums(f, -1.0);
-  reopen(f);
   active_[k] = 0;
+  // Not by subtraction: beside a false closure all else is rounding.
+  sum_gradient(f.to);
+  if (f.from != kFixed) sum_gradient(f.from);
+  reopen(f);
 }
 
 void IncrementalProblem::reopen(const Factor& f) {
@@ -191,7 +216,14 @@ void IncrementalProblem::reopen(const Factor& f) {
   if (f.from != kFixed) open_.insert(f.from);
 }
 
-void IncrementalProblem::absorb() {
+bool IncrementalProblem::absorb() {
+  know_additions();
+  if (reorder_is_due()) {
+    reorder();
+    return true;
+  }
+  // What does not come to its end leaves no factor that could be used.
+  sound_ = false;
   const auto first = static_cast<std::uint32_t>(absorbed_nodes_);
   for (; absorbed_nodes_ < poses.size(); ++absorbed_nodes_) {
     cholesky_.append();
@@ -200,14 +232,23 @@ void IncrementalProblem::absorb() {
     held_at_.push_back(kFixed);
     held_.push_back(0);
   }
-  std::vector<std::uint32_t> arrived;
-  arrived.swap(waiting_);
-  for (const std::uint32_t k : arrived) take_in(k);
+  for (const std::uint32_t k : waiting_) take_in(k);
+  waiting_.clear();
+  sum_cost();
   if (came_apart_) {
     find_components();
   } else {
     hold_components(first);
   }
+  sound_ = true;
+  return false;
+}
+
+bool IncrementalProblem::reorder_is_due() {
+  const std::size_t new_nodes = poses.size() - absorbed_nodes_;
+  return !sound_ || excess_ > kFactorizationsPerOrder * flops_when_ordered_ ||
+         static_cast<double>(new_nodes) > kMostNewNodes * static_cast<double>(absorbed_nodes_) ||
+         static_cast<double>(waiting_.size()) > kMostNewFactors * static_cast<double>(factors_.size());
 }
 
 void IncrementalProblem::take_in(std::uint32_t k) {
@@ -230,13 +271,14 @@ void IncrementalProblem::take_in(std::uint32_t k) {
 }
 
 void IncrementalProblem::reorder() {
+  know_additions();
+  sound_ = false;
   for (const std::uint32_t k : waiting_) {
     Factor& f = factors_[k];
     if (f.kind == Kind::kEdge) f.weight = graph.edges()[f.index].weight;
     active_[k] = f.weight > 0.0 ? 1 : 0;
     reopen(f);
   }
-  waiting_.clear();
   absorbed_nodes_ = poses.size();
   std::vector<BlockCholesky::Pair> pairs;
   for (std::size_t k = 0; k < factors_.size(); ++k) {
@@ -252,18 +294,17 @@ void IncrementalProblem::reorder() {
     Factor& f = factors_[k];
     if (active_[k] == 0) continue;
     evaluate(f, relative_pose(f), f.gradient, f.cost);
-    add_to_sums(f, 1.0);
+    add_to_sums(f);
     linearize_here(static_cast<std::uint32_t>(k));
   }
   find_components();
-}
-
-bool IncrementalProblem::reorder_is_due() const {
-  return !sound_ || excess_ > kFactorizationsPerOrder * flops_when_ordered_;
+  waiting_.clear();
+  sound_ = true;
 }
 
 bool IncrementalProblem::factorize() {
   const double before = cholesky_.flops_spent();
+  sound_ = false;
   sound_ = cholesky_.refactorize([this](std::uint32_t node, auto&& add) {
     add(node, held(node) ? Matrix6d(diagonals_[node] + kHeld * Matrix6d::Identity()) : diagonals_[node]);
     for (const std::uint32_t k : factors_of_[node]) {
@@ -374,6 +415,15 @@ double IncrementalProblem::evaluate_changed(ThreadPool& pool) {
     }
   }
   return cost_ - former;
+}
+
+void IncrementalProblem::evaluate_back(double cost, ThreadPool& pool) {
+  evaluate_changed(pool);
+  for (const std::uint32_t k : changed_.numbers()) {
+    sum_gradient(factors_[k].to);
+    if (factors_[k].from != kFixed) sum_gradient(factors_[k].from);
+  }
+  cost_ = cost;
 }
 
 std::size_t IncrementalProblem::relinearize(double share) {

@@ -44,23 +44,17 @@ class IncrementalProblem {
   PoseGraph graph;          ///< Its poses are behind `poses` during an update
   std::vector<Pose> poses;  ///< By node
 
-  /// What was last added to `graph`; it takes effect with absorb().
-  void know_node(std::size_t node);
-  void know_edge(std::size_t edge);
-  void know_prior(std::size_t prior);
-  void know_range(std::size_t range);
-  void know_gravity(std::size_t gravity);
   /// The edge's weight in `graph` is another; it takes effect with absorb().
-  void weight_changed(std::size_t edge) { waiting_.push_back(edge_factor_[edge]); }
+  void weight_changed(std::size_t edge) { reweighted_.push_back(edge); }
 
   /// Nodes that are in the Hessian.
   [[nodiscard]] std::size_t absorbed_nodes() const { return absorbed_nodes_; }
-  /// Takes in what has been added or weighted since the last call.
-  void absorb();
-  /// The same with a new order of elimination, and everything linearised at the poses.
+  /// Takes in what has been added to `graph` or weighted since the last call: into the order of elimination
+  /// as it is, or with a new one where that is needed or worth what it costs. \returns whether it is a new
+  /// one
+  bool absorb();
+  /// Takes everything in with a new order of elimination, linearised at the poses.
   void reorder();
-  /// Whether that is needed, or worth what it costs.
-  [[nodiscard]] bool reorder_is_due() const;
   /// \returns false if the Hessian is not positive definite
   [[nodiscard]] bool factorize();
 
@@ -78,6 +72,8 @@ class IncrementalProblem {
   void change_at(std::uint32_t node);
   /// Brings cost and gradient of the changed factors up to date. \returns what the cost has changed by
   double evaluate_changed(ThreadPool& pool);
+  /// The same where the poses are back where the cost was `cost`, free of what rounding has left behind.
+  void evaluate_back(double cost, ThreadPool& pool);
   /// Linearises the changed factors anew whose relative pose has changed by more than a share of itself.
   /// \returns how many
   std::size_t relinearize(double share);
@@ -111,13 +107,18 @@ class IncrementalProblem {
   [[nodiscard]] Measurement measurement(const Factor& f) const;
   [[nodiscard]] Contribution contribution(const Factor& f, const Pose& e) const;
   void evaluate(const Factor& f, const Pose& e, FactorGradient& gradient, double& cost) const;
-  void add_to_sums(const Factor& f, double sign);
+  void add_to_sums(const Factor& f);
+  void sum_gradient(std::uint32_t node);
+  void sum_cost();
   void add_to_hessian(Factor& f, double sign);
   void linearize_here(std::uint32_t k);
   void activate(std::uint32_t k);
   void deactivate(std::uint32_t k);
   void reopen(const Factor& f);
 
+  void know_additions();
+  void know_edge(std::size_t edge);
+  [[nodiscard]] bool reorder_is_due();
   void take_in(std::uint32_t k);
   void join(const Factor& f);
   void find_components();
@@ -131,6 +132,8 @@ class IncrementalProblem {
   std::vector<std::uint32_t> edge_factor_;              // by edge
   std::vector<std::vector<std::uint32_t>> factors_of_;  // by node
   std::vector<std::uint32_t> waiting_;                  // factors that are new or of another weight
+  std::vector<std::size_t> reweighted_;                 // edges
+  std::size_t known_priors_ = 0, known_ranges_ = 0, known_gravities_ = 0;
   std::size_t absorbed_nodes_ = 0;
 
   DisjointSets components_{0};

@@ -149,11 +149,8 @@ std::vector<std::size_t> HessianFactor::Impl::joint_by_selection(const Pairs& pa
   std::vector<std::pair<Eigen::Index, std::size_t>> wanted;  // first column of the block, pair
   for (std::size_t k = 0; k < pairs.size(); ++k) {
     const auto [a, b] = pairs[k];
-    if (a == b || held(a) || held(b)) {
-      left.push_back(k);
-    } else {
-      wanted.emplace_back(std::min(row(a), row(b)), k);
-    }
+    // Others have no blocks but diagonal ones.
+    if (a != b && !held(a) && !held(b)) wanted.emplace_back(std::min(row(a), row(b)), k);
   }
   std::sort(wanted.begin(), wanted.end());
   const auto take = [&](std::size_t panel, const double* z) {
@@ -187,8 +184,12 @@ std::vector<std::size_t> HessianFactor::Impl::joint_by_selection(const Pairs& pa
   for (const std::size_t k : left) is_left[k] = 1;
   for (std::size_t k = 0; k < pairs.size(); ++k) {
     if (is_left[k] != 0) continue;
-    out[k].topLeftCorner<6, 6>() = diagonal.middleCols<6>(row(pairs[k].first));
-    out[k].bottomRightCorner<6, 6>() = diagonal.middleCols<6>(row(pairs[k].second));
+    const auto [a, b] = pairs[k];
+    if (!held(a)) out[k].topLeftCorner<6, 6>() = diagonal.middleCols<6>(row(a));
+    if (!held(b)) out[k].bottomRightCorner<6, 6>() = diagonal.middleCols<6>(row(b));
+    if (a != b || held(a)) continue;
+    out[k].topRightCorner<6, 6>() = out[k].topLeftCorner<6, 6>();
+    out[k].bottomLeftCorner<6, 6>() = out[k].topLeftCorner<6, 6>();
   }
   return left;
 }

@@ -4,10 +4,13 @@
 #include <algorithm>
 #include <cmath>
 
+#include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/marginals.hpp>
+
+#include "odometry_forest.hpp"
 
 namespace loopwise::detail {
 namespace {
@@ -15,74 +18,95 @@ namespace {
 /// Odometry is not taken for worse than stated unless chance alone is this unlikely to make it look so.
 constexpr double kSignificance = 0.999;
 
-double of_tree(const OdometryVariances& variances, std::uint32_t root) {
-  const auto found = variances.find(root);
+double of_chain(const OdometryVariances& variances, std::uint32_t chain) {
+  const auto found = variances.find(chain);
   return found == variances.end() ? 1.0 : found->second;
 }
 
-/// Sums over the odometry of one tree.
+/// Sums over one chain.
 struct Sums {
   double squares = 0.0;     ///< rᵀΩr
-  double redundancy = 0.0;  ///< 6 − tr(Ω J Σ Jᵀ)
+  double redundancy = 0.0;  ///< d − tr(Ω J Σ Jᵀ)
 };
+
+/// Whether chance would hardly make a sum of squares as large as this.
+bool is_significant(double squares, double redundancy) {
+  const int degrees = static_cast<int>(std::floor(redundancy));
+  if (degrees < 1) return false;
+  if (degrees < 1000) return squares > chi_squared_quantile(kSignificance, degrees);
+  // Wilson and Hilferty 1931; 3.09 is the quantile of the normal distribution.
+  const double n = degrees, cube_root = 1.0 - 2.0 / (9.0 * n) + 3.09 * std::sqrt(2.0 / (9.0 * n));
+  return squares > n * cube_root * cube_root * cube_root;
+}
 
 }  // namespace
 
-PoseGraph with_odometry_variances(const PoseGraph& graph, const OdometryForest& forest,
+std::vector<std::uint32_t> odometry_chains(const PoseGraph& graph) {
+  DisjointSets chains(graph.nodes().size());
+  for (std::size_t k = 0; k < graph.edges().size(); ++k) {
+    if (graph.edges()[k].kind == EdgeKind::kOdometry) chains.join(graph.ends(k).from, graph.ends(k).to);
+  }
+  std::vector<std::uint32_t> out(graph.nodes().size());
+  for (std::size_t i = 0; i < out.size(); ++i) out[i] = chains.root(i);
+  return out;
+}
+
+PoseGraph with_odometry_variances(const PoseGraph& graph, const std::vector<std::uint32_t>& chains,
                                   const OdometryVariances& variances) {
   PoseGraph out = graph;
   for (std::size_t k = 0; k < graph.edges().size(); ++k) {
     const Edge& edge = graph.edges()[k];
     if (edge.kind != EdgeKind::kOdometry) continue;
-    const double variance = of_tree(variances, forest.root(graph.ends(k).from));
+    const double variance = of_chain(variances, chains[graph.ends(k).from]);
     if (variance > 1.0) out.set_information(k, edge.information / variance);
   }
   return out;
 }
 
-OdometryVariances odometry_variances(const PoseGraph& graph, const OdometryForest& forest,
-                                     const std::vector<Eigen::Isometry3d>& poses,
-                                     const std::vector<double>& weights, const OdometryVariances& variances,
-                                     double largest) {
-  PoseGraph at_minimum = graph;
+std::optional<OdometryVariances> estimated_odometry_variances(const PoseGraph& graph,
+                                                              const std::vector<std::uint32_t>& chains,
+                                                              const std::vector<Eigen::Isometry3d>& poses,
+                                                              const std::vector<double>& weights,
+                                                              const OdometryVariances& variances,
+                                                              double largest, bool keep_unmeasured,
+                                                              const OptimizerOptions& options) {
+  PoseGraph at_minimum = with_odometry_variances(graph, chains, variances);
   at_minimum.set_poses(poses);
   for (std::size_t k = 0; k < weights.size(); ++k) at_minimum.set_weight(k, weights[k]);
   std::vector<std::size_t> odometry;
   std::vector<std::pair<std::size_t, std::size_t>> ends;
   for (std::size_t k = 0; k < graph.edges().size(); ++k) {
-    if (graph.edges()[k].kind != EdgeKind::kOdometry) continue;
+    if (graph.edges()[k].kind != EdgeKind::kOdometry || !covariance_of(graph.edges()[k].information))
+      continue;
     odometry.push_back(k);
     ends.emplace_back(graph.ends(k).from, graph.ends(k).to);
   }
   std::vector<Matrix12d> joint;
   try {
-    joint = HessianFactor(at_minimum).joint(ends);
+    joint = HessianFactor(at_minimum, options).joint(ends);
   } catch (const InputError&) {
-    return variances;  // the factors leave a pose open: there are no covariances
+    return std::nullopt;
   }
   const double degrees_of_freedom = graph.degrees_of_freedom();
   std::map<std::uint32_t, Sums> sums;
   for (std::size_t i = 0; i < odometry.size(); ++i) {
-    const Edge& edge = graph.edges()[odometry[i]];
+    const Edge& edge = at_minimum.edges()[odometry[i]];
     const Eigen::Isometry3d &from = poses[ends[i].first], &to = poses[ends[i].second];
     const Vector6d r = edge_residual(edge, from, to);
     Eigen::Matrix<double, 6, 12> J;
     J.rightCols<6>() = se3::right_jacobian_inverse(r);
     J.leftCols<6>() = -J.rightCols<6>() * se3::adjoint(to.inverse() * from);
-    Sums& of_tree = sums[forest.root(ends[i].first)];
-    of_tree.squares += r.dot(edge.information * r);
-    of_tree.redundancy += degrees_of_freedom - (edge.information * J * joint[i] * J.transpose()).trace();
+    Sums& chain = sums[chains[ends[i].first]];
+    chain.squares += r.dot(edge.information * r);
+    chain.redundancy += degrees_of_freedom - (edge.information * J * joint[i] * J.transpose()).trace();
   }
   OdometryVariances out;
-  for (const auto& [root, sum] : sums) {
-    const double before = of_tree(variances, root);
-    const int degrees = static_cast<int>(std::floor(sum.redundancy));
-    // By the stated information.
-    const bool significant =
-        degrees >= 1 && before * sum.squares > chi_squared_quantile(kSignificance, degrees);
-    double variance = significant ? before * sum.squares / sum.redundancy : degrees >= 1 ? 1.0 : before;
-    variance = std::clamp(variance, 1.0, largest);
-    if (variance > 1.0) out[root] = variance;
+  for (const auto& [chain, sum] : sums) {
+    const double before = of_chain(variances, chain);
+    if (sum.redundancy < 1.0 && keep_unmeasured && before > 1.0) out[chain] = before;
+    if (!is_significant(before * sum.squares, sum.redundancy)) continue;
+    const double variance = std::min(before * sum.squares / sum.redundancy, largest);
+    if (variance > 1.0) out[chain] = variance;
   }
   return out;
 }

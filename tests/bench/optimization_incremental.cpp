@@ -50,7 +50,10 @@ Split without_closures(const PoseGraph& graph, std::uint64_t seed) {
   for (const PriorFactor& prior : graph.priors()) out.start.add_prior(prior);
   Rng rng(seed);
   std::vector<char> left(graph.edges().size(), 0);
-  while (out.edges.size() < kBatch * kBatches) {
+  const auto closures = static_cast<std::size_t>(
+      std::count_if(graph.edges().begin(), graph.edges().end(),
+                    [](const Edge& edge) { return edge.kind != EdgeKind::kOdometry; }));
+  while (out.edges.size() < std::min(closures / 2, kBatch * kBatches)) {
     const std::size_t k = rng.below(graph.edges().size());
     if (left[k] != 0 || graph.edges()[k].kind == EdgeKind::kOdometry) continue;
     left[k] = 1;

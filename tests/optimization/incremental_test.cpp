@@ -361,6 +361,59 @@ TEST_CASE("incremental: a request to stop keeps what was reached", "[optimizatio
   check_against_optimize(optimizer.graph(), result.cost);
 }
 
+TEST_CASE("incremental: a solution from scratch that was stopped is gone on with", "[optimization]") {
+  Rng rng(13);
+  const RandomGraph random = random_graph(rng);
+  OptimizerOptions few;
+  few.max_iterations = 1;
+  few.initialization = Initialization::kFile;
+  IncrementalOptimizer optimizer(random.graph, few, exact());
+  IncrementalResult result = optimizer.update();
+  CHECK(result.iterations > 0);
+  CHECK(result.converged);
+  check_against_optimize(optimizer.graph(), result.cost);
+}
+
+TEST_CASE("incremental: a false closure leaves no trace", "[optimization]") {
+  Rng rng(14);
+  const RandomGraph random = random_graph(rng);
+  IncrementalOptimizer optimizer(random.graph, {}, exact());
+  const double before = optimizer.update().cost;
+  Edge edge = tie(optimizer.graph(), rng, 3, 20);
+  edge.T_from_to.translation().x() += 1e6;
+  edge.information *= 1e8;
+  edge.weight = 0.0;
+  const std::size_t number = optimizer.add_edge(edge);
+  CHECK(optimizer.update().cost == Approx(before).epsilon(1e-12));
+  StopSource stop;
+  stop.request_stop();
+  optimizer.set_weight(number, 1.0);
+  static_cast<void>(optimizer.update(stop.token()));  // taken in, and no step taken
+  optimizer.set_weight(number, 0.0);
+  const IncrementalResult result = optimizer.update();
+  CHECK(result.converged);
+  CHECK(result.cost == Approx(before).epsilon(1e-9));
+  check_against_optimize(optimizer.graph(), result.cost);
+}
+
+TEST_CASE("incremental: many closures at once get an order of their own", "[optimization]") {
+  Rng rng(15);
+  RandomGraphOptions options;
+  options.nodes = 200;
+  options.closures = 100;
+  const RandomGraph random = random_graph(rng, options);
+  PoseGraph chain = random.graph;
+  chain.remove_edges_if([](const Edge& edge) { return edge.kind != EdgeKind::kOdometry; });
+  IncrementalOptimizer optimizer(chain, {}, exact());
+  for (const Edge& edge : random.graph.edges()) {
+    if (edge.kind != EdgeKind::kOdometry) optimizer.add_edge(edge);
+  }
+  const IncrementalResult result = optimizer.update();
+  CHECK(result.reordered);
+  CHECK(result.converged);
+  check_against_optimize(optimizer.graph(), result.cost);
+}
+
 TEST_CASE("incremental: bad input changes nothing", "[optimization][error]") {
   CHECK_THROWS_AS(IncrementalOptimizer({}, {},
                                        [] {
@@ -377,6 +430,7 @@ TEST_CASE("incremental: bad input changes nothing", "[optimization][error]") {
   CHECK_THROWS_AS(optimizer.add_edge(edge), UnknownKeyError);
   CHECK_THROWS_AS(optimizer.add_node(random.graph.nodes().front()), InputError);
   CHECK_THROWS_AS(optimizer.set_weight(0, 2.0), InputError);
+  CHECK_THROWS_AS(optimizer.set_weight(1000, 1.0), InputError);
   CHECK(optimizer.graph().edges().size() == random.graph.edges().size());
   CHECK(optimizer.update().converged);
   IncrementalOptimizer empty;

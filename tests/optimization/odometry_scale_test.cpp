@@ -157,6 +157,55 @@ TEST_CASE("odometry scale: right closures that stated odometry contradicts stay"
   CHECK(error < error_before);
 }
 
+TEST_CASE("odometry scale: chains are those of odometry, not of priors or trusted edges",
+          "[optimization][gnc]") {
+  Team robots = team(2, {1.0, 2.0}, 80);
+  const auto first_of = [](const GncResult& result) {
+    std::vector<Key> keys;
+    for (const OdometryScale& entry : result.odometry_scales) keys.push_back(entry.first);
+    return keys;
+  };
+  const GncResult apart = solve(robots, 3.0);
+  Edge tie;
+  tie.from = robots.graph.nodes()[20].key;
+  tie.to = robots.graph.nodes()[kSteps + 20].key;
+  tie.T_from_to = robots.truth[20].inverse() * robots.truth[kSteps + 20];
+  tie.information = 1e4 * Matrix6d::Identity();
+  tie.trusted = true;
+  robots.graph.add_edge(tie);
+  robots.graph.add_prior(prior_at(robots.graph.nodes()[kSteps + 70].key, robots.truth[kSteps + 70], 1e-2));
+  const GncResult tied = solve(robots, 3.0);
+  CHECK(first_of(apart) == std::vector<Key>{Key{'b'} << 56U});
+  CHECK(first_of(tied) == first_of(apart));
+  CHECK(scale_of(tied, 'b') == Approx(2.0).epsilon(0.25));
+  CHECK(tied.weights[robots.graph.edges().size() - 1] == 1.0);
+}
+
+TEST_CASE("odometry scale: nothing is said of a chain that nothing else measures", "[optimization][gnc]") {
+  Team robots = team(3, {1.0, 2.0, 1.0}, 160);
+  // The third robot loses its closures.
+  robots.graph.remove_edges_if([](const Edge& edge) {
+    return edge.kind != EdgeKind::kOdometry && (edge.from >> 56U == 'c' || edge.to >> 56U == 'c');
+  });
+  const GncResult result = solve(robots, 3.0);
+  CHECK(scale_of(result, 'b') > 1.5);
+  CHECK(scale_of(result, 'c') == 1.0);
+}
+
+TEST_CASE("odometry scale: a later call may switch it off", "[optimization][gnc]") {
+  const Team robots = team(52, {1.0, 2.0}, 80);
+  GncOptions gnc;
+  gnc.warm_start = true;
+  OptimizerOptions options;
+  options.initialization = Initialization::kOdometry;
+  PoseGraphOptimizer optimizer(options);
+  REQUIRE(optimizer.optimize_gnc(robots.graph, gnc).odometry_scales.size() == 1);
+  gnc.odometry_margin = 1.0;
+  const GncResult off = optimizer.optimize_gnc(robots.graph, gnc);
+  CHECK(off.odometry_scales.empty());
+  CHECK(off.weights.front() == 1.0);
+}
+
 TEST_CASE("odometry scale: continued estimates keep it", "[optimization][gnc]") {
   const Team robots = team(51, {1.0, 2.0}, 90);
   PoseGraph graph = robots.graph;

@@ -60,8 +60,9 @@ struct IncrementalResult {
 ///
 /// After the method of Kaess et al. (iSAM2, IJRR 2012): an elimination tree whose part above changed columns
 /// is factorised again, and steps that are followed down the tree as far as they matter. Works on the weights
-/// that edges carry; robust optimisation is for optimize_gnc(), whose weights set_weight() takes. Memory:
-/// about twice that of the factor. Not for several threads at a time.
+/// that edges carry; robust optimisation is for optimize_gnc(), whose weights set_weight() takes. A graph
+/// that leaves a pose open (semi-definite information) is solved from scratch at every update. Memory:
+/// several times that of the factor. Not for several threads at a time.
 class LOOPWISE_EXPORT IncrementalOptimizer {
  public:
   /// Optimises a graph as optimize() does, and goes on from there; `optimization` is for this solution and
@@ -83,7 +84,7 @@ class LOOPWISE_EXPORT IncrementalOptimizer {
   std::size_t add_range(const RangeFactor& range);
   /// \throws as PoseGraph::add_gravity()
   std::size_t add_gravity(const GravityFactor& gravity);
-  /// \throws InputError unless the weight lies in [0, 1]
+  /// \throws InputError unless there is such an edge and the weight lies in [0, 1]
   void set_weight(std::size_t edge, double weight);
 
   /// Brings the poses to the minimum. One that is stopped ends at the poses of its last step.
