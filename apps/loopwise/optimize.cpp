@@ -164,6 +164,7 @@ Json certificate_json(const CertifiedEstimate& estimate) {
             {"rotation_rms_rad", c.rotation_rms_rad},
             {"translation_max_m", c.translation_max_m},
             {"translation_rms_m", c.translation_rms_m}}},
+          {"lower_minimum", estimate.lower_minimum},
           {"same_minimum", estimate.same_minimum},
           {"cost_before", estimate.cost_before},
           {"seconds", c.seconds}};
@@ -174,8 +175,9 @@ std::string certificate_text(const CertifiedEstimate& estimate) {
   char line[256];
   std::string text;
   if (estimate.improved) {
-    std::snprintf(line, sizeof line, "improved     a lower minimum was found: cost %.9g -> %.9g\n",
-                  estimate.cost_before, estimate.cost);
+    std::snprintf(line, sizeof line, "improved     %s cost %.9g -> %.9g\n",
+                  estimate.lower_minimum ? "a lower minimum was found:" : "went on to", estimate.cost_before,
+                  estimate.cost);
     text += line;
   }
   if (c.components == 0 && c.status == CertificateStatus::kCertified)
@@ -206,19 +208,24 @@ std::string certificate_text(const CertifiedEstimate& estimate) {
   return text;
 }
 
+/// An optimisation and the one that went on from it, as one: begun as the first, ended as the last.
+void go_on(OptimizationResult last, OptimizationResult& result) {
+  last.cost_initial = result.cost_initial;
+  last.gradient_initial = result.gradient_initial;
+  last.initialization = result.initialization;
+  last.iterations += result.iterations;
+  last.factorizations += result.factorizations;
+  last.trace.insert(last.trace.begin(), result.trace.begin(), result.trace.end());
+  result = std::move(last);
+}
+
 /// Certifies the optimum and goes on from lower poses where there are such.
-std::string certify_result(const OptimizerOptions& optimizer, const StopToken& stop, Console& console,
-                           PoseGraph& graph, OptimizationResult& result, Json& json) {
+std::string certify_result(const OptimizerOptions& optimizer, const StopToken& stop, PoseGraph& graph,
+                           OptimizationResult& result, Json& json) {
   const CertifiedEstimate estimate = optimize_certified(graph, optimizer, {}, stop);
   if (estimate.improved) {
-    result.poses = estimate.poses;
-    result.cost = estimate.cost;
     graph.set_poses(estimate.poses);
-  }
-  if (const std::size_t reduced = estimate.certificate.reduced_factors; reduced > 0) {
-    console.warn(
-        "certificate: " + std::to_string(reduced) +
-        " factors without information in some direction count without their translation or rotation");
+    go_on(estimate.optimization, result);
   }
   json["certificate"] = certificate_json(estimate);
   return certificate_text(estimate);
@@ -297,8 +304,7 @@ int run(const Options& options) {
   for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
   const double optimized_s = watch.seconds();
   if (options.certify) {
-    text +=
-        certify_result(config.replay.back_end.optimization, interrupt.token(), console, graph, result, json);
+    text += certify_result(config.replay.back_end.optimization, interrupt.token(), graph, result, json);
   }
   const double certified_s = watch.seconds();
 

@@ -2,6 +2,7 @@
 #include <loopwise/core/pose_graph.hpp>
 
 #include <cmath>
+#include <utility>
 
 #include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
@@ -18,6 +19,14 @@ std::string describe(Key key) {
   return name == number ? number : number + " (" + name + ")";
 }
 
+std::string name_of(const PriorFactor& prior) {
+  return "prior of " + describe(prior.key);
+}
+
+std::string name_of(const Edge& edge) {
+  return "edge " + describe(edge.from) + " to " + describe(edge.to);
+}
+
 bool is_rigid(const Eigen::Isometry3d& pose) {
   return pose.matrix().allFinite() && se3::rotation_defect(pose.linear()) <= 1e-6;
 }
@@ -26,6 +35,17 @@ bool is_rigid(const Eigen::Isometry3d& pose) {
 void require_sigma(double sigma, const std::string& what) {
   if (!(sigma >= 1e-12 && sigma <= 1e12))
     throw InputError(what + ": sigma " + std::to_string(sigma) + " is not positive");
+}
+
+/// As it is kept: of a planar graph with values across the plane that no user chose, so that zeros there make
+/// no matrix singular.
+Matrix6d kept_information(const Matrix6d& stated, bool planar) {
+  return planar ? planar::information(planar::block(stated)) : stated;
+}
+
+[[noreturn]] void refuse_gravity(Key key) {
+  throw InputError("gravity at " + describe(key) +
+                   ": gravity says nothing about yaw, and the graph is planar");
 }
 
 /// For one more: without memory it throws, and push_back() does not any more. At least doubles what there is.
@@ -48,10 +68,16 @@ bool PoseGraph::fits(const Eigen::Isometry3d& pose) const {
 }
 
 void PoseGraph::require_information(const Matrix6d& information, const std::string& what) const {
-  if (const char* why = check_information(information)) throw InputError(what + ": information is " + why);
-  if (planar_ && !planar::is_information(information)) {
+  const auto require_sound = [&](const Matrix6d& m) {
+    if (const char* why = check_information(m)) throw InputError(what + ": information is " + why);
+  };
+  require_sound(information);
+  if (!planar_) return;
+  if (!planar::is_information(information)) {
     throw InputError(what + ": information ties z, roll or pitch to x, y or yaw, but the graph is planar");
   }
+  // Large values across the plane would hide what is wrong within it.
+  require_sound(kept_information(information, true));
 }
 
 const char* check_information(const Matrix6d& information) {
@@ -73,17 +99,25 @@ const char* check_information(const Matrix6d& information) {
 }
 
 void PoseGraph::set_planar(bool planar) {
-  if (!planar || planar_) {
-    planar_ = planar;
-    return;
+  const bool was_planar = std::exchange(planar_, planar);
+  if (!planar || was_planar) return;
+  try {
+    for (const Node& node : nodes_) require_pose(node.pose, "node " + describe(node.key));
+    for (const PriorFactor& prior : priors_) {
+      require_pose(prior.pose, name_of(prior));
+      require_information(prior.information, name_of(prior));
+    }
+    for (const Edge& edge : edges_) {
+      require_pose(edge.T_from_to, name_of(edge));
+      require_information(edge.information, name_of(edge));
+    }
+    if (!gravities_.empty()) refuse_gravity(gravities_.front().key);
+  } catch (...) {
+    planar_ = false;
+    throw;
   }
-  PoseGraph plane;
-  plane.planar_ = true;
-  for (const Node& node : nodes_) plane.add_node(node);
-  for (const PriorFactor& prior : priors_) plane.add_prior(prior);
-  for (const Edge& edge : edges_) plane.add_edge(edge);
-  for (const GravityFactor& gravity : gravities_) plane.add_gravity(gravity);
-  planar_ = true;
+  for (PriorFactor& prior : priors_) prior.information = kept_information(prior.information, true);
+  for (Edge& edge : edges_) edge.information = kept_information(edge.information, true);
 }
 
 std::size_t PoseGraph::add_node(const Node& node) {
@@ -100,15 +134,16 @@ std::size_t PoseGraph::add_node(const Node& node) {
 
 std::size_t PoseGraph::add_prior(const PriorFactor& prior) {
   static_cast<void>(index_of(prior.key));
-  require_pose(prior.pose, "prior of " + describe(prior.key));
-  require_information(prior.information, "prior of " + describe(prior.key));
+  require_pose(prior.pose, name_of(prior));
+  require_information(prior.information, name_of(prior));
   priors_.push_back(prior);
+  priors_.back().information = kept_information(prior.information, planar_);
   return priors_.size() - 1;
 }
 
 std::size_t PoseGraph::add_edge(const Edge& edge) {
   const Ends ends{index_of(edge.from), index_of(edge.to)};
-  const std::string what = "edge " + describe(edge.from) + " to " + describe(edge.to);
+  const std::string what = name_of(edge);
   if (ends.from == ends.to) throw InputError(what + ": both ends are the same node");
   require_pose(edge.T_from_to, what);
   require_information(edge.information, what);
@@ -119,6 +154,7 @@ std::size_t PoseGraph::add_edge(const Edge& edge) {
   make_room(adjacency_[ends.from]);
   make_room(adjacency_[ends.to]);
   edges_.push_back(edge);
+  edges_.back().information = kept_information(edge.information, planar_);
   ends_.push_back(ends);
   adjacency_[ends.from].push_back(number);
   adjacency_[ends.to].push_back(number);
@@ -139,7 +175,7 @@ std::size_t PoseGraph::add_range(const RangeFactor& range) {
 std::size_t PoseGraph::add_gravity(const GravityFactor& gravity) {
   static_cast<void>(index_of(gravity.key));
   const std::string what = "gravity at " + describe(gravity.key);
-  if (planar_) throw InputError(what + ": gravity says nothing about yaw, and the graph is planar");
+  if (planar_) refuse_gravity(gravity.key);
   GravityFactor unit = gravity;
   for (Eigen::Vector3d* direction : {&unit.direction, &unit.reference}) {
     const double length = direction->norm();
@@ -237,8 +273,8 @@ void PoseGraph::set_weight(std::size_t edge, double weight) {
 
 void PoseGraph::set_information(std::size_t edge, const Matrix6d& information) {
   Edge& changed = edges_.at(edge);
-  require_information(information, "edge " + describe(changed.from) + " to " + describe(changed.to));
-  changed.information = information;
+  require_information(information, name_of(changed));
+  changed.information = kept_information(information, planar_);
 }
 
 std::vector<std::size_t> connected_components(const PoseGraph& graph) {

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/planar.hpp>
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/g2o.hpp>
@@ -242,6 +243,10 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
 
   PoseGraph graph, truth;
   graph.set_planar(mission.graph.planar());
+  // Truth of a 2D graph may have been surveyed in space.
+  truth.set_planar(mission.graph.planar() &&
+                   std::all_of(mission.ground_truth.begin(), mission.ground_truth.end(),
+                               [](const auto& known) { return planar::is_pose(known.second); }));
   std::string table;
   for (Node node : mission.graph.nodes()) {
     const std::string key = std::to_string(keys.of(node.key));

@@ -315,7 +315,7 @@ class Reader {
     const std::string at = text::Place{file_, line}.str();
     if (sound.flaw == InformationFlaw::kRounded) out_.problems.add("rounded information", at);
     if (sound.flaw == InformationFlaw::kIndefinite) out_.problems.add_altered("indefinite information", at);
-    if (!planar || sound.flaw == InformationFlaw::kSound) return sound.matrix;
+    if (!planar) return sound.matrix;
     // The decomposition leaves rounding between the plane and the other coordinates.
     return planar::information(planar::block(sound.matrix));
   }
@@ -454,7 +454,8 @@ std::optional<double> angle_of(double angle, const Eigen::Matrix3d& R) {
   constexpr int kRounding = 4;  // atan2 may be off by as many of the last bits
   const auto fits = [&R](double value) { return planar::pose(0.0, 0.0, value).linear() == R; };
   char digits[40];
-  for (int precision = 1; precision <= 17; ++precision) {
+  // What was written with up to 15 digits is printed with these, and not with zeros behind them.
+  for (int precision = 15; precision <= 17; ++precision) {
     const int length = std::snprintf(digits, sizeof digits, "%.*g", precision, angle);
     const std::string_view word(digits, static_cast<std::size_t>(length));
     double value = 0.0;

@@ -12,6 +12,7 @@
 
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/disjoint_sets.hpp>
+#include <loopwise/core/planar.hpp>
 #include <loopwise/core/se3.hpp>
 
 #include "blas_threads.hpp"
@@ -71,45 +72,64 @@ std::vector<Component> components_of(const PoseGraph& graph) {
   return out;
 }
 
-/// 3 / tr(Ω⁻¹): what an isotropic information with the same mean variance has. 0 if some direction has no
-/// information; `lost` says whether another one had.
-double isotropic(const Eigen::Matrix3d& information, bool& lost) {
+/// n / tr(Ω⁻¹) of n coordinates: what an isotropic information with the same mean variance has. 0 if some
+/// direction has no information; `lost` says whether another one had.
+template <int n>
+double isotropic(const Eigen::Matrix<double, n, n>& information, bool& lost) {
   constexpr double kSingular = 1e-12;
-  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(information, Eigen::EigenvaluesOnly);
-  const Eigen::Vector3d& values = eigen.eigenvalues();
-  if (values[0] > kSingular * values[2]) return 3.0 / values.cwiseInverse().sum();
-  lost = lost || values[2] > 0.0;
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix<double, n, n>> eigen(information, Eigen::EigenvaluesOnly);
+  const auto& values = eigen.eigenvalues();
+  if (values[0] > kSingular * values[n - 1]) return n / values.cwiseInverse().sum();
+  lost = lost || values[n - 1] > 0.0;
   return 0.0;
 }
 
-ChordalTerm term_of(std::size_t from, std::size_t to, const Eigen::Isometry3d& measured,
-                    const Matrix6d& information, double weight, std::size_t& reduced) {
-  bool lost = false;
-  ChordalTerm term;
-  term.from = static_cast<std::uint32_t>(from);
-  term.to = static_cast<std::uint32_t>(to);
-  term.measured = se3::normalized(measured).matrix();
-  term.tau = weight * isotropic(information.topLeftCorner<3, 3>(), lost);
-  term.kappa = 0.5 * weight * isotropic(information.bottomRightCorner<3, 3>(), lost);
-  if (lost) ++reduced;
-  return term;
-}
+/// Terms of a graph's factors; of a planar graph by what is known within the plane.
+class Terms {
+ public:
+  explicit Terms(bool planar) : planar_(planar) {}
+
+  void add(std::size_t from, std::size_t to, const Eigen::Isometry3d& measured, const Matrix6d& information,
+           double weight) {
+    bool lost = false;
+    ChordalTerm term;
+    term.from = static_cast<std::uint32_t>(from);
+    term.to = static_cast<std::uint32_t>(to);
+    term.measured = se3::normalized(measured).matrix();
+    if (planar_) {
+      term.tau = weight * isotropic<2>(information.topLeftCorner<2, 2>(), lost);
+      term.kappa = 0.5 * weight * information(5, 5);
+    } else {
+      term.tau = weight * isotropic<3>(information.topLeftCorner<3, 3>(), lost);
+      term.kappa = 0.5 * weight * isotropic<3>(information.bottomRightCorner<3, 3>(), lost);
+    }
+    if (lost) ++reduced_;
+    terms_.push_back(term);
+  }
+  [[nodiscard]] std::size_t reduced() const { return reduced_; }
+  [[nodiscard]] std::vector<ChordalTerm> take() { return std::move(terms_); }
+
+ private:
+  bool planar_;
+  std::vector<ChordalTerm> terms_;
+  std::size_t reduced_ = 0;
+};
 
 ChordalProblem problem_of(const PoseGraph& graph, const Component& c, std::size_t& reduced) {
   std::vector<std::size_t> pose(graph.nodes().size());
   for (std::size_t i = 0; i < c.nodes.size(); ++i) pose[c.nodes[i]] = i + c.first_pose();
-  std::vector<ChordalTerm> terms;
+  Terms terms(graph.planar());
   for (const std::size_t e : c.edges) {
     const Edge& edge = graph.edges()[e];
-    terms.push_back(term_of(pose[graph.ends(e).from], pose[graph.ends(e).to], edge.T_from_to,
-                            edge.information, edge.weight, reduced));
+    terms.add(pose[graph.ends(e).from], pose[graph.ends(e).to], edge.T_from_to, edge.information,
+              edge.weight);
   }
   for (const std::size_t k : c.priors) {
     const PriorFactor& prior = graph.priors()[k];
-    terms.push_back(term_of(0, pose[graph.index_of(prior.key)], c.frame->inverse() * prior.pose,
-                            prior.information, 1.0, reduced));
+    terms.add(0, pose[graph.index_of(prior.key)], c.frame->inverse() * prior.pose, prior.information, 1.0);
   }
-  return ChordalProblem(c.nodes.size() + c.first_pose(), std::move(terms));
+  reduced = terms.reduced();
+  return ChordalProblem(c.nodes.size() + c.first_pose(), terms.take());
 }
 
 /// Frame in which a component's poses are computed: near them, for the digits of those far from the origin.
@@ -128,17 +148,53 @@ LiftedPoses lifted_poses(const PoseGraph& graph, const Component& c) {
   return X;
 }
 
+/// The same poses with pose 0 at the identity; of a planar graph without what rounding, or the search for
+/// lower poses, left outside the plane.
+LiftedPoses local_poses(const LiftedPoses& X, bool planar) {
+  const auto pose = [&](Eigen::Index at) {
+    Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+    T.matrix().topRows<3>() = X.middleCols<4>(at);
+    return T;
+  };
+  LiftedPoses out(3, X.cols());
+  const Eigen::Isometry3d back = pose(0).inverse();
+  for (Eigen::Index at = 0; at < X.cols(); at += 4) {
+    const Eigen::Isometry3d T = back * pose(at);
+    out.middleCols<4>(at) = (planar ? planar::flattened(T) : T).matrix().topRows<3>();
+  }
+  return out;
+}
+
 /// Writes a component's poses, with pose 0 where the frame is.
 void place(const PoseGraph& graph, const Component& c, const LiftedPoses& X,
            std::vector<Eigen::Isometry3d>& poses) {
-  const auto pose = [&](std::size_t i) {
+  const Eigen::Isometry3d frame = frame_of(graph, c);
+  for (std::size_t i = 0; i < c.nodes.size(); ++i) {
     Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-    T.matrix().topRows<3>() = X.middleCols<4>(4 * static_cast<Eigen::Index>(i));
-    return T;
-  };
-  const Eigen::Isometry3d to_world = frame_of(graph, c) * pose(0).inverse();
-  for (std::size_t i = 0; i < c.nodes.size(); ++i)
-    poses[c.nodes[i]] = se3::normalized(to_world * pose(i + c.first_pose()));
+    T.matrix().topRows<3>() = X.middleCols<4>(4 * static_cast<Eigen::Index>(i + c.first_pose()));
+    const Eigen::Isometry3d placed = se3::normalized(frame * T);
+    poses[c.nodes[i]] = graph.planar() ? planar::flattened(placed) : placed;
+  }
+}
+
+/// What is said of the poses that are handed out: of a planar graph the flattened ones, whose cost may be
+/// another.
+void bring_to_plane(const ChordalProblem& problem, const CertificateOptions& options,
+                    detail::DualOutcome& outcome) {
+  outcome.critical.X = local_poses(outcome.critical.X, true);
+  outcome.critical.cost = problem.cost(outcome.critical.X);
+  outcome.best = local_poses(outcome.best, true);
+  outcome.best_cost = problem.cost(outcome.best);
+  if (outcome.status == CertificateStatus::kImprovable &&
+      outcome.best_cost >= (1.0 - options.relative_gap) * outcome.critical.cost) {
+    outcome.status = CertificateStatus::kUndecided;  // they were lower in space alone
+    outcome.relaxation_solved = false;
+  }
+  if (outcome.status != CertificateStatus::kImprovable) {
+    outcome.best = outcome.critical.X;
+    outcome.best_cost = outcome.critical.cost;
+  }
+  outcome.lower_bound = std::min(outcome.lower_bound, outcome.best_cost);
 }
 
 /// Sums over components of what a Certificate says.
@@ -151,15 +207,22 @@ class Summary {
   }
 
   void certify(const Component& c, const CertificateOptions& options, const StopToken& stop) {
-    const ChordalProblem problem = problem_of(graph_, c, out_.reduced_factors);
+    std::size_t reduced = 0;
+    const ChordalProblem problem = problem_of(graph_, c, reduced);
     const LiftedPoses start = lifted_poses(graph_, c);
-    const detail::DualOutcome outcome = detail::certify_component(problem, start, options, stop);
+    detail::DualOutcome outcome = detail::certify_component(problem, start, options, stop);
+    if (graph_.planar()) bring_to_plane(problem, options, outcome);
+    // What is left out of F may decide which poses are optimal.
+    if (reduced > 0 && outcome.status == CertificateStatus::kCertified)
+      outcome.status = CertificateStatus::kUndecided;
+    out_.reduced_factors += reduced;
     out_.cost_at_estimate += problem.cost(start);
     out_.cost += outcome.critical.cost;
     out_.best_cost += outcome.best_cost;
     out_.lower_bound += outcome.lower_bound;
-    negligible_ += detail::negligible_cost(problem);
+    negligible_ = negligible_ && outcome.negligible;
     lost_in_rounding_ = lost_in_rounding_ || outcome.lost_in_rounding;
+    converged_ = converged_ && outcome.critical.converged;
     out_.min_eigenvalue = std::min(out_.min_eigenvalue, outcome.min_eigenvalue);
     out_.eigenvalue_tolerance = std::max(out_.eigenvalue_tolerance, outcome.eigenvalue_tolerance);
     out_.rank = std::max(out_.rank, outcome.rank);
@@ -169,8 +232,8 @@ class Summary {
     out_.relaxation_solved = out_.relaxation_solved && outcome.relaxation_solved;
     ++out_.components;
     if (outcome.status == CertificateStatus::kCertified) ++out_.certified_components;
-    place(graph_, c, outcome.critical.X, out_.poses);
-    place(graph_, c, outcome.best, out_.best_poses);
+    place(graph_, c, local_poses(outcome.critical.X, graph_.planar()), out_.poses);
+    place(graph_, c, local_poses(outcome.best, graph_.planar()), out_.best_poses);
     for (const std::size_t node : c.nodes) measure(node);
   }
 
@@ -178,7 +241,7 @@ class Summary {
     const double n = static_cast<double>(std::max<std::size_t>(nodes_, 1));
     out_.rotation_rms_rad = std::sqrt(out_.rotation_rms_rad / n);
     out_.translation_rms_m = std::sqrt(out_.translation_rms_m / n);
-    out_.relative_gap = out_.cost > negligible_ ? (out_.cost - out_.lower_bound) / out_.cost : 0.0;
+    out_.relative_gap = negligible_ ? 0.0 : (out_.cost - out_.lower_bound) / out_.cost;
     out_.message = message();
     return std::move(out_);
   }
@@ -201,6 +264,11 @@ class Summary {
 
   [[nodiscard]] std::string message() const {
     char text[200];
+    const std::string reduced =
+        out_.reduced_factors == 0
+            ? ""
+            : "; the translation or rotation of " + std::to_string(out_.reduced_factors) +
+                  " factors, without information in some direction, is left out of it";
     if (out_.components == 0) return "no edge, and no priors that could contradict each other";
     switch (out_.status) {
       case CertificateStatus::kCertified:
@@ -213,20 +281,51 @@ class Summary {
         break;
       default:
         std::snprintf(text, sizeof text, "the lowest isotropic chordal cost lies between %.9g and %.9g%s",
-                      out_.lower_bound, out_.best_cost,
-                      lost_in_rounding_ ? "; the information of the factors differs too much to say more"
-                      : out_.relaxation_solved ? "; the relaxation is not tight"
-                                               : "");
+                      out_.lower_bound, out_.best_cost, reason());
     }
-    return text;
+    return text + reduced;
+  }
+
+  /// Why no more is known.
+  [[nodiscard]] const char* reason() const {
+    if (!converged_) return "; the descent did not converge";
+    if (lost_in_rounding_)
+      return "; the rest is lost in rounding: the information of the factors differs too much, or places are "
+             "too far apart for it";
+    return out_.relaxation_solved && out_.reduced_factors == 0 ? "; the relaxation is not tight" : "";
   }
 
   const PoseGraph& graph_;
   Certificate out_;
   std::size_t nodes_ = 0;
-  double negligible_ = 0.0;
+  bool negligible_ = true;  // of all components
   bool lost_in_rounding_ = false;
+  bool converged_ = true;
 };
+
+/// ½ Σ w rᵀΩr of residuals that are rounding: 1e-12 of the lengths that they are the difference of.
+double rounding_cost(const PoseGraph& graph) {
+  constexpr double kSquared = 1e-24;
+  double sum = 0.0;
+  const auto add = [&](const Matrix6d& information, double weight, double squared_length) {
+    sum += weight * (information.topLeftCorner<3, 3>().trace() * squared_length +
+                     information.bottomRightCorner<3, 3>().trace());
+  };
+  const auto squared_length = [&](std::size_t node) {
+    return graph.nodes()[node].pose.translation().squaredNorm();
+  };
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
+    const Edge& edge = graph.edges()[e];
+    const auto ends = graph.ends(e);
+    add(edge.information, edge.weight,
+        squared_length(ends.from) + squared_length(ends.to) + edge.T_from_to.translation().squaredNorm());
+  }
+  for (const PriorFactor& prior : graph.priors()) {
+    add(prior.information, 1.0,
+        squared_length(graph.index_of(prior.key)) + prior.pose.translation().squaredNorm());
+  }
+  return 0.5 * kSquared * sum;
+}
 
 }  // namespace
 
@@ -256,7 +355,7 @@ CertifiedEstimate optimize_certified(const PoseGraph& graph, const OptimizerOpti
   // Costs of one minimum differ by what the optimiser's tolerances leave.
   constexpr double kLower = 1e-8, kSame = 1e-6;
   constexpr int kMostImprovements = 3;
-  const double zero = 1e-12 * static_cast<double>(graph.edges().size() + graph.priors().size());
+  const double zero = rounding_cost(graph);
   OptimizerOptions from_there = optimizer;
   from_there.initialization = Initialization::kFile;
   CertifiedEstimate out;
@@ -267,13 +366,16 @@ CertifiedEstimate optimize_certified(const PoseGraph& graph, const OptimizerOpti
     if (out.certificate.status == CertificateStatus::kUnsupported || stop.stop_requested()) break;
     PoseGraph other = current;
     other.set_poses(out.certificate.best_poses);
-    const OptimizationResult result = optimize(other, from_there, stop);
+    OptimizationResult result = optimize(other, from_there, stop);
     out.same_minimum = result.cost <= (1.0 + kSame) * out.cost + zero;
     if (result.cost >= (1.0 - kLower) * out.cost - zero) break;
     out.cost = result.cost;
     out.improved = true;
+    out.lower_minimum = out.lower_minimum || out.certificate.status == CertificateStatus::kImprovable;
     current.set_poses(result.poses);
+    out.optimization = std::move(result);
     out.certificate = certify(current, options, stop);
+    out.same_minimum = false;  // that was said of the poses before
   }
   out.poses = current.poses();
   return out;

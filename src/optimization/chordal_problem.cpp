@@ -149,19 +149,21 @@ class NewtonSystem {
 
 ChordalProblem::ChordalProblem(std::size_t poses, std::vector<ChordalTerm> terms)
     : poses_(poses), terms_(std::move(terms)), diagonal_(poses, Eigen::Matrix4d::Zero()), scale_(poses) {
-  DisjointSets parts(poses);
+  DisjointSets joined(poses);
   for (const ChordalTerm& term : terms_) {
     const Eigen::Vector4d w(term.kappa, term.kappa, term.kappa, term.tau);
     diagonal_[term.from] += term.measured * w.asDiagonal() * term.measured.transpose();
     diagonal_[term.to].diagonal() += w;
-    if (term.tau > 0.0) parts.join(term.from, term.to);
+    if (term.tau > 0.0) joined.join(term.from, term.to);
   }
-  std::vector<char> seen(poses, 0);
+  parts_.resize(poses);
+  std::vector<std::uint32_t> number(poses, UINT32_MAX);
+  std::uint32_t count = 0;
   for (std::size_t i = 0; i < poses; ++i) {
     scale_[i] = diagonal_[i].topLeftCorner<3, 3>().trace() / 3.0;
-    char& part = seen[parts.root(i)];
-    if (part == 0) grounded_.push_back(static_cast<std::uint32_t>(i));
-    part = 1;
+    std::uint32_t& part = number[joined.root(i)];
+    if (part == UINT32_MAX) part = count++;
+    parts_[i] = part;
   }
 }
 
@@ -181,6 +183,19 @@ double ChordalProblem::cost(const LiftedPoses& X) const {
     sum += term.kappa * error.leftCols<3>().squaredNorm() + term.tau * error.col(3).squaredNorm();
   }
   return 0.5 * sum;
+}
+
+bool ChordalProblem::negligible(const LiftedPoses& X) const {
+  constexpr double kSquared = 1e-20;
+  return std::all_of(terms_.begin(), terms_.end(), [&](const ChordalTerm& term) {
+    const auto from = X.middleCols<4>(4 * static_cast<Eigen::Index>(term.from));
+    const auto to = X.middleCols<4>(4 * static_cast<Eigen::Index>(term.to));
+    const Eigen::Matrix<double, Eigen::Dynamic, 4, 0, kMaxRank, 4> error = to - from * term.measured;
+    const double length =
+        from.col(3).squaredNorm() + to.col(3).squaredNorm() + term.measured.col(3).head<3>().squaredNorm();
+    return (term.kappa == 0.0 || error.leftCols<3>().squaredNorm() <= 3.0 * kSquared) &&
+           (term.tau == 0.0 || error.col(3).squaredNorm() <= kSquared * length);
+  });
 }
 
 LiftedPoses ChordalProblem::gradient(const LiftedPoses& X) const {
@@ -244,7 +259,7 @@ CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_step
     LiftedPoses next = system.moved(X, step);
     const double next_cost = problem.cost(next);
     const double predicted = -0.5 * step.dot(system.gradient());
-    const bool visible = predicted > kVisible * cost;
+    const bool visible = predicted > kVisible * cost && !problem.negligible(X);
     if (visible && !(next_cost < cost)) {
       if (!raise()) break;
       continue;

@@ -38,11 +38,15 @@ class ChordalProblem {
   [[nodiscard]] std::vector<BlockCholesky::Pair> pairs() const;
   /// Mean of the rotation's diagonal of Q, by pose.
   [[nodiscard]] const std::vector<double>& scale() const { return scale_; }
-  /// Poses whose places may be held at 0 because no term sees a common shift of those that hang together
-  /// with them: one for each part that terms of τ > 0 join.
-  [[nodiscard]] const std::vector<std::uint32_t>& grounded() const { return grounded_; }
+  /// Diagonal of Q at the place, by pose: the sum of its terms' τ.
+  [[nodiscard]] double place_weight(std::size_t pose) const { return diagonal_[pose](3, 3); }
+  /// Numbers of the parts that terms of τ > 0 join, by pose, from 0: no term sees a common shift of a part.
+  [[nodiscard]] const std::vector<std::uint32_t>& parts() const { return parts_; }
 
   [[nodiscard]] double cost(const LiftedPoses& X) const;
+  /// Whether every residual is zero up to rounding: below 1e-10 of the lengths that it is the difference of,
+  /// however much or little information it counts by.
+  [[nodiscard]] bool negligible(const LiftedPoses& X) const;
   /// X Q
   [[nodiscard]] LiftedPoses gradient(const LiftedPoses& X) const;
   /// Λ, by pose: the symmetric part of R_iᵀ (XQ)_i.
@@ -72,7 +76,7 @@ class ChordalProblem {
   std::vector<ChordalTerm> terms_;
   std::vector<Eigen::Matrix4d> diagonal_;  // of Q
   std::vector<double> scale_;
-  std::vector<std::uint32_t> grounded_;
+  std::vector<std::uint32_t> parts_;
 };
 
 /// Where a descent ended.

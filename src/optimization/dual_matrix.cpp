@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include <Eigen/Eigenvalues>
@@ -13,15 +14,54 @@ namespace loopwise::detail {
 namespace {
 
 /// Rounding of a factorisation in relation to the diagonal: some tens of units in the last place.
-constexpr double kRounding = 1e-14;
+constexpr double kRounding = 1e-14, kPlaceRounding = 1e-14;
 
 }  // namespace
 
-DualMatrix::DualMatrix(const ChordalProblem& problem, std::vector<Eigen::Matrix3d> multipliers)
-    : problem_(problem), multipliers_(std::move(multipliers)), cholesky_(4, Factorization::kAutomatic) {
+DualMatrix::DualMatrix(const ChordalProblem& problem)
+    : problem_(problem), cholesky_(4, Factorization::kAutomatic) {
   cholesky_.analyze(problem.poses(), problem.pairs());
-  for (const Eigen::Matrix3d& m : multipliers_) trace_ += m.trace();
-  for (const double scale : problem.scale()) rounding_ += 3.0 * kRounding * scale;
+}
+
+void DualMatrix::set(const LiftedPoses& X) {
+  multipliers_ = problem_.multipliers(X, problem_.gradient(X));
+  hold_places(X);
+  trace_ = rounding_ = largest_rounding_ = 0.0;
+  for (std::size_t i = 0; i < problem_.poses(); ++i) {
+    trace_ += multipliers_[i].trace();
+    const auto place = [&](std::size_t pose) { return X.col(4 * static_cast<Eigen::Index>(pose) + 3); };
+    const double share = kRounding * 3.0 * problem_.scale()[i] +
+                         kPlaceRounding * problem_.place_weight(i) *
+                             (place(i) - place(held_[problem_.parts()[i]])).squaredNorm();
+    rounding_ += share;
+    largest_rounding_ = std::max(largest_rounding_, share);
+  }
+}
+
+/// The pose of each part that is nearest to the middle: what rounding takes grows with the distance from it.
+void DualMatrix::hold_places(const LiftedPoses& X) {
+  const std::vector<std::uint32_t>& parts = problem_.parts();
+  const std::size_t count = *std::max_element(parts.begin(), parts.end()) + std::size_t{1};
+  Eigen::MatrixXd middle = Eigen::MatrixXd::Zero(X.rows(), static_cast<Eigen::Index>(count));
+  std::vector<double> weight(count, 0.0), nearest(count, std::numeric_limits<double>::infinity());
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    middle.col(parts[i]) += X.col(4 * static_cast<Eigen::Index>(i) + 3);
+    weight[parts[i]] += 1.0;
+  }
+  held_.assign(count, 0);
+  for (std::size_t i = 0; i < parts.size(); ++i) {
+    const double distance =
+        (X.col(4 * static_cast<Eigen::Index>(i) + 3) - middle.col(parts[i]) / weight[parts[i]]).squaredNorm();
+    if (!(distance < nearest[parts[i]])) continue;
+    nearest[parts[i]] = distance;
+    held_[parts[i]] = i;
+  }
+}
+
+double DualMatrix::spectral_bound() const {
+  double largest = 0.0;  // S̄ + Λ is semi-definite
+  for (const Eigen::Matrix3d& m : multipliers_) largest = std::max(largest, m.norm());
+  return largest;
 }
 
 void DualMatrix::add(const BlockCholesky::Slot& slot, const Eigen::Matrix4d& block) {
@@ -40,12 +80,13 @@ bool DualMatrix::positive_with(double shift) {
       multipliers_,
       [&](std::size_t i, Eigen::Matrix4d block) {
         block.diagonal().head<3>().array() += shift + kRounding * problem_.scale()[i];
+        block(3, 3) *= 1.0 + kPlaceRounding;
         add(cholesky_.diagonal_slot(i), block);
       },
       [&](std::size_t k, const Eigen::Matrix4d& block) { add(cholesky_.pair_slot(k), block); });
   // A common shift of all places costs nothing: holding one of them at 0 leaves the minimum as it is.
   Eigen::VectorXd diagonal = cholesky_.diagonal();
-  for (const std::uint32_t pose : problem_.grounded()) {
+  for (const std::size_t pose : held_) {
     double& place = diagonal[4 * static_cast<Eigen::Index>(pose) + 3];
     place = place > 0.0 ? 2.0 * place : 1.0;
   }
@@ -71,7 +112,7 @@ DualMatrix::Eigenpair DualMatrix::smallest_eigenpair(double shift) const {
   for (Eigen::Index i = 0; i < n; ++i) v[i] = rng.normal();
   rotations_alone(v);
   const int most = static_cast<int>(std::min<Eigen::Index>(kMaxVectors, n / 4 * 3));
-  Eigen::MatrixXd basis(n, most);
+  Eigen::MatrixXd basis(n, std::min(most, 16));  // grows: few vectors are needed where the graph is large
   Eigen::VectorXd alpha(most), beta(most);
   Eigenpair out;
   basis.col(0) = v.normalized();
@@ -93,6 +134,7 @@ DualMatrix::Eigenpair DualMatrix::smallest_eigenpair(double shift) const {
       out.vector = solve(basis.leftCols(k + 1) * weights) / largest;
       return out;
     }
+    if (k + 1 == basis.cols()) basis.conservativeResize(n, std::min<Eigen::Index>(most, 2 * basis.cols()));
     basis.col(k + 1) = w / beta[k];
   }
   return out;

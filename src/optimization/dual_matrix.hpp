@@ -15,12 +15,22 @@ namespace loopwise::detail {
 /// tr(Y S Yᵀ) ≥ 3n·λ_min(S̄).
 class DualMatrix {
  public:
-  DualMatrix(const ChordalProblem& problem, std::vector<Eigen::Matrix3d> multipliers);
+  /// Analyses the matrix, which serves every critical point of the problem.
+  explicit DualMatrix(const ChordalProblem& problem);
+
+  /// Of this critical point from now on.
+  void set(const LiftedPoses& X);
 
   [[nodiscard]] double trace_of_multipliers() const { return trace_; }
-  /// What rounding may take from the diagonal of S, by pose, times 3 and summed: the error of 2·cost that a
-  /// proof leaves open besides its shift.
+  /// What rounding may take from tr(Y S Yᵀ), so the error of 2·cost that a proof leaves open besides its
+  /// shift: a share of the diagonal of S at each pose, times 3 at the rotation and times the squared distance
+  /// to the place that is held at the place. For Y whose places are as far apart as those of the critical
+  /// point.
   [[nodiscard]] double rounding() const { return rounding_; }
+  /// The largest such share of one pose.
+  [[nodiscard]] double largest_rounding() const { return largest_rounding_; }
+  /// No eigenvalue of S̄ lies as far below 0.
+  [[nodiscard]] double spectral_bound() const;
 
   /// Whether S̄ + shift·I, with what rounding may take, has a Cholesky factor: then λ_min(S̄) > −shift − that.
   [[nodiscard]] bool positive_with(double shift);
@@ -37,13 +47,16 @@ class DualMatrix {
 
  private:
   void add(const BlockCholesky::Slot& slot, const Eigen::Matrix4d& block);
+  void hold_places(const LiftedPoses& X);
   [[nodiscard]] Eigen::VectorXd solve(const Eigen::VectorXd& rotations) const;
 
   const ChordalProblem& problem_;
-  std::vector<Eigen::Matrix3d> multipliers_;
   BlockCholesky cholesky_;
+  std::vector<Eigen::Matrix3d> multipliers_;
+  std::vector<std::size_t> held_;  // the pose of each part whose place is held at 0
   double trace_ = 0.0;
   double rounding_ = 0.0;
+  double largest_rounding_ = 0.0;
 };
 
 }  // namespace loopwise::detail

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <utility>
 
 #include <Eigen/Dense>
@@ -12,47 +13,57 @@
 namespace loopwise::detail {
 namespace {
 
-/// Share of the cost that rounding may take from the bound. More comes from information many orders of
-/// magnitude above the rest, such as priors of 1e-7 m.
-constexpr double kMostRounding = 1e-3;
-
 /// The dual certificate at a critical point of any rank.
 struct DualTest {
   bool certified = false;
+  bool negligible = false;         // the cost, so that nothing is left to prove
+  bool lost_in_rounding = false;   // rounding takes more of the bound than the gap that is asked for
   double lower_bound = 0.0;        // of the cost
   double tolerance = 0.0;          // of the eigenvalue
-  double rounding = 0.0;           // of the cost, part of the bound
   DualMatrix::Eigenpair negative;  // where it is not certified
 };
 
-DualTest test(const ChordalProblem& problem, const LiftedPoses& X, double cost,
-              const CertificateOptions& options, const StopToken& stop) {
-  DualTest out;
-  DualMatrix dual(problem, problem.multipliers(X, problem.gradient(X)));
-  const double dimension = 3.0 * static_cast<double>(problem.poses());
-  const auto bound = [&](double shift) {
-    return std::max(0.0, 0.5 * (dual.trace_of_multipliers() - dimension * shift - dual.rounding()));
-  };
-  out.rounding = 0.5 * dual.rounding();
-  out.tolerance = options.relative_gap * 2.0 * cost / dimension + dual.rounding() / dimension;
-  const double shift = options.relative_gap * 2.0 * cost / dimension;
-  if (dual.positive_with(shift)) {
-    out.lower_bound = bound(shift);
-    // The factor proves a bound for any multipliers; it is only good if X is critical and rounding is small.
-    out.certified = cost <= negligible_cost(problem) ||
-                    (out.rounding <= kMostRounding * cost &&
-                     cost - out.lower_bound <= 2.0 * options.relative_gap * cost + out.rounding);
-    return out;
-  }
-  // Shifts from which on the factor exists, then the eigenvalue within the last step.
-  double larger = std::max(10.0 * shift, 10.0 * out.rounding / dimension);
+/// The eigenvalue below −shift, and the bound that a factor proves.
+void find_negative(DualMatrix& dual, double shift, double first, const std::function<double(double)>& bound,
+                   const StopToken& stop, DualTest& out) {
+  double larger = std::max({10.0 * shift, first, 1e-16 * dual.spectral_bound()});
   while (!dual.positive_with(larger)) {
-    if (stop.stop_requested() || !std::isfinite(larger)) return out;
+    if (stop.stop_requested() || !(larger < 10.0 * dual.spectral_bound())) return;
     larger *= 10.0;
   }
   out.negative = dual.smallest_eigenpair(larger);
-  // A Ritz value lies above the eigenvalue; what the shift proves does not depend on its convergence.
-  out.lower_bound = bound(out.negative.converged ? std::max(0.0, -1.001 * out.negative.value) : larger);
+  out.lower_bound = bound(larger);
+  // A Ritz value lies above the eigenvalue, so it proves nothing: a factor does.
+  const double closer = -1.001 * out.negative.value;
+  if (closer > shift && closer < larger && dual.positive_with(closer)) out.lower_bound = bound(closer);
+  out.lost_in_rounding = -out.negative.value <= std::max(shift, dual.largest_rounding());
+}
+
+DualTest test(DualMatrix& dual, const ChordalProblem& problem, const LiftedPoses& X, double cost,
+              const CertificateOptions& options, const StopToken& stop) {
+  DualTest out;
+  if (problem.negligible(X)) {  // no cost is below 0
+    out.certified = out.negligible = true;
+    return out;
+  }
+  dual.set(X);
+  const double dimension = 3.0 * static_cast<double>(problem.poses());
+  const auto bound = [&](double shift) {
+    const double proven = 0.5 * (dual.trace_of_multipliers() - dimension * shift - dual.rounding());
+    return std::min(cost, std::max(0.0, proven));
+  };
+  // The gap is shared by the shift and by rounding; a little is left for the sums themselves.
+  const double gap = 2.0 * options.relative_gap * cost;
+  out.lost_in_rounding = dual.rounding() > 0.5 * gap;
+  const double shift = std::max(0.999 * gap - dual.rounding(), 0.5 * gap) / dimension;
+  out.tolerance = shift + dual.largest_rounding();
+  if (!dual.positive_with(shift)) {
+    find_negative(dual, shift, 10.0 * dual.rounding() / dimension, bound, stop, out);
+    return out;
+  }
+  out.lower_bound = bound(shift);
+  // The factor proves a bound for any multipliers; it is only good if X is critical and rounding is small.
+  out.certified = cost - out.lower_bound <= options.relative_gap * cost;
   return out;
 }
 
@@ -103,22 +114,22 @@ LiftedPoses rounded(const LiftedPoses& Y) {
 
 /// Minimises the poses next to a point of higher rank and takes them if they cost less. \returns whether they
 /// are certified, which ends the search
-bool round_back(const ChordalProblem& problem, const LiftedPoses& X, const CertificateOptions& options,
-                const StopToken& stop, DualOutcome& out) {
+bool round_back(DualMatrix& dual, const ChordalProblem& problem, const LiftedPoses& X,
+                const CertificateOptions& options, const StopToken& stop, DualOutcome& out) {
   CriticalPoint back = descend(problem, rounded(X), options.max_steps, stop);
   out.steps += back.steps;
   if (back.cost >= (1.0 - options.relative_gap) * out.best_cost) return false;
   out.status = CertificateStatus::kImprovable;
   out.best = std::move(back.X);
   out.best_cost = back.cost;
-  const DualTest at_poses = test(problem, out.best, out.best_cost, options, stop);
+  const DualTest at_poses = test(dual, problem, out.best, out.best_cost, options, stop);
   out.lower_bound = std::max(out.lower_bound, at_poses.lower_bound);
   return at_poses.certified;
 }
 
 /// From a critical point that is not certified: the lowest poses found and the best bound.
-void climb(const ChordalProblem& problem, DualTest current, const CertificateOptions& options,
-           const StopToken& stop, DualOutcome& out) {
+void climb(DualMatrix& dual, const ChordalProblem& problem, DualTest current,
+           const CertificateOptions& options, const StopToken& stop, DualOutcome& out) {
   LiftedPoses X = out.critical.X;
   for (int rank = 4; rank <= options.max_rank && !out.relaxation_solved && !stop.stop_requested(); ++rank) {
     if (current.negative.vector.size() == 0 || current.negative.value >= 0.0) break;
@@ -128,19 +139,15 @@ void climb(const ChordalProblem& problem, DualTest current, const CertificateOpt
     out.rank = rank;
     X = std::move(point.X);
     // Poses are cheap to come back to, and are often optimal long before the relaxation is solved.
-    out.relaxation_solved = round_back(problem, X, options, stop, out);
+    out.relaxation_solved = round_back(dual, problem, X, options, stop, out);
     if (out.relaxation_solved) break;
-    current = test(problem, X, point.cost, options, stop);
+    current = test(dual, problem, X, point.cost, options, stop);
     out.lower_bound = std::max(out.lower_bound, current.lower_bound);
     out.relaxation_solved = current.certified;
   }
 }
 
 }  // namespace
-
-double negligible_cost(const ChordalProblem& problem) {
-  return 1e-12 * static_cast<double>(problem.terms().size());
-}
 
 DualOutcome certify_component(const ChordalProblem& problem, const LiftedPoses& start,
                               const CertificateOptions& options, const StopToken& stop) {
@@ -149,10 +156,11 @@ DualOutcome certify_component(const ChordalProblem& problem, const LiftedPoses& 
   out.steps = out.critical.steps;
   out.best = out.critical.X;
   out.best_cost = out.critical.cost;
-  DualTest first = test(problem, out.critical.X, out.critical.cost, options, stop);
+  DualMatrix dual(problem);
+  DualTest first = test(dual, problem, out.critical.X, out.critical.cost, options, stop);
   out.lower_bound = first.lower_bound;
-  out.lost_in_rounding =
-      first.rounding > kMostRounding * out.critical.cost && out.critical.cost > negligible_cost(problem);
+  out.negligible = first.negligible;
+  out.lost_in_rounding = first.lost_in_rounding;
   out.eigenvalue_tolerance = first.tolerance;
   if (first.certified) {
     out.status = CertificateStatus::kCertified;
@@ -160,7 +168,8 @@ DualOutcome certify_component(const ChordalProblem& problem, const LiftedPoses& 
     return out;
   }
   out.min_eigenvalue = first.negative.value;
-  climb(problem, std::move(first), options, stop, out);
+  // A direction that may be rounding alone leads nowhere.
+  if (!first.lost_in_rounding) climb(dual, problem, std::move(first), options, stop, out);
   return out;
 }
 

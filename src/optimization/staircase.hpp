@@ -15,7 +15,8 @@ struct DualOutcome {
   LiftedPoses best;        ///< Of the lowest cost found, 3 rows.
   double best_cost = 0.0;
   double lower_bound = 0.0;
-  bool lost_in_rounding = false;  ///< Rounding leaves the bound too far below the cost.
+  bool negligible = false;        ///< The critical cost is zero up to rounding.
+  bool lost_in_rounding = false;  ///< Rounding takes more of the bound than the gap that is asked for.
   double min_eigenvalue = 0.0;
   double eigenvalue_tolerance = 0.0;
   bool relaxation_solved =
@@ -23,9 +24,6 @@ struct DualOutcome {
   int rank = 3;
   int steps = 0;
 };
-
-/// Costs that are zero for every purpose: residuals of about a millionth of their deviation.
-[[nodiscard]] double negligible_cost(const ChordalProblem& problem);
 
 /// Descends from poses, tests the dual certificate there, and where it fails climbs the Riemannian staircase
 /// (Boumal, NIPS 2016): relaxations of growing rank, entered along the eigenvector of the negative

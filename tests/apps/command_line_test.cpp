@@ -8,6 +8,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/core/planar.hpp>
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
@@ -275,6 +276,23 @@ TEST_CASE("optimize --certify: proves optima, and leaves local minima", "[apps]"
   REQUIRE(json.at("cost").get<double>() < 1e-9);
   REQUIRE(graph_cost(read_g2o(out).graph) < 1e-9);
   REQUIRE_THAT(run_program(command).out, Contains("a lower minimum was found"));
+
+  // The same in the plane, where the result is written as 2D again.
+  PoseGraph flat;
+  flat.set_planar();
+  for (Node node : ring.nodes()) {
+    node.pose = planar::flattened(node.pose);
+    flat.add_node(node);
+  }
+  for (const Edge& edge : ring.edges()) flat.add_edge(edge);
+  write_g2o(in, flat);
+  json = json_of(command);
+  REQUIRE(json.at("planar") == true);
+  REQUIRE(json.at("certificate").at("status") == "certified");
+  REQUIRE(json.at("certificate").at("lower_minimum") == true);
+  REQUIRE(json.at("cost").get<double>() < 1e-9);
+  REQUIRE(read_g2o(out).graph.planar());
+  REQUIRE(graph_cost(read_g2o(out).graph) < 1e-9);
 }
 
 TEST_CASE("evaluate: robots of a recording keep their names and ranges", "[apps]") {

@@ -4,7 +4,9 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/planar.hpp>
+#include <loopwise/optimization/certificate.hpp>
 #include <loopwise/optimization/gnc.hpp>
+#include <loopwise/optimization/incremental.hpp>
 #include <loopwise/optimization/marginals.hpp>
 #include <loopwise/optimization/optimizer.hpp>
 #include <loopwise/optimization/pcm.hpp>
@@ -198,6 +200,12 @@ double worst_difference(const std::vector<Eigen::Isometry3d>& poses, const std::
   return worst;
 }
 
+/// As those state it who know of nothing across the plane.
+Matrix6d without_across(Matrix6d m) {
+  m.block<3, 3>(2, 2).setZero();
+  return m;
+}
+
 bool all_planar(const std::vector<Eigen::Isometry3d>& poses) {
   return std::all_of(poses.begin(), poses.end(), planar::is_pose);
 }
@@ -223,20 +231,23 @@ TEST_CASE("planar: the optimum is that of two dimensions, to the last bit in the
   CHECK(result.cost == Approx(world.solver.cost()).epsilon(1e-9));
 }
 
-TEST_CASE("planar: information that is given for z, roll and pitch changes nothing",
-          "[optimization][planar]") {
+TEST_CASE("planar: what is stated for z, roll and pitch changes nothing", "[optimization][planar]") {
   const World world = grid_world(100, 20, 3);
+  const bool zeros = GENERATE(true, false);
+  CAPTURE(zeros);
+  const auto across = [&](Matrix6d m) {
+    m.block<3, 3>(2, 2) << 0.01, 0, 0, 0, 1e6, 0.5, 0, 0.5, 3.0;
+    return zeros ? without_across(m) : m;
+  };
   PoseGraph other;
   other.set_planar();
   for (const Node& node : world.graph.nodes()) other.add_node(node);
   for (PriorFactor prior : world.graph.priors()) {
-    prior.information(2, 2) = prior.information(3, 3) = 3.0;
+    prior.information = across(prior.information);
     other.add_prior(prior);
   }
   for (Edge edge : world.graph.edges()) {
-    edge.information(2, 2) = 0.01;
-    edge.information(3, 3) = 1e6;
-    edge.information(3, 4) = edge.information(4, 3) = 0.5;
+    edge.information = across(edge.information);
     other.add_edge(edge);
   }
   OptimizerOptions options;
@@ -244,7 +255,73 @@ TEST_CASE("planar: information that is given for z, roll and pitch changes nothi
   const GncResult a = optimize_gnc(world.graph, options), b = optimize_gnc(other, options);
   CHECK(a.weights == b.weights);
   for (std::size_t i = 0; i < a.optimization.poses.size(); ++i)
-    CHECK(testing::difference(a.optimization.poses[i], b.optimization.poses[i]) < 1e-9);
+    CHECK(testing::difference(a.optimization.poses[i], b.optimization.poses[i]) == 0.0);
+  const Certificate certified = certify(world.graph), again = certify(other);
+  CHECK(again.status == certified.status);
+  CHECK(again.cost == certified.cost);
+  CHECK(pairwise_consistent(other).kept == pairwise_consistent(world.graph).kept);
+}
+
+TEST_CASE("planar: information is kept as the plane has it, however it comes in", "[optimization][planar]") {
+  PoseGraph graph;
+  Node node;
+  for (node.key = 0; node.key < 2; ++node.key) graph.add_node(node);
+  Edge edge;
+  edge.to = 1;
+  edge.information.diagonal() << 4, 2, 0, 0, 0, 5;
+  const Matrix6d stated = edge.information;
+  PriorFactor prior;
+  prior.information = stated;
+  graph.add_edge(edge);
+  graph.add_prior(prior);
+  graph.set_planar();
+  const Matrix6d kept = planar::information(planar::block(stated));
+  graph.add_edge(edge);
+  graph.add_prior(prior);
+  for (const Edge& each : graph.edges()) CHECK(each.information == kept);
+  for (const PriorFactor& each : graph.priors()) CHECK(each.information == kept);
+  graph.set_information(0, 2.0 * stated);
+  CHECK(graph.edges()[0].information == 2.0 * kept);
+  // Indefinite within the plane, which a large value across it would hide.
+  Matrix6d bad = stated;
+  bad(2, 2) = 1e30;
+  bad(0, 1) = bad(1, 0) = 10.0;
+  CHECK_THROWS_WITH(graph.set_information(0, bad), Contains("indefinite"));
+
+  PoseGraph tied;
+  for (const Node& each : graph.nodes()) tied.add_node(each);
+  edge.information = Matrix6d::Identity();
+  edge.information(0, 2) = edge.information(2, 0) = 0.5;
+  tied.add_edge(edge);
+  CHECK_THROWS_WITH(tied.set_planar(), Contains("edge 0 to 1") && Contains("ties z"));
+  CHECK_FALSE(tied.planar());
+  CHECK(tied.edges()[0].information == edge.information);
+}
+
+TEST_CASE("planar: a graph that grows is kept at its minimum, not solved from scratch",
+          "[optimization][planar][incremental]") {
+  const World world = grid_world(120, 0, 4);
+  PoseGraph start;
+  start.set_planar();
+  PriorFactor prior = world.graph.priors()[0];
+  prior.information = without_across(prior.information);
+  start.add_node(world.graph.nodes()[0]);
+  start.add_prior(prior);
+  IncrementalOptimizer incremental(start);
+  int from_scratch = 0;
+  for (std::size_t count = 1; count < world.graph.nodes().size(); ++count) {
+    CAPTURE(count);
+    incremental.add_node(world.graph.nodes()[count]);
+    for (const std::size_t e : world.graph.edges_of(count)) {
+      Edge edge = world.graph.edges()[e];
+      edge.information = without_across(edge.information);
+      if (std::max(edge.from, edge.to) == count) incremental.add_edge(edge);
+    }
+    from_scratch += incremental.update().from_scratch ? 1 : 0;
+  }
+  CHECK(from_scratch < 5);  // the first among them
+  CHECK(all_planar(incremental.graph().poses()));
+  CHECK(graph_cost(incremental.graph()) == Approx(optimize(world.graph).cost).epsilon(1e-2));
 }
 
 TEST_CASE("planar: false closures are found", "[optimization][planar][gnc]") {
@@ -310,6 +387,100 @@ TEST_CASE("planar: pairwise consistency finds the same as in space at its own th
   }
   CHECK(kept > 10);
   CHECK(kept_false == 0);
+}
+
+TEST_CASE("planar: two closures agree by three degrees of freedom", "[optimization][planar]") {
+  // They differ by a squared 14: between the thresholds of 3 (11.3) and of 6 (16.8).
+  const bool is_planar = GENERATE(true, false);
+  CAPTURE(is_planar);
+  PoseGraph graph;
+  graph.set_planar(is_planar);
+  const auto join = [&](Key from, Key to, double y, double information, EdgeKind kind) {
+    Edge edge;
+    edge.from = from;
+    edge.to = to;
+    edge.T_from_to = planar::pose(0.0, y, 0.0);
+    edge.information = planar::information(Eigen::Vector3d(information, information, 1e8).asDiagonal());
+    edge.kind = kind;
+    graph.add_edge(edge);
+  };
+  for (const Key key : {0u, 1u, 10u, 11u}) {
+    Node node;
+    node.key = key;
+    graph.add_node(node);
+  }
+  join(0, 1, 0.0, 1e8, EdgeKind::kOdometry);
+  join(10, 11, 0.0, 1e8, EdgeKind::kOdometry);
+  join(0, 10, 0.0, 1.0, EdgeKind::kLoopClosure);
+  join(1, 11, std::sqrt(2.0 * 14.0), 1.0, EdgeKind::kLoopClosure);
+  CHECK(pairwise_consistent(graph).inliers == (is_planar ? 1u : 2u));
+}
+
+TEST_CASE("planar: certificates stay in the plane, where lower poses are found too",
+          "[optimization][planar][certificate]") {
+  // A ring of equal headings, which are wound around it once.
+  constexpr int kCount = 30;
+  PoseGraph wound;
+  wound.set_planar();
+  for (int i = 0; i < kCount; ++i) {
+    Node node;
+    node.key = static_cast<Key>(i);
+    node.pose = planar::pose(0.0, 0.0, 6.283185307179586 * i / kCount);
+    wound.add_node(node);
+  }
+  for (int i = 0; i < kCount; ++i) {
+    const double angle = 6.283185307179586 * i / kCount;
+    Edge edge;
+    edge.from = static_cast<Key>(i);
+    edge.to = static_cast<Key>((i + 1) % kCount);
+    edge.T_from_to = planar::pose(std::cos(angle), std::sin(angle), 0.0);
+    edge.information = planar::information(Eigen::Vector3d(1, 1, 100).asDiagonal());
+    wound.add_edge(edge);
+  }
+  OptimizerOptions from_file;
+  from_file.initialization = Initialization::kFile;
+  wound.set_poses(optimize(wound, from_file).poses);
+  REQUIRE(graph_cost(wound) > 1.0);
+  const Certificate c = certify(wound);
+  CAPTURE(c.message);
+  REQUIRE(c.status == CertificateStatus::kImprovable);
+  REQUIRE(all_planar(c.poses));
+  REQUIRE(all_planar(c.best_poses));
+  PoseGraph better = wound;
+  better.set_poses(c.best_poses);
+  REQUIRE(certify(better).status == CertificateStatus::kCertified);
+  REQUIRE(certify(better).cost_at_estimate == Approx(c.best_cost).margin(1e-20));
+  const CertifiedEstimate found = optimize_certified(wound);
+  REQUIRE(found.improved);
+  REQUIRE(found.cost < 1e-9);
+  REQUIRE(found.certificate.status == CertificateStatus::kCertified);
+  REQUIRE(all_planar(found.poses));
+}
+
+TEST_CASE("planar: of information what lies in the plane is certified",
+          "[optimization][planar][certificate]") {
+  PoseGraph graph;
+  graph.set_planar();
+  for (Key key = 0; key < 2; ++key) {
+    Node node;
+    node.key = key;
+    node.pose = planar::pose(static_cast<double>(key), 0.3, 0.2 * static_cast<double>(key));
+    graph.add_node(node);
+  }
+  Edge edge;
+  edge.to = 1;
+  edge.T_from_to = planar::pose(1.5, 0.1, -0.1);
+  edge.information = Matrix6d::Zero();
+  edge.information.diagonal() << 100, 400, 0, 0, 0, 900;
+  graph.add_edge(edge);
+  const double tau = 2.0 / (1.0 / 100 + 1.0 / 400), kappa = 450.0;
+  const Eigen::Matrix4d error =
+      graph.nodes()[1].pose.matrix() - graph.nodes()[0].pose.matrix() * edge.T_from_to.matrix();
+  const Certificate c = certify(graph);
+  REQUIRE(c.reduced_factors == 0);
+  REQUIRE(c.status == CertificateStatus::kCertified);
+  REQUIRE(c.cost_at_estimate == Approx(0.5 * (kappa * error.topLeftCorner<3, 3>().squaredNorm() +
+                                              tau * error.col(3).squaredNorm())));
 }
 
 TEST_CASE("planar: covariances are those of two dimensions, and nothing elsewhere",

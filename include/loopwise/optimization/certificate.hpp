@@ -45,17 +45,19 @@ struct CertificateOptions {
 ///
 ///     F = ½ Σ w (κ ‖R_j − R_i R̃‖² + τ ‖t_j − t_i − R_i t̃‖²),   τ = 3 / tr(Ω_t⁻¹),   κ = 3 / (2 tr(Ω_R⁻¹))
 ///
-/// over edges and priors. It is this cost that is certified, at its critical point next to the estimate, and
-/// not ½ Σ w rᵀΩr. The two agree to second order in the residuals where Ω_t and Ω_R are multiples of the
-/// identity and there is no coupling between them.
+/// over edges and priors; in a planar graph τ = 2 / tr(Ω_xy⁻¹) and κ = Ω_θ / 2. It is this cost that is
+/// certified, at its critical point next to the estimate, and not ½ Σ w rᵀΩr. The two agree to second order
+/// in the residuals where Ω_t and Ω_R are multiples of the identity and there is no coupling between them.
 struct Certificate {
   CertificateStatus status =
       CertificateStatus::kUndecided;  ///< Of all components: the least certain of them.
   std::string message;                ///< For people; never parse it.
-  double cost_at_estimate = 0.0;      ///< F at the graph's poses.
-  double cost = 0.0;                  ///< F at the critical point reached from them.
-  double lower_bound = 0.0;           ///< No poses have a lower F; at least 0.
-  double relative_gap = 0.0;  ///< (cost − lower_bound) / cost; 0 if the cost is below 1e-12 a factor.
+  /// F at the graph's poses. It is not the ½ Σ w rᵀΩr there: information that is not isotropic counts by its
+  /// mean, and a single prior of a component does not count.
+  double cost_at_estimate = 0.0;
+  double cost = 0.0;          ///< F at the critical point reached from them.
+  double lower_bound = 0.0;   ///< No poses have a lower F; at least 0.
+  double relative_gap = 0.0;  ///< (cost − lower_bound) / cost; 0 if all residuals are but rounding.
   /// Smallest eigenvalue of the dual certificate matrix, its places eliminated, over all components. Where a
   /// component is certified it is 0, that of the poses themselves, and its eigenvalues are above
   /// −eigenvalue_tolerance.
@@ -74,10 +76,11 @@ struct Certificate {
   std::size_t components = 0;            ///< Components with at least one factor to certify.
   std::size_t certified_components = 0;  ///< Those of them that are certified.
   /// Factors whose information has rank 1 or 2 in translation or rotation: that part has no isotropic
-  /// counterpart and is left out of F.
+  /// counterpart and is left out of F. A component with such factors is never certified.
   std::size_t reduced_factors = 0;
-  /// Whether lower_bound is the optimum of the relaxation, up to CertificateOptions::relative_gap. If so and
-  /// the status is kUndecided, the relaxation is not tight: no certificate of this kind exists.
+  /// Whether lower_bound is the optimum of the relaxation, up to CertificateOptions::relative_gap. If so, the
+  /// status is kUndecided and reduced_factors is 0, the relaxation is not tight: no certificate of this kind
+  /// exists.
   bool relaxation_solved = false;
   int rank = 3;          ///< Largest rank of the relaxation that was needed.
   int steps = 0;         ///< Newton steps, of all descents.
@@ -100,8 +103,13 @@ struct CertifiedEstimate {
   double cost_before = 0.0;              ///< ½ Σ w rᵀΩr at the graph's poses.
   double cost = 0.0;                     ///< The same at `poses`; never higher.
   bool improved = false;                 ///< Whether `poses` are others than the graph's, of lower cost.
-  /// Whether minimising ½ Σ w rᵀΩr from the poses of the certificate comes to the cost of the estimate: then
-  /// the estimate is the minimum next to what is certified.
+  /// Whether a certificate knew that lower poses exist (kImprovable) where `improved` began. If not, the
+  /// graph's poses were no minimum to the digits of the optimiser, and minimising went on from them.
+  bool lower_minimum = false;
+  /// The minimisation that ended at `poses`, where they are `improved`.
+  OptimizationResult optimization;
+  /// Whether minimising ½ Σ w rᵀΩr from the poses of the certificate comes to the cost of `poses`: then they
+  /// are the minimum next to what is certified. False if that was not tried.
   bool same_minimum = false;
   Certificate certificate;  ///< Of `poses`.
 };
