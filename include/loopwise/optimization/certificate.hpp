@@ -26,7 +26,7 @@ enum class CertificateStatus {
 
 /// How sure a certificate is, and how long to look for lower poses where there is no certificate.
 struct CertificateOptions {
-  double relative_gap = 1e-6;
+  double relative_gap = 1e-4;
   int max_steps = 200;
   int max_rank = 5;
 
