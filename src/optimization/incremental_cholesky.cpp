@@ -120,8 +120,8 @@ void IncrementalCholesky::add_row(std::uint32_t s, std::uint32_t position) {
 }
 
 std::vector<std::uint32_t> IncrementalCholesky::changed_fronts() {
-  for (std::size_t i = 0; i < changed_.size(); ++i) {
-    const int parent = fronts_[changed_[i]].parent;
+  for (std::size_t i = 0; i < changed_.size();) {  // which grows meanwhile
+    const int parent = fronts_[changed_[i++]].parent;
     if (parent >= 0) mark(static_cast<std::uint32_t>(parent));
   }
   std::vector<std::uint32_t> out;

@@ -208,7 +208,7 @@ bool MultifrontalCholesky::factorize(const double* values, ThreadPool* pool) {
     runs.push_back({stacks.back().get()});
   }
   std::vector<char> sound(subtrees.size(), 0);
-  if (!subtrees.empty()) {
+  if (pool != nullptr) {
     pool->for_each(subtrees.size(), [&](std::size_t k) {
       sound[k] = factorize_range(subtrees[k].begin, subtrees[k].end, values, runs[k]) ? 1 : 0;
     });

@@ -18,8 +18,8 @@ struct BenchGraph {
   std::vector<bool> is_false;  ///< By edge.
 };
 
-/// A g2o graph with consecutive ids as odometry, priors of sigma 1e-4 on node 0 (and 625 in a tunnel1250), labels
-/// from the file of the same name ending in .labels where there is one.
+/// A g2o graph with consecutive ids as odometry, priors of sigma 1e-4 on node 0 (and 625 in a tunnel1250),
+/// labels from the file of the same name ending in .labels where there is one.
 [[nodiscard]] BenchGraph read_bench_graph(const std::filesystem::path& path);
 
 /// Robots that walk the streets of a square grid (2 m a step, noise 0.02 m and 0.005 rad) with closures

@@ -7,8 +7,8 @@
 
 namespace loopwise::bench {
 
-/// A row for every 2D g2o file of a folder that has loop closures. Where a file NAME_GT_GPS.g2o belongs to it,
-/// also its errors and how many of the closures are right.
+/// A row for every 2D g2o file of a folder that has loop closures. Where a file NAME_GT_GPS.g2o belongs to
+/// it, also its errors and how many of the closures are right.
 void compare_planar(const std::string& folder);
 
 }  // namespace loopwise::bench
