@@ -1,6 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <Eigen/Dense>
+#include <vector>
 
+#include <loopwise/core/thread_pool.hpp>
+
+#include "block_cholesky.hpp"
 #include "front_kernels.hpp"
 #include "testing.hpp"
 
@@ -67,6 +71,43 @@ TEST_CASE("front kernels: elimination is a Cholesky factor and refuses what has 
       a(3, 3) = std::numeric_limits<double>::quiet_NaN();
       REQUIRE_FALSE(kernel->eliminate(m, a.data(), m));
     }
+  }
+}
+
+TEST_CASE("factorisation: subtrees in parallel give the bits of one thread", "[optimization][property]") {
+  // Blocks of a chain with closures to near and far ones: many subtrees below a large root.
+  constexpr std::uint32_t kVariables = 1500;
+  Rng rng(23);
+  std::vector<detail::BlockCholesky::Pair> pairs;
+  for (std::uint32_t v = 1; v < kVariables; ++v) pairs.emplace_back(v - 1, v);
+  for (std::uint32_t k = 0; k < 900; ++k) {
+    const auto v = static_cast<std::uint32_t>(rng.below(kVariables - 60));
+    const auto reach = static_cast<std::uint32_t>(k % 6 == 0 ? kVariables - v - 1 : 58);
+    pairs.emplace_back(v, v + 2 + static_cast<std::uint32_t>(rng.below(reach - 1)));
+  }
+  detail::BlockCholesky serial(6, Factorization::kMultifrontal), parallel(6, Factorization::kMultifrontal);
+  serial.analyze(kVariables, pairs);
+  parallel.analyze(kVariables, pairs);
+  REQUIRE(serial.factor_flops() > 2e8);  // threads are worth waking
+  for (double& value : serial.values()) value = 0.1 * rng.normal();
+  serial.set_diagonal(VectorXd::Constant(6 * Eigen::Index{kVariables}, 30.0));
+  parallel.values() = serial.values();
+  ThreadPool pool(3);
+  REQUIRE(serial.factorize());
+  REQUIRE(parallel.factorize(&pool));
+  REQUIRE(serial.panels().values == parallel.panels().values);
+
+  // Where it breaks off, too, wherever in the tree that is.
+  VectorXd diagonal = serial.diagonal();
+  for (const std::uint32_t broken : {3U, 700U, 1490U}) {
+    CAPTURE(broken);
+    VectorXd other = diagonal;
+    other[6 * Eigen::Index{broken}] = -1.0;
+    serial.set_diagonal(other);
+    parallel.set_diagonal(other);
+    REQUIRE_FALSE(serial.factorize());
+    REQUIRE_FALSE(parallel.factorize(&pool));
+    REQUIRE(serial.smallest_pivot() == parallel.smallest_pivot());
   }
 }
 

@@ -361,7 +361,7 @@ TEST_CASE("incremental: a request to stop keeps what was reached", "[optimizatio
   check_against_optimize(optimizer.graph(), result.cost);
 }
 
-TEST_CASE("incremental: a solution from scratch that was stopped is gone on with", "[optimization]") {
+TEST_CASE("incremental: an update continues a solution that ran out of iterations", "[optimization]") {
   Rng rng(13);
   const RandomGraph random = random_graph(rng);
   OptimizerOptions few;
