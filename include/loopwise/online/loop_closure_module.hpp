@@ -195,8 +195,9 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// prioritiser holds back, are not waited for. \returns false if the module was stopped instead.
   [[nodiscard]] bool wait();
 
-  /// As stop(), but with a last estimate if closures have come since the one before. For all pending
-  /// candidates to be computed, call wait() before it.
+  /// As stop(), but with a last estimate if closures have come since the one before, or if that one
+  /// continued an earlier one (GncOptions::warm_start): the last estimate starts from scratch. For all
+  /// pending candidates to be computed, call wait() before it.
   void finish();
   /// Ends all work soon and joins the threads; what was being computed is finished, however long it takes (a
   /// thread cannot be taken from a registrar: see RegistrationTask::time_limit_s), what was pending stays so
