@@ -237,8 +237,12 @@ bool LoopClosureModule::add_candidates(const std::vector<LoopCandidate>& candida
 bool LoopClosureModule::set_estimate(const ExternalEstimate& estimate) {
   return impl_->set_estimate(estimate);
 }
+bool LoopClosureModule::decide(const ClosureDecision& decision) {
+  return impl_->add(decision);
+}
+
 bool LoopClosureModule::remove_closure(Key from, Key to) {
-  return impl_->add(event::Veto{from, to});
+  return decide({from, to, false});
 }
 bool LoopClosureModule::wait() {
   return impl_->wait();

@@ -16,6 +16,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/closure_decision.hpp>
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/loop_candidate.hpp>
@@ -74,7 +75,9 @@ struct Estimate {
 };
 
 /// Events: what Engine::handle() takes. Those that are not listed here are KeyFrame, Factors,
-/// BeaconDrop, RegistrationResult and ExternalEstimate.
+/// BeaconDrop, RegistrationResult, ExternalEstimate and ClosureDecision. A ClosureDecision holds for the
+/// closures that the graph has and for those that come later, the front end's too; the last one on a pair
+/// counts. A rejected pair is not proposed any more.
 namespace event {
 
 /// The cloud of a node that has come or will come.
@@ -99,11 +102,6 @@ struct Optimized {
   GncResult gnc;         ///< Empty if stopped or failed.
   bool stopped = false;  ///< It ended early, without an estimate.
   std::string failure;   ///< Why there is no estimate; empty if there is, or if it was stopped.
-};
-/// Takes out every closure between two nodes, and takes in none that is computed later.
-struct Veto {
-  Key from = 0;  ///< One of the nodes.
-  Key to = 0;    ///< The other.
 };
 /// Time has passed: expires what is due.
 struct Tick {};
@@ -132,7 +130,7 @@ struct NoMoreScans {};
 /// One of the events.
 using Event =
     std::variant<KeyFrame, Factors, event::Scan, event::Radio, BeaconDrop, event::Candidates,
-                 RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, event::Veto,
+                 RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, ClosureDecision,
                  event::Tick, event::Improve, event::Choose, event::Settle, event::NoMoreScans>;
 
 /// An event that an engine has handled. Holds during the call alone. Another engine that is fed the same

@@ -186,8 +186,12 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// them on their robot's path. Rotations that were rounded are made rotations again. \throws InputError if
   /// our back end is on, a number is not finite, or a pose is no rigid transform to 1e-3.
   [[nodiscard]] bool set_estimate(const ExternalEstimate& estimate);
-  /// Takes out every closure between two nodes, as after a human's veto, the front end's too, and takes in
-  /// none that is computed later. Keys that have not come are ignored.
+  /// Takes a person's word on the closures between two nodes, those that come later and the front end's too.
+  /// Rejected ones are taken out, and the pair is not computed any more, unless it is being computed or
+  /// pending. Accepted ones are known inliers: robust optimisation does not doubt them. The last word on a
+  /// pair counts, but a closure that was taken out does not come back. The nodes may come later.
+  [[nodiscard]] bool decide(const ClosureDecision& decision);
+  /// decide() with a rejection.
   [[nodiscard]] bool remove_closure(Key from, Key to);
 
   /// Waits until nothing more would happen without new input: all that was added is handled, and the estimate
