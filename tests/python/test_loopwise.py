@@ -311,10 +311,11 @@ class Replay(unittest.TestCase):
 
 
 class Documentation(unittest.TestCase):
-    def test_the_quickstart_runs(self):
-        text = (SOURCE / "docs" / "python.md").read_text()
-        program = text.split("```python\n", 1)[1].split("```", 1)[0]
-        subprocess.run([sys.executable, "-c", program], cwd=SOURCE, check=True, stdout=subprocess.DEVNULL)
+    def test_the_quickstarts_run(self):
+        for page in (SOURCE / "README.md", SOURCE / "docs" / "python.md"):
+            program = page.read_text().split("```python\n", 1)[1].split("```", 1)[0]
+            with self.subTest(page=page.name):
+                subprocess.run([sys.executable, "-c", program], cwd=SOURCE, check=True, stdout=subprocess.DEVNULL)
 
     def test_the_stubs_name_everything(self):
         stubs = (pathlib.Path(lw.__file__).parent / "_loopwise.pyi").read_text()

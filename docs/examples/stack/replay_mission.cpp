@@ -6,9 +6,7 @@
 int main(int, char** argv) {
   using namespace loopwise;
   const Mission mission = read_mission(argv[1]);
-  ReplayOptions options;
-  options.prioritization.method = parse_method("expected");
-  const ReplayResult result = replay(mission, options);
+  const ReplayResult result = replay(mission);
   for (const ComputedCandidate& computed : result.computed) {
     const LoopCandidate& pair = computed.result.candidate;
     if (computed.weight > 0.5)

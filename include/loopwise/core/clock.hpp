@@ -19,7 +19,7 @@ class LOOPWISE_EXPORT Clock {
   virtual void wait_until(double time, const StopToken& stop) = 0;
 };
 
-/// Jumps to the time that is waited for: a replay takes as long as its computations, never longer.
+/// Jumps to the awaited time: a replay takes only the time of its computations.
 class LOOPWISE_EXPORT VirtualClock final : public Clock {
  public:
   /// Stands at `start` seconds of mission time.
@@ -58,13 +58,13 @@ class Stopwatch {
   std::chrono::steady_clock::time_point start_;
 };
 
-/// A limit of wall time from construction on. What asks it depends on the machine's speed: it is off wherever
-/// results must repeat.
+/// A limit of wall time from construction on. Results that depend on it depend on the machine's speed: switch
+/// it off if results must repeat.
 class Deadline {
  public:
   /// 0: no limit.
   explicit Deadline(double limit_s = 0.0) : limit_s_(limit_s) {}
-  /// Whether the limit is behind.
+  /// Whether the limit has passed.
   [[nodiscard]] bool passed() const { return limit_s_ > 0.0 && watch_.seconds() > limit_s_; }
 
  private:

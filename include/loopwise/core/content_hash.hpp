@@ -12,17 +12,17 @@
 
 namespace loopwise {
 
-/// 128 bits that stand for some content. Equal content has equal hashes; that two different contents have is
-/// not to be expected among any number that fits on a disk. No protection against malice.
+/// 128 bits that identify some content. Equal content has equal hashes. Collisions are not expected among any
+/// number of contents that fits on a disk. The hash does not protect against malicious input.
 struct ContentHash {
   std::uint64_t high = 0;  ///< The first 64 bits.
   std::uint64_t low = 0;   ///< The other 64 bits.
 
-  /// Whether both stand for the same content.
+  /// Whether both identify the same content.
   friend bool operator==(const ContentHash& a, const ContentHash& b) {
     return a.high == b.high && a.low == b.low;
   }
-  /// Whether they stand for different contents.
+  /// Whether they identify different contents.
   friend bool operator!=(const ContentHash& a, const ContentHash& b) { return !(a == b); }
   /// An order for sorted containers; it means nothing else.
   friend bool operator<(const ContentHash& a, const ContentHash& b) {
@@ -33,20 +33,20 @@ struct ContentHash {
 /// 32 hexadecimal digits.
 [[nodiscard]] LOOPWISE_EXPORT std::string to_string(const ContentHash& hash);
 
-/// MurmurHash3 (x64, 128 bits, seed 0; Appleby 2011) of all that it is given, in pieces of any size. The
-/// pieces' borders do not count: put a length before what varies in length, as text() does.
+/// MurmurHash3 (x64, 128 bits, seed 0; Appleby 2011) of all its input, in pieces of any size. The borders of
+/// the pieces do not count: put a length before items of variable length, as text() does.
 class LOOPWISE_EXPORT ContentHasher {
  public:
-  /// Takes in `size` bytes as they lie in memory.
+  /// Adds `size` bytes of memory.
   ContentHasher& bytes(const void* data, std::size_t size);
-  /// Takes in a text, its length first.
+  /// Adds a text, its length first.
   ContentHasher& text(std::string_view value);
-  /// Takes in the number's eight bytes as they lie in memory.
+  /// Adds the number's eight bytes in memory order.
   ContentHasher& integer(std::uint64_t value) { return bytes(&value, sizeof value); }
   /// By its bits: 0.0 and −0.0 are two numbers.
   ContentHasher& number(double value) { return bytes(&value, sizeof value); }
 
-  /// The hash of all that was taken in so far; more may follow.
+  /// The hash of the input so far; more may follow.
   [[nodiscard]] ContentHash finish() const;
 
  private:

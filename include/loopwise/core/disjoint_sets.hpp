@@ -10,7 +10,7 @@
 namespace loopwise {
 
 /// Sets of the numbers 0 to n − 1 that grow together: union-find with path halving (Tarjan & van Leeuwen
-/// 1984). A set is known by its smallest number.
+/// 1984). The smallest number identifies a set.
 class DisjointSets {
  public:
   /// Each of n numbers is a set of its own.
@@ -28,7 +28,7 @@ class DisjointSets {
     return at;
   }
 
-  /// Makes one set of two. \returns whether they were two
+  /// Joins two sets. \returns whether they were separate
   bool join(std::size_t a, std::size_t b) {
     const std::uint32_t root_a = root(a), root_b = root(b);
     parent_[std::max(root_a, root_b)] = std::min(root_a, root_b);

@@ -9,7 +9,7 @@
 
 namespace loopwise {
 
-/// Base of everything that Loopwise throws. what() says what was found, what was expected, and where.
+/// Base of all exceptions of Loopwise. what() states the found and the expected value, and the place.
 struct LOOPWISE_EXPORT Error : std::runtime_error {
   using std::runtime_error::runtime_error;
 };
@@ -37,7 +37,7 @@ struct LOOPWISE_EXPORT IoError : Error {
   IoError(const std::string& path, const std::string& why) : Error(path + ": " + why) {}
 };
 
-/// Long work ended early because its StopToken asked for that.
+/// Work ended early because of a stop request.
 struct LOOPWISE_EXPORT StoppedError : Error {
   using Error::Error;
 };

@@ -11,24 +11,24 @@
 
 namespace loopwise {
 
-/// Values by number, for numbers that count up, as those of candidates do: kept in blocks of neighbours, in a
-/// fraction of the time and memory of a tree or a hash table with a node for each. Any numbers work. Walks
-/// through them in rising order.
+/// Values by number, for ascending numbers such as those of candidates. Blocks of neighbouring numbers need a
+/// fraction of the time and memory of a tree or a hash table. Any numbers work. Iteration is in ascending
+/// order.
 template <class T>
 class IdTable {
  public:
   IdTable() = default;
-  /// Takes the contents of the other one.
+  /// Moves the contents of the other table.
   IdTable(IdTable&& other) noexcept { swap(other); }
   /// Exchanges the contents.
   IdTable& operator=(IdTable&& other) noexcept { return swap(other); }
 
-  /// How many there are.
+  /// Number of values.
   [[nodiscard]] std::size_t size() const { return size_; }
-  /// Whether there is none.
+  /// Whether there is no value.
   [[nodiscard]] bool empty() const { return size_ == 0; }
 
-  /// The value of a number; null if there is none. Holds until that number is erased.
+  /// The value of a number, or null. Valid until that number is erased.
   [[nodiscard]] T* find(std::uint64_t id) {
     Block* block = block_of(id);
     return block != nullptr && block->held[id % kBlock] ? &block->values[id % kBlock] : nullptr;
@@ -57,7 +57,7 @@ class IdTable {
     return true;
   }
 
-  /// \returns whether there was one
+  /// Erases the value of a number. \returns whether there was one
   bool erase(std::uint64_t id) {
     Block* block = block_of(id);
     if (block == nullptr || !block->held[id % kBlock]) return false;
@@ -77,7 +77,7 @@ class IdTable {
     size_ = 0;
   }
 
-  /// Calls visitor(id, value) in rising order for as long as it returns true.
+  /// Calls visitor(id, value) in ascending order while it returns true.
   template <class Visitor>
   void visit(Visitor&& visitor) const {
     for (const auto& [number, block] : blocks_) {

@@ -10,10 +10,10 @@
 namespace loopwise {
 
 /// Node id. The top 8 bits hold a robot character, the low 56 bits the index of the node: the layout of
-/// gtsam::Symbol, so files of GTSAM and LAMP read unchanged. Plain integers (character 0) are valid keys.
-/// Where both the top 8 bits and the 8 below them are ASCII letters, the key is a gtsam::LabeledSymbol: a
-/// character, a label that tells the robot, as Swarm-SLAM has it, and an index of 48 bits. The index of a
-/// Symbol would have to exceed 1.8e16 to look like one. Keys exceed 2^53: never hold one in a double.
+/// gtsam::Symbol, so files of GTSAM and LAMP read unchanged. Plain integers (character 0) are valid keys. If
+/// both the top 8 bits and the 8 below them are ASCII letters, the key is a gtsam::LabeledSymbol: a
+/// character, a label that identifies the robot, as in Swarm-SLAM, and an index of 48 bits. The index of a
+/// Symbol must exceed 1.8e16 to look like one. Keys exceed 2^53: never store one in a double.
 using Key = std::uint64_t;
 
 inline constexpr int kKeyIndexBits = 56;  ///< Low bits of a key that hold the index.

@@ -18,8 +18,8 @@ struct PointCloud {
   std::vector<Eigen::Vector3f> points;   ///< Coordinates relative to `origin`, m.
   std::vector<Eigen::Vector3f> normals;  ///< Unit length, towards the sensor. Empty, or one per point.
   std::vector<float> intensities;        ///< Empty, or one per point.
-  /// Where coordinates of zero lie in the frame of the cloud, m; axes are parallel. Zero for the scans of
-  /// nodes. Clouds in world coordinates have one near their points: a float resolves 0.5 m at 5000 km.
+  /// Origin of the coordinates in the frame of the cloud, m; axes are parallel. Zero for the scans of nodes.
+  /// Clouds in world coordinates have an origin near their points: a float resolves 0.5 m at 5000 km.
   Eigen::Vector3d origin = Eigen::Vector3d::Zero();
 
   /// Number of points.
@@ -39,11 +39,11 @@ struct PointCloud {
 struct KeyedScan {
   Key key = 0;                ///< The node.
   std::int64_t stamp_ns = 0;  ///< When the sweep was taken, ns since the epoch of the recording.
-  std::shared_ptr<const PointCloud> cloud;  ///< In the body frame of the node; null if it was not kept.
+  std::shared_ptr<const PointCloud> cloud;  ///< In the body frame of the node; null if it was not stored.
 };
 
-/// Hands out the scan of a node, or null if there is none. Must be safe to call from several threads;
-/// may throw InputError or IoError if the scan exists but cannot be read.
+/// Returns the scan of a node, or null if it has no scan. Must be safe to call from several threads; may
+/// throw InputError or IoError if the scan exists but cannot be read.
 using ScanLoader = std::function<std::shared_ptr<const PointCloud>(Key)>;
 
 }  // namespace loopwise

@@ -15,7 +15,7 @@ using CandidateId = std::uint64_t;
 enum class CandidateSource {
   kProximity,  ///< ProximityGenerator
   kRadio,      ///< RadioGenerator
-  kUser,       ///< A place recognition of the stack's own.
+  kUser,       ///< The stack's place recognition.
 };
 [[nodiscard]] inline EnumNames<CandidateSource> enum_names(CandidateSource) {
   return {{CandidateSource::kProximity, "proximity"},
@@ -26,7 +26,7 @@ enum class CandidateSource {
 /// A hypothesis that two nodes saw the same place. It carries no transform: finding one is the costly part.
 /// (a, b) and (b, a) are one candidate.
 struct LoopCandidate {
-  CandidateId id = 0;                                    ///< Given by the pool that takes it in.
+  CandidateId id = 0;                                    ///< Assigned by the candidate pool.
   Key from = 0;                                          ///< The newer node.
   Key to = 0;                                            ///< The older node.
   CandidateSource source = CandidateSource::kProximity;  ///< Who proposed it.

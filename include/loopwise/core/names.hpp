@@ -9,8 +9,8 @@
 
 namespace loopwise {
 
-/// Throws an OptionError that lists what is allowed and puts the nearest first, if it is near:
-/// "unknown option generation.rate, did you mean generation.rate_m? Known: …".
+/// Throws an OptionError that lists the allowed names and puts a similar one first: "unknown option
+/// generation.rate, did you mean generation.rate_m? Known: …".
 [[noreturn]] LOOPWISE_EXPORT void throw_unknown_name(std::string_view what, std::string_view name,
                                                      const std::vector<std::string>& known);
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// Options structs describe their own fields once: name, bounds and meaning. Validation, JSON and the printed
-/// reference all come from that one description, a static member template
+/// reference use that description, a static member template
 ///
 ///     template <class Self, class Visitor>
 ///     static void visit(Self& self, Visitor&& field) {
@@ -70,12 +70,12 @@ struct Bounds {
   return out.str();
 }
 
-/// Enumerators with the words that stand for them in files and on the command line. An enum used in options
-/// overloads `enum_names(E)` in its own namespace to return such a list.
+/// Enumerators with their words in files and on the command line. An enum used in options overloads
+/// `enum_names(E)` in its own namespace to return such a list.
 template <class E>
 using EnumNames = std::vector<std::pair<E, std::string_view>>;
 
-/// The word for an enumerator. \throws OptionError if it has none.
+/// The word for an enumerator. \throws OptionError if it has no word.
 template <class E>
 [[nodiscard]] std::string enum_name(E value) {
   for (const auto& [enumerator, name] : enum_names(E{})) {
@@ -84,7 +84,7 @@ template <class E>
   throw OptionError("enumerator without a name");
 }
 
-/// The enumerator for a word. \throws OptionError naming `what`, the word and what is allowed.
+/// The enumerator for a word. \throws OptionError naming `what`, the word and the allowed ones.
 template <class E>
 [[nodiscard]] E parse_enum(std::string_view what, std::string_view word) {
   std::string allowed;

@@ -15,7 +15,7 @@ namespace loopwise::planar {
 
 /// Coordinates of a tangent vector within the plane: x, y, rotation about z.
 inline constexpr int kWithin[3] = {0, 1, 5};
-/// The others: z, rotation about x and about y.
+/// The other coordinates: z, rotation about x and about y.
 inline constexpr int kAcross[3] = {2, 3, 4};
 
 /// The pose at x, y with the rotation `theta` about z.
@@ -39,12 +39,12 @@ inline constexpr int kAcross[3] = {2, 3, 4};
          T.translation().z() == 0.0;
 }
 
-/// The pose without what is left of z, roll and pitch; a planar one as it is.
+/// The pose with z, roll and pitch set to 0; a planar pose is unchanged.
 [[nodiscard]] inline Eigen::Isometry3d flattened(const Eigen::Isometry3d& T) {
   return is_pose(T) ? T : pose(T.translation().x(), T.translation().y(), heading(T));
 }
 
-/// Whether nothing ties the coordinates within the plane to the others.
+/// Whether the coordinates within the plane have no coupling to the others.
 [[nodiscard]] inline bool is_information(const Matrix6d& information) {
   for (const int w : kWithin) {
     for (const int a : kAcross) {
@@ -63,9 +63,9 @@ inline constexpr int kAcross[3] = {2, 3, 4};
   return out;
 }
 
-/// Information over x, y and the rotation about z as that of a pose of SE(3). z is known as well as x and y
-/// are on average, rotations about x and y as well as that about z: a value of the same size, which no result
-/// depends on.
+/// Information over x, y and the rotation about z as that of a pose of SE(3). z gets the average information
+/// of x and y, rotations about x and y that of the rotation about z: values of the same size, on which no
+/// result depends.
 [[nodiscard]] inline Matrix6d information(const Eigen::Matrix3d& m) {
   Matrix6d out = Matrix6d::Zero();
   for (int i = 0; i < 3; ++i) {

@@ -31,15 +31,15 @@ struct Node {
   std::optional<Matrix6d> covariance;
 };
 
-/// What is known of one node's pose beforehand: r = Log(pose⁻¹ · T_node), cost ½ rᵀΩr.
+/// Prior knowledge of one node's pose: r = Log(pose⁻¹ · T_node), cost ½ rᵀΩr.
 struct PriorFactor {
-  Key key = 0;  ///< The node that it holds.
-  /// T_world_body, where the node is believed to be.
+  Key key = 0;  ///< The constrained node.
+  /// T_world_body, the expected pose.
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
   Matrix6d information = Matrix6d::Identity();  ///< Ω, order [translation, rotation], 1/m² and 1/rad².
 };
 
-/// A measured distance between the origins of two nodes, as of ultra-wideband radios:
+/// A measured distance between the origins of two nodes, for example by ultra-wideband radios:
 /// r = (‖t_to − t_from‖ − range_m) / sigma_m, cost ½ r².
 struct RangeFactor {
   Key from = 0;          ///< One of the two nodes.
@@ -50,22 +50,22 @@ struct RangeFactor {
 
 /// The direction of gravity as an accelerometer at rest measures it. With R the node's rotation
 /// r = (R · direction − reference) / sigma_rad, cost ½ ‖r‖²; ‖R · direction − reference‖ = 2 sin(θ/2) for an
-/// angle θ between the two. Says nothing about yaw and place.
+/// angle θ between the two. Carries no information on yaw and position.
 struct GravityFactor {
-  Key key = 0;                                            ///< The node that felt it.
+  Key key = 0;                                            ///< The node of the measurement.
   Eigen::Vector3d direction = -Eigen::Vector3d::UnitZ();  ///< Body frame; any length but 0.
   double sigma_rad = 1.0;                                 ///< Standard deviation.
   Eigen::Vector3d reference = -Eigen::Vector3d::UnitZ();  ///< Common frame; any length but 0.
 };
 
-/// What an edge comes from, which decides whether robust optimisation may doubt it.
+/// The origin of an edge. It decides whether robust optimisation may reject the edge.
 enum class EdgeKind {
-  kOdometry,     ///< Between nodes that follow each other on one robot's path: never doubted.
-  kLoopClosure,  ///< All other between key frames.
-  kLandmark,     ///< From a key frame to a landmark that it saw. Robust optimisation may doubt it.
+  kOdometry,     ///< Between consecutive nodes on one robot's path: never rejected.
+  kLoopClosure,  ///< All other edges between key frames.
+  kLandmark,     ///< From a key frame to a landmark that it saw. Robust optimisation may reject it.
 };
 
-/// A measured relative pose, as a front end or a place recognition hands it over. See Edge for the residual.
+/// A measured relative pose from a front end or a place recognition. See Edge for the residual.
 struct BetweenFactor {
   Key from = 0;  ///< Node whose frame the measurement is given in.
   Key to = 0;    ///< Node that was measured.
@@ -91,16 +91,16 @@ struct Edge {
 /// factor's nodes exist, poses and information are finite, information is symmetric and not indefinite. Nodes
 /// and edges are numbered in the order of arrival; the numbers are what solvers work with.
 ///
-/// A planar graph is one of the plane z = 0, as robots on wheels and 2D lidars have it: z, roll and pitch of
-/// poses and measurements are 0, covariances have nothing there, and tests of chi-squared count three degrees
-/// of freedom. Of information only x, y and the rotation about z count (see planar::information()).
+/// A planar graph lies in the plane z = 0, as for robots on wheels with 2D lidars: z, roll and pitch of poses
+/// and measurements are 0, covariances are zero there, and tests of chi-squared use three degrees of freedom.
+/// Only information on x, y and the rotation about z counts (see planar::information()).
 class LOOPWISE_EXPORT PoseGraph {
  public:
-  /// Declares the graph planar, or no longer planar. From then on what leaves the plane is an error: a
-  /// pose with z, roll or pitch, information that ties these to the plane, gravity. \throws InputError naming
-  /// what the graph already has outside the plane.
+  /// Declares the graph planar, or no longer planar. From then on a pose with z, roll or pitch, information
+  /// that couples these to the plane, and gravity are errors. \throws InputError naming the part of the graph
+  /// outside the plane.
   void set_planar(bool planar = true);
-  /// Whether the graph is one of the plane z = 0.
+  /// Whether the graph is planar.
   [[nodiscard]] bool planar() const { return planar_; }
   /// Of a relative pose: 3 in a planar graph, else 6.
   [[nodiscard]] int degrees_of_freedom() const { return planar_ ? 3 : 6; }
@@ -114,12 +114,13 @@ class LOOPWISE_EXPORT PoseGraph {
   /// \throws UnknownKeyError; InputError on a negative range, a sigma that is not positive, or a range from a
   /// node to itself.
   std::size_t add_range(const RangeFactor& range);
-  /// Makes both directions unit vectors. \throws UnknownKeyError; InputError on a direction of no length or a
+  /// Makes both directions unit vectors. \throws UnknownKeyError; InputError on a direction of length 0 or a
   /// sigma that is not positive.
   std::size_t add_gravity(const GravityFactor& gravity);
   /// The edge of a verified closure: information is the inverse of its covariance.
   std::size_t add_closure(const LoopClosure& closure);
-  /// Takes out the edges for which `drop(edge)` holds; those left move up, in order. \returns how many went.
+  /// Removes the edges for which `drop(edge)` is true; the others keep their order. \returns the number of
+  /// removed edges.
   template <class Predicate>
   std::size_t remove_edges_if(Predicate&& drop) {
     std::vector<Edge> kept;
@@ -130,9 +131,9 @@ class LOOPWISE_EXPORT PoseGraph {
     return replace_edges(std::move(kept));
   }
 
-  /// Whether there is a node of this key.
+  /// Whether the key has a node.
   [[nodiscard]] bool contains(Key key) const { return index_.count(key) != 0; }
-  /// Number of the node, if there is one of this key.
+  /// Number of the key's node, if it exists.
   [[nodiscard]] std::optional<std::size_t> find(Key key) const;
   /// \throws UnknownKeyError
   [[nodiscard]] std::size_t index_of(Key key) const;
@@ -198,8 +199,8 @@ class LOOPWISE_EXPORT PoseGraph {
   std::unordered_map<Key, std::size_t> index_;
 };
 
-/// Connected components by edges; ranges alone leave a component loose. \returns for each node the number of
-/// its component, from 0 in node order.
+/// Connected components by edges; ranges do not connect components. \returns for each node the number of its
+/// component, from 0 in node order.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
 /// Keys of each robot's nodes in the order of its path, which is that of the keys. Landmarks have no path,
@@ -207,8 +208,8 @@ class LOOPWISE_EXPORT PoseGraph {
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::vector<Key>> robot_paths(const PoseGraph& graph,
                                                                         const Robots& robots);
 
-/// Which nodes follow each other on their robot's path: no node of the robot lies between them, however large
-/// the gap of their keys, as long as it is below 2^47.
+/// Consecutive nodes on their robot's path: no node of the robot is between them, for any gap of their keys
+/// below 2^47.
 class LOOPWISE_EXPORT Neighbours {
  public:
   /// Of the nodes that the graph has now.
@@ -221,22 +222,22 @@ class LOOPWISE_EXPORT Neighbours {
   std::unordered_map<Key, Key> next_;
 };
 
-/// The same measurement from its other end, with the information that belongs there.
+/// The inverse measurement, with its information.
 [[nodiscard]] LOOPWISE_EXPORT Edge reversed(const Edge& edge);
 
 /// Pairs of keys, each in any order.
 using KeyPairs = std::set<std::pair<Key, Key>>;
 
-/// Decides what every edge is. Those that join neighbours of one robot, in either direction, are odometry;
-/// those that end at a landmark are sightings of it, and all others loop closures. Of several edges between
-/// the same neighbours, those that contradict the odometry (beyond quantile 0.9999 of chi-squared) are loop
-/// closures, which robust optimisation may doubt: the odometry is, first of those that the nodes' poses fit
-/// and then of the others, in their order, what agrees with all odometry before it. \returns flaws: "edge
+/// Sets the kind of every edge. Edges between neighbours of one robot, in either direction, are odometry;
+/// edges to a landmark are sightings, and all others loop closures. If several edges join the same
+/// neighbours, those that contradict the odometry (beyond quantile 0.9999 of chi-squared) become loop
+/// closures, which robust optimisation may reject. Edges that fit the nodes' poses come first, then the
+/// others in their order; an edge is odometry if it agrees with all odometry before it. \returns flaws: "edge
 /// that contradicts odometry taken for a loop closure", "odometry chain broken", "robot whose keys have a
 /// jump of 2^47 or more", with the place of the first.
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots);
-/// The same, where odometry is what joins these pairs and nothing else. \throws InputError naming a pair that
-/// no edge joins, or that ends at a landmark.
+/// The same with the odometry given by these pairs. \throws InputError naming a pair without an edge or with
+/// a landmark.
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& odometry);
 
 /// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.

@@ -9,25 +9,25 @@
 
 namespace loopwise {
 
-/// One kind of flaw that a reader met and could live with, how often, and where it first stood.
+/// One kind of tolerable flaw in the input, its count, and the place of the first.
 struct Problem {
   std::string kind;       ///< Short and stable, for example "non-unit quaternion".
   std::string example;    ///< The first occurrence, with file and line or key.
-  std::size_t count = 0;  ///< How often it was met.
-  bool altered = false;   ///< What was read differs from what the file says, see Problems::add_altered().
+  std::size_t count = 0;  ///< Number of occurrences.
+  bool altered = false;   ///< The result differs from the file, see Problems::add_altered().
 };
 
-/// Counted warnings of a reader: nothing is printed by the library and nothing is lost silently.
+/// Counted warnings of a reader. The library prints nothing and drops nothing silently.
 class LOOPWISE_EXPORT Problems {
  public:
   /// Counts a flaw of this kind; the example stays that of the first.
   void add(const std::string& kind, const std::string& example, std::size_t count = 1);
-  /// The same of a flaw for which a measurement was repaired, guessed or left out.
+  /// Counts a flaw for which a measurement was repaired, guessed or left out.
   void add_altered(const std::string& kind, const std::string& example, std::size_t count = 1);
-  /// Counts all that another reader met.
+  /// Adds the problems of another reader.
   void add(const Problems& others);
 
-  /// How often this kind was met; 0 if never.
+  /// Number of occurrences of this kind.
   [[nodiscard]] std::size_t count(const std::string& kind) const;
   /// Whether there was no flaw.
   [[nodiscard]] bool empty() const { return all_.empty(); }
@@ -41,8 +41,8 @@ class LOOPWISE_EXPORT Problems {
 /// One line a problem: "non-unit quaternion (3 times, first: run.g2o:41)".
 [[nodiscard]] LOOPWISE_EXPORT std::string to_string(const Problem& problem);
 
-/// For those who want no measurement repaired, guessed or left out. \throws InputError naming the first
-/// problem that is `altered`
+/// Refuses measurements that were repaired, guessed or left out. \throws InputError naming the first problem
+/// that is `altered`
 LOOPWISE_EXPORT void require_unaltered(const Problems& problems);
 
 }  // namespace loopwise

@@ -7,7 +7,7 @@
 
 namespace loopwise {
 
-/// Where long work stands. The library never prints: it calls back, the caller decides what to show.
+/// Progress of long work. The library never prints: it calls back, and the caller decides what to show.
 struct Progress {
   std::string stage;      ///< "registering", "reading", ...
   std::size_t done = 0;   ///< Units finished.

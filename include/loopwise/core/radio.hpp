@@ -12,19 +12,19 @@ namespace loopwise {
 
 /// Power of one radio link from a node to a beacon, dBm.
 struct RadioReading {
-  Key key = 0;         ///< The node that the power was measured at.
+  Key key = 0;         ///< The node of the measurement.
   std::string beacon;  ///< Name of the beacon.
-  /// What the beacon sends with; NaN if not known.
+  /// Transmit power of the beacon; NaN if unknown.
   double transmit_dbm = std::numeric_limits<double>::quiet_NaN();
   std::string receiver;  ///< Antenna or channel: a node has one reading for each.
   double receive_dbm = std::numeric_limits<double>::quiet_NaN();  ///< NaN: nothing received.
 };
 
-/// A radio beacon left behind by a robot at a node.
+/// A radio beacon that a robot dropped at a node.
 struct BeaconDrop {
   std::string beacon;         ///< Name of the beacon.
   std::size_t robot = 0;      ///< Number of the robot that dropped it.
-  Key drop_key = 0;           ///< The node at which it lies.
+  Key drop_key = 0;           ///< The node of the drop.
   std::int64_t stamp_ns = 0;  ///< When it was dropped, ns.
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Random numbers that are the same everywhere: the standard library fixes its engines but not its
+/// Random numbers that are equal on all systems: the standard library fixes its engines, but not its
 /// distributions.
 #pragma once
 
@@ -58,7 +58,7 @@ class LOOPWISE_EXPORT Rng {
   /// Normal with this mean and standard deviation.
   double normal(double mean, double sigma) { return mean + sigma * normal(); }
 
-  /// Every order is as likely (Fisher and Yates).
+  /// Shuffles uniformly (Fisher and Yates).
   template <class Container>
   void shuffle(Container& items) {
     for (std::size_t i = items.size(); i > 1; --i) {

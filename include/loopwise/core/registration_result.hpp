@@ -26,8 +26,7 @@ struct LoopClosure {
   Matrix6d covariance = Matrix6d::Identity();
 };
 
-/// Why a computed candidate is not a closure. The words of to_string() stand in closures.csv and
-/// summary.json.
+/// Why a computed candidate is not a closure. closures.csv and summary.json hold the words of to_string().
 enum class RejectionReason {
   kNone,                ///< Not rejected.
   kMissingScan,         ///< A node without a scan, or one whose file cannot be read.
@@ -40,29 +39,27 @@ enum class RejectionReason {
   kAmbiguous,           ///< Another pose, far away, fits as well.
   kDegenerate,          ///< The scans leave too many directions of the relative pose free.
   kTransformThreshold,  ///< Moved too far from the graph's relative pose.
-  kNotConverged,        ///< Refinement did not converge, or left the finite numbers.
-  kFailed,              ///< The registrar threw; the message says what.
+  kNotConverged,        ///< Refinement did not converge, or gave numbers that are not finite.
+  kFailed,              ///< The registrar threw; see the message.
   kTimeLimit,           ///< It took longer than RegistrationTask::time_limit_s.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<RejectionReason> enum_names(RejectionReason);
 
-/// Whether the reason says something about this attempt, not about the pair: a file that could not be read,
-/// an exception, a machine that was too slow. Such a result is not kept for other runs, and a run that is
-/// resumed tries the pair again.
+/// Whether the reason concerns this attempt, not the pair: an unreadable file, an exception, a machine that
+/// was too slow. Such a result is not stored for other runs, and a resumed run tries the pair again.
 [[nodiscard]] inline bool depends_on_circumstances(RejectionReason reason) {
   return reason == RejectionReason::kMissingScan || reason == RejectionReason::kFailed ||
          reason == RejectionReason::kTimeLimit;
 }
 
-/// What came of one candidate. A candidate that cannot be computed is not an error but a result with a
-/// reason.
+/// The result of one candidate. A candidate that cannot be computed is a result with a reason, not an error.
 struct RegistrationResult {
-  LoopCandidate candidate;                          ///< What was computed.
+  LoopCandidate candidate;                          ///< The computed candidate.
   RejectionReason reason = RejectionReason::kNone;  ///< kNone if it was verified.
   std::string message;                 ///< For people: figures against bounds. Empty if verified.
   std::optional<LoopClosure> closure;  ///< Present exactly if reason is kNone.
 
-  /// Last transform reached, T_from_to; also of a rejected candidate, where one was found.
+  /// Last transform reached, T_from_to; also of a rejected candidate, if one was found.
   std::optional<Eigen::Isometry3d> T_from_to;
   /// Mean squared nearest-neighbour distance after the feature-based stage, m². NaN if it did not run.
   double sac_fitness_m2 = std::numeric_limits<double>::quiet_NaN();
@@ -76,7 +73,7 @@ struct RegistrationResult {
   double refine_s = 0.0;    ///< Of refinement and tests, s.
   /// A neighbour's scan could not be read: a submap lacks it.
   bool incomplete = false;
-  /// hash_of() the task that it is of, where a replay has noted it; 0: unknown.
+  /// hash_of() its task, if a replay has recorded it; 0: unknown.
   std::uint64_t task_hash = 0;
 
   /// Whether it passed all tests of the computation.
@@ -85,7 +82,7 @@ struct RegistrationResult {
   [[nodiscard]] double seconds() const { return features_s + global_s + refine_s; }
 };
 
-/// As of its reason; also if a neighbour's scan could not be read.
+/// depends_on_circumstances() of its reason, or a neighbour's scan could not be read.
 [[nodiscard]] inline bool depends_on_circumstances(const RegistrationResult& result) {
   return result.incomplete || depends_on_circumstances(result.reason);
 }

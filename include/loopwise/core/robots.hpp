@@ -34,7 +34,7 @@ class LOOPWISE_EXPORT Robots {
   /// \throws InputError on an empty or repeated name, a range with last < first, or overlapping ranges.
   explicit Robots(std::vector<Robot> robots);
 
-  /// One robot per character found, named after it; all plain integers together form the robot "0". Where
+  /// One robot per character found, named after it; all plain integers together form the robot "0". If the
   /// keys of a character carry labels, see Key, each of its labels is a robot: "gA", "gB".
   [[nodiscard]] static Robots from_keys(const std::vector<Key>& keys);
 

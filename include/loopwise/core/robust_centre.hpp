@@ -9,9 +9,8 @@
 
 namespace loopwise {
 
-/// Where the middle of the points lies: the median of each coordinate, over at most 4096 points drawn evenly.
-/// A few points far away do not move it, as they would a mean or a bounding box. Points that are not finite
-/// are passed over; zero if there is no other.
+/// Median of each coordinate, over at most 4096 points drawn evenly. Unlike a mean or a bounding box, it is
+/// robust to a few distant points. Points that are not finite are ignored; without finite points it is zero.
 template <class Point>
 [[nodiscard]] Eigen::Vector3d robust_centre(const std::vector<Point>& points) {
   constexpr std::size_t kLookedAt = 4096;

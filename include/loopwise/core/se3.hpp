@@ -200,15 +200,15 @@ namespace detail {
   return 0.5 * (moved + moved.transpose());
 }
 
-/// Nearest rotation to a matrix that left SO(3) by rounding.
+/// Nearest rotation to a rotation matrix with rounding errors.
 [[nodiscard]] inline Eigen::Isometry3d normalized(const Eigen::Isometry3d& T) {
   Eigen::Isometry3d out = T;
   out.linear() = Eigen::Quaterniond(T.linear()).normalized().toRotationMatrix();
   return out;
 }
 
-/// How far a matrix is from a rotation: the largest entry of |R·Rᵀ − I|; infinite for a reflection and where
-/// numbers are not finite.
+/// Distance of a matrix from a rotation: the largest entry of |R·Rᵀ − I|; infinite for a reflection and for
+/// numbers that are not finite.
 [[nodiscard]] inline double rotation_defect(const Eigen::Matrix3d& R) {
   const Eigen::Matrix3d off = R * R.transpose() - Eigen::Matrix3d::Identity();
   if (!off.allFinite() || R.determinant() < 0.0) return std::numeric_limits<double>::infinity();

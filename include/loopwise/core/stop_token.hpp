@@ -23,11 +23,11 @@ class StopToken {
 class StopSource {
  public:
   StopSource() : flag_(std::make_shared<std::atomic<bool>>(false)) {}
-  /// Asks all holders of a token to end early; cannot be taken back.
+  /// Asks all holders of a token to end early; cannot be undone.
   void request_stop() const noexcept { flag_->store(true, std::memory_order_relaxed); }
   /// Whether the request was made.
   [[nodiscard]] bool stop_requested() const { return flag_->load(std::memory_order_relaxed); }
-  /// For those who shall be asked.
+  /// The token for the work that may be stopped.
   [[nodiscard]] StopToken token() const { return StopToken(flag_); }
 
  private:

@@ -9,12 +9,12 @@
 
 namespace loopwise {
 
-/// How many threads an option `threads` asks for: that many, or one per processor if it is 0.
+/// Number of threads for an option `threads`: its value, or one per processor if it is 0.
 /// \throws OptionError on a negative number
 [[nodiscard]] LOOPWISE_EXPORT int resolve_threads(int threads);
 
-/// Threads for coarse tasks. Work is never split further inside a task, and what a task computes must not
-/// depend on the thread that runs it: then the number of threads changes the run time and nothing else.
+/// Threads for coarse tasks. Work is never split further inside a task, and the result of a task must not
+/// depend on its thread: the number of threads then changes only the run time.
 class LOOPWISE_EXPORT ThreadPool {
  public:
   /// `threads` as resolve_threads() takes it. With 1 all work runs in the calling thread.
@@ -23,7 +23,7 @@ class LOOPWISE_EXPORT ThreadPool {
   ThreadPool(const ThreadPool&) = delete;
   ThreadPool& operator=(const ThreadPool&) = delete;
 
-  /// How many threads work at once.
+  /// Number of threads that work at once.
   [[nodiscard]] int num_threads() const;
   /// Takes effect from the next for_each; must not be called while one runs.
   void resize(int threads);

@@ -7,8 +7,8 @@
 
 namespace loopwise {
 
-/// The version of the library that runs, "MAJOR.MINOR.PATCH": for a shared library not necessarily the one
-/// whose headers were compiled.
+/// The version of the linked library, "MAJOR.MINOR.PATCH". For a shared library it may differ from that of
+/// the compiled headers.
 [[nodiscard]] LOOPWISE_EXPORT std::string_view version();
 
 }  // namespace loopwise

@@ -9,15 +9,15 @@
 
 namespace loopwise {
 
-/// Whether a launcher (mpirun, srun) has started this process as one of several: asks the environment alone,
-/// and starts nothing.
+/// Whether a launcher (mpirun, srun) has started this process as one of several: reads only the environment,
+/// without starting MPI.
 [[nodiscard]] LOOPWISE_EXPORT bool started_by_mpi();
 
 /// This process as a rank of an MPI job, from construction to destruction. At most one in the life of a
 /// process.
 class LOOPWISE_EXPORT MpiSession {
  public:
-  /// \throws Error if MPI cannot be started, or offers less than calls from one thread after the other
+  /// \throws Error if MPI cannot be started, or does not support serialised calls from several threads
   MpiSession();
   /// Ends MPI, which waits for all ranks.
   ~MpiSession();

@@ -12,23 +12,24 @@
 
 namespace loopwise {
 
-/// A task as a message: to the bit, 0.1 to 0.6 KiB. \throws InputError on a submap of more than 255 scans
+/// A task as a message, exact to the bit, 0.1 to 0.6 KiB. \throws InputError on a submap of more than 255
+/// scans
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_task(const RegistrationTask& task);
-/// The task of pack_task(). \throws InputError on bytes that are none
+/// The task from pack_task(). \throws InputError on invalid bytes
 [[nodiscard]] LOOPWISE_EXPORT RegistrationTask unpack_task(std::string_view bytes);
 /// A result as a message, without the candidate, which the sender of the task knows.
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_result(const RegistrationResult& result);
-/// The result of pack_result() for this candidate. \throws InputError on bytes that are none
+/// The result from pack_result() for this candidate. \throws InputError on invalid bytes
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult unpack_result(std::string_view bytes,
                                                                const LoopCandidate& candidate);
 
-/// What the ranks of a replay must agree on: the version of the code, the options, the mission's graph and
-/// which scans it has.
+/// Data on which the ranks of a replay must agree: the version of the code, the options, the mission's graph
+/// and its list of scans.
 [[nodiscard]] LOOPWISE_EXPORT std::string replay_greeting(const Mission& mission,
                                                           const ReplayOptions& options);
 
-/// Computes batches over all ranks: what MissionReplay takes in place of its own threads. Results are those
-/// of one machine. Pairs go where their target was last. `local_workers` threads compute here, on rank 0.
+/// Computes batches over all ranks, for MissionReplay in place of its own threads. Results equal those of one
+/// machine. Pairs go to the rank that had their target last. `local_workers` threads compute here, on rank 0.
 [[nodiscard]] LOOPWISE_EXPORT BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
                                                                 std::shared_ptr<const Registrar> registrar,
                                                                 int local_workers);

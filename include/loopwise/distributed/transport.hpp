@@ -11,7 +11,7 @@
 
 namespace loopwise {
 
-/// A message between two ranks. Bytes are the sender's: all ranks must be of one architecture.
+/// A message between two ranks. Bytes have the sender's order: all ranks must have one architecture.
 struct Message {
   int from = 0;       ///< Rank of the sender.
   int tag = 0;        ///< Its kind.
@@ -29,12 +29,12 @@ class LOOPWISE_EXPORT Transport {
   [[nodiscard]] virtual int size() const = 0;
   /// Returns soon; the message may still be on its way. \throws Error if the rank cannot be reached any more
   virtual void send(int to, int tag, std::string_view bytes) = 0;
-  /// The next message, or nothing if none has come: never waits. \throws Error
+  /// The next message, or empty if no message has arrived: never waits. \throws Error
   [[nodiscard]] virtual std::optional<Message> receive() = 0;
 };
 
-/// Ranks that are threads of this process: for tests, and for measuring what a server does between messages.
-/// Each may be used from a thread of its own.
+/// Ranks that are threads of this process, for tests and for measurements of a server. Each may be used from
+/// its own thread.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::unique_ptr<Transport>> local_transports(int size);
 
 }  // namespace loopwise

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Independent pieces of work spread over ranks: rank 0 serves the others from a thread while it computes as
-/// well.
+/// Distribution of independent pieces of work over ranks: rank 0 serves the others from a thread and computes
+/// as well.
 #pragma once
 
 #include <cstddef>
@@ -19,14 +19,14 @@
 
 namespace loopwise {
 
-/// A piece of work, as the rank that does it understands it.
+/// A piece of work in the format of the computing rank.
 struct Work {
-  std::string request;  ///< What is sent.
-  /// Pieces of one affinity go to one rank as far as that keeps all busy: they share what it has in memory.
+  std::string request;  ///< Contents of the message.
+  /// Pieces of one affinity share data in memory and go to one rank as long as all ranks stay busy.
   std::uint64_t affinity = 0;
 };
 
-/// How long rank 0 waits for the others, and what it gives them ahead.
+/// Time limit for the other ranks, and number of pieces handed out in advance.
 struct WorkOptions {
   double time_limit_s = 600.0;
   double start_limit_s = 120.0;
@@ -41,7 +41,7 @@ struct WorkOptions {
   }
 };
 
-/// What has gone to and fro since the start.
+/// Statistics of messages since the start.
 struct WorkStatistics {
   std::vector<std::size_t> done;  ///< Pieces by rank.
   std::size_t requests = 0;       ///< Sent.
@@ -50,23 +50,23 @@ struct WorkStatistics {
   std::size_t answer_bytes = 0;   ///< Of all of them, numbers included.
 };
 
-/// Rank 0. Ends the other ranks' serving when it goes.
+/// Rank 0. Its destructor ends the service of the other ranks.
 class LOOPWISE_EXPORT WorkServer {
  public:
-  /// Waits for the first word of every rank, which must be `greeting` (what all must agree on: version,
-  /// inputs). \throws OptionError; Error naming the rank that says something else, reports a failure or stays
-  /// silent
+  /// Waits for the first message of every rank, which must be `greeting` (the common version and input).
+  /// \throws OptionError; Error naming a rank that sends another greeting, reports a failure or does not
+  /// answer
   WorkServer(Transport& transport, std::string_view greeting, const WorkOptions& options = {});
   ~WorkServer();
   WorkServer(const WorkServer&) = delete;
   WorkServer& operator=(const WorkServer&) = delete;
 
-  /// Does all of the work, here by `here(i)` on `local_workers` threads (0: all goes to the others, if there
-  /// are any) and elsewhere by messages, whose answers `there(rank, i, answer)` takes. Both are called from
-  /// several threads, `there` by one at a time. After a stop request nothing more is begun; what was begun is
-  /// finished. Who does what depends on timing. \throws what `here` or `there` throws; Error naming a rank
-  /// that reports a failure or stays silent for too long. What had been begun elsewhere is then not waited
-  /// for.
+  /// Does all of the work, locally by `here(i)` on `local_workers` threads (0: all goes to the other ranks,
+  /// if they exist) and on other ranks by messages, whose answers go to `there(rank, i, answer)`. Both are
+  /// called from several threads, `there` by one at a time. After a stop request no further piece starts;
+  /// running pieces complete. The assignment depends on timing. \throws exceptions of `here` or `there`;
+  /// Error naming a rank that reports a failure or does not answer in time. Pieces on other ranks are then
+  /// abandoned.
   void run(const std::vector<Work>& work, int local_workers, const std::function<void(std::size_t)>& here,
            const std::function<void(int, std::size_t, std::string_view)>& there, const StopToken& stop = {});
 
@@ -82,12 +82,12 @@ class LOOPWISE_EXPORT WorkServer {
   WorkStatistics statistics_;
 };
 
-/// Every other rank: says `greeting`, then answers requests until rank 0 ends it. What `answer` throws is
-/// reported to rank 0 as this rank's failure, and thrown on.
+/// Service of every other rank: sends `greeting`, then answers requests until rank 0 ends it. Exceptions of
+/// `answer` are reported to rank 0 as this rank's failure, and rethrown.
 LOOPWISE_EXPORT void serve_work(Transport& transport, std::string_view greeting,
                                 const std::function<std::string(std::string_view request)>& answer);
 
-/// Tells rank 0 why this rank cannot take part. Nobody need have greeted.
+/// Reports to rank 0 why this rank cannot take part. Possible before the greeting.
 LOOPWISE_EXPORT void report_failure(Transport& transport, std::string_view why);
 
 }  // namespace loopwise

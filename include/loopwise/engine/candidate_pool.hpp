@@ -26,17 +26,17 @@
 
 namespace loopwise {
 
-/// Where every candidate of a run is. The invariant, at any moment:
+/// State of every candidate of a run. The invariant at any time:
 ///
 ///     generated = pruned + expired + waiting + pending + in_flight + computed
 struct CandidateAccounting {
-  std::size_t generated = 0;  ///< Distinct pairs proposed; those that were forgotten count again.
+  std::size_t generated = 0;  ///< Distinct pairs proposed; forgotten pairs count again.
   std::size_t pruned = 0;     ///< Refused by every prioritiser.
-  std::size_t expired = 0;    ///< Too old, beyond the pool's cap, or a scan never came.
-  std::size_t waiting = 0;    ///< A node's scan is not here yet.
-  std::size_t pending = 0;    ///< Waits for its turn.
-  std::size_t in_flight = 0;  ///< Handed out, result not here yet.
-  std::size_t computed = 0;   ///< Result here.
+  std::size_t expired = 0;    ///< Too old, beyond the pool's bound, or without a scan in time.
+  std::size_t waiting = 0;    ///< A node's scan is still missing.
+  std::size_t pending = 0;    ///< Ready to be handed out.
+  std::size_t in_flight = 0;  ///< Handed out, without a result so far.
+  std::size_t computed = 0;   ///< With a result.
 
   /// Generated and not pruned: the denominator of the paper's Table I.
   [[nodiscard]] std::size_t queued() const { return generated - pruned; }
@@ -68,30 +68,29 @@ struct CandidatePoolOptions {
   }
 };
 
-/// Owns the candidates of a run from their generation to their result: numbers them, keeps those whose scans
-/// are not here yet, feeds the queue and keeps the account. For one thread at a time.
+/// Owns the candidates of a run from their generation to their result: numbers them, stores those with
+/// missing scans, feeds the queue and keeps the account. Not thread-safe.
 ///
-/// Exceptions of a prioritiser go through. Candidates that were to be added to it are then pruned.
+/// Exceptions of a prioritiser are passed on. The candidates that were being added to it are then pruned.
 class LOOPWISE_EXPORT CandidatePool {
  public:
-  /// `robots` serve `redundant_m`. \throws OptionError, also if they are missing then.
+  /// `robots` are needed for `redundant_m`. \throws OptionError, also if they are missing for it.
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});
 
-  /// Numbers new pairs and takes them in; (a, b) and (b, a) are one pair, and one that was proposed before,
-  /// and not forgotten since, is ignored. A time before that of an earlier candidate counts as that.
-  /// \returns how many were new.
+  /// Numbers and stores new pairs. (a, b) and (b, a) are one pair; known pairs that were not forgotten are
+  /// ignored. A time before that of an earlier candidate counts as that time. \returns the number of new
+  /// pairs.
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
-  /// A node's scan is here: the prioritisers learn of it, and candidates that waited for it alone become
-  /// pending.
+  /// A node's scan has arrived: notifies the prioritisers; candidates that waited only for it become pending.
   void on_scan(const KeyedScan& scan);
-  /// A new estimate is here: the prioritisers learn of it.
+  /// A new estimate has arrived: notifies the prioritisers.
   void on_graph(const PoseGraph& graph);
 
-  /// Expires what is too old, waits too long, or exceeds the cap at mission time `now_s`. Takes time for what
-  /// is due, not for all that is there.
+  /// Expires candidates that are too old, wait too long, or exceed the bound at mission time `now_s`. The
+  /// cost is proportional to the expired candidates.
   void expire(double now_s);
-  /// No more scans will come: everything that waits expires.
+  /// No more scans will come: all waiting candidates expire.
   void expire_waiting();
 
   /// Lets the prioritisers prepare the next batch, see RoundRobinQueue::improve().
@@ -106,24 +105,24 @@ class LOOPWISE_EXPORT CandidatePool {
   void complete(const RegistrationResult& result);
   /// The graph has a closure between two nodes: candidates near it are redundant from now on.
   void closure_added(Key from, Key to) { closed_.insert(std::minmax(from, to)); }
-  /// The graph has none any more.
+  /// The graph no longer has a closure between two nodes.
   void closure_removed(Key from, Key to) { closed_.erase(std::minmax(from, to)); }
-  /// Candidates in flight that will not be computed after all become pending again.
+  /// Candidates in flight that will not be computed become pending again.
   void give_back(const std::vector<LoopCandidate>& candidates);
 
-  /// Computed candidates whose outcome says nothing any more, as one of their nodes was somewhere else then:
-  /// the pairs may be proposed again.
+  /// Forgets computed candidates whose outcome is obsolete because one of their nodes has moved: the pairs
+  /// may be proposed again.
   void forget(const std::vector<std::pair<Key, Key>>& pairs);
 
-  /// Mission time at which the oldest pending candidate was generated, if any is.
+  /// Mission time at which the oldest pending candidate was generated, if one exists.
   [[nodiscard]] std::optional<double> oldest_pending_s() const;
-  /// Where every candidate is.
+  /// State of every candidate.
   [[nodiscard]] const CandidateAccounting& accounting() const { return accounting_; }
-  /// How many were pruned or expired, by reason.
+  /// Numbers of pruned candidates, by reason.
   [[nodiscard]] const std::map<std::string, std::size_t>& pruned_reasons() const { return pruned_reasons_; }
-  /// See pruned_reasons().
+  /// Numbers of expired candidates, by reason.
   [[nodiscard]] const std::map<std::string, std::size_t>& expired_reasons() const { return expired_reasons_; }
-  /// The prioritisers, in turns.
+  /// The queue of prioritisers.
   [[nodiscard]] const RoundRobinQueue& queue() const { return queue_; }
 
  private:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The one state machine behind the batch replay and the online module.
+/// The state machine of the batch replay and the online module.
 #pragma once
 
 #include <cstddef>
@@ -28,7 +28,7 @@
 
 namespace loopwise {
 
-/// Which relative pose a registration is compared with, and may start from.
+/// Relative pose with which a registration starts and is compared.
 enum class GuessSource {
   kEstimate,  ///< The back end's estimate when the candidate is handed out.
   kOdometry,  ///< Odometry alone: the outcome of a pair then never depends on other closures.
@@ -42,7 +42,7 @@ struct EngineOptions {
   ProximityOptions generation;  ///< Candidates by proximity.
   RadioOptions radio;           ///< Candidates by radio beacons.
   CandidatePoolOptions pool;    ///< Expiry of candidates.
-  TaskOptions task;             ///< Scans and guesses that a registration is given.
+  TaskOptions task;             ///< Scans and guesses of a registration.
   GuessSource guess = GuessSource::kEstimate;
   bool use_proximity = true;
   bool use_back_end = true;
@@ -75,26 +75,26 @@ struct EngineOptions {
   }
 };
 
-/// Whether a candidate is among those that options.thin leaves.
+/// Whether options.thin keeps a candidate.
 [[nodiscard]] LOOPWISE_EXPORT bool kept_by_thinning(const EngineOptions& options,
                                                     const LoopCandidate& candidate);
 
-/// Decides everything about a mission: where nodes lie, which candidates there are, which are computed next,
-/// when the graph is optimised, and what becomes of results and estimates. Events in, effects out. It knows
-/// neither threads, clocks nor files: a driver brings the time and carries out the effects. The same events
-/// give the same effects, to the bit.
+/// Makes all decisions of a mission: poses of nodes, candidates and their order, times of optimisation, and
+/// the use of results and estimates. It takes events and returns effects. It uses neither threads, clocks nor
+/// files: a driver gives the time and executes the effects. The same events give the same effects, to the
+/// bit.
 ///
-/// What a driver owes it: after each event, event::Settle if wants_estimate() and neither optimizing() nor
-/// computing(), and event::Choose if wants_batch(); event::Tick about once a second. An effect::Compute, even
-/// without tasks, is answered by a result for each task and one event::BatchDone; an effect::Optimize by one
-/// event::Optimized of that very graph. Nothing is chosen while a batch is computed.
+/// Duties of a driver: after each event, send event::Settle if wants_estimate() and neither optimizing() nor
+/// computing(), and event::Choose if wants_batch(); send event::Tick about once a second. Answer an
+/// effect::Compute, even without tasks, by a result for each task and one event::BatchDone, and an
+/// effect::Optimize by one event::Optimized of the same graph. No batch is chosen while another is computed.
 ///
-/// For one thread at a time. An event that is invalid throws and changes nothing. A prioritiser that throws
-/// is reported as an effect::Problem. std::bad_alloc goes through: the engine must not be given further
-/// events then, but can still be read. The event that failed may be in the graph in part.
+/// Not thread-safe. An invalid event throws and changes nothing. An exception of a prioritiser gives an
+/// effect::Problem. std::bad_alloc is passed on: the engine then must not get further events, but stays
+/// readable, and the failed event may be in the graph in part.
 class LOOPWISE_EXPORT Engine {
  public:
-  /// `queue` holds the prioritisers; without any, nothing is proposed. \throws OptionError
+  /// `queue` holds the prioritisers; without prioritisers no candidate is proposed. \throws OptionError
   Engine(const Robots& robots, const EngineOptions& options, RoundRobinQueue queue);
   ~Engine();
   Engine(Engine&&) noexcept;
@@ -102,20 +102,20 @@ class LOOPWISE_EXPORT Engine {
 
   /// Handles one event. \returns its effects, in the order in which they happened
   /// \param event the event
-  /// \param now_s mission time; an earlier one than before counts as that
-  /// \throws InputError on a node that is known, a factor that PoseGraph refuses, or a result of a candidate
-  /// that is not in flight; UnknownKeyError if no robot owns a key
+  /// \param now_s mission time; a time before that of an earlier event counts as that
+  /// \throws InputError on a known node, a factor that PoseGraph refuses, or a result of a candidate that is
+  /// not in flight; UnknownKeyError if no robot owns a key
   [[nodiscard]] std::vector<Effect> handle(Event event, double now_s);
 
-  /// Whether event::Choose would bring a batch, as far as is known.
+  /// Whether event::Choose is likely to give a batch.
   [[nodiscard]] bool wants_batch() const;
-  /// Whether the graph is not at its estimate: event::Settle would start one, unless one is under way.
+  /// Whether the graph needs a new estimate: event::Settle starts one, unless one is running.
   [[nodiscard]] bool wants_estimate() const;
   /// Whether a batch is being computed.
   [[nodiscard]] bool computing() const;
-  /// Whether an estimate is being made.
+  /// Whether an estimate is being computed.
   [[nodiscard]] bool optimizing() const;
-  /// Registrations whose result will still come, also of batches that are done.
+  /// Number of registrations without a result so far, also of finished batches.
   [[nodiscard]] std::size_t in_computation() const;
 
   /// All nodes, factors and verified closures, at the last estimate.
@@ -123,15 +123,15 @@ class LOOPWISE_EXPORT Engine {
   /// Poses by odometry and full priors (those that fix position and rotation) alone, in the order of
   /// graph().nodes().
   [[nodiscard]] const std::vector<Eigen::Isometry3d>& odometry() const;
-  /// The candidates, and where each is.
+  /// The candidates and their states.
   [[nodiscard]] const CandidatePool& pool() const;
   /// Evaluations that each prioritiser used in the last event::Improve.
   [[nodiscard]] const std::vector<std::uint64_t>& evaluations() const;
   /// Mission time.
   [[nodiscard]] double now_s() const;
-  /// Factors that wait for a node.
+  /// Number of factors that wait for a node.
   [[nodiscard]] std::size_t factors_waiting() const;
-  /// Factors that have waited too long and were dropped.
+  /// Number of factors that waited too long and were dropped.
   [[nodiscard]] std::size_t factors_dropped() const;
   /// Flaws of the radio data.
   [[nodiscard]] const Problems& radio_problems() const;

@@ -31,23 +31,23 @@
 
 namespace loopwise {
 
-/// A node as a front end hands it over, all at once or with factors and scan following later.
+/// A node from a front end, with its factors and scan, which may also follow later.
 struct KeyFrame {
-  /// The pose counts for a robot's first node only, and where no odometry leads to the node. Odometry and
-  /// full priors that come later move the node, together with the nodes that odometry has tied to it.
-  /// Registrations between the moved and the other nodes that were rejected are then forgotten. Their pairs
-  /// are proposed again if they are near, or if they came from radio or from outside.
+  /// The pose is used for a robot's first node, and for nodes without odometry. Later odometry and full
+  /// priors move the node, together with the nodes that odometry connects to it. Rejected registrations
+  /// between the moved and the other nodes are then forgotten. Their pairs are proposed again if they are
+  /// near, or if they came from radio or from outside.
   Node node;
-  std::vector<BetweenFactor> odometry;   ///< From the robot's previous node, as a rule.
-  std::vector<BetweenFactor> closures;   ///< Loop closures that the front end has found itself.
+  std::vector<BetweenFactor> odometry;   ///< Usually from the robot's previous node.
+  std::vector<BetweenFactor> closures;   ///< Loop closures from the front end.
   std::vector<BetweenFactor> landmarks;  ///< Sightings of landmarks, which are nodes too.
-  std::vector<PriorFactor> priors;  ///< Usually of a robot's first node: its alignment to the common frame.
+  std::vector<PriorFactor> priors;  ///< Usually for a robot's first node: its alignment to the common frame.
   std::vector<RangeFactor> ranges;  ///< From or to it; the other node may follow.
   std::vector<GravityFactor> gravities;     ///< At it.
-  std::shared_ptr<const PointCloud> cloud;  ///< Null: the scan follows later, or never.
+  std::shared_ptr<const PointCloud> cloud;  ///< Null: the scan follows later or is missing.
 };
 
-/// Factors of nodes that have come or will come.
+/// Factors of present or future nodes.
 struct Factors {
   std::vector<BetweenFactor> odometry;   ///< From a robot's node to its next.
   std::vector<BetweenFactor> closures;   ///< Loop closures from elsewhere.
@@ -57,30 +57,30 @@ struct Factors {
   std::vector<GravityFactor> gravities;  ///< Measured directions of gravity.
 };
 
-/// Poses and, where known, marginal covariances from a back end other than ours.
+/// Poses and, if known, marginal covariances from an external back end.
 struct ExternalEstimate {
   std::map<Key, Eigen::Isometry3d> poses;  ///< T_world_body by node, in the common frame of the priors.
-  /// By node; of the right perturbation, order [translation, rotation], m² and rad². They are not looked at
-  /// beyond being finite. GTSAM has rotation first: se3::swap_tangent_order() turns it round.
+  /// By node; right perturbation, order [translation, rotation], m² and rad². Only finiteness is checked.
+  /// GTSAM has rotation first: convert with se3::swap_tangent_order().
   std::map<Key, Matrix6d> covariances;
 };
 
-/// What the back end, ours or another, made of the graph. Shared: it never changes.
+/// Result of the back end, internal or external. Shared and immutable.
 struct Estimate {
-  PoseGraph graph;             ///< All nodes and factors known when the estimate was taken in.
+  PoseGraph graph;             ///< All nodes and factors at the time of the estimate.
   std::uint64_t revision = 0;  ///< Counts up from 1.
-  std::size_t closures = 0;    ///< Of the edges, loop closures.
-  std::size_t inliers = 0;     ///< Of these, with a weight above 0.5.
-  bool continued = false;      ///< It only continues the one before (GncOptions::warm_start).
+  std::size_t closures = 0;    ///< Number of loop closures.
+  std::size_t inliers = 0;     ///< Number of closures with a weight above 0.5.
+  bool continued = false;      ///< It continues the previous estimate (GncOptions::warm_start).
 };
 
-/// Events: what Engine::handle() takes. Those that are not listed here are KeyFrame, Factors,
-/// BeaconDrop, RegistrationResult, ExternalEstimate and ClosureDecision. A ClosureDecision holds for the
-/// closures that the graph has and for those that come later, the front end's too; the last one on a pair
-/// counts. A rejected pair is not proposed any more.
+/// Events of Engine::handle(). Further events are KeyFrame, Factors, BeaconDrop, RegistrationResult,
+/// ExternalEstimate and ClosureDecision. A ClosureDecision holds for the closures of the graph and for later
+/// ones, including those of the front end; the last one on a pair counts. A rejected pair is not proposed any
+/// more.
 namespace event {
 
-/// The cloud of a node that has come or will come.
+/// The cloud of a present or future node.
 struct Scan {
   KeyedScan scan;  ///< Its stamp is taken from the node.
 };
@@ -88,22 +88,22 @@ struct Scan {
 struct Radio {
   std::vector<RadioReading> readings;  ///< Received powers.
 };
-/// Pairs from a place recognition outside.
+/// Pairs from an external place recognition.
 struct Candidates {
-  /// Ids, times and sources are given by the engine; the newer node by stamp becomes `from`.
+  /// The engine sets ids, times and sources; the newer node by stamp becomes `from`.
   std::vector<LoopCandidate> candidates;
 };
-/// The batch is done, but for registrations that have not come back and are no longer waited for.
+/// The batch is done, except for registrations that are overdue.
 struct BatchDone {
   std::vector<LoopCandidate> not_computed;  ///< They become pending again.
 };
 /// The back end is done with the last effect::Optimize.
 struct Optimized {
   GncResult gnc;         ///< Empty if stopped or failed.
-  bool stopped = false;  ///< It ended early, without an estimate.
-  std::string failure;   ///< Why there is no estimate; empty if there is, or if it was stopped.
+  bool stopped = false;  ///< It stopped early, without an estimate.
+  std::string failure;   ///< Why there is no estimate; empty with an estimate, or if it was stopped.
 };
-/// Time has passed: expires what is due.
+/// Time has passed: expires candidates and factors.
 struct Tick {};
 /// The prioritisers improve their next set until they are done, stopped, or have used their evaluations.
 struct Improve {
@@ -114,12 +114,11 @@ struct Improve {
 };
 /// The computation is free: the next batch of up to `count` candidates.
 struct Choose {
-  std::size_t count = 0;  ///< Fewer if there are fewer, or if prioritisers hold some back.
+  std::size_t count = 0;  ///< The batch may be smaller if candidates are few or held back.
 };
-/// Nothing else needs the back end now: an estimate that is wanted may be made.
+/// The back end is free: a wanted estimate may be computed.
 struct Settle {
-  /// This is the last: an estimate that only continues the one before (GncOptions::warm_start) is made again
-  /// from scratch.
+  /// This is the last estimate: a continued one (GncOptions::warm_start) is computed again from scratch.
   bool last = false;
 };
 /// No more scans will come: candidates that wait for one expire.
@@ -133,32 +132,32 @@ using Event =
                  RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, ClosureDecision,
                  event::Tick, event::Improve, event::Choose, event::Settle, event::NoMoreScans>;
 
-/// An event that an engine has handled. Holds during the call alone. Another engine that is fed the same
-/// events, times and insights into scans comes to the same graph and closures, to the bit.
+/// An event that an engine has handled. Valid during the call only. Another engine with the same events,
+/// times and scan data reaches the same graph and closures, to the bit.
 struct HandledEvent {
-  const Event& event;  ///< An event::Improve has as `max_evaluations` what was used.
+  const Event& event;  ///< `max_evaluations` of an event::Improve holds the used evaluations.
   double now_s = 0.0;  ///< By the driver's clock, s.
   /// Smallest eigenvalue of the observability matrix of the scan that came with the event, if the method
   /// asked for it.
   std::optional<double> observability = std::nullopt;
-  /// Signature of that scan, if the method asked for it.
+  /// Signature of that scan, if the method uses it.
   std::optional<ScanSignature> signature = std::nullopt;
 };
 
-/// What can be told of an event by itself, before the engine has it: numbers, keys, information. Clouds are
-/// not looked at. \throws InputError; UnknownKeyError if no robot owns a key
+/// Checks an event without an engine: numbers, keys, information. Clouds are not checked. \throws InputError;
+/// UnknownKeyError if no robot owns a key
 LOOPWISE_EXPORT void check_event(const Event& event, const Robots& robots);
 
-/// Effects: what Engine::handle() returns, in the order in which they happened.
+/// Effects of Engine::handle(), in the order of their occurrence.
 namespace effect {
 
-/// To be registered. Answered by a RegistrationResult each, then event::BatchDone.
+/// Tasks for registration. The answers are a RegistrationResult each, then event::BatchDone.
 struct Compute {
   std::vector<RegistrationTask> tasks;  ///< In the order of the batch.
 };
-/// To be optimised robustly. Answered by event::Optimized.
+/// A graph for robust optimisation. The answer is event::Optimized.
 struct Optimize {
-  std::shared_ptr<const PoseGraph> graph;  ///< A snapshot, which does not change.
+  std::shared_ptr<const PoseGraph> graph;  ///< An immutable snapshot.
   bool from_scratch = false;               ///< As if GncOptions::warm_growth were 0.
 };
 /// A verified closure has entered the graph.
@@ -171,7 +170,7 @@ struct Computed {
 };
 /// A new estimate.
 struct EstimateReady {
-  std::shared_ptr<const Estimate> estimate;  ///< Shared: it never changes.
+  std::shared_ptr<const Estimate> estimate;  ///< Shared and immutable.
 };
 /// Something was left out or has failed.
 struct Problem {

@@ -22,7 +22,7 @@ struct ClosureError {
   double rotation_rad = std::numeric_limits<double>::quiet_NaN();   ///< Angle of the rotation, in [0, π].
 };
 
-/// Nothing if the truth lacks one of the two nodes.
+/// Empty if the truth lacks one of the two nodes.
 [[nodiscard]] LOOPWISE_EXPORT std::optional<ClosureError> closure_error(const LoopClosure& closure,
                                                                         const PosesByKey& truth);
 
@@ -42,13 +42,13 @@ struct ClosureClassOptions {
   }
 };
 
-/// What came of a run's candidates, in the classes of the paper's Table I. Shares are of `queued`.
+/// Outcomes of a run's candidates, in the classes of the paper's Table I. Shares are of `queued`.
 struct ClosureStatistics {
   std::size_t queued = 0;       ///< Generated and not pruned by the method, computed or not.
   std::size_t computed = 0;     ///< verified + Σ rejected
   std::size_t verified = 0;     ///< Passed all tests of the computation.
   std::size_t gnc_inliers = 0;  ///< Verified, and kept by the back end.
-  /// Verified, and within the bounds of the truth, whatever the back end thought.
+  /// Verified, and within the bounds of the truth, independent of the back end.
   std::size_t true_inliers = 0;
   std::size_t right_inliers = 0;  ///< Both of these.
   std::size_t without_truth = 0;  ///< Verified, but the truth lacks a node: never a true inlier.
@@ -59,8 +59,9 @@ struct ClosureStatistics {
 /// Share of `count` in `total` in percent; 0 of 0 is 0.
 [[nodiscard]] LOOPWISE_EXPORT double percent(std::size_t count, std::size_t total);
 
-/// `weights[i]` is the last weight that the back end gave to `results[i]`; not read if that is not verified,
-/// and NaN where the back end never saw it, which is no inlier. `queued` counts the computed ones too.
+/// `weights[i]` is the last weight that the back end gave to `results[i]`; not used if that is not verified,
+/// and NaN for a closure that the back end never got, which is not an inlier. `queued` counts the computed
+/// ones too.
 /// \throws InputError unless there are as many weights as results and at most `queued` of them; OptionError.
 [[nodiscard]] LOOPWISE_EXPORT ClosureStatistics
 closure_statistics(const std::vector<RegistrationResult>& results, const std::vector<double>& weights,

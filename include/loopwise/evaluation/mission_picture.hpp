@@ -8,9 +8,9 @@
 
 namespace loopwise {
 
-/// A mission from above as an SVG: each robot's path by odometry (dashed) and in truth where known (solid),
-/// by a reference (dotted), beacons (triangles), where priors hold (squares), and in grey what was driven out
-/// of range. North (y) is up.
+/// A mission from above as an SVG: each robot's path by odometry (dashed), in truth if known (solid), by a
+/// reference (dotted), beacons (triangles), nodes with priors (squares), and in grey the path out of range.
+/// North (y) is up.
 [[nodiscard]] LOOPWISE_EXPORT std::string mission_picture_svg(const Mission& mission);
 
 }  // namespace loopwise

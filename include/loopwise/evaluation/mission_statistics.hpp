@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What a mission is like before anything is computed: how its odometry drifts, how many candidates proximity
-/// finds and how many of them saw the same place.
+/// Statistics of a mission before any computation: drift of the odometry, number of candidates by proximity,
+/// and the share that saw the same place.
 #pragma once
 
 #include <cstddef>
@@ -14,7 +14,7 @@
 
 namespace loopwise {
 
-/// Error of one robot's odometry once its first pose lies on the truth's.
+/// Error of one robot's odometry with its first pose aligned to the truth.
 struct RobotDrift {
   std::string robot;         ///< Its name.
   double length_m = 0.0;     ///< True path over the nodes.
@@ -26,7 +26,7 @@ struct RobotDrift {
 /// One per robot that has at least two nodes with ground truth, in the order of the robots.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<RobotDrift> odometry_drift(const Mission& mission);
 
-/// Which candidates are counted, and when two scans saw the same place.
+/// Selection of candidates, and the criterion for scans of the same place.
 struct CandidateStatisticsOptions {
   double radius_m = 30.0;
   int skip_recent = 10;
@@ -46,17 +46,18 @@ struct CandidateStatisticsOptions {
   }
 };
 
-/// How many candidates proximity finds, and what they are worth by the truth.
+/// Number of candidates by proximity, and their quality by the truth.
 struct CandidateStatistics {
   std::size_t candidates = 0;  ///< All within the radius, by the odometry's poses.
   std::size_t looked_at = 0;   ///< Of them, with two scans and ground truth.
-  double mean_overlap = 0.0;   ///< Share of the newer scan's points that the older shares, by the true poses.
-  double overlapping = 0.0;    ///< Share of those looked at that overlap truly.
-  double within_radius = 0.0;  ///< Share of those looked at that are within the radius in truth too.
+  double mean_overlap =
+      0.0;  ///< Share of the newer scan's points that the older scan has too, by the true poses.
+  double overlapping = 0.0;    ///< Share of the examined pairs with true overlap.
+  double within_radius = 0.0;  ///< Share of the examined pairs within the radius in truth too.
 };
 
 /// Candidates by proximity as LAMP's base station generates them. The draw depends on the mission alone.
-/// \throws OptionError; what reading the scans throws.
+/// \throws OptionError; exceptions of reading the scans.
 [[nodiscard]] LOOPWISE_EXPORT CandidateStatistics
 candidate_statistics(const Mission& mission, const CandidateStatisticsOptions& options = {});
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Runs side by side as one page that opens in any browser, without a network: map, charts, tables.
+/// A page that compares runs and opens in any browser without a network: map, charts, tables.
 #pragma once
 
 #include <cstddef>
@@ -18,7 +18,7 @@
 
 namespace loopwise {
 
-/// How much of its runs a page shows.
+/// Bounds on the contents of a page.
 struct ReportOptions {
   std::int64_t map_points = 20000;
   std::int64_t layer_items = 20000;
@@ -38,34 +38,33 @@ struct ReportOptions {
   }
 };
 
-/// What was found in the folders.
+/// Contents of the folders.
 struct Report {
   std::string data;                ///< JSON, the page's only input.
   std::size_t runs = 0;            ///< Runs that it shows.
   std::size_t studies = 0;         ///< Studies that it shows.
   std::size_t maps = 0;            ///< Runs with a map.
-  std::vector<std::string> notes;  ///< What could not be shown, and why; the page shows them as well.
+  std::vector<std::string> notes;  ///< Missing data and the reasons; the page shows them as well.
 };
 
-/// Reads folders of `loopwise replay` and of `loopwise study ablation`, `budget` or `rssi`, told apart by
-/// their files, in the order given. All but summary.json may be missing from a run: what it would show is
-/// then left out and noted. A run takes from the mission of its name what its folder does not hold: true
-/// poses, beacons and radio, the scans' observability. Scans are read on `threads`; the result does not
-/// depend on their number.
+/// Reads folders of `loopwise replay` and of `loopwise study ablation`, `budget` or `rssi`, recognised by
+/// their files, in the given order. A run needs only summary.json: other missing data are left out and noted.
+/// The mission of a run's name adds true poses, beacons and radio, and the scans' observability. Scans are
+/// read on `threads`; the result does not depend on their number.
 ///
 /// With its mission a run has a review: closures, the most doubtful first, each with both scans, so that a
 /// person can accept or reject it.
 ///
-/// A run that knew no truth is judged by that of its mission, any run by one that set_truth() gave; what old
-/// runs of sessions call errors becomes differences from a reference.
+/// A run without truth is evaluated with that of its mission, and any run with one from set_truth(). Errors
+/// of old runs of sessions become differences from a reference.
 ///
-/// The data hold, per run, summary.json as it stands but for that, its history over mission time, and the
-/// scene: nodes by robot with poses by the estimate, by odometry in truth and by a reference, points of the
-/// map, candidates by outcome. A layer with more than its bound of items is drawn at random without
-/// replacement, every item as likely; the total stands beside what is left. Arrays are base64 of
-/// little-endian numbers, points quantised to 16 bits per axis of a box that holds all but the outermost.
+/// The data hold, per run, the other contents of summary.json, its history over mission time, and the scene:
+/// nodes by robot with poses by the estimate, by odometry in truth and by a reference, points of the map,
+/// candidates by outcome. A layer with more items than its bound is sampled uniformly without replacement,
+/// and shows the total. Arrays are base64 of little-endian numbers, points quantised to 16 bits per axis of a
+/// box without the outermost points.
 ///
-/// \throws OptionError; InputError if a folder is neither, or a mission is none of the runs'; IoError;
+/// \throws OptionError; InputError if a folder is of another kind, or a mission belongs to no run; IoError;
 ///         ParseError.
 [[nodiscard]] LOOPWISE_EXPORT Report make_report(const std::vector<std::filesystem::path>& folders,
                                                  const std::vector<Mission>& missions,
@@ -75,11 +74,11 @@ struct Report {
 /// Whether this build can write pages: they are bundled by npm, an optional part of the build.
 [[nodiscard]] LOOPWISE_EXPORT bool report_pages_built();
 
-/// The page around the data: HTML that loads nothing from elsewhere. The data stand in it as text that no
-/// browser takes for markup, whatever the names in it. \throws Error unless report_pages_built().
+/// The page around the data: HTML without external resources. The data are text that no browser interprets as
+/// markup, for any names in it. \throws Error unless report_pages_built().
 [[nodiscard]] LOOPWISE_EXPORT std::string report_page(std::string_view data);
 
-/// make_report() and report_page() in one file. \throws as both; IoError
+/// make_report() and report_page() in one file. \throws like both; IoError
 LOOPWISE_EXPORT Report write_report(const std::filesystem::path& file,
                                     const std::vector<std::filesystem::path>& folders,
                                     const std::vector<Mission>& missions, const ReportOptions& options,

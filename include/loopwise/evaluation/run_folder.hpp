@@ -18,32 +18,33 @@
 
 namespace loopwise {
 
-/// How far closures lie from the relative poses of their nodes.
+/// Distances of closures from the relative poses of their nodes.
 struct ClosureResiduals {
   Statistics translation_m;  ///< m.
   Statistics rotation_rad;   ///< rad.
 };
 
-/// What a replay is worth: residuals always, errors where the mission has ground truth, differences where it
-/// has a reference.
+/// Quality of a replay: residuals always, errors with ground truth, differences with a reference.
 struct RunEvaluation {
   ClosureStatistics closures;            ///< In the classes of the paper's Table I.
   ClosureResiduals residuals;            ///< Of the closures that the back end kept, against the estimate.
   ClosureResiduals odometry_residuals;   ///< Of the same closures against odometry.
   bool has_reference = false;            ///< The two differences stay empty without.
-  TrajectoryErrors odometry_reference;   ///< Difference from the reference, common frame: no error.
+  TrajectoryErrors odometry_reference;   ///< Difference from the reference, common frame; not an error.
   TrajectoryErrors optimized_reference;  ///< The same of the optimised estimate.
   bool has_truth = false;                ///< The rest stays empty without.
-  TrajectoryErrors odometry;   ///< In the common frame, no alignment, as the paper; aligned if the truth is.
-  TrajectoryErrors optimized;  ///< The same of the optimised estimate.
+  TrajectoryErrors
+      odometry;  ///< In the common frame without alignment, as in the paper; aligned if the truth is.
+  TrajectoryErrors optimized;          ///< The same of the optimised estimate.
   TrajectoryErrors odometry_aligned;   ///< After the best rigid motion.
   TrajectoryErrors optimized_aligned;  ///< The same of the optimised estimate.
 };
 
-/// Judges a replay: closures and poses, by odometry and by the estimate, against the truth where it is known.
+/// Evaluates closures and poses of a replay, by odometry and by the estimate, against the truth if it is
+/// known.
 [[nodiscard]] LOOPWISE_EXPORT RunEvaluation evaluate_run(const Mission& mission, const ReplayResult& result);
 
-/// What summary.json holds, as indented JSON: candidates, closures, reasons, errors, times, options.
+/// Contents of summary.json as indented JSON: candidates, closures, reasons, errors, times, options.
 [[nodiscard]] LOOPWISE_EXPORT std::string run_summary_json(const Mission& mission,
                                                            const ReplayOptions& options,
                                                            const ReplayResult& result,
@@ -52,11 +53,11 @@ struct RunEvaluation {
 /// The header and rows of closures.csv.
 [[nodiscard]] LOOPWISE_EXPORT std::string closures_csv(const ReplayResult& result);
 
-/// What maps of the graph are relative to: the middle of its nodes in whole metres, or zero if that is nearer
-/// than 10 km.
+/// Origin of maps of the graph: the median of its nodes in whole metres, or zero if that is nearer than 10
+/// km.
 [[nodiscard]] LOOPWISE_EXPORT Eigen::Vector3d map_origin(const PoseGraph& graph);
 
-/// A map and what was left out of it.
+/// A map and the number of points left out of it.
 struct StitchedMap {
   PointCloud cloud;   ///< Relative to map_origin().
   Problems problems;  ///< Points too far from their sensor.
@@ -74,13 +75,14 @@ struct StitchedMap {
                                                      const ProgressCallback& progress = {},
                                                      double max_range_m = FeatureOptions().max_range_m);
 
-/// Adds what reading scans has met since the run ended, as by stitch_map(): a file may vanish in between.
+/// Adds problems with scans since the end of the run, for example in stitch_map(): a file may vanish in
+/// between.
 LOOPWISE_EXPORT void add_scan_problems(ReplayResult& result, const ScanStore& scans);
 
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
 /// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
 /// (both about map_origin(), which summary.json and a comment in map.pcd state) and, last, summary.json:
-/// where that is missing the folder is not whole. \throws IoError
+/// without it the folder is incomplete. \throws IoError
 LOOPWISE_EXPORT void write_run_folder(const std::filesystem::path& folder, const Mission& mission,
                                       const ReplayOptions& options, const ReplayResult& result,
                                       const RunEvaluation& evaluation, const std::vector<HistoryRow>& history,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// How a replay came along: candidates, closures and errors over mission time (the paper's Figs. 5 and 6).
+/// History of a replay: candidates, closures and errors over mission time (the paper's Figs. 5 and 6).
 #pragma once
 
 #include <cstddef>
@@ -32,18 +32,18 @@ struct HistoryRow {
   double odometry_ate_m = std::numeric_limits<double>::quiet_NaN();  ///< The same by odometry.
 };
 
-/// Collects the rows: one after each batch, and every 10 s of mission time where no batch ends. Hand add() to
-/// ReplayHooks::moment.
+/// Collects the rows: one after each batch, and every 10 s of mission time without the end of a batch. Call
+/// add() from ReplayHooks::moment.
 class LOOPWISE_EXPORT RunHistory {
  public:
   /// `mission` must outlive it. \throws OptionError
   explicit RunHistory(const Mission& mission, const ClosureClassOptions& options = {});
   RunHistory(const Mission&&, const ClosureClassOptions& = {}) = delete;
 
-  /// Takes in a moment; those between two rows cost little.
+  /// Adds a moment; moments between two rows cost little.
   void add(const ReplayMoment& moment);
 
-  /// In order of time, at most one of any time.
+  /// In order of time, at most one for each time.
   [[nodiscard]] const std::vector<HistoryRow>& rows() const { return rows_; }
 
  private:

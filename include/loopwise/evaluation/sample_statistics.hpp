@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What can be said of a few repetitions: medians, their spread, and whether one method beats another.
+/// Statistics of few repetitions: medians, their spread, and paired comparison of methods.
 #pragma once
 
 #include <cstddef>
@@ -13,8 +13,8 @@
 
 namespace loopwise {
 
-/// The share `p` of the values lies below, by linear interpolation between order statistics (Hyndman and Fan
-/// 1996, definition 7). NaN of no values. \pre all finite, p in [0, 1]
+/// Quantile `p` of the values, by linear interpolation between order statistics (Hyndman and Fan 1996,
+/// definition 7). NaN without values. \pre all finite, p in [0, 1]
 [[nodiscard]] LOOPWISE_EXPORT double quantile(std::vector<double> values, double p);
 
 /// The middle half of a sample; NaN if it is empty.
@@ -41,31 +41,30 @@ struct BootstrapOptions {
   }
 };
 
-/// NaN of fewer than two values: one does not tell how far others would be.
+/// NaN for fewer than two values.
 struct Interval {
   double low = std::numeric_limits<double>::quiet_NaN();   ///< Lower end.
   double high = std::numeric_limits<double>::quiet_NaN();  ///< Upper end.
 };
 
 /// Percentile bootstrap interval (Efron 1979) of the median. Values that are NaN do not count. With few
-/// values it is no wider than they are: of five, it ends at the smallest and largest at most. \throws
-/// OptionError
+/// values it is not wider than their range: for five values, it ends at the smallest and largest at most.
+/// \throws OptionError
 [[nodiscard]] LOOPWISE_EXPORT Interval bootstrap_median(const std::vector<double>& values,
                                                         const BootstrapOptions& options = {});
 
-/// The same of values that come in groups, such as the seeds of one mission: values of a group are no more
-/// independent of each other than that, so each resample draws whole groups. The median is that of all
-/// values.
+/// The same for values in groups, such as the seeds of one mission: values of a group are not independent, so
+/// each resample draws whole groups. The median is that of all values.
 [[nodiscard]] LOOPWISE_EXPORT Interval bootstrap_median(const std::vector<std::vector<double>>& groups,
                                                         const BootstrapOptions& options = {});
 
 /// One method against another on the same missions.
 struct PairedComparison {
-  std::size_t count = 0;                                              ///< Pairs of which neither is NaN.
+  std::size_t count = 0;                                              ///< Pairs without NaN.
   std::size_t better = 0;                                             ///< Pairs with a < b.
   double mean_difference = std::numeric_limits<double>::quiet_NaN();  ///< Of a − b.
   Interval difference;                                                ///< Of the mean difference.
-  /// Geometric mean of a / b: missions count alike however large their errors are. NaN if any is not > 0.
+  /// Geometric mean of a / b: missions have equal weight for any size of their errors. NaN if any is not > 0.
   double ratio = std::numeric_limits<double>::quiet_NaN();
   Interval ratio_interval;  ///< Of that ratio.
 };
@@ -76,8 +75,8 @@ struct PairedComparison {
                                                               const std::vector<double>& b,
                                                               const BootstrapOptions& options = {});
 
-/// The same of pairs that come in groups: each resample draws whole groups, so that pairs which repeat each
-/// other do not narrow the intervals. `groups` has the number of each pair's group.
+/// The same for pairs in groups: each resample draws whole groups, so that dependent pairs do not narrow the
+/// intervals. `groups` has the number of each pair's group.
 [[nodiscard]] LOOPWISE_EXPORT PairedComparison compare_paired(const std::vector<double>& a,
                                                               const std::vector<double>& b,
                                                               const std::vector<std::size_t>& groups,

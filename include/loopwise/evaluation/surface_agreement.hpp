@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// How well a map agrees with itself, where no truth is known: whether scans of one place that were taken at
-/// different times lie on each other's surfaces.
+/// Consistency of a map without a truth: the agreement of surfaces in scans of one place from different
+/// times.
 #pragma once
 
 #include <cstddef>
@@ -17,7 +17,7 @@
 
 namespace loopwise {
 
-/// Which pairs are revisits, and when a point lies on a surface.
+/// Criteria for revisits, and for points on a surface.
 struct SurfaceAgreementOptions {
   double reach_m = 3.0;
   double apart_m = 20.0;
@@ -42,20 +42,20 @@ struct SurfaceAgreementOptions {
 /// Pairs of nodes that saw one place at different times.
 using Revisits = std::vector<std::pair<Key, Key>>;
 
-/// Revisits by these poses. Maps are compared on the same revisits: choose them once, by the odometry's poses
-/// for instance. \throws OptionError
+/// Revisits by these poses. Compare maps on the same revisits: choose them once, for example by the
+/// odometry's poses. \throws OptionError
 [[nodiscard]] LOOPWISE_EXPORT Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
                                                      const SurfaceAgreementOptions& options = {});
 
-/// Numbers the revisits by robots and by the stretches of path that their ends lie on. Revisits of one group
-/// share the errors of the poses there and much of the scans: they are repetitions, not independent. \throws
+/// Numbers the revisits by robots and by the stretches of path at their ends. Revisits of one group share the
+/// errors of the poses there and much of the scans: they are repetitions, not independent. \throws
 /// OptionError; InputError on a node without pose or scan
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> revisit_groups(const Mission& mission,
                                                                       const PosesByKey& poses,
                                                                       const Revisits& revisits,
                                                                       double stretch_m = 20.0);
 
-/// What the agreement of a map came to.
+/// The agreement of a map.
 struct SurfaceAgreement {
   std::vector<double> shares;  ///< Of each revisit: share of the points that lie on the other scan's
                                ///< surfaces; NaN where a pose or a scan is missing.
@@ -63,8 +63,8 @@ struct SurfaceAgreement {
   double mean = 0.0;           ///< Of the shares; NaN without revisits.
 };
 
-/// Agreement of a map with poses T_world_body. \throws OptionError. A scan that cannot be read is left out,
-/// and a problem of the mission's scans.
+/// Agreement of a map with poses T_world_body. \throws OptionError. An unreadable scan is left out, and is a
+/// problem of the mission's scans.
 [[nodiscard]] LOOPWISE_EXPORT SurfaceAgreement surface_agreement(const Mission& mission,
                                                                  const PosesByKey& poses,
                                                                  const Revisits& revisits,

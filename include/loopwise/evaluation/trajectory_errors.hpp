@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// How far an estimated trajectory of one or several robots lies from the truth.
+/// Errors of an estimated trajectory of one or several robots.
 ///
 /// Over the keys k that both hold, with X_k the estimated and Y_k the true pose of the body in the common
 /// frame, and S the rigid motion of the chosen alignment, the pose error is E_k = Y_k⁻¹ · S · X_k:
@@ -14,9 +14,8 @@
 ///
 ///     R_ij = (Y_i⁻¹ Y_j)⁻¹ · (X_i⁻¹ X_j),    |trans(R_ij)| in m,    angle(R_ij) in rad,
 ///
-/// over all steps (i, j) between nodes that follow each other among the common keys of a robot, and for each
-/// asked distance d over all pairs where j is the first node whose path from i along the truth has at least
-/// length d.
+/// over all steps (i, j) between consecutive common keys of a robot, and for each requested distance d over
+/// all pairs for which j is the first node with a path of at least length d from i along the truth.
 ///
 /// *Per robot*, with s_k the length of the true path from the robot's first common node to node k, as in the
 /// paper's Table II:
@@ -57,9 +56,9 @@ enum class Alignment {
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<Alignment> enum_names(Alignment);
 
-/// What determined the rotation of Alignment::kSe3. Positions on one line leave the rotation about it free,
-/// and positions in one point leave all of it free: what is free then minimises Σ ‖R_Y,k − R_S R_X,k‖² over
-/// the orientations.
+/// Data that determined the rotation of Alignment::kSe3. Positions on one line leave the rotation about it
+/// free, and positions in one point leave all of it free: the free part then minimises Σ ‖R_Y,k − R_S R_X,k‖²
+/// over the orientations.
 enum class AlignmentSupport {
   kPositions,  ///< Positions alone.
   kLine,       ///< Positions, and orientations for the rotation about their line: also of a path that is
@@ -77,7 +76,7 @@ struct AlignmentResult {
 [[nodiscard]] LOOPWISE_EXPORT AlignmentResult align(const PosesByKey& estimate, const PosesByKey& truth,
                                                     Alignment alignment);
 
-/// Of a set of errors. Without any, count is 0 and the rest NaN.
+/// Statistics of a set of errors. For an empty set, count is 0 and the rest NaN.
 struct Statistics {
   std::size_t count = 0;                                     ///< Errors in the set.
   double rmse = std::numeric_limits<double>::quiet_NaN();    ///< Root of the mean square.
@@ -107,7 +106,7 @@ struct RobotErrors {
   double path_length_estimate_m = 0.0;  ///< Of the estimated one.
   Statistics ate_m;                     ///< Of e_k, m.
   Statistics ate_rad;                   ///< Of θ_k, rad.
-  RelativeErrors step;                  ///< RPE between nodes that follow each other.
+  RelativeErrors step;                  ///< RPE between consecutive nodes.
   /// The paper's Table II; NaN if no node has s_k ≥ min_path_m.
   double translation_percent = std::numeric_limits<double>::quiet_NaN();
   double rotation_deg_per_m = std::numeric_limits<double>::quiet_NaN();  ///< °/m, as above.
@@ -115,8 +114,8 @@ struct RobotErrors {
 
 /// Errors of a whole team, see the head of the file.
 struct TrajectoryErrors {
-  Alignment alignment = Alignment::kNone;   ///< As asked for.
-  AlignmentResult applied;                  ///< What it came to.
+  Alignment alignment = Alignment::kNone;   ///< The requested alignment.
+  AlignmentResult applied;                  ///< The applied alignment.
   std::size_t poses = 0;                    ///< Common to both.
   std::size_t only_in_estimate = 0;         ///< Left out.
   std::size_t only_in_truth = 0;            ///< Left out.
@@ -139,9 +138,10 @@ struct TrajectoryEvaluationOptions {
   }
 };
 
-/// Compares the two over their common keys; the order of a robot's nodes is that of its keys.
-/// If `robots` is empty, robots are told apart by the characters of the keys.
-/// \throws InputError if the two share no key, or a pose is not finite or its rotation none (names the key);
+/// Compares the two over their common keys; the order of a robot's nodes is that of its keys. If `robots` is
+/// empty, the characters of the keys identify the robots.
+/// \throws InputError if the two share no key, or a pose is not finite or its rotation invalid (names the
+/// key);
 ///         UnknownKeyError if a common key belongs to none of the robots; OptionError on bad options.
 [[nodiscard]] LOOPWISE_EXPORT TrajectoryErrors
 evaluate_trajectory(const PosesByKey& estimate, const PosesByKey& truth, Alignment alignment,

@@ -13,19 +13,19 @@
 
 namespace loopwise {
 
-/// Keeps what is costly to make, within a bound: the entries used least recently go first. Thread-safe. An
-/// entry is made once however many threads ask for it at the same time; they wait for the one that makes it.
-/// Value has `std::size_t bytes() const`. Entries in use elsewhere live on after they left the cache.
+/// Keeps costly values within a bound; the least recently used entry is removed first. Thread-safe:
+/// concurrent requests for an entry compute it once and wait. Value has `std::size_t bytes() const`. Callers
+/// may hold entries after their removal from the cache.
 template <class K, class Value, class Hash = std::hash<K>>
 class BoundedCache {
  public:
-  using Pointer = std::shared_ptr<const Value>;  ///< An entry; it outlives its place in the cache.
+  using Pointer = std::shared_ptr<const Value>;  ///< An entry; it may outlive its place in the cache.
 
-  /// `max_bytes` bounds the sum over the entries; the newest stays even where it alone exceeds the bound.
+  /// `max_bytes` bounds the sum over the entries; the newest stays even if it alone exceeds the bound.
   explicit BoundedCache(std::size_t max_bytes) : max_bytes_(max_bytes) {}
 
-  /// The entry for `key`, from `make(key)` if it is not there. A null is handed on and not kept; so is an
-  /// exception of `make`. \pre make does not ask this cache for the same key.
+  /// The entry for `key`, from `make(key)` if it is missing. A null is returned and not kept; an exception of
+  /// `make` is passed on. \pre make does not ask this cache for the same key.
   template <class Make>
   [[nodiscard]] Pointer get(const K& key, Make&& make) {
     std::unique_lock<std::mutex> lock(mutex_);
@@ -75,13 +75,13 @@ class BoundedCache {
     return value;
   }
 
-  /// Sum over the entries that are kept now.
+  /// Sum over the present entries.
   [[nodiscard]] std::size_t bytes() const { return locked(bytes_); }
-  /// How often an entry was there when it was asked for.
+  /// Number of requests with a present entry.
   [[nodiscard]] std::size_t hits() const { return locked(hits_); }
-  /// How often `make` ran and returned.
+  /// Number of completed calls of `make`.
   [[nodiscard]] std::size_t misses() const { return locked(misses_); }
-  /// Entries kept now.
+  /// Number of present entries.
   [[nodiscard]] std::size_t size() const {
     const std::lock_guard<std::mutex> lock(mutex_);
     return order_.size();

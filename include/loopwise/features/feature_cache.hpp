@@ -18,7 +18,7 @@
 
 namespace loopwise {
 
-/// How a scan is made ready for all stages.
+/// Preparation of a scan for all stages.
 struct FeatureOptions {
   double max_range_m = 300.0;
   double voxel_m = 0.5;
@@ -45,7 +45,7 @@ struct FeatureOptions {
   }
 };
 
-/// What every stage needs of a scan, computed once: all of it is derived from the downsampled cloud.
+/// Features of a scan for all stages, computed once from the downsampled cloud.
 struct ScanFeatures {
   PointCloud cloud;             ///< Downsampled, with normals (zero where unknown), body frame.
   KdTree tree;                  ///< Over cloud.points.
@@ -62,9 +62,9 @@ struct ScanFeatures {
                                                             const FeatureOptions& options);
 
 /// Counts points that were left out of a scan because of their range.
-/// \param problems is added to
-/// \param scan names it
-/// \param count how many points
+/// \param problems gets the problem
+/// \param scan name of the scan
+/// \param count number of points
 /// \param max_range_m FeatureOptions::max_range_m
 LOOPWISE_EXPORT void count_far_points(Problems& problems, const std::string& scan, std::size_t count,
                                       double max_range_m);
@@ -75,18 +75,18 @@ class LOOPWISE_EXPORT FeatureCache {
   /// \throws OptionError; InputError if `scans` is empty.
   explicit FeatureCache(ScanLoader scans, const FeatureOptions& options = {});
 
-  /// Null if there is no scan for the key. \throws what the loader throws.
+  /// Null if the key has no scan. \throws exceptions of the loader.
   [[nodiscard]] std::shared_ptr<const ScanFeatures> get(Key key);
 
-  /// The scan itself, as the loader hands it out. \throws what the loader throws.
+  /// The scan from the loader. \throws exceptions of the loader.
   [[nodiscard]] std::shared_ptr<const PointCloud> scan(Key key) const { return scans_(key); }
 
   /// Points left out of the scans whose features were computed so far, in the order of the keys.
   [[nodiscard]] Problems problems() const;
 
-  /// As given.
+  /// The options.
   [[nodiscard]] const FeatureOptions& options() const { return options_; }
-  /// How many times features were computed.
+  /// Number of computations of features.
   [[nodiscard]] std::size_t computed() const { return cache_.misses(); }
 
  private:

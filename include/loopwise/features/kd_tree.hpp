@@ -20,8 +20,8 @@ struct Neighbour {
 };
 
 /// Exact nearest-neighbour search over points in 3D. Immutable: any number of threads may search at once.
-/// Points lie in leaves of a few, one array per coordinate, so that a leaf is scanned with SIMD.
-/// Equal distances are ordered by index: results depend on the points alone.
+/// Leaves hold a few points, one array per coordinate, so that a leaf is searched with SIMD. Equal distances
+/// are ordered by index: results depend on the points alone.
 class LOOPWISE_EXPORT KdTree {
  public:
   KdTree() = default;
@@ -34,11 +34,11 @@ class LOOPWISE_EXPORT KdTree {
   /// Whether there is no point.
   [[nodiscard]] bool empty() const { return size_ == 0; }
 
-  /// The nearest point that lies closer than `max_distance_m`, if there is one.
+  /// The nearest point within `max_distance_m`, if there is one.
   [[nodiscard]] std::optional<Neighbour> nearest(
       const Eigen::Vector3f& query, float max_distance_m = std::numeric_limits<float>::infinity()) const;
 
-  /// Replaces `found` by the `count` nearest points, or all if there are fewer, nearest first.
+  /// Replaces `found` by the `count` nearest points, or all if fewer exist, nearest first.
   void nearest(const Eigen::Vector3f& query, std::size_t count, std::vector<Neighbour>& found) const;
 
   /// Replaces `found` by all points within `radius_m`, nearest first.

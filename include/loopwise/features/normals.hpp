@@ -10,10 +10,10 @@
 
 namespace loopwise {
 
-/// Surface normals: for each point the direction in which its `neighbours` nearest points, itself included,
-/// spread least, of unit length and turned towards the sensor at the origin. Where that direction is not
-/// defined (fewer than three points, all equal, or on one line) the normal is zero; the zero normal stands
-/// for "unknown" everywhere. `tree` holds `points`. \throws OptionError unless neighbours >= 3.
+/// Surface normals: for each point the direction of least spread of its `neighbours` nearest points,
+/// including itself, of unit length and oriented towards the sensor at the origin. If that direction is
+/// undefined (fewer than three points, all equal, or on one line) the normal is zero. A zero normal means
+/// "unknown" everywhere. `tree` holds `points`. \throws OptionError unless neighbours >= 3.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Vector3f> estimate_normals(
     const std::vector<Eigen::Vector3f>& points, const KdTree& tree, int neighbours);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// How much two scans will overlap, told before they are registered.
+/// Prediction of the overlap of two scans before registration.
 #pragma once
 
 #include <array>
@@ -15,32 +15,32 @@
 
 namespace loopwise {
 
-/// The rough shape of a scan, in at most 8 kB: which voxels of a grid have points, and points drawn from
-/// them. The voxels are as large as the sensor's surroundings are wide: 0.4 m in a small room, 3 m outdoors.
+/// The rough shape of a scan, in at most 8 kB: the occupied voxels of a grid, and points drawn from them. The
+/// size of the voxels is proportional to the width of the surroundings: 0.4 m in a small room, 3 m outdoors.
 /// Points that are not finite are left out. O(n), about 0.05 ms for a sweep of 64 000 points.
 class LOOPWISE_EXPORT ScanSignature {
  public:
-  /// Of no scan: empty.
+  /// The empty signature, of no scan.
   ScanSignature() = default;
-  /// Of a scan in its body frame, downsampled or not.
+  /// The signature of a scan in its body frame, downsampled or not.
   explicit ScanSignature(const PointCloud& cloud);
 
-  /// Nothing is known: there was no scan, or it has no points.
+  /// Whether the signature is empty: no scan, or a scan without points.
   [[nodiscard]] bool empty() const { return points_ == 0; }
   /// Edge of the voxels, m.
   [[nodiscard]] double voxel_m() const { return static_cast<double>(voxel_m_); }
-  /// Points that were drawn.
+  /// Number of drawn points.
   [[nodiscard]] std::size_t points() const { return points_; }
-  /// Share of the points of `other` that lie in voxels of this scan, in [0, 1]; 0 if one of them is empty.
+  /// Share of the points of `other` in voxels of this scan, in [0, 1]; 0 if one of them is empty.
   /// \param other the other scan
   /// \param T_this_other pose of the other scan's frame in the frame of this one
   [[nodiscard]] double share_of(const ScanSignature& other, const Eigen::Isometry3d& T_this_other) const;
   /// Memory that the signature holds.
   [[nodiscard]] std::size_t bytes() const { return sizeof(*this) + bits_.capacity() * sizeof(bits_[0]); }
 
-  /// All of it as words, and back. For recorded runs.
+  /// The signature as words, for recorded runs.
   [[nodiscard]] std::vector<std::uint32_t> words() const;
-  /// What words() gave. \throws InputError
+  /// The signature from words(). \throws InputError
   [[nodiscard]] static ScanSignature from_words(const std::vector<std::uint32_t>& words);
 
  private:
@@ -54,10 +54,10 @@ class LOOPWISE_EXPORT ScanSignature {
   std::array<std::array<float, kPoints>, 3> drawn_{};  // x, y and z
 };
 
-/// The smaller of the shares that two scans see of each other, in [0, 1].
+/// The smaller of the shares of two scans in each other, in [0, 1].
 /// \param from one of the scans
 /// \param to the other scan
-/// \param T_from_to pose of the scan `to` in the frame of `from`, as guessed
+/// \param T_from_to guessed pose of the scan `to` in the frame of `from`
 [[nodiscard]] LOOPWISE_EXPORT double predicted_overlap(const ScanSignature& from, const ScanSignature& to,
                                                        const Eigen::Isometry3d& T_from_to);
 

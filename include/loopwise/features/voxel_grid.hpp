@@ -8,23 +8,21 @@
 
 namespace loopwise {
 
-/// How many finite points are further than `max_range_m` from the sensor at coordinates of zero, or from the
-/// middle of the points if that lies beyond 300 m and the range, as in world coordinates. 0 if the range is
-/// 0.
+/// Number of finite points further than `max_range_m` from the sensor at zero, or from the median of the
+/// points if that is beyond 300 m and the range, as in world coordinates. 0 if the range is 0.
 [[nodiscard]] LOOPWISE_EXPORT std::size_t points_beyond(const PointCloud& cloud, double max_range_m);
 
-/// All points but these.
+/// The cloud without these points.
 [[nodiscard]] LOOPWISE_EXPORT PointCloud within_range(const PointCloud& cloud, double max_range_m);
 
 /// One point per occupied cube of edge `voxel_m`: the mean of its points (and intensities; normals are
 /// averaged and normalised again). Cubes come in the order of their first point, so the result depends on the
-/// input alone, and a cloud with no two points in one cube comes back as it is. Points that are not finite
-/// are left out. O(n). \throws OptionError unless voxel_m > 0.
+/// input alone, and a cloud with at most one point in each cube is unchanged. Points that are not finite are
+/// left out. O(n). \throws OptionError unless voxel_m > 0.
 [[nodiscard]] LOOPWISE_EXPORT PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m);
 
-/// voxel_downsample that does no harm to sparse scans: a cloud of at most `min_points` points keeps all of
-/// them, and where the grid would leave fewer, its edge is halved, up to three times, until it leaves as
-/// many.
+/// voxel_downsample for sparse scans too: a cloud of at most `min_points` points keeps all of them. If the
+/// grid leaves fewer points, its edge is halved, up to three times, until it leaves enough.
 [[nodiscard]] LOOPWISE_EXPORT PointCloud adaptive_downsample(const PointCloud& cloud, double voxel_m,
                                                              std::size_t min_points);
 

@@ -18,8 +18,8 @@ class LOOPWISE_EXPORT CandidateGenerator {
   /// Short and stable, for tables and logs.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
-  /// The graph gained the node `key` at mission time `time_s`: proposes it against nodes that came before. A
-  /// pair is proposed once at most. The ids of what is returned are not set yet. \throws UnknownKeyError
+  /// The graph gained the node `key` at mission time `time_s`: returns pairs with earlier nodes. A pair is
+  /// proposed at most once. The ids of the candidates are not set yet. \throws UnknownKeyError
   [[nodiscard]] virtual std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key,
                                                            double time_s) = 0;
 

@@ -17,9 +17,9 @@
 
 namespace loopwise {
 
-/// Which older nodes are near enough to a new one (paper §III-A). The radius grows with the drift that may
-/// have built up: `rate_m · |i_n − i_c|` for two nodes of one robot, `rate_m · i_n` between robots, where i
-/// counts a robot's own nodes from 0 and n is the new node.
+/// Selection of older nodes near a new one (paper §III-A). The radius grows with the possible drift: `rate_m
+/// · |i_n − i_c|` for two nodes of one robot, `rate_m · i_n` between robots, where i counts a robot's own
+/// nodes from 0 and n is the new node.
 struct ProximityOptions {
   double rate_m = 0.2;
   double radius_min_m = 30.0;
@@ -50,17 +50,17 @@ struct ProximityOptions {
 /// \throws OptionError naming the field, also if radius_min_m exceeds a bounded radius_max_m.
 LOOPWISE_EXPORT void validate_proximity(const ProximityOptions& options);
 
-/// Options by name: "paper" (0.2 m per index, not clamped: candidates explode on long missions),
+/// Options by name: "paper" (0.2 m per index without a bound: too many candidates on long missions),
 /// "lamp_2022_01" (the same up to 30 m, 10 closest, skip 10), "lamp_base" (flat 30 m, skip 10; the default),
 /// "lamp_robot" (5 to 80 m, skip 15, 3 closest). \throws OptionError naming the known presets.
 [[nodiscard]] LOOPWISE_EXPORT ProximityOptions proximity_preset(std::string_view name);
 /// The presets' names.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::string> proximity_preset_names();
 
-/// Proposes older nodes within a radius of the current estimate, ordered by their arrival. Of nodes that lie
-/// close on a path only some take part, see ProximityOptions::spacing_m: the others say the same again, and
-/// are held by odometry. Positions are kept
-/// in a hash grid: a new node costs the nodes near it, not all nodes; a new estimate re-sorts them in O(n).
+/// Proposes older nodes within a radius of the current estimate, ordered by their arrival. Of adjacent nodes
+/// on a path only some take part, see ProximityOptions::spacing_m: the others are redundant and constrained
+/// by odometry. A hash grid holds the positions: the cost of a new node is proportional to the nodes near it;
+/// a new estimate re-sorts them in O(n).
 class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
  public:
   /// \throws OptionError
@@ -69,9 +69,9 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
   [[nodiscard]] std::string_view name() const override { return "proximity"; }
   [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
   void on_graph(const PoseGraph& graph) override;
-  /// Nodes that on_node() had, and that are elsewhere now: all that is near them where they are, whichever
-  /// came first, by the index of that which came later; the closest of each of them. Nodes of
-  /// the same robots that took no part do so now if they have come away from the others on the path.
+  /// Candidates of nodes whose pose changed since on_node(): their present neighbours, older or newer, with
+  /// the radius for the index of the later node, and the closest of each. Nodes of the same robots that took
+  /// no part do so if they have moved away from the others on the path.
   [[nodiscard]] std::vector<LoopCandidate> on_moved(const PoseGraph& graph, const std::vector<Key>& keys,
                                                     double time_s);
 

@@ -20,7 +20,7 @@
 
 namespace loopwise {
 
-/// When a node counts as near a beacon, and what makes one fly-by.
+/// When a node is near a beacon, and the extent of a fly-by.
 struct RadioOptions {
   double max_loss_db = 60.0;
   std::int64_t max_gap_nodes = 20;
@@ -38,22 +38,21 @@ struct RadioOptions {
   }
 };
 
-/// Mean path loss transmit − receive over the receivers that heard something, dB; NaN if none did.
+/// Mean path loss transmit − receive over the receivers with a reading, dB; NaN without readings.
 [[nodiscard]] LOOPWISE_EXPORT double mean_path_loss_db(const std::vector<RadioReading>& readings);
 
 /// Proposes pairs of nodes that passed the same radio beacon (paper §III-D). A node is *near* a beacon if its
 /// mean path loss is positive and less than a threshold. The node where a robot drops the beacon is fly-by 0.
-/// Near nodes of one robot whose indices lie close together form one **fly-by**; fly-bys are numbered in the
-/// order in which they begin, and robots that alternate at a beacon do not split each other's. On its way out
-/// the dropping robot is near as well: its first fly-by starts once it has left. Readings of other robots
-/// before the drop are ignored.
+/// Near nodes of one robot with adjacent indices form one **fly-by**; fly-bys are numbered in the order in
+/// which they begin, and robots that alternate at a beacon do not split each other's. The dropping robot is
+/// near as it leaves: its first fly-by starts after that. Readings of other robots before the drop are
+/// ignored.
 ///
-/// Each node of a fly-by is proposed against the nodes of all other fly-bys of that beacon that are known, in
-/// their order and the order of traversal. Nodes, readings and drops may come in any order: what is still
-/// missing is waited for.
+/// Each node of a fly-by is paired with the nodes of all other known fly-bys of that beacon, in their order
+/// and the order of traversal. Nodes, readings and drops may come in any order; readings wait for missing
+/// nodes and beacons.
 ///
-/// After std::bad_alloc the same can be handed over again, and nothing is lost but that flaws may count
-/// twice.
+/// After std::bad_alloc the same input can be given again; only flaws may count twice.
 class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
  public:
   /// \throws OptionError
@@ -61,19 +60,19 @@ class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
 
   [[nodiscard]] std::string_view name() const override { return "radio"; }
 
-  /// A beacon was dropped. A beacon that is known already stays as it is ("beacon dropped twice").
+  /// A beacon was dropped. A known beacon does not change ("beacon dropped twice").
   [[nodiscard]] std::vector<LoopCandidate> on_drop(const PoseGraph& graph, const BeaconDrop& drop,
                                                    double time_s);
 
-  /// All readings of some nodes: those of one node and beacon must come together. Such that come again are
-  /// ignored. Readings of no robot's node are counted ("radio reading of no robot's node").
+  /// All readings of some nodes: those of one node and beacon must come together. Repeated readings are
+  /// ignored. Readings without a robot's node are counted ("radio reading of no robot's node").
   [[nodiscard]] std::vector<LoopCandidate> on_radio(const PoseGraph& graph,
                                                     const std::vector<RadioReading>& readings, double time_s);
 
-  /// Takes up what waited for the node.
+  /// Uses the readings that waited for the node.
   [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
 
-  /// Nodes with readings that wait for their node or their beacon.
+  /// Number of nodes with readings that wait for their node or their beacon.
   [[nodiscard]] std::size_t waiting() const { return waiting_.size(); }
   /// Flaws of the readings so far.
   [[nodiscard]] const Problems& problems() const { return problems_; }

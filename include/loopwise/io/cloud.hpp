@@ -10,16 +10,16 @@
 
 namespace loopwise {
 
-/// A cloud as it was read.
+/// A cloud from a file.
 struct CloudFile {
   PointCloud cloud;   ///< Its points.
-  Problems problems;  ///< Flaws that the reader could live with.
+  Problems problems;  ///< Tolerable flaws.
 };
 
-/// What a point is made of in a .bin file, which has no header. Numbers are little-endian, of 32 bits unless
-/// said otherwise, without gaps.
+/// Fields of a point in a .bin file, which has no header. Numbers are little-endian, without gaps, and of 32
+/// bits unless stated otherwise.
 enum class BinLayout {
-  kAuto,          ///< xyzi, if the values look like it.
+  kAuto,          ///< xyzi, if the values are plausible.
   kXyz,           ///< 3 floats, 12 bytes.
   kXyzi,          ///< 4 floats, 16 bytes: KITTI, MulRan.
   kXyzir,         ///< 5 floats, 20 bytes, the last is the ring: nuScenes.
@@ -48,35 +48,35 @@ enum class BinLayout {
 }
 
 /// Reads .pcd (ascii, binary, binary_compressed), .ply (ascii, binary of either byte order) or .bin, by
-/// extension. Fields may stand in any order and be any number type; x, y and z must be there, intensity and
-/// normals are taken where present, the rest is skipped. An empty cloud is no error.
+/// extension. Fields may have any order and number type. x, y and z are required, intensity and normals are
+/// optional, other fields are skipped. An empty cloud is not an error.
 ///
-/// Where the middle of the points is further than 300 m from zero, they are in other coordinates than a
-/// sensor's: PointCloud::origin is then their middle, in whole metres. So is the origin that write_pcd() and
-/// write_ply() state in a comment.
+/// If the median of the points is further than 300 m from zero, their coordinates are not those of a sensor:
+/// PointCloud::origin is then the median, in whole metres. An origin in a comment of write_pcd() or
+/// write_ply() is used as well.
 ///
-/// Files without a header are read as `bin_layout` says. Without one, values that do not look like x, y, z
-/// and intensity are an error that says what they look like.
+/// Files without a header have the layout `bin_layout`. With kAuto, implausible values for x, y, z and
+/// intensity are an error that names the probable layout.
 ///
 /// Counted in `problems`: "point not finite" and "point out of range" (beyond 1e7 m; both dropped), "unusable
-/// normals" (one that is not of unit length spoils the field, which is then left out: many programs write
-/// zeros), "intensity not finite" (set to 0), "viewpoint ignored", "empty file" (.bin), "points unlike the
-/// layout" (.bin), "point rounded to a float far from zero" (more than 16 km away floats are 2 mm apart or
-/// more; if most points are such), "no line end after the last line" (ascii). Normals are turned towards the
-/// sensor, which is taken to stand at PointCloud::origin.
+/// normals" (if one is not of unit length, the field is left out: many programs write zeros), "intensity not
+/// finite" (set to 0), "viewpoint ignored", "empty file" (.bin), "points unlike the layout" (.bin), "point
+/// rounded to a float far from zero" (beyond 16 km floats are 2 mm apart or more; counted if this applies to
+/// most points), "no line end after the last line" (ascii). Normals are oriented towards the sensor, which is
+/// assumed at PointCloud::origin.
 ///
-/// The sizes that a header claims are held against the length of the file before any memory is taken.
-/// \throws IoError; InputError naming the file (for the lines of ascii data: ParseError) if it is cut short,
-/// its counts disagree, or its kind is not known.
+/// The sizes in a header are compared with the length of the file before any allocation.
+/// \throws IoError; InputError naming the file (for the lines of ascii data: ParseError) if it is truncated,
+/// its counts disagree, or its kind is unknown.
 [[nodiscard]] LOOPWISE_EXPORT CloudFile read_cloud(const std::filesystem::path& path,
                                                    BinLayout bin_layout = BinLayout::kAuto);
 
-/// Whether read_cloud() knows the extension.
+/// Whether read_cloud() supports the extension.
 [[nodiscard]] LOOPWISE_EXPORT bool is_cloud_file(const std::filesystem::path& path);
 
-/// How the points stand in a PCD file.
+/// Encoding of the points in a PCD file.
 enum class PcdEncoding {
-  kAscii,             ///< Numbers as text, a point a line.
+  kAscii,             ///< Numbers as text, one point a line.
   kBinary,            ///< Point by point as in memory.
   kBinaryCompressed,  ///< Field by field, compressed by LZF.
 };
@@ -86,13 +86,13 @@ enum class PcdEncoding {
           {PcdEncoding::kBinaryCompressed, "binary_compressed"}};
 }
 
-/// PCD 0.7 with the fields that the cloud has; read_cloud() and PCL give back the same floats in every
-/// encoding. An origin that is not zero stands in a comment: `# loopwise origin X Y Z`. Replaces an existing
-/// file as a whole or not at all, see write_file(). \throws IoError
+/// Writes PCD 0.7 with the fields of the cloud; read_cloud() and PCL read the same floats in every encoding.
+/// A non-zero origin is written as a comment: `# loopwise origin X Y Z`. Replaces an existing file as a whole
+/// or not at all, see write_file(). \throws IoError
 LOOPWISE_EXPORT void write_pcd(const std::filesystem::path& path, const PointCloud& cloud,
                                PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
 
-/// Binary little-endian PLY with the fields that the cloud has, written likewise. \throws IoError
+/// Writes binary little-endian PLY with the fields of the cloud, in the same way. \throws IoError
 LOOPWISE_EXPORT void write_ply(const std::filesystem::path& path, const PointCloud& cloud);
 
 }  // namespace loopwise

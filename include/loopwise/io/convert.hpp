@@ -14,10 +14,10 @@
 
 namespace loopwise {
 
-/// What a mission can be written as.
+/// Output formats of a mission.
 enum class MissionFormat {
-  kMission,  ///< A mission folder: everything.
-  kG2oPcd,   ///< result.g2o and pcd/KEY.pcd, as the NeBula multi-robot data set has them, with keys.csv.
+  kMission,  ///< A mission folder: all data.
+  kG2oPcd,   ///< result.g2o and pcd/KEY.pcd, as in the NeBula multi-robot data set, with keys.csv.
   kTum,      ///< A trajectory for each robot, with stamps.
   kKitti,    ///< A trajectory for each robot, poses alone.
 };
@@ -31,15 +31,15 @@ enum class MissionFormat {
 /// How a mission is written.
 struct ConvertOptions {
   PcdEncoding encoding = PcdEncoding::kBinaryCompressed;  ///< Of the clouds.
-  int threads = 1;            ///< 0: one per processor. What is written does not depend on it.
-  ProgressCallback progress;  ///< Is told how many scans are written.
+  int threads = 1;            ///< 0: one per processor. Does not change the output.
+  ProgressCallback progress;  ///< Gets the number of written scans.
   StopToken stop;             ///< Ends it early: convert_mission() then throws StoppedError.
 };
 
-/// What a conversion came to.
+/// The result of a conversion.
 struct ConvertResult {
   std::size_t scans = 0;  ///< Written.
-  /// What the format has no place for, by kind: "robot name left out", "radio reading left out", ….
+  /// Data that the format cannot hold, by kind: "robot name left out", "radio reading left out", ….
   Problems left_out;
 };
 
@@ -47,17 +47,17 @@ struct ConvertResult {
 /// counts them.
 ///
 /// **mission**: see MissionWriter.
-/// **g2o_pcd**: result.g2o has full 64-bit keys: where robots are not told apart by the characters of their
-/// keys, or landmarks by those of LAMP, each gets one in the order of the mission, which is counted. Nodes,
-/// priors and edges as write_g2o() writes them; keys.csv has every node's stamp and cloud; ranges.csv and
-/// gravity.csv, if there are such factors, are those of a mission folder; ground_truth/result.g2o the true
-/// poses. read_mission() gives all this back.
-/// **tum**, **kitti**: ROBOT.tum or ROBOT.kitti, ROBOT_truth.* where the truth is known and ROBOT_reference.*
-/// where there is a reference; of each robot the nodes in the order of their keys. No landmarks.
+/// **g2o_pcd**: result.g2o has full 64-bit keys: if the characters of the keys do not distinguish the robots,
+/// or those of LAMP the landmarks, each gets one in the order of the mission, which is counted. Nodes, priors
+/// and edges are as from write_g2o(); keys.csv has every node's stamp and cloud; ranges.csv and gravity.csv,
+/// if there are such factors, are those of a mission folder; ground_truth/result.g2o has the true poses.
+/// read_mission() reads all of it.
+/// **tum**, **kitti**: ROBOT.tum or ROBOT.kitti, ROBOT_truth.* if the truth is known and ROBOT_reference.* if
+/// there is a reference; the nodes of each robot are in the order of their keys. No landmarks.
 ///
-/// The folder must not exist or be empty. A target that is not whole is never taken for one: mission.json or
-/// result.g2o is written last, trajectories appear all at once, and what was written is removed when this
-/// throws. \throws IoError; InputError if the mission contradicts itself; StoppedError
+/// The folder must not exist or be empty. An incomplete target is never read as complete: mission.json or
+/// result.g2o is written last, trajectories appear all at once, and all output is removed if this throws.
+/// \throws IoError; InputError if the mission contradicts itself; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT ConvertResult convert_mission(const Mission& mission,
                                                             const std::filesystem::path& folder,
                                                             MissionFormat format,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Small strict CSV: one header line, commas, text in double quotes where it holds any of them.
+/// Small strict CSV: one header line, commas, text in double quotes if it contains special characters.
 #pragma once
 
 #include <cstddef>
@@ -16,22 +16,22 @@
 
 namespace loopwise {
 
-/// A CSV file with a known header. Values are converted when asked for; errors name file, line and column.
+/// A CSV file with a known header. Values are converted on access; errors name file, line and column.
 class LOOPWISE_EXPORT CsvTable {
  public:
   /// Blank lines are skipped, blanks around values ignored.
   /// \throws IoError; ParseError if the header differs from `columns` or a row has another number of values.
   CsvTable(const std::filesystem::path& path, std::vector<std::string> columns);
 
-  /// The same of a text in memory; `source` stands in errors for the file's name.
+  /// The same for a text in memory; `source` replaces the file's name in errors.
   [[nodiscard]] static CsvTable parse(std::string_view text, const std::string& source,
                                       std::vector<std::string> columns);
 
   /// Number of rows.
   [[nodiscard]] std::size_t size() const { return lines_.size(); }
-  /// Line of the file that a row stands on, from 1.
+  /// Line of a row in the file, from 1.
   [[nodiscard]] std::size_t line(std::size_t row) const { return lines_[row]; }
-  /// A value as it stands in the file, without quotes and blanks around it.
+  /// A value of the file, without surrounding quotes and blanks.
   [[nodiscard]] const std::string& text(std::size_t row, std::size_t column) const {
     return values_[row * columns_.size() + column];
   }

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Options structs (core/options.hpp) to and from JSON, text and printed tables, by the one description that
-/// they carry. A configuration file is an object of sections, {"generation": {"rate_m": 0.3}, ...}: its
-/// reader calls apply_json() once per section. Include <nlohmann/json.hpp> yourself to do more with the
-/// values than pass them on.
+/// Options structs (core/options.hpp) to and from JSON, text and printed tables, from their description. A
+/// configuration file is an object of sections, {"generation": {"rate_m": 0.3}, ...}: its reader calls
+/// apply_json() once per section. Include <nlohmann/json.hpp> to access the values.
 #pragma once
 
 #include <algorithm>
@@ -29,7 +28,7 @@ namespace loopwise {
 /// Keeps the order of its keys.
 using Json = nlohmann::ordered_json;
 
-/// Parses a JSON text; // comments are allowed. `name` stands in errors for the file's.
+/// Parses a JSON text; // comments are allowed. `name` replaces the file's name in errors.
 /// \throws ParseError naming the line, also for a key that is repeated within an object or a number out of
 /// range; InputError if values are nested more than 200 deep.
 [[nodiscard]] LOOPWISE_EXPORT Json parse_json(std::string_view text, const std::string& name);
@@ -37,7 +36,7 @@ using Json = nlohmann::ordered_json;
 [[nodiscard]] LOOPWISE_EXPORT Json read_json_file(const std::filesystem::path& path);
 
 /// As text, indented by `indent` blanks or, below 0, on one line. Names of files, topics and robots may hold
-/// any bytes, JSON may not: what is no UTF-8 becomes U+FFFD.
+/// any bytes, but JSON may not: bytes that are not UTF-8 become U+FFFD.
 [[nodiscard]] LOOPWISE_EXPORT std::string json_text(const Json& json, int indent = -1);
 
 /// One option, for people.
@@ -45,7 +44,7 @@ struct OptionDescription {
   std::string name;           ///< Of the field, and the key in JSON.
   std::string type;           ///< "bool", "integer", "number", "text", "word", "words", "numbers"
   std::string default_value;  ///< As JSON.
-  std::string bounds;         ///< "> 0", "one of: fast, pcl"; empty if any value will do.
+  std::string bounds;         ///< "> 0", "one of: fast, pcl"; empty if any value is allowed.
   std::string doc;            ///< Meaning and unit.
 };
 
@@ -79,8 +78,8 @@ LOOPWISE_EXPORT void require_object(const Json& value, const std::string& name);
 /// As it is; OptionError unless it is UTF-8, as all text in JSON is.
 [[nodiscard]] LOOPWISE_EXPORT std::string text_to_text(std::string_view text, const std::string& name);
 
-/// A list. A type of its own: libstdc++ 12 takes a variant whose alternatives are numbers, strings and
-/// vectors for one that always holds a value, and crashes where a copy of it finds no memory.
+/// A list. It is a separate type because libstdc++ 12 treats a variant of numbers, strings and vectors as
+/// never valueless, and crashes if a copy of it fails to allocate.
 struct OptionNumbers {
   std::vector<double> values;
 };
@@ -215,8 +214,8 @@ template <class Options>
   return detail::fields_to_json(detail::option_fields(options));
 }
 
-/// Sets the fields that the object names and checks all bounds; fields that it leaves out keep their values.
-/// On an error `options` stay as they were.
+/// Sets the fields in the object and checks all bounds; other fields keep their values. On an error `options`
+/// are unchanged.
 /// \throws OptionError naming "section.key": an unknown key, a value of the wrong type or out of bounds.
 template <class Options>
 void apply_json(const Json& object, const std::string& section, Options& options) {

@@ -25,12 +25,12 @@
 
 namespace loopwise {
 
-/// What a mission was read from.
+/// The source of a mission.
 enum class MissionKind {
   kMission,  ///< A folder with mission.json.
-  kSession,  ///< A folder with Scans/ and poses in KITTI's form, as single-robot SLAM programs write it.
+  kSession,  ///< A folder with Scans/ and KITTI poses, as single-robot SLAM programs write it.
   kG2o,      ///< A g2o file alone: no scans.
-  kG2oPcd,   ///< A folder with a g2o file and clouds, as the NeBula multi-robot data set has them.
+  kG2oPcd,   ///< A folder with a g2o file and clouds, as in the NeBula multi-robot data set.
   kBags,     ///< ROS 1 bags of LAMP's messages.
   kLampZip,  ///< A map that LAMP's base station saved.
   kJoined,   ///< Several missions of one robot each.
@@ -44,7 +44,7 @@ enum class MissionKind {
 }
 
 /// How the 36 numbers of an odometry edge's covariance in a bag are ordered. LAMP's code stores rotation
-/// first; some of its odometry sources hand on the covariance of nav_msgs/Odometry, which has translation
+/// first; some of its odometry sources pass on the covariance of nav_msgs/Odometry, which has translation
 /// first.
 enum class CovarianceOrder { kRotationFirst, kTranslationFirst };
 [[nodiscard]] inline EnumNames<CovarianceOrder> enum_names(CovarianceOrder) {
@@ -52,36 +52,36 @@ enum class CovarianceOrder { kRotationFirst, kTranslationFirst };
           {CovarianceOrder::kTranslationFirst, "translation_first"}};
 }
 
-/// A robot is out of range in [begin_s, end_s) of mission time: what it makes inside arrives at end_s.
+/// A robot is out of range in [begin_s, end_s) of mission time: its data from this interval arrive at end_s.
 struct CommunicationGap {
   std::size_t robot = 0;  ///< Number of the robot.
   double begin_s = 0.0;   ///< Out of range from here, s.
   double end_s = 0.0;     ///< Back in range, s.
 };
 
-/// Everything recorded of a run of a team of robots, in one common frame.
+/// All recorded data of a run of a team of robots, in one common frame.
 struct Mission {
-  std::string name;                          ///< Of the folder or as mission.json says.
-  std::filesystem::path path;                ///< Where it was read from.
-  MissionKind kind = MissionKind::kMission;  ///< What it was read from.
+  std::string name;                          ///< Name of the folder, or the one in mission.json.
+  std::filesystem::path path;                ///< Path of the source.
+  MissionKind kind = MissionKind::kMission;  ///< Kind of the source.
   Robots robots;                             ///< Own every node of the graph.
   PoseGraph graph;  ///< Nodes with stamps, priors, odometry; closures only if the files hold some.
   std::shared_ptr<const ScanStore> scans = std::make_shared<ScanStore>();  ///< Never null.
-  /// True poses, by which estimates are judged. Empty if not known. set_truth() takes them from files.
+  /// True poses, with which estimates are evaluated. Empty if unknown. set_truth() takes them from files.
   std::map<Key, Eigen::Isometry3d> ground_truth;
-  /// ground_truth stands in another frame and was laid on the mission: only aligned errors mean something.
+  /// ground_truth is in another frame and was aligned with the mission: only aligned errors are meaningful.
   bool truth_is_aligned = false;
-  std::string truth_file;  ///< What set_truth() took ground_truth from; empty if it was recorded.
-  /// Poses that another program computed, such as a session's own optimised poses. They are to compare with,
-  /// never the truth. Empty if no such poses are recorded.
+  std::string truth_file;  ///< Source of ground_truth from set_truth(); empty if it was recorded.
+  /// Poses that another program computed, such as a session's own optimised poses. They serve for comparison,
+  /// never as the truth. Empty if no such poses are recorded.
   std::map<Key, Eigen::Isometry3d> reference;
   std::vector<CommunicationGap> gaps;  ///< By robot, then begin.
   std::vector<RadioReading> radio;     ///< In the order of the file.
   std::vector<BeaconDrop> beacons;     ///< In the order of the file.
-  std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json says otherwise.
+  std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json sets it.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
-  Problems problems;                   ///< Of all files but the scans, whose own are in scans->problems().
+  Problems problems;  ///< Of all files except scans, whose problems are in scans->problems().
 
   /// Mission time of a stamp, s.
   [[nodiscard]] double time_s(std::int64_t stamp_ns) const {
@@ -89,33 +89,35 @@ struct Mission {
   }
 };
 
-/// How a mission is read, and what is put in where its files say nothing.
+/// How a mission is read, and defaults for missing data.
 struct MissionOptions {
-  /// As parse_robots() takes it. Empty: as mission.json says, or one robot per character of the keys. Groups
-  /// of landmarks are known from the files and not listed.
+  /// As parse_robots() takes it. Empty: as in mission.json, or one robot per character of the keys. Groups of
+  /// landmarks come from the files and are not listed.
   std::string robots;
   /// A file with two keys a line, in any order: the edges that are odometry. Empty: those between neighbours
   /// of one robot, see classify_edges().
   std::string odometry;
   double scan_cache_mb = 512.0;
   BinLayout bin_layout = BinLayout::kAuto;
-  /// Sigmas of odometry that has no information of its own, as that made from a session's poses: per metre of
-  /// the step, but never below the minimum.
+  /// Sigmas of odometry without information, such as odometry from a session's poses: per metre of the step,
+  /// but never below the minimum.
   double odometry_sigma_m_per_m = 0.02;
   double odometry_sigma_rad_per_m = 0.002;
   double odometry_min_sigma_m = 0.01;
   double odometry_min_sigma_rad = 0.001;
-  /// Sigmas of the prior that a mission without any is given, x y z and roll pitch yaw. Those of LAMP.
+  /// Sigmas of the prior for a mission without priors, x y z and roll pitch yaw. The values are those of
+  /// LAMP.
   std::vector<double> prior_sigmas = {0.0016, 0.0016, 0.0016, 0.041, 0.041, 0.00041};
   double node_interval_s = 2.0;
-  /// A letter: whose nodes the small ids of a g2o file beside clouds are. Empty: as the clouds' names say.
+  /// A letter: the robot of small ids in a g2o file beside clouds. Empty: taken from the clouds' names.
   std::string robot_character;
   CovarianceOrder odometry_covariance_order = CovarianceOrder::kRotationFirst;
-  /// A true pose whose stamp is further from a node's is not its truth.
+  /// Largest difference of stamps between a node and its true pose.
   double truth_max_time_difference_s = 1.0;
-  /// File with the pose of each joined mission's frame in the common one. Empty: they stand in it already.
+  /// File with the pose of each joined mission's frame in the common frame. Empty: poses are in the common
+  /// frame.
   std::string frames;
-  /// Joined missions begin at the same moment, whenever they were recorded.
+  /// Joined missions begin at the same time, independent of their stamps.
   bool start_together = false;
   /// A measurement that would be repaired, guessed or left out is an error, see Problem::altered.
   bool strict = false;
@@ -162,28 +164,28 @@ struct MissionOptions {
   }
 };
 
-/// classify_edges() as the options say. Edges of the numbers `without_information`, for which a file has none
-/// (G2oFile::without_information), get it first: odometry_information() where odometry may be, between
-/// neighbours or as listed, others 0.1 m and 0.02 rad. \throws IoError; ParseError naming the line of the
-/// file; InputError naming the file and a pair that no edge joins, or that ends at a landmark
+/// classify_edges() with the options. Edges without information in the file (G2oFile::without_information)
+/// first get it: odometry_information() for edges between neighbours or in the list, 0.1 m and 0.02 rad for
+/// others. \throws IoError; ParseError naming the line of the file; InputError naming the file and a pair
+/// without an edge or with a landmark
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                                         const std::vector<std::size_t>& without_information = {});
 
-/// The edges that are odometry, as MissionOptions::odometry takes them, of a graph whose edges are
-/// classified; empty if neighbours tell it. For odometry.csv beside a graph that is written.
+/// The odometry edges of a classified graph, as MissionOptions::odometry takes them; empty if the neighbours
+/// determine them. For odometry.csv beside a written graph.
 [[nodiscard]] LOOPWISE_EXPORT std::string odometry_list(const PoseGraph& graph, const Robots& robots);
 
 /// Information of an odometry edge over a step T, by the session sigmas of the options.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d odometry_information(const Eigen::Isometry3d& T,
                                                             const MissionOptions& options = {});
 
-/// What lies at the path: a file by what it begins with, a folder by what it holds. The data set's own
-/// folder, with rosbag/ or g2o_pcd/ in it, counts as what read_mission() takes from it. \throws InputError
-/// saying what was looked for if it is nothing that read_mission() reads; IoError if it does not exist.
+/// The kind of source at the path, from the first bytes of a file or the contents of a folder. The data set's
+/// outer folder, with rosbag/ or g2o_pcd/ in it, counts as the part that read_mission() reads. \throws
+/// InputError naming the expected contents if read_mission() cannot read it; IoError if it does not exist.
 [[nodiscard]] LOOPWISE_EXPORT MissionKind mission_kind(const std::filesystem::path& path);
 
 /// Reads a mission folder (or its mission.json), a session folder, a g2o file, a g2o_pcd folder, ROS 1 bags,
-/// a map saved by LAMP, or the data set's own folder. Scans are found, not read.
+/// a map saved by LAMP, or the data set's own folder. Scans are located, not read.
 ///
 /// **Mission folder**: the files below; all but the first two may be missing. Keys are decimal numbers of 64
 /// bits (or a letter and an index), in JSON as text.
@@ -191,12 +193,12 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// - mission.json: `{"format": "loopwise-mission", "version": 1, "name", "frame", "clock": {"start_ns"},
 ///   "robots": [{"name", "first", "last", "landmarks"}], "communication_gaps": [{"robot", "begin_s",
 ///   "end_s"}], "provenance": {...}, "files": {"graph", "stamps", "priors", "scans", "radio", "beacons",
-///   "ranges", "gravity", "odometry", "ground_truth", "reference"}}`; only format and version must be there,
-///   other keys are errors, and `files` may not lead out of the folder
+///   "ranges", "gravity", "odometry", "ground_truth", "reference"}}`; only format and version are required,
+///   other keys are errors, and `files` may not lead outside of the folder
 /// - graph.g2o
 /// - stamps.csv: `key,stamp_ns`, a row for every node
 /// - priors.csv: `key,x,y,z,qx,qy,qz,qw,sx,sy,sz,srx,sry,srz`, sigmas in m, rad
-/// - scans/KEY.pcd, or another form of read_cloud()
+/// - scans/KEY.pcd, or another format of read_cloud()
 /// - radio.csv: `key,beacon,transmit_dbm,receiver,receive_dbm`, an empty power was not received
 /// - beacons.csv: `beacon,robot,drop_key,stamp_ns`
 /// - ranges.csv: `from,to,range_m,sigma_m`
@@ -205,34 +207,34 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// - ground_truth.g2o: vertices alone
 /// - reference.g2o: the same, poses that another program computed
 ///
-/// A mission without priors gets one at the first node of each robot, where it stands: the robots started
-/// from a common frame.
+/// A mission without priors gets one at the pose of the first node of each robot: the robots started from a
+/// common frame.
 ///
 /// **Session folder**: rows of the poses file are the nodes 0 … n−1. Odometry comes from odom_poses.txt, else
 /// from the edges (i, i+1) of singlesession_posegraph.g2o, else from optimized_poses.txt: consecutive poses,
-/// information by the options' sigmas (a g2o edge may bring its own). Other edges of that g2o file are left
-/// out and counted: closures are ours to find. optimized_poses.txt, where present, is the reference:
-/// another program's result, not the truth. Stamps are in times.txt, seconds; scans in Scans/NUMBER.EXT, from
-/// 0 or from 1. The first node gets a prior. Of a session that was stopped while it was saved, the rows that
-/// all files have are read.
+/// information from the options' sigmas (a g2o edge may have its own). Other edges of that g2o file are left
+/// out and counted: finding closures is the task. optimized_poses.txt, if present, is the reference: another
+/// program's result, not the truth. Stamps are in times.txt, seconds; scans in Scans/NUMBER.EXT, from 0 or
+/// from 1. The first node gets a prior. If a session was stopped during saving, the rows that all files have
+/// are read.
 ///
-/// **g2o file**: the graph; its first node gets a prior if the file has none.
+/// **g2o file**: the graph; its first node gets a prior if the file has no prior.
 ///
 /// **g2o_pcd folder**: result.g2o, else the only g2o file that is not the truth, and clouds beside it, in a
 /// subfolder or in a zip archive, named KEY (a number of 64 bits, or a letter and an index) or pc_N: the N-th
-/// by key, or as keys.csv says (`key,file,stamp_ns`, no header). Ids in the graph may lack the robot's
-/// character if they are of one robot, which options.robot_character or the clouds' names tell. Closures in
-/// the graph are kept, as those of a mission folder. Nodes under capital letters or 'u' that have neither
-/// clouds nor edges among themselves are landmarks. ranges.csv, gravity.csv and odometry.csv are those of a
-/// mission folder. The truth is in ground_truth/, inside or beside. A dump of hdl_graph_slam is such a
-/// folder, with clouds in NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to the fixed node that is
-/// no key frame, as special_nodes.csv says, become priors.
+/// by key, or as in keys.csv (`key,file,stamp_ns`, no header). Ids in the graph may lack the robot's
+/// character if they are of one robot, given by options.robot_character or the clouds' names. Closures in the
+/// graph are kept, like those of a mission folder. Nodes under capital letters or 'u' without clouds and
+/// edges among themselves are landmarks. ranges.csv, gravity.csv and odometry.csv are those of a mission
+/// folder. The truth is in ground_truth/, inside or beside. A dump of hdl_graph_slam is such a folder, with
+/// clouds in NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to the fixed node of
+/// special_nodes.csv, which is not a key frame, become priors.
 ///
-/// **Bags**: a bag, or a folder's bags, as one recording. Messages are told apart by type: KeyedScan,
-/// PoseGraph and CommNodeStatus of pose_graph_msgs, silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag
-/// without these or in ground_truth/ is the truth, nearest in time. Nodes stand where the first message put
-/// them. Artifacts and radio anchors are landmarks under their own keys; one that only ranges hold needs
-/// three and gets a prior of 10 m. Ranges and gravity (of which the first number of the covariance is the
+/// **Bags**: a bag, or a folder's bags, as one recording. Messages are selected by type: KeyedScan, PoseGraph
+/// and CommNodeStatus of pose_graph_msgs, silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag without
+/// these or in ground_truth/ is the truth, nearest in time. Nodes have the pose of their first message.
+/// Artifacts and radio anchors are landmarks under their own keys; a landmark with ranges alone needs three
+/// of them and gets a prior of 10 m. Ranges and gravity (of which the first number of the covariance is the
 /// sigma) become factors. Needs a build with librosbag-storage. Scans stay in the bags, which must not
 /// change.
 ///
@@ -265,18 +267,18 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 
 /// Several sources as one mission. Bags and folders of bags are one recording. Otherwise each must be a
 /// mission of one robot, by read_mission(): the robots are named after their sources and get the keys a0, a1,
-/// …; b0, b1, … in the order given. Poses stand in the common frame as they are, or options.frames names a
-/// file with the pose T_common_source of each: CSV with the header `source,x,y,z,qx,qy,qz,qw`, where source
-/// is the name of its folder or file, or TUM, where the number of the source from 0 stands for the stamp. One
-/// source is read as it is. Landmarks get the keys A0, A1, …; B0, …, each source its own. \throws as
-/// read_mission(); InputError naming a source of several robots, or one that the file lacks
+/// …; b0, b1, … in the order given. Poses are in the common frame, or options.frames names a file with the
+/// pose T_common_source of each: CSV with the header `source,x,y,z,qx,qy,qz,qw`, where source is the name of
+/// its folder or file, or TUM, with the number of the source from 0 as the stamp. A single source is read
+/// unchanged. Landmarks get the keys A0, A1, …; B0, …, separate for each source. \throws as read_mission();
+/// InputError naming a source of several robots, or one that the file lacks
 [[nodiscard]] LOOPWISE_EXPORT Mission read_missions(const std::vector<std::filesystem::path>& paths,
                                                     const MissionOptions& options = {},
                                                     const ProgressCallback& progress = {},
                                                     const StopToken& stop = {});
 
-/// Writes a mission folder scan by scan. mission.json comes last: a folder without it is no mission, so that
-/// one whose making was interrupted is never taken for whole.
+/// Writes a mission folder scan by scan. mission.json comes last: an interrupted folder is not read as a
+/// mission.
 class LOOPWISE_EXPORT MissionWriter {
  public:
   /// Makes the folder. \throws IoError if it exists and is not empty, or cannot be made.
@@ -285,9 +287,8 @@ class LOOPWISE_EXPORT MissionWriter {
   /// Writes scans/KEY.pcd. Calls with different keys may come from several threads. \throws IoError
   void add_scan(Key key, const PointCloud& cloud) const;
 
-  /// Writes all else; `mission.scans`, `path`, `kind` and `problems` are not looked at.
-  /// \throws IoError; InputError if the mission contradicts itself (a node without a robot, provenance that
-  /// is no JSON)
+  /// Writes all other files; `mission.scans`, `path`, `kind` and `problems` are not used. \throws IoError;
+  /// InputError if the mission contradicts itself (a node without a robot, provenance that is not JSON)
   void finish(const Mission& mission) const;
 
  private:
@@ -295,7 +296,7 @@ class LOOPWISE_EXPORT MissionWriter {
   PcdEncoding encoding_;
 };
 
-/// A whole mission with the scans of `mission.scans`, one at a time in memory.
+/// Writes a whole mission with the scans of `mission.scans`, one at a time in memory.
 LOOPWISE_EXPORT void write_mission(const std::filesystem::path& folder, const Mission& mission,
                                    PcdEncoding encoding = PcdEncoding::kBinaryCompressed);
 

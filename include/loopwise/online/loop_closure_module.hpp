@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The online system: fed by a SLAM stack as its robots drive, it finds, orders and computes loop closures
-/// beside the stack's own work.
+/// The online system. It takes key frames from a running SLAM stack, and finds, orders and computes loop
+/// closures in its own threads.
 #pragma once
 
 #include <cstddef>
@@ -71,14 +71,15 @@ struct ModuleOptions {
   }
 };
 
-/// Called from the engine's thread of the module, one at a time, in the order of events: what they share with
-/// the stack's own threads needs a lock. They may call everything but wait(), finish(), stop() and the
-/// destructor. Keep them short: the module waits for them. What they throw is reported as a problem, but for
+/// Called from the engine's thread of the module, one at a time, in the order of events. Data shared with the
+/// stack's threads need a lock. Callbacks may call everything except wait(), finish(), stop() and the
+/// destructor. Keep them short: the module waits for them. Their exceptions are reported as problems, except
 /// std::bad_alloc, which ends the module. Any may be empty.
 struct ModuleCallbacks {
   /// A verified closure, not yet optimised.
   std::function<void(const LoopClosure& closure)> on_closure;
-  /// Every computed candidate; a pair again, with another id, after one of its nodes was moved, see KeyFrame.
+  /// Every computed candidate. A pair comes again, with another id, after one of its nodes was moved, see
+  /// KeyFrame.
   std::function<void(const RegistrationResult& result)> on_result;
   /// A new estimate.
   std::function<void(const std::shared_ptr<const Estimate>& estimate)> on_estimate;
@@ -86,47 +87,47 @@ struct ModuleCallbacks {
   std::function<void(const std::string& problem)> on_problem;
 };
 
-/// Parts that a stack may bring of its own; what is left empty is made from the options.
+/// User-defined parts; empty parts are made from the options.
 struct ModuleParts {
-  /// Reads the scan of a node again when it is needed; the module then keeps no clouds. Each scan must still
-  /// be announced, by KeyFrame::cloud or add_scan(): candidates of a node without an announced scan are not
-  /// computed. Empty: the module keeps the clouds that it is given in memory.
+  /// Reads the scan of a node on demand; the module then stores no clouds. Each scan must still be announced,
+  /// by KeyFrame::cloud or add_scan(): candidates of a node without an announced scan are not computed.
+  /// Empty: the module stores the clouds in memory.
   ScanLoader scans;
   /// Makes the registrar that computes the candidates. The registrar must be thread-safe. It gets the clouds
-  /// by `scans`, wherever they are kept, and may use it until the module ends.
+  /// from `scans`, and may use it until the module ends.
   std::function<std::shared_ptr<const Registrar>(const ScanLoader& scans)> registrar;
-  /// Order the candidates; several take turns. They run in the engine's thread, and may call back add_*,
-  /// set_estimate() and remove_closure() alone.
+  /// Order the candidates; several take turns. They run in the engine's thread, and may call only add_*,
+  /// set_estimate() and remove_closure().
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;
-  /// Tells when candidates, factors and scans have waited too long; must allow now() from another thread.
-  /// Null: seconds since the module was made, by the steady clock.
+  /// Measures the waiting time of candidates, factors and scans; now() must be thread-safe. Null: seconds
+  /// since the construction of the module, by the steady clock.
   std::shared_ptr<const Clock> clock;
-  /// Is called with each event that the engine has handled, from the module's thread.
+  /// Called with each event that the engine has handled, from the module's thread.
   std::function<void(const HandledEvent& handled)> on_event;
 };
 
-/// How busy each stage is. Counts are since the start.
+/// Load of each stage. Counts are since the start.
 struct ModuleStatistics {
-  std::size_t events_waiting = 0;   ///< Taken from producers, not handled yet.
+  std::size_t events_waiting = 0;   ///< Accepted from producers, not yet handled.
   std::size_t events = 0;           ///< Handled.
-  std::size_t producer_waits = 0;   ///< Times that a producer was held because of a full queue.
+  std::size_t producer_waits = 0;   ///< Number of times that a full queue blocked a producer.
   std::size_t batches = 0;          ///< Batches handed to the computation.
-  std::size_t optimizations = 0;    ///< Estimates made by the back end.
-  std::size_t improvements = 0;     ///< Times that prioritisation improved its next set meanwhile.
-  std::size_t factors_waiting = 0;  ///< For their nodes.
-  std::size_t factors_dropped = 0;  ///< Waited too long for their nodes.
+  std::size_t optimizations = 0;    ///< Estimates of the back end.
+  std::size_t improvements = 0;     ///< Number of improvements of the next set by prioritisation.
+  std::size_t factors_waiting = 0;  ///< Factors that wait for their nodes.
+  std::size_t factors_dropped = 0;  ///< Factors that waited too long for their nodes.
   /// Registrations that ran for longer than ModuleOptions::overdue_after_s, ...
   std::size_t overdue = 0;
-  std::size_t overdue_now = 0;    ///< ... and those of them that have not come back, each on a thread.
+  std::size_t overdue_now = 0;    ///< ... and those of them without a result so far, each on a thread.
   double computing_s = 0.0;       ///< Wall time with a batch in computation, ...
   double idle_s = 0.0;            ///< ... and without, since the start.
   double oldest_pending_s = 0.0;  ///< Age of the oldest pending candidate by the module's clock, s.
   double optimizing_s = 0.0;      ///< Wall time of the estimates.
-  std::size_t problems = 0;       ///< Reported, whether or not there is a callback for them.
+  std::size_t problems = 0;       ///< Number of problems, with or without a callback.
   std::vector<std::string> last_problems;  ///< The last 20 of them, oldest first.
   std::map<std::string, std::size_t>
-      handed_out;                  ///< By prioritiser; given back and taken again counts twice.
-  CandidateAccounting candidates;  ///< Where every candidate is.
+      handed_out;  ///< By prioritiser; candidates that were given back and taken again count twice.
+  CandidateAccounting candidates;  ///< State of every candidate.
 };
 
 /// The Engine with threads: one runs the engine, some compute registrations, one optimises.
@@ -136,83 +137,84 @@ struct ModuleStatistics {
 ///                                 │ └────── estimates ◄───────────┘  │
 ///                                 └──────── results ◄────────────────┘
 ///
-/// While a batch is computed, the engine's thread improves the next set. Events from outside then wait: until
-/// the set cannot be improved further, the computation runs dry, or the queue is half full. All functions may
-/// be called from any thread at any moment, but see ModuleCallbacks. A full queue holds its producer until
-/// there is room: nothing is dropped. Unlike a replay's, the outcome depends on when things arrive and on how
-/// fast the machine is; see ModuleParts::on_event for how a run is repeated.
+/// While a batch is computed, the engine's thread improves the next set. External events then wait until the
+/// set cannot be improved further, the computation has no more work, or the queue is half full. All functions
+/// may be called from any thread at any time, but see ModuleCallbacks. A full queue blocks its producer until
+/// there is room: no event is dropped. Unlike a replay's, the outcome depends on arrival times and on the
+/// speed of the machine; ModuleParts::on_event records a run for repetition.
 ///
-/// Bad input throws where it is handed over and changes nothing. A std::bad_alloc in add_* goes to the
-/// caller; in a thread of the module it stops the module with one problem, and wait() returns false. The
-/// graph, the estimate and the statistics stay readable.
+/// Bad input throws in the call and changes nothing. A std::bad_alloc in add_* goes to the caller; in a
+/// thread of the module it stops the module with one problem, and wait() returns false. The graph, the
+/// estimate and the statistics stay readable.
 class LOOPWISE_EXPORT LoopClosureModule {
  public:
-  /// \param robots all that will ever take part; keys of others are refused
-  /// \param options of the module; a replay's have other defaults, see module_options()
-  /// \param callbacks that tell the stack of closures and estimates
-  /// \param parts of the stack's own
-  /// \throws OptionError, naming "section.field"; InputError if `parts.registrar` makes none; what it throws
+  /// \param robots all robots, including later ones; keys of others are refused
+  /// \param options of the module; those of a replay have other defaults, see module_options()
+  /// \param callbacks that receive closures and estimates
+  /// \param parts user-defined parts
+  /// \throws OptionError, naming "section.field"; InputError if `parts.registrar` returns null; its
+  /// exceptions
   explicit LoopClosureModule(const Robots& robots, const ModuleOptions& options = {},
                              ModuleCallbacks callbacks = {}, ModuleParts parts = {});
-  /// As stop().
+  /// Like stop().
   ~LoopClosureModule();
   LoopClosureModule(const LoopClosureModule&) = delete;
   LoopClosureModule& operator=(const LoopClosureModule&) = delete;
 
-  /// Each add_* function \returns false if the module was stopped: then nothing was taken.
+  /// Each add_* function \returns false if the module was stopped: the input was then not accepted.
 
   /// \throws InputError on a repeated key, numbers that are not finite or bad information; UnknownKeyError if
   /// no robot owns the key.
   [[nodiscard]] bool add_key_frame(const KeyFrame& frame);
-  /// The cloud of a node, before or after the node itself. \throws InputError if it has one already or a
-  /// point is not finite; UnknownKeyError if no robot owns the key.
+  /// The cloud of a node, before or after the node itself. \throws InputError if the node already has a cloud
+  /// or a point is not finite; UnknownKeyError if no robot owns the key.
   [[nodiscard]] bool add_scan(Key key, const std::shared_ptr<const PointCloud>& cloud);
-  /// Factors of nodes that have come or will. \throws InputError as PoseGraph does; UnknownKeyError if no
-  /// robot owns a key.
+  /// Factors of present or future nodes. \throws InputError like PoseGraph; UnknownKeyError if no robot owns
+  /// a key.
   [[nodiscard]] bool add_factors(const Factors& factors);
-  /// Received powers, all of one node and beacon together, in any order with nodes and drops. They
-  /// propose candidates whatever the method is: do not add them if radio is not wanted. Readings of
-  /// unknown nodes or beacons wait within RadioOptions' bound. \throws UnknownKeyError if no robot owns a
-  /// key.
+  /// Received powers, all of one node and beacon together, in any order with nodes and drops. They propose
+  /// candidates with any method: do not add them if radio is not wanted. Readings of unknown nodes or beacons
+  /// wait within RadioOptions' bound. \throws UnknownKeyError if no robot owns a key.
   [[nodiscard]] bool add_radio(const std::vector<RadioReading>& readings);
   /// \throws UnknownKeyError if no robot owns the drop's node.
   [[nodiscard]] bool add_beacon_drop(const BeaconDrop& drop);
-  /// From a place recognition of the stack's own; ids are given by the module, the order of the two keys does
-  /// not matter. Nodes that have not come are waited for, see CandidatePoolOptions::max_wait_s. \throws
-  /// InputError if a candidate joins a node with itself; UnknownKeyError if no robot owns a key.
+  /// Candidates of the stack's place recognition. The module sets ids; the order of the two keys does not
+  /// matter. Candidates wait for missing nodes, see CandidatePoolOptions::max_wait_s. \throws InputError if a
+  /// candidate joins a node with itself; UnknownKeyError if no robot owns a key.
   [[nodiscard]] bool add_candidates(const std::vector<LoopCandidate>& candidates);
-  /// Poses of a back end of the stack's own. Keys that have not come are ignored. Weights of closures stay 1:
-  /// tell rejected ones by remove_closure(). Nodes that are not named move with the nearest named one before
-  /// them on their robot's path. Rotations that were rounded are made rotations again. \throws InputError if
-  /// our back end is on, a number is not finite, or a pose is no rigid transform to 1e-3.
+  /// Poses of the stack's back end. Unknown keys are ignored. Weights of closures stay 1: report rejected
+  /// ones by remove_closure(). Nodes without a pose move with the nearest earlier node with a pose on their
+  /// robot's path. Rounded rotations are orthonormalised. \throws InputError if the internal back end is on,
+  /// a number is not finite, or a pose is not a rigid transform to 1e-3.
   [[nodiscard]] bool set_estimate(const ExternalEstimate& estimate);
-  /// Takes a person's word on the closures between two nodes, those that come later and the front end's too.
-  /// Rejected ones are taken out, and the pair is not computed any more, unless it is being computed or
-  /// pending. Accepted ones are known inliers: robust optimisation does not doubt them. The last word on a
-  /// pair counts, but a closure that was taken out does not come back. The nodes may come later.
+  /// A person's decision on the closures between two nodes, including later ones and those of the front end.
+  /// Rejected closures are removed, and the pair is not proposed any more; if it is pending, it is computed
+  /// and its closure ignored. Accepted closures are known inliers: robust optimisation keeps them. The last
+  /// decision on a pair counts, but a removed closure does not return. The nodes may come later.
   [[nodiscard]] bool decide(const ClosureDecision& decision);
   /// decide() with a rejection.
   [[nodiscard]] bool remove_closure(Key from, Key to);
 
-  /// Waits until nothing more would happen without new input: all that was added is handled, and the estimate
-  /// is up to date, but for what was told as a problem. Candidates whose scan has not come, or that a
-  /// prioritiser holds back, are not waited for. \returns false if the module was stopped instead.
+  /// Waits until nothing more happens without new input: all input is handled, and the estimate is up to
+  /// date, except for reported problems. It does not wait for candidates with missing scans or that a
+  /// prioritiser holds back. \returns false if the module was stopped.
   [[nodiscard]] bool wait();
 
-  /// As stop(), but with a last estimate if closures have come since the one before, or if that one
-  /// continued an earlier one (GncOptions::warm_start): the last estimate starts from scratch. For all
-  /// pending candidates to be computed, call wait() before it.
+  /// Like stop(), but with a last estimate if closures have come since the previous one, or if that one
+  /// continued an earlier one (GncOptions::warm_start): the last estimate starts from scratch. To compute all
+  /// pending candidates, call wait() before it.
   void finish();
-  /// Ends all work soon and joins the threads; what was being computed is finished, however long it takes (a
-  /// thread cannot be taken from a registrar: see RegistrationTask::time_limit_s), what was pending stays so
-  /// in the account. May be called more than once and from any thread but the callbacks'.
+  /// Ends all work soon and joins the threads. Running registrations complete, without a limit of time (a
+  /// thread cannot be stopped from outside: see RegistrationTask::time_limit_s), and pending candidates
+  /// remain pending in the account. May be called more than once and from any thread except that of the
+  /// callbacks.
   void stop();
 
   /// The last estimate; null before the first.
   [[nodiscard]] std::shared_ptr<const Estimate> estimate() const;
-  /// The graph as it is now: all nodes, factors and verified closures with their last weights.
+  /// The present graph: all nodes, factors and verified closures with their last weights.
   [[nodiscard]] PoseGraph graph() const;
-  /// How busy each stage is, now and since the start.
+  /// Load of each stage, now and since the start.
   [[nodiscard]] ModuleStatistics statistics() const;
 
  private:

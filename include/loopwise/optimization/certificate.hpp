@@ -15,16 +15,16 @@
 
 namespace loopwise {
 
-/// What is known of a critical point of the isotropic chordal cost.
+/// Status of a critical point of the isotropic chordal cost.
 enum class CertificateStatus {
-  kCertified,    ///< No poses cost less, but for the relative gap that was asked for.
+  kCertified,    ///< No poses cost less, within the requested relative gap.
   kImprovable,   ///< Poses that cost less were found.
-  kUndecided,    ///< Neither: the relaxation is not tight, or the search for lower poses did not end.
-  kUnsupported,  ///< The graph has factors that the relaxation does not know: ranges or gravity.
+  kUndecided,    ///< Neither: the relaxation is not tight, or the search for lower poses is incomplete.
+  kUnsupported,  ///< The graph has factors that the relaxation does not cover: ranges or gravity.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<CertificateStatus> enum_names(CertificateStatus);
 
-/// How sure a certificate is, and how long to look for lower poses where there is no certificate.
+/// Precision of a certificate, and effort of the search for lower poses without a certificate.
 struct CertificateOptions {
   double relative_gap = 1e-4;
   int max_steps = 200;
@@ -41,32 +41,31 @@ struct CertificateOptions {
   }
 };
 
-/// Whether an estimate is globally optimal, seen through the isotropic chordal cost
+/// Global optimality of an estimate by the isotropic chordal cost
 ///
 ///     F = ½ Σ w (κ ‖R_j − R_i R̃‖² + τ ‖t_j − t_i − R_i t̃‖²),   τ = 3 / tr(Ω_t⁻¹),   κ = 3 / (2 tr(Ω_R⁻¹))
 ///
-/// over edges and priors; in a planar graph τ = 2 / tr(Ω_xy⁻¹) and κ = Ω_θ / 2. It is this cost that is
-/// certified, at its critical point next to the estimate, and not ½ Σ w rᵀΩr. The two agree to second order
-/// in the residuals where Ω_t and Ω_R are multiples of the identity and there is no coupling between them.
+/// over edges and priors; in a planar graph τ = 2 / tr(Ω_xy⁻¹) and κ = Ω_θ / 2. The certificate is for this
+/// cost, at its critical point next to the estimate, not for ½ Σ w rᵀΩr. Both agree to second order in the
+/// residuals if Ω_t and Ω_R are multiples of the identity without coupling between them.
 struct Certificate {
-  CertificateStatus status =
-      CertificateStatus::kUndecided;  ///< Of all components: the least certain of them.
-  std::string message;                ///< For people; never parse it.
-  /// F at the graph's poses. It is not the ½ Σ w rᵀΩr there: information that is not isotropic counts by its
-  /// mean, and a single prior of a component does not count.
+  CertificateStatus status = CertificateStatus::kUndecided;  ///< The least certain of all components.
+  std::string message;                                       ///< For people; never parse it.
+  /// F at the graph's poses. It differs from ½ Σ w rᵀΩr: anisotropic information counts by its mean, and a
+  /// single prior of a component does not count.
   double cost_at_estimate = 0.0;
   double cost = 0.0;          ///< F at the critical point reached from them.
   double lower_bound = 0.0;   ///< No poses have a lower F; at least 0.
-  double relative_gap = 0.0;  ///< (cost − lower_bound) / cost; 0 if all residuals are but rounding.
-  /// Smallest eigenvalue of the dual certificate matrix, its places eliminated, over all components. Where a
-  /// component is certified it is 0, that of the poses themselves, and its eigenvalues are above
-  /// −eigenvalue_tolerance.
+  double relative_gap = 0.0;  ///< (cost − lower_bound) / cost; 0 if all residuals are rounding errors.
+  /// Smallest eigenvalue of the dual certificate matrix, with translations eliminated, over all components.
+  /// It is 0 for a certified component, whose eigenvalues are above −eigenvalue_tolerance; the zero
+  /// eigenvalue belongs to the poses themselves.
   double min_eigenvalue = 0.0;
   double eigenvalue_tolerance = 0.0;  ///< The largest of all components.
   /// Critical point of F reached from the estimate, one pose per node. A component's first node, or the node
-  /// of its only prior, stays where it was.
+  /// of its only prior, keeps its pose.
   std::vector<Eigen::Isometry3d> poses;
-  /// The poses of the lowest F that was found, where the status is kImprovable; otherwise `poses`.
+  /// The poses of the lowest F found if the status is kImprovable; otherwise `poses`.
   std::vector<Eigen::Isometry3d> best_poses;
   double best_cost = 0.0;                ///< F at best_poses.
   double rotation_max_rad = 0.0;         ///< Largest angle between the estimate and `poses`.
@@ -78,21 +77,21 @@ struct Certificate {
   /// Factors whose information has rank 1 or 2 in translation or rotation: that part has no isotropic
   /// counterpart and is left out of F. A component with such factors is never certified.
   std::size_t reduced_factors = 0;
-  /// Whether lower_bound is the optimum of the relaxation, up to CertificateOptions::relative_gap. If so, the
-  /// status is kUndecided and reduced_factors is 0, the relaxation is not tight: no certificate of this kind
-  /// exists.
+  /// Whether lower_bound is the optimum of the relaxation, up to CertificateOptions::relative_gap. If it is,
+  /// the status is kUndecided and reduced_factors is 0, the relaxation is not tight: no certificate of this
+  /// kind exists.
   bool relaxation_solved = false;
   int rank = 3;          ///< Largest rank of the relaxation that was needed.
   int steps = 0;         ///< Newton steps, of all descents.
   double seconds = 0.0;  ///< Wall time. For reports only.
 };
 
-/// Asks whether the graph's poses, which are to be those of an optimisation, are globally optimal: goes down
-/// to the critical point of F next to them and tests the dual certificate of the semidefinite relaxation
-/// (Rosen et al., SE-Sync, IJRR 2019), each component on its own. Edges count by their weights; those of
-/// weight 0 do not take part. Several priors of a component count as edges from one more pose; a single one
-/// costs nothing at the optimum. Where the certificate fails, lower poses are looked for in relaxations of
-/// higher rank. \throws OptionError; Error if a factor of the matrices would be too large
+/// Tests whether the graph's poses, the result of an optimisation, are globally optimal: descends to the
+/// critical point of F next to them and tests the dual certificate of the semidefinite relaxation (Rosen et
+/// al., SE-Sync, IJRR 2019), each component separately. Edges count by their weights; those of weight 0 do
+/// not take part. Several priors of a component count as edges from one additional pose; a single prior costs
+/// nothing at the optimum. If the certificate fails, relaxations of higher rank search for lower poses.
+/// \throws OptionError; Error if a factor of the matrices would be too large
 [[nodiscard]] LOOPWISE_EXPORT Certificate certify(const PoseGraph& graph,
                                                   const CertificateOptions& options = {},
                                                   const StopToken& stop = {});
@@ -102,21 +101,21 @@ struct CertifiedEstimate {
   std::vector<Eigen::Isometry3d> poses;  ///< One per node, in graph order.
   double cost_before = 0.0;              ///< ½ Σ w rᵀΩr at the graph's poses.
   double cost = 0.0;                     ///< The same at `poses`; never higher.
-  bool improved = false;                 ///< Whether `poses` are others than the graph's, of lower cost.
-  /// Whether a certificate knew that lower poses exist (kImprovable) where `improved` began. If not, the
-  /// graph's poses were no minimum to the digits of the optimiser, and minimising went on from them.
+  bool improved = false;                 ///< Whether `poses` differ from the graph's and have a lower cost.
+  /// Whether a certificate found lower poses (kImprovable) from which `improved` started. If not, the graph's
+  /// poses were not at a minimum within the optimiser's precision, and minimising continued from them.
   bool lower_minimum = false;
-  /// The minimisation that ended at `poses`, where they are `improved`.
+  /// The minimisation that ended at `poses`, if they are `improved`.
   OptimizationResult optimization;
-  /// Whether minimising ½ Σ w rᵀΩr from the poses of the certificate comes to the cost of `poses`: then they
-  /// are the minimum next to what is certified. False if that was not tried.
+  /// Whether minimising ½ Σ w rᵀΩr from the poses of the certificate reaches the cost of `poses`: they are
+  /// then the minimum next to the certified point. False if this was not tested.
   bool same_minimum = false;
   Certificate certificate;  ///< Of `poses`.
 };
 
-/// Certifies the graph's poses, which are to be those of an optimisation, minimises ½ Σ w rᵀΩr from the
-/// lowest poses that the certificate knows, and where that ends lower does the same with its result. The
-/// weights of the edges stay. \throws OptionError; Error if a factor of the matrices would be too large
+/// Certifies the graph's poses, the result of an optimisation, minimises ½ Σ w rᵀΩr from the lowest poses of
+/// the certificate, and repeats this with the result if it is lower. The weights of the edges do not change.
+/// \throws OptionError; Error if a factor of the matrices would be too large
 [[nodiscard]] LOOPWISE_EXPORT CertifiedEstimate optimize_certified(const PoseGraph& graph,
                                                                    const OptimizerOptions& optimizer = {},
                                                                    const CertificateOptions& options = {},

@@ -11,7 +11,7 @@
 
 namespace loopwise {
 
-/// How a closure's weight follows from its residual.
+/// Weight of a closure as a function of its residual.
 enum class RobustKernel {
   kGncTls,  ///< Truncated least squares reached through graduated non-convexity (Yang et al., RA-L 2020).
   kTls,     ///< Truncated least squares from the first estimate at once, without graduation.
@@ -22,9 +22,9 @@ enum class RobustKernel {
 
 /// Where a robust solution started.
 enum class GncStart {
-  kFirstEstimate,    ///< OptimizerOptions::initialization, graduated.
-  kConfirmed,        ///< The chordal estimate of the closures that closures near them confirm.
-  kDoubtedOdometry,  ///< As kFirstEstimate, with closures that odometry weighted down allows.
+  kFirstEstimate,    ///< The estimate of OptimizerOptions::initialization, graduated.
+  kConfirmed,        ///< The chordal estimate of the closures that others near them confirm.
+  kDoubtedOdometry,  ///< As kFirstEstimate, with closures that odometry of reduced weight allows.
   kChordal,          ///< The chordal estimate of the closures that odometry does not rule out.
   kLastResult,       ///< The last result of the PoseGraphOptimizer.
 };
@@ -96,21 +96,21 @@ struct GncOptions {
   }
 };
 
-/// How much worse the odometry of one chain (usually: robot) is than its information says. A chain is what
-/// edges of kind odometry join.
+/// Ratio of true to stated deviations of the odometry of one chain (usually: robot). Edges of kind odometry
+/// join the nodes of a chain.
 struct OdometryScale {
   Key first = 0;       ///< The first of its nodes, in the order of the graph.
-  double scale = 1.0;  ///< True deviations by stated ones.
+  double scale = 1.0;  ///< Ratio of true to stated deviations.
 };
 
-/// What robust optimisation came to.
+/// The result of robust optimisation.
 struct GncResult {
   /// Poses, cost with the final weights; cost_initial is the plain cost, all weights 1, at the first
   /// estimate.
   OptimizationResult optimization;
   /// One per edge, in graph order. Odometry has 1/scale² by odometry_scales, other trusted edges 1.
   std::vector<double> weights;
-  std::vector<OdometryScale> odometry_scales;  ///< Of chains whose odometry is found to be worse than stated.
+  std::vector<OdometryScale> odometry_scales;  ///< For chains with worse odometry than stated.
   int outer_iterations = 0;                    ///< Of all starts.
   GncStart start = GncStart::kFirstEstimate;   ///< The start that led to the result.
   bool fresh = true;                           ///< Starts other than the last result were tried.
@@ -120,19 +120,19 @@ struct GncResult {
   double truncated_cost = 0.0;
 };
 
-/// Optimisation that finds out which loop closures are false. Odometry, priors and trusted edges are known
-/// inliers; every other edge gets a weight in [0, 1] from its residual. The weights that the graph's edges
-/// carry are not used. Where the first solution is in doubt, odometry that the closures show to be worse than
-/// its information says is weighted down, chain by chain, see GncOptions::odometry_margin. A closure whose
-/// weight has vanished leaves the sparsity structure, and returns when the estimate makes it fit again. Of
-/// several starts the result of the lowest truncated cost is taken (GncOptions::second_start). If all
-/// closures turn out false the result is the odometry's, each loose component held at its first node. \throws
-/// OptionError, InputError as optimize() does.
+/// Optimisation that detects false loop closures. Odometry, priors and trusted edges are known inliers; every
+/// other edge gets a weight in [0, 1] from its residual. The weights of the graph's edges are not used. If
+/// the first solution is in doubt, odometry that the closures show to be worse than stated gets a lower
+/// weight, chain by chain, see GncOptions::odometry_margin. A closure whose weight has vanished leaves the
+/// sparsity structure, and returns when the estimate makes it fit again. The result is that of the start with
+/// the lowest truncated cost (GncOptions::second_start). If all closures are false, the result is that of
+/// odometry, and each separate component keeps the pose of its first node. \throws OptionError, InputError as
+/// optimize() does.
 [[nodiscard]] LOOPWISE_EXPORT GncResult optimize_gnc(const PoseGraph& graph,
                                                      const OptimizerOptions& options = {},
                                                      const GncOptions& gnc = {}, const StopToken& stop = {});
 
-/// True for edges that robust optimisation never doubts: odometry and trusted ones.
+/// True for edges that robust optimisation always keeps: odometry and trusted ones.
 [[nodiscard]] inline bool known_inlier(const Edge& edge) {
   return edge.kind == EdgeKind::kOdometry || edge.trusted;
 }

@@ -14,16 +14,16 @@ namespace loopwise {
 
 /// How closely an incremental estimate follows the minimum.
 struct IncrementalOptions {
-  /// Steps below this share of the deviation that a node's own factors leave it (1/√Hjj) are not followed
-  /// further, until they have added up to more.
+  /// Steps below this share of the deviation that a node's own factors allow (1/√Hjj) are not followed
+  /// further until they accumulate.
   double tolerance = 0.05;
-  /// An update ends with a step that lowers the cost by what the linear model promised, but for this share.
-  /// The next update goes on from there. 0: update until the steps are below the tolerance.
+  /// An update ends with a step whose decrease of the cost matches the linear prediction, within this share.
+  /// The next update continues from there. 0: update until the steps are below the tolerance.
   double remainder = 0.05;
   /// A factor is linearised anew when the relative pose of its two ends has turned by this much (rad), or
   /// moved by this share of its length (at least 1 m), since it was linearised.
   double relinearization = 0.005;
-  /// Bound on the steps of one update. The next update goes on.
+  /// Bound on the steps of one update. The next update continues.
   int max_iterations = 30;
 
   /// Calls visitor(name, field, bounds, description) for every option.
@@ -41,40 +41,40 @@ struct IncrementalOptions {
   }
 };
 
-/// What one update did.
+/// The result of one update.
 struct IncrementalResult {
-  double cost = 0.0;             ///< ½ Σ w rᵀΩr over all factors, at the poses.
-  int iterations = 0;            ///< Steps taken.
-  bool converged = false;        ///< The last step was below the tolerance, or there was nothing to do.
-  bool reordered = false;        ///< The order of elimination was made anew, and everything factorised.
-  bool from_scratch = false;     ///< The whole graph was optimised as by optimize().
-  std::size_t moved = 0;         ///< Poses that an iteration computed a step for, with repetitions.
-  std::size_t relinearized = 0;  ///< Factors linearised anew, with repetitions.
+  double cost = 0.0;          ///< ½ Σ w rᵀΩr over all factors, at the poses.
+  int iterations = 0;         ///< Steps taken.
+  bool converged = false;     ///< The last step was below the tolerance, or no step was needed.
+  bool reordered = false;     ///< A new order of elimination was computed, and the whole matrix factorised.
+  bool from_scratch = false;  ///< The whole graph was optimised as by optimize().
+  std::size_t moved = 0;      ///< Poses with a computed step, with repetitions.
+  std::size_t relinearized = 0;  ///< Factors linearised again, with repetitions.
   double seconds = 0.0;          ///< Wall time. For reports only.
 };
 
-/// The minimum of a pose graph that grows, kept up to date at a cost that depends on how much of the graph
-/// new measurements move, and little on its size. Same cost function and same minimum as optimize(), up to
+/// Keeps the minimum of a growing pose graph up to date. The cost depends on the part of the graph that new
+/// measurements move, and little on its size. It has the cost function and the minimum of optimize(), up to
 /// IncrementalOptions::tolerance: the gradient is always exact, and the factorised Hessian, which only
-/// decides the way there, is renewed where the estimate has changed.
+/// affects convergence, is updated in the parts where the estimate has changed.
 ///
-/// After the method of Kaess et al. (iSAM2, IJRR 2012): an elimination tree whose part above changed columns
-/// is factorised again, and steps that are followed down the tree as far as they matter. Works on the weights
-/// that edges carry; robust optimisation is for optimize_gnc(), whose weights set_weight() takes. A graph
-/// that leaves a pose open (semi-definite information) is solved from scratch at every update. Memory:
-/// several times that of the factor. Not for several threads at a time.
+/// The method follows Kaess et al. (iSAM2, IJRR 2012): the part of the elimination tree above changed columns
+/// is factorised again, and steps are followed down the tree as far as they are relevant. It uses the weights
+/// of the edges; set_weight() takes weights of optimize_gnc(). A graph with an undetermined pose
+/// (semi-definite information) is solved from scratch at every update. Memory: several times that of the
+/// factor. Not thread-safe.
 class LOOPWISE_EXPORT IncrementalOptimizer {
  public:
-  /// Optimises a graph as optimize() does, and goes on from there; `optimization` is for this solution and
-  /// for others from scratch. \throws OptionError; InputError as optimize() does
+  /// Optimises a graph like optimize(), and continues from there; `optimization` applies to this and other
+  /// solutions from scratch. \throws OptionError; InputError like optimize()
   explicit IncrementalOptimizer(PoseGraph graph = {}, const OptimizerOptions& optimization = {},
                                 const IncrementalOptions& options = {});
   ~IncrementalOptimizer();
   IncrementalOptimizer(IncrementalOptimizer&&) noexcept;
   IncrementalOptimizer& operator=(IncrementalOptimizer&&) noexcept;
 
-  /// Adds a node. Its pose is where the next update starts from: usually the present pose of the node before
-  /// it, times the odometry between the two. \returns its number. \throws as PoseGraph::add_node()
+  /// Adds a node. The next update starts from its pose: usually the present pose of the previous node times
+  /// the odometry between both. \returns its number. \throws as PoseGraph::add_node()
   std::size_t add_node(const Node& node);
   /// \returns the edge's number. \throws as PoseGraph::add_edge()
   std::size_t add_edge(const Edge& edge);
@@ -87,11 +87,11 @@ class LOOPWISE_EXPORT IncrementalOptimizer {
   /// \throws InputError unless there is such an edge and the weight lies in [0, 1]
   void set_weight(std::size_t edge, double weight);
 
-  /// Brings the poses to the minimum. One that is stopped ends at the poses of its last step.
+  /// Moves the poses to the minimum. A stopped update ends at the poses of its last step.
   /// \throws InputError if the cost of the poses is not finite
   IncrementalResult update(const StopToken& stop = {});
 
-  /// Everything that was added, with the poses of the last update.
+  /// All nodes and factors, with the poses of the last update.
   [[nodiscard]] const PoseGraph& graph() const;
 
  private:

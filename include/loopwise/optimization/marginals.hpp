@@ -18,12 +18,12 @@ namespace loopwise {
 using Matrix12d = Eigen::Matrix<double, 12, 12>;
 
 /// Marginal covariances of the poses: right perturbation, order [translation, rotation], m and rad, body
-/// frame. Those of a planar graph are zero in z, roll and pitch, and so these add nothing to the traces.
+/// frame. Those of a planar graph are zero in z, roll and pitch, which therefore do not contribute to the
+/// traces.
 struct Marginals {
-  std::vector<Matrix6d>
-      covariances;                 ///< One per node, in graph order; zero for nodes that are held in place.
-  double trace_translation = 0.0;  ///< Sum of the translational variances, m².
-  double trace_full = 0.0;         ///< Sum of all variances.
+  std::vector<Matrix6d> covariances;  ///< One per node, in graph order; zero for nodes with a fixed pose.
+  double trace_translation = 0.0;     ///< Sum of the translational variances, m².
+  double trace_full = 0.0;            ///< Sum of all variances.
 };
 
 /// Covariances at the graph's poses with the edges' weights, i.e. the diagonal blocks of the inverse
@@ -33,10 +33,10 @@ struct Marginals {
 [[nodiscard]] LOOPWISE_EXPORT Marginals marginals(const PoseGraph& graph,
                                                   const OptimizerOptions& options = {});
 
-/// The factorised Gauss-Newton Hessian H = Σ w JᵀΩJ of a graph at its poses, and what follows from Σ = H⁻¹.
-/// Coordinates: node i of the graph owns rows 6i … 6i+5. Nodes that are held (see Marginals) count as known
-/// exactly: their rows and columns of Σ are zero. So are those of z, roll and pitch in a planar graph, whose
-/// rows of H are those of the identity. Immutable; const calls are safe from several threads.
+/// The factorised Gauss-Newton Hessian H = Σ w JᵀΩJ of a graph at its poses, with functions of Σ = H⁻¹.
+/// Coordinates: node i of the graph owns rows 6i … 6i+5. Nodes with a fixed pose (see Marginals) count as
+/// known exactly: their rows and columns of Σ are zero. So are those of z, roll and pitch in a planar graph,
+/// whose rows of H are those of the identity. Immutable; const calls are safe from several threads.
 class LOOPWISE_EXPORT HessianFactor {
  public:
   /// Linearises, orders and factorises. Of the options, factorization and threads are used.
@@ -48,14 +48,14 @@ class LOOPWISE_EXPORT HessianFactor {
 
   /// 6 times the number of nodes.
   [[nodiscard]] Eigen::Index dimension() const;
-  /// Whether the node is held in place, and so counts as known exactly.
+  /// Whether the node has a fixed pose and counts as known exactly.
   [[nodiscard]] bool held(std::size_t node) const;
 
   /// Σ · rhs. rhs has dimension() rows.
   [[nodiscard]] Eigen::MatrixXd solve(const Eigen::MatrixXd& rhs) const;
   /// A matrix square root of Σ applied to the right-hand side: X with E[X Xᵀ] = Σ for white rhs.
   [[nodiscard]] Eigen::MatrixXd solve_root(const Eigen::MatrixXd& rhs) const;
-  /// The six columns of Σ that belong to a node.
+  /// The six columns of Σ of a node.
   [[nodiscard]] Eigen::Matrix<double, Eigen::Dynamic, 6> columns(std::size_t node) const;
 
   /// All 6×6 diagonal blocks of Σ by selected inversion of the factor.
@@ -65,14 +65,14 @@ class LOOPWISE_EXPORT HessianFactor {
       const std::vector<std::pair<std::size_t, std::size_t>>& pairs) const;
 
   /// The marginals after adding these edges (ends known to the graph, r ignored, linearised at the graph's
-  /// poses): a low-rank update of `base`, without another factorisation. Pays for few edges.
+  /// poses): a low-rank update of `base`, without another factorisation. Efficient for few edges.
   [[nodiscard]] Marginals marginals_with(const std::vector<Edge>& edges, const Marginals& base) const;
 
-  /// log det H over the free poses; of a planar graph that of the three rows a pose that there are.
+  /// log det H over the free poses; for a planar graph, over the three planar rows of each pose.
   [[nodiscard]] double log_determinant() const;
   /// Non-zeros of the factor.
   [[nodiscard]] double factor_nonzeros() const;
-  /// Which factorisation made it; never kAutomatic.
+  /// The factorisation that was used; never kAutomatic.
   [[nodiscard]] Factorization factorization() const;
 
  private:

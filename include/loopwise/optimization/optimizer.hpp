@@ -15,22 +15,22 @@
 
 namespace loopwise {
 
-/// Where the first estimate comes from.
+/// Source of the first estimate.
 enum class Initialization {
-  kAuto,      ///< The cheapest of the three below, by the cost that is minimised; the next if that does not
-              ///< converge. The graph's poses alone where they cost little more than noise does.
-  kFile,      ///< The poses of the graph as they are.
+  kAuto,      ///< The estimate of lowest cost of the three below; the next one if it does not converge. The
+              ///< graph's poses without comparison if they cost little more than noise.
+  kFile,      ///< The poses of the graph.
   kOdometry,  ///< Chained along odometry edges from the prior or the first node of each stretch, then across
               ///< the other edges, breadth first.
-  kChordal,   ///< Rotations from the chordal relaxation, then translations: one linear solve each. For bad
-              ///< values.
+  kChordal,   ///< Rotations from the chordal relaxation, then translations: one linear solve each. For poor
+              ///< initial poses.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<Initialization> enum_names(Initialization);
 
 /// Which sparse Cholesky factorisation.
 enum class Factorization {
   kAutomatic,     ///< The fastest for the size.
-  kMultifrontal,  ///< Our own, made for the small dense blocks of pose graphs.
+  kMultifrontal,  ///< Loopwise's own, for the small dense blocks of pose graphs.
   kSimplicial,    ///< CHOLMOD's, column by column.
   kSupernodal,    ///< CHOLMOD's, by panels of columns; needs a build with LOOPWISE_WITH_GPL.
 };
@@ -38,11 +38,11 @@ enum class Factorization {
 
 /// Why an optimisation ended.
 enum class Termination {
-  kConverged,      ///< The next step promises less than the tolerances ask for.
+  kConverged,      ///< The predicted decrease of the next step is below the tolerances.
   kNothingToDo,    ///< No factor acts on any free pose.
-  kMaxIterations,  ///< Ran out of iterations; the poses are the best seen.
-  kNoProgress,     ///< No step lowers the cost, however short; the poses are the best seen.
-  kStopped,        ///< Asked to stop; the poses are the best seen.
+  kMaxIterations,  ///< The bound on iterations was reached; the poses are the best found.
+  kNoProgress,     ///< No step lowers the cost, for any length; the poses are the best found.
+  kStopped,        ///< A stop was requested; the poses are the best found.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<Termination> enum_names(Termination);
 
@@ -83,14 +83,14 @@ struct IterationRecord {
   int iteration = 0;       ///< From 1.
   double cost = 0.0;       ///< After the step, also if it was refused.
   double decrease = 0.0;   ///< Cost before minus after.
-  double predicted = 0.0;  ///< What the linear model promised.
+  double predicted = 0.0;  ///< Decrease predicted by the linear model.
   double gradient = 0.0;   ///< Largest element of the gradient before the step.
   double step = 0.0;       ///< Largest element of the step, m or rad.
   double damping = 0.0;    ///< Of the step, relative to the Hessian's diagonal; 0: Gauss-Newton.
   bool accepted = false;   ///< Whether the step was taken.
 };
 
-/// What an optimisation came to.
+/// The result of an optimisation.
 struct OptimizationResult {
   std::vector<Eigen::Isometry3d> poses;  ///< One per node, in graph order.
   double cost_initial = 0.0;             ///< ½ Σ w rᵀΩr over edges and priors at the first estimate.
@@ -99,17 +99,17 @@ struct OptimizationResult {
   double gradient = 0.0;          ///< The same at `poses`.
   int iterations = 0;             ///< Steps tried.
   int factorizations = 0;         ///< Numeric factorisations, refused steps and initialisation included.
-  bool converged = false;         ///< Ended by the tolerances, or had nothing to do.
+  bool converged = false;         ///< Ended by the tolerances, or no step was needed.
   Termination termination = Termination::kNothingToDo;  ///< Why it ended.
-  /// The first estimate that led here; never kAuto.
+  /// The first estimate that was used; never kAuto.
   Initialization initialization = Initialization::kFile;
   std::string message;         ///< For people; never parse it.
   std::size_t components = 0;  ///< Connected components of the graph, lone nodes included.
-  /// Nodes held in place because nothing anchors their component: no prior acts in it. Nodes without any
-  /// factor stay in place as well and are not listed.
+  /// Nodes with a fixed pose because their component has no prior. Nodes without any factor keep their pose
+  /// as well and are not listed.
   std::vector<Key> held;
-  /// True if the factors leave some direction undetermined (semi-definite information): along it the poses
-  /// stay near the first estimate, and there are no marginal covariances.
+  /// True if the factors leave a direction undetermined (semi-definite information): along it the poses stay
+  /// near the first estimate, and marginal covariances do not exist.
   bool underdetermined = false;
   std::vector<IterationRecord> trace;  ///< Every step that was tried.
   double seconds = 0.0;                ///< Wall time. For reports only.
@@ -117,8 +117,8 @@ struct OptimizationResult {
 
 /// Minimises ½ Σ w rᵀΩr over the poses: edges r = Log(Z⁻¹ T_i⁻¹ T_j), priors r = Log(Z⁻¹ T_i), full SE(3)
 /// logarithm, exact Jacobians, the weights of the edges as given (an edge of weight 0 does not take part).
-/// Gauss-Newton, damped by Levenberg-Marquardt when a step does not lower the cost; the cost never rises.
-/// The components of a disconnected graph are solved in one go and do not influence each other's minimum.
+/// Gauss-Newton, damped by Levenberg-Marquardt when a step does not lower the cost; the cost never rises. The
+/// components of a disconnected graph are solved together without influence on each other's minimum.
 /// \throws OptionError on options out of range; InputError if the cost of the first estimate is not finite.
 [[nodiscard]] LOOPWISE_EXPORT OptimizationResult optimize(const PoseGraph& graph,
                                                           const OptimizerOptions& options = {},
@@ -131,16 +131,16 @@ struct OptimizationResult {
 [[nodiscard]] LOOPWISE_EXPORT Vector6d edge_residual(const Edge& edge, const Eigen::Isometry3d& T_w_from,
                                                      const Eigen::Isometry3d& T_w_to);
 
-/// First estimates as OptimizerOptions::initialization names them; kFile returns the graph's poses.
+/// The first estimate for a value of OptimizerOptions::initialization; kFile returns the graph's poses.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Isometry3d> initial_poses(const PoseGraph& graph,
                                                                            Initialization initialization);
 
 struct GncOptions;
 struct GncResult;
 
-/// The same with the symbolic analysis kept between calls: for a graph whose estimate or weights change, or
-/// that grows. The ordering is kept while it serves and made anew when it pays; results are those of the free
-/// functions up to rounding. Not for several threads at a time.
+/// An optimiser that keeps the symbolic analysis between calls, for a graph that grows or whose estimate or
+/// weights change. A new ordering is computed when it saves time; results equal those of the free functions
+/// up to rounding. Not thread-safe.
 class LOOPWISE_EXPORT PoseGraphOptimizer {
  public:
   /// \throws OptionError

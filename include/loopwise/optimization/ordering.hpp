@@ -14,7 +14,7 @@ namespace loopwise {
 /// minimum degree, then the postorder of the elimination tree, so that columns of one branch are neighbours.
 /// `pairs` are the off-diagonal entries; they may repeat, in either direction.
 /// \returns the variables in the order in which to eliminate them. \throws InputError if a pair names a
-/// variable that is not there.
+/// variable that does not exist.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::uint32_t> elimination_order(
     std::size_t variables, const std::vector<std::pair<std::uint32_t, std::uint32_t>>& pairs);
 

@@ -26,19 +26,19 @@ struct PcmOptions {
   }
 };
 
-/// Which closures are left.
+/// The selection of closures.
 struct PcmResult {
   std::vector<bool> kept;    ///< One per edge, in graph order. Known inliers are always kept.
-  std::size_t inliers = 0;   ///< Closures that are kept.
+  std::size_t inliers = 0;   ///< Number of kept closures.
   std::size_t outliers = 0;  ///< The other closures.
 };
 
 /// Pairwise consistency maximisation (Mangelson et al., ICRA 2018): keeps, for each pair of odometry chains
 /// (usually: robots), a large set of closures in which every two agree with each other and the odometry
-/// between their ends, as a greedy clique search finds it. Odometry's covariance is carried along the chain
-/// to first order. A filter to put before optimize_gnc(), for false closures that come in groups of a few
-/// that agree. Quadratic in the closures. \throws OptionError; InputError if a group is larger than max_group
-/// or a closure's information is singular.
+/// between their ends, found by a greedy clique search. Odometry's covariance is propagated along the chain
+/// to first order. It is a filter before optimize_gnc(), for small groups of false closures that agree.
+/// Quadratic in the closures. \throws OptionError; InputError if a group is larger than max_group or a
+/// closure's information is singular.
 [[nodiscard]] LOOPWISE_EXPORT PcmResult pairwise_consistent(const PoseGraph& graph,
                                                             const PcmOptions& options = {});
 

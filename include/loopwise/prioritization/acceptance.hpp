@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// How likely a candidate becomes a closure, learned while a mission runs.
+/// Probability that a candidate becomes a closure, learned during a mission.
 #pragma once
 
 #include <array>
@@ -15,13 +15,13 @@
 
 namespace loopwise {
 
-/// What is known of a candidate before it is computed.
+/// Evidence on a candidate before its registration.
 struct CandidateEvidence {
   /// predicted_overlap() of the two scans at the guess, in [0, 1]; NaN if a scan is missing.
   double overlap = std::numeric_limits<double>::quiet_NaN();
   double distance_m = 0.0;  ///< Between the nodes, by the estimate.
-  /// A place recognition or a radio beacon proposed it: then neither distance nor overlap at the guess say
-  /// much.
+  /// Proposed by place recognition or a radio beacon: distance and overlap at the guess are then
+  /// uninformative.
   bool from_outside = false;
 };
 
@@ -31,23 +31,23 @@ struct CandidateEvidence {
 /// a candidate is verified, the other whether robust optimisation keeps a verified closure.
 class LOOPWISE_EXPORT AcceptanceModel {
  public:
-  static constexpr std::size_t kTerms = 6;          ///< Of the model, the constant one included.
+  static constexpr std::size_t kTerms = 6;          ///< Terms of the model, including the constant.
   using Terms = std::array<double, kTerms>;         ///< One number a term.
-  static constexpr double kDefaultStrength = 50.0;  ///< Results that the prior counts for.
+  static constexpr double kDefaultStrength = 50.0;  ///< Weight of the prior, in results.
 
-  /// With weights to begin with: shipped_verified(), shipped_right(), or others. \throws OptionError on one
-  /// that is not finite, or a strength that is not finite and > 0
+  /// A model with initial weights: shipped_verified(), shipped_right(), or others. \throws OptionError on a
+  /// weight that is not finite, or a strength that is not finite and > 0
   explicit AcceptanceModel(const Terms& weights, double prior_strength = kDefaultStrength);
 
-  /// The chance, in (0, 1).
+  /// The probability, in (0, 1).
   [[nodiscard]] double probability(const CandidateEvidence& evidence) const;
 
-  /// Fits the weights anew. `results` has the evidence and the outcome of all that counts.
+  /// Fits the weights again. `results` has the evidence and the outcome of all results.
   void fit(const std::vector<std::pair<CandidateEvidence, bool>>& results);
 
-  /// The weights as they stand, one for each term.
+  /// The present weights, one for each term.
   [[nodiscard]] const Terms& weights() const { return weights_; }
-  /// The terms that the evidence comes to.
+  /// The terms of the evidence.
   [[nodiscard]] static Terms terms(const CandidateEvidence& evidence);
   /// Names of the terms, in order.
   [[nodiscard]] static std::array<const char*, kTerms> term_names();
@@ -55,8 +55,8 @@ class LOOPWISE_EXPORT AcceptanceModel {
   [[nodiscard]] static const Terms& shipped_verified();
   /// That a verified closure is right, likewise.
   [[nodiscard]] static const Terms& shipped_right();
-  /// Weights as an option has them, by commas: "0.4,10.1,-3.6,2,-2.7,-1". \throws OptionError that names
-  /// `option`
+  /// Weights from the text of an option, separated by commas: "0.4,10.1,-3.6,2,-2.7,-1". \throws OptionError
+  /// that names `option`
   [[nodiscard]] static Terms parse(std::string_view text, std::string_view option);
 
  private:
@@ -65,21 +65,21 @@ class LOOPWISE_EXPORT AcceptanceModel {
   Terms weights_;
 };
 
-/// How well chances that were said beforehand agree with what came.
+/// Agreement of predicted probabilities with outcomes.
 class LOOPWISE_EXPORT Calibration {
  public:
-  /// Chances of one tenth.
+  /// Probabilities within one tenth.
   struct Bin {
     std::size_t count = 0;     ///< Of results.
     std::size_t verified = 0;  ///< Of them, verified.
-    double expected = 0.0;     ///< Sum of the chances that were said.
+    double expected = 0.0;     ///< Sum of the predicted probabilities.
   };
 
-  /// A result of which `probability` was said.
+  /// Adds a result with its predicted `probability`.
   void add(double probability, bool verified);
-  /// Mean squared difference between chance and outcome, in [0, 1]; NaN without results.
+  /// Mean squared difference between probability and outcome, in [0, 1]; NaN without results.
   [[nodiscard]] double brier() const;
-  /// The reliability table: chances of [0, 0.1), [0.1, 0.2), …
+  /// The reliability table: probabilities of [0, 0.1), [0.1, 0.2), …
   [[nodiscard]] const std::array<Bin, 10>& bins() const { return bins_; }
 
  private:

@@ -24,8 +24,8 @@ class LOOPWISE_EXPORT ArrivalPrioritizer final : public Prioritizer {
   RankedCandidates ranked_;
 };
 
-/// Uniformly random order: the paper's *Rand*. A candidate's place depends on (seed, from, to) alone, so
-/// every set is as likely as any other and the order of arrival never shows.
+/// Uniformly random order: the paper's *Rand*. A candidate's place depends on (seed, from, to) alone, so all
+/// sets are equally likely, independent of the order of arrival.
 class LOOPWISE_EXPORT RandomPrioritizer final : public Prioritizer {
  public:
   /// Equal seeds give equal orders.

@@ -15,22 +15,22 @@
 
 namespace loopwise {
 
-/// What each candidate, added alone, does to the positions of a sample of nodes: the input of EffectNetwork.
+/// Effect of each candidate, added alone, on the positions of a sample of nodes: the input of EffectNetwork.
 ///
-/// Nodes are laid out along their robots' chains of odometry and cut into strata of equal measure, half by
-/// count and half by variance. The middle node of a stratum, the *anchor*, stands for it. The principal axes
+/// Nodes are ordered along their robots' chains of odometry and divided into strata of equal measure, half by
+/// count and half by variance. The middle node of a stratum, the *anchor*, represents it. The principal axes
 /// of an anchor's positional covariance are three *units*, each with one variance v. One closure lowers it to
 /// v', exactly: v − v' = yᵀ(W⁻¹ + JΣJᵀ)⁻¹y, y = JΣn for the axis n. Poses, variances and closures are those
 /// that CovarianceObjective counts.
 struct LOOPWISE_EXPORT ClosureEffects {
-  /// The node that stands for a stratum, and how its position is known.
+  /// The node that represents a stratum, with the uncertainty of its position.
   struct Anchor {
     std::size_t node = 0;     ///< Its number in the graph.
-    std::uint32_t chain = 0;  ///< Anchors of one chain stand in its order, one after the other.
+    std::uint32_t chain = 0;  ///< Anchors of one chain are consecutive, in its order.
     Eigen::Matrix3d axes = Eigen::Matrix3d::Identity();         ///< Columns, world frame; variance falling.
     Eigen::Vector3d variance = Eigen::Vector3d::Constant(0.0);  ///< Along them, m².
   };
-  /// Where the ends of a closure lie on the chain of an anchor.
+  /// Position of a closure's ends on the chain of an anchor.
   enum Side : std::uint8_t { kBefore = 0, kAfter = 1, kAround = 2, kElsewhere = 3 };
 
   double trace_m2 = 0.0;        ///< e(PG): sum of the variances of all positions.
@@ -41,10 +41,10 @@ struct LOOPWISE_EXPORT ClosureEffects {
   Eigen::Matrix<std::uint8_t, Eigen::Dynamic, Eigen::Dynamic> side;  ///< Anchors × candidates: Side.
   Eigen::MatrixXf gap;  ///< Anchors × candidates: log(1 + nodes to the nearest end); 0 if elsewhere.
   Eigen::MatrixXf far;  ///< The same to the other end; 0 unless both lie on the anchor's chain.
-  /// Anchors × candidates: log((v_end + σ²) / (v_anchor + σ²)) of mean positional variances, for the end that
-  /// is known better: whether there is something to hold on to.
+  /// Anchors × candidates: log((v_end + σ²) / (v_anchor + σ²)) of mean positional variances, for the end with
+  /// the smaller variance.
   Eigen::MatrixXf reference;
-  Eigen::VectorXd gain;          ///< By candidate: what it alone takes off the trace, as a share of it.
+  Eigen::VectorXd gain;          ///< By candidate: relative decrease of the trace by it alone.
   std::vector<bool> connecting;  ///< By candidate, as GraphObjective::connecting.
 
   /// log(v / σ²) for the closures' σ, log(v / mean variance of the graph), 1 on the first and on the second
@@ -58,11 +58,11 @@ struct LOOPWISE_EXPORT ClosureEffects {
   [[nodiscard]] Eigen::Index unit_count() const { return share.size(); }
   /// Number of candidates.
   [[nodiscard]] Eigen::Index candidates() const { return relief.cols(); }
-  /// A row of kEdgeFeatures for each unit: what the closure of a candidate brings there.
+  /// A row of kEdgeFeatures for each unit: the effect of a candidate's closure there.
   [[nodiscard]] Eigen::MatrixXd edge_features(Eigen::Index candidate) const;
 };
 
-inline constexpr std::size_t kEffectAnchors = 64;  ///< Strata unless asked for otherwise.
+inline constexpr std::size_t kEffectAnchors = 64;  ///< Default number of strata.
 
 /// Effects of all candidates: a sparse solve for each. `count` is the number of strata.
 /// \throws as CovarianceObjective
@@ -72,8 +72,8 @@ inline constexpr std::size_t kEffectAnchors = 64;  ///< Strata unless asked for 
                                                              const ClosureModel& model,
                                                              std::size_t count = kEffectAnchors);
 
-/// log(v / v'), not bounded, of each unit for covariances of the same nodes after some change, as Marginals
-/// holds them: what EffectNetwork is taught.
+/// log(v / v'), not bounded, of each unit for covariances of the same nodes after a change, as in Marginals:
+/// the training target of EffectNetwork.
 [[nodiscard]] LOOPWISE_EXPORT Eigen::VectorXd unit_reliefs(const ClosureEffects& effects,
                                                            const PoseGraph& graph,
                                                            const std::vector<Matrix6d>& covariances);

@@ -23,11 +23,11 @@ enum class TraceKind {
   return {{TraceKind::kTranslation, "translation"}, {TraceKind::kFull, "full"}};
 }
 
-/// How CovarianceObjective holds what its evaluations need.
+/// Representation of the data for evaluations in CovarianceObjective.
 enum class Holding {
   kAutomatic,  ///< Dense for few candidates, columns otherwise; the bound is measured.
   kColumns,    ///< Columns of Σ by sparse solves with the factor of the current set: a move costs one
-               ///< factorisation, whatever the number of candidates, and nothing drifts.
+               ///< factorisation for any number of candidates, and nothing drifts.
   kDense,      ///< S and M of all pairs of candidates: an evaluation costs a 12×12 problem, a move a rank-12
                ///< and a rank-24 update; made anew from a factorisation after some moves.
 };
@@ -35,7 +35,7 @@ enum class Holding {
   return {{Holding::kAutomatic, "automatic"}, {Holding::kColumns, "columns"}, {Holding::kDense, "dense"}};
 }
 
-/// What a candidate's closure is taken for, and how its effect is computed.
+/// Model of a candidate's closure, and the computation of its effect.
 struct ClosureModelOptions {
   double sigma_m = 0.1;
   double sigma_rad = 0.02;
@@ -62,8 +62,7 @@ struct ClosureModelOptions {
 /// the sigmas or a covariance.
 struct ClosureModel {
   Matrix6d covariance;  ///< Of every candidate, [translation, rotation], m² and rad².
-  /// Factor of each candidate's information, in [0, 1]; empty: 1. Below 1 for those that would be less
-  /// certain.
+  /// Factor of each candidate's information, in [0, 1]; empty: 1. Below 1 for less certain closures.
   std::vector<double> information_factors;
 };
 
@@ -71,12 +70,12 @@ struct ClosureModel {
 [[nodiscard]] LOOPWISE_EXPORT ClosureModel closure_model(const ClosureModelOptions& options);
 
 /// e(PG ∪ l), exact: the trace of the poses' marginal covariances with the set's closures added, Σ = H⁻¹ of
-/// the Gauss-Newton Hessian at the graph's poses and weights. The paper trains a network to guess this
+/// the Gauss-Newton Hessian at the graph's poses and weights. The paper trains a network to predict this
 /// figure.
 ///
 /// With J, W the stacked Jacobians and information of a change (W negative for closures that leave), the
-/// trace changes by −tr((W⁻¹ + JΣJᵀ)⁻¹ · JΣPᵀPΣJᵀ), Σ being that of the current set and P choosing what
-/// counts: for one closure a 6×6 problem, for a swap one of 12×12.
+/// trace changes by −tr((W⁻¹ + JΣJᵀ)⁻¹ · JΣPᵀPΣJᵀ), with Σ of the current set and the selection P of
+/// coordinates: a 6×6 problem for one closure, 12×12 for a swap.
 ///
 /// Poses of a component without a prior count relative to its first node; connecting candidates change
 /// nothing.
@@ -106,7 +105,7 @@ class LOOPWISE_EXPORT CovarianceObjective final : public GraphObjective {
   void swap(std::size_t out, std::size_t in) override;
   [[nodiscard]] bool connecting(std::size_t candidate) const override;
 
-  /// The way that is in use: kColumns or kDense.
+  /// The representation in use: kColumns or kDense.
   [[nodiscard]] Holding holding() const;
   /// Numeric factorisations made so far.
   [[nodiscard]] std::size_t factorizations() const;
@@ -117,7 +116,8 @@ class LOOPWISE_EXPORT CovarianceObjective final : public GraphObjective {
 };
 
 /// log det Σ of the graph with the set's closures: D-optimality, for pose graphs the count of spanning trees
-/// (Khosoussi et al., IJRR 2019). Submodular, so lazy greedy choice is exact. Other things as above.
+/// (Khosoussi et al., IJRR 2019). Submodular, so lazy greedy choice is exact. Otherwise like
+/// CovarianceObjective.
 class LOOPWISE_EXPORT LogDetObjective final : public GraphObjective {
  public:
   /// \throws as CovarianceObjective
@@ -148,17 +148,17 @@ class LOOPWISE_EXPORT LogDetObjective final : public GraphObjective {
   std::unique_ptr<Impl> impl_;
 };
 
-/// Gains of single closures on the bare graph, −add_change(), guessed from random probes: with U = L⁻ᵀz and
-/// V = ΣPᵀz for `probes` random sign vectors z, S ≈ JUUᵀJᵀ and M ≈ JVVᵀJᵀ. The error of an entry is about
-/// √(2/probes) of it; what it costs does not depend on the graph's size but for the solves. 0 for connecting
-/// candidates. \throws as CovarianceObjective.
+/// Gains of single closures on the graph without a set, −add_change(), estimated from random probes: with U =
+/// L⁻ᵀz and V = ΣPᵀz for `probes` random sign vectors z, S ≈ JUUᵀJᵀ and M ≈ JVVᵀJᵀ. The error of an entry is
+/// about √(2/probes) of it; apart from the solves, the cost does not depend on the graph's size. 0 for
+/// connecting candidates. \throws like CovarianceObjective.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<double> sketched_gains(
     const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const ClosureModelOptions& options,
     const ClosureModel& model, std::size_t probes = 64, std::uint64_t seed = 1);
 
-/// Up to `count` candidates that promise most and lie spread over the graph: within each pair of cells of
-/// `cell_m` that candidates join the best by gain, then the second best of each, and so on, each round by
-/// falling gain. \returns places in the list, ascending.
+/// Up to `count` candidates of high gain, spread over the graph: within each pair of cells of `cell_m` that
+/// candidates join the best by gain, then the second best of each, and so on, each round by falling gain.
+/// \returns places in the list, ascending.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> spread_shortlist(
     const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const std::vector<double>& gains,
     std::size_t count, double cell_m = 10.0);

@@ -16,7 +16,7 @@
 
 namespace loopwise {
 
-/// The Loopwise network: guesses e(PG ∪ l) from what each closure does alone (ClosureEffects). A graph
+/// The Loopwise network: predicts e(PG ∪ l) from the effect of each closure alone (ClosureEffects). A graph
 /// network on the bipartite graph of the set's closures c and the units u:
 ///
 ///     m_cu   = exp(W₂ s(W₁ a_cu + b₁) + b₂ + W₀ a_cu)
@@ -29,14 +29,14 @@ namespace loopwise {
 ///     y_u    = q_u + σ(α)(p_u − q_u) + β (1 − e^−p_u)
 ///     e      = e(PG) · Σ_u share_u · e^−y_u
 ///
-/// with a_cu the normalised edge features, f_u the normalised unit features, r_cu the relief of c at u,
-/// s(x) = x / (1 + |x|) and σ the logistic function. m and P have K channels, with which P can stand
-/// for anything between the largest message and the sum of all; g is what the whole graph got; y_u stands for
-/// log(v / v'), 0 for no closures.
+/// with a_cu the normalised edge features, f_u the normalised unit features, r_cu the relief of c at u, s(x)
+/// = x / (1 + |x|) and σ the logistic function. m and P have K channels, with which P can represent values
+/// between the largest message and the sum of all; g is the mean over the whole graph; y_u predicts log(v /
+/// v'), and is 0 without closures.
 ///
-/// p is what closures that know nothing of each other would bring, q nearly what the best alone brings. It
-/// differs from the paper's network in all of this: exact single effects on the edges, aggregation that is
-/// neither sum nor mean, a logarithm relative to no closures put out.
+/// p is the effect of independent closures, q nearly that of the best alone. Differences from the paper's
+/// network: exact single effects on the edges, an aggregation that is neither sum nor mean, and a logarithm
+/// relative to no closures as output.
 ///
 /// **File**: JSON as GraphNetwork's, `kind` of `__meta__` "loopwise"; tensors edge.mean, edge.std (9),
 /// unit.mean, unit.std (5), message.0.{weight M×9, bias M}, message.1.{weight K×M, bias K},
@@ -44,7 +44,7 @@ namespace loopwise {
 /// readout.2.{weight 2×H, bias 2}.
 class LOOPWISE_EXPORT EffectNetwork {
  public:
-  /// \throws IoError; InputError naming file and tensor on a file that is no such network
+  /// \throws IoError; InputError naming file and tensor if the file holds no such network
   explicit EffectNetwork(const std::filesystem::path& weights);
   ~EffectNetwork();
   EffectNetwork(EffectNetwork&&) noexcept;
@@ -59,15 +59,15 @@ class LOOPWISE_EXPORT EffectNetwork {
   std::unique_ptr<const Impl> impl_;
 };
 
-/// What the Loopwise network says of the graph with a set of closures. A swap changes two messages of each
-/// unit: its cost does not depend on the size of the graph, and hardly on that of the set.
+/// The prediction of the Loopwise network for the graph with a set of closures. A swap changes two messages
+/// of each unit: its cost does not depend on the size of the graph, and hardly on that of the set.
 class LOOPWISE_EXPORT EffectObjective final : public GraphObjective {
  public:
   /// \throws as CovarianceObjective; InputError on a null network
   EffectObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   std::shared_ptr<const EffectNetwork> network, const ClosureModelOptions& options,
                   const ClosureModel& model);
-  /// With effects that are known already.
+  /// An objective with known effects.
   EffectObjective(ClosureEffects effects, std::shared_ptr<const EffectNetwork> network);
   ~EffectObjective() override;
 
@@ -94,8 +94,8 @@ class LOOPWISE_EXPORT EffectObjective final : public GraphObjective {
   std::unique_ptr<Impl> impl_;
 };
 
-/// Which network a weights file holds: "paper" (GraphNetwork) or "loopwise" (EffectNetwork).
-/// \throws IoError; InputError on a file that is no weights file, or of another kind
+/// The kind of network in a weights file: "paper" (GraphNetwork) or "loopwise" (EffectNetwork).
+/// \throws IoError; InputError if it is not a weights file, or of another kind
 [[nodiscard]] LOOPWISE_EXPORT std::string network_kind(const std::filesystem::path& weights);
 
 }  // namespace loopwise

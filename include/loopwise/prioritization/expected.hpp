@@ -19,7 +19,7 @@
 
 namespace loopwise {
 
-/// How candidates are drawn by what they are expected to give.
+/// Options of the draw by expected gain.
 struct ExpectedOptions {
   double place_m = 10.0;
   double spread = 0.5;
@@ -69,11 +69,11 @@ class LOOPWISE_EXPORT ExpectedPrioritizer final : public Prioritizer {
   using Signature = std::function<ScanSignature(const KeyedScan&)>;
 
   /// \param options of the draw
-  /// \param closures the closure that is expected of a candidate, if it succeeds
+  /// \param closures the expected closure of a successful candidate
   /// \param robots whose nodes the candidates join
-  /// \param signature of a scan; may be empty: then the chance falls back to the distance
+  /// \param signature of a scan; may be empty: then the probability depends on the distance
   /// \param seed of the draw
-  /// \param name as it stands in tables: "expected", or "likely" where the gain does not count
+  /// \param name name in tables: "expected", or "likely" without the gain
   /// \throws OptionError
   ExpectedPrioritizer(const ExpectedOptions& options, const ClosureModelOptions& closures, Robots robots,
                       Signature signature, std::uint64_t seed, std::string_view name = "expected");

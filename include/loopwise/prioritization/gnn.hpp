@@ -34,10 +34,10 @@ namespace loopwise {
 /// bias, running_mean, running_var: H}; lin {weight 1×H, bias 1}. Optional: input.mean and input.std (F) with
 /// which features are normalised, output.mean and output.std (1) which y is taken back from; output.log (1),
 /// if not 0: that is a logarithm, and the network puts out its exponential. Others are ignored. `kind` of
-/// `__meta__`, where it stands, is "paper".
+/// `__meta__`, if present, is "paper".
 class LOOPWISE_EXPORT GraphNetwork {
  public:
-  /// \throws IoError; InputError naming file and tensor on JSON that is none, a network of another kind, a
+  /// \throws IoError; InputError naming file and tensor on invalid JSON, a network of another kind, and a
   /// tensor that is missing, has another shape or a value that is not finite.
   explicit GraphNetwork(const std::filesystem::path& weights);
   ~GraphNetwork();
@@ -53,7 +53,7 @@ class LOOPWISE_EXPORT GraphNetwork {
   /// Number of graph convolutions.
   [[nodiscard]] std::size_t convolutions() const;
 
-  /// A graph as the network sees it.
+  /// The network's view of a graph.
   struct Input {
     Eigen::MatrixXd nodes;                                       ///< A row of features for each node.
     std::vector<std::pair<std::uint32_t, std::uint32_t>> edges;  ///< Messages go from first to second.
@@ -70,18 +70,18 @@ class LOOPWISE_EXPORT GraphNetwork {
   std::unique_ptr<const Impl> impl_;
 };
 
-/// What the network gets of a graph without a set: features of the nodes, a self loop for each prior, an edge
-/// one way for each odometry and closure that the back end holds to be true; types one-hot. `covariances` as
+/// The network's input for a graph without a set: features of the nodes, a self loop for each prior, a
+/// directed edge for each odometry and each closure that the back end keeps; types one-hot. `covariances` as
 /// GnnObjective takes them. \throws InputError on another number of covariances
 [[nodiscard]] LOOPWISE_EXPORT GraphNetwork::Input graph_input(const PoseGraph& graph, GnnFeatures features,
                                                               const std::vector<Matrix6d>& covariances);
 
-/// What the network says of the graph with a set of closures. One direction, from → to, as it was trained. A
-/// swap is evaluated on the nodes downstream of the two `to` nodes alone.
+/// The prediction of the network for the graph with a set of closures. One direction, from → to, as in
+/// training. A swap is evaluated on the nodes downstream of the two `to` nodes alone.
 class LOOPWISE_EXPORT GnnObjective final : public GraphObjective {
  public:
-  /// `covariances` are the marginal ones of the graph's nodes, as Marginals holds them; where they are not
-  /// finite or missing (an empty list) features are 0.
+  /// `covariances` are the marginal ones of the graph's nodes, as in Marginals; if they are not finite or
+  /// missing (an empty list) features are 0.
   /// \throws UnknownKeyError; InputError on another number of covariances or a null or unfit network
   GnnObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                std::shared_ptr<const GraphNetwork> network, GnnFeatures features,
@@ -103,7 +103,7 @@ class LOOPWISE_EXPORT GnnObjective final : public GraphObjective {
   void swap(std::size_t out, std::size_t in) override;
   [[nodiscard]] bool connecting(std::size_t candidate) const override;
 
-  /// The network's input for the current set: what a full evaluation gets.
+  /// The network's input for the current set, as for a full evaluation.
   [[nodiscard]] GraphNetwork::Input input() const;
 
  private:

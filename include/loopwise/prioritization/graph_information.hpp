@@ -23,7 +23,7 @@ namespace loopwise {
 class EffectNetwork;
 class GraphNetwork;
 
-/// What a set of closures is scored by.
+/// Score of a set of closures.
 enum class ObjectiveKind {
   kCovariance,  ///< CovarianceObjective
   kLogDet,      ///< LogDetObjective
@@ -35,13 +35,13 @@ enum class ObjectiveKind {
           {ObjectiveKind::kGnn, "gnn"}};
 }
 
-/// How the set is chosen.
+/// Selection of the set.
 enum class SelectorKind {
-  kGreedyAnnealing,    ///< Greedy choice, then annealing from it for as long as there is time.
+  kGreedyAnnealing,    ///< Greedy choice, then annealing from it in the remaining time.
   kGreedy,             ///< Greedy choice alone.
-  kAnnealing,          ///< Annealing from the set of maximal spread: the paper's way.
+  kAnnealing,          ///< Annealing from the set of maximal spread, as in the paper.
   kSeparated,          ///< Maximal spread of the midpoints alone.
-  kLargestCovariance,  ///< Between the nodes that are known least.
+  kLargestCovariance,  ///< Between the nodes of largest uncertainty.
 };
 [[nodiscard]] inline EnumNames<SelectorKind> enum_names(SelectorKind) {
   return {{SelectorKind::kGreedyAnnealing, "greedy_annealing"},
@@ -51,7 +51,7 @@ enum class SelectorKind {
           {SelectorKind::kLargestCovariance, "largest_covariance"}};
 }
 
-/// What a hypothetical closure's covariance is.
+/// Covariance of a hypothetical closure.
 enum class ClosureCovariance {
   kSigmas,  ///< diag(sigma_m², sigma_rad²)
   kMedian,  ///< Element-wise median of the diagonals of the closures verified so far; the sigmas until then.
@@ -60,7 +60,7 @@ enum class ClosureCovariance {
   return {{ClosureCovariance::kSigmas, "sigmas"}, {ClosureCovariance::kMedian, "median"}};
 }
 
-/// How graph information chooses its sets.
+/// Options of graph information.
 struct GraphInformationOptions {
   ObjectiveKind objective = ObjectiveKind::kCovariance;
   SelectorKind selector = SelectorKind::kGreedyAnnealing;
@@ -96,14 +96,14 @@ struct GraphInformationOptions {
 };
 
 /// Chooses sets that lower the uncertainty of the whole graph (paper §III-B). The set is chosen among all
-/// pending candidates, or, when they are many, a shortlist; improve() makes it better for as long as it may.
-/// Every candidate counts as the closure that it would be: the paper's way. ExpectedPrioritizer weighs the
-/// chance that it becomes one.
+/// pending candidates, or, when they are many, a shortlist; improve() improves it within its bounds. Every
+/// candidate counts as its closure, as in the paper. ExpectedPrioritizer weights it by the probability of
+/// success.
 ///
-/// A set belongs to the candidates, the graph and the count that it was chosen for: when one of them has
-/// changed, the next improve() or take() starts anew.
+/// A set is valid for its candidates, graph and count: when one of them has changed, the next improve() or
+/// take() starts again.
 ///
-/// Candidates whose nodes the graph does not have yet are kept until it does; take() holds them back.
+/// Candidates with nodes that are not yet in the graph wait; take() holds them back.
 class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
  public:
   /// \throws OptionError; IoError or InputError if the objective's weights cannot be read.
@@ -116,29 +116,29 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
   void remove(const std::vector<CandidateId>& ids) override;
   void on_graph(const PoseGraph& graph) override;
   void on_result(const RegistrationResult& result) override;
-  /// Bound and result count swaps of the annealing. The first call for a set chooses it greedily, which is
-  /// not bound and does not stop.
+  /// The bound and the result count swaps of the annealing. The first call for a set chooses it greedily,
+  /// without a bound and without stopping.
   std::uint64_t improve(std::size_t count, const StopToken& stop,
                         std::uint64_t max_evaluations = std::numeric_limits<std::uint64_t>::max()) override;
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override;
   [[nodiscard]] std::size_t size() const override { return held_.size(); }
   [[nodiscard]] std::vector<Refusal> give_up(double now_s) override;
 
-  /// What is known of the prepared set; value and start are 0 without one.
+  /// Figures of the prepared set; value and start are 0 without a set.
   struct Status {
     double start_value = 0.0;    ///< Before annealing.
-    double value = 0.0;          ///< Of the set as it stands.
+    double value = 0.0;          ///< Of the present set.
     std::uint64_t steps = 0;     ///< Swaps that annealing tried.
-    std::uint64_t accepted = 0;  ///< Swaps that it made.
-    std::size_t pool = 0;        ///< Pending candidates whose nodes the graph has.
-    std::size_t shortlist = 0;   ///< Of them, those that the set is chosen among.
-    std::string problem;  ///< Why the graph could not be scored and spread decided instead; else empty.
+    std::uint64_t accepted = 0;  ///< Swaps that were accepted.
+    std::size_t pool = 0;        ///< Pending candidates with nodes in the graph.
+    std::size_t shortlist = 0;   ///< Those of them from which the set is chosen.
+    std::string problem;         ///< Why spread replaced the score of the graph; else empty.
   };
   /// As of the last change of the set.
   [[nodiscard]] const Status& status() const { return status_; }
 
-  /// Gains of all pending candidates on the bare graph, by the sketch, for showing to people; 0 where a node
-  /// is missing or the candidate connects.
+  /// Estimated gains of all pending candidates on the graph without a set, for display; 0 if a node is
+  /// missing or the candidate connects.
   [[nodiscard]] std::map<CandidateId, double> sketch() const;
 
  private:

@@ -13,11 +13,11 @@
 
 namespace loopwise {
 
-/// How bad the graph is with a set of hypothetical closures added: e(PG ∪ l) of the paper's eq. 1, which
-/// selectors minimise over sets of a fixed list of candidates. Candidates are named by their place in that
-/// list. An objective holds one current set; what it costs to change it is asked without changing it.
+/// Uncertainty of the graph with a set of hypothetical closures added: e(PG ∪ l) of the paper's eq. 1, which
+/// selectors minimise over sets of a fixed list of candidates. The place in that list identifies a candidate.
+/// An objective holds one current set; changes of it can be evaluated without changing it.
 ///
-/// Not for several threads at a time: evaluating uses scratch space.
+/// Not thread-safe: evaluation uses scratch memory.
 class LOOPWISE_EXPORT GraphObjective {
  public:
   virtual ~GraphObjective() = default;
@@ -28,8 +28,8 @@ class LOOPWISE_EXPORT GraphObjective {
   /// Number of candidates.
   [[nodiscard]] virtual std::size_t size() const = 0;
 
-  /// The current set, empty at first, in the order of addition; a swap puts the new one in the place of the
-  /// old.
+  /// The current set, empty at first, in the order of addition; a swap puts the new candidate in the place of
+  /// the old one.
   [[nodiscard]] virtual const std::vector<std::size_t>& selected() const = 0;
   /// Whether a candidate is in the current set.
   [[nodiscard]] virtual bool contains(std::size_t candidate) const = 0;
@@ -45,25 +45,25 @@ class LOOPWISE_EXPORT GraphObjective {
   /// See add_change().
   [[nodiscard]] virtual double swap_change(std::size_t out, std::size_t in) = 0;
 
-  /// add_change() of every candidate, 0 for those in the set. What a greedy choice asks for: implementations
-  /// are faster than one by one, and may be accurate to about 1e-6 of the change only.
+  /// add_change() of every candidate, 0 for those in the set, for greedy choice. Implementations are faster
+  /// than single calls, and may be accurate only to about 1e-6 of the change.
   [[nodiscard]] virtual std::vector<double> add_changes() = 0;
 
   /// Replaces the current set. \throws InputError on a repeated member or one that is not there.
   virtual void assign(const std::vector<std::size_t>& set) = 0;
-  /// Puts a candidate into the set. \pre it is not in it.
+  /// Adds a candidate to the set. \pre it is not in it.
   virtual void add(std::size_t candidate) = 0;
-  /// Takes a candidate out of the set. \pre it is in it.
+  /// Removes a candidate from the set. \pre it is in it.
   virtual void remove(std::size_t candidate) = 0;
   /// Puts `in` into the place of `out`. \pre `out` is in the set, `in` is not.
   virtual void swap(std::size_t out, std::size_t in) = 0;
 
-  /// The candidate ties together two parts of the graph of which one has no prior. Such a closure is worth
-  /// more than any figure, and the objective, taken for each part on its own, does not count it.
+  /// The candidate connects two parts of the graph of which one has no prior. Such a closure has no finite
+  /// gain: the objective is computed for each part separately and does not count it.
   [[nodiscard]] virtual bool connecting(std::size_t candidate) const = 0;
 };
 
-/// Members of a set of candidates, in order, with their places: what implementations keep.
+/// Members of a set of candidates, in order, with their places, for implementations.
 class LOOPWISE_EXPORT CandidateSet {
  public:
   /// The empty set of `size` candidates.
@@ -77,7 +77,7 @@ class LOOPWISE_EXPORT CandidateSet {
     place_[candidate] = members_.size();
     members_.push_back(candidate);
   }
-  /// Those behind it move up.
+  /// Removes a candidate; later ones move up.
   void remove(std::size_t candidate) {
     const std::size_t place = place_[candidate];
     members_.erase(members_.begin() + static_cast<std::ptrdiff_t>(place));
@@ -92,7 +92,7 @@ class LOOPWISE_EXPORT CandidateSet {
   }
   /// \throws InputError on a repeated member or one that is not there.
   void assign(const std::vector<std::size_t>& members);
-  /// Takes all out.
+  /// Removes all candidates.
   void clear();
 
  private:
@@ -101,8 +101,8 @@ class LOOPWISE_EXPORT CandidateSet {
   std::vector<std::size_t> place_;
 };
 
-/// Midpoints of the candidates' nodes at the graph's poses, one each: where a closure stands for the spread
-/// of a set. \throws UnknownKeyError
+/// Midpoints of the candidates' nodes at the graph's poses, one each: the positions of closures for the
+/// spread of a set. \throws UnknownKeyError
 [[nodiscard]] LOOPWISE_EXPORT std::vector<Eigen::Vector3d> candidate_midpoints(
     const PoseGraph& graph, const std::vector<LoopCandidate>& candidates);
 

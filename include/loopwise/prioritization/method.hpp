@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The methods by name: which prioritisers decide the order of the candidates.
+/// Methods by name: the prioritisers that order the candidates.
 #pragma once
 
 #include <cstdint>
@@ -22,14 +22,14 @@
 
 namespace loopwise {
 
-/// The prioritisers that a method is made of.
+/// The prioritisers of methods.
 enum class PrioritizerKind {
   kArrival,           ///< ArrivalPrioritizer, the paper's Bsln.
   kRandom,            ///< RandomPrioritizer, the paper's Rand.
   kObservability,     ///< ObservabilityPrioritizer
   kGraphInformation,  ///< GraphInformationPrioritizer
   kRssi,              ///< RssiPrioritizer
-  kLikely,            ///< ExpectedPrioritizer, by the chance alone.
+  kLikely,            ///< ExpectedPrioritizer, by the probability alone.
   kExpected,          ///< ExpectedPrioritizer
 };
 [[nodiscard]] inline EnumNames<PrioritizerKind> enum_names(PrioritizerKind) {
@@ -39,7 +39,7 @@ enum class PrioritizerKind {
           {PrioritizerKind::kExpected, "expected"}};
 }
 
-/// Prioritisers in the order of their turns. None: no candidate is computed.
+/// Prioritisers in the order of their turns. If empty, no candidate is computed.
 using Method = std::vector<PrioritizerKind>;
 
 /// The names that parse_method() knows: those of the prioritisers, "full" (obs and gi) and "odom" (none).
@@ -49,10 +49,10 @@ using Method = std::vector<PrioritizerKind>;
 /// \throws OptionError that lists the names
 [[nodiscard]] LOOPWISE_EXPORT Method parse_method(std::string_view text);
 
-/// What parse_method() takes: "full", "obs+rssi", "odom".
+/// The text for parse_method(): "full", "obs+rssi", "odom".
 [[nodiscard]] LOOPWISE_EXPORT std::string to_string(const Method& method);
 
-/// Whether the method takes candidates of radio beacons.
+/// Whether the method uses candidates of radio beacons.
 [[nodiscard]] LOOPWISE_EXPORT bool uses_radio(const Method& method);
 
 /// Reads an option that is a method, see core/options.hpp. \throws OptionError
@@ -64,13 +64,13 @@ inline void parse_option(std::string_view /*name*/, std::string_view text, Metho
   return to_string(method);
 }
 
-/// The method, and the options of the prioritisers that it names.
+/// The method and the options of its prioritisers.
 struct PrioritizationOptions {
   Method method = {PrioritizerKind::kExpected};
   ExpectedOptions expected;                    ///< Of `expected` and `likely`.
   ObservabilityPriorityOptions observability;  ///< Of `obs`.
   GraphInformationOptions graph_information;   ///< Of `gi`.
-  ClosureModelOptions closure_model;           ///< The closure that `gi` and `expected` take a candidate for.
+  ClosureModelOptions closure_model;           ///< Model of a candidate's closure for `gi` and `expected`.
   AnnealingOptions annealing;                  ///< Simulated annealing of `gi`.
   GreedyOptions greedy;                        ///< Greedy choice of `gi`.
 
@@ -97,13 +97,13 @@ struct PrioritizationOptions {
 
 /// Functions that describe a scan to the prioritisers. Each is called at most once for a scan.
 struct ScanInsight {
-  ObservabilityPrioritizer::Eigenvalue eigenvalue;  ///< For `obs`; may be empty if the method is without.
+  ObservabilityPrioritizer::Eigenvalue eigenvalue;  ///< For `obs`; may be empty for other methods.
   ExpectedPrioritizer::Signature signature;         ///< For `expected` and `likely`; may be empty: see there.
 };
 
 /// The prioritisers of a method, in the order of their turns.
 /// \param options the method and its prioritisers' options
-/// \param seed of everything random
+/// \param seed of all random draws
 /// \param robots whose nodes the candidates join
 /// \param scans describes scans to the prioritisers
 /// \throws OptionError if a prioritiser is named twice, or on its options

@@ -15,7 +15,7 @@
 
 namespace loopwise {
 
-/// Which form of the observability score is used.
+/// Form of the observability score.
 enum class ObservabilityVariant {
   kPaper,  ///< λ_min of the 6×6 matrix, divided by the largest so far of all robots; the sum of both is
            ///< tested.
@@ -25,7 +25,7 @@ enum class ObservabilityVariant {
   return {{ObservabilityVariant::kPaper, "paper"}, {ObservabilityVariant::kLamp, "lamp"}};
 }
 
-/// Which score, and from where on candidates are refused.
+/// The score, and the bound below which candidates are refused.
 struct ObservabilityPriorityOptions {
   ObservabilityVariant variant = ObservabilityVariant::kPaper;
   double min_sum = 0.1;
@@ -47,7 +47,7 @@ struct ObservabilityPriorityOptions {
 /// has 1.
 class LOOPWISE_EXPORT ObservabilityPrioritizer final : public Prioritizer {
  public:
-  /// Smallest eigenvalue of a scan's observability matrix, as the variant wants it; >= 0.
+  /// Smallest eigenvalue of a scan's observability matrix for the variant; >= 0.
   using Eigenvalue = std::function<double(const KeyedScan&)>;
 
   /// \throws OptionError; InputError if `eigenvalue` is empty.

@@ -10,7 +10,7 @@
 
 namespace loopwise {
 
-/// Candidates by falling score, equal scores by rising id: what most prioritisers need. Inserting and erasing
+/// Candidates by descending score, equal scores by ascending id, for most prioritisers. Inserting and erasing
 /// take constant time on average, taking O(log n) each.
 class LOOPWISE_EXPORT RankedCandidates {
  public:
@@ -20,7 +20,7 @@ class LOOPWISE_EXPORT RankedCandidates {
   void erase(const std::vector<CandidateId>& ids);
   /// Removes and returns the first `count`, or all if there are fewer.
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
-  /// How many are held.
+  /// Number of candidates.
   [[nodiscard]] std::size_t size() const { return held_.size(); }
 
  private:
@@ -32,7 +32,7 @@ class LOOPWISE_EXPORT RankedCandidates {
       return score != other.score ? score < other.score : candidate.id > other.candidate.id;
     }
   };
-  /// Drops what was erased from the heap.
+  /// Drops erased candidates from the heap.
   void compact();
 
   std::vector<Entry> heap_;  // erased candidates stay until they come up, or outnumber the others

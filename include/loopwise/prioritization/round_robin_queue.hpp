@@ -15,16 +15,17 @@
 namespace loopwise {
 
 /// Joins the prioritisers of a method: batches take equal shares from each, best first, in turns (paper
-/// §III-E). A candidate taken from one leaves the others; one that is refused by some stays with the rest.
+/// §III-E). A candidate taken from one prioritiser is removed from the others; a candidate refused by some
+/// stays with the rest.
 class LOOPWISE_EXPORT RoundRobinQueue {
  public:
   /// May be empty: then every candidate is refused ("no_prioritizer"). \throws InputError on a null pointer.
   explicit RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers);
 
-  /// \returns the candidates that every prioritiser refused, with their reasons joined. \throws what a
-  /// prioritiser throws: then call remove(), or some may still hold them
+  /// \returns the candidates that every prioritiser refused, with their reasons joined. \throws exceptions of
+  /// a prioritiser: then call remove(), because others may still hold the candidates
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
-  /// Expired or withdrawn: all prioritisers forget them, and all are told, also if one throws.
+  /// Removes expired or withdrawn candidates from all prioritisers, also if one throws.
   void remove(const std::vector<CandidateId>& ids);
   /// Hands on to all prioritisers, also if one throws.
   void on_graph(const PoseGraph& graph);
@@ -34,19 +35,20 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   void on_result(const RegistrationResult& result);
 
   /// Lets every prioritiser prepare its share of a batch of `count`, also if one throws, with a bound of
-  /// evaluations each; those without a bound are not bound. `used` becomes the evaluations that each used,
-  /// see Prioritizer::improve(); 0 for one that threw.
+  /// evaluations each; a missing bound means no bound. `used` gets the evaluations of each, see
+  /// Prioritizer::improve(); 0 for one that threw.
   void improve(std::size_t count, const StopToken& stop, const std::vector<std::uint64_t>& max_evaluations,
                std::vector<std::uint64_t>& used);
 
-  /// \returns the candidates that were held back and are not waited for any longer, as give_up() of the
-  /// prioritisers says, and that no other prioritiser holds.
+  /// \returns the candidates that prioritisers held back too long, see Prioritizer::give_up(), and that no
+  /// other prioritiser holds.
   std::vector<Refusal> give_up(double now_s);
 
-  /// Up to `count` candidates. Turns pass from one prioritiser to the next; whoever is empty is passed over,
-  /// and the next batch begins after the one that had the last turn, so shares stay equal over time.
-  /// Fewer than size() if prioritisers hold candidates back. If a prioritiser throws, what others had given
-  /// goes back to them. \throws Error if one hands out what it was not asked for or what is not pending
+  /// Up to `count` candidates. Turns pass from one prioritiser to the next; empty ones are skipped, and the
+  /// next batch begins after the prioritiser with the last turn, so shares stay equal over time. Fewer than
+  /// size() if prioritisers hold candidates back. If a prioritiser throws, the candidates of the others go
+  /// back to them. \throws Error if a prioritiser hands out too many candidates or candidates that are not
+  /// pending
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
 
   /// Candidates that at least one prioritiser holds.
@@ -55,12 +57,12 @@ class LOOPWISE_EXPORT RoundRobinQueue {
   [[nodiscard]] const std::vector<std::unique_ptr<Prioritizer>>& prioritizers() const {
     return prioritizers_;
   }
-  /// How many candidates each prioritiser has handed out, in their order; one that was given back counts
-  /// again.
+  /// Number of candidates that each prioritiser has handed out, in their order; candidates that were given
+  /// back count again.
   [[nodiscard]] const std::vector<std::size_t>& handed_out() const { return handed_out_; }
 
  private:
-  /// All that is taken on the way stands in `taken`, also if it throws.
+  /// `taken` gets all candidates, also if it throws.
   [[nodiscard]] std::vector<LoopCandidate> take_in_turns(std::size_t count,
                                                          std::vector<LoopCandidate>& taken);
   [[nodiscard]] std::vector<LoopCandidate> share_of(Prioritizer& prioritizer, std::size_t count,

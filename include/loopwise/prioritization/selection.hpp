@@ -17,11 +17,11 @@
 
 namespace loopwise {
 
-/// A chosen set of candidates and what choosing it took.
+/// A chosen set of candidates and the effort of the choice.
 struct Selection {
-  std::vector<std::size_t> set;   ///< Most valuable first where the selector knows.
+  std::vector<std::size_t> set;   ///< Most valuable first, if the selector orders them.
   double value = 0.0;             ///< The objective of the set.
-  std::uint64_t evaluations = 0;  ///< Of the objective, or of changes of it.
+  std::uint64_t evaluations = 0;  ///< Evaluations of the objective or of its changes.
   std::uint64_t accepted = 0;     ///< Swaps made by annealing.
   bool stopped = false;           ///< A stop was requested before the end; the set is full nevertheless.
 };
@@ -41,10 +41,10 @@ struct GreedyOptions {
   }
 };
 
-/// Takes the candidate that lowers the objective most, again and again; connecting candidates first, spread
-/// over their midpoints. Ties go to the lower number. Leaves the set in the objective. After a stop request
-/// the rest follows by the gains known last.
-/// `midpoints` has one for each candidate. \throws InputError on another number of them.
+/// Repeatedly takes the candidate that lowers the objective most; connecting candidates first, spread over
+/// their midpoints. Ties go to the lower number. Leaves the set in the objective. After a stop request the
+/// last known gains decide the rest. `midpoints` has one for each candidate. \throws InputError on another
+/// number of them.
 [[nodiscard]] LOOPWISE_EXPORT Selection greedy(GraphObjective& objective,
                                                const std::vector<Eigen::Vector3d>& midpoints,
                                                std::size_t count, const GreedyOptions& options = {},
@@ -87,10 +87,10 @@ struct AnnealingOptions {
 /// partners the same way). \throws OptionError naming the presets.
 [[nodiscard]] LOOPWISE_EXPORT AnnealingOptions annealing_preset(std::string_view name);
 
-/// The paper's Algorithm 1, made resumable: T = max(T_max·c^step, T_min); a member chosen uniformly leaves,
-/// an outsider enters with odds inverse to the distance of their midpoints; the swap stands if it lowers the
-/// objective or exp(−δ/T) > U(0, 1). Seeded: the same steps give the same set, however they are divided into
-/// runs.
+/// The paper's Algorithm 1 in a resumable form: T = max(T_max·c^step, T_min); a member chosen uniformly
+/// leaves, an outsider enters with odds inverse to the distance of their midpoints; the swap stands if it
+/// lowers the objective or exp(−δ/T) > U(0, 1). Seeded: the same steps give the same set, for any division
+/// into runs.
 class LOOPWISE_EXPORT SimulatedAnnealing {
  public:
   /// Starts from `initial`, or from the farthest points of the midpoints if that is empty; `count` is capped
@@ -100,21 +100,21 @@ class LOOPWISE_EXPORT SimulatedAnnealing {
                      const AnnealingOptions& options, std::uint64_t seed,
                      const std::vector<std::size_t>& initial = {});
 
-  /// Goes on until so many further evaluations are used or a stop is requested. The first run begins with the
-  /// evaluations that find the scale of the temperature.
+  /// Continues until this number of further evaluations is used or a stop is requested. The first run begins
+  /// with the evaluations for the scale of the temperature.
   void run(std::uint64_t evaluations, const StopToken& stop = {});
 
-  /// The best set seen, valued anew; never above the start. Leaves that set in the objective until the next
-  /// run.
+  /// The best set found, evaluated from scratch; never above the start. Leaves that set in the objective
+  /// until the next run.
   [[nodiscard]] Selection best();
 
   /// Swaps tried so far.
   [[nodiscard]] std::uint64_t steps() const { return steps_; }
-  /// Swaps made so far.
+  /// Swaps accepted so far.
   [[nodiscard]] std::uint64_t accepted() const { return accepted_; }
-  /// Evaluations used so far, those for the scale included.
+  /// Evaluations used so far, including those for the scale.
   [[nodiscard]] std::uint64_t evaluations() const { return evaluations_; }
-  /// The objective of the set that it started from.
+  /// The objective of the initial set.
   [[nodiscard]] double start_value() const { return start_value_; }
 
  private:
@@ -139,13 +139,13 @@ class LOOPWISE_EXPORT SimulatedAnnealing {
   std::vector<double> odds_;
 };
 
-/// Maximal spatial spread: begins with the point farthest from the centroid, then always takes the point
-/// farthest from those taken; ties go to the lower number. O(count · points).
+/// Maximal spatial spread: begins with the point farthest from the centroid, then repeatedly takes the point
+/// farthest from the chosen ones; ties go to the lower number. O(count · points).
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> farthest_points(
     const std::vector<Eigen::Vector3d>& points, std::size_t count);
 
-/// The candidates whose two nodes are known least: by the sum of the traces of their translational
-/// covariances. `covariances` are one per node of the graph, as Marginals holds them.
+/// The candidates whose two nodes have the largest uncertainty, by the sum of the traces of their
+/// translational covariances. `covariances` are one per node of the graph, as in Marginals.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> largest_covariance(
     const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
     const std::vector<Matrix6d>& covariances, std::size_t count);

@@ -13,19 +13,19 @@
 
 namespace loopwise {
 
-/// A result of RejectionReason::kFailed. Never throws: without memory for the message it says so instead.
+/// A result of RejectionReason::kFailed. Never throws: without memory for the message, it reports the
+/// allocation failure instead.
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult failed_result(const LoopCandidate& candidate,
                                                                const char* message);
 
-/// One task. Never throws. A registrar that throws gives RejectionReason::kFailed with the exception's
-/// message.
+/// Computes one task. Never throws. A registrar that throws gives RejectionReason::kFailed with the
+/// exception's message.
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult compute_or_fail(const Registrar& registrar,
                                                                  const RegistrationTask& task);
 
-/// Computes tasks on the pool, one task a thread. Results stand in the order of the tasks and do not depend
-/// on the number of threads. After a stop request no further task is begun; tasks that were not begun have no
-/// result. `on_result` is told of each result as soon as it is there: in any order, one at a time, from any
-/// thread of the pool.
+/// Computes tasks on the pool, one task a thread. Results have the order of the tasks and do not depend on
+/// the number of threads. After a stop request no further task starts; tasks that did not start have no
+/// result. `on_result` gets each result at once: in any order, one at a time, from any thread of the pool.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::optional<RegistrationResult>> compute_batch(
     const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,
     const StopToken& stop = {}, const ProgressCallback& progress = {},

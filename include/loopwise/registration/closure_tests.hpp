@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What every registrar does with an alignment: measure it, judge it, and say how certain it is.
+/// Measurement, tests and covariance of an alignment, for every registrar.
 #pragma once
 
 #include <cstddef>
@@ -18,7 +18,7 @@
 
 namespace loopwise {
 
-/// Bounds of the tests that a closure must pass, and what its covariance allows for.
+/// Bounds of the tests of a closure, and parameters of its covariance.
 struct ClosureTestOptions {
   int min_points = 20;
   int measured_points = 4000;
@@ -96,16 +96,16 @@ struct AlignmentFigures {
   double on_plane = 0.0;           ///< Share of these within plane_distance_m.
   double expected_on_plane = 1.0;  ///< The share among neighbours within the clouds, see surface_share().
   double expected_overlap = 1.0;   ///< Overlap of neighbours within the target, see surface_share().
-  /// Share of points that lie where the other scan saw free space, source and target added; 0 if not
-  /// measured.
+  /// Share of points in space that the other scan saw free, source and target added; 0 if not measured.
   double contradiction = 0.0;
   double plane_rmse_m = 0.0;     ///< Over overlapping points whose normals agree, along the target's.
-  std::size_t plane_points = 0;  ///< How many these are.
+  std::size_t plane_points = 0;  ///< Number of these points.
   /// Gauss-Newton Hessian of ½ Σ (point-to-plane distance)² over T_from_to's right perturbation
   /// [translation, rotation]: with y = T_to_from·p and the target's normal n, J = −nᵀG, G = [I, −[y]×].
   Matrix6d hessian = Matrix6d::Zero();
-  Matrix6d source_hessian = Matrix6d::Zero();  ///< The same with the source's normals where they are known.
-  Matrix6d normal_noise = Matrix6d::Zero();  ///< Σ GᵀG: what random normals of variance 1 add to the Hessian.
+  Matrix6d source_hessian = Matrix6d::Zero();  ///< The same with the known normals of the source.
+  Matrix6d normal_noise =
+      Matrix6d::Zero();  ///< Σ GᵀG: the contribution of random normals of variance 1 to the Hessian.
 };
 
 /// Measures source points against a target with normals under T_to_from (source to target). One
@@ -116,24 +116,24 @@ struct AlignmentFigures {
                                                                  const Eigen::Isometry3d& T_to_from,
                                                                  const ClosureTestOptions& options);
 
-/// What a right alignment can reach, by what neighbours within a cloud do.
+/// Figures that a right alignment can reach, from neighbours within a cloud.
 struct SurfaceShare {
   /// Share of points with a neighbour within overlap_distance_m: low for sparse scans of long range. At least
   /// 0.05.
   double overlap = 1.0;
   /// Share of the neighbours with agreeing normals that lie within plane_distance_m of each other's plane:
-  /// low for leaves and rubble. 1 if there are none.
+  /// low for leaves and rubble. 1 without such neighbours.
   double on_plane = 1.0;
 };
-/// Looks at 1000 points.
+/// Measures 1000 points.
 [[nodiscard]] LOOPWISE_EXPORT SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree,
                                                          const ClosureTestOptions& options);
 
-/// How well an alignment fits in detail, at most 1: on_plane/expected_on_plane − 5·contradiction. Corridors
-/// that look alike overlap; their roughness and their openings differ.
+/// Fit of an alignment in detail, at most 1: on_plane/expected_on_plane − 5·contradiction. Look-alike
+/// corridors overlap, but differ in roughness and openings.
 [[nodiscard]] LOOPWISE_EXPORT double consistency(const AlignmentFigures& figures);
 
-/// Directions, of six, that the points leave free within the bounds: their standard deviation would exceed
+/// Number of the six directions that the points do not constrain: their standard deviation would exceed
 /// max_sigma.
 [[nodiscard]] LOOPWISE_EXPORT int free_directions(const AlignmentFigures& figures,
                                                   const ClosureTestOptions& options);
@@ -145,11 +145,11 @@ struct SurfaceShare {
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d closure_covariance(const AlignmentFigures& figures,
                                                           const ClosureTestOptions& options);
 
-/// Raises the deviation of the translation along `direction` (unit, in the frame of T_from_to's perturbation)
-/// to at least `sigma_m`.
+/// Raises the standard deviation of the translation along `direction` (unit, in the frame of T_from_to's
+/// perturbation) to at least `sigma_m`.
 LOOPWISE_EXPORT void widen_covariance(Matrix6d& covariance, const Eigen::Vector3d& direction, double sigma_m);
 
-/// How far a pose lies from the graph's, as [translation, rotation]: log(guess⁻¹ · T_from_to), in the frame
+/// Difference of a pose from the graph's, as [translation, rotation]: log(guess⁻¹ · T_from_to), in the frame
 /// of `to`. The last test of judge_alignment() bounds the lengths of both parts.
 [[nodiscard]] LOOPWISE_EXPORT Vector6d moved_from_guess(const Eigen::Isometry3d& guess_from_to,
                                                         const Eigen::Isometry3d& T_from_to);

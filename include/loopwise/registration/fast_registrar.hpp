@@ -34,7 +34,8 @@ struct FastRegistrarOptions {
   double max_descriptor_mb = 256.0;
   ClosureTestOptions tests = default_tests();  ///< Fields of the same section.
 
-  /// Unlike the reference's: detail decides, so scans may reach further beyond each other.
+  /// The bounds differ from the reference: consistency decides, so scans may extend further beyond each
+  /// other.
   [[nodiscard]] static ClosureTestOptions default_tests() {
     ClosureTestOptions tests;
     tests.max_fitness_m2 = 2.2;
@@ -89,11 +90,11 @@ struct FastRegistrarOptions {
 };
 
 /// Registration at an order of magnitude less cost than the reference, without random draws: the graph's
-/// guess first, where there is one; else mutual FPFH matches, consensus by second-order compatibility, and
-/// the hypotheses that the guess allows compared on the scans. The best are refined by generalized ICP
+/// guess first, if it exists; else mutual FPFH matches, consensus by second-order compatibility, and a
+/// comparison on the scans of the hypotheses that the guess allows. The best are refined by generalized ICP
 /// (Gauss-Newton, from coarse to fine) and compared in detail. A pose that passes the tests is compared with
-/// the ones that symmetries and periods of the place make of it; the pair is ambiguous if one fits as well.
-/// Hopeless pairs end before that. Thread-safe; what belongs to a scan or a submap is computed once.
+/// rivals from symmetries and periods of the place; the pair is ambiguous if one fits as well. Pairs without
+/// overlap are rejected early. Thread-safe; data of a scan or a submap are computed once.
 class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
@@ -102,8 +103,7 @@ class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
 
   [[nodiscard]] std::string_view name() const override { return "fast"; }
   [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override;
-  /// Computes what belongs to a scan now, which compute() otherwise does on first use. Does nothing if there
-  /// is no scan.
+  /// Computes the data of a scan now; compute() otherwise does it on first use. Does nothing without a scan.
   void prepare(Key key) const;
 
  private:

@@ -56,11 +56,11 @@ struct PclRegistrarOptions {
 };
 
 /// The reference: PCL's features and GICP under LAMP's procedure (design of the paper, §III-E). Feature-based
-/// stage: sample consensus initial alignment (Rusu et al., ICRA 2009) over FPFH with random numbers of its
-/// own, where PCL draws from the process's rand(); a hypothesis is given up as soon as its error exceeds the
-/// best. Refinement: pcl::GeneralizedIterativeClosestPoint with covariances from the normals. Thread-safe;
-/// descriptors are computed once a scan. PCL's console messages for invalid input are avoided by checking
-/// first; its verbosity is left alone.
+/// stage: sample consensus initial alignment (Rusu et al., ICRA 2009) over FPFH with its own random numbers,
+/// where PCL uses the process's rand(); a hypothesis is abandoned when its error exceeds the best.
+/// Refinement: pcl::GeneralizedIterativeClosestPoint with covariances from the normals. Thread-safe;
+/// descriptors are computed once a scan. Checks prevent PCL's console messages for invalid input; its
+/// verbosity is unchanged.
 class LOOPWISE_EXPORT PclRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.

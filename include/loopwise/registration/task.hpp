@@ -15,7 +15,7 @@
 
 namespace loopwise {
 
-/// Which scans a registration is given.
+/// Scans of a registration.
 struct TaskOptions {
   int source_neighbours = 0;
   int target_neighbours = 2;
@@ -38,19 +38,19 @@ struct TaskOptions {
   }
 };
 
-/// The task of a candidate in the graph's present state. Neighbours are found, and placed, along the chain of
-/// odometry edges within the node's robot, not by the estimate: a later optimisation never changes a submap.
-/// The candidate's other end is never a neighbour: its place there would be the odometry's, not a
-/// measurement. Where the chain ends, or `has_scan` (may be empty: all have) denies a scan, the neighbour is
-/// left out; the chain goes on past a missing scan. The seed is pair_seed(seed, from, to). \throws
+/// The task of a candidate in the graph's present state. The chain of odometry edges within the node's robot
+/// gives the neighbours and their poses, not the estimate: a later optimisation never changes a submap. The
+/// candidate's other end is never a neighbour: its pose there would come from odometry, not from a
+/// measurement. If the chain ends, or a neighbour has no scan by `has_scan` (empty: all have scans), it is
+/// left out; the chain continues past a missing scan. The seed is pair_seed(seed, from, to). \throws
 /// UnknownKeyError if the graph lacks a node of the candidate.
 [[nodiscard]] LOOPWISE_EXPORT RegistrationTask make_task(const PoseGraph& graph, const Robots& robots,
                                                          const LoopCandidate& candidate,
                                                          const TaskOptions& options, std::uint64_t seed,
                                                          const std::function<bool(Key)>& has_scan = {});
 
-/// Of all that a result depends on but the options and the scans' contents: pair, guess, submaps, seed. Not
-/// of the time limit.
+/// Hash of the pair, guess, submaps and seed of a task. Options, contents of scans and the time limit are not
+/// part of it.
 [[nodiscard]] LOOPWISE_EXPORT ContentHash hash_of(const RegistrationTask& task);
 
 }  // namespace loopwise

@@ -12,10 +12,10 @@
 
 namespace loopwise {
 
-/// What a configuration file holds: an object of sections, {"generation": {"rate_m": 0.3}, ...}.
+/// Contents of a configuration file: an object of sections, {"generation": {"rate_m": 0.3}, ...}.
 struct Config {
   MissionOptions mission;  ///< Reading of missions.
-  ReplayOptions replay;    ///< Everything after it.
+  ReplayOptions replay;    ///< All later stages.
 
   /// Calls visitor(name, section) for each section.
   template <class Self, class Visitor>
@@ -28,13 +28,13 @@ struct Config {
 /// \throws OptionError naming "section.field".
 LOOPWISE_EXPORT void validate_config(const Config& config);
 
-/// Reads {"generation": {"rate_m": 0.3}, ...} over `config`; what it leaves out stays. In the section
-/// "generation" the key "preset" names a proximity preset that the other keys then change. \throws IoError;
-/// ParseError naming the line; OptionError naming "section.field", for a key of an earlier version also the
-/// key that has taken its place.
+/// Reads {"generation": {"rate_m": 0.3}, ...} over `config`; other fields keep their values. In the section
+/// "generation" the key "preset" names a proximity preset, which the other keys modify. \throws IoError;
+/// ParseError naming the line; OptionError naming "section.field", for a key of an earlier version also its
+/// replacement.
 LOOPWISE_EXPORT void read_config(const std::filesystem::path& path, Config& config);
 
-/// The same from a JSON text; `source` stands in errors for the file's name.
+/// The same from a JSON text; `source` replaces the file's name in errors.
 LOOPWISE_EXPORT void parse_config(std::string_view json, const std::string& source, Config& config);
 
 /// Sets one field, as `--set generation.rate_m=0.3` does. \throws OptionError

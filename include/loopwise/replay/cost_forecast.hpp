@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// How long all candidates of a mission would take on this machine, before or after a run.
+/// Computing time of all candidates of a mission on this machine, before or after a run.
 #pragma once
 
 #include <cstddef>
@@ -14,35 +14,34 @@
 
 namespace loopwise {
 
-/// Computing time of all candidates, estimated from registrations that were measured.
+/// Computing time of all candidates, estimated from measured registrations.
 struct CostForecast {
   std::size_t candidates = 0;   ///< With a scan at both ends.
-  std::size_t measured = 0;     ///< Registrations that the mean is of.
+  std::size_t measured = 0;     ///< Number of measured registrations.
   double registration_s = 0.0;  ///< Mean of one registration, one thread, s.
-  std::size_t scans = 0;        ///< To be prepared beside that, once each.
+  std::size_t scans = 0;        ///< Scans that need preparation, once each.
   double preparation_s = 0.0;   ///< Mean of the preparation of a scan (normals, features), one thread, s.
   double mission_s = 0.0;       ///< Length of the mission.
 
-  /// Of all candidates on so many threads, s.
+  /// Time of all candidates on this number of threads, s.
   [[nodiscard]] double all_s(int threads) const {
     return (registration_s * static_cast<double>(candidates) + preparation_s * static_cast<double>(scans)) /
            threads;
   }
-  /// Whether all candidates are computed by the time that the mission ends. The order then does not matter.
+  /// Whether all candidates are computed by the end of the mission. Their order then does not matter.
   [[nodiscard]] bool all_in_time(int threads) const { return all_s(threads) <= mission_s; }
 };
 
 /// Before a run: candidates by proximity along the mission's odometry, as the options of the engine thin
-/// them, and a random sample of them computed on one thread. Odometry drifts, so a run that closes loops
-/// generates somewhat other candidates; those by radio are not counted. \param mission with its scans \param
-/// options of the run \param sample candidates to compute \param stop ends the measuring early; the forecast
-/// is then of the registrations that were done \throws OptionError; InputError
+/// them, and a random sample of them computed on one thread. Odometry drifts, so a run with closures
+/// generates slightly different candidates; candidates by radio are not counted. \param mission with its
+/// scans \param options of the run \param sample candidates to compute \param stop ends the measuring early;
+/// the forecast is then of the registrations that were done \throws OptionError; InputError
 [[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
                                                          std::size_t sample, const StopToken& stop = {});
 
-/// After a run: its candidates but those whose scan never came, and its registrations, those from a store
-/// with the time that was stored. The mean has the preparation of scans in it as it fell to those
-/// registrations.
+/// After a run: its candidates with scans, and its registrations; those from a store count with the stored
+/// time. The mean includes the preparation of scans during these registrations.
 [[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const ReplayResult& result);
 
 /// A sentence for people: "12 500 candidates: 1.9 min on 2 threads, …". Empty if nothing was measured.

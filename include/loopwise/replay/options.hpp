@@ -13,7 +13,7 @@
 
 namespace loopwise {
 
-/// How much mission time the computation takes on the virtual clock.
+/// Mission time of the computation on the virtual clock.
 struct CostModel {
   std::int64_t workers = 10;
   double registration_time_s = 1.3;
@@ -92,9 +92,8 @@ LOOPWISE_EXPORT void validate_replay(const ReplayOptions& options);
 /// The options as indented JSON, an object of sections as read_config() takes it.
 [[nodiscard]] LOOPWISE_EXPORT std::string options_json(const ReplayOptions& options);
 
-/// A text for all that results depend on in the options: options_json(), and hashes of the content of the
-/// files that they name, since other content may come to lie at the same path. A file that cannot be read
-/// counts as such.
+/// A text of all options on which results depend: options_json(), and hashes of the contents of the files
+/// that they name, since a path may get other contents. Unreadable files have their own value.
 [[nodiscard]] LOOPWISE_EXPORT std::string options_key(const ReplayOptions& options);
 
 }  // namespace loopwise

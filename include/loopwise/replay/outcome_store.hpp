@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Outcomes of registrations kept on disk. A registration is by far the dearest step of a run, and its
-/// outcome depends on its task and scans alone: kept once, it serves every method, budget and rerun that
-/// comes to the same task.
+/// Stores outcomes of registrations on disk. A registration is by far the most expensive step of a run, and
+/// its outcome depends on its task and scans alone: a stored outcome serves every method, budget and rerun
+/// with the same task.
 #pragma once
 
 #include <condition_variable>
@@ -38,24 +38,23 @@ struct OutcomeStoreOptions {
   }
 };
 
-/// What a store has done since it was opened.
+/// Statistics of a store since it was opened.
 struct OutcomeStoreStatistics {
   std::size_t found_at_start = 0;  ///< Outcomes on disk when it was opened.
-  /// Of its files, that hold no outcome: cut short or changed. Never used. The beginning of a record at a
-  /// file's end is none: its writer may be at it.
+  /// Number of truncated or altered records in its files, which are never used. An incomplete record at a
+  /// file's end does not count: it may be in writing.
   std::size_t damaged_bytes = 0;
-  std::size_t hits = 0;      ///< Outcomes that were there when they were asked for.
-  std::size_t computed = 0;  ///< Outcomes that were not.
-  std::string problem;       ///< Why nothing is kept any more (a full disk); empty while all is well.
+  std::size_t hits = 0;      ///< Requests with a stored outcome.
+  std::size_t computed = 0;  ///< Requests without a stored outcome.
+  std::string problem;       ///< Why no outcome is stored any more (a full disk); empty without an error.
 };
 
-/// A folder of outcomes by the hash of all that they depend on.
+/// A folder of outcomes under the hash of all their input.
 ///
-/// Files are only ever appended to, a whole record at a time with a checksum; a record that a kill cut short
-/// or a disk changed is passed over and computed again. Any number of processes may use one folder at once:
-/// each appends to a file that it has locked, and reads what the others had written when it opened the store.
-/// The folder, or any file of it, may be deleted at any moment: what was open stays readable, the rest is
-/// computed again. Thread-safe.
+/// Records with a checksum are appended to the files. A truncated or altered record is ignored and computed
+/// again. Any number of processes may use one folder at once: each appends to a file that it has locked, and
+/// reads the records of the others at the time of opening. The folder, or any file in it, may be deleted at
+/// any time: open files stay readable, other outcomes are computed again. Thread-safe.
 class LOOPWISE_EXPORT OutcomeStore {
  public:
   /// Makes the folder if it does not exist. \throws OptionError; IoError if it cannot be made or read.
@@ -64,13 +63,13 @@ class LOOPWISE_EXPORT OutcomeStore {
   OutcomeStore(const OutcomeStore&) = delete;
   OutcomeStore& operator=(const OutcomeStore&) = delete;
 
-  /// The outcome kept under `key`, or else that of `compute`, which is then kept unless it
-  /// depends_on_circumstances(). Threads that ask for one key at once have it computed once. \throws what
-  /// `compute` throws; nothing is kept then.
+  /// The outcome stored under `key`, or else that of `compute`, which is then stored unless it
+  /// depends_on_circumstances(). Concurrent requests for one key compute it once. \throws exceptions of
+  /// `compute`; nothing is then stored.
   [[nodiscard]] RegistrationResult get(const ContentHash& key, const LoopCandidate& candidate,
                                        const std::function<RegistrationResult()>& compute);
 
-  /// What it has done since it was opened.
+  /// Statistics since it was opened.
   [[nodiscard]] OutcomeStoreStatistics statistics() const;
 
  private:
@@ -90,7 +89,7 @@ class LOOPWISE_EXPORT OutcomeStore {
 
   std::filesystem::path folder_;
   std::uint64_t max_bytes_;
-  std::uint64_t file_bytes_;  ///< A file that has reached this is followed by another.
+  std::uint64_t file_bytes_;  ///< A new file starts at this size.
 
   mutable std::mutex mutex_;
   std::condition_variable done_;
@@ -100,20 +99,20 @@ class LOOPWISE_EXPORT OutcomeStore {
   OutcomeStoreStatistics statistics_;
 };
 
-/// A registrar that takes from a store what is there. Its results are those of the registrar that it stands
-/// before, wall times apart: a kept outcome has the times of its computation.
+/// A registrar that uses the stored outcomes. Its results equal those of the wrapped registrar, wall times
+/// aside: a stored outcome has the times of its computation.
 class LOOPWISE_EXPORT StoredRegistrar final : public Registrar {
  public:
-  /// `context` names all that outcomes depend on besides tasks and scans, see registration_context().
+  /// `context` holds all input besides tasks and scans, see registration_context().
   /// \throws InputError on a null pointer or an empty loader.
   StoredRegistrar(std::shared_ptr<const Registrar> registrar, std::shared_ptr<OutcomeStore> store,
                   ScanLoader scans, std::string_view context);
 
   [[nodiscard]] std::string_view name() const override { return registrar_->name(); }
-  /// A task with a scan that is missing or unreadable is computed and not kept, and so is what throws.
+  /// A task with a missing or unreadable scan is computed and not stored; exceptions are not stored either.
   [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override;
 
-  /// The key of a task's outcome; none if a scan is missing or unreadable.
+  /// The key of a task's outcome; empty if a scan is missing or unreadable.
   [[nodiscard]] std::optional<ContentHash> key_of(const RegistrationTask& task) const;
 
  private:

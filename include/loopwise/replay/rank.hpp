@@ -19,46 +19,45 @@
 
 namespace loopwise {
 
-/// A candidate with all that speaks for it.
+/// A candidate with its scores.
 struct CandidateScores {
   LoopCandidate candidate;          ///< Both ends, source and distance.
-  std::optional<std::size_t> rank;  ///< Place in the order of the method, from 1; none if not asked for.
+  std::optional<std::size_t> rank;  ///< Place in the order of the method, from 1; empty if not requested.
   std::string refused;              ///< Why every prioritiser of the method refused it; else empty.
   double observability_from = 0.0;  ///< Score of the newer scan, paper §III-C; NaN without a scan.
   double observability_to = 0.0;    ///< Score of the older scan.
-  /// What the closure alone would take from the trace of the covariances, m²; 0 if it connects, NaN if the
-  /// graph leaves a pose undetermined.
+  /// Decrease of the trace of the covariances by this closure alone, m²; 0 if it connects, NaN if the graph
+  /// leaves a pose undetermined.
   double gain_m2 = 0.0;
-  bool connecting = false;  ///< It ties together parts of the graph of which one has no prior.
+  bool connecting = false;  ///< It connects parts of the graph of which one has no prior.
 };
 
-/// How many candidates are ranked, and with what effort.
+/// Number of ranked candidates, and effort.
 struct RankOptions {
   std::size_t count = 0;             ///< Candidates to rank; 0: one batch of the configuration.
   std::uint64_t evaluations = 1000;  ///< Of sets, for graph information to improve each batch.
-  std::size_t exact_up_to = 5000;    ///< Gains of more candidates than this are sketched.
+  std::size_t exact_up_to = 5000;    ///< Gains of more candidates than this are estimated from random probes.
 };
 
 /// All candidates of a graph and the order of a method.
 struct Ranking {
   std::vector<CandidateScores> candidates;     ///< The ranked in order, then the rest as generated.
-  std::size_t ranked = 0;                      ///< How many have a rank.
-  bool gains_exact = true;                     ///< False: sketched, see RankOptions::exact_up_to.
+  std::size_t ranked = 0;                      ///< Number of ranked candidates.
+  bool gains_exact = true;                     ///< False: estimated, see RankOptions::exact_up_to.
   double trace_m2 = 0.0;                       ///< e(PG): the trace now.
   double trace_ranked_m2 = 0.0;                ///< With closures at all ranked candidates.
-  std::map<std::string, std::size_t> refused;  ///< How many, by reason.
+  std::map<std::string, std::size_t> refused;  ///< Number of refused candidates, by reason.
   std::string problem;                         ///< Why there is no trace; empty if there is.
 };
 
-/// All candidates of a mission's graph as it stands, at its poses, in the order of their generation, numbered
-/// from 0. Pairs that the graph has an edge for are left out; those of radio beacons are there if the method
-/// asks for them.
+/// All candidates of a mission's graph at its present poses, in the order of their generation, numbered from
+/// 0. Pairs with an edge are left out; pairs of radio beacons are included if the method uses them.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<LoopCandidate> all_candidates(const Mission& mission,
                                                                         const ReplayOptions& options);
 
-/// The candidates of a mission's graph as it stands, at its poses, with its closures (whose pairs are left
-/// out), and the order in which the method would compute them. Nothing is computed. `features` may be null:
-/// then nothing is known of observability.
+/// The candidates of a mission's graph at its present poses, with its closures (whose pairs are left out),
+/// and the order in which the method would compute them. No registration is computed. `features` may be null:
+/// observability is then unknown.
 [[nodiscard]] LOOPWISE_EXPORT Ranking rank_candidates(const Mission& mission, const ReplayOptions& replay,
                                                       std::shared_ptr<FeatureCache> features,
                                                       const RankOptions& options = {},

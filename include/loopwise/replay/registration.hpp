@@ -40,7 +40,7 @@ struct RegistrationOptions {
   }
 };
 
-/// A registrar, with the features that it works on.
+/// A registrar with its features.
 struct Registration {
   std::shared_ptr<FeatureCache> features;      ///< Of the scans; also serve the observability score.
   std::shared_ptr<const Registrar> registrar;  ///< Over these features. Thread-safe.
@@ -48,14 +48,14 @@ struct Registration {
 
 /// \param options of features and registrar
 /// \param scans reads the scan of a node
-/// \param store where outcomes are kept and taken from, under a key of all that they depend on; may be null
+/// \param store of outcomes, under a key of all their input; may be null
 /// \throws OptionError, also if this build lacks the registrar
 [[nodiscard]] LOOPWISE_EXPORT Registration make_registration(const RegistrationOptions& options,
                                                              const ScanLoader& scans,
                                                              std::shared_ptr<OutcomeStore> store = nullptr);
 
-/// All that the outcome of a registration depends on besides its task and scans, as a text: the registrar's
-/// kind and options, those of the features, and the version of the code.
+/// All input of a registration besides its task and scans, as a text: the registrar's kind and options, those
+/// of the features, and the version of the code.
 [[nodiscard]] LOOPWISE_EXPORT std::string registration_context(const RegistrationOptions& options);
 
 }  // namespace loopwise

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Traces of the online module: all events that its engine has handled, as text. A run in the field is
-/// repeated from its trace, without its scans and without its registrations: to the bit with the same build
-/// on the same type of processor; elsewhere estimates may differ, which is then reported. Prioritisers that
-/// look at clouds cannot be repeated.
+/// Traces of the online module: all events that its engine has handled, as text. A trace repeats a run in the
+/// field, without its scans and registrations: to the bit with the same build on the same type of processor.
+/// On other processors, estimates that differ are reported. Prioritisers that read clouds cannot be repeated.
 #pragma once
 
 #include <filesystem>
@@ -18,7 +17,7 @@
 
 namespace loopwise {
 
-/// Makes the lines of a trace. Its add() is what ModuleParts::on_event calls:
+/// Makes the lines of a trace. Call add() from ModuleParts::on_event:
 ///
 ///     TraceWriter trace(robots, options, [&](const std::string& line) {
 ///       file << line << std::endl;  // at once: a crash is what it is kept for
@@ -27,16 +26,16 @@ namespace loopwise {
 ///     parts.on_event = [&](const HandledEvent& handled) { trace.add(handled); };
 ///
 /// Writer and file must outlive the module. The first line holds the version, the robots and the options,
-/// each other line one event. For one thread at a time.
+/// each other line one event. Not thread-safe.
 class LOOPWISE_EXPORT TraceWriter {
  public:
   /// \param robots of the module
   /// \param options of the module
-  /// \param line takes each line, without its end
+  /// \param line gets each line, without its end
   TraceWriter(const Robots& robots, const ModuleOptions& options,
               std::function<void(const std::string& line)> line);
-  /// Writes a line. \throws what the taker of lines throws, and InputError on a name that is not UTF-8; the
-  /// trace has then ended, and every further event is refused with an InputError
+  /// Writes a line. \throws exceptions of `line`, and InputError on a name that is not UTF-8; the trace has
+  /// then ended, and every further event is refused with an InputError
   void add(const HandledEvent& handled);
 
  private:
@@ -44,7 +43,7 @@ class LOOPWISE_EXPORT TraceWriter {
   bool broken_ = false;
 };
 
-/// What a trace was recorded with.
+/// The header of a trace.
 struct TraceHeader {
   Robots robots;          ///< Of the module.
   ModuleOptions options;  ///< Decisions, order and estimates; the other parts have their defaults.
@@ -57,7 +56,7 @@ struct TraceEvent {
   double now_s = 0.0;  ///< By the module's clock.
   std::optional<double> observability;     ///< As HandledEvent::observability.
   std::optional<ScanSignature> signature;  ///< As HandledEvent::signature.
-  std::string estimate_hash;               ///< Of an estimate: a hash of its poses and weights. Else empty.
+  std::string estimate_hash;  ///< Hash of the poses and weights of an estimate; empty for other events.
 };
 
 /// Reads the first line of a trace. \throws InputError, OptionError
@@ -65,13 +64,13 @@ struct TraceEvent {
 /// Reads any other line. \throws InputError, OptionError
 [[nodiscard]] LOOPWISE_EXPORT TraceEvent parse_trace_event(const std::string& line);
 
-/// Hands the events of a trace to an engine, which comes to the same graph, closures and estimates. Estimates
+/// Gives the events of a trace to an engine, which reaches the same graph, closures and estimates. Estimates
 /// are computed again; one that differs from the recorded one is a problem of the result, as is another
 /// version of the code. Of the hooks, `moment`, `progress` and `stop` are used.
-/// \param file trace, as TraceWriter makes it; a last line that is cut short is left out, and reported
+/// \param file trace of a TraceWriter; a truncated last line is left out and reported
 /// \param hooks to watch the run, or to stop it
-/// \param prioritizers of the module, if they were not those of its method
-/// \throws IoError; ParseError naming the line that cannot be read, or is not of a run with these
+/// \param prioritizers of the module, if they differ from those of its method
+/// \throws IoError; ParseError naming a line that cannot be read, or that comes from a run with other
 /// prioritisers
 [[nodiscard]] LOOPWISE_EXPORT ReplayResult replay_trace(const std::filesystem::path& file,
                                                         const ReplayHooks& hooks = {},

@@ -11,7 +11,7 @@
 
 namespace loopwise {
 
-/// Where a ray meets the mesh first.
+/// First intersection of a ray with the mesh.
 struct RayHit {
   float distance_m;        ///< From the ray's origin, m.
   Eigen::Vector3f normal;  ///< Unit length, towards the ray's origin.
@@ -27,7 +27,7 @@ class LOOPWISE_EXPORT RayCaster {
   RayCaster(const RayCaster&) = delete;
   RayCaster& operator=(const RayCaster&) = delete;
 
-  /// `direction` is of unit length. \returns nothing if there is no surface within `max_distance_m`.
+  /// `direction` is of unit length. \returns empty if there is no surface within `max_distance_m`.
   [[nodiscard]] std::optional<RayHit> cast(const Eigen::Vector3f& origin, const Eigen::Vector3f& direction,
                                            float max_distance_m) const;
 

@@ -30,17 +30,17 @@ enum class LidarKind {
   return {{LidarKind::kVlp16, "vlp16"}, {LidarKind::kOs1_64, "os1_64"}};
 }
 
-/// What becomes of a sweep.
+/// Thinning of a sweep.
 enum class ScanKind {
-  kLamp,  ///< Thinned as LAMP's front end does: voxels whose size adapts, then random thinning.
+  kLamp,  ///< As in LAMP's front end: voxels of adaptive size, then random thinning.
   kRaw,   ///< All returns of the sweep.
 };
 [[nodiscard]] inline EnumNames<ScanKind> enum_names(ScanKind) {
   return {{ScanKind::kLamp, "lamp"}, {ScanKind::kRaw, "raw"}};
 }
 
-/// What to simulate. Everything about the worlds and sensors that is not here is fixed in one file of
-/// parameters, see simulation_parameters_hash().
+/// Options of a simulation. All other parameters of worlds and sensors are fixed in one file, see
+/// simulation_parameters_hash().
 struct SimulationOptions {
   WorldKind world = WorldKind::kTunnel;
   double length_m = 0.0;
@@ -79,7 +79,7 @@ struct SimulationOptions {
   }
 };
 
-/// Bounds of the fields, and that each robot drives at least 20 m (and 10 nodes).
+/// Checks the bounds of the fields, and that each robot drives at least 20 m (and 10 nodes).
 /// \throws OptionError naming the field.
 LOOPWISE_EXPORT void validate_simulation(const SimulationOptions& options);
 
@@ -98,35 +98,35 @@ struct ReadingTruth {
   int walls = 0;            ///< Walls on that line, counted up to 4.
 };
 
-/// A whole mission in memory, and what only a simulator knows of it.
+/// A whole mission in memory, with its true values.
 struct SimulatedMission {
   SimulationOptions options;  ///< Resolved.
   std::uint64_t seed = 0;     ///< As given.
-  /// As read_mission() would give it back: keys are GTSAM symbols of the robots a, b, c, ...; nodes stand
-  /// where the odometry puts them, composed from each robot's prior; odometry edges carry the covariance that
-  /// the front end states. The scans are in memory unless they went to a sink.
+  /// The mission as from read_mission(): keys are GTSAM symbols of the robots a, b, c, ...; nodes have the
+  /// poses of odometry, composed from each robot's prior; odometry edges carry the covariance that the front
+  /// end states. The scans are in memory unless they went to a sink.
   Mission mission;
   std::vector<BeaconTruth> beacons;    ///< In the order of Mission::beacons.
   std::vector<ReadingTruth> readings;  ///< In the order of Mission::radio.
   /// By node number: smallest eigenvalue of the mean of n·nᵀ over the full sweep with true normals, at most
-  /// 1/3: what the odometry had to hold on to.
+  /// 1/3: the constraint of the odometry.
   std::vector<double> observability;
   std::vector<bool> in_corridor;  ///< By node number: between two walls, away from junctions and ends.
   std::uint64_t rays = 0;         ///< Cast for the scans.
 };
 
-/// Receives each scan once it is made, from any thread and in any order.
+/// Gets each scan when it is made, from any thread and in any order.
 using ScanSink = std::function<void(Key, const PointCloud&)>;
 
-/// Makes a mission: builds the world, plans the routes, drives, casts, drifts. A function of (options, seed)
-/// alone. `sink`, if given, takes the scans, so that memory stays small; then `mission.scans` is empty.
-/// \throws OptionError on bad options; SimulationStopped if a stop is requested; what the sink throws.
+/// Makes a mission: world, routes, motion, scans, drift. A function of (options, seed) alone. `sink`, if
+/// given, gets the scans, so that memory stays small; then `mission.scans` is empty. \throws OptionError on
+/// bad options; SimulationStopped if a stop is requested; exceptions of the sink.
 [[nodiscard]] LOOPWISE_EXPORT SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
                                                         const ProgressCallback& progress = {},
                                                         const StopToken& stop = {},
                                                         const ScanSink& sink = {});
 
-/// The same into a mission folder, scan by scan. After an exception what was written is gone again.
+/// Writes the mission to a mission folder, scan by scan. After an exception the output is removed.
 /// \returns the mission; its scans are those in the folder.
 /// \throws also IoError if the folder exists and is not empty, or cannot be written.
 LOOPWISE_EXPORT SimulatedMission simulate_to_folder(const std::filesystem::path& folder,

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the sensors of a simulated mission are like: where its scans constrain motion, how its radio falls
-/// off.
+/// Sensor statistics of a simulated mission: observability of its scans, and received power by distance.
 #pragma once
 
 #include <cstddef>
@@ -27,20 +26,20 @@ struct PowerBin {
   bool walls = false;      ///< One or more.
   std::size_t heard = 0;   ///< Readings with a received power.
   std::size_t missed = 0;  ///< Readings without.
-  double mean_dbm = 0.0;   ///< Of those heard; NaN if none.
-  double sigma_db = 0.0;   ///< Standard deviation of those heard.
+  double mean_dbm = 0.0;   ///< Mean of the received readings; NaN without readings.
+  double sigma_db = 0.0;   ///< Standard deviation of the received readings.
 };
 
-/// What the sensors of a mission are like.
+/// Sensor statistics of a mission.
 struct SensorStatistics {
-  /// Observability as prioritisation sees it: λ_min of Σ HᵀH over the scan with normals from 10 neighbours
-  /// (paper §III-C), divided by the mission's largest.
+  /// Observability as in prioritisation: λ_min of Σ HᵀH over the scan with normals from 10 neighbours (paper
+  /// §III-C), divided by the mission's largest.
   ScoreQuartiles corridors;
   ScoreQuartiles elsewhere;     ///< Junctions, ends, rooms, halls.
   std::vector<PowerBin> power;  ///< By rising distance, free lines of sight first.
 };
 
-/// \throws what reading the scans throws.
+/// \throws exceptions of reading the scans.
 [[nodiscard]] LOOPWISE_EXPORT SensorStatistics sensor_statistics(const SimulatedMission& made,
                                                                  int threads = 0);
 

@@ -35,12 +35,12 @@ struct TriangleMesh {
   std::vector<std::array<std::uint32_t, 3>> triangles;  ///< Three numbers of vertices each.
 };
 
-/// Where robots can go: places joined by passages. The gate, where all robots start, is place 0.
+/// The free space of robots: places joined by passages. The gate, the start of all robots, is place 0.
 struct RouteGraph {
-  /// What kind of place it is.
+  /// The kind of place.
   enum class PlaceKind {
-    kJunction,  ///< Where passages meet.
-    kDeadEnd,   ///< Where one ends.
+    kJunction,  ///< A junction of passages.
+    kDeadEnd,   ///< The end of a passage.
     kRoom,      ///< In a room or hall.
   };
   /// A node of the graph.
@@ -61,11 +61,11 @@ struct RouteGraph {
   std::vector<Passage> passages;  ///< In any order.
 };
 
-/// A world: its surfaces, and the ways through it. The gate lies at the origin, x leads in, z is up.
+/// A world: its surfaces and passages. The gate is at the origin, x points inwards, z is up.
 struct LOOPWISE_EXPORT World {
   WorldKind kind = WorldKind::kTunnel;  ///< Which of the four it is.
   TriangleMesh mesh;                    ///< All surfaces.
-  RouteGraph routes;                    ///< Where robots can go.
+  RouteGraph routes;                    ///< The passages.
   /// Total length of the passages, m.
   [[nodiscard]] double passage_length_m() const;
 };
@@ -73,8 +73,8 @@ struct LOOPWISE_EXPORT World {
 /// Builds a world in which robots can drive `length_m` in total as an exploring team does: passages for about
 /// half of it. The same arguments give the same bits for any number of threads.
 /// `threads` 0: one per processor.
-/// \throws OptionError unless 60 <= length_m <= 60000.
-/// \returns an unfinished mesh if a stop is requested; whoever asks for it throws the result away.
+/// \throws OptionError unless 60 <= length_m <= 60000. \returns an unfinished mesh if a stop is requested;
+/// the caller must discard it.
 [[nodiscard]] LOOPWISE_EXPORT World make_world(WorldKind kind, double length_m, std::uint64_t seed,
                                                int threads = 0, const StopToken& stop = {});
 
