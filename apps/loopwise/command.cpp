@@ -82,6 +82,13 @@ void add_odometry_option(CLI::App& command, std::string& odometry) {
       ->type_name("FILE");
 }
 
+void add_decisions_option(CLI::App& command, std::string& decisions) {
+  command
+      .add_option("--decisions", decisions,
+                  "Closures that a person has accepted or rejected: a file that the report has saved")
+      ->type_name("decisions.csv");
+}
+
 void set_odometry(const std::string& odometry, Config& config) {
   if (odometry.empty()) return;
   config.mission.odometry = odometry == "consecutive" ? std::string() : odometry;

@@ -49,6 +49,8 @@ void add_joining_options(CLI::App& command, std::string& frames, bool& start_tog
 
 /// Adds --odometry.
 void add_odometry_option(CLI::App& command, std::string& odometry);
+/// Adds --decisions.
+void add_decisions_option(CLI::App& command, std::string& decisions);
 /// Takes over what --odometry says, if it was given.
 void set_odometry(const std::string& odometry, Config& config);
 

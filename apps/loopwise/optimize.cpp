@@ -10,6 +10,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
+#include <loopwise/io/decisions.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/optimization/certificate.hpp>
@@ -32,6 +33,7 @@ struct Options {
   double inlier_probability = 0.0;  // 0: as configured
   std::string initialization;
   std::string odometry;
+  std::string decisions;
   std::string robots;
   std::vector<std::string> priors;
   std::string weights;
@@ -231,6 +233,19 @@ std::string certify_result(const OptimizerOptions& optimizer, const StopToken& s
   return certificate_text(estimate);
 }
 
+void decide(PoseGraph& graph, const std::string& path, Console& console) {
+  const std::vector<ClosureDecision> decisions = read_decisions(path);
+  const AppliedDecisions applied = apply_decisions(graph, decisions);
+  console.note(std::to_string(decisions.size()) + " decisions: " + std::to_string(applied.removed) +
+               " closures left out, " + std::to_string(applied.trusted) + " trusted");
+  Problems problems;
+  for (const ClosureDecision& decision : applied.without_match) {
+    problems.add("decision on a pair without a closure",
+                 path + ": " + key_name(decision.from) + " - " + key_name(decision.to));
+  }
+  console.warn(problems);
+}
+
 int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
@@ -272,6 +287,7 @@ int run(const Options& options) {
                                 robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(robots),
                                 config.mission, file.without_information));
   }
+  if (!options.decisions.empty()) decide(graph, options.decisions, console);
   PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
   add_priors(graph, options, console);
   const double reading_s = watch.seconds();
@@ -387,6 +403,7 @@ void add_optimize(CLI::App& app, Action& chosen) {
                    "First estimate: auto (the cheapest), file, odometry or chordal")
       ->type_name("WORD");
   add_odometry_option(*command, options->odometry);
+  add_decisions_option(*command, options->decisions);
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("0-624,625-1249");
   command

@@ -35,7 +35,7 @@ std::string difference(const std::string& before, const std::string& now) {
     std::replace(name.begin(), name.end(), '/', '.');
     return "other options: " + name + " was " + (was.contains(pointer) ? was[pointer].dump() : "not there");
   }
-  if (!same("content")) return "other content of graph_information.gnn_weights";
+  if (!same("content")) return "other content of graph_information.gnn_weights or of replay.decisions";
   return "other options";
 }
 

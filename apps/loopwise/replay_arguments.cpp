@@ -52,6 +52,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   add_odometry_option(command, arguments.odometry);
+  add_decisions_option(command, arguments.decisions);
   command.add_option("--seed", arguments.seed, "Of everything random (default 1)")
       ->type_name("S")
       ->check(not_negative());
@@ -72,6 +73,7 @@ void apply(const ReplayArguments& a, Config& config) {
   if (a.skip_recent) replay.engine.generation.skip_recent = *a.skip_recent;
   if (!a.robots.empty()) config.mission.robots = a.robots;
   set_odometry(a.odometry, config);
+  if (!a.decisions.empty()) replay.decisions = a.decisions;
   if (!a.guess.empty()) replay.engine.guess = parse_enum<GuessSource>("--guess", a.guess);
   if (!a.registrar.empty()) {
     replay.registration.registrar = parse_enum<RegistrarKind>("--registrar", a.registrar);

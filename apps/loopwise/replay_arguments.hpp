@@ -15,7 +15,7 @@
 namespace loopwise::cli {
 
 struct ReplayArguments {
-  std::string preset, robots, odometry, guess, registrar, registration_time;
+  std::string preset, robots, odometry, decisions, guess, registrar, registration_time;
   std::optional<std::int64_t> batch, max_registrations, skip_recent, thin;
   std::optional<double> gi_evaluation_time;
   std::vector<double> odometry_noise;

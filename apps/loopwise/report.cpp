@@ -4,6 +4,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/report.hpp>
+#include <loopwise/evaluation/run_mcap.hpp>
 
 #include "command.hpp"
 
@@ -16,11 +17,32 @@ struct Options {
   CommonOptions common;
   std::vector<std::string> runs, missions, truth;
   std::string output = "report.html";
+  std::string mcap;
   ReportOptions report;
 };
 
 std::string counted(std::size_t count, const char* one, const char* several) {
   return std::to_string(count) + " " + (count == 1 ? one : several);
+}
+
+/// The one run with its mission, as a recording for viewers.
+int write_mcap(const Options& options, const std::vector<Mission>& missions, Console& console) {
+  if (options.runs.size() != 1 || missions.size() != 1)
+    throw OptionError("--mcap takes one run and its mission (--mission)");
+  const McapResult result =
+      write_run_mcap(options.mcap, options.runs.front(), missions.front(), {}, console.progress_callback());
+  for (const std::string& note : result.notes) console.note(note);
+  console.warn(missions.front().scans->problems());
+  const Json json = {{"mcap", options.mcap},
+                     {"messages", result.messages},
+                     {"scans", result.scans},
+                     {"closures", result.closures},
+                     {"notes", result.notes}};
+  print_results(options.common, json,
+                "mcap " + options.mcap + ": " + counted(result.scans, "scan", "scans") + ", " +
+                    counted(result.closures, "closure", "closures") + ", " + std::to_string(result.messages) +
+                    " messages\n");
+  return kDone;
 }
 
 int run(const Options& options) {
@@ -34,6 +56,7 @@ int run(const Options& options) {
     set_truth(missions.back(), truth_of_mission(options.truth, i, options.missions.size()), config.mission);
     console.warn(missions.back().problems);
   }
+  if (!options.mcap.empty()) return write_mcap(options, missions, console);
   ThreadPool threads(thread_count(options.common));
   const Report report =
       write_report(options.output, std::vector<fs::path>(options.runs.begin(), options.runs.end()), missions,
@@ -71,6 +94,13 @@ void add_report(CLI::App& app, Action& chosen) {
       ->type_name("FILE")
       ->check(not_standard_output());
   command
+      ->add_option(
+          "--mcap", options->mcap,
+          "Instead of a page, write one run with its mission as an MCAP file of ROS 2 messages, which "
+          "Foxglove and other viewers open")
+      ->type_name("FILE")
+      ->check(not_standard_output());
+  command
       ->add_option("--mission", options->missions,
                    "Mission of the runs, for true paths, radio and observability; may be repeated")
       ->type_name("MISSION")
@@ -82,6 +112,10 @@ void add_report(CLI::App& app, Action& chosen) {
                    "Most points of a map that are drawn (default 20000)")
       ->type_name("N");
   command->add_option("--maps", options->report.maps, "Runs that get a map, the first ones (default 8)")
+      ->type_name("N");
+  command
+      ->add_option("--review", options->report.review_closures,
+                   "Closures whose scans are shown for review, the most doubtful first (default 60)")
       ->type_name("N");
   command->add_option("--seed", options->report.seed, "Of what is drawn where a layer has more (default 1)")
       ->type_name("S")

@@ -83,9 +83,11 @@ void Engine::Impl::on(RegistrationResult& result) {
 }
 
 void Engine::Impl::take(const LoopClosure& closure) {
-  if (vetoed_.count(pair_of(closure.from, closure.to)) != 0) return;
+  const Word word = word_on(closure.from, closure.to);
+  if (word == Word::kRejected) return;
   try {
-    change_graph().add_closure(closure);
+    const std::size_t edge = change_graph().add_closure(closure);
+    if (word == Word::kAccepted) change_graph().set_trusted(edge, true);
   } catch (const Error& error) {
     problem("closure refused", key_name(closure.from) + " - " + key_name(closure.to) + ": " + error.what());
     return;
@@ -107,15 +109,20 @@ void Engine::Impl::on(event::BatchDone& event) {
   start_estimate();
 }
 
-void Engine::Impl::on(event::Veto& event) {
-  vetoed_.insert(pair_of(event.from, event.to));
-  const std::size_t removed = change_graph().remove_edges_if([&](const Edge& edge) {
-    return edge.kind == EdgeKind::kLoopClosure &&
-           pair_of(edge.from, edge.to) == pair_of(event.from, event.to);
-  });
-  if (removed == 0) return;
-  pool_.closure_removed(event.from, event.to);
-  removed_since_job_ = wants_estimate_ = true;
+Engine::Impl::Word Engine::Impl::word_on(Key a, Key b) const {
+  const auto found = decided_.find(pair_of(a, b));
+  if (found == decided_.end()) return Word::kNone;
+  return found->second ? Word::kAccepted : Word::kRejected;
+}
+
+void Engine::Impl::on(ClosureDecision& decision) {
+  decided_[pair_of(decision.from, decision.to)] = decision.accepted;
+  const AppliedDecisions applied = apply_decisions(change_graph(), {decision});
+  if (applied.removed > 0) {
+    pool_.closure_removed(decision.from, decision.to);
+    removed_since_job_ = true;
+  }
+  if (applied.removed + applied.trusted > 0) wants_estimate_ = true;
 }
 
 }  // namespace loopwise

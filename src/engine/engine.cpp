@@ -95,8 +95,12 @@ void Engine::Impl::add_factors(const std::vector<Factor>& factors) {
       if (options_.max_factor_wait_s > 0.0) factor_ages_.emplace(now_s_, *missing);
       continue;
     }
-    add_factor(change_graph(), factor);
     const Edge* edge = std::get_if<Edge>(&factor);
+    const bool decided = edge != nullptr && edge->kind == EdgeKind::kLoopClosure;
+    const Word word = decided ? word_on(edge->from, edge->to) : Word::kNone;
+    if (word == Word::kRejected) continue;
+    add_factor(change_graph(), factor);
+    if (word == Word::kAccepted) change_graph().set_trusted(graph_.edges().size() - 1, true);
     const auto* prior = std::get_if<PriorFactor>(&factor);
     if (edge != nullptr && edge->kind == EdgeKind::kOdometry) {
       move(placement_.tie(graph_, *edge));
@@ -153,11 +157,11 @@ void Engine::Impl::on(event::Candidates& event) {
 
 void Engine::Impl::propose(std::vector<LoopCandidate> candidates) {
   if (candidates.empty() || !prioritizes_) return;
-  if (options_.thin > 1) {
-    candidates.erase(
-        std::remove_if(candidates.begin(), candidates.end(),
-                       [this](const LoopCandidate& c) { return !kept_by_thinning(options_, c); }),
-        candidates.end());
+  const auto left_out = [this](const LoopCandidate& c) {
+    return (options_.thin > 1 && !kept_by_thinning(options_, c)) || word_on(c.from, c.to) == Word::kRejected;
+  };
+  if (options_.thin > 1 || !decided_.empty()) {
+    candidates.erase(std::remove_if(candidates.begin(), candidates.end(), left_out), candidates.end());
   }
   for (LoopCandidate& candidate : candidates) candidate.time_s = now_s_;
   guarded([&] { pool_.add(candidates); });

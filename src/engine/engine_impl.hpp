@@ -142,7 +142,10 @@ class Engine::Impl {
   void on(RegistrationResult& result);
   void take(const LoopClosure& closure);
   void on(event::BatchDone& event);
-  void on(event::Veto& event);
+  void on(ClosureDecision& decision);
+  /// What a person has said of a pair.
+  enum class Word { kNone, kAccepted, kRejected };
+  [[nodiscard]] Word word_on(Key a, Key b) const;
 
   // ---- estimates
 
@@ -167,7 +170,7 @@ class Engine::Impl {
   std::multimap<double, Key> factor_ages_;                                  // of waiting_factors_
   std::unordered_set<Key> scans_;                                           // announced
   std::unordered_map<Key, std::shared_ptr<const PointCloud>> early_scans_;  // before their nodes
-  std::set<KeyPair> vetoed_;
+  std::map<KeyPair, bool> decided_;                                         // true: accepted
   std::unordered_set<Key> closed_;           // nodes with a closure, perhaps taken out since
   std::vector<Key> moved_;                   // since their neighbours were proposed
   std::unordered_set<Key> moved_since_job_;  // of the back end

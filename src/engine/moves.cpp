@@ -73,7 +73,7 @@ void Engine::Impl::propose_moved() {
   std::vector<KeyPair> pairs;
   std::vector<LoopCandidate> again;
   for (LoopCandidate& candidate : forgotten_) {
-    if (vetoed_.count(pair_of(candidate.from, candidate.to)) != 0) continue;
+    if (word_on(candidate.from, candidate.to) == Word::kRejected) continue;
     pairs.emplace_back(candidate.from, candidate.to);
     if (candidate.source == CandidateSource::kProximity) continue;
     candidate.distance_m =

@@ -30,6 +30,8 @@
 #include "report_arrays.hpp"
 #include "report_parts.hpp"
 #include "report_paths.hpp"
+#include "report_review.hpp"
+#include "run_closures.hpp"
 #include "run_journal.hpp"
 
 namespace loopwise {
@@ -85,12 +87,6 @@ double difference_ns(std::int64_t a, std::int64_t b) {
   return a >= b ? static_cast<double>(x - y) : -static_cast<double>(y - x);
 }
 
-struct Row {
-  Key from, to;
-  std::string outcome;
-  double weight, time_s;
-};
-
 class RunReader {
  public:
   RunReader(fs::path folder, const ReportOptions& options)
@@ -98,7 +94,8 @@ class RunReader {
     if (!summary_.is_object()) throw InputError((folder_ / "summary.json").string() + ": not an object");
     if (summary_.contains("mission") && summary_["mission"].is_string())
       mission_name_ = summary_["mission"].get<std::string>();
-    if (fs::exists(folder_ / "closures.csv")) read_closures();
+    has_closures_ = fs::exists(folder_ / "closures.csv");
+    if (has_closures_) rows_ = read_run_closures(folder_ / "closures.csv");
   }
 
   [[nodiscard]] const std::string& mission_name() const { return mission_name_; }
@@ -163,28 +160,11 @@ class RunReader {
     put_points(scene, graph, robots, view);
     put_candidates(scene, place);
     put_radio(scene, view, place);
+    scene["review"] = review(graph, robots, view, place);
     return scene;
   }
 
  private:
-  void read_closures() {
-    const fs::path path = folder_ / "closures.csv";
-    const std::vector<std::string> names = csv_header(path);
-    const CsvTable table(path, names);
-    const auto column = [&](const char* name) {
-      const auto found = std::find(names.begin(), names.end(), name);
-      if (found == names.end()) throw ParseError(path.string(), 1, std::string("no column \"") + name + "\"");
-      return static_cast<std::size_t>(found - names.begin());
-    };
-    const std::size_t from = column("from"), to = column("to"), outcome = column("outcome"),
-                      weight = column("weight"), time = column("mission_time_s");
-    for (std::size_t r = 0; r < table.size(); ++r) {
-      rows_.push_back({table.key(r, from), table.key(r, to), table.text(r, outcome),
-                       table.number_or_nan(r, weight), table.number_or_nan(r, time)});
-    }
-    has_closures_ = true;
-  }
-
   [[nodiscard]] bool has_journal() const { return fs::exists(folder_ / "journal.jsonl"); }
 
   /// Read when it is first asked for.
@@ -195,8 +175,8 @@ class RunReader {
 
   [[nodiscard]] Json history_of_journal() {
     std::vector<double> verified;
-    for (const Row& row : rows_) {
-      if (row.outcome == "verified") verified.push_back(row.time_s);
+    for (const RunClosure& row : rows_) {
+      if (row.verified) verified.push_back(row.time_s);
     }
     std::sort(verified.begin(), verified.end());
     const auto& moments = journal().moments;
@@ -391,12 +371,27 @@ class RunReader {
     return {{"total", pairs.size()}, {"drawn", chosen.size()}, {"ends", base64(ends)}};
   }
 
+  [[nodiscard]] Json review(const PoseGraph& graph, const std::vector<RobotPath>& robots,
+                            const MissionView* view, const std::map<Key, std::uint32_t>& place) const {
+    if (view == nullptr) return nullptr;  // no scans; already noted
+    std::map<Key, Eigen::Isometry3d> odometry;
+    for (const RobotPath& robot : robots) {
+      for (std::size_t i = 0; i < robot.odometry.size(); ++i) odometry[robot.keys[i]] = robot.odometry[i];
+    }
+    std::vector<ReviewedClosure> closures;
+    for (const RunClosure& row : rows_) {
+      if (row.verified)
+        closures.push_back({row.from, row.to, row.T_from_to, row.weight, row.overlap, row.time_s});
+    }
+    return review_json(std::move(closures), {graph, odometry, place, *view->mission}, options_);
+  }
+
   void put_candidates(Json& scene, const std::map<Key, std::uint32_t>& place) {
     Json layers = Json::object();
     if (has_closures_) {
       Pairs rejected, kept, outliers;
-      for (const Row& row : rows_) {
-        Pairs& to = row.outcome != "verified" ? rejected : row.weight > kInlierWeight ? kept : outliers;
+      for (const RunClosure& row : rows_) {
+        Pairs& to = !row.verified ? rejected : row.weight > kInlierWeight ? kept : outliers;
         to.emplace_back(row.from, row.to);
       }
       layers["kept"] = pair_layer(kept, place, 2);
@@ -475,7 +470,7 @@ class RunReader {
   Json summary_;
   bool is_judged_anew_ = false;
   std::string mission_name_;
-  std::vector<Row> rows_;
+  std::vector<RunClosure> rows_;
   bool has_closures_ = false;
   std::optional<RunJournal> journal_;
   std::vector<std::string> notes_;

@@ -81,23 +81,31 @@ void EngineThread::interrupt_improvement() {
 void EngineThread::run() {
   id_ = std::this_thread::get_id();
   try {
-    while (auto message = next_message()) {
-      if (auto* event = std::get_if<Event>(&*message)) {
-        if (!std::holds_alternative<RegistrationResult>(*event)) improved_ = improving_ = false;
-        feed(std::move(*event));
-      } else {
-        carry_out(std::get<effect::Problem>(*message));
-      }
-      keep_busy();
-      ++events_;
-      statistics_.publish(*engine_, events_);
-      work_.end();
-    }
+    handle_messages();
+    // The estimates on the way may continue each other. This has no effect if the last one does not.
+    if (!out_of_memory_) feed(event::Settle{true});
+    handle_messages();
     statistics_.publish(*engine_, events_);
   } catch (const std::bad_alloc&) {
     out_of_memory_ = true;
   }
   if (out_of_memory_) end_without_memory();
+}
+
+/// Until the inbox is closed and no worker has anything to answer.
+void EngineThread::handle_messages() {
+  while (auto message = next_message()) {
+    if (auto* event = std::get_if<Event>(&*message)) {
+      if (!std::holds_alternative<RegistrationResult>(*event)) improved_ = improving_ = false;
+      feed(std::move(*event));
+    } else {
+      carry_out(std::get<effect::Problem>(*message));
+    }
+    keep_busy();
+    ++events_;
+    statistics_.publish(*engine_, events_);
+    work_.end();
+  }
 }
 
 /// While a batch is computed, the next set is improved. Events from outside wait meanwhile, so that a
@@ -176,7 +184,7 @@ void EngineThread::carry_out(effect::Compute& compute) {
 
 void EngineThread::carry_out(effect::Optimize& optimize) {
   work_.begin();
-  workers_.optimize(std::move(optimize.graph));
+  workers_.optimize(std::move(optimize));
 }
 
 void EngineThread::carry_out(effect::EstimateReady& ready) {

@@ -34,8 +34,8 @@ class EngineThread {
   };
   /// What the other threads of the module do. Must not wait.
   struct Workers {
-    std::function<void(std::vector<RegistrationTask>)> compute;      ///< Answer: event::BatchDone.
-    std::function<void(std::shared_ptr<const PoseGraph>)> optimize;  ///< Answer: event::Optimized.
+    std::function<void(std::vector<RegistrationTask>)> compute;  ///< Answer: event::BatchDone.
+    std::function<void(effect::Optimize)> optimize;              ///< Answer: event::Optimized.
   };
 
   EngineThread(Settings settings, OpenWork& work, StatisticsBoard& statistics, Reporter& reporter)
@@ -47,8 +47,8 @@ class EngineThread {
 
   /// Begins. \throws std::system_error if the system has no more threads
   void start(Engine engine, Workers workers);
-  /// Handles what is there, begins no more batches, and ends once those under way are done. To be called
-  /// once started.
+  /// Handles what is there, begins no more batches, and ends once those under way are done and the last
+  /// estimate is one from scratch. To be called once started.
   void end();
 
   /// An event from outside: waits while the inbox is full, unless called from this thread itself, where
@@ -75,6 +75,7 @@ class EngineThread {
   using Message = std::variant<Event, effect::Problem>;
 
   void run();
+  void handle_messages();
   std::optional<Message> next_message();
   void improve();
   void feed(Event event);

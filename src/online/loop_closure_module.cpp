@@ -36,10 +36,10 @@ class LoopClosureModule::Impl {
         engine_thread_(settings(options, parts), work_, statistics_, reporter_),
         crew_(*registrar_, options.threads, options.overdue_after_s, crew_hooks()),
         computation_([this](std::vector<RegistrationTask>&& tasks) { compute(std::move(tasks)); }),
-        back_end_([this](std::shared_ptr<const PoseGraph>&& graph) { optimize(*graph); }) {
+        back_end_([this](effect::Optimize&& job) { optimize(job); }) {
     EngineThread::Workers workers;
     workers.compute = [this](std::vector<RegistrationTask> tasks) { computation_.post(std::move(tasks)); };
-    workers.optimize = [this](std::shared_ptr<const PoseGraph> graph) { back_end_.post(std::move(graph)); };
+    workers.optimize = [this](effect::Optimize job) { back_end_.post(std::move(job)); };
     engine_thread_.start(Engine(robots_, options_.engine, make_queue(std::move(parts.prioritizers))),
                          std::move(workers));
   }
@@ -168,12 +168,14 @@ class LoopClosureModule::Impl {
     return hooks;
   }
 
-  void optimize(const PoseGraph& graph) {
+  void optimize(const effect::Optimize& job) {
     const Stopwatch watch;
     event::Optimized done;
     try {
       if (!optimizer_) optimizer_.emplace(options_.back_end.optimization);
-      done.gnc = optimizer_->optimize_gnc(graph, options_.back_end.gnc, stop_source_.token());
+      GncOptions options = options_.back_end.gnc;
+      if (job.from_scratch) options.warm_growth = 0.0;
+      done.gnc = optimizer_->optimize_gnc(*job.graph, options, stop_source_.token());
       done.stopped = done.gnc.optimization.termination == Termination::kStopped;
       statistics_.optimized(watch.seconds());
     } catch (const std::bad_alloc&) {
@@ -203,7 +205,7 @@ class LoopClosureModule::Impl {
   EngineThread engine_thread_;
   RegistrationCrew crew_;
   JobThread<std::vector<RegistrationTask>> computation_;
-  JobThread<std::shared_ptr<const PoseGraph>> back_end_;
+  JobThread<effect::Optimize> back_end_;
 };
 
 LoopClosureModule::LoopClosureModule(const Robots& robots, const ModuleOptions& options,
@@ -235,8 +237,12 @@ bool LoopClosureModule::add_candidates(const std::vector<LoopCandidate>& candida
 bool LoopClosureModule::set_estimate(const ExternalEstimate& estimate) {
   return impl_->set_estimate(estimate);
 }
+bool LoopClosureModule::decide(const ClosureDecision& decision) {
+  return impl_->add(decision);
+}
+
 bool LoopClosureModule::remove_closure(Key from, Key to) {
-  return impl_->add(event::Veto{from, to});
+  return decide({from, to, false});
 }
 bool LoopClosureModule::wait() {
   return impl_->wait();

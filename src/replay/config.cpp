@@ -160,17 +160,26 @@ std::string options_json(const ReplayOptions& options) {
   return sections_json(options);
 }
 
-std::string options_key(const ReplayOptions& options) {
-  std::string key = options_json(options);
-  const std::string& weights = options.prioritization.graph_information.gnn_weights;
-  if (weights.empty()) return key;
+namespace {
+
+/// A line with the hash of a file's content; empty if no file is named.
+std::string content_key(const std::string& option, const std::string& path) {
+  if (path.empty()) return {};
   ContentHasher hasher;
-  std::ifstream in(weights, std::ios::binary);
+  std::ifstream in(path, std::ios::binary);
   std::string piece(1 << 16, '\0');
   while (in.read(piece.data(), static_cast<std::streamsize>(piece.size())) || in.gcount() > 0) {
     hasher.bytes(piece.data(), static_cast<std::size_t>(in.gcount()));
   }
-  return key + "gnn_weights " + (in.eof() ? to_string(hasher.finish()) : "unreadable") + "\n";
+  return option + " " + (in.eof() ? to_string(hasher.finish()) : "unreadable") + "\n";
+}
+
+}  // namespace
+
+std::string options_key(const ReplayOptions& options) {
+  return options_json(options) +
+         content_key("gnn_weights", options.prioritization.graph_information.gnn_weights) +
+         content_key("decisions", options.decisions);
 }
 
 std::string config_key(const Config& config) {

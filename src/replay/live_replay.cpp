@@ -39,6 +39,7 @@ class LiveRun {
         clock_(clock),
         hooks_(hooks),
         feed_(mission_feed(mission, options)),
+        decisions_(decisions_of(mission, options)),
         odometry_(odometry_of(feed_, mission.robots)),
         module_(mission.robots, module_options(options, threads), callbacks(), observed(std::move(parts))) {
     result_.mission_end_s = feed_.empty() ? 0.0 : feed_.back().time_s;
@@ -94,6 +95,7 @@ class LiveRun {
   }
 
   void drive() {
+    for (const ClosureDecision& decision : decisions_) static_cast<void>(module_.decide(decision));
     for (const Arrival& arrival : feed_) {
       clock_.wait_until(arrival.time_s, hooks_.stop);
       if (stopped()) return;
@@ -150,6 +152,7 @@ class LiveRun {
     result_.optimization_s = statistics.optimizing_s;
     Problems all = result_.problems;  // so that none counts twice
     all.add(mission_.scans->problems());
+    report_missing(decisions_, result_.graph, all);
     result_.problems = std::move(all);
   }
 
@@ -172,6 +175,7 @@ class LiveRun {
   Clock& clock_;
   const ReplayHooks& hooks_;
   const std::vector<Arrival> feed_;
+  const std::vector<ClosureDecision> decisions_;
   const std::vector<Eigen::Isometry3d> odometry_;
   double now_s_ = 0.0;  // of the event that is handled; of the module's thread
   std::size_t fed_ = 0;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
+#include <set>
 #include <unordered_map>
 #include <unordered_set>
 #include <utility>
@@ -13,6 +14,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/engine/engine.hpp>
+#include <loopwise/io/decisions.hpp>
 #include <loopwise/replay/replay.hpp>
 
 namespace loopwise {
@@ -147,6 +149,32 @@ std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& o
     feed.push_back(std::move(arrival));
   }
   return feed;
+}
+
+std::vector<ClosureDecision> decisions_of(const Mission& mission, const ReplayOptions& options) {
+  if (options.decisions.empty()) return {};
+  std::vector<ClosureDecision> decisions = read_decisions(options.decisions);
+  for (const ClosureDecision& decision : decisions) {
+    for (const Key key : {decision.from, decision.to}) {
+      if (mission.graph.contains(key)) continue;
+      throw InputError(options.decisions + ": mission " + mission.path.string() + " has no node " +
+                       key_name(key) + "; decisions hold for the mission that they were made on");
+    }
+  }
+  return decisions;
+}
+
+void report_missing(const std::vector<ClosureDecision>& decisions, const PoseGraph& graph,
+                    Problems& problems) {
+  std::set<std::pair<Key, Key>> closures;
+  for (const Edge& edge : graph.edges()) {
+    if (edge.kind == EdgeKind::kLoopClosure) closures.insert(std::minmax(edge.from, edge.to));
+  }
+  for (const ClosureDecision& decision : decisions) {
+    if (!decision.accepted || closures.count(std::minmax(decision.from, decision.to)) != 0) continue;
+    problems.add("accepted pair without a closure", key_name(decision.from) + " - " + key_name(decision.to) +
+                                                        ": not computed, or refused by the registration");
+  }
 }
 
 std::vector<Eigen::Isometry3d> odometry_of(const std::vector<Arrival>& feed, const Robots& robots) {

@@ -23,6 +23,14 @@ struct Arrival {
 /// only if the method asks for them.
 [[nodiscard]] std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& options);
 
+/// The decisions that the options name. \throws InputError on a node that the mission does not have; what
+/// read_decisions() throws
+[[nodiscard]] std::vector<ClosureDecision> decisions_of(const Mission& mission, const ReplayOptions& options);
+
+/// Reports accepted pairs that the graph has no closure between.
+void report_missing(const std::vector<ClosureDecision>& decisions, const PoseGraph& graph,
+                    Problems& problems);
+
 /// Poses by odometry and full priors alone, in the order of the arrivals.
 [[nodiscard]] std::vector<Eigen::Isometry3d> odometry_of(const std::vector<Arrival>& feed,
                                                          const Robots& robots);

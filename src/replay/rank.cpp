@@ -60,6 +60,7 @@ std::vector<LoopCandidate> all_candidates(const Mission& mission, const ReplayOp
     }
   };
   const auto any_cloud = std::make_shared<const PointCloud>();
+  for (const ClosureDecision& decision : decisions_of(mission, options)) feed(decision, 0.0);
   for (const Arrival& arrival : mission_feed(mission, options)) {
     for (const BeaconDrop& drop : arrival.drops) feed(drop, arrival.time_s);
     if (!arrival.readings.empty()) feed(event::Radio{arrival.readings}, arrival.time_s);

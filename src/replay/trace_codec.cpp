@@ -227,10 +227,11 @@ struct Encoder {
       line["covariances"].push_back({{"key", key_json(key)}, {"covariance", numbers(covariance)}});
     }
   }
-  void operator()(const event::Veto& event) const {
-    line["event"] = "veto";
-    line["from"] = key_json(event.from);
-    line["to"] = key_json(event.to);
+  void operator()(const ClosureDecision& decision) const {
+    line["event"] = "closure_decision";
+    line["from"] = key_json(decision.from);
+    line["to"] = key_json(decision.to);
+    line["accepted"] = decision.accepted;
   }
   void operator()(const event::Tick&) const { line["event"] = "tick"; }
   void operator()(const event::Improve& event) const {
@@ -305,7 +306,9 @@ Event event_from(const Json& line) {
     return optimized;
   }
   if (name == "external_estimate") return external_estimate_from(line);
-  if (name == "veto") return event::Veto{key_from(line, "from"), key_from(line, "to")};
+  if (name == "closure_decision") {
+    return ClosureDecision{key_from(line, "from"), key_from(line, "to"), line.at("accepted").get<bool>()};
+  }
   if (name == "tick") return event::Tick{};
   if (name == "improve") {
     return event::Improve{whole_from(line, "count"),

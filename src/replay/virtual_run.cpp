@@ -56,6 +56,7 @@ class Run {
         options_(options),
         hooks_(hooks),
         feed_(mission_feed(mission, options)),
+        decisions_(decisions_of(mission, options)),
         engine_(mission.robots, options.engine,
                 queue_of(mission.robots, options, registration, prioritizers)),
         computation_(*registration.registrar, threads, hooks, known),
@@ -72,6 +73,7 @@ class Run {
     result_.mission_end_s = mission_end;
     end_s_ = options_.after_mission ? std::numeric_limits<double>::infinity() : mission_end;
     log_.write(journal::start_line(mission_, options_));
+    for (const ClosureDecision& decision : decisions_) feed(decision);
 
     while (!events_.empty() && events_.begin()->time_s <= end_s_ && !hooks_.stop.stop_requested()) {
       now_s_ = events_.begin()->time_s;
@@ -288,6 +290,7 @@ class Run {
     result_.registration_s = computation_.seconds();
     result_.problems.add(mission_.scans->problems());
     result_.problems.add(engine_.radio_problems());
+    report_missing(decisions_, engine_.graph(), result_.problems);
     log_.write(journal::end_line(now_s_, result_.interrupted, account()));
     log_.show(ReplayMoment::Kind::kEnd, now_s_);
     result_.graph = engine_.graph();
@@ -299,6 +302,7 @@ class Run {
   const ReplayHooks& hooks_;
 
   const std::vector<Arrival> feed_;
+  const std::vector<ClosureDecision> decisions_;
   Engine engine_;
   BatchComputation computation_;
   PoseGraphOptimizer optimizer_;

@@ -222,9 +222,9 @@ std::string trace_lines() {
            frame, factors, event::Scan{{make_key('a', 1), 0, frame.cloud}}, event::Radio{{reading}},
            BeaconDrop{"b", 0, make_key('a', 1), 5}, event::Candidates{{candidate}}, result(true),
            result(false), event::BatchDone{{candidate}}, event::Optimized{},
-           event::Optimized{{}, false, "singular"}, estimate, event::Veto{make_key('a', 1), make_key('b', 1)},
-           event::Tick{}, event::Improve{5, {}, {7}}, event::Choose{5}, event::Settle{},
-           event::NoMoreScans{}}) {
+           event::Optimized{{}, false, "singular"}, estimate,
+           ClosureDecision{make_key('a', 1), make_key('b', 1), true}, event::Tick{},
+           event::Improve{5, {}, {7}}, event::Choose{5}, event::Settle{}, event::NoMoreScans{}}) {
     writer.add({event, 1.5, 0.25, signature});
   }
   return text;

@@ -185,6 +185,28 @@ TEST_CASE("module: finish makes a last estimate with all closures", "[online][mo
   REQUIRE(module.estimate()->closures == closures);
 }
 
+TEST_CASE("module: estimates continue each other, the last one starts from scratch", "[online][module]") {
+  const Mission mission = two_circles(1, 30);
+  std::vector<bool> fresh;  // of each estimate; of the module's thread, read after finish()
+  ModuleParts parts = with_oracle(mission);
+  parts.on_event = [&](const HandledEvent& handled) {
+    const auto* estimate = std::get_if<event::Optimized>(&handled.event);
+    if (estimate != nullptr && !estimate->stopped) fresh.push_back(estimate->gnc.fresh);
+  };
+  ModuleOptions options = module_options();
+  options.back_end.gnc.warm_growth = 1e9;
+  LoopClosureModule module(mission.robots, options, {}, std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) {
+    REQUIRE(module.add_key_frame(frame));
+    REQUIRE(module.wait());
+  }
+  module.finish();
+  REQUIRE(fresh.size() > 2);
+  REQUIRE(fresh.back());
+  REQUIRE_FALSE(fresh[fresh.size() - 2]);  // without it, there would be nothing to make again
+  REQUIRE(module.statistics().optimizations == fresh.size());
+}
+
 TEST_CASE("module: scans, factors and candidates may come before their nodes", "[online][module]") {
   const Mission mission = two_circles(1, 12);
   ModuleOptions options = module_options("baseline");

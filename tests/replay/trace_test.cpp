@@ -106,7 +106,7 @@ std::size_t produce(LoopClosureModule& module, const Mission& mission, std::size
       taken += module.add_candidates({candidate}) ? 1 : 0;
     }
     if (rng.uniform() < 0.1)
-      taken += module.remove_closure(seen.back(), seen[rng.below(seen.size())]) ? 1 : 0;
+      taken += module.decide({seen.back(), seen[rng.below(seen.size())], rng.uniform() < 0.3}) ? 1 : 0;
     if (rng.uniform() < 0.1) std::this_thread::sleep_for(std::chrono::microseconds(rng.below(500)));
   }
   taken += module.add_factors(factors(late, late_priors)) ? 1 : 0;
@@ -251,7 +251,7 @@ TEST_CASE("trace: a line that cannot be read is named, one that a kill cut short
   REQUIRE_THROWS_WITH(replay_of(with_line(3, "{")), Contains(":3:"));
   REQUIRE_THROWS_WITH(replay_of(with_line(3, R"({"now_s": 0, "event": "dance"})")),
                       Contains(":3:") && Contains("unknown event \"dance\""));
-  REQUIRE_THROWS_WITH(replay_of(with_line(3, R"({"now_s": 0, "event": "veto", "from": "1"})")),
+  REQUIRE_THROWS_WITH(replay_of(with_line(3, R"({"now_s": 0, "event": "closure_decision", "from": "1"})")),
                       Contains(":3:") && Contains("to"));
   REQUIRE_THROWS_WITH(replay_of(with_line(3, R"({"now_s": 0, "event": "choose", "count": 1e300})")),
                       Contains(":3:") && Contains("count"));

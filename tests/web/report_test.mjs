@@ -180,6 +180,44 @@ try {
   for (const id of ['ratio', 'error', 'closures']) assert.ok((await ticks(page, id)).length >= 3, `ticks of ${id}: ${await ticks(page, id)}`);
   assert.ok((await text(page, '.figures')).includes('Mean position error'));
 
+  // Review of closures: looked at, decided on, saved, used.
+  const listed = await page.value('document.querySelectorAll(".closure").length');
+  assert.ok(listed > 3, `${listed} closures to review`);
+  const inked = () => page.value(`[...document.querySelectorAll('.scans canvas')].map((canvas) => { const data = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data; let sum = 0; for (let i = 3; i < data.length; i += 4) sum += data[i] > 0 ? 1 + (i % 9973) : 0; return sum; })`);
+  const byRegistration = await inked();
+  assert.ok(byRegistration.every((sum) => sum > 0), `both views are drawn: ${byRegistration}`);
+  await page.value(`document.querySelector('input[name="laying"][value="odometry"]').click()`);
+  assert.notDeepEqual(await inked(), byRegistration, 'by odometry the scans lie otherwise');
+  const press = (word) => page.value(`document.querySelector('button[data-decide="${word}"]').click()`);
+  await press('reject');
+  await page.value(`document.querySelector('.closure[data-closure="1"]').click()`);
+  await press('accept');
+  await page.value(`document.querySelector('.closure[data-closure="2"]').click()`);
+  await press('reject');
+  await press('');
+  const { review } = await state(page);
+  assert.equal(review.decisions, 2);
+  const closures = await page.value('loopwiseReport.map.data.review.closures.map((c) => c.keys)');
+  assert.equal(review.csv, `from,to,decision\n${closures[0].join()},reject\n${closures[1].join()},accept\n`);
+  assert.equal(await text(page, '#save-decisions'), 'Save decisions.csv (2)');
+  writeFileSync(inFolder('decisions.csv'), review.csv);
+  loopwise('optimize', inFolder('obs'), '--gnc', '--decisions', inFolder('decisions.csv'), '--weights', inFolder('weights.csv'), '--quiet');
+  const weights = readFileSync(inFolder('weights.csv'), 'utf8').trim().split('\n').slice(1).map((row) => row.split(','));
+  const weightOf = ([from, to]) => weights.filter(([, a, b]) => (a === from && b === to) || (a === to && b === from)).map((row) => Number(row[3]));
+  assert.deepEqual(weightOf(closures[0]), [], 'a rejected closure is not in the graph');
+  assert.deepEqual(weightOf(closures[1]), [1], 'an accepted closure is kept');
+  const onScreen = await page.value(`(() => {
+    const { map } = loopwiseReport;
+    map.view('top');
+    const { from, to } = map.data.review.closures[3];
+    const ends = [from, to].map((node) => map.camera.position.clone().fromArray(map.data.nodes.optimized, 3 * node).project(map.camera));
+    const box = map.canvas.getBoundingClientRect();
+    const [x, y] = [((ends[0].x + ends[1].x) / 4 + 0.5) * box.width, (0.5 - (ends[0].y + ends[1].y) / 4) * box.height];
+    map.canvas.dispatchEvent(new MouseEvent('click', { clientX: box.left + x, clientY: box.top + y, bubbles: true }));
+    return loopwiseReport.review.selected;
+  })()`);
+  assert.notEqual(onScreen, 2, 'a click on a closure selects it, or one that lies over it');
+
   // Another run.
   await page.value(`(() => { const s = document.getElementById('run'); s.value = '1'; s.dispatchEvent(new Event('change')); })()`);
   await page.until('loopwiseReport.ready === true && loopwiseReport.run === 1');

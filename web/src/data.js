@@ -40,6 +40,7 @@ function decodeScene(json) {
     },
     candidates: Object.fromEntries(Object.entries(json.candidates).map(([name, one]) => [name, layer(one)])),
     beacons: json.beacons,
+    review: json.review && { ...json.review, scans: Object.fromEntries(Object.entries(json.review.scans).map(([node, scan]) => [node, { ...scan, points: decode(scan.points, Uint16Array) }])) },
     radio: json.radio && { ...json.radio, ...layer(json.radio) },
   };
 }

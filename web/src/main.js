@@ -4,6 +4,7 @@ import { at, count, duration, fixed, h, isNumber, metres, percent } from './dom.
 import { readData } from './data.js';
 import { layersOf, MissionMap } from './map.js';
 import { MissionPlan } from './plan.js';
+import { Review } from './review.js';
 import { drawCharts } from './charts.js';
 import { pairedTable, runCount, studyFigures, studyTables } from './studies.js';
 import { allRuns, comparison, provenance, runTables } from './tables.js';
@@ -101,6 +102,7 @@ function start(data) {
   const mapBox = h('div', { class: 'map', id: 'map' });
   const side = h('div', { id: 'legend' });
   const mapRow = h('section', { class: 'maprow card', 'aria-label': 'Map' }, mapBox, side);
+  const review = new Review(state, (closure) => map?.markPair?.(closure.from, closure.to));
   const charts = h('section', { class: 'cards charts', 'aria-label': 'Charts' });
   const tables = h('div', { class: 'cards' });
   const origin = h('div', { id: 'provenance' });
@@ -108,7 +110,7 @@ function start(data) {
   const compared = comparison(data, (index) => select(index));
   root.replaceChildren(
     h('header', {}, h('div', {}, h('h1', {}, title || 'Loopwise report'), subtitle), chosen),
-    figures, mapRow, charts,
+    figures, mapRow, review.element, charts,
     h('section', {}, (compared || data.studies.length > 0) && h('h2', {}, 'Comparison'), compared && h('div', { class: 'card' }, compared), data.studies.flatMap((study) => [...studyTables(study), pairedTable(study), allRuns(study)])),
     h('section', {}, current && h('h2', {}, 'Figures of the run'), tables),
     h('section', {}, h('h2', {}, 'Configuration and provenance'), origin),
@@ -116,7 +118,7 @@ function start(data) {
 
   function showMap() {
     mapRow.hidden = !current?.scene;
-    if (!current?.scene) return;
+    if (!current?.scene) return review.show(null);
     const scene = current.decoded;
     const onFrame = () => {
       state.frames += 1;
@@ -131,6 +133,8 @@ function start(data) {
     map?.show(scene, shownLayers, colourBy);
     side.replaceChildren(box);
     state.map = map;
+    if (map) map.onPair = (from, to) => review.selectPair(from, to);
+    review.show(scene);
   }
 
   function showText() {
@@ -176,6 +180,7 @@ function start(data) {
     if (current?.scene) {
       side.replaceChildren(legend(current.decoded));
       map?.build(shownLayers, colourBy);
+      review.redraw();
     }
     drawCharts(charts, data, current, state.charts);
   });

@@ -92,6 +92,8 @@ export class MissionMap {
       else if (event.key === '+' || event.key === '-') this.zoom(event.key === '+' ? 0.8 : 1.25);
     });
     this.canvas.addEventListener('pointermove', (event) => this.point(event));
+    this.canvas.addEventListener('pointerdown', (event) => (this.pressed = [event.clientX, event.clientY]));
+    this.canvas.addEventListener('click', (event) => this.pick(event));
     this.canvas.addEventListener('pointerleave', () => (this.tip.hidden = true));
     this.groups = {};
     new ResizeObserver(() => this.resize()).observe(container);
@@ -346,6 +348,40 @@ export class MissionMap {
     }
     this.bar.style.width = `${length / perPixel}px`;
     this.bar.firstChild.textContent = `${length >= 1 ? length : length.toPrecision(1)} m`;
+  }
+
+  /** Shows one pair in bold. */
+  markPair(from, to) {
+    if (this.groups.marked) this.scene.remove(this.groups.marked);
+    const group = this.pairs({ ends: [from, to], drawn: 1 }, ink().text, 4, 1);
+    group.traverse((object) => (object.renderOrder = 20));
+    this.groups.marked = group;
+    this.scene.add(group);
+    this.draw();
+  }
+
+  /** A click on a closure calls `onPair` with its nodes; the end of a drag is no click. */
+  pick(event) {
+    const moved = this.pressed && Math.hypot(event.clientX - this.pressed[0], event.clientY - this.pressed[1]) > 4;
+    if (!this.data || !this.onPair || moved) return;
+    const frame = this.canvas.getBoundingClientRect();
+    const [x, y] = [event.clientX - frame.left, event.clientY - frame.top];
+    const p = new Vector3();
+    const onScreen = (node) => {
+      p.fromArray(this.data.nodes.optimized, 3 * node).project(this.camera);
+      return p.z < 1 ? [((p.x + 1) / 2) * frame.width, ((1 - p.y) / 2) * frame.height] : null;
+    };
+    let best = 10;
+    let found = null;
+    for (const { from, to } of this.data.review?.closures ?? []) {
+      const [a, b] = [onScreen(from), onScreen(to)];
+      if (!a || !b) continue;
+      const along = [b[0] - a[0], b[1] - a[1]];
+      const share = Math.min(1, Math.max(0, ((x - a[0]) * along[0] + (y - a[1]) * along[1]) / Math.max(1e-9, along[0] ** 2 + along[1] ** 2)));
+      const off = Math.hypot(x - a[0] - share * along[0], y - a[1] - share * along[1]);
+      if (off < best) [best, found] = [off, [from, to]];
+    }
+    if (found) this.onPair(...found);
   }
 
   /** Tells of the node under the pointer. */

@@ -175,6 +175,8 @@ class LOOPWISE_EXPORT PoseGraph {
   void set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance);
   /// \throws InputError unless the weight lies in [0, 1].
   void set_weight(std::size_t edge, double weight);
+  /// Makes edge number `edge` a known inlier, or one that robust optimisation may doubt.
+  void set_trusted(std::size_t edge, bool trusted);
   /// \throws InputError on bad numbers (see check_information).
   void set_information(std::size_t edge, const Matrix6d& information);
   /// Sets the kind of edge number `edge`.

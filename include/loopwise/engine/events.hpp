@@ -16,6 +16,7 @@
 
 #include <Eigen/Geometry>
 
+#include <loopwise/core/closure_decision.hpp>
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/loop_candidate.hpp>
@@ -73,8 +74,10 @@ struct Estimate {
   bool continued = false;      ///< It continues the previous estimate (GncOptions::warm_start).
 };
 
-/// Events of Engine::handle(). Further events are KeyFrame, Factors, BeaconDrop, RegistrationResult and
-/// ExternalEstimate.
+/// Events of Engine::handle(). Further events are KeyFrame, Factors, BeaconDrop, RegistrationResult,
+/// ExternalEstimate and ClosureDecision. A ClosureDecision holds for the closures of the graph and for later
+/// ones, including those of the front end; the last one on a pair counts. A rejected pair is not proposed any
+/// more.
 namespace event {
 
 /// The cloud of a present or future node.
@@ -99,11 +102,6 @@ struct Optimized {
   GncResult gnc;         ///< Empty if stopped or failed.
   bool stopped = false;  ///< It stopped early, without an estimate.
   std::string failure;   ///< Why there is no estimate; empty with an estimate, or if it was stopped.
-};
-/// Removes every closure between two nodes, and ignores later ones.
-struct Veto {
-  Key from = 0;  ///< One of the nodes.
-  Key to = 0;    ///< The other.
 };
 /// Time has passed: expires candidates and factors.
 struct Tick {};
@@ -131,7 +129,7 @@ struct NoMoreScans {};
 /// One of the events.
 using Event =
     std::variant<KeyFrame, Factors, event::Scan, event::Radio, BeaconDrop, event::Candidates,
-                 RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, event::Veto,
+                 RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, ClosureDecision,
                  event::Tick, event::Improve, event::Choose, event::Settle, event::NoMoreScans>;
 
 /// An event that an engine has handled. Valid during the call only. Another engine with the same events,

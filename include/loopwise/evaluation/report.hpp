@@ -23,6 +23,7 @@ struct ReportOptions {
   std::int64_t map_points = 20000;
   std::int64_t layer_items = 20000;
   std::int64_t maps = 8;
+  std::int64_t review_closures = 60;
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
@@ -31,6 +32,8 @@ struct ReportOptions {
     field("layer_items", self.layer_items, between(1, 5000000),
           "Most items of any other layer that are drawn: candidates of an outcome, links to a beacon.");
     field("maps", self.maps, at_least(0), "Runs that are shown on a map: the first ones.");
+    field("review_closures", self.review_closures, between(0, 100000),
+          "Closures of a run whose scans the page shows, the most doubtful ones first; 0: none.");
     field("seed", self.seed, at_least(0), "Of the draw where a layer has more.");
   }
 };
@@ -48,6 +51,9 @@ struct Report {
 /// their files, in the given order. A run needs only summary.json: other missing data are left out and noted.
 /// The mission of a run's name adds true poses, beacons and radio, and the scans' observability. Scans are
 /// read on `threads`; the result does not depend on their number.
+///
+/// With its mission a run has a review: closures, the most doubtful first, each with both scans, so that a
+/// person can accept or reject it.
 ///
 /// A run without truth is evaluated with that of its mission, and any run with one from set_truth(). Errors
 /// of old runs of sessions become differences from a reference.

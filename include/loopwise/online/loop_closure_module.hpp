@@ -187,8 +187,12 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// robot's path. Rounded rotations are orthonormalised. \throws InputError if the internal back end is on,
   /// a number is not finite, or a pose is not a rigid transform to 1e-3.
   [[nodiscard]] bool set_estimate(const ExternalEstimate& estimate);
-  /// Removes every closure between two nodes, as after a manual veto, including those of the front end, and
-  /// ignores later ones. Unknown keys are ignored.
+  /// A person's decision on the closures between two nodes, including later ones and those of the front end.
+  /// Rejected closures are removed, and the pair is not proposed any more; if it is pending, it is computed
+  /// and its closure ignored. Accepted closures are known inliers: robust optimisation keeps them. The last
+  /// decision on a pair counts, but a removed closure does not return. The nodes may come later.
+  [[nodiscard]] bool decide(const ClosureDecision& decision);
+  /// decide() with a rejection.
   [[nodiscard]] bool remove_closure(Key from, Key to);
 
   /// Waits until nothing more happens without new input: all input is handled, and the estimate is up to
@@ -196,7 +200,8 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// prioritiser holds back. \returns false if the module was stopped.
   [[nodiscard]] bool wait();
 
-  /// Like stop(), but with a last estimate if closures have come since the previous one. To compute all
+  /// Like stop(), but with a last estimate if closures have come since the previous one, or if that one
+  /// continued an earlier one (GncOptions::warm_start): the last estimate starts from scratch. To compute all
   /// pending candidates, call wait() before it.
   void finish();
   /// Ends all work soon and joins the threads. Running registrations complete, without a limit of time (a

@@ -52,6 +52,7 @@ struct ReplayOptions {
   bool after_mission = false;
   double odometry_noise_m_per_m = 0.0;
   double odometry_noise_rad_per_m = 0.0;
+  std::string decisions;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -65,6 +66,8 @@ struct ReplayOptions {
     field(
         "odometry_noise_rad_per_m", self.odometry_noise_rad_per_m, at_least(0.0),
         "Added to the odometry: sigma about each axis after 1 m, rad; grows with the root of the distance.");
+    field("decisions", self.decisions, any_value(),
+          "File of closures that a person has accepted or rejected (decisions.csv); empty: no decisions.");
   }
 
   /// Calls visitor(name, section) for each part that has fields of its own, as core/options.hpp does for

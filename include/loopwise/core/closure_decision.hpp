@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Loop closures that a person has looked at.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/pose_graph.hpp>
+
+namespace loopwise {
+
+/// A person's word on the closures between two nodes, in either direction.
+struct ClosureDecision {
+  Key from = 0;           ///< One of the nodes.
+  Key to = 0;             ///< The other.
+  bool accepted = false;  ///< True: they are known inliers (Edge::trusted). False: they are left out.
+};
+
+/// The effect of decisions on a graph.
+struct AppliedDecisions {
+  std::size_t trusted = 0;                     ///< Closures that are known inliers now.
+  std::size_t removed = 0;                     ///< Closures that were taken out.
+  std::vector<ClosureDecision> without_match;  ///< Decisions on pairs that the graph has no closure between.
+};
+
+/// Takes rejected closures out of the graph and trusts the accepted ones. Edges that stay keep their order.
+/// Of several decisions on one pair the last counts. Odometry and landmarks are never changed.
+LOOPWISE_EXPORT AppliedDecisions apply_decisions(PoseGraph& graph,
+                                                 const std::vector<ClosureDecision>& decisions);
+
+}  // namespace loopwise
