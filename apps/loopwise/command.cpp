@@ -26,8 +26,8 @@ namespace {
 std::atomic<bool> memory_ran_out{false};
 std::atomic<const char*> program_name{"loopwise"};
 
-/// Values of the JSON library ask for memory when they go, and walking a folder does so in functions that
-/// must not throw. Where there is none, no catch is reached.
+/// Destructors of the JSON library, and functions that walk folders and must not throw, allocate memory.
+/// Without memory they call the terminate handler, and no catch is reached.
 [[noreturn]] void end_at_once() {
   if (memory_ran_out) {
     std::fprintf(stderr, "%s: out of memory\n", program_name.load());
@@ -256,7 +256,7 @@ int run_main(const char* name, int (*program)(int argc, char** argv), int argc, 
     memory_ran_out = true;
     throw std::bad_alloc();
   });
-  // What a command throws ends in run_action(); this is for what comes before it.
+  // run_action() handles exceptions of a command; this handles earlier ones.
   try {
     return program(argc, argv);
   } catch (const std::bad_alloc&) {

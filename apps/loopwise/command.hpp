@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the subcommands share. Each has one file with one function that adds it to the command line; what it
-/// does when chosen is returned as an exit status: 0 done, 1 failed, 2 bad usage, 3 bad input, 130
+/// Functions for all subcommands. Each subcommand has one file with one function that adds it to the command
+/// line; its action returns the exit status: 0 done, 1 failed, 2 bad usage, 3 bad input, 130
 /// interrupted.
 #pragma once
 
@@ -57,7 +57,7 @@ void set_odometry(const std::string& odometry, Config& config);
 /// Adds --truth, for set_truth().
 void add_truth_option(CLI::App& command, std::vector<std::string>& truth);
 /// The files of --truth for one of several missions: all of them if it is the only one, else the one in its
-/// place. \throws OptionError unless several missions have none or one each
+/// place. \throws OptionError unless several missions have no file or one each
 [[nodiscard]] std::vector<std::string> truth_of_mission(const std::vector<std::string>& truth,
                                                         std::size_t mission, std::size_t missions);
 

@@ -9,7 +9,7 @@
 namespace loopwise::cli {
 namespace {
 
-/// What a section is about. Every section must have its sentence.
+/// Description of a section. Every section must have one.
 const std::string& section_text(const std::string& section) {
   static const std::map<std::string, std::string> texts = {
       {"mission", "How missions are read, and what is put in where their files say nothing."},
@@ -19,7 +19,7 @@ const std::string& section_text(const std::string& section) {
       {"radio", "Candidates by passes of radio beacons."},
       {"engine", "Decisions about the whole mission: seed, guesses, estimates."},
       {"prioritization", "Which prioritisers order the candidates."},
-      {"registration", "What computes the candidates."},
+      {"registration", "The registration of candidates."},
       {"cost", "How much mission time the computation takes on the virtual clock."},
       {"features", "How scans are made ready for all stages, once each."},
       {"pool", "When candidates expire, and which come last."},
@@ -27,7 +27,7 @@ const std::string& section_text(const std::string& section) {
        "Prioritisers `expected` and `likely`: candidates drawn by what they are expected to give."},
       {"observability", "Prioritiser `obs`: scans that constrain a registration best come first."},
       {"graph_information", "Prioritiser `gi`: the set that makes the whole graph most certain comes first."},
-      {"closure_model", "What `gi` takes a candidate's closure for."},
+      {"closure_model", "The model of a candidate's closure for `gi`."},
       {"annealing", "Simulated annealing of the sets of `gi`."},
       {"greedy", "Greedy choice of the sets of `gi`."},
       {"task", "Which scans and guess a registration is given."},

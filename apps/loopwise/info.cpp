@@ -163,7 +163,7 @@ void add_cost(const Mission& mission, const Options& options, const ReplayOption
   text += "all of them  " + forecast_text(forecast, threads) + "\n";
 }
 
-/// What another program made of the same run.
+/// Poses of another program for the same run.
 std::string reference_text(const Mission& mission) {
   if (mission.reference.empty()) return {};
   const TrajectoryErrors off =

@@ -28,7 +28,7 @@ std::vector<std::string> words_of() {
   return words;
 }
 
-/// What completion offers for values.
+/// Values for completion.
 ValueWords value_words() {
   ValueWords words;
   words["--method"] = words["--methods"] = method_names();
@@ -60,7 +60,7 @@ bool is_first([[maybe_unused]] const loopwise::Transport& job) {
 #endif
 }
 
-/// What to say about an argument that no option takes.
+/// The message on an argument that no option takes.
 std::string about_extra(const CLI::App& app, int argc, char** argv, const CLI::ExtrasError& error) {
   const CLI::App* command = &app;
   while (!command->get_subcommands().empty()) command = command->get_subcommands().front();

@@ -12,7 +12,7 @@
 
 namespace loopwise::cli {
 
-/// What a file of outcomes still holds.
+/// Contents of a file of outcomes.
 struct KeptOutcomes {
   KnownOutcomes known;
   std::string lines;  ///< Theirs.

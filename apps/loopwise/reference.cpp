@@ -231,7 +231,7 @@ void each_command(const CommandPage& page, const std::function<void(const Comman
   for (const CommandPage& command : page.commands) each_command(command, visit);
 }
 
-/// What a value is: a word of a list, a file or folder, or something that cannot be guessed.
+/// The kind of a value: a word of a list, a file or folder, or another value.
 enum class ValueKind { kWords, kFile, kOther };
 
 ValueKind value_kind(const OptionPage& option) {

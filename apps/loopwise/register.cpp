@@ -99,7 +99,7 @@ CloudFile read(const std::string& path, const Config& config, Console& console) 
   return file;
 }
 
-/// What reading met, and points that the registration left out.
+/// Problems of reading, and points that the registration left out.
 Problems problems_of(const Registration& registration, const std::vector<std::pair<std::string, Key>>& clouds,
                      double max_range_m) {
   Problems problems;

@@ -82,7 +82,8 @@ Config configured(const Options& o) {
          {std::pair(o.workers.has_value(), "--workers"),
           std::pair(!o.replay.registration_time.empty(), "--registration-time"),
           std::pair(o.replay.gi_evaluation_time.has_value(), "--gi-evaluation-time")}) {
-      if (given) throw OptionError(std::string(name) + ": on a real clock things take what they take");
+      if (given)
+        throw OptionError(std::string(name) + ": not available on a real clock, which uses measured times");
     }
   }
   validate_config(config);
@@ -105,8 +106,8 @@ ContentHash hash_of(const PoseGraph& graph) {
   return hasher.finish();
 }
 
-/// What the outcomes of a run depend on, but for the contents of the scans; a run is resumed only under the
-/// same.
+/// All input of the outcomes of a run, except the contents of the scans; a run is resumed only with the same
+/// input.
 std::string fingerprint(const Mission& mission, const Config& config) {
   Json json = Json::object();
   json["mission"] = mission.name;
@@ -243,7 +244,7 @@ int serve(const Options& options) {
 #endif
 
 #ifdef LOOPWISE_HAS_MPI
-/// What the ranks did, in words and as JSON.
+/// Work of the ranks, in words and as JSON.
 void note_ranks(Console& console, const WorkStatistics& statistics, Json& json) {
   const auto mean = [](std::size_t bytes, std::size_t messages) {
     return messages == 0 ? 0.0 : static_cast<double>(bytes) / static_cast<double>(messages);
@@ -356,7 +357,7 @@ int run(const Options& options) {
   }
 
   if (options.resume && options.overwrite)
-    throw OptionError("--resume goes on with what is there, --overwrite begins anew: give one of them");
+    throw OptionError("--resume continues the run in the folder, --overwrite starts again: give one of them");
   const fs::path folder(options.output);
   refuse_recording(folder, options.missions);
   prepare_output_folder(folder, options.overwrite || options.resume,
@@ -440,8 +441,8 @@ int run(const Options& options) {
   }();
   if (store) note_outcomes(console, *store);
   const RunEvaluation evaluation = evaluate_run(mission, result);
-  // A virtual clock makes a run again, and its folder is whole or says that it is not. What a real one made
-  // is written, whatever became of the map and the journal; then comes the error.
+  // A run on the virtual clock can be repeated, and its folder is complete or marked as incomplete. Results
+  // of a real clock are written even if the map or the journal failed; then comes the error.
   std::exception_ptr failure;
   const auto attempt = [&](const std::function<void()>& call) {
     try {

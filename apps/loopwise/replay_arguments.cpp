@@ -34,8 +34,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
       ->type_name("M_PER_M RAD_PER_M")
       ->expected(2)
       ->allow_extra_args(false);
-  command
-      .add_option("--registrar", arguments.registrar, "What computes the candidates: fast (default) or pcl")
+  command.add_option("--registrar", arguments.registrar, "Registration of candidates: fast (default) or pcl")
       ->type_name("WORD");
   command
       .add_option("--guess", arguments.guess, "Relative pose given to registrations: estimate or odometry")
@@ -61,7 +60,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command
       .add_option(
           "--rank-time-limit", arguments.rank_time_limit_s,
-          "A rank of an MPI job that owes an answer for this long is taken for dead, s (default: replays "
+          "Time after which a rank of an MPI job without an answer counts as dead, s (default: replays "
           "600, studies, whose answers are whole runs, 86400)")
       ->type_name("S")
       ->check(CLI::PositiveNumber);

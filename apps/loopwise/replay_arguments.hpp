@@ -30,7 +30,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments);
 /// Changes what was asked for. \throws OptionError
 void apply(const ReplayArguments& arguments, Config& config);
 
-/// What a store of outcomes did, for people.
+/// Statistics of a store of outcomes, for people.
 void note_outcomes(Console& console, const OutcomeStore& store);
 
 }  // namespace loopwise::cli

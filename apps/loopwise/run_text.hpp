@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What a replay says of its closures and poses.
+/// Text of a replay on its closures and poses.
 #pragma once
 
 #include <string>

@@ -84,7 +84,7 @@ void measure(const SimulatedMission& made, int threads, Json& json, std::string&
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
-  static_cast<void>(load_config(options.common));  // whoever names a file wants to know if it is broken
+  static_cast<void>(load_config(options.common));  // reports a broken file
   SimulationOptions simulation = options.simulation;
   simulation.world = parse_enum<WorldKind>("world", options.world);
   simulation.lidar = parse_enum<LidarKind>("lidar", options.lidar);

@@ -146,12 +146,11 @@ int run(const Options& options) {
 
 void add_acceptance_study(CLI::App& study, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command =
-      study.add_subcommand("acceptance", "Fit the chances of method expected to missions, and judge the fit");
+  CLI::App* command = study.add_subcommand(
+      "acceptance", "Fit the probabilities of method expected to missions, and evaluate the fit");
   command->footer(
-      "Replays each mission with candidates in random order and fits how likely a candidate is verified, "
-      "and\n"
-      "a verified closure kept, to what came of them. Scores are of missions that were left out of the fit.\n"
+      "Replays each mission with candidates in random order and fits the probabilities that a candidate is\n"
+      "verified and a verified closure kept. Scores are of missions that were left out of the fit.\n"
       "  loopwise study acceptance mine-* -o chances.json --max-registrations 3000\n"
       "  loopwise replay MISSION -o out --config chances.json");
   command->add_option("missions", options->missions, "Missions; ground truth is not needed")

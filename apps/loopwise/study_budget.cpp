@@ -31,7 +31,7 @@ struct Options {
   std::string everything = "baseline";
 };
 
-/// What a unit is within the study.
+/// Role of a unit in the study.
 struct Role {
   std::string method;
   std::int64_t workers = 0;

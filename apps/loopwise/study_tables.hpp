@@ -30,12 +30,12 @@ namespace loopwise::cli {
 [[nodiscard]] std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit,
                                                  const UnitResult& result);
 
-/// The names as to_string(Method) has them: "full" for "gi+obs". \throws OptionError if there is none, one is
-/// unknown, or one comes twice.
+/// The names as to_string(Method) has them: "full" for "gi+obs". \throws OptionError if the list is empty,
+/// or a name is unknown or repeated.
 [[nodiscard]] std::vector<std::string> canonical_methods(const std::vector<std::string>& methods);
 
-/// The object of this name within another, empty if there was none. JSON of null becomes an object by itself
-/// where it is indexed, but where there is no memory for it the library leaves a value that cannot go.
+/// The object of this name within another; created empty if missing. Indexing a JSON null makes it an object,
+/// but without memory the library leaves a value that cannot be destroyed.
 [[nodiscard]] Json& object_at(Json& parent, const std::string& name);
 
 /// Null unless finite.

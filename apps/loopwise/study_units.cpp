@@ -199,13 +199,13 @@ std::string plain(std::string text) {
 struct ComputedUnit {
   Json json;
   double seconds = 0.0;
-  /// What circumstances have spoilt, see depends_on_circumstances(): scans that could not be read,
-  /// registrations that failed. Nothing, usually.
+  /// Results that depend on circumstances, see depends_on_circumstances(): unreadable scans, failed
+  /// registrations. Usually empty.
   std::vector<std::string> spoilt;
 };
 
-/// What circumstances have spoilt goes into this study's tables and is said, but the next one computes it
-/// again.
+/// Results that depend on circumstances appear in this study's tables with a warning; the next study
+/// computes them again.
 UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
   const std::string text = json_text(unit.json);
   if (unit.spoilt.empty()) {
@@ -324,7 +324,7 @@ std::vector<std::uint64_t> Study::seeds() const {
   return seeds;
 }
 
-/// What is left to compute, and where it goes.
+/// Open units, and the destination of their results.
 struct Study::Open {
   const std::vector<StudyUnit>& units;
   const std::vector<std::size_t>& numbers;  ///< Of the units that are not finished, mission by mission.

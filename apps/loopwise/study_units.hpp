@@ -109,7 +109,7 @@ class Study {
                                                      const std::vector<std::string>& methods,
                                                      std::optional<std::int64_t> workers);
 
-/// What the files of a study say about how it was made.
+/// Provenance of a study in its files.
 [[nodiscard]] Json study_json(const Study& study);
 
 }  // namespace loopwise::cli

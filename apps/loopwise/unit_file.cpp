@@ -41,7 +41,7 @@ UnitResult parse_unit_file(const Json& unit, const std::string& name) {
   for (const Json& r : rows) {
     if (!r.is_array() || r.size() != kColumns) fail("a row of history has not its columns");
     const auto count = [&](std::size_t c) {
-      if (!r[c].is_number_unsigned()) fail("a count of history is none");
+      if (!r[c].is_number_unsigned()) fail("a count of history is not a natural number");
       return r[c].get<std::size_t>();
     };
     out.history.push_back({number_or_nan(r[0]), count(1), count(2), count(3), count(4), count(5), count(6),

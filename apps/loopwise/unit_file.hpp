@@ -15,7 +15,7 @@ namespace loopwise::cli {
 
 inline constexpr int kUnitFormat = 1;  ///< To be raised when what units say changes.
 
-/// What came of a unit: its summary without wall times, and the history.
+/// Result of a unit: its summary without wall times, and the history.
 struct UnitResult {
   Json summary;
   std::vector<HistoryRow> history;
@@ -27,7 +27,7 @@ struct UnitResult {
 /// \throws InputError naming `name` and what is not as unit_file_json() writes it
 [[nodiscard]] UnitResult parse_unit_file(const Json& unit, const std::string& name);
 
-/// A number of a unit's summary, by the names that lead to it; NaN where there is none.
+/// A number of a unit's summary, by the path of its names; NaN if missing.
 [[nodiscard]] double figure(const Json& summary, const std::vector<std::string>& path);
 
 }  // namespace loopwise::cli

@@ -142,9 +142,9 @@ int run(const Options& options) {
     }
     entries.push_back(source.entry);
   }
-  static_cast<void>(split_by_mission(entries, 1));  // whoever has too few wants to know at once
+  static_cast<void>(split_by_mission(entries, 1));  // reports too few missions at once
   const std::filesystem::path folder = options.output;
-  cli::prepare_output_folder(folder, options.resume, "; --resume goes on with data that were interrupted");
+  cli::prepare_output_folder(folder, options.resume, "; --resume continues interrupted data");
   std::filesystem::create_directories(folder / "missions");
 
   std::mutex mutex;
@@ -236,7 +236,7 @@ void add_data(CLI::App& app, Action& chosen) {
   command->add_option("--other-seeds", options->other_seeds, "Missions of each such length (default 2)")
       ->type_name("N")
       ->check(CLI::Range(0, 100000));
-  command->add_flag("--resume", options->resume, "Go on with data that were interrupted");
+  command->add_flag("--resume", options->resume, "Continue interrupted data");
   cli::add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

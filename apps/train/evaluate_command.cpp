@@ -134,9 +134,9 @@ void add_evaluate(CLI::App& app, Action& chosen) {
   command->add_option("data", options->data, "Folder that 'loopwise-train data' made")
       ->required()
       ->type_name("DATA");
-  command->add_option("weights", options->weights, "Weights files; none: the other methods alone")
+  command->add_option("weights", options->weights, "Weights files; without files only the other methods")
       ->type_name("FILE[:lamp]");
-  command->add_option("--name", options->names, "What a network is called in the tables; once for each file")
+  command->add_option("--name", options->names, "Name of a network in the tables; once for each file")
       ->type_name("NAME")
       ->expected(1)
       ->take_all();

@@ -45,8 +45,7 @@ int run(const Options& options) {
     console.progress({"reading", i + 1, roles.size(), ""});
   }
   const std::filesystem::path folder = options.output;
-  cli::prepare_output_folder(folder, options.resume,
-                             "; --resume goes on with a training that was interrupted");
+  cli::prepare_output_folder(folder, options.resume, "; --resume continues an interrupted training");
   const std::filesystem::path checkpoint = folder / "checkpoint.cbor";
   if (options.resume && !std::filesystem::exists(checkpoint) &&
       std::filesystem::exists(folder / "weights.json"))
@@ -134,7 +133,7 @@ void add_fit(CLI::App& app, Action& chosen) {
   command->add_option("--seed", options->seed, "Of everything random (default 1)")
       ->type_name("S")
       ->check(cli::not_negative());
-  command->add_flag("--resume", options->resume, "Go on with a training that was interrupted");
+  command->add_flag("--resume", options->resume, "Continue an interrupted training");
   cli::add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What a network is worth: its error, the order that it gives to sets of one graph, and the exact trace of
-/// the sets that are chosen with it. Nothing here needs libtorch.
+/// Quality of a network: its error, its order of sets of one graph, and the exact trace of the sets that are
+/// chosen with it. Nothing here needs libtorch.
 #pragma once
 
 #include <cstdint>

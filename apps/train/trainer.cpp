@@ -245,7 +245,7 @@ PaperBatch paper_batch(const std::vector<PaperSample>& samples, torch::ScalarTyp
   return out;
 }
 
-/// What the last layer puts out, by sample, before it is taken back to m².
+/// Output of the last layer, by sample, before its conversion to m².
 torch::Tensor paper_forward(const TensorMap& w, const PaperBatch& batch, bool training) {
   torch::Tensor h = (batch.nodes - w.at("input.mean")) / w.at("input.std");
   h = F::linear(h, w.at("node_encoder.weight"), w.at("node_encoder.bias"));

@@ -28,7 +28,7 @@ enum class NetworkKind {
   return {{NetworkKind::kLoopwise, "loopwise"}, {NetworkKind::kPaper, "paper"}};
 }
 
-/// What the paper's network is taught to put out. The Loopwise network always learns the logarithm.
+/// Training target of the paper's network. The Loopwise network always learns the logarithm.
 enum class Target { kLog, kTrace };
 [[nodiscard]] inline EnumNames<Target> enum_names(Target) {
   return {{Target::kLog, "log"}, {Target::kTrace, "trace"}};

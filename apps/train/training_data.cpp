@@ -495,7 +495,7 @@ MissionData read_mission_data(const std::filesystem::path& path) {
   if (out.record.graph.empty()) field["graph"].fail("no nodes");
   for (const Node& node : out.record.graph.nodes()) {
     if (!out.record.robots.find(node.key))
-      field["robots"].fail("node " + std::to_string(node.key) + " has none");
+      field["robots"].fail("node " + std::to_string(node.key) + " has no robot");
   }
   for (const Field& graph : field["graphs"].items()) out.graphs.push_back(unpack_training_graph(graph));
   if (out.graphs.empty()) field["graphs"].fail("no graphs");
@@ -522,7 +522,7 @@ DataSet read_data_set(const std::filesystem::path& folder) {
   const std::filesystem::path path = folder / "dataset.json";
   if (!std::filesystem::exists(path)) {
     throw InputError(folder.string() +
-                     ": no dataset.json; make the data with 'loopwise-train data', or go on with it if it "
+                     ": no dataset.json; make the data with 'loopwise-train data', or continue it if it "
                      "was interrupted");
   }
   const Json json = read_json_file(path);
@@ -540,7 +540,7 @@ DataSet read_data_set(const std::filesystem::path& folder) {
       const std::filesystem::path file = std::filesystem::path(name).lexically_normal();
       if (name.find('\0') != std::string::npos || file.empty() || file.is_absolute() || *file.begin() == "..")
         bad(Json(name).dump() + " leads out of the data's folder");
-      out.entries.back().file = file.string();  // the path that was looked at, whatever links there are
+      out.entries.back().file = file.string();  // the checked path, without resolving links
     }
   } catch (const nlohmann::json::exception& error) {
     bad(error.what());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What networks are trained on and judged by: sets of closures added to pose graphs, with the exact trace of
-/// each. Nothing here needs libtorch.
+/// Data for training and evaluation of networks: sets of closures added to pose graphs, with the exact trace
+/// of each. Nothing here needs libtorch.
 #pragma once
 
 #include <cstdint>
@@ -40,7 +40,7 @@ struct DataOptions {
   }
 };
 
-/// What of a mission the graphs are made from: odometry, priors and stamps, no scans.
+/// Input of the graphs from a mission: odometry, priors and stamps, no scans.
 struct MissionRecord {
   std::string name;
   std::string group;        ///< Missions of one world; the split takes from every group.
@@ -126,7 +126,7 @@ enum class Role { kTrain, kValidation, kTest };
 }
 
 /// Gives each whole mission one role: 5 of 8 train, 1 validates, 2 test, in each group as far as it goes;
-/// those of other sizes test. A function of (names, groups, seed), whatever the order of the entries. \throws
+/// those of other sizes test. A function of (names, groups, seed), for any order of the entries. \throws
 /// InputError unless every role gets a mission: 3 are needed.
 [[nodiscard]] std::vector<Role> split_by_mission(const std::vector<DataSetEntry>& entries,
                                                  std::uint64_t seed);

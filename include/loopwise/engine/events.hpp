@@ -107,7 +107,7 @@ struct Optimized {
 struct Tick {};
 /// The prioritisers improve their next set until they are done, stopped, or have used their evaluations.
 struct Improve {
-  std::size_t count = 0;  ///< Of the batch that will be asked for.
+  std::size_t count = 0;  ///< Size of the next batch.
   StopToken stop;         ///< Ends it early.
   /// Bound by prioritiser, in the order of their turns; missing ones are not bound.
   std::vector<std::uint64_t> max_evaluations;
@@ -138,7 +138,7 @@ struct HandledEvent {
   const Event& event;  ///< `max_evaluations` of an event::Improve holds the used evaluations.
   double now_s = 0.0;  ///< By the driver's clock, s.
   /// Smallest eigenvalue of the observability matrix of the scan that came with the event, if the method
-  /// asked for it.
+  /// uses it.
   std::optional<double> observability = std::nullopt;
   /// Signature of that scan, if the method uses it.
   std::optional<ScanSignature> signature = std::nullopt;

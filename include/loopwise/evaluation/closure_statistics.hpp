@@ -50,7 +50,7 @@ struct ClosureStatistics {
   std::size_t gnc_inliers = 0;  ///< Verified, and kept by the back end.
   /// Verified, and within the bounds of the truth, independent of the back end.
   std::size_t true_inliers = 0;
-  std::size_t right_inliers = 0;  ///< Both of these.
+  std::size_t right_inliers = 0;  ///< GNC inliers that are true inliers.
   std::size_t without_truth = 0;  ///< Verified, but the truth lacks a node: never a true inlier.
   /// Computed candidates that were refused, by reason; reasons that did not occur are absent.
   std::map<RejectionReason, std::size_t> rejected;

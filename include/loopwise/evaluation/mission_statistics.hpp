@@ -49,7 +49,7 @@ struct CandidateStatisticsOptions {
 /// Number of candidates by proximity, and their quality by the truth.
 struct CandidateStatistics {
   std::size_t candidates = 0;  ///< All within the radius, by the odometry's poses.
-  std::size_t looked_at = 0;   ///< Of them, with two scans and ground truth.
+  std::size_t looked_at = 0;   ///< Examined candidates, with two scans and ground truth.
   double mean_overlap =
       0.0;  ///< Share of the newer scan's points that the older scan has too, by the true poses.
   double overlapping = 0.0;    ///< Share of the examined pairs with true overlap.

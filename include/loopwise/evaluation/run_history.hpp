@@ -20,12 +20,12 @@ struct HistoryRow {
   double mission_time_s = 0.0;    ///< When the row was taken.
   std::size_t key_frames = 0;     ///< Arrived.
   std::size_t generated = 0;      ///< Candidates proposed.
-  std::size_t queued = 0;         ///< Of them, not pruned.
+  std::size_t queued = 0;         ///< Candidates that were not pruned.
   std::size_t computed = 0;       ///< Candidates with a result.
-  std::size_t verified = 0;       ///< Of them, closures.
+  std::size_t verified = 0;       ///< Candidates that became closures.
   std::size_t gnc_inliers = 0;    ///< Verified, and kept by the last optimisation.
   std::size_t true_inliers = 0;   ///< Verified, and within the bounds of the truth.
-  std::size_t right_inliers = 0;  ///< Both of these.
+  std::size_t right_inliers = 0;  ///< GNC inliers that are true inliers.
   /// Mean error of the positions of all nodes that have arrived, common frame, no alignment, m: by the
   /// estimate, and by odometry alone. NaN without ground truth in that frame.
   double ate_m = std::numeric_limits<double>::quiet_NaN();

@@ -28,12 +28,12 @@ struct McapOptions {
   }
 };
 
-/// What was written.
+/// The written messages.
 struct McapResult {
   std::uint64_t messages = 0;      ///< All of them.
   std::size_t scans = 0;           ///< Clouds.
   std::size_t closures = 0;        ///< Verified closures.
-  std::vector<std::string> notes;  ///< What is missing or was changed.
+  std::vector<std::string> notes;  ///< Missing or altered data.
 };
 
 /// Writes a run as one MCAP file of ROS 2 messages for viewers, over mission time, in the frame of the

@@ -71,7 +71,7 @@ class LOOPWISE_EXPORT Calibration {
   /// Probabilities within one tenth.
   struct Bin {
     std::size_t count = 0;     ///< Of results.
-    std::size_t verified = 0;  ///< Of them, verified.
+    std::size_t verified = 0;  ///< Verified results.
     double expected = 0.0;     ///< Sum of the predicted probabilities.
   };
 

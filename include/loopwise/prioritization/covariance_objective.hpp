@@ -29,7 +29,7 @@ enum class Holding {
   kColumns,    ///< Columns of Σ by sparse solves with the factor of the current set: a move costs one
                ///< factorisation for any number of candidates, and nothing drifts.
   kDense,      ///< S and M of all pairs of candidates: an evaluation costs a 12×12 problem, a move a rank-12
-               ///< and a rank-24 update; made anew from a factorisation after some moves.
+               ///< and a rank-24 update; recomputed from a factorisation after some moves.
 };
 [[nodiscard]] inline EnumNames<Holding> enum_names(Holding) {
   return {{Holding::kAutomatic, "automatic"}, {Holding::kColumns, "columns"}, {Holding::kDense, "dense"}};
@@ -85,7 +85,7 @@ class LOOPWISE_EXPORT CovarianceObjective final : public GraphObjective {
   /// that is not finite, and naming a node if the graph's factors do not determine its pose.
   CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                       const ClosureModelOptions& options = {});
-  /// With a model of one's own.
+  /// With a user-defined model.
   CovarianceObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                       const ClosureModelOptions& options, const ClosureModel& model);
   ~CovarianceObjective() override;
@@ -123,7 +123,7 @@ class LOOPWISE_EXPORT LogDetObjective final : public GraphObjective {
   /// \throws as CovarianceObjective
   LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   const ClosureModelOptions& options = {});
-  /// With a model of one's own.
+  /// With a user-defined model.
   LogDetObjective(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                   const ClosureModelOptions& options, const ClosureModel& model);
   ~LogDetObjective() override;
