@@ -144,7 +144,7 @@ int run(const Options& options) {
   }
   static_cast<void>(split_by_mission(entries, 1));  // whoever has too few wants to know at once
   const std::filesystem::path folder = options.output;
-  cli::prepare_output_folder(folder, options.resume, "; --resume goes on with data that were interrupted");
+  prepare_output_folder(folder, options.resume, "; --resume goes on with data that were interrupted");
   std::filesystem::create_directories(folder / "missions");
 
   std::mutex mutex;

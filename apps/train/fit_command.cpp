@@ -45,8 +45,7 @@ int run(const Options& options) {
     console.progress({"reading", i + 1, roles.size(), ""});
   }
   const std::filesystem::path folder = options.output;
-  cli::prepare_output_folder(folder, options.resume,
-                             "; --resume goes on with a training that was interrupted");
+  prepare_output_folder(folder, options.resume, "; --resume goes on with a training that was interrupted");
   const std::filesystem::path checkpoint = folder / "checkpoint.cbor";
   if (options.resume && !std::filesystem::exists(checkpoint) &&
       std::filesystem::exists(folder / "weights.json"))
@@ -102,7 +101,7 @@ int run(const Options& options) {
                      {"missions", missions}};
   cli::print_results(options.common, json,
                      (folder / "weights.json").string() + ": " + std::to_string(trainer.history().size()) +
-                         " epochs, best validation loss " + cli::fixed(best, 6) + "\n");
+                         " epochs, best validation loss " + fixed(best, 6) + "\n");
   return cli::kDone;
 }
 

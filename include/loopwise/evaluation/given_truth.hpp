@@ -32,6 +32,10 @@ namespace loopwise {
 LOOPWISE_EXPORT void set_truth(Mission& mission, const std::vector<std::string>& files,
                                const MissionOptions& options = {});
 
+/// For what compares with the truth. \throws InputError saying what to do if the mission, read from `path`,
+/// has no ground truth
+LOOPWISE_EXPORT void require_truth(const std::string& path, const Mission& mission);
+
 /// For what pairs nodes with the poses of `file` by stamp. \throws InputError with the remedy if the stamps
 /// of the nodes are not those of the recording: invented by the reader ("no stamps given", "node without
 /// stamp"), or moved by options.start_together
