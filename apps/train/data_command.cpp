@@ -10,12 +10,12 @@
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/replay/code_version.hpp>
+#include <loopwise/training/training_data.hpp>
 #ifdef LOOPWISE_HAS_SIMULATION
 #include <loopwise/simulation/simulate.hpp>
 #endif
 
 #include "commands.hpp"
-#include "training_data.hpp"
 
 namespace loopwise::training {
 namespace {

@@ -11,10 +11,10 @@
 #include <loopwise/replay/outcome_store.hpp>
 #include <loopwise/replay/replay.hpp>
 #include <loopwise/replay/trace.hpp>
+#include <loopwise/training/training_data.hpp>
 
 #include "seeds.hpp"
 #include "target.hpp"
-#include "training_data.hpp"
 #include "unit_file.hpp"
 
 namespace loopwise::fuzz {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "judge.hpp"
+#include <loopwise/training/judge.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -14,6 +14,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/evaluation/sample_statistics.hpp>
+#include <loopwise/io/json_options.hpp>
 #include <loopwise/optimization/marginals.hpp>
 #include <loopwise/prioritization/selection.hpp>
 
@@ -108,6 +109,160 @@ std::vector<std::size_t> anneal(GraphObjective& objective, const std::vector<Eig
   return annealing.best().set;
 }
 
+/// A graph under trial, with its exact objective and all methods that are judged on it.
+struct Trial {
+  Trial(const MissionRecord& record, std::size_t number, const std::vector<Judged>& networks,
+        const JudgeOptions& how)
+      : options(how),
+        stage(stage_graph(record, stages()[number], static_cast<std::size_t>(options.candidates),
+                          combine_seeds(combine_seeds(options.seed, 0x6a756467), number))),
+        midpoints(candidate_midpoints(stage.graph, stage.candidates)),
+        covariances(marginals(stage.graph).covariances),
+        exact(stage.graph, stage.candidates),
+        none(exact.value()),
+        gains(exact.add_changes()) {
+    for (const Judged& network : networks) predictors.push_back(predictor_of(network));
+    predictors.push_back(additive());
+  }
+  Trial(const Trial&) = delete;
+  Trial& operator=(const Trial&) = delete;
+
+  [[nodiscard]] double truth_of(const std::vector<std::size_t>& set) {
+    exact.assign(set);
+    return exact.value();
+  }
+
+  const JudgeOptions& options;
+  StageGraph stage;
+  std::vector<Eigen::Vector3d> midpoints;
+  std::vector<Matrix6d> covariances;
+  CovarianceObjective exact;
+  double none;  ///< Exact trace without closures.
+  std::vector<double> gains;
+  std::vector<std::unique_ptr<GraphObjective>> objectives;
+  std::vector<Predictor> predictors;
+
+ private:
+  [[nodiscard]] Predictor predictor_of(const Judged& network) {
+    if (network.loopwise) {
+      const ClosureModelOptions closures;
+      objectives.push_back(std::make_unique<EffectObjective>(stage.graph, stage.candidates, network.loopwise,
+                                                             closures, closure_model(closures)));
+    } else {
+      objectives.push_back(std::make_unique<GnnObjective>(stage.graph, stage.candidates, network.paper,
+                                                          network.features, covariances));
+    }
+    GraphObjective* objective = objectives.back().get();
+    Predictor p;
+    p.name = network.name;
+    p.value = [objective](const std::vector<std::size_t>& set) {
+      objective->assign(set);
+      return objective->value();
+    };
+    p.change = [objective](const WatchedObjective::Swap& swap) {
+      objective->assign(swap.set);
+      return objective->swap_change(swap.out, swap.in);
+    };
+    p.choose = [this, objective](std::size_t count) { return anneal(*objective, midpoints, count, options); };
+    return p;
+  }
+
+  /// The sum of the exact gains of the single closures.
+  [[nodiscard]] Predictor additive() const {
+    Predictor p;
+    p.name = "additive";
+    p.calibrated = false;
+    p.value = [this](const std::vector<std::size_t>& set) {
+      double sum = none;
+      for (const std::size_t c : set) sum += gains[c];
+      return sum;
+    };
+    p.change = [this](const WatchedObjective::Swap& swap) { return gains[swap.in] - gains[swap.out]; };
+    p.choose = [this](std::size_t count) {
+      std::vector<std::size_t> order(gains.size());
+      std::iota(order.begin(), order.end(), std::size_t{0});
+      std::stable_sort(order.begin(), order.end(),
+                       [&](std::size_t a, std::size_t b) { return gains[a] < gains[b]; });
+      order.resize(count);
+      return order;
+    };
+    return p;
+  }
+};
+
+/// Random sets of a graph with their exact traces, and swaps of a run of exact annealing.
+struct Questions {
+  Questions(Trial& trial, std::size_t B, Rng rng) {
+    const std::size_t candidates = trial.stage.candidates.size();
+    const auto count = static_cast<std::size_t>(trial.options.sets);
+    mixed = random_sets(candidates, B, true, count, rng);
+    fixed = random_sets(candidates, B, false, count, rng);
+    for (const auto& set : mixed) mixed_truth.push_back(trial.truth_of(set));
+    for (const auto& set : fixed) fixed_truth.push_back(trial.truth_of(set));
+    const std::size_t scale = static_cast<std::size_t>(AnnealingOptions().scale_samples);
+    const auto steps = static_cast<std::size_t>(trial.options.evaluations);
+    WatchedObjective watched(
+        trial.exact, std::min(scale, steps / 2),
+        (steps - std::min(scale, steps / 2)) / static_cast<std::size_t>(trial.options.swaps));
+    annealed = anneal(watched, trial.midpoints, B, trial.options);
+    swaps = watched.swaps();
+  }
+
+  std::vector<std::vector<std::size_t>> mixed, fixed;
+  std::vector<double> mixed_truth, fixed_truth;
+  std::vector<std::size_t> annealed;
+  std::vector<WatchedObjective::Swap> swaps;
+};
+
+/// What a predictor makes of the questions. `j` says of which graph and size they are.
+Judgement judge_predictor(Trial& trial, const Questions& asked, const Predictor& p, Judgement j) {
+  j.method = p.name;
+  std::vector<double> values, errors;
+  for (std::size_t k = 0; k < asked.mixed.size(); ++k) {
+    values.push_back(p.value(asked.mixed[k]));
+    if (p.calibrated && values.back() > 0.0)
+      errors.push_back(std::abs(std::log(values.back() / asked.mixed_truth[k])));
+  }
+  j.log_error = errors.size() == asked.mixed.size() ? quantile(errors, 0.5) : kNaN;
+  const auto correlation = [](double rho) { return std::isnan(rho) ? 0.0 : rho; };
+  j.spearman_mixed = correlation(spearman(values, asked.mixed_truth));
+  values.clear();
+  for (const auto& set : asked.fixed) values.push_back(p.value(set));
+  j.spearman_fixed = correlation(spearman(values, asked.fixed_truth));
+  double right = 0.0, count = 0.0;
+  for (const WatchedObjective::Swap& swap : asked.swaps) {
+    if (swap.change == 0.0) continue;
+    count += 1.0;
+    if ((p.change(swap) < 0.0) == (swap.change < 0.0)) right += 1.0;
+  }
+  j.signs = count > 0.0 ? right / count : kNaN;
+  j.chosen = trial.truth_of(p.choose(j.set_size)) / trial.none;
+  return j;
+}
+
+/// All methods with sets of one size.
+void judge_size(Trial& trial, const Judgement& base, Rng rng, std::vector<Judgement>& out) {
+  const std::size_t B = base.set_size;
+  const Questions asked(trial, B, rng);
+  for (const Predictor& p : trial.predictors) out.push_back(judge_predictor(trial, asked, p, base));
+  const auto chose = [&](const std::string& method, const std::vector<std::size_t>& set) {
+    Judgement j = base;
+    j.method = method;
+    j.log_error = j.spearman_mixed = j.spearman_fixed = j.signs = kNaN;
+    j.chosen = trial.truth_of(set) / trial.none;
+    out.push_back(j);
+  };
+  chose("exact annealing", asked.annealed);
+  chose("exact greedy", greedy(trial.exact, trial.midpoints, B).set);
+  chose("separated", farthest_points(trial.midpoints, B));
+  double random = 0.0;
+  for (const double trace : asked.fixed_truth) {
+    random += trace / trial.none / static_cast<double>(asked.fixed_truth.size());
+  }
+  chose("random", asked.fixed.front());
+  out.back().chosen = random;
+}
+
 }  // namespace
 
 double spearman(const std::vector<double>& a, const std::vector<double>& b) {
@@ -148,129 +303,19 @@ std::vector<Judgement> judge(const MissionRecord& record, const std::vector<Judg
   validate(options);
   std::vector<Judgement> out;
   for (std::size_t s = 0; s < stages().size(); ++s) {
-    const StageGraph stage = stage_graph(record, stages()[s], static_cast<std::size_t>(options.candidates),
-                                         combine_seeds(combine_seeds(options.seed, 0x6a756467), s));
-    const ClosureModelOptions closures;
-    const ClosureModel model = closure_model(closures);
-    const std::vector<Eigen::Vector3d> midpoints = candidate_midpoints(stage.graph, stage.candidates);
-    std::vector<Matrix6d> covariances = marginals(stage.graph).covariances;
-    CovarianceObjective exact(stage.graph, stage.candidates);
-    const double none = exact.value();
-    const std::vector<double> gains = exact.add_changes();
-
-    std::vector<std::unique_ptr<GraphObjective>> objectives;
-    std::vector<Predictor> predictors;
-    for (const Judged& network : networks) {
-      if (network.loopwise) {
-        objectives.push_back(std::make_unique<EffectObjective>(stage.graph, stage.candidates,
-                                                               network.loopwise, closures, model));
-      } else {
-        objectives.push_back(std::make_unique<GnnObjective>(stage.graph, stage.candidates, network.paper,
-                                                            network.features, covariances));
-      }
-      GraphObjective* objective = objectives.back().get();
-      Predictor p;
-      p.name = network.name;
-      p.value = [objective](const std::vector<std::size_t>& set) {
-        objective->assign(set);
-        return objective->value();
-      };
-      p.change = [objective](const WatchedObjective::Swap& swap) {
-        objective->assign(swap.set);
-        return objective->swap_change(swap.out, swap.in);
-      };
-      p.choose = [objective, &midpoints, &options](std::size_t count) {
-        return anneal(*objective, midpoints, count, options);
-      };
-      predictors.push_back(std::move(p));
-    }
-    Predictor additive;
-    additive.name = "additive";
-    additive.calibrated = false;
-    additive.value = [&](const std::vector<std::size_t>& set) {
-      double sum = none;
-      for (const std::size_t c : set) sum += gains[c];
-      return sum;
-    };
-    additive.change = [&](const WatchedObjective::Swap& swap) { return gains[swap.in] - gains[swap.out]; };
-    additive.choose = [&](std::size_t count) {
-      std::vector<std::size_t> order(gains.size());
-      std::iota(order.begin(), order.end(), std::size_t{0});
-      std::stable_sort(order.begin(), order.end(),
-                       [&](std::size_t a, std::size_t b) { return gains[a] < gains[b]; });
-      order.resize(count);
-      return order;
-    };
-    predictors.push_back(std::move(additive));
-
+    Trial trial(record, s, networks, options);
     for (const double wanted : options.set_sizes) {
       const auto B = static_cast<std::size_t>(wanted);
-      if (2 * B > stage.candidates.size()) continue;
+      if (2 * B > trial.stage.candidates.size()) continue;
       if (stop.stop_requested()) throw Error("interrupted");
-      Rng rng(combine_seeds(combine_seeds(options.seed, s), B));
       Judgement base;
       base.mission = record.name;
       base.group = record.group;
       base.other_size = record.other_size;
       base.stage = s;
-      base.nodes = stage.graph.nodes().size();
+      base.nodes = trial.stage.graph.nodes().size();
       base.set_size = B;
-      const auto truth_of = [&](const std::vector<std::size_t>& set) {
-        exact.assign(set);
-        return exact.value();
-      };
-      const auto count = static_cast<std::size_t>(options.sets);
-      const auto mixed = random_sets(stage.candidates.size(), B, true, count, rng);
-      const auto fixed = random_sets(stage.candidates.size(), B, false, count, rng);
-      std::vector<double> mixed_truth, fixed_truth;
-      for (const auto& set : mixed) mixed_truth.push_back(truth_of(set));
-      for (const auto& set : fixed) fixed_truth.push_back(truth_of(set));
-
-      const std::size_t scale = static_cast<std::size_t>(AnnealingOptions().scale_samples);
-      const auto steps = static_cast<std::size_t>(options.evaluations);
-      WatchedObjective watched(
-          exact, std::min(scale, steps / 2),
-          (steps - std::min(scale, steps / 2)) / static_cast<std::size_t>(options.swaps));
-      const std::vector<std::size_t> annealed = anneal(watched, midpoints, B, options);
-      const auto chose = [&](const std::string& method, const std::vector<std::size_t>& set) {
-        Judgement j = base;
-        j.method = method;
-        j.log_error = j.spearman_mixed = j.spearman_fixed = j.signs = kNaN;
-        j.chosen = truth_of(set) / none;
-        out.push_back(j);
-      };
-      for (const Predictor& p : predictors) {
-        Judgement j = base;
-        j.method = p.name;
-        std::vector<double> values, errors;
-        for (std::size_t k = 0; k < mixed.size(); ++k) {
-          values.push_back(p.value(mixed[k]));
-          if (p.calibrated && values.back() > 0.0)
-            errors.push_back(std::abs(std::log(values.back() / mixed_truth[k])));
-        }
-        j.log_error = errors.size() == mixed.size() ? quantile(errors, 0.5) : kNaN;
-        const auto correlation = [](double rho) { return std::isnan(rho) ? 0.0 : rho; };
-        j.spearman_mixed = correlation(spearman(values, mixed_truth));
-        values.clear();
-        for (const auto& set : fixed) values.push_back(p.value(set));
-        j.spearman_fixed = correlation(spearman(values, fixed_truth));
-        double right = 0.0, asked = 0.0;
-        for (const WatchedObjective::Swap& swap : watched.swaps()) {
-          if (swap.change == 0.0) continue;
-          asked += 1.0;
-          if ((p.change(swap) < 0.0) == (swap.change < 0.0)) right += 1.0;
-        }
-        j.signs = asked > 0.0 ? right / asked : kNaN;
-        j.chosen = truth_of(p.choose(B)) / none;
-        out.push_back(j);
-      }
-      chose("exact annealing", annealed);
-      chose("exact greedy", greedy(exact, midpoints, B).set);
-      chose("separated", farthest_points(midpoints, B));
-      double random = 0.0;
-      for (const double trace : fixed_truth) random += trace / none / static_cast<double>(fixed_truth.size());
-      chose("random", fixed.front());
-      out.back().chosen = random;
+      judge_size(trial, base, Rng(combine_seeds(combine_seeds(options.seed, s), B)), out);
     }
   }
   return out;
@@ -295,7 +340,7 @@ JudgementTables summarize(const std::vector<Judgement>& judgements) {
                             {"signs", "(c) right signs", &Judgement::signs, 2},
                             {"chosen", "e of the chosen", &Judgement::chosen, 4}};
   JudgementTables out;
-  out.json = Json::array();
+  Json rows = Json::array();
   for (const bool other : {false, true}) {
     std::set<std::string> missions, graphs;
     std::size_t least = std::numeric_limits<std::size_t>::max(), most = 0;
@@ -335,12 +380,13 @@ JudgementTables summarize(const std::vector<Judgement>& judgements) {
         }
         if (count == 0) continue;
         row["graphs"] = count;
-        out.json.push_back(row);
+        rows.push_back(row);
         out.markdown += line + "\n";
       }
     }
     out.markdown += "\n";
   }
+  out.json = json_text(rows, 2);
   return out;
 }
 

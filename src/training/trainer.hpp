@@ -5,7 +5,6 @@
 
 #include <cstdint>
 #include <filesystem>
-#include <map>
 #include <memory>
 #include <optional>
 #include <string>
@@ -16,17 +15,10 @@
 #include <loopwise/core/stop_token.hpp>
 #include <loopwise/io/json_options.hpp>
 
-#include "training_data.hpp"
+#include <loopwise/training/training_data.hpp>
+#include <loopwise/training/weights.hpp>
 
 namespace loopwise::training {
-
-enum class NetworkKind {
-  kLoopwise,  ///< EffectNetwork
-  kPaper,     ///< GraphNetwork with the sizes of the paper: 4 kernels, world-frame covariances.
-};
-[[nodiscard]] inline EnumNames<NetworkKind> enum_names(NetworkKind) {
-  return {{NetworkKind::kLoopwise, "loopwise"}, {NetworkKind::kPaper, "paper"}};
-}
 
 /// What the paper's network is taught to put out. The Loopwise network always learns the logarithm.
 enum class Target { kLog, kTrace };
@@ -62,18 +54,6 @@ struct FitOptions {
     field("split_seed", self.split_seed, at_least(0), "Of the split by mission.");
   }
 };
-
-/// Row-major.
-struct PlainTensor {
-  std::vector<std::int64_t> shape;
-  std::vector<float> data;
-};
-using Tensors = std::map<std::string, PlainTensor>;
-
-/// Writes the JSON that GraphNetwork or EffectNetwork reads; numbers give back the same single-precision
-/// values. `meta` becomes `__meta__`, with `kind` put first.
-void write_weights(const std::filesystem::path& path, NetworkKind kind, const Tensors& tensors,
-                   const std::string& meta_json);
 
 struct EpochResult {
   std::int64_t epoch = 0;  ///< From 1.

@@ -6,8 +6,9 @@
 #include <string>
 #include <vector>
 
+#include <loopwise/training/training_data.hpp>
+
 #include "optimization/support.hpp"
-#include "training_data.hpp"
 
 namespace loopwise::testing {
 

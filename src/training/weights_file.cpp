@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/training/weights.hpp>
+
 #include <cstdio>
 
 #include <nlohmann/json.hpp>
 
 #include <loopwise/io/atomic_file.hpp>
-
-#include "trainer.hpp"
+#include <loopwise/io/json_options.hpp>
 
 namespace loopwise::training {
 

@@ -9,18 +9,16 @@
 #include <string>
 #include <vector>
 
-#include <nlohmann/json.hpp>
-
-#include <loopwise/core/progress.hpp>
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
 #include <loopwise/core/stop_token.hpp>
-#include <loopwise/io/json_options.hpp>
 #include <loopwise/prioritization/effect_network.hpp>
 #include <loopwise/prioritization/gnn.hpp>
-
-#include "training_data.hpp"
+#include <loopwise/training/training_data.hpp>
 
 namespace loopwise::training {
 
+/// With what effort networks are judged.
 struct JudgeOptions {
   std::vector<double> set_sizes = {5.0, 20.0, 50.0};
   std::int64_t candidates = 300;
@@ -43,21 +41,26 @@ struct JudgeOptions {
 
 /// A network under trial.
 struct Judged {
-  std::string name;
-  std::shared_ptr<const GraphNetwork> paper;  ///< One of the two.
-  std::shared_ptr<const EffectNetwork> loopwise;
-  GnnFeatures features = GnnFeatures::kWorld;
+  std::string name;                               ///< In the tables.
+  std::shared_ptr<const GraphNetwork> paper;      ///< Of the paper's kind; else null.
+  std::shared_ptr<const EffectNetwork> loopwise;  ///< Of Loopwise's own kind; else null.
+  GnnFeatures features = GnnFeatures::kWorld;     ///< That a network of the paper's kind is fed.
 };
 /// Reads a weights file; "FILE:lamp" feeds it as LAMP does. Named after the file. \throws IoError, InputError
-[[nodiscard]] Judged read_judged(const std::string& argument);
+[[nodiscard]] LOOPWISE_EXPORT Judged read_judged(const std::string& argument);
 
 /// One method on one graph with one B.
 struct Judgement {
-  std::string mission, group, method;
-  bool other_size = false;
-  std::size_t stage = 0, nodes = 0, set_size = 0;
-  /// NaN where the method says nothing of it.
-  double log_error = 0.0;       ///< Median |log(ê / e)| over (a): the relative error of the trace.
+  std::string mission;       ///< Whose graph it is.
+  std::string group;         ///< As MissionRecord::group.
+  std::string method;        ///< A network's name, or that of another method.
+  bool other_size = false;   ///< As MissionRecord::other_size.
+  std::size_t stage = 0;     ///< Place in stages().
+  std::size_t nodes = 0;     ///< Of the graph.
+  std::size_t set_size = 0;  ///< B.
+  /// Median |log(ê / e)| over (a): the relative error of the trace. NaN where the method says nothing of it,
+  /// as the figures that follow.
+  double log_error = 0.0;
   double spearman_mixed = 0.0;  ///< (a) Random sets of 0 to B closures.
   double spearman_fixed = 0.0;  ///< (b) Random sets of B closures.
   double signs = 0.0;           ///< (c) Share of swaps along an annealing run whose δ has the right sign.
@@ -65,20 +68,22 @@ struct Judgement {
 };
 
 /// Ranks correlated, ties by their mean rank. NaN of fewer than 3 pairs or if either is constant.
-[[nodiscard]] double spearman(const std::vector<double>& a, const std::vector<double>& b);
+[[nodiscard]] LOOPWISE_EXPORT double spearman(const std::vector<double>& a, const std::vector<double>& b);
 
 /// All methods on the stages of a mission: each network; `additive`, the sum of the exact gains of the single
 /// closures; exact annealing and greedy choice; maximal separation; random choice.
 /// \throws Error if stopped
-[[nodiscard]] std::vector<Judgement> judge(const MissionRecord& record, const std::vector<Judged>& networks,
-                                           const JudgeOptions& options, const StopToken& stop = {});
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Judgement> judge(const MissionRecord& record,
+                                                           const std::vector<Judged>& networks,
+                                                           const JudgeOptions& options,
+                                                           const StopToken& stop = {});
 
-/// Medians (and quartiles in the JSON) by set size, over the missions of the sizes trained with and the
-/// others.
-struct JudgementTables {  // NOLINT(bugprone-exception-escape): of the JSON library's own
-  Json json;
-  std::string markdown;
+/// Medians by set size, over the missions of the sizes trained with and the others.
+struct JudgementTables {
+  std::string json;      ///< A list of rows, with quartiles.
+  std::string markdown;  ///< The same for people.
 };
-[[nodiscard]] JudgementTables summarize(const std::vector<Judgement>& judgements);
+/// Puts judgements into tables.
+[[nodiscard]] LOOPWISE_EXPORT JudgementTables summarize(const std::vector<Judgement>& judgements);
 
 }  // namespace loopwise::training
