@@ -23,6 +23,7 @@
 #include <loopwise/replay/cost_forecast.hpp>
 #include <loopwise/replay/live_replay.hpp>
 #include <loopwise/replay/outcome_store.hpp>
+#include <loopwise/replay/outcome_file.hpp>
 #include <loopwise/replay/replay.hpp>
 #include <loopwise/replay/trace.hpp>
 
@@ -31,7 +32,6 @@
 #endif
 
 #include "command.hpp"
-#include "outcome_file.hpp"
 #include "replay_arguments.hpp"
 #include "run_text.hpp"
 
@@ -438,7 +438,7 @@ int run(const Options& options) {
 #endif
     return MissionReplay(mission, config.replay, registration).run(threads, hooks, outcomes->known());
   }();
-  if (store) note_outcomes(console, *store);
+  if (store) note_outcomes(console, store->statistics());
   const RunEvaluation evaluation = evaluate_run(mission, result);
   // A virtual clock makes a run again, and its folder is whole or says that it is not. What a real one made
   // is written, whatever became of the map and the journal; then comes the error.

@@ -189,7 +189,7 @@ std::string unit_file() {
   history[1].mission_time_s = 9.0;
   history[1].computed = 4;
   history[1].ate_m = 0.5;
-  return json_text(cli::unit_file_json({{"name", "m1"}}, summary, history));
+  return json_text(study::unit_file_json({{"name", "m1"}}, summary, history));
 }
 
 /// A header, and one event of each kind.

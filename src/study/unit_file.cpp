@@ -6,7 +6,7 @@
 
 #include <loopwise/core/error.hpp>
 
-namespace loopwise::cli {
+namespace loopwise::study {
 namespace {
 
 constexpr std::size_t kColumns = 11;
@@ -59,4 +59,4 @@ double figure(const Json& summary, const std::vector<std::string>& path) {
   return number_or_nan(*at);
 }
 
-}  // namespace loopwise::cli
+}  // namespace loopwise::study

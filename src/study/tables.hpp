@@ -7,10 +7,12 @@
 #include <vector>
 
 #include <loopwise/evaluation/sample_statistics.hpp>
+#include <loopwise/evaluation/text_tables.hpp>
+#include <loopwise/io/json_options.hpp>
 
-#include "study_units.hpp"
+#include "scheduler.hpp"
 
-namespace loopwise::cli {
+namespace loopwise::study {
 
 /// "0.123 (0.100–0.150)": median and quartiles; without the brackets for one value.
 [[nodiscard]] std::string cell(const Quartiles& q, int decimals);
@@ -18,9 +20,6 @@ namespace loopwise::cli {
 /// "-".
 [[nodiscard]] std::string cell(double value, const Interval& interval, int decimals);
 [[nodiscard]] std::string text_of(const Interval& interval, int decimals);
-
-/// Rows of equal length, the first one the header.
-[[nodiscard]] std::string markdown_table(const std::vector<std::vector<std::string>>& rows);
 
 /// Shortest text that reads back to the same bits; empty for NaN.
 [[nodiscard]] std::string number_text(double value);
@@ -65,4 +64,4 @@ struct World {
 /// How missions were replayed, in a sentence.
 [[nodiscard]] std::string budget_text(const Config& config);
 
-}  // namespace loopwise::cli
+}  // namespace loopwise::study

@@ -11,7 +11,7 @@
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/io/json_options.hpp>
 
-namespace loopwise::cli {
+namespace loopwise::study {
 
 inline constexpr int kUnitFormat = 1;  ///< To be raised when what units say changes.
 
@@ -30,4 +30,4 @@ struct UnitResult {
 /// A number of a unit's summary, by the names that lead to it; NaN where there is none.
 [[nodiscard]] double figure(const Json& summary, const std::vector<std::string>& path);
 
-}  // namespace loopwise::cli
+}  // namespace loopwise::study

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "study_tables.hpp"
+#include "tables.hpp"
 
 #include <algorithm>
 #include <charconv>
@@ -7,7 +7,7 @@
 
 #include <loopwise/core/error.hpp>
 
-namespace loopwise::cli {
+namespace loopwise::study {
 
 std::string cell(const Quartiles& q, int decimals) {
   if (q.count <= 1) return fixed(q.median, decimals);
@@ -21,22 +21,6 @@ std::string text_of(const Interval& interval, int decimals) {
 
 std::string cell(double value, const Interval& interval, int decimals) {
   return fixed(value, decimals) + (std::isnan(interval.low) ? "" : " (" + text_of(interval, decimals) + ")");
-}
-
-std::string markdown_table(const std::vector<std::vector<std::string>>& rows) {
-  std::string out;
-  for (std::size_t r = 0; r < rows.size(); ++r) {
-    for (const std::string& text : rows[r]) {
-      out += "| ";
-      for (const char c : text) out += c == '|' ? std::string("\\|") : std::string(1, c == '\n' ? ' ' : c);
-      out += " ";
-    }
-    out += "|\n";
-    if (r > 0) continue;
-    for (std::size_t c = 0; c < rows[r].size(); ++c) out += "| --- ";
-    out += "|\n";
-  }
-  return out;
 }
 
 std::string number_text(double value) {
@@ -172,4 +156,4 @@ std::string budget_text(const Config& config) {
   return text;
 }
 
-}  // namespace loopwise::cli
+}  // namespace loopwise::study

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "outcome_file.hpp"
+#include <loopwise/replay/outcome_file.hpp>
 
 #include <algorithm>
 #include <new>
@@ -12,7 +12,7 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
 
-namespace loopwise::cli {
+namespace loopwise {
 namespace {
 
 /// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".
@@ -90,4 +90,4 @@ void OutcomeFile::add(const RegistrationResult& result) {
   if (!out_) throw IoError(path_.string(), "cannot be written");
 }
 
-}  // namespace loopwise::cli
+}  // namespace loopwise

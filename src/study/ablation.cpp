@@ -11,26 +11,18 @@
 
 #include <nlohmann/json.hpp>
 
-#include <loopwise/core/error.hpp>
-#include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
+#include <loopwise/study/study.hpp>
 
-#include "study.hpp"
-#include "study_tables.hpp"
-#include "study_units.hpp"
+#include "scheduler.hpp"
+#include "tables.hpp"
 
-namespace loopwise::cli {
+namespace loopwise::study {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 /// The rows of odometry alone, which needs no run of its own.
 constexpr const char* kOdometry = "odom";
-
-struct Options {
-  StudyOptions study;
-  std::vector<std::string> methods{"baseline", "obs", "random", "gi", "full"};
-  std::optional<std::int64_t> workers;
-};
 
 /// A figure of one run, by what it is called in tables and files.
 struct Column {
@@ -158,146 +150,138 @@ std::string runs_csv(const Study& study, const std::vector<StudyUnit>& units,
   return csv.text();
 }
 
-int run(Options options) {
-  Console console(options.study.common.quiet);
-  const InterruptGuard interrupt;
-  options.methods = canonical_methods(options.methods);
-  Study study("ablation", options.study, console);
-  const std::vector<StudyUnit> units = units_by_method(study, options.methods, options.workers);
-  const auto results = study.run(units, interrupt.token());
-  if (!results) return study.status_without_results();
+/// What the tables are made of, and the two forms that they take.
+struct Tables {
+  std::vector<Column> columns;
+  Figures figures;
+  std::vector<std::string> methods;  ///< Odometry alone first, unless it is asked for in another place.
+  std::vector<World> worlds;
+  std::size_t missions;
+  Json json;
+  std::string text;
 
-  const std::vector<Column> all = columns();
-  const Figures figures(units, *results, all);
-  std::vector<std::string> methods = options.methods;
-  if (std::find(methods.begin(), methods.end(), kOdometry) == methods.end()) {
-    methods.insert(methods.begin(), kOdometry);
+  [[nodiscard]] bool has(const std::string& method) const {
+    return std::find(methods.begin(), methods.end(), method) != methods.end();
   }
-  const std::vector<World> worlds = worlds_of(study.missions());
-  const Config& config = units.front().config;
+};
 
-  Json json = study_json(study);
-  json["options"] = parse_json(config_json(config), "options");
-  json["methods"] = methods;
-  json["worlds"] = Json::array();
-  std::string text = "# Ablation\n\n" + budget_text(config) +
-                     " Medians over missions and seeds, quartiles in brackets. ATE is the mean error of the "
-                     "positions " +
-                     frame_text(study.missions()) +
-                     "; true inliers are within 0.05 m and 0.05 "
-                     "rad of the truth. Intervals are percentile bootstraps over missions, 95 %.\n";
-  for (const World& world : worlds) {
-    Json of_world = {{"world", world.name},
-                     {"missions", world.missions.size()},
-                     {"parameters_sha256", world.parameters},
-                     {"methods", Json::object()}};
-    std::vector<std::vector<std::string>> rows{{"figure"}};
-    for (const std::string& method : methods) rows.front().push_back(method);
-    for (const Column& column : all) {
-      if (column.title.empty()) continue;
-      std::vector<std::string> row{column.title};
-      for (const std::string& method : methods) {
-        const std::vector<double> values = figures.of(method, column.name, world.missions);
-        row.push_back(cell(quartiles(values), column.decimals));
-        if (values.empty()) continue;
-        object_at(of_world["methods"], method)[column.name] = quartiles_json(values);
-      }
-      rows.push_back(row);
-      if (column.name != "ate_m") continue;
-      rows.push_back({"ATE, m: interval of the median"});
-      for (const std::string& method : methods) {
-        const Interval interval = bootstrap_median(figures.grouped(method, column.name, world.missions));
-        rows.back().push_back(text_of(interval, 3));
-        object_at(object_at(of_world["methods"], method), column.name)["interval_95"] =
-            interval_json(interval);
-      }
+void add_world(Tables& t, const World& world) {
+  Json of_world = {{"world", world.name},
+                   {"missions", world.missions.size()},
+                   {"parameters_sha256", world.parameters},
+                   {"methods", Json::object()}};
+  std::vector<std::vector<std::string>> rows{{"figure"}};
+  for (const std::string& method : t.methods) rows.front().push_back(method);
+  for (const Column& column : t.columns) {
+    if (column.title.empty()) continue;
+    std::vector<std::string> row{column.title};
+    for (const std::string& method : t.methods) {
+      const std::vector<double> values = t.figures.of(method, column.name, world.missions);
+      row.push_back(cell(quartiles(values), column.decimals));
+      if (values.empty()) continue;
+      object_at(of_world["methods"], method)[column.name] = quartiles_json(values);
     }
-    json["worlds"].push_back(of_world);
-    text += "\n## " + describe(world) + "\n\n" + markdown_table(rows);
+    rows.push_back(row);
+    if (column.name != "ate_m") continue;
+    rows.push_back({"ATE, m: interval of the median"});
+    for (const std::string& method : t.methods) {
+      const Interval interval = bootstrap_median(t.figures.grouped(method, column.name, world.missions));
+      rows.back().push_back(text_of(interval, 3));
+      object_at(object_at(of_world["methods"], method), column.name)["interval_95"] = interval_json(interval);
+    }
   }
+  t.json["worlds"].push_back(of_world);
+  t.text += "\n## " + describe(world) + "\n\n" + markdown_table(rows);
+}
 
-  // All missions together.
-  const std::size_t missions = study.missions().size();
-  json["pooled"] = Json::object();
+/// All missions together.
+void add_pooled(Tables& t) {
+  t.json["pooled"] = Json::object();
   std::vector<std::vector<std::string>> rows{
       {"ATE", "against", "lower in", "mean difference, m", "ratio (geometric mean)"}};
-  for (const std::string& method : methods) {
+  for (const std::string& method : t.methods) {
     for (const std::string& other :
          {std::string("baseline"), std::string(kOdometry), std::string("random")}) {
       if (method == other || method == kOdometry || (method == "baseline" && other == "random")) continue;
-      if (std::find(methods.begin(), methods.end(), other) == methods.end()) continue;
-      const PairedComparison c = compare_paired(figures.by_mission(method, "ate_m", missions),
-                                                figures.by_mission(other, "ate_m", missions));
-      object_at(json["pooled"], method)[other] = comparison_json(c);
+      if (!t.has(other)) continue;
+      const PairedComparison c = compare_paired(t.figures.by_mission(method, "ate_m", t.missions),
+                                                t.figures.by_mission(other, "ate_m", t.missions));
+      object_at(t.json["pooled"], method)[other] = comparison_json(c);
       rows.push_back({method, other, std::to_string(c.better) + " of " + std::to_string(c.count),
                       cell(c.mean_difference, c.difference, 3), cell(c.ratio, c.ratio_interval, 3)});
     }
   }
   if (rows.size() > 1)
-    text += "\n## All " + counted(missions, "mission") + ", paired\n\n" + markdown_table(rows);
+    t.text += "\n## All " + counted(t.missions, "mission") + ", paired\n\n" + markdown_table(rows);
+}
 
-  std::vector<std::vector<std::string>> reductions{{"median ATE lower by, %"}};
-  for (const World& world : worlds) reductions.front().push_back(world.name);
-  reductions.front().push_back("mean");
-  json["reductions_percent"] = Json::object();
-  for (const std::string& method : methods) {
+void add_reductions(Tables& t) {
+  std::vector<std::vector<std::string>> rows{{"median ATE lower by, %"}};
+  for (const World& world : t.worlds) rows.front().push_back(world.name);
+  rows.front().push_back("mean");
+  t.json["reductions_percent"] = Json::object();
+  for (const std::string& method : t.methods) {
     for (const std::string& other : {std::string(kOdometry), std::string("baseline")}) {
-      if (method == other || method == kOdometry) continue;
-      if (std::find(methods.begin(), methods.end(), other) == methods.end()) continue;
+      if (method == other || method == kOdometry || !t.has(other)) continue;
       std::vector<std::string> row{method + " than " + other};
       double sum = 0.0;
-      Json& entry = object_at(object_at(json["reductions_percent"], method), other);
-      for (const World& world : worlds) {
-        const double of_other = quartiles(figures.of(other, "ate_m", world.missions)).median;
+      Json& entry = object_at(object_at(t.json["reductions_percent"], method), other);
+      for (const World& world : t.worlds) {
+        const double of_other = quartiles(t.figures.of(other, "ate_m", world.missions)).median;
         const double reduction =
-            100.0 * (1.0 - quartiles(figures.of(method, "ate_m", world.missions)).median / of_other);
+            100.0 * (1.0 - quartiles(t.figures.of(method, "ate_m", world.missions)).median / of_other);
         sum += reduction;
         row.push_back(fixed(reduction, 1));
         entry[world.name] = number_json(reduction);
       }
-      const double mean = sum / static_cast<double>(worlds.size());
+      const double mean = sum / static_cast<double>(t.worlds.size());
       entry["mean"] = number_json(mean);
       row.push_back(fixed(mean, 1));
-      reductions.push_back(row);
+      rows.push_back(row);
     }
   }
-  if (reductions.size() > 1)
-    text +=
+  if (rows.size() > 1)
+    t.text +=
         "\n## Reductions\n\nThe paper reports 51 % against odometry and 75 % against baseline (full, mean "
         "over its data sets).\n\n" +
-        markdown_table(reductions);
-
-  write_file(study.folder() / "runs.csv", runs_csv(study, units, *results, all));
-  write_file(study.folder() / "ablation.json", json_text(json, 2) + "\n");
-  write_file(study.folder() / "ablation.md", text);
-  print_results(options.study.common, json, text);
-  return kDone;
+        markdown_table(rows);
 }
 
 }  // namespace
 
-void add_ablation_study(CLI::App& study, Action& chosen, Transport* job) {
-  const auto options = std::make_shared<Options>();
-  options->study.job = job;
-  CLI::App* command =
-      study.add_subcommand("ablation", "Methods side by side over missions and seeds: the paper's Table I");
-  command->footer(
-      "Missions of one world are its repetitions. Every run is kept as it ends: the same command goes on "
-      "where it\n"
-      "was ended, and computes nothing twice.\n"
-      "  loopwise study ablation tunnel-* urban-* -o ablation --methods baseline,obs,random,gi,full\n"
-      "DIR gets runs.csv, ablation.json, ablation.md and ablation_timings.csv.");
-  command
-      ->add_option("--methods", options->methods, "Methods, by commas (default baseline,obs,random,gi,full)")
-      ->delimiter(',')
-      ->allow_extra_args(false)
-      ->type_name("LIST");
-  command
-      ->add_option("--workers", options->workers,
-                   "Registrations at a time on the mission's clock (default 10)")
-      ->type_name("N");
-  add_study_options(*command, options->study);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+std::optional<StudyReport> ablation(const StudyOptions& options, const AblationOptions& wanted,
+                                    const StudyHooks& hooks) {
+  std::vector<std::string> methods = canonical_methods(wanted.methods);
+  Study study("ablation", options, hooks);
+  const std::vector<StudyUnit> units = units_by_method(study, methods, wanted.workers);
+  const auto results = study.run(units);
+  if (!results) return std::nullopt;
+
+  const std::vector<Column> all = columns();
+  if (std::find(methods.begin(), methods.end(), kOdometry) == methods.end()) {
+    methods.insert(methods.begin(), kOdometry);
+  }
+  const Config& config = units.front().config;
+  Tables t{all,
+           Figures(units, *results, all),
+           methods,
+           worlds_of(study.missions()),
+           study.missions().size(),
+           study_json(study),
+           {}};
+  t.json["options"] = parse_json(config_json(config), "options");
+  t.json["methods"] = methods;
+  t.json["worlds"] = Json::array();
+  t.text =
+      "# Ablation\n\n" + budget_text(config) +
+      " Medians over missions and seeds, quartiles in brackets. ATE is the mean error of the positions " +
+      frame_text(study.missions()) +
+      "; true inliers are within 0.05 m and 0.05 rad of the truth. Intervals are percentile bootstraps over "
+      "missions, 95 %.\n";
+  for (const World& world : t.worlds) add_world(t, world);
+  add_pooled(t);
+  add_reductions(t);
+  return StudyReport{json_text(t.json, 2) + "\n", t.text, runs_csv(study, units, *results, all)};
 }
 
-}  // namespace loopwise::cli
+}  // namespace loopwise::study

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "study_statistics.hpp"
+#include <loopwise/study/pair_statistics.hpp>
 
 #include <algorithm>
 #include <cmath>
@@ -11,7 +11,7 @@
 
 #include <loopwise/core/se3.hpp>
 
-namespace loopwise::cli {
+namespace loopwise::study {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
@@ -29,8 +29,8 @@ double share(std::size_t count, std::size_t total) {
 
 }  // namespace
 
-StudyOutcome judge(const RegistrationResult& result, const Eigen::Isometry3d& truth) {
-  StudyOutcome out;
+PairOutcome judge(const RegistrationResult& result, const Eigen::Isometry3d& truth) {
+  PairOutcome out;
   out.reason = result.reason;
   out.accepted = result.verified();
   out.error_m = out.error_rad = out.squared_mahalanobis = out.weak_sigma_m = out.weak_error = kNan;
@@ -71,15 +71,15 @@ double upper_bound_95(std::size_t count, std::size_t total) {
   return high;
 }
 
-StudySummary summarize(const std::vector<StudyPair>& pairs, const std::vector<StudyOutcome>& outcomes,
-                       const std::vector<std::size_t>& chosen) {
-  StudySummary out;
+PairSummary summarize(const std::vector<StudyPair>& pairs, const std::vector<PairOutcome>& outcomes,
+                      const std::vector<std::size_t>& chosen) {
+  PairSummary out;
   std::vector<double> m, rad, features, global, refine, accepted, rejected;
   std::size_t beyond_5 = 0, beyond_95 = 0, beyond_999 = 0, degenerate_beyond = 0;
   double squared = 0.0, total = 0.0;
   for (const std::size_t i : chosen) {
     const StudyPair& pair = pairs[i];
-    const StudyOutcome& outcome = outcomes[i];
+    const PairOutcome& outcome = outcomes[i];
     ++out.pairs;
     if (pair.overlapping()) ++out.overlapping;
     features.push_back(1e3 * outcome.features_s);
@@ -150,4 +150,4 @@ std::vector<Stratum> strata(const std::vector<StudyPair>& pairs, std::size_t cou
   return out;
 }
 
-}  // namespace loopwise::cli
+}  // namespace loopwise::study
