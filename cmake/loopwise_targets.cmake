@@ -39,7 +39,7 @@ if(LOOPWISE_SANITIZE)
 endif()
 
 # The components that read what comes from outside.
-set(LOOPWISE_READERS "^(core|io|engine|online|replay|evaluation|distributed)$")
+set(LOOPWISE_READERS "^(core|io|engine|online|replay|evaluation|distributed|training|study)$")
 set(LOOPWISE_READER_FLAGS "")
 if(LOOPWISE_HARDENING AND NOT LOOPWISE_SANITIZE)
   include(CheckCXXCompilerFlag)

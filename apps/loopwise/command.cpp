@@ -1,12 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "command.hpp"
 
-#include <unistd.h>
-
 #include <algorithm>
 #include <atomic>
 #include <charconv>
-#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <exception>
@@ -115,14 +112,6 @@ std::vector<std::string> truth_of_mission(const std::vector<std::string>& truth,
   return {truth[mission]};
 }
 
-void require_truth(const std::string& path, const Mission& mission) {
-  if (!mission.ground_truth.empty()) return;
-  throw InputError(
-      path + ": has no ground truth to compare with" +
-      (mission.reference.empty() ? "" : " (its own optimised poses are another program's result)") +
-      "; --truth FILE says what is true");
-}
-
 void add_bin_layout_option(CLI::App& command, std::string& layout) {
   command
       .add_option("--bin-layout", layout,
@@ -183,21 +172,6 @@ std::filesystem::path graph_of_run(const std::filesystem::path& folder) {
              : std::filesystem::path();
 }
 
-void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint) {
-  namespace fs = std::filesystem;
-  if (folder.empty()) throw OptionError("the output folder has no name");
-  if (fs::exists(folder) && !fs::is_directory(folder)) {
-    throw OptionError(folder.string() + ": exists and is not a folder");
-  }
-  if (fs::exists(folder) && !fs::is_empty(folder) && !may_exist) {
-    throw OptionError(folder.string() + ": exists and is not empty" + hint);
-  }
-  std::error_code failure;
-  fs::create_directories(folder, failure);
-  if (failure) throw std::runtime_error(folder.string() + ": " + failure.message());
-  if (access(folder.c_str(), W_OK | X_OK) != 0) throw std::runtime_error(folder.string() + ": not writable");
-}
-
 void refuse_recording(const std::filesystem::path& folder, const std::vector<std::string>& sources) {
   namespace fs = std::filesystem;
   if (!fs::is_directory(folder)) return;
@@ -216,9 +190,14 @@ void refuse_recording(const std::filesystem::path& folder, const std::vector<std
 }
 
 void print_results(const CommonOptions& options, const Json& json, const std::string& text) {
+  // As text only where it is wanted: it may be long.
+  print_json_text(options, options.json.empty() ? std::string() : json_text(json, 2) + "\n", text);
+}
+
+void print_json_text(const CommonOptions& options, const std::string& json, const std::string& text) {
   const bool to_output = options.json == "-";
-  if (!options.json.empty() && !to_output) write_file(options.json, json_text(json, 2) + "\n");
-  std::cout << (to_output ? json_text(json, 2) + "\n" : text) << std::flush;
+  if (!options.json.empty() && !to_output) write_file(options.json, json);
+  std::cout << (to_output ? json : text) << std::flush;
   if (!std::cout) throw IoError("standard output", "cannot be written");
 }
 
@@ -265,32 +244,6 @@ int run_main(const char* name, int (*program)(int argc, char** argv), int argc, 
     std::fprintf(stderr, "%s: %s\n", name, error.what());
   }
   return kFailed;
-}
-
-std::string fixed(double value, int decimals) {
-  if (std::isnan(value)) return "-";
-  char text[64];
-  std::snprintf(text, sizeof text, "%.*f", decimals, value);
-  return text;
-}
-
-std::string table(const std::vector<std::vector<std::string>>& rows) {
-  std::vector<std::size_t> widths;
-  for (const auto& row : rows) {
-    widths.resize(std::max(widths.size(), row.size()), 0);
-    for (std::size_t c = 0; c < row.size(); ++c) widths[c] = std::max(widths[c], row[c].size());
-  }
-  std::string out;
-  for (std::size_t r = 0; r < rows.size(); ++r) {
-    std::string line;
-    for (std::size_t c = 0; c < rows[r].size(); ++c) {
-      const std::string gap(widths[c] - rows[r][c].size(), ' ');
-      line += c == 0 ? rows[r][c] + gap : "  " + gap + rows[r][c];
-    }
-    out += line + "\n";
-    if (r == 0) out += std::string(line.size(), '-') + "\n";
-  }
-  return out;
 }
 
 }  // namespace loopwise::cli

@@ -15,7 +15,9 @@
 #include <CLI/CLI.hpp>
 #include <nlohmann/json_fwd.hpp>
 
+#include <loopwise/evaluation/text_tables.hpp>
 #include <loopwise/io/json_options.hpp>
+#include <loopwise/io/output_folder.hpp>
 #include <loopwise/replay/config.hpp>
 
 #include "console.hpp"
@@ -61,9 +63,6 @@ void add_truth_option(CLI::App& command, std::vector<std::string>& truth);
 [[nodiscard]] std::vector<std::string> truth_of_mission(const std::vector<std::string>& truth,
                                                         std::size_t mission, std::size_t missions);
 
-/// \throws InputError saying what to do if the mission has no ground truth
-void require_truth(const std::string& path, const Mission& mission);
-
 /// Adds the option that says what a point is made of in .bin files.
 void add_bin_layout_option(CLI::App& command, std::string& layout);
 /// Puts the word of that option into the configuration, if there is one. \throws OptionError
@@ -86,10 +85,6 @@ void apply_bin_layout(const std::string& layout, Config& config);
 /// The graph that `loopwise replay` left in this folder; empty if it is not such a folder.
 [[nodiscard]] std::filesystem::path graph_of_run(const std::filesystem::path& folder);
 
-/// Makes an output folder, or takes an existing one that is empty or that `may_exist` allows.
-/// \throws OptionError if it exists otherwise; std::runtime_error if it cannot be made or written to.
-void prepare_output_folder(const std::filesystem::path& folder, bool may_exist, const std::string& hint);
-
 /// Throws an OptionError if results in this folder could take the place of recorded files: if it is one of
 /// the sources or holds one of them, or holds any recording.
 void refuse_recording(const std::filesystem::path& folder, const std::vector<std::string>& sources);
@@ -97,6 +92,8 @@ void refuse_recording(const std::filesystem::path& folder, const std::vector<std
 /// Writes the results as JSON where --json says, and `text` for people to standard output unless the JSON
 /// goes there.
 void print_results(const CommonOptions& options, const Json& json, const std::string& text);
+/// The same of JSON that is text already, with its last line break.
+void print_json_text(const CommonOptions& options, const std::string& json, const std::string& text);
 
 /// Runs an action and turns what it throws into a line on standard error and an exit status.
 [[nodiscard]] int run_action(const Action& action, const std::string& program = "loopwise");
@@ -105,12 +102,6 @@ void print_results(const CommonOptions& options, const Json& json, const std::st
 /// status; also a lack of memory where nothing can be caught.
 [[nodiscard]] int run_main(const char* name, int (*program)(int argc, char** argv), int argc,
                            char** argv) noexcept;
-
-/// "12.3" with the given number of decimals; "-" for NaN.
-[[nodiscard]] std::string fixed(double value, int decimals);
-
-/// Rows of equal length as text in columns, the first row underlined.
-[[nodiscard]] std::string table(const std::vector<std::vector<std::string>>& rows);
 
 void add_config(CLI::App& app, Action& chosen);
 void add_convert(CLI::App& app, Action& chosen);

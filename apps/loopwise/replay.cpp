@@ -23,6 +23,7 @@
 #include <loopwise/replay/cost_forecast.hpp>
 #include <loopwise/replay/live_replay.hpp>
 #include <loopwise/replay/outcome_store.hpp>
+#include <loopwise/replay/outcome_file.hpp>
 #include <loopwise/replay/replay.hpp>
 #include <loopwise/replay/trace.hpp>
 
@@ -31,7 +32,6 @@
 #endif
 
 #include "command.hpp"
-#include "outcome_file.hpp"
 #include "replay_arguments.hpp"
 #include "run_text.hpp"
 
@@ -439,7 +439,7 @@ int run(const Options& options) {
 #endif
     return MissionReplay(mission, config.replay, registration).run(threads, hooks, outcomes->known());
   }();
-  if (store) note_outcomes(console, *store);
+  if (store) note_outcomes(console, store->statistics());
   const RunEvaluation evaluation = evaluate_run(mission, result);
   // A run on the virtual clock can be repeated, and its folder is complete or marked as incomplete. Results
   // of a real clock are written even if the map or the journal failed; then comes the error.

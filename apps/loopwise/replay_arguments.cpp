@@ -95,8 +95,7 @@ void apply(const ReplayArguments& a, Config& config) {
   if (a.seed) replay.engine.seed = *a.seed;
 }
 
-void note_outcomes(Console& console, const OutcomeStore& store) {
-  const OutcomeStoreStatistics statistics = store.statistics();
+void note_outcomes(Console& console, const OutcomeStoreStatistics& statistics) {
   console.note(std::to_string(statistics.hits) + " registrations taken from the stored outcomes, " +
                std::to_string(statistics.computed) + " computed");
   if (statistics.damaged_bytes > 0) {

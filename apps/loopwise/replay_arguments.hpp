@@ -31,6 +31,6 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments);
 void apply(const ReplayArguments& arguments, Config& config);
 
 /// Statistics of a store of outcomes, for people.
-void note_outcomes(Console& console, const OutcomeStore& store);
+void note_outcomes(Console& console, const OutcomeStoreStatistics& statistics);
 
 }  // namespace loopwise::cli

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "study.hpp"
+#include "study_arguments.hpp"
 
 namespace loopwise::cli {
 
@@ -7,11 +7,8 @@ void add_study(CLI::App& app, Action& chosen, Transport* job) {
   CLI::App* command =
       app.add_subcommand("study", "Measure the system, or a part of it, against ground truth");
   command->require_subcommand(1);
-  add_ablation_study(*command, chosen, job);
-  add_budget_study(*command, chosen, job);
-  add_rssi_study(*command, chosen, job);
-  add_registration_study(*command, chosen);
-  add_acceptance_study(*command, chosen);
+  add_replay_studies(*command, chosen, job);
+  add_registration_studies(*command, chosen);
 }
 
 }  // namespace loopwise::cli

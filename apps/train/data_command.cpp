@@ -10,12 +10,12 @@
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/replay/code_version.hpp>
+#include <loopwise/training/training_data.hpp>
 #ifdef LOOPWISE_HAS_SIMULATION
 #include <loopwise/simulation/simulate.hpp>
 #endif
 
 #include "commands.hpp"
-#include "training_data.hpp"
 
 namespace loopwise::training {
 namespace {
@@ -144,7 +144,7 @@ int run(const Options& options) {
   }
   static_cast<void>(split_by_mission(entries, 1));  // reports too few missions at once
   const std::filesystem::path folder = options.output;
-  cli::prepare_output_folder(folder, options.resume, "; --resume continues interrupted data");
+  prepare_output_folder(folder, options.resume, "; --resume continues interrupted data");
   std::filesystem::create_directories(folder / "missions");
 
   std::mutex mutex;

@@ -7,9 +7,9 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/training/judge.hpp>
 
 #include "commands.hpp"
-#include "judge.hpp"
 
 namespace loopwise::training {
 namespace {
@@ -107,9 +107,10 @@ int run(const Options& options) {
                       {"chosen", number(j.chosen)}});
   }
   if (!options.markdown.empty()) write_file(options.markdown, tables.markdown);
-  cli::print_results(options.common,
-                     {{"options", to_json(judging)}, {"summary", tables.json}, {"graphs", graphs}},
-                     tables.markdown);
+  cli::print_results(
+      options.common,
+      {{"options", to_json(judging)}, {"summary", parse_json(tables.json, "summary")}, {"graphs", graphs}},
+      tables.markdown);
   return cli::kDone;
 }
 

@@ -19,9 +19,7 @@ struct Options {
   bool resume = false;
 };
 
-int run(const Options& options) {
-  cli::Console console(options.common.quiet);
-  const cli::InterruptGuard interrupt;
+FitOptions fit_options(const Options& options) {
   FitOptions fit;
   load_section(options.common, "fit", fit);
   if (!options.network.empty()) fit.network = parse_enum<NetworkKind>("network", options.network);
@@ -33,7 +31,41 @@ int run(const Options& options) {
   if (fit.network == NetworkKind::kLoopwise && fit.target == Target::kTrace) {
     throw OptionError("target = trace is for the paper's network");
   }
+  return fit;
+}
 
+/// The epoch that validated best; empty before any.
+EpochResult best_of(const Trainer& trainer) {
+  EpochResult best;
+  for (const EpochResult& epoch : trainer.history()) {
+    if (epoch.best) best = epoch;
+  }
+  return best;
+}
+
+/// weights.json and history.csv as they are by now.
+void write_results(const std::filesystem::path& folder, const Trainer& trainer, const FitOptions& fit,
+                   const DataOptions& data, const Json& missions) {
+  CsvText csv({"epoch", "training_loss", "validation_loss", "best"});
+  for (const EpochResult& epoch : trainer.history()) {
+    csv.row(epoch.epoch, epoch.training_loss, epoch.validation_loss, epoch.best ? 1 : 0);
+  }
+  const EpochResult best = best_of(trainer);
+  const Json meta = {{"source", "loopwise-train fit"},
+                     {"options", to_json(fit)},
+                     {"data", to_json(data)},
+                     {"missions", missions},
+                     {"epochs", trainer.history().size()},
+                     {"best_epoch", best.epoch},
+                     {"validation_loss", best.validation_loss}};
+  write_weights(folder / "weights.json", fit.network, trainer.weights(), meta.dump());
+  write_file(folder / "history.csv", csv.text());
+}
+
+int run(const Options& options) {
+  cli::Console console(options.common.quiet);
+  const cli::InterruptGuard interrupt;
+  const FitOptions fit = fit_options(options);
   const DataSet data = read_data_set(options.data);
   const std::vector<Role> roles = split_by_mission(data.entries, fit.split_seed);
   std::vector<MissionData> training, validation;
@@ -45,35 +77,13 @@ int run(const Options& options) {
     console.progress({"reading", i + 1, roles.size(), ""});
   }
   const std::filesystem::path folder = options.output;
-  cli::prepare_output_folder(folder, options.resume, "; --resume continues an interrupted training");
+  prepare_output_folder(folder, options.resume, "; --resume continues an interrupted training");
   const std::filesystem::path checkpoint = folder / "checkpoint.cbor";
   if (options.resume && !std::filesystem::exists(checkpoint) &&
       std::filesystem::exists(folder / "weights.json"))
     throw OptionError(folder.string() + ": weights without checkpoint.cbor; their training cannot go on");
   Trainer trainer(training, validation, fit);
   if (options.resume && std::filesystem::exists(checkpoint)) trainer.load(checkpoint);
-
-  const auto write = [&] {
-    double best = 0.0;
-    std::int64_t best_epoch = 0;
-    CsvText csv({"epoch", "training_loss", "validation_loss", "best"});
-    for (const EpochResult& epoch : trainer.history()) {
-      csv.row(epoch.epoch, epoch.training_loss, epoch.validation_loss, epoch.best ? 1 : 0);
-      if (epoch.best) {
-        best = epoch.validation_loss;
-        best_epoch = epoch.epoch;
-      }
-    }
-    const Json meta = {{"source", "loopwise-train fit"},
-                       {"options", to_json(fit)},
-                       {"data", to_json(data.options)},
-                       {"missions", missions},
-                       {"epochs", trainer.history().size()},
-                       {"best_epoch", best_epoch},
-                       {"validation_loss", best}};
-    write_weights(folder / "weights.json", fit.network, trainer.weights(), meta.dump());
-    write_file(folder / "history.csv", csv.text());
-  };
   while (!trainer.done()) {
     const auto epoch = trainer.run_epoch(interrupt.token(), console.progress_callback());
     if (!epoch) {
@@ -82,18 +92,15 @@ int run(const Options& options) {
       return cli::kInterrupted;
     }
     trainer.save(checkpoint);
-    write();
+    write_results(folder, trainer, fit, data.options, missions);
     char text[160];
     std::snprintf(text, sizeof text, "epoch %3lld  training %.6f  validation %.6f%s",
                   static_cast<long long>(epoch->epoch), epoch->training_loss, epoch->validation_loss,
                   epoch->best ? "  best" : "");
     console.note(text);
   }
-  write();
-  double best = 0.0;
-  for (const EpochResult& epoch : trainer.history()) {
-    if (epoch.best) best = epoch.validation_loss;
-  }
+  write_results(folder, trainer, fit, data.options, missions);
+  const double best = best_of(trainer).validation_loss;
   const Json json = {{"weights", (folder / "weights.json").string()},
                      {"network", enum_name(fit.network)},
                      {"epochs", trainer.history().size()},
@@ -101,7 +108,7 @@ int run(const Options& options) {
                      {"missions", missions}};
   cli::print_results(options.common, json,
                      (folder / "weights.json").string() + ": " + std::to_string(trainer.history().size()) +
-                         " epochs, best validation loss " + cli::fixed(best, 6) + "\n");
+                         " epochs, best validation loss " + fixed(best, 6) + "\n");
   return cli::kDone;
 }
 

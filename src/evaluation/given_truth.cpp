@@ -216,6 +216,14 @@ std::optional<double> body_mismatch(const Mission& mission, const PosesByKey& tr
 
 }  // namespace
 
+void require_truth(const std::string& path, const Mission& mission) {
+  if (!mission.ground_truth.empty()) return;
+  throw InputError(
+      path + ": has no ground truth to compare with" +
+      (mission.reference.empty() ? "" : " (its own optimised poses are another program's result)") +
+      "; --truth FILE says what is true");
+}
+
 void require_own_stamps(const Mission& mission, const std::string& file, const MissionOptions& options) {
   const auto refuse = [&](const std::string& why) {
     throw InputError(file + ": pairs by stamp, but " + why +

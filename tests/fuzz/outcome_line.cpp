@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Lines of outcomes, as a run that is resumed reads them, and the first one of their file, which says whose
 // they are.
+#include <loopwise/replay/outcome_file.hpp>
 #include <loopwise/replay/replay.hpp>
 
 #include "checks.hpp"
-#include "outcome_file.hpp"
 
 namespace {
 
@@ -12,11 +12,10 @@ using namespace loopwise;
 
 void check_file(const std::string& contents) {
   const std::string own = R"({"code":"1","mission":"m","options":{"a":{"b":1,"c":[2,"x"]}}})";
-  static_cast<void>(fuzz::attempt([&] { return cli::parse_outcomes(contents, own, "outcomes"); }));
-  const auto kept =
-      fuzz::attempt([&] { return cli::parse_outcomes(own + "\n" + contents, own, "outcomes"); });
+  static_cast<void>(fuzz::attempt([&] { return parse_outcomes(contents, own, "outcomes"); }));
+  const auto kept = fuzz::attempt([&] { return parse_outcomes(own + "\n" + contents, own, "outcomes"); });
   if (kept) {
-    const auto again = cli::parse_outcomes(own + "\n" + kept->lines, own, "again");
+    const auto again = parse_outcomes(own + "\n" + kept->lines, own, "again");
     fuzz::expect(again.lines == kept->lines && again.lost == 0 && again.known.size() == kept->known.size(),
                  "what is kept is kept again");
   }

@@ -11,10 +11,10 @@
 #include <loopwise/replay/outcome_store.hpp>
 #include <loopwise/replay/replay.hpp>
 #include <loopwise/replay/trace.hpp>
+#include <loopwise/training/training_data.hpp>
 
 #include "seeds.hpp"
 #include "target.hpp"
-#include "training_data.hpp"
 #include "unit_file.hpp"
 
 namespace loopwise::fuzz {
@@ -189,7 +189,7 @@ std::string unit_file() {
   history[1].mission_time_s = 9.0;
   history[1].computed = 4;
   history[1].ate_m = 0.5;
-  return json_text(cli::unit_file_json({{"name", "m1"}}, summary, history));
+  return json_text(study::unit_file_json({{"name", "m1"}}, summary, history));
 }
 
 /// A header, and one event of each kind.

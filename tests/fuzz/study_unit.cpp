@@ -7,14 +7,14 @@
 
 LOOPWISE_FUZZ_TARGET(study_unit, bytes) {
   using namespace loopwise;
-  const auto unit = fuzz::attempt([&] { return cli::parse_unit_file(parse_json(bytes, "unit"), "unit"); });
+  const auto unit = fuzz::attempt([&] { return study::parse_unit_file(parse_json(bytes, "unit"), "unit"); });
   if (!unit) return;
-  static_cast<void>(cli::figure(unit->summary, {"mission_end_s"}));
+  static_cast<void>(study::figure(unit->summary, {"mission_end_s"}));
   for (const auto& [robot, of_robot] : unit->summary.at("robots").items()) {
-    static_cast<void>(cli::figure(of_robot, {"path_length_m"}));
+    static_cast<void>(study::figure(of_robot, {"path_length_m"}));
   }
-  const std::string text = json_text(cli::unit_file_json(Json::object(), unit->summary, unit->history));
-  const cli::UnitResult again = cli::parse_unit_file(parse_json(text, "again"), "again");
+  const std::string text = json_text(study::unit_file_json(Json::object(), unit->summary, unit->history));
+  const study::UnitResult again = study::parse_unit_file(parse_json(text, "again"), "again");
   fuzz::expect(again.history.size() == unit->history.size(), "written and read again: as many rows");
   for (std::size_t r = 0; r < again.history.size(); ++r) {
     const HistoryRow &a = again.history[r], &b = unit->history[r];

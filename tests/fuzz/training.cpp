@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // The training's data. The first byte chooses: the file of a mission, or the list of all.
-#include "training_data.hpp"
+#include <loopwise/training/training_data.hpp>
 
 #include "checks.hpp"
 

@@ -32,6 +32,10 @@ namespace loopwise {
 LOOPWISE_EXPORT void set_truth(Mission& mission, const std::vector<std::string>& files,
                                const MissionOptions& options = {});
 
+/// For what compares with the truth. \throws InputError saying what to do if the mission, read from `path`,
+/// has no ground truth
+LOOPWISE_EXPORT void require_truth(const std::string& path, const Mission& mission);
+
 /// Checks the stamps of the nodes before pairing with the poses of `file`. \throws InputError with the remedy
 /// if they are not those of the recording: invented by the reader ("no stamps given", "node without stamp"),
 /// or moved by options.start_together

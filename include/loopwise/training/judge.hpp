@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Quality of a network: its error, its order of sets of one graph, and the exact trace of the sets that are
+/// chosen with it. Nothing here needs libtorch.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/prioritization/effect_network.hpp>
+#include <loopwise/prioritization/gnn.hpp>
+#include <loopwise/training/training_data.hpp>
+
+namespace loopwise::training {
+
+/// With what effort networks are judged.
+struct JudgeOptions {
+  std::vector<double> set_sizes = {5.0, 20.0, 50.0};
+  std::int64_t candidates = 300;
+  std::int64_t sets = 100;
+  std::int64_t evaluations = 3000;
+  std::int64_t swaps = 150;
+  std::uint64_t seed = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("set_sizes", self.set_sizes, between(1.0, 1000.0), "Sizes B of the sets.");
+    field("candidates", self.candidates, between(8, 5000), "Loop candidates of a graph, at most.");
+    field("sets", self.sets, between(3, 10000), "Random sets of each kind and size.");
+    field("evaluations", self.evaluations, between(1, 10000000),
+          "Evaluations of a run of annealing, those that find its scale included.");
+    field("swaps", self.swaps, between(1, 100000), "Swaps of a run of exact annealing whose sign is asked.");
+    field("seed", self.seed, at_least(0), "Of everything random.");
+  }
+};
+
+/// A network under trial.
+struct Judged {
+  std::string name;                               ///< In the tables.
+  std::shared_ptr<const GraphNetwork> paper;      ///< Of the paper's kind; else null.
+  std::shared_ptr<const EffectNetwork> loopwise;  ///< Of Loopwise's own kind; else null.
+  GnnFeatures features = GnnFeatures::kWorld;     ///< That a network of the paper's kind is fed.
+};
+/// Reads a weights file; "FILE:lamp" feeds it as LAMP does. Named after the file. \throws IoError, InputError
+[[nodiscard]] LOOPWISE_EXPORT Judged read_judged(const std::string& argument);
+
+/// One method on one graph with one B.
+struct Judgement {
+  std::string mission;       ///< Whose graph it is.
+  std::string group;         ///< As MissionRecord::group.
+  std::string method;        ///< A network's name, or that of another method.
+  bool other_size = false;   ///< As MissionRecord::other_size.
+  std::size_t stage = 0;     ///< Place in stages().
+  std::size_t nodes = 0;     ///< Of the graph.
+  std::size_t set_size = 0;  ///< B.
+  /// Median |log(ê / e)| over (a): the relative error of the trace. NaN where the method says nothing of it,
+  /// as the figures that follow.
+  double log_error = 0.0;
+  double spearman_mixed = 0.0;  ///< (a) Random sets of 0 to B closures.
+  double spearman_fixed = 0.0;  ///< (b) Random sets of B closures.
+  double signs = 0.0;           ///< (c) Share of swaps along an annealing run whose δ has the right sign.
+  double chosen = 0.0;          ///< Exact e / e(PG) of the chosen set.
+};
+
+/// Ranks correlated, ties by their mean rank. NaN of fewer than 3 pairs or if either is constant.
+[[nodiscard]] LOOPWISE_EXPORT double spearman(const std::vector<double>& a, const std::vector<double>& b);
+
+/// All methods on the stages of a mission: each network; `additive`, the sum of the exact gains of the single
+/// closures; exact annealing and greedy choice; maximal separation; random choice.
+/// \throws Error if stopped
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Judgement> judge(const MissionRecord& record,
+                                                           const std::vector<Judged>& networks,
+                                                           const JudgeOptions& options,
+                                                           const StopToken& stop = {});
+
+/// Medians by set size, over the missions of the sizes trained with and the others.
+struct JudgementTables {
+  std::string json;      ///< A list of rows, with quartiles.
+  std::string markdown;  ///< The same for people.
+};
+/// Puts judgements into tables.
+[[nodiscard]] LOOPWISE_EXPORT JudgementTables summarize(const std::vector<Judgement>& judgements);
+
+}  // namespace loopwise::training

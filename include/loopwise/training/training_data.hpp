@@ -1,0 +1,153 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What networks are trained on and judged by: sets of closures added to pose graphs, with the exact trace of
+/// each. Nothing here needs libtorch.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/prioritization/closure_effects.hpp>
+#include <loopwise/prioritization/gnn.hpp>
+
+namespace loopwise::training {
+
+/// Which graphs are cut out of a mission and which sets are added to them.
+struct DataOptions {
+  std::int64_t candidates = 200;
+  std::int64_t max_set = 50;
+  std::int64_t random_sets = 40;
+  std::int64_t annealing_runs = 4;
+  std::uint64_t seed = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("candidates", self.candidates, between(8, 5000), "Loop candidates of a graph, at most.");
+    field("max_set", self.max_set, between(2, 1000), "Closures of a set, at most.");
+    field("random_sets", self.random_sets, between(8, 10000), "Random sets of each graph.");
+    field("annealing_runs", self.annealing_runs, between(0, 1000),
+          "Runs of annealing on the exact objective that sets are taken from, for each graph.");
+    field("seed", self.seed, at_least(0), "Of everything random.");
+  }
+};
+
+/// What of a mission the graphs are made from: odometry, priors and stamps, no scans.
+struct MissionRecord {
+  std::string name;         ///< Of the mission.
+  std::string group;        ///< Missions of one world; the split takes from every group.
+  bool other_size = false;  ///< Of a size that nothing is trained on: for the test alone.
+  Robots robots;            ///< Whose nodes they are.
+  PoseGraph graph;          ///< Odometry and priors alone.
+};
+/// Takes out of a mission what graphs are made from. \throws InputError if the mission has fewer than 20
+/// nodes or nothing joins them
+[[nodiscard]] LOOPWISE_EXPORT MissionRecord record_of(const Mission& mission, std::string group,
+                                                      bool other_size);
+
+/// A moment of a mission: the nodes of its first part, and closures found so far.
+struct Stage {
+  double fraction = 1.0;           ///< Of the nodes, by their stamps.
+  double closures_per_node = 0.0;  ///< Random candidates already closed.
+};
+/// The stages that a mission is cut into.
+[[nodiscard]] LOOPWISE_EXPORT const std::vector<Stage>& stages();
+
+/// The graph of a stage, and what could be closed in it.
+struct StageGraph {
+  PoseGraph graph;                        ///< Nodes of the stage and the closures found so far.
+  std::vector<LoopCandidate> candidates;  ///< In random order.
+};
+/// The graph of a stage with `count` candidates at most. A function of (record, stage, count, seed).
+[[nodiscard]] LOOPWISE_EXPORT StageGraph stage_graph(const MissionRecord& record, const Stage& stage,
+                                                     std::size_t count, std::uint64_t seed);
+
+/// A set of candidates of a graph, and the exact answer.
+struct TrainingSet {
+  std::vector<std::uint32_t> members;  ///< Numbers of its candidates.
+  double trace_m2 = 0.0;               ///< e(PG ∪ set)
+  Eigen::VectorXf relief;              ///< unit_reliefs()
+};
+
+/// A graph with its candidates, what a network is fed of it, and the sets with their answers.
+struct TrainingGraph {
+  std::size_t stage = 0;                                      ///< Place in stages().
+  GraphNetwork::Input input;                                  ///< Of the paper's network, without a set.
+  std::vector<std::pair<std::uint32_t, std::uint32_t>> ends;  ///< Node numbers of the candidates.
+  ClosureEffects effects;                                     ///< Of the Loopwise network, without a set.
+  std::vector<TrainingSet> sets;  ///< The first is empty. Some differ from the one before by one swap.
+};
+
+/// Everything of one mission: one file.
+struct MissionData {
+  MissionRecord record;               ///< What the graphs were made from.
+  std::vector<TrainingGraph> graphs;  ///< Of its stages.
+};
+
+/// Cuts the stages out of a mission and solves the sets exactly. Stages with fewer than 8 candidates are left
+/// out. A function of (record, options). \throws InputError
+[[nodiscard]] LOOPWISE_EXPORT MissionData make_mission_data(const MissionRecord& record,
+                                                            const DataOptions& options,
+                                                            const StopToken& stop = {});
+
+/// Of all that a file of it holds.
+[[nodiscard]] LOOPWISE_EXPORT ContentHash hash_of(const MissionData& data);
+
+/// One binary file (CBOR) for a mission, written in one step. `made_with` says what it is a function of.
+LOOPWISE_EXPORT void write_mission_data(const std::filesystem::path& path, const MissionData& data,
+                                        const std::string& made_with = "");
+/// Whether a whole file that was made with the same is there.
+[[nodiscard]] LOOPWISE_EXPORT bool has_mission_data(const std::filesystem::path& path,
+                                                    const std::string& made_with);
+/// Reads what write_mission_data() wrote. \throws IoError; InputError naming the file and the field on a file
+/// that was cut short, is of another version, contradicts itself or holds a number that is not finite
+[[nodiscard]] LOOPWISE_EXPORT MissionData read_mission_data(const std::filesystem::path& path);
+
+/// A mission of a folder of data.
+struct DataSetEntry {
+  std::string name;         ///< Of the mission.
+  std::string group;        ///< As MissionRecord::group.
+  std::string file;         ///< Within the folder.
+  bool other_size = false;  ///< As MissionRecord::other_size.
+};
+/// Writes dataset.json, which says that a folder of data is finished. The missions are in their files
+/// already.
+LOOPWISE_EXPORT void write_data_set(const std::filesystem::path& folder,
+                                    const std::vector<DataSetEntry>& entries, const DataOptions& options);
+/// A folder of data: dataset.json and missions/NAME.cbor.
+struct LOOPWISE_EXPORT DataSet {
+  std::filesystem::path folder;       ///< Where it lies.
+  DataOptions options;                ///< It was made with.
+  std::vector<DataSetEntry> entries;  ///< Its missions.
+  /// Reads the file of an entry. \throws as read_mission_data()
+  [[nodiscard]] MissionData read(std::size_t entry) const;
+};
+/// Reads dataset.json. \throws IoError; InputError if the folder is no finished data set or holds no missions
+[[nodiscard]] LOOPWISE_EXPORT DataSet read_data_set(const std::filesystem::path& folder);
+
+/// What a mission is for.
+enum class Role {
+  kTrain,       ///< Weights are fitted to it.
+  kValidation,  ///< It says which epoch was best.
+  kTest,        ///< It says what the network is worth.
+};
+[[nodiscard]] inline EnumNames<Role> enum_names(Role) {
+  return {{Role::kTrain, "train"}, {Role::kValidation, "validation"}, {Role::kTest, "test"}};
+}
+
+/// Gives each whole mission one role: 5 of 8 train, 1 validates, 2 test, in each group as far as it goes;
+/// those of other sizes test. A function of (names, groups, seed), whatever the order of the entries. \throws
+/// InputError unless every role gets a mission: 3 are needed.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<Role> split_by_mission(const std::vector<DataSetEntry>& entries,
+                                                                 std::uint64_t seed);
+
+}  // namespace loopwise::training

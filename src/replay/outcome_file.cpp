@@ -1,0 +1,93 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <loopwise/replay/outcome_file.hpp>
+
+#include <algorithm>
+#include <new>
+#include <sstream>
+#include <utility>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/json_options.hpp>
+
+namespace loopwise {
+namespace {
+
+/// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".
+std::string difference(const std::string& before, const std::string& now) {
+  const Json b = parse_json(now, "this run");
+  const Json a = [&before] {
+    try {
+      return parse_json(before, "the run to resume");
+    } catch (const InputError&) {
+      return Json();
+    }
+  }();
+  const auto same = [&](const char* name) { return a.contains(name) && a[name] == b[name]; };
+  if (!a.is_object() || !a.contains("options") || !same("code")) return "another version of the program";
+  if (!same("mission") || !same("graph") || !same("scans")) return "another mission";
+  const Json was = a["options"].flatten(), is = b["options"].flatten();
+  for (const auto& [pointer, value] : is.items()) {
+    if (was.contains(pointer) && was[pointer] == value) continue;
+    std::string name = pointer.substr(1);
+    std::replace(name.begin(), name.end(), '/', '.');
+    return "other options: " + name + " was " + (was.contains(pointer) ? was[pointer].dump() : "not there");
+  }
+  if (!same("content")) return "other content of graph_information.gnn_weights or of replay.decisions";
+  return "other options";
+}
+
+}  // namespace
+
+KeptOutcomes parse_outcomes(const std::string& contents, const std::string& fingerprint,
+                            const std::string& name) {
+  KeptOutcomes kept;
+  std::istringstream lines(contents);
+  std::string line;
+  if (std::getline(lines, line) && line != fingerprint && !lines.eof())
+    throw OptionError(name + ": the run to resume had " + difference(line, fingerprint));
+  for (std::size_t number = 2; std::getline(lines, line); ++number) {
+    if (lines.eof()) break;  // cut short by a kill
+    if (line.find('\0') != std::string::npos) {
+      ++kept.lost;
+      continue;
+    }
+    const RegistrationResult result = [&] {
+      try {
+        return parse_outcome_line(line);
+      } catch (const InputError& error) {
+        throw ParseError(name, number, error.what());
+      }
+    }();
+    if (depends_on_circumstances(result)) continue;  // this time it may go well
+    kept.known[{result.candidate.from, result.candidate.to}] = result;
+    kept.lines += line + "\n";
+  }
+  if (lines.bad()) throw std::bad_alloc();  // streams swallow it
+  return kept;
+}
+
+void finish_log(std::ofstream& log, const std::filesystem::path& path) {
+  log.close();
+  if (!log) throw IoError(path.string(), "cannot be written");
+  flush_file(path);
+}
+
+OutcomeFile::OutcomeFile(std::filesystem::path path, const std::string& fingerprint, bool resume)
+    : path_(std::move(path)) {
+  if (resume && std::filesystem::exists(path_))
+    kept_ = parse_outcomes(read_file(path_), fingerprint, path_.string());
+  write_file(path_, fingerprint + "\n" + kept_.lines);
+  kept_.lines.clear();
+  out_.open(path_, std::ios::app | std::ios::binary);
+  if (!out_) throw IoError(path_.string(), "cannot be written");
+}
+
+void OutcomeFile::add(const RegistrationResult& result) {
+  out_ << outcome_line(result) + "\n" << std::flush;
+  if (!out_) throw IoError(path_.string(), "cannot be written");
+}
+
+}  // namespace loopwise

@@ -1,0 +1,85 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Replays as the units of a study: one mission under one configuration, its computation and its files.
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/progress.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/replay/config.hpp>
+#include <loopwise/replay/outcome_store.hpp>
+#include <loopwise/replay/registration.hpp>
+#include <loopwise/study/study.hpp>
+
+#include "unit_file.hpp"
+
+namespace loopwise::study {
+
+/// A mission that a study looks at.
+struct StudyMission {
+  StudySource source;
+  std::string name;
+  std::string world;  ///< Missions of one world are repetitions: provenance's options.world, else the name.
+  std::string seed;   ///< That it was made with; empty if not known.
+  std::string parameters_sha256;  ///< Of the world's parameters; empty if not known.
+  bool has_radio = false;
+  bool truth_is_aligned = false;  ///< Its errors are those after alignment, see Mission.
+  ContentHash content;            ///< Of all files, given truth included.
+};
+[[nodiscard]] StudyMission describe(const StudySource& source, const Mission& mission);
+
+/// A replay.
+struct StudyUnit {
+  std::size_t mission = 0;  ///< Place in Study::missions().
+  std::string label;        ///< For people and folders: "full", "full-w50".
+  Config config;
+};
+
+/// A unit's files within the study's folder.
+struct UnitFiles {
+  std::filesystem::path result, seconds, run;
+};
+[[nodiscard]] UnitFiles files_of(const std::filesystem::path& folder, const StudyMission& mission,
+                                 const StudyUnit& unit);
+
+/// A mission in memory with what its units share.
+struct LoadedMission {
+  Mission mission;
+  Registration registration;
+};
+[[nodiscard]] std::shared_ptr<const LoadedMission> load(const StudyMission& mission, const Config& config,
+                                                        const std::shared_ptr<OutcomeStore>& store);
+
+/// A unit that was computed, as it is kept and sent.
+struct ComputedUnit {
+  Json json;
+  double seconds = 0.0;
+  /// What circumstances have spoilt, see depends_on_circumstances(): scans that could not be read,
+  /// registrations that failed. Nothing, usually.
+  std::vector<std::string> spoilt;
+};
+
+/// Computes one unit on one thread. Nothing if it was stopped.
+[[nodiscard]] std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMission& about,
+                                                  const StudyUnit& unit, const UnitFiles& files,
+                                                  bool keep_run, const StopToken& stop,
+                                                  const ProgressCallback& progress);
+
+/// Writes the files of a unit. What circumstances have spoilt goes into this study's tables and is said, but
+/// the next one computes it again.
+[[nodiscard]] UnitResult keep(const ComputedUnit& unit, const UnitFiles& files);
+
+/// What keep() wrote; nothing if it was not finished, or the file is broken.
+[[nodiscard]] std::optional<UnitResult> finished(const UnitFiles& files, bool with_run);
+
+}  // namespace loopwise::study

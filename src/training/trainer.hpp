@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Training by libtorch. No type of libtorch stands here: its headers compile slowly, so one source has them.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/progress.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/io/json_options.hpp>
+
+#include <loopwise/training/training_data.hpp>
+#include <loopwise/training/weights.hpp>
+
+namespace loopwise::training {
+
+/// What the paper's network is taught to put out. The Loopwise network always learns the logarithm.
+enum class Target { kLog, kTrace };
+[[nodiscard]] inline EnumNames<Target> enum_names(Target) {
+  return {{Target::kLog, "log"}, {Target::kTrace, "trace"}};
+}
+
+struct FitOptions {
+  NetworkKind network = NetworkKind::kLoopwise;
+  Target target = Target::kLog;
+  std::int64_t epochs = 40;
+  std::int64_t patience = 10;
+  double learning_rate = 3e-3;
+  std::int64_t hidden = 0;
+  std::int64_t channels = 8;
+  std::int64_t kernels = 4;
+  std::uint64_t seed = 1;
+  std::uint64_t split_seed = 1;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("network", self.network, any_value(), "Which network: loopwise or paper.");
+    field("target", self.target, any_value(), "Network paper: learn the trace or its logarithm.");
+    field("epochs", self.epochs, between(1, 100000), "Epochs, at most.");
+    field("patience", self.patience, between(1, 100000),
+          "Training ends after so many epochs without a better validation.");
+    field("learning_rate", self.learning_rate, above(0.0),
+          "Of Adam at first; falls to a twentieth by a cosine.");
+    field("hidden", self.hidden, between(0, 1024), "Width; 0: 24 for loopwise, 64 for paper.");
+    field("channels", self.channels, between(1, 256), "Network loopwise: learned channels of aggregation.");
+    field("kernels", self.kernels, between(1, 64), "Network paper: Gaussian kernels of a convolution.");
+    field("seed", self.seed, at_least(0), "Of the first weights and the order of the data.");
+    field("split_seed", self.split_seed, at_least(0), "Of the split by mission.");
+  }
+};
+
+struct EpochResult {
+  std::int64_t epoch = 0;  ///< From 1.
+  double training_loss = 0.0;
+  double validation_loss = 0.0;
+  bool best = false;
+};
+
+/// A network in training. One thread, so that the same data, options and seed give the same bits.
+class Trainer {
+ public:
+  /// Normalises by the statistics of the training missions alone. \throws InputError if one of the lists is
+  /// empty; OptionError
+  Trainer(const std::vector<MissionData>& training, const std::vector<MissionData>& validation,
+          const FitOptions& options);
+  ~Trainer();
+
+  [[nodiscard]] bool done() const;
+  [[nodiscard]] const std::vector<EpochResult>& history() const;
+  /// \returns nothing if stopped: this object is then of no more use, the last saved state is.
+  /// \throws Error if the loss is no longer finite
+  [[nodiscard]] std::optional<EpochResult> run_epoch(const StopToken& stop = {},
+                                                     const ProgressCallback& progress = {});
+
+  /// Of the epoch that validated best; the first ones before any.
+  [[nodiscard]] Tensors weights() const;
+
+  /// Everything that the next epoch depends on, in one file, in one step.
+  void save(const std::filesystem::path& checkpoint) const;
+  /// \throws IoError; InputError on a file that is cut short or of other data or options (but patience)
+  void load(const std::filesystem::path& checkpoint);
+
+  /// Libtorch's gradient against central differences at random weights, in double precision: the largest
+  /// difference relative to the largest gradient.
+  [[nodiscard]] double gradient_error(std::size_t samples, std::uint64_t seed);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+/// e(PG ∪ set) as libtorch computes it from these weights, in double precision.
+[[nodiscard]] double torch_evaluate(NetworkKind kind, const Tensors& tensors, const TrainingGraph& graph,
+                                    const std::vector<std::uint32_t>& set);
+
+}  // namespace loopwise::training
