@@ -160,6 +160,7 @@ void add_acceptance_study(CLI::App& study, Action& chosen) {
   command->add_option("-o,--output", options->output, "Write the weights to FILE, for --config")
       ->type_name("FILE");
   add_replay_arguments(*command, options->replay);
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

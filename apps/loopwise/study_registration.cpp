@@ -304,6 +304,7 @@ void add_registration_study(CLI::App& study, Action& chosen) {
   command->add_option("--markdown", options->markdown, "Write the tables as Markdown")
       ->type_name("FILE")
       ->check(not_standard_output());
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

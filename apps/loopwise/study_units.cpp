@@ -282,6 +282,7 @@ void add_study_options(CLI::App& command, StudyOptions& options) {
                    "Keep each run's folder, as replay writes it, in DIR/runs");
   command.add_flag("--resume", options.resume,
                    "Go on in DIR; what is finished there is never computed again anyway");
+  add_key_frame_options(command, options.common);
   add_common_options(command, options.common);
 }
 

@@ -453,6 +453,14 @@ Mission read_as_named(const fs::path& path, const MissionOptions& options, const
       return parts::read_bags({place}, options, work);
     case MissionKind::kLampZip:
       return parts::read_lamp_save(place, options, work);
+    case MissionKind::kKitti:
+    case MissionKind::kStampedClouds:
+    case MissionKind::kGlim:
+    case MissionKind::kFastLioSamQn:
+    case MissionKind::kVoxelSlam:
+    case MissionKind::kHba:
+    case MissionKind::kKissSlam:
+    case MissionKind::kOpen3d:
     case MissionKind::kG2o:
     case MissionKind::kJoined:
       break;

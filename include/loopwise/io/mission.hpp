@@ -35,12 +35,32 @@ enum class MissionKind {
   kLampZip,  ///< A map that LAMP's base station saved.
   kJoined,   ///< Several missions of one robot each.
   kRun,      ///< A folder that a replay wrote: its graph with the closures, without scans.
+  kKitti,    ///< A sequence in the layout of KITTI's odometry data.
+  kStampedClouds,  ///< A folder of clouds whose names are stamps, and a trajectory.
+  kGlim,           ///< A map that GLIM saved: its submaps.
+  kFastLioSamQn,   ///< Key frames that FAST-LIO-SAM or FAST-LIO-SAM-QN saved.
+  kVoxelSlam,      ///< A session that Voxel-SLAM saved.
+  kHba,            ///< Poses and clouds in the layout of HBA.
+  kKissSlam,       ///< What KISS-SLAM saved: its local maps.
+  kOpen3d,         ///< A pose graph of Open3D.
 };
 [[nodiscard]] inline EnumNames<MissionKind> enum_names(MissionKind) {
-  return {{MissionKind::kMission, "mission"}, {MissionKind::kSession, "session"},
-          {MissionKind::kG2o, "g2o"},         {MissionKind::kG2oPcd, "g2o_pcd"},
-          {MissionKind::kBags, "rosbag"},     {MissionKind::kLampZip, "lamp_zip"},
-          {MissionKind::kJoined, "joined"},   {MissionKind::kRun, "run"}};
+  return {{MissionKind::kMission, "mission"},
+          {MissionKind::kSession, "session"},
+          {MissionKind::kG2o, "g2o"},
+          {MissionKind::kG2oPcd, "g2o_pcd"},
+          {MissionKind::kBags, "rosbag"},
+          {MissionKind::kLampZip, "lamp_zip"},
+          {MissionKind::kJoined, "joined"},
+          {MissionKind::kRun, "run"},
+          {MissionKind::kKitti, "kitti"},
+          {MissionKind::kStampedClouds, "stamped_clouds"},
+          {MissionKind::kGlim, "glim"},
+          {MissionKind::kFastLioSamQn, "fast_lio_sam_qn"},
+          {MissionKind::kVoxelSlam, "voxel_slam"},
+          {MissionKind::kHba, "hba"},
+          {MissionKind::kKissSlam, "kiss_slam"},
+          {MissionKind::kOpen3d, "open3d"}};
 }
 
 /// How the 36 numbers of an odometry edge's covariance in a bag are ordered. LAMP's code stores rotation
@@ -117,6 +137,16 @@ struct MissionOptions {
   std::string frames;
   /// Joined missions begin at the same moment, whenever they were recorded.
   bool start_together = false;
+  /// Key frames of a stream of odometry and sweeps, see choose_key_frames(): one as soon as the sensor has
+  /// moved or turned so far since the last.
+  double keyframe_distance_m = 1.0;
+  double keyframe_angle_rad = 0.35;
+  /// A sweep has the pose of the odometry at its stamp, which must be known so near in time.
+  double keyframe_max_time_difference_s = 0.1;
+  /// Most sweeps that are laid on each other as the scan of a key frame; 0: its own sweep alone.
+  std::int64_t submap_sweeps = 0;
+  /// File with the poses of the sweeps, where a folder holds only clouds or the poses of something else.
+  std::string poses;
   /// A measurement that would be repaired, guessed or left out is an error, see Problem::altered.
   bool strict = false;
 
@@ -157,6 +187,21 @@ struct MissionOptions {
           "Several missions as one: file with the pose of each one's frame in the common frame.");
     field("start_together", self.start_together, any_value(),
           "Several missions as one: all begin at the same moment.");
+    field(
+        "keyframe_distance_m", self.keyframe_distance_m, at_least(0.0),
+        "Odometry with sweeps: a key frame is made when the sensor has moved so far since the last, m; 0: of "
+        "every sweep.");
+    field(
+        "keyframe_angle_rad", self.keyframe_angle_rad, at_least(0.0),
+        "Odometry with sweeps: a key frame is made when the sensor has turned so far since the last, rad; 0: "
+        "of every sweep.");
+    field("keyframe_max_time_difference_s", self.keyframe_max_time_difference_s, at_least(0.0),
+          "Odometry with sweeps: longest time between a sweep and the pose of the odometry that it gets, s.");
+    field("submap_sweeps", self.submap_sweeps, between(0.0, 1000.0),
+          "Odometry with sweeps: most sweeps that become the scan of a key frame, those nearest in time; 0: "
+          "its own alone.");
+    field("poses", self.poses, any_value(),
+          "Folders of sweeps: file with their poses (KITTI rows, or TUM); empty: that beside the sweeps.");
     field("strict", self.strict, any_value(),
           "A measurement that would be repaired, guessed or left out is an error.");
   }
