@@ -228,7 +228,8 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 [[nodiscard]] LOOPWISE_EXPORT MissionKind mission_kind(const std::filesystem::path& path);
 
 /// Reads a mission folder (or its mission.json), a session folder, a g2o file, a g2o_pcd folder, ROS 1 bags,
-/// a map saved by LAMP, or the data set's own folder. Scans are found, not read.
+/// a map saved by LAMP, the data set's own folder, sweeps with poses, or what other programs save. Scans are
+/// found, not read.
 ///
 /// **Mission folder**: the files below; all but the first two may be missing. Keys are decimal numbers of 64
 /// bits (or a letter and an index), in JSON as text.
@@ -284,6 +285,14 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// **LAMP's saved map**: a zip archive with keys.csv, pc_N.pcd and pose_graph.bag, or the same unpacked.
 ///
 /// **The data set's folder**: rosbag/ if this build reads bags, else g2o_pcd/; with ground_truth/.
+///
+/// **Sweeps with poses**: a sequence of KITTI's odometry data (velodyne/, times.txt, calib.txt, poses of the
+/// camera), or clouds named by their stamps beside a trajectory in TUM's form. They become key frames, see
+/// choose_key_frames(). options.poses names another file with the poses.
+///
+/// **What other programs save**: GLIM's submaps, key frames of FAST-LIO-SAM-QN, sessions of Voxel-SLAM, poses
+/// and clouds of HBA, local maps of KISS-SLAM, pose graphs of Open3D. docs/formats.md says of each what is
+/// taken, and how it counts what is not.
 ///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "reference without
