@@ -12,6 +12,7 @@
 
 #include "bag.hpp"
 #include "file_kind.hpp"
+#include "hdl_graph_slam.hpp"
 #include "key_pairs.hpp"
 #include "mission_parts.hpp"
 #include "raw_sequence.hpp"
@@ -394,6 +395,7 @@ MissionKind mission_kind(const fs::path& path) {
   if (has_file(folder, "summary.json") && has_file(folder, "closures.csv") && has_file(folder, "graph.g2o"))
     return MissionKind::kRun;
   if (const auto saved = parts::saved_map_kind(folder)) return *saved;
+  if (is_mrg_slam(folder)) return MissionKind::kG2oPcd;
   const fs::path graph = parts::g2o_of_folder(folder);
   // A session's graph is empty until its program ends.
   const bool is_begun = graph.filename() == "singlesession_posegraph.g2o" && fs::is_empty(graph);

@@ -213,4 +213,50 @@ inline std::string open3d_text(const std::vector<Eigen::Isometry3d>& poses, cons
          "],\n\"version_major\": 1,\n\"version_minor\": 0\n}\n";
 }
 
+/// mrg_slam's folder of a team: ids are handed out as nodes come, of the robots in turn; the anchor is the
+/// second. Robots start `apart` metres from each other.
+inline void write_mrg_slam(const fs::path& folder, const std::vector<std::string>& robots, const Drive& drive,
+                           double apart = 3.0) {
+  const std::string information = "25 0 0 0 0 0 25 0 0 0 0 25 0 0 0 400 0 0 400 0 400 ";
+  fs::create_directories(folder / "g2o");
+  fs::create_directories(folder / "edges");
+  fs::create_directories(folder / "keyframes");
+  std::string vertices = "VERTEX_SE3:QUAT 1 0 0 0 0 0 0 1 \nFIX 1\n", edges;
+  const auto pose_of = [&](std::size_t robot, std::size_t frame) {
+    return Eigen::Translation3d(0.0, apart * static_cast<double>(robot), 0.0) * drive.odometry[frame];
+  };
+  const auto id_of = [&](std::size_t robot, std::size_t frame) {
+    const std::size_t rank = frame * robots.size() + robot;
+    return rank == 0 ? rank : rank + 1;
+  };
+  const auto edge = [&](std::size_t from, std::size_t to, const Eigen::Isometry3d& T) {
+    edges += "EDGE_SE3:QUAT " + std::to_string(from) + " " + std::to_string(to) + " " + streamed(T) +
+             information + "\n";
+  };
+  edge(1, 0, pose_of(0, 0));
+  for (std::size_t i = 0; i < drive.odometry.size(); ++i) {
+    for (std::size_t r = 0; r < robots.size(); ++r) {
+      const Eigen::Isometry3d T = pose_of(r, i);
+      const std::size_t id = id_of(r, i);
+      vertices += "VERTEX_SE3:QUAT " + std::to_string(id) + " " + streamed(T) + "\n";
+      if (i > 0) edge(id, id_of(r, i - 1), T.inverse() * pose_of(r, i - 1));
+      if (i > 0 && r > 0 && i % 5 == 0) edge(id, id_of(0, i), T.inverse() * pose_of(0, i));
+      const std::string own = six_digits(i * robots.size() + r);
+      std::ostringstream text;
+      text << "robot_name " << (robots[r].empty() ? "\"\"" : robots[r]) << "\nreadable_id " << robots[r]
+           << "." << i << "\nstamp " << 1567410201 + i << " " << 250000000 << "\nestimate\n"
+           << T.matrix() << "\nodom_counter " << i << "\nodom\n"
+           << T.matrix() << "\naccum_distance " << 2.5 * static_cast<double>(i) << "\nfirst_keyframe "
+           << (i == 0 ? 1 : 0) << "\nstatic_keyframe 0\ng2o_id " << id
+           << "\nuuid_str 6c1ee9de-3bd0-4b4c-9a3e-0f0d3cf9e0aa\nslam_uuid_str "
+              "e0a76bb8-14ad-4c46-b9a3-3df2e84d16ce\n";
+      write_text(folder / "keyframes" / (own + ".txt"), text.str());
+      write_pcd(folder / "keyframes" / (own + ".pcd"),
+                random_cloud(20 + i, false, true, static_cast<unsigned>(i)), PcdEncoding::kBinary);
+    }
+  }
+  write_text(folder / "g2o" / "graph.g2o", vertices + edges);
+  write_text(folder / "g2o" / "special_nodes.csv", "anchor_node 1\nanchor_edge 0\nfloor_node -1\n");
+}
+
 }  // namespace loopwise::testing

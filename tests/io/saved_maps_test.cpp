@@ -224,5 +224,35 @@ TEST_CASE("Open3D: a pose graph, alone and with clouds", "[io][saved_map][open3d
   }
 }
 
+TEST_CASE("mrg_slam: robots by their names", "[io][saved_map][mrg_slam]") {
+  const TemporaryFolder folder;
+  const testing::Drive made = testing::drive(11);
+  testing::write_mrg_slam(folder / "team", {"bestla", "atlas"}, made);
+  const Mission mission = read_mission(folder / "team");
+  CHECK(mission.kind == MissionKind::kG2oPcd);
+  REQUIRE(mission.robots.size() == 2);
+  CHECK(mission.robots[0].name == "atlas");
+  CHECK(mission.robots[1].name == "bestla");
+  CHECK(mission.graph.nodes().size() == 22);
+  CHECK(count_kind(mission, EdgeKind::kOdometry) == 20);
+  CHECK(count_kind(mission, EdgeKind::kLoopClosure) == 2);
+  const Node& node = mission.graph.node(make_key('a', 4));
+  CHECK(node.stamp_ns == 1'567'410'205'250'000'000);
+  CHECK((node.pose.translation() - made.odometry[4].translation() - Eigen::Vector3d(0.0, 3.0, 0.0)).norm() <
+        1e-3);
+  CHECK(mission.scans->load(make_key('b', 7))->size() == 27);
+  CHECK(mission.problems.count("edge to a fixed node that is no key frame made a prior") == 1);
+  CHECK(mission.problems.count("no prior given") == 1);  // of atlas
+  CHECK(mission.problems.all().size() == 2);
+
+  testing::write_mrg_slam(folder / "alone", {""}, made);
+  CHECK(read_mission(folder / "alone").robots[0].name == "a");
+  replace_in(folder / "team" / "keyframes" / "000003.txt", "g2o_id", "other");
+  CHECK_THROWS_WITH(read_mission(folder / "team"), Contains("node 4 has no key frame"));
+  testing::write_mrg_slam(folder / "team", {"bestla", "atlas"}, made);
+  replace_in(folder / "team" / "keyframes" / "000003.txt", "g2o_id 4", "g2o_id 3");
+  CHECK_THROWS_WITH(read_mission(folder / "team"), Contains("g2o_id 3"));
+}
+
 }  // namespace
 }  // namespace loopwise
