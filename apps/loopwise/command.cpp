@@ -9,6 +9,7 @@
 #include <exception>
 #include <iostream>
 #include <new>
+#include <sstream>
 
 #include <nlohmann/json.hpp>
 
@@ -59,6 +60,39 @@ void add_common_options(CLI::App& command, CommonOptions& options) {
   command.add_flag("--strict", options.strict,
                    "Input of which a measurement would be repaired, guessed or left out is an error");
   command.add_flag("--quiet", options.quiet, "No progress and no notes; warnings and errors remain");
+}
+
+void add_key_frame_options(CLI::App& command, CommonOptions& options) {
+  const auto assign = [&options](const char* field) {
+    return [&options, field](const std::string& value) {
+      options.reading.push_back("mission." + std::string(field) + "=" + value);
+    };
+  };
+  command
+      .add_option_function<std::string>("--keyframe-distance", assign("keyframe_distance_m"),
+                                        "Odometry with sweeps: a key frame after M metres (default 1)")
+      ->type_name("M");
+  command
+      .add_option_function<double>(
+          "--keyframe-angle",
+          [&options](double degrees) {
+            std::ostringstream text;
+            text.precision(17);
+            text << "mission.keyframe_angle_rad=" << degrees / 57.29577951308232;
+            options.reading.push_back(text.str());
+          },
+          "Odometry with sweeps: a key frame after a turn of DEG degrees (default 20)")
+      ->type_name("DEG");
+  command
+      .add_option_function<std::string>(
+          "--submap", assign("submap_sweeps"),
+          "Odometry with sweeps: lay up to N sweeps around a key frame on each other as its scan (default 0: "
+          "its own alone)")
+      ->type_name("N");
+  command
+      .add_option_function<std::string>("--poses", assign("poses"),
+                                        "Folders of sweeps: file with their poses, KITTI rows or TUM")
+      ->type_name("FILE");
 }
 
 void add_joining_options(CLI::App& command, std::string& frames, bool& start_together) {
@@ -151,6 +185,7 @@ Config load_config(const CommonOptions& options, const Config& defaults) {
   Config config = defaults;
   if (!options.config.empty()) read_config(options.config, config);
   for (const std::string& assignment : options.set) set_config_option(assignment, config);
+  for (const std::string& assignment : options.reading) set_config_option(assignment, config);
   if (options.strict) config.mission.strict = true;
   validate_config(config);
   return config;

@@ -35,6 +35,7 @@ struct CommonOptions {
   std::string json;  ///< Where the results go as JSON; "-" is standard output.
   std::string config;
   std::vector<std::string> set;
+  std::vector<std::string> reading;  ///< Assignments as of `set`, by add_key_frame_options(); they come last.
   int threads = 0;
   bool strict = false;
   bool quiet = false;
@@ -45,6 +46,9 @@ using Action = std::function<int()>;
 
 /// Adds the options of CommonOptions to a subcommand.
 void add_common_options(CLI::App& command, CommonOptions& options);
+
+/// Adds what says how odometry and sweeps become key frames, to a subcommand that reads missions.
+void add_key_frame_options(CLI::App& command, CommonOptions& options);
 
 /// Adds what says how several sources become one mission.
 void add_joining_options(CLI::App& command, std::string& frames, bool& start_together);

@@ -141,6 +141,7 @@ void add_convert(CLI::App& app, Action& chosen) {
       ->type_name("LIST");
   add_joining_options(*command, options->frames, options->start_together);
   add_bin_layout_option(*command, options->bin_layout);
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -219,6 +219,7 @@ void add_evaluate(CLI::App& app, Action& chosen) {
                                ->type_name("S")
                                ->check(CLI::NonNegativeNumber);
   map->excludes(alignment)->excludes(gap);
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

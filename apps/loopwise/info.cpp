@@ -323,6 +323,7 @@ void add_info(CLI::App& app, Action& chosen) {
       ->type_name("FILE")
       ->check(not_standard_output());
   command->add_flag("!--no-scans", options->read_scans, "Do not open the scans");
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -425,6 +425,7 @@ void add_optimize(CLI::App& app, Action& chosen) {
   command->add_flag("--certify", options->certify,
                     "Say whether the estimate is globally optimal; where it is not, go on from lower poses");
   command->add_flag("--verbose", options->verbose, "Cost of every step");
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -148,6 +148,7 @@ void add_rank(CLI::App& app, Action& chosen) {
   command->add_option("--seed", options->seed, "Of everything random (default 1)")
       ->type_name("S")
       ->check(not_negative());
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

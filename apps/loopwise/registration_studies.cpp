@@ -87,6 +87,7 @@ void add_registration(CLI::App& app, Action& chosen) {
   command->add_option("--markdown", options->markdown, "Write the tables as Markdown")
       ->type_name("FILE")
       ->check(not_standard_output());
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }
@@ -148,6 +149,7 @@ void add_acceptance(CLI::App& app, Action& chosen) {
   command->add_option("-o,--output", options->output, "Write the weights to FILE, for --config")
       ->type_name("FILE");
   add_replay_arguments(*command, options->replay);
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

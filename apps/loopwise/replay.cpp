@@ -557,6 +557,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
         "--max-registrations", "--odometry-noise", "--registrar", "--guess", "--outcomes", "--seed"}) {
     trace->excludes(command->get_option(other));
   }
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

@@ -120,6 +120,7 @@ void add_report(CLI::App& app, Action& chosen) {
   command->add_option("--seed", options->report.seed, "Of what is drawn where a layer has more (default 1)")
       ->type_name("S")
       ->check(not_negative());
+  add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);
   command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
 }

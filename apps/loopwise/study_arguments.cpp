@@ -26,6 +26,7 @@ void add_study_arguments(CLI::App& command, StudyArguments& arguments) {
                    "Keep each run's folder, as replay writes it, in DIR/runs");
   command.add_flag("--resume", arguments.resume,
                    "Go on in DIR; what is finished there is never computed again anyway");
+  add_key_frame_options(command, arguments.common);
   add_common_options(command, arguments.common);
 }
 

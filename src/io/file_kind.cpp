@@ -205,19 +205,22 @@ std::string describe_foreign_folder(const fs::path& folder) {
   if (has_extension(".db3") || has_extension(".mcap") ||
       (has("metadata.yaml") && parts::begins_with(folder / "metadata.yaml", "rosbag2_bagfile_information")))
     return std::string("is a recording of ROS 2: ") + kBagAdvice;
-  if (has("velodyne") || has("velodyne_points") || has("sequences") ||
+  if (has("sequences"))
+    return "holds KITTI's odometry data: give one of its sequences, for example sequences/00";
+  if (has("velodyne") || has("velodyne_points") ||
       (has("calib.txt") && (has("image_0") || has("image_2") || has("times.txt"))))
-    return "holds KITTI's odometry data: make a session of a sequence, with Scans/ for velodyne/ and, as "
-           "optimized_poses.txt or odom_poses.txt, its poses in the lidar's frame (inv(Tr) * pose * Tr, with "
-           "Tr "
-           "of calib.txt)";
+    return "holds KITTI's odometry data, but no clouds in velodyne/: of a sequence velodyne/NUMBER.bin, "
+           "times.txt, calib.txt and poses.txt (or --poses FILE) are read";
   if (has("times.txt") && (has("Scans") || has("scans")))
     return "is a session without poses: its program saves optimized_poses.txt when it ends, and was stopped "
            "before";
+  if (has("transformations.pcd") && has("trajectory.pcd"))
+    return "is a map that LIO-SAM saved, which keeps no scans of key frames: replay its run with SC-LIO-SAM, "
+           "which saves Scans/, or give clouds named by their stamps and its trajectory in TUM's form";
   if (std::any_of(entries.begin(), entries.end(), [](const fs::path& entry) { return is_cloud_file(entry); }))
-    return "holds clouds without poses: put a graph beside them (result.g2o, clouds named by its ids), or "
-           "make "
-           "them the Scans/ of a session with odom_poses.txt";
+    return "holds clouds without poses: put a graph beside them (result.g2o, clouds named by its ids), "
+           "make them the Scans/ of a session with odom_poses.txt, or name them by their stamps beside a "
+           "trajectory in TUM's form";
   return "";
 }
 

@@ -58,8 +58,23 @@ struct Found {
 Found clouds_of_key_frames(const KeyFrameFolders& key_frames) {
   Found found{key_frames.files, {}, {}};
   found.table.stamps = key_frames.stamps;
-  found.clouds.by_key = key_frames.clouds;
+  for (const auto& [id, file] : key_frames.clouds) {
+    const auto full = key_frames.full.find(id);
+    found.clouds.by_key.emplace(full == key_frames.full.end() ? id : full->second, file);
+  }
   return found;
+}
+
+/// The keys that the key frames of a team give its nodes. \throws InputError naming a node without one
+const std::map<Key, Key>& keys_of_team(const KeyFrameFolders& key_frames, const PoseGraph& graph,
+                                       const std::string& file) {
+  for (const Node& node : graph.nodes()) {
+    if (key_frames.full.count(node.key) == 0) {
+      throw InputError(file + ": node " + std::to_string(node.key) +
+                       " has no key frame in keyframes/, which would say whose it is");
+    }
+  }
+  return key_frames.full;
 }
 
 /// The first place that holds clouds of nodes. A key table may lie there or in the folder itself.
@@ -200,22 +215,25 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   mission.kind = MissionKind::kG2oPcd;
   mission.path = folder;
   mission.name = recording_name(folder);
-  const fs::path file = g2o_of_folder(folder);
+  const bool of_team = is_mrg_slam(folder);
+  const fs::path file = of_team ? folder / "g2o" / "graph.g2o" : g2o_of_folder(folder);
   if (file.empty()) throw InputError(folder.string() + ": no g2o file");
   G2oFile g2o = read_g2o(file);
   Problems of_key_frames;
-  const auto folders = find_key_frame_folders(folder, of_key_frames);
+  const auto folders =
+      of_team ? find_team_key_frames(folder, of_key_frames) : find_key_frame_folders(folder, of_key_frames);
   if (folders) g2o = without_anchors(std::move(g2o), *folders, file.string());
   mission.problems = g2o.problems;
   mission.problems.add(of_key_frames);
   if (fs::is_regular_file(folder / kRanges)) read_ranges(folder / kRanges, g2o.graph);
   if (fs::is_regular_file(folder / kGravity)) read_gravity(folder / kGravity, g2o.graph);
   const Found found = folders ? clouds_of_key_frames(*folders) : find_clouds(folder, mission.problems);
-  const std::map<Key, Key> full = full_keys(g2o.graph, found.clouds, file.string(), options);
+  const std::map<Key, Key> full = of_team ? keys_of_team(*folders, g2o.graph, file.string())
+                                          : full_keys(g2o.graph, found.clouds, file.string(), options);
   const PoseGraph graph = renamed(g2o.graph, full);
+  const Robots robots = of_team ? Robots(folders->robots) : Robots::from_keys(graph.keys());
   mission.robots =
-      robots_of(graph, options,
-                with_landmarks(Robots::from_keys(graph.keys()), landmark_characters(graph, found.clouds)));
+      robots_of(graph, options, with_landmarks(robots, landmark_characters(graph, found.clouds)));
 
   Stamps stamps;
   for (const auto& [written, stamp] : found.table.stamps) {

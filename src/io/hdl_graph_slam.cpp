@@ -26,8 +26,12 @@ std::int64_t parse_stamp(std::string_view line, const text::Place& place) {
 }
 
 /// Words of `data` that the graph has too, those whose factors are not read, and what poses may hold.
-constexpr std::string_view kUsed[] = {"estimate", "odom", "accum_distance", "nan", "inf"};
+constexpr std::string_view kUsed[] = {
+    "estimate",     "odom",           "accum_distance",  "nan",      "inf",          "readable_id",
+    "odom_counter", "first_keyframe", "static_keyframe", "uuid_str", "slam_uuid_str"};
 constexpr std::string_view kUnused[] = {"floor_coeffs", "utm_coord", "acceleration", "orientation"};
+
+constexpr std::string_view kNameless = "\"\"";  // as mrg_slam writes the name of a robot without one
 
 bool is_number(const std::string& name) {
   return !name.empty() &&
@@ -69,7 +73,10 @@ KeyFrameData parse_key_frame_data(const std::string& name, std::string_view cont
     if (word.empty() || std::isalpha(static_cast<unsigned char>(word[0])) == 0) continue;  // rows of a matrix
     if (word == "stamp") {
       data.stamp_ns = parse_stamp(line, place);
-    } else if (word == "id") {
+    } else if (word == "robot_name") {
+      const std::string_view robot = text::next_word(line);
+      data.robot = robot == kNameless ? "" : std::string(robot);
+    } else if (word == "id" || word == "g2o_id") {
       Key id = 0;
       if (const char* why = text::parse_id(text::next_word(line), id)) place.fail(std::string("id ") + why);
       data.id = id;
@@ -111,6 +118,63 @@ std::optional<KeyFrameFolders> find_key_frame_folders(const fs::path& folder, Pr
   };
   for (const auto& [id, number] : owner) found.ids.insert(id);
   found.anchors = read_anchors(folder / "special_nodes.csv");
+  return found;
+}
+
+bool is_mrg_slam(const fs::path& folder) {
+  return fs::is_regular_file(folder / "g2o" / "graph.g2o") && fs::is_directory(folder / "keyframes");
+}
+
+namespace {
+
+/// Gives the nodes of each robot its character, and indices by their stamps.
+void name_nodes(const std::map<std::string, std::vector<std::pair<std::int64_t, Key>>>& by_robot,
+                const std::string& where, KeyFrameFolders& found) {
+  constexpr std::size_t kLetters = 26;
+  if (by_robot.size() > kLetters)
+    throw InputError(where + ": " + std::to_string(by_robot.size()) + " robots, at most 26 can be read");
+  char letter = 'a';
+  for (const auto& [name, nodes] : by_robot) {
+    found.robots.push_back(robot_of_character(letter, name.empty() ? std::string(1, letter) : name));
+    std::vector<std::pair<std::int64_t, Key>> in_order = nodes;
+    std::sort(in_order.begin(), in_order.end());
+    for (std::size_t i = 0; i < in_order.size(); ++i) found.full[in_order[i].second] = make_key(letter, i);
+    ++letter;
+  }
+}
+
+}  // namespace
+
+KeyFrameFolders find_team_key_frames(const fs::path& folder, Problems& problems) {
+  const fs::path place = folder / "keyframes";
+  KeyFrameFolders found;
+  found.files.where = place.string();
+  std::map<std::string, std::vector<std::pair<std::int64_t, Key>>> by_robot;
+  for (const fs::path& file : parts::entries(place)) {
+    if (file.extension() != ".txt" || !is_number(file.stem().string())) continue;
+    const KeyFrameData data = parse_key_frame_data(file.string(), read_file(file), problems);
+    if (!data.id) {
+      problems.add_altered("key frame without node left out", file.string());
+      continue;
+    }
+    if (!data.stamp_ns)
+      throw InputError(file.string() + ": has no stamp, by which the nodes of a robot follow");
+    if (!found.ids.insert(*data.id).second)
+      throw InputError(file.string() + ": g2o_id " + std::to_string(*data.id) +
+                       " is that of another already");
+    by_robot[data.robot].emplace_back(*data.stamp_ns, *data.id);
+    found.stamps.emplace(*data.id, *data.stamp_ns);
+    const std::string cloud = file.stem().string() + ".pcd";
+    if (!fs::is_regular_file(place / cloud)) continue;
+    found.clouds.emplace(*data.id, found.files.names.size());
+    found.files.names.push_back(cloud);
+  }
+  if (found.ids.empty()) throw InputError(place.string() + ": no key frame with a node in it");
+  name_nodes(by_robot, place.string(), found);
+  found.files.read = [place, names = found.files.names](std::size_t n) {
+    return read_file(place / names[n]);
+  };
+  found.anchors = read_anchors(folder / "g2o" / "special_nodes.csv");
   return found;
 }
 

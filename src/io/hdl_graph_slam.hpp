@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The folders of key frames that hdl_graph_slam saves beside its graph. Private to io.
+/// The key frames that hdl_graph_slam and mrg_slam save beside their graph. Private to io.
 #pragma once
 
 #include <map>
@@ -17,9 +17,11 @@ namespace loopwise {
 struct KeyFrameData {
   std::optional<Key> id;                 ///< Of its node.
   std::optional<std::int64_t> stamp_ns;  ///< Of its scan.
+  std::string robot;                     ///< Its name, as mrg_slam writes it; else empty.
 };
-/// Lines `stamp SECONDS NANOSECONDS` and `id NODE`, and poses that the graph has too. What else it holds is
-/// counted by its word. \throws ParseError naming `name` and the line
+/// Lines `stamp SECONDS NANOSECONDS`, `id NODE` (mrg_slam: `g2o_id NODE`), `robot_name NAME`, and poses that
+/// the graph has too. What else it holds is counted by its word. \throws ParseError naming `name` and the
+/// line
 [[nodiscard]] KeyFrameData parse_key_frame_data(const std::string& name, std::string_view contents,
                                                 Problems& problems);
 
@@ -32,12 +34,21 @@ struct KeyFrameFolders {
   /// What special_nodes.csv says is the node that holds the first; old versions of the program do not write
   /// it.
   std::optional<std::set<Key>> anchors;
+  std::map<Key, Key> full;    ///< mrg_slam: key of each node, with the character of its robot.
+  std::vector<Robot> robots;  ///< mrg_slam: by their names.
 };
 
 /// Key frames in folders NUMBER/ with a file `data`. Nothing if there is no such folder. \throws ParseError;
 /// InputError naming two key frames of one id; IoError
 [[nodiscard]] std::optional<KeyFrameFolders> find_key_frame_folders(const std::filesystem::path& folder,
                                                                     Problems& problems);
+
+/// Whether mrg_slam saved the folder: g2o/graph.g2o and keyframes/.
+[[nodiscard]] bool is_mrg_slam(const std::filesystem::path& folder);
+/// Key frames in keyframes/NUMBER.txt and NUMBER.pcd, of a team of robots: in the order of their names they
+/// get the characters a, b, …, and each one's nodes the indices 0, 1, … by their stamps. \throws as
+/// find_key_frame_folders(); InputError if there is no key frame, or more robots than letters
+[[nodiscard]] KeyFrameFolders find_team_key_frames(const std::filesystem::path& folder, Problems& problems);
 
 /// The graph without the fixed node that hdl_graph_slam ties its first node to: that of special_nodes.csv,
 /// without it those that are fixed and no key frames, which is counted as a guess. What ties others to it

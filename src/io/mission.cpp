@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <fstream>
 #include <set>
 
 #include <loopwise/core/error.hpp>
@@ -11,8 +12,11 @@
 
 #include "bag.hpp"
 #include "file_kind.hpp"
+#include "hdl_graph_slam.hpp"
 #include "key_pairs.hpp"
 #include "mission_parts.hpp"
+#include "raw_sequence.hpp"
+#include "saved_maps.hpp"
 #include "text.hpp"
 
 namespace loopwise {
@@ -345,6 +349,16 @@ fs::path resolved(const fs::path& path) {
   return has_g2o ? path / "g2o_pcd" : path;
 }
 
+/// By how it begins; by its ending first, since other files may be large or pipes.
+bool is_open3d_file(const fs::path& path) {
+  if (path.extension() != ".json" || !fs::is_regular_file(path)) return false;
+  std::ifstream in(path, std::ios::binary);
+  std::string beginning(kKindBytes, '\0');
+  in.read(beginning.data(), static_cast<std::streamsize>(beginning.size()));
+  beginning.resize(static_cast<std::size_t>(in.gcount()));
+  return parts::looks_like_open3d(beginning);
+}
+
 void check_options(const MissionOptions& options) {
   validate(options);
   if (options.prior_sigmas.size() != 6) {
@@ -364,6 +378,7 @@ MissionKind mission_kind(const fs::path& path) {
     if (path.filename() == "mission.json") return MissionKind::kMission;
     if (fs::is_regular_file(status) && parts::begins_with(path, "#ROSBAG")) return MissionKind::kBags;
     if (fs::is_regular_file(status) && parts::begins_with(path, "PK\x03\x04")) return MissionKind::kLampZip;
+    if (is_open3d_file(path)) return MissionKind::kOpen3d;
     refuse_foreign_file(path, {FileKind::kG2o}, kWanted);
     return MissionKind::kG2o;
   }
@@ -379,11 +394,15 @@ MissionKind mission_kind(const fs::path& path) {
   if (has_file(folder, "keys.csv") && has_file(folder, "pose_graph.bag")) return MissionKind::kLampZip;
   if (has_file(folder, "summary.json") && has_file(folder, "closures.csv") && has_file(folder, "graph.g2o"))
     return MissionKind::kRun;
+  if (const auto saved = parts::saved_map_kind(folder)) return *saved;
+  if (is_mrg_slam(folder)) return MissionKind::kG2oPcd;
   const fs::path graph = parts::g2o_of_folder(folder);
   // A session's graph is empty until its program ends.
   const bool is_begun = graph.filename() == "singlesession_posegraph.g2o" && fs::is_empty(graph);
   if (!graph.empty() && !is_begun) return MissionKind::kG2oPcd;
   if (has_bag(folder)) return MissionKind::kBags;
+  if (parts::is_kitti_sequence(folder)) return MissionKind::kKitti;
+  if (!parts::stamped_clouds_of(folder).empty()) return MissionKind::kStampedClouds;
   const std::string what = describe_foreign_folder(folder);
   if (!what.empty()) throw InputError(folder.string() + ": no mission, it " + what);
   throw InputError(path.string() +
@@ -453,6 +472,17 @@ Mission read_as_named(const fs::path& path, const MissionOptions& options, const
       return parts::read_bags({place}, options, work);
     case MissionKind::kLampZip:
       return parts::read_lamp_save(place, options, work);
+    case MissionKind::kKitti:
+      return parts::read_kitti_sequence(place, options);
+    case MissionKind::kStampedClouds:
+      return parts::read_stamped_clouds(place, options);
+    case MissionKind::kGlim:
+    case MissionKind::kFastLioSamQn:
+    case MissionKind::kVoxelSlam:
+    case MissionKind::kHba:
+    case MissionKind::kKissSlam:
+    case MissionKind::kOpen3d:
+      return parts::read_saved_map(kind, place, options);
     case MissionKind::kG2o:
     case MissionKind::kJoined:
       break;

@@ -154,13 +154,18 @@ TEST_CASE("file kinds: folders of other data are named", "[io][file_kind][error]
     fs::create_directories(folder / "velodyne");
     testing::write_text(folder / "calib.txt", "P0: 1 2 3\n");
     testing::write_text(folder / "times.txt", "0\n");
-    refused("holds KITTI's odometry data", "pose * Tr");
+    refused("holds KITTI's odometry data", "velodyne/NUMBER.bin");
     fs::rename(folder / "velodyne", folder / "image_2");
-    refused("holds KITTI's odometry data", "pose * Tr");
+    refused("holds KITTI's odometry data", "velodyne/NUMBER.bin");
   }
   SECTION("all of KITTI") {
     fs::create_directories(folder / "sequences" / "00");
-    refused("holds KITTI's odometry data", "pose * Tr");
+    refused("holds KITTI's odometry data", "sequences/00");
+  }
+  SECTION("a map of LIO-SAM") {
+    for (const char* name : {"trajectory", "transformations", "GlobalMap", "CornerMap", "SurfMap"})
+      write_pcd(folder / (std::string(name) + ".pcd"), testing::random_cloud(5, false, true));
+    refused("is a map that LIO-SAM saved, which keeps no scans", "SC-LIO-SAM");
   }
   SECTION("clouds alone") {
     write_ply(folder / "a.ply", testing::random_cloud(5, false, false));

@@ -35,12 +35,32 @@ enum class MissionKind {
   kLampZip,  ///< A map that LAMP's base station saved.
   kJoined,   ///< Several missions of one robot each.
   kRun,      ///< A folder that a replay wrote: its graph with the closures, without scans.
+  kKitti,    ///< A sequence in the layout of KITTI's odometry data.
+  kStampedClouds,  ///< A folder of clouds whose names are stamps, and a trajectory.
+  kGlim,           ///< A map that GLIM saved: its submaps.
+  kFastLioSamQn,   ///< Key frames that FAST-LIO-SAM or FAST-LIO-SAM-QN saved.
+  kVoxelSlam,      ///< A session that Voxel-SLAM saved.
+  kHba,            ///< Poses and clouds in the layout of HBA.
+  kKissSlam,       ///< What KISS-SLAM saved: its local maps.
+  kOpen3d,         ///< A pose graph of Open3D.
 };
 [[nodiscard]] inline EnumNames<MissionKind> enum_names(MissionKind) {
-  return {{MissionKind::kMission, "mission"}, {MissionKind::kSession, "session"},
-          {MissionKind::kG2o, "g2o"},         {MissionKind::kG2oPcd, "g2o_pcd"},
-          {MissionKind::kBags, "rosbag"},     {MissionKind::kLampZip, "lamp_zip"},
-          {MissionKind::kJoined, "joined"},   {MissionKind::kRun, "run"}};
+  return {{MissionKind::kMission, "mission"},
+          {MissionKind::kSession, "session"},
+          {MissionKind::kG2o, "g2o"},
+          {MissionKind::kG2oPcd, "g2o_pcd"},
+          {MissionKind::kBags, "rosbag"},
+          {MissionKind::kLampZip, "lamp_zip"},
+          {MissionKind::kJoined, "joined"},
+          {MissionKind::kRun, "run"},
+          {MissionKind::kKitti, "kitti"},
+          {MissionKind::kStampedClouds, "stamped_clouds"},
+          {MissionKind::kGlim, "glim"},
+          {MissionKind::kFastLioSamQn, "fast_lio_sam_qn"},
+          {MissionKind::kVoxelSlam, "voxel_slam"},
+          {MissionKind::kHba, "hba"},
+          {MissionKind::kKissSlam, "kiss_slam"},
+          {MissionKind::kOpen3d, "open3d"}};
 }
 
 /// How the 36 numbers of an odometry edge's covariance in a bag are ordered. LAMP's code stores rotation
@@ -119,6 +139,16 @@ struct MissionOptions {
   std::string frames;
   /// Joined missions begin at the same time, independent of their stamps.
   bool start_together = false;
+  /// Key frames of a stream of odometry and sweeps, see choose_key_frames(): one as soon as the sensor has
+  /// moved or turned so far since the last.
+  double keyframe_distance_m = 1.0;
+  double keyframe_angle_rad = 0.35;
+  /// A sweep has the pose of the odometry at its stamp, which must be known so near in time.
+  double keyframe_max_time_difference_s = 0.1;
+  /// Most sweeps that are laid on each other as the scan of a key frame; 0: its own sweep alone.
+  std::int64_t submap_sweeps = 0;
+  /// File with the poses of the sweeps, where a folder holds only clouds or the poses of something else.
+  std::string poses;
   /// A measurement that would be repaired, guessed or left out is an error, see Problem::altered.
   bool strict = false;
 
@@ -159,6 +189,21 @@ struct MissionOptions {
           "Several missions as one: file with the pose of each one's frame in the common frame.");
     field("start_together", self.start_together, any_value(),
           "Several missions as one: all begin at the same moment.");
+    field(
+        "keyframe_distance_m", self.keyframe_distance_m, at_least(0.0),
+        "Odometry with sweeps: a key frame is made when the sensor has moved so far since the last, m; 0: of "
+        "every sweep.");
+    field(
+        "keyframe_angle_rad", self.keyframe_angle_rad, at_least(0.0),
+        "Odometry with sweeps: a key frame is made when the sensor has turned so far since the last, rad; 0: "
+        "of every sweep.");
+    field("keyframe_max_time_difference_s", self.keyframe_max_time_difference_s, at_least(0.0),
+          "Odometry with sweeps: longest time between a sweep and the pose of the odometry that it gets, s.");
+    field("submap_sweeps", self.submap_sweeps, between(0.0, 1000.0),
+          "Odometry with sweeps: most sweeps that become the scan of a key frame, those nearest in time; 0: "
+          "its own alone.");
+    field("poses", self.poses, any_value(),
+          "Folders of sweeps: file with their poses (KITTI rows, or TUM); empty: that beside the sweeps.");
     field("strict", self.strict, any_value(),
           "A measurement that would be repaired, guessed or left out is an error.");
   }
@@ -185,7 +230,8 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 [[nodiscard]] LOOPWISE_EXPORT MissionKind mission_kind(const std::filesystem::path& path);
 
 /// Reads a mission folder (or its mission.json), a session folder, a g2o file, a g2o_pcd folder, ROS 1 bags,
-/// a map saved by LAMP, or the data set's own folder. Scans are located, not read.
+/// a map saved by LAMP, the data set's own folder, sweeps with poses, or the files of other programs. Scans
+/// are located, not read.
 ///
 /// **Mission folder**: the files below; all but the first two may be missing. Keys are decimal numbers of 64
 /// bits (or a letter and an index), in JSON as text.
@@ -241,6 +287,14 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// **LAMP's saved map**: a zip archive with keys.csv, pc_N.pcd and pose_graph.bag, or the same unpacked.
 ///
 /// **The data set's folder**: rosbag/ if this build reads bags, else g2o_pcd/; with ground_truth/.
+///
+/// **Sweeps with poses**: a sequence of KITTI's odometry data (velodyne/, times.txt, calib.txt, poses of the
+/// camera), or clouds named by their stamps beside a trajectory in TUM's form. They become key frames, see
+/// choose_key_frames(). options.poses names another file with the poses.
+///
+/// **What other programs save**: GLIM's submaps, key frames of FAST-LIO-SAM-QN, sessions of Voxel-SLAM, poses
+/// and clouds of HBA, local maps of KISS-SLAM, pose graphs of Open3D. docs/formats.md says of each what is
+/// taken, and how it counts what is not.
 ///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "reference without

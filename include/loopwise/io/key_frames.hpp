@@ -1,0 +1,81 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Key frames out of what a robot records all the time: odometry, and sweeps of its lidar.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/problems.hpp>
+#include <loopwise/io/cloud.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/io/trajectory.hpp>
+
+namespace loopwise {
+
+/// What one robot recorded: its odometry, and when its sweeps were taken. The points stay where they are.
+struct RobotStream {
+  std::string name;                           ///< Of the robot; unique among the streams, not empty.
+  std::string source;                         ///< File, folder or topic, for problems and errors.
+  std::vector<StampedPose> odometry;          ///< T_odom_sensor, in the order of arrival.
+  std::vector<std::int64_t> sweep_stamps_ns;  ///< Of each sweep, in the order of arrival.
+};
+
+/// Reads a sweep of a stream, both by their number, in the frame of the sensor. It is called when a scan is
+/// needed, from several threads at once. \throws InputError or IoError if it cannot be read
+using SweepReader = std::function<CloudFile(std::size_t stream, std::size_t sweep)>;
+
+/// A sweep that is part of the scan of a key frame.
+struct SubmapSweep {
+  std::size_t sweep = 0;                                          ///< Its number in the stream.
+  Eigen::Isometry3d T_key_sweep = Eigen::Isometry3d::Identity();  ///< By odometry.
+};
+
+/// A sweep that was chosen to be a node.
+struct KeyFrame {
+  std::size_t sweep = 0;                                   ///< Its number in the stream.
+  std::int64_t stamp_ns = 0;                               ///< Of the sweep.
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();  ///< T_odom_sensor at that stamp.
+  /// What its scan is made of, by stamp, its own sweep included. Empty without submaps: its own sweep alone.
+  std::vector<SubmapSweep> submap;
+};
+
+/// The key frames of a stream, by stamp. The first sweep with a pose is one, and each that lies
+/// options.keyframe_distance_m or options.keyframe_angle_rad from the key frame before it. The pose of a
+/// sweep is that of the odometry at its stamp: between the poses before and after it, if both are within
+/// options.keyframe_max_time_difference_s, else the nearest one within that. Each sweep belongs to the submap
+/// of the key frame that is nearest in time; of more than options.submap_sweeps the nearest are kept.
+///
+/// Counted: "odometry stamps run backwards, sorted", "sweep stamps run backwards, sorted", "odometry pose of
+/// a repeated stamp left out", "sweep of a repeated stamp left out", "odometry pose not finite left out",
+/// "stamp out of range left out", "sweep without odometry near in time left out", "odometry pose without a
+/// sweep near in time", "odometry is missing for a while" and "sweeps are missing for a while" (more than 1 s
+/// and ten times the usual interval, in which the sensor has moved by the distance of key frames), "odometry
+/// jumps" (by more than 1 m, faster than 50 m/s), "sweep beyond the bound of a submap left out".
+///
+/// \throws InputError naming the source if no sweep has a pose, with the range of both stamps
+[[nodiscard]] LOOPWISE_EXPORT std::vector<KeyFrame> choose_key_frames(const RobotStream& stream,
+                                                                      const MissionOptions& options,
+                                                                      Problems& problems);
+
+/// The mission of one stream or several: nodes are the key frames, the steps between them odometry with
+/// odometry_information(), and the first node of each robot gets a prior where it stands. The streams share
+/// one frame; where several begin at the origin, "joined without a frame" is counted. Nodes of a single robot
+/// have the keys 0, 1, …; of several a0, a1, …; b0, …, in the order given. Scans are read by `read` when they
+/// are needed: no sweep is held. A sweep of a submap that cannot be read is left out and counted among the
+/// problems of the scans as "sweep of a submap cannot be read"; without a key frame's own sweep there is no
+/// scan.
+///
+/// The caller sets kind, path, name and provenance. \throws as choose_key_frames(); InputError if there is no
+/// stream, more than 26, or a name is empty or not unique; OptionError
+[[nodiscard]] LOOPWISE_EXPORT Mission make_key_frame_mission(const std::vector<RobotStream>& streams,
+                                                             SweepReader read,
+                                                             const MissionOptions& options = {});
+
+}  // namespace loopwise

@@ -1,0 +1,77 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What other SLAM programs save: key frames or submaps, with their poses. Private to io.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <map>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include "mission_parts.hpp"
+#include "text.hpp"
+
+namespace loopwise::parts {
+
+/// The kind of the folder, if one of these programs wrote it. \throws IoError
+[[nodiscard]] std::optional<MissionKind> saved_map_kind(const std::filesystem::path& folder);
+/// Reads a folder, or for kOpen3d also a file, of one of these kinds. \throws as read_mission()
+[[nodiscard]] Mission read_saved_map(MissionKind kind, const std::filesystem::path& path,
+                                     const MissionOptions& options);
+
+/// Frames of one robot with poses that the program optimised.
+struct SavedFrames {
+  std::filesystem::path source;          ///< File of the poses, for problems.
+  std::vector<Key> numbers;              ///< What the program calls each frame, ascending; its key.
+  std::vector<Eigen::Isometry3d> poses;  ///< T_world_frame.
+  std::vector<std::int64_t> stamps_ns;   ///< Of each frame; empty if not known.
+  /// Odometry from each frame to the next; nothing where the program kept none: then it is that of the poses.
+  std::vector<std::optional<Eigen::Isometry3d>> steps;
+  std::map<Key, std::filesystem::path> clouds;  ///< By number.
+  BinLayout layout = BinLayout::kAuto;          ///< Of clouds without a header.
+};
+/// The mission of them: nodes stand where odometry takes them from the first pose, the optimised poses are
+/// the reference. Counts "odometry taken from the optimised poses" where steps are missing.
+[[nodiscard]] Mission mission_of_frames(const SavedFrames& frames, MissionKind kind,
+                                        const std::filesystem::path& folder, const MissionOptions& options,
+                                        Problems problems);
+
+/// Clouds of a folder by the number that is their whole name. Counts foreign files.
+[[nodiscard]] std::map<Key, std::filesystem::path> numbered_clouds(const std::filesystem::path& folder,
+                                                                   Problems& problems);
+
+/// A submap as GLIM describes it in data.txt.
+struct GlimSubmap {
+  Eigen::Isometry3d T_world_origin = Eigen::Isometry3d::Identity();  ///< Optimised.
+  Eigen::Isometry3d T_origin_first = Eigen::Isometry3d::Identity();  ///< Its first frame, of the IMU.
+  Eigen::Isometry3d T_origin_last = Eigen::Isometry3d::Identity();   ///< Its last frame, of the IMU.
+  Eigen::Isometry3d T_lidar_imu = Eigen::Isometry3d::Identity();
+  std::vector<std::int64_t> stamps_ns;          ///< Of its frames.
+  std::vector<Eigen::Isometry3d> T_odom_lidar;  ///< Of its frames, by odometry alone.
+};
+/// \throws ParseError naming `name` and the line
+[[nodiscard]] GlimSubmap parse_glim_submap(std::string_view contents, const std::string& name,
+                                           Problems& problems);
+/// graph.txt, NUMBER/data.txt and NUMBER/points_compact.bin: submaps are the nodes.
+[[nodiscard]] Mission read_glim(const std::filesystem::path& folder, const MissionOptions& options);
+
+/// alidarState.txt and NUMBER.pcd of one session, or edge.txt and a folder for each session.
+[[nodiscard]] Mission read_voxel_slam(const std::filesystem::path& folder, const MissionOptions& options);
+
+/// local_map_graph.g2o and plys/NUMBER.ply, which are in world coordinates.
+[[nodiscard]] Mission read_kiss_slam(const std::filesystem::path& folder, const MissionOptions& options);
+
+/// A pose graph as Open3D writes it, the file or a folder with it and clouds whose names end with the number
+/// of their node.
+[[nodiscard]] Mission read_open3d(const std::filesystem::path& path, const MissionOptions& options);
+/// Its graph. \throws ParseError or InputError naming `name` and the node or edge
+[[nodiscard]] PoseGraph parse_open3d(std::string_view contents, const std::string& name, Problems& problems);
+/// Whether a text begins as such a file does.
+[[nodiscard]] bool looks_like_open3d(std::string_view beginning);
+
+}  // namespace loopwise::parts
