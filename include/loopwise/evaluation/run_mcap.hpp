@@ -44,6 +44,8 @@ struct McapResult {
 /// \param file is replaced in one step
 /// \param run folder of a replay
 /// \param mission of that replay, for the scans
+/// \param options bounds on the size of the file
+/// \param progress is called while scans are written
 /// \throws IoError; ParseError; OptionError; InputError if the mission is not the run's
 LOOPWISE_EXPORT McapResult write_run_mcap(const std::filesystem::path& file, const std::filesystem::path& run,
                                           const Mission& mission, const McapOptions& options = {},
