@@ -9,6 +9,7 @@
 #include <loopwise/distributed/work.hpp>
 #include <loopwise/registration/registrar.hpp>
 #include <loopwise/replay/replay.hpp>
+#include <loopwise/replay/result_codec.hpp>
 
 namespace loopwise {
 
@@ -16,11 +17,6 @@ namespace loopwise {
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_task(const RegistrationTask& task);
 /// The task of pack_task(). \throws InputError on bytes that are none
 [[nodiscard]] LOOPWISE_EXPORT RegistrationTask unpack_task(std::string_view bytes);
-/// A result as a message, without the candidate, which the sender of the task knows.
-[[nodiscard]] LOOPWISE_EXPORT std::string pack_result(const RegistrationResult& result);
-/// The result of pack_result() for this candidate. \throws InputError on bytes that are none
-[[nodiscard]] LOOPWISE_EXPORT RegistrationResult unpack_result(std::string_view bytes,
-                                                               const LoopCandidate& candidate);
 
 /// What the ranks of a replay must agree on: the version of the code, the options, the mission's graph and
 /// which scans it has.
