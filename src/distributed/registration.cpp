@@ -2,11 +2,9 @@
 #include <loopwise/distributed/registration.hpp>
 
 #include <algorithm>
-#include <cstring>
 #include <mutex>
 #include <numeric>
 #include <tuple>
-#include <type_traits>
 #include <utility>
 
 #include <loopwise/core/content_hash.hpp>
@@ -14,88 +12,12 @@
 #include <loopwise/registration/batch.hpp>
 #include <loopwise/replay/code_version.hpp>
 
+#include "byte_stream.hpp"
+
 namespace loopwise {
 namespace {
 
-class Writer {
- public:
-  template <class T>
-  Writer& put(const T& value) {
-    static_assert(std::is_arithmetic_v<T> || std::is_enum_v<T>);
-    bytes_.append(reinterpret_cast<const char*>(&value), sizeof value);
-    return *this;
-  }
-  Writer& put(const Eigen::Isometry3d& pose) {
-    for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 4; ++c) put(pose(r, c));
-    }
-    return *this;
-  }
-  /// The upper triangle.
-  Writer& put(const Matrix6d& symmetric) {
-    for (int r = 0; r < 6; ++r) {
-      for (int c = r; c < 6; ++c) put(symmetric(r, c));
-    }
-    return *this;
-  }
-  Writer& put(const std::string& text) {
-    put(static_cast<std::uint32_t>(text.size()));
-    bytes_ += text;
-    return *this;
-  }
-  [[nodiscard]] std::string take() { return std::move(bytes_); }
-
- private:
-  std::string bytes_;
-};
-
-class Reader {
- public:
-  explicit Reader(std::string_view bytes) : bytes_(bytes) {}
-
-  template <class T>
-  [[nodiscard]] T get() {
-    T value;
-    std::memcpy(&value, take(sizeof value).data(), sizeof value);
-    return value;
-  }
-  [[nodiscard]] bool flag() { return one_of(1) != 0; }
-  /// A byte that counts from 0 to `last`.
-  [[nodiscard]] std::uint8_t one_of(std::uint8_t last) {
-    const auto value = get<std::uint8_t>();
-    if (value > last) throw InputError("a message holds a value that does not exist");
-    return value;
-  }
-  [[nodiscard]] Eigen::Isometry3d pose() {
-    Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-    for (int r = 0; r < 3; ++r) {
-      for (int c = 0; c < 4; ++c) pose(r, c) = get<double>();
-    }
-    return pose;
-  }
-  [[nodiscard]] Matrix6d symmetric() {
-    Matrix6d m;
-    for (int r = 0; r < 6; ++r) {
-      for (int c = r; c < 6; ++c) m(r, c) = m(c, r) = get<double>();
-    }
-    return m;
-  }
-  [[nodiscard]] std::string text() { return std::string(take(get<std::uint32_t>())); }
-  void end() const {
-    if (!bytes_.empty()) throw InputError("a message is too long");
-  }
-
- private:
-  std::string_view take(std::size_t size) {
-    if (bytes_.size() < size) throw InputError("a message was cut short");
-    const std::string_view out = bytes_.substr(0, size);
-    bytes_.remove_prefix(size);
-    return out;
-  }
-  std::string_view bytes_;
-};
-
-void put(Writer& out, const std::vector<SubmapMember>& members) {
+void put(ByteWriter& out, const std::vector<SubmapMember>& members) {
   out.put(static_cast<std::uint8_t>(members.size()));
   for (const SubmapMember& member : members) {
     const bool identity = member.T_center_member.matrix() == Eigen::Matrix4d::Identity();
@@ -104,7 +26,7 @@ void put(Writer& out, const std::vector<SubmapMember>& members) {
   }
 }
 
-std::vector<SubmapMember> get_members(Reader& in) {
+std::vector<SubmapMember> get_members(ByteReader& in) {
   std::vector<SubmapMember> members(in.get<std::uint8_t>());
   for (SubmapMember& member : members) {
     member.key = in.get<Key>();
@@ -120,7 +42,7 @@ std::string pack_task(const RegistrationTask& task) {
     throw InputError("a submap of more than 255 scans cannot be sent");
   }
   const LoopCandidate& c = task.candidate;
-  Writer out;
+  ByteWriter out;
   out.put(c.id)
       .put(c.from)
       .put(c.to)
@@ -136,7 +58,7 @@ std::string pack_task(const RegistrationTask& task) {
 }
 
 RegistrationTask unpack_task(std::string_view bytes) {
-  Reader in(bytes);
+  ByteReader in(bytes);
   RegistrationTask task;
   LoopCandidate& c = task.candidate;
   c.id = in.get<CandidateId>();
@@ -153,49 +75,6 @@ RegistrationTask unpack_task(std::string_view bytes) {
   task.target = get_members(in);
   in.end();
   return task;
-}
-
-std::string pack_result(const RegistrationResult& result) {
-  Writer out;
-  out.put(static_cast<std::uint8_t>(result.reason)).put(result.message);
-  out.put(result.sac_fitness_m2).put(result.gicp_fitness_m2).put(result.overlap);
-  out.put(result.features_s).put(result.global_s).put(result.refine_s);
-  out.put(static_cast<std::uint8_t>(result.T_from_to.has_value()));
-  if (result.T_from_to) out.put(*result.T_from_to);
-  out.put(static_cast<std::uint8_t>(result.closure.has_value()));
-  if (result.closure) out.put(result.closure->T_from_to).put(result.closure->covariance);
-  out.put(static_cast<std::uint8_t>(result.incomplete));
-  return out.take();
-}
-
-RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& candidate) {
-  Reader in(bytes);
-  RegistrationResult result;
-  result.candidate = candidate;
-  result.reason =
-      static_cast<RejectionReason>(in.one_of(static_cast<std::uint8_t>(RejectionReason::kTimeLimit)));
-  result.message = in.text();
-  result.sac_fitness_m2 = in.get<double>();
-  result.gicp_fitness_m2 = in.get<double>();
-  result.overlap = in.get<double>();
-  result.features_s = in.get<double>();
-  result.global_s = in.get<double>();
-  result.refine_s = in.get<double>();
-  if (in.flag()) result.T_from_to = in.pose();
-  if (in.flag()) {
-    LoopClosure closure;
-    closure.from = candidate.from;
-    closure.to = candidate.to;
-    closure.T_from_to = in.pose();
-    closure.covariance = in.symmetric();
-    result.closure = closure;
-  }
-  result.incomplete = in.flag();
-  in.end();
-  if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
-    throw InputError("a message verifies without a closure, or rejects with one");
-  }
-  return result;
 }
 
 std::string replay_greeting(const Mission& mission, const ReplayOptions& options) {

@@ -8,6 +8,7 @@
 
 #include <Eigen/Dense>
 
+#include <loopwise/core/bit_matrix.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/optimization/gnc.hpp>
@@ -44,19 +45,6 @@ double loop_error(const detail::OdometryForest& forest, const Candidate& a, cons
                      carried(last.inverse(), b.reversed) + carried(forest.pose(a.from).inverse(), *back);
   return r.dot(S.ldlt().solve(r));
 }
-
-/// Rows of a symmetric relation, one bit a pair.
-class BitMatrix {
- public:
-  explicit BitMatrix(std::size_t n) : words_((n + 63) / 64), bits_(n * words_, 0) {}
-  void set(std::size_t i, std::size_t j) { bits_[i * words_ + j / 64] |= std::uint64_t{1} << (j % 64); }
-  [[nodiscard]] const std::uint64_t* row(std::size_t i) const { return bits_.data() + i * words_; }
-  [[nodiscard]] std::size_t words() const { return words_; }
-
- private:
-  std::size_t words_;
-  std::vector<std::uint64_t> bits_;
-};
 
 /// A large clique: grown from every vertex in turn, always by the remaining vertex of highest degree
 /// (Pattabiraman et al., WAW 2013). Vertices come in descending order of degree, so that one is the lowest

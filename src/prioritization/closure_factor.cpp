@@ -4,8 +4,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <numeric>
 
+#include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/optimization/auxiliary_factors.hpp>
 #include <loopwise/optimization/optimizer.hpp>
@@ -68,23 +68,15 @@ bool factorize_block(double* l, double* inverse) {
 
 GraphComponents::GraphComponents(const PoseGraph& graph) {
   const std::size_t n = graph.nodes().size();
-  std::vector<std::uint32_t> root(n);
-  std::iota(root.begin(), root.end(), 0U);
-  const auto find = [&root](std::uint32_t i) {
-    while (root[i] != i) i = root[i] = root[root[i]];
-    return i;
-  };
+  DisjointSets sets(n);
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-    if (graph.edges()[e].weight <= 0.0) continue;
-    const auto a = find(static_cast<std::uint32_t>(graph.ends(e).from)),
-               b = find(static_cast<std::uint32_t>(graph.ends(e).to));
-    root[std::max(a, b)] = std::min(a, b);
+    if (graph.edges()[e].weight > 0.0) sets.join(graph.ends(e).from, graph.ends(e).to);
   }
   component.resize(n);
   std::uint32_t count = 0;
-  for (std::uint32_t i = 0; i < n; ++i) {
-    const std::uint32_t r = find(i);
-    component[i] = r == i ? count++ : component[r];
+  for (std::size_t i = 0; i < n; ++i) {
+    const std::uint32_t root = sets.root(i);
+    component[i] = root == i ? count++ : component[root];
   }
   anchored.assign(count, false);
   for (const PriorFactor& prior : graph.priors()) anchored[component[graph.index_of(prior.key)]] = true;

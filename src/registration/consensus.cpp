@@ -8,6 +8,8 @@
 
 #include <Eigen/SVD>
 
+#include <loopwise/core/bit_matrix.hpp>
+
 #include "sort_falling.hpp"
 
 namespace loopwise {
@@ -44,22 +46,9 @@ const CommonOnes common_ones = __builtin_cpu_supports("popcnt") ? common_ones_po
 const CommonOnes common_ones = common_ones_portable;
 #endif
 
-/// Square matrix of bits, rows of whole words.
-class BitMatrix {
- public:
-  explicit BitMatrix(std::size_t size) : words_((size + 63) / 64), bits_(size * words_, 0) {}
-  void set(std::size_t i, std::size_t j) { bits_[i * words_ + j / 64] |= std::uint64_t{1} << (j % 64); }
-  [[nodiscard]] bool get(std::size_t i, std::size_t j) const {
-    return (bits_[i * words_ + j / 64] >> (j % 64)) & 1U;
-  }
-  [[nodiscard]] std::uint32_t common(std::size_t i, std::size_t j) const {
-    return common_ones(&bits_[i * words_], &bits_[j * words_], words_);
-  }
-
- private:
-  std::size_t words_;
-  std::vector<std::uint64_t> bits_;
-};
+std::uint32_t common(const BitMatrix& bits, std::size_t i, std::size_t j) {
+  return common_ones(bits.row(i), bits.row(j), bits.words());
+}
 
 /// Cosines of the angle between two normals may differ by this much for a compatible pair: 25 degrees
 /// about 90.
@@ -155,7 +144,7 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
   for (std::size_t i = 0; i < n; ++i) {
     for (std::size_t j = i + 1; j < n; ++j) {
       if (!compatible.get(i, j)) continue;
-      const std::uint32_t shared = compatible.common(i, j);
+      const std::uint32_t shared = common(compatible, i, j);
       triangles[i] += shared;
       triangles[j] += shared;
     }
@@ -176,7 +165,7 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
     ++seeds;
     partners.clear();
     for (std::size_t j = 0; j < n; ++j) {
-      if (compatible.get(seed, j)) partners.emplace_back(compatible.common(seed, j), j);
+      if (compatible.get(seed, j)) partners.emplace_back(common(compatible, seed, j), j);
     }
     std::sort(partners.begin(), partners.end(), [](const auto& a, const auto& b) {
       return a.first != b.first ? a.first > b.first : a.second < b.second;

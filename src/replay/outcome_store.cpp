@@ -11,7 +11,6 @@
 #include <cstdio>
 #include <cstring>
 #include <new>
-#include <type_traits>
 #include <utility>
 
 #include <nlohmann/json.hpp>
@@ -20,6 +19,9 @@
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/registration/task.hpp>
 #include <loopwise/replay/code_version.hpp>
+#include <loopwise/replay/result_codec.hpp>
+
+#include "byte_stream.hpp"
 
 namespace loopwise {
 namespace {
@@ -36,108 +38,13 @@ std::uint64_t checksum(const ContentHash& key, const char* payload, std::size_t 
   return ContentHasher().integer(key.high).integer(key.low).bytes(payload, size).finish().high;
 }
 
-class Writer {
- public:
-  template <class T>
-  void put(const T& value) {
-    static_assert(std::is_trivially_copyable_v<T>);
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof value);
-  }
-  template <class Matrix>
-  void matrix(const Matrix& matrix) {
-    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
-      for (Eigen::Index j = 0; j < matrix.cols(); ++j) put<double>(matrix(i, j));
-    }
-  }
-  std::string bytes;
-};
-
-/// Of a payload whose checksum held; ok() says whether its inner lengths did as well.
-class Reader {
- public:
-  explicit Reader(std::string_view bytes) : bytes_(bytes) {}
-  template <class T>
-  T get() {
-    static_assert(std::is_trivially_copyable_v<T>);
-    T value{};
-    const std::string_view from = take(sizeof value);
-    if (ok_) std::memcpy(&value, from.data(), sizeof value);
-    return value;
-  }
-  template <class Matrix>
-  Matrix matrix() {
-    Matrix matrix;
-    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
-      for (Eigen::Index j = 0; j < matrix.cols(); ++j) matrix(i, j) = get<double>();
-    }
-    return matrix;
-  }
-  std::string_view take(std::size_t size) {
-    ok_ = ok_ && size <= bytes_.size();
-    if (!ok_) return {};
-    const std::string_view taken = bytes_.substr(0, size);
-    bytes_.remove_prefix(size);
-    return taken;
-  }
-  [[nodiscard]] bool ok() const { return ok_ && bytes_.empty(); }
-
- private:
-  std::string_view bytes_;
-  bool ok_ = true;
-};
-
-using Affine = Eigen::Matrix<double, 3, 4>;
-
-Eigen::Isometry3d pose_of(const Affine& affine) {
-  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-  T.affine() = affine;
-  return T;
-}
-
-std::string payload_of(const RegistrationResult& result) {
-  Writer out;
-  out.put(static_cast<std::uint8_t>(result.reason));
-  out.put(static_cast<std::uint8_t>((result.T_from_to ? 1 : 0) + (result.closure ? 2 : 0)));
-  for (const double figure : {result.sac_fitness_m2, result.gicp_fitness_m2, result.overlap,
-                              result.features_s, result.global_s, result.refine_s}) {
-    out.put(figure);
-  }
-  if (result.T_from_to) out.matrix(Affine(result.T_from_to->affine()));
-  if (result.closure) {
-    out.matrix(Affine(result.closure->T_from_to.affine()));
-    out.matrix(result.closure->covariance);
-  }
-  out.put(static_cast<std::uint32_t>(result.message.size()));
-  out.bytes += result.message;
-  return out.bytes;
-}
-
+/// Of a payload whose checksum held; nothing if it is that of a later version.
 std::optional<RegistrationResult> result_of(std::string_view payload, const LoopCandidate& candidate) {
-  Reader in(payload);
-  RegistrationResult result;
-  result.candidate = candidate;
-  const auto reason = in.get<std::uint8_t>(), parts = in.get<std::uint8_t>();
-  if (reason > static_cast<std::uint8_t>(RejectionReason::kTimeLimit)) return std::nullopt;
-  result.reason = static_cast<RejectionReason>(reason);
-  for (double* figure : {&result.sac_fitness_m2, &result.gicp_fitness_m2, &result.overlap, &result.features_s,
-                         &result.global_s, &result.refine_s}) {
-    *figure = in.get<double>();
-  }
-  if ((parts & 1U) != 0) result.T_from_to = pose_of(in.matrix<Affine>());
-  if ((parts & 2U) != 0) {
-    LoopClosure closure;
-    closure.from = candidate.from;
-    closure.to = candidate.to;
-    closure.T_from_to = pose_of(in.matrix<Affine>());
-    closure.covariance = in.matrix<Matrix6d>();
-    result.closure = closure;
-  }
-  const auto size = in.get<std::uint32_t>();
-  result.message = in.take(size);
-  if (!in.ok() || (result.reason == RejectionReason::kNone) != result.closure.has_value()) {
+  try {
+    return unpack_result(payload, candidate);
+  } catch (const InputError&) {
     return std::nullopt;
   }
-  return result;
 }
 
 /// "outcomes-00000012.bin" is 12.
@@ -255,7 +162,7 @@ void OutcomeStore::load(const std::shared_ptr<const File>& file) {
       const std::size_t rest = bytes.size() - at;
       ends_beyond = std::memcmp(bytes.data() + at, &kMark, std::min(rest, sizeof kMark)) == 0;
       if (rest < kHeaderBytes) return std::nullopt;
-      Reader header(std::string_view(bytes).substr(at, kHeaderBytes));
+      ByteReader header(std::string_view(bytes).substr(at, kHeaderBytes));
       const auto mark = header.get<std::uint32_t>(), size = header.get<std::uint32_t>();
       ends_beyond = mark == kMark && size <= kMaxPayload && rest - kHeaderBytes < size;
       if (mark != kMark || size > kMaxPayload || ends_beyond) return std::nullopt;
@@ -288,7 +195,7 @@ std::optional<RegistrationResult> OutcomeStore::read(const ContentHash& key, con
                                                      const LoopCandidate& candidate) const {
   const std::string bytes = place.file->read(place.offset - 8, place.size + 8);  // the checksum, the payload
   if (bytes.size() != place.size + 8) return std::nullopt;
-  Reader in(bytes);
+  ByteReader in(bytes);
   if (in.get<std::uint64_t>() != checksum(key, bytes.data() + 8, place.size)) return std::nullopt;
   return result_of(std::string_view(bytes).substr(8), candidate);
 }
@@ -338,22 +245,19 @@ RegistrationResult OutcomeStore::get(const ContentHash& key, const LoopCandidate
 
 void OutcomeStore::append(const ContentHash& key, const RegistrationResult& result) {
   if (!statistics_.problem.empty()) return;
-  const std::string payload = payload_of(result);
+  const std::string payload = pack_result(result);
   if (payload.size() > kMaxPayload) return;
-  Writer record;
-  record.put(kMark);
-  record.put(static_cast<std::uint32_t>(payload.size()));
-  record.put(key.high);
-  record.put(key.low);
-  record.put(checksum(key, payload.data(), payload.size()));
-  record.bytes += payload;
+  ByteWriter header;
+  header.put(kMark).put(static_cast<std::uint32_t>(payload.size())).put(key.high).put(key.low);
+  header.put(checksum(key, payload.data(), payload.size()));
+  const std::string record = header.take() + payload;
 
-  if (!writing_ || writing_->deleted() || writing_->size() + record.bytes.size() > file_bytes_) {
+  if (!writing_ || writing_->deleted() || writing_->size() + record.size() > file_bytes_) {
     open_for_writing();
     if (!writing_) return;
   }
   const std::uint64_t offset = writing_->size();  // nobody else appends: it is locked
-  if (!write_whole(writing_->fd(), record.bytes)) {
+  if (!write_whole(writing_->fd(), record)) {
     statistics_.problem = writing_->path().string() + ": " + std::strerror(errno);
     return;
   }

@@ -124,183 +124,242 @@ std::string_view simulation_parameters_hash() {
   return LOOPWISE_SIMULATION_PARAMETERS_HASH;
 }
 
-SimulatedMission simulate(const SimulationOptions& given, std::uint64_t seed,
-                          const ProgressCallback& progress, const StopToken& stop, const ScanSink& sink) {
-  SimulatedMission result;
-  const SimulationOptions options = result.options = resolved(given);
-  result.seed = seed;
-  const auto stream = [seed](Stream which) { return combine_seeds(seed, which); };
+namespace {
 
-  Reporter world_report(progress, "building the world", 1);
-  const World world = make_world(options.world, options.length_m, seed, options.threads, stop);
-  stop_here(stop);
-  const RayCaster caster(world.mesh);
-  world_report.step();
+/// Makes one mission, step by step.
+class Maker {
+ public:
+  Maker(const SimulationOptions& given, std::uint64_t seed, const ProgressCallback& progress,
+        const StopToken& stop, const ScanSink& sink)
+      : seed_(seed), progress_(progress), stop_(stop), sink_(sink) {
+    result_.options = resolved(given);
+    result_.seed = seed;
+  }
 
-  // The ways.
-  const auto robots = static_cast<std::size_t>(options.robots);
-  const double length = options.length_m / options.robots;
-  const auto routes = sim::plan_routes(world.routes, options.robots, length, stream(kRoutes));
-  const auto count = static_cast<std::size_t>(std::floor(length / options.node_spacing_m)) + 1;
-  std::vector<sim::Drive> team(robots);
-  std::vector<Span> spans;
+  SimulatedMission make() {
+    build_world();
+    drive_team();
+    stop_here(stop_);
+    lay_out_radio();
+    note_truth();
+    ThreadPool pool(options().threads);
+    cast_scans(pool);
+    stop_here(stop_);
+    mission().start_ns = parameters::kEpochSeconds * 1'000'000'000LL;
+    for (std::size_t r = 0; r < team_.size(); ++r) add_robot_graph(r);
+    hear_beacons(pool);
+    stop_here(stop_);
+    describe();
+    return std::move(result_);
+  }
+
+ private:
+  [[nodiscard]] const SimulationOptions& options() const { return result_.options; }
+  [[nodiscard]] Mission& mission() { return result_.mission; }
+  [[nodiscard]] std::uint64_t stream(Stream which) const { return combine_seeds(seed_, which); }
+  [[nodiscard]] bool legs(std::size_t robot) const {
+    return on_legs(options().world, static_cast<int>(robot));
+  }
+  [[nodiscard]] Key node_key(std::size_t robot, std::size_t node) const {
+    return keys_[spans_[robot].first + node];
+  }
+
+  void build_world();
+  void drive_team();
+  void lay_out_radio();
+  void note_truth();
+  void cast_scans(ThreadPool& pool);
+  [[nodiscard]] PriorFactor first_prior(std::size_t robot, const Eigen::Isometry3d& truth) const;
+  void add_robot_graph(std::size_t robot);
+  void hear_beacons(ThreadPool& pool);
+  void describe();
+
+  std::uint64_t seed_;
+  const ProgressCallback& progress_;
+  const StopToken& stop_;
+  const ScanSink& sink_;
+  SimulatedMission result_;
+  World world_;
+  std::unique_ptr<const RayCaster> caster_;
+  std::vector<sim::Drive> team_;
+  std::vector<Span> spans_;
+  std::vector<Key> keys_;  ///< Of all nodes, robot by robot, as the next two.
+  std::vector<Eigen::Isometry3d> truth_;
+  std::vector<Eigen::Matrix3d> scatter_;
+  std::vector<sim::Drop> drops_;
+};
+
+void Maker::build_world() {
+  Reporter report(progress_, "building the world", 1);
+  world_ = make_world(options().world, options().length_m, seed_, options().threads, stop_);
+  stop_here(stop_);
+  caster_ = std::make_unique<const RayCaster>(world_.mesh);
+  report.step();
+}
+
+void Maker::drive_team() {
+  const double length = options().length_m / options().robots;
+  const auto routes = sim::plan_routes(world_.routes, options().robots, length, stream(kRoutes));
+  const auto count = static_cast<std::size_t>(std::floor(length / options().node_spacing_m)) + 1;
+  team_.resize(static_cast<std::size_t>(options().robots));
   std::vector<Robot> names;
-  Mission& mission = result.mission;
-  std::vector<Key> keys;
-  for (std::size_t r = 0; r < robots; ++r) {
-    const bool legs = on_legs(options.world, static_cast<int>(r));
-    team[r].waypoints = sim::drive(world.routes, routes[r], legs ? parameters::kLegged : parameters::kGround,
-                                   options.node_spacing_m, count, combine_seeds(stream(kDriving), r));
-    for (const sim::Waypoint& w : team[r].waypoints) {
-      team[r].time_s.push_back(w.time_s + parameters::kStartDelaySeconds * static_cast<double>(r));
+  for (std::size_t r = 0; r < team_.size(); ++r) {
+    team_[r].waypoints =
+        sim::drive(world_.routes, routes[r], legs(r) ? parameters::kLegged : parameters::kGround,
+                   options().node_spacing_m, count, combine_seeds(stream(kDriving), r));
+    for (const sim::Waypoint& w : team_[r].waypoints) {
+      team_[r].time_s.push_back(w.time_s + parameters::kStartDelaySeconds * static_cast<double>(r));
     }
     const char character = static_cast<char>('a' + r);
-    names.push_back(robot_of_character(character, (legs ? "legged" : "wheeled") + std::to_string(r + 1)));
-    spans.push_back({keys.size(), team[r].waypoints.size()});
-    for (std::size_t k = 0; k < team[r].waypoints.size(); ++k) keys.push_back(make_key(character, k));
+    names.push_back(robot_of_character(character, (legs(r) ? "legged" : "wheeled") + std::to_string(r + 1)));
+    spans_.push_back({keys_.size(), team_[r].waypoints.size()});
+    for (std::size_t k = 0; k < team_[r].waypoints.size(); ++k) keys_.push_back(make_key(character, k));
   }
-  mission.robots = Robots(names);
-  stop_here(stop);
+  mission().robots = Robots(names);
+}
 
-  const sim::Distances ways(world.routes);
-  std::vector<sim::Drop> drops;
-  if (options.radio) drops = sim::drop_beacons(world.routes, ways, team, stream(kDrops));
-  if (options.communication_gaps) {
-    mission.gaps = sim::communication_gaps(world.routes, ways, team, drops, stream(kOutages));
+void Maker::lay_out_radio() {
+  const sim::Distances ways(world_.routes);
+  if (options().radio) drops_ = sim::drop_beacons(world_.routes, ways, team_, stream(kDrops));
+  if (options().communication_gaps) {
+    mission().gaps = sim::communication_gaps(world_.routes, ways, team_, drops_, stream(kOutages));
   }
+}
 
-  std::vector<Eigen::Isometry3d> truth;
-  for (const sim::Drive& drive : team) {
+void Maker::note_truth() {
+  for (const sim::Drive& drive : team_) {
     for (const sim::Waypoint& w : drive.waypoints) {
-      truth.push_back(w.T_world_body);
-      const auto& passage = world.routes.passages[w.passage];
+      truth_.push_back(w.T_world_body);
+      const auto& passage = world_.routes.passages[w.passage];
       const double margin = std::max(3.0, passage.half_width_m + 2.0);
-      result.in_corridor.push_back(passage.corridor && w.along_m > margin &&
-                                   w.along_m < passage.length_m - margin);
+      result_.in_corridor.push_back(passage.corridor && w.along_m > margin &&
+                                    w.along_m < passage.length_m - margin);
     }
   }
+}
 
-  // The scans.
-  const std::vector<Eigen::Vector3f> directions = sim::beam_directions(options.lidar);
-  std::vector<Eigen::Matrix3d> scatter(keys.size());
-  std::vector<std::uint64_t> rays(keys.size(), 0);
+void Maker::cast_scans(ThreadPool& pool) {
+  const std::vector<Eigen::Vector3f> directions = sim::beam_directions(options().lidar);
+  scatter_.resize(keys_.size());
+  std::vector<std::uint64_t> rays(keys_.size(), 0);
   auto clouds = std::make_shared<std::map<Key, std::shared_ptr<const PointCloud>>>();
-  if (!sink) {
-    for (const Key key : keys) (*clouds)[key] = nullptr;
+  if (!sink_) {
+    for (const Key key : keys_) (*clouds)[key] = nullptr;
   }
-  ThreadPool pool(options.threads);
-  {
-    Reporter scan_report(progress, "casting scans", keys.size());
-    pool.for_each(keys.size(), [&](std::size_t i) {
-      if (stop.stop_requested()) return;
-      sim::Sweep s =
-          sim::sweep(caster, directions, options.lidar, truth[i], combine_seeds(stream(kSweeps), keys[i]));
-      scatter[i] = s.normal_scatter;
-      rays[i] = s.rays;
-      if (options.scans == ScanKind::kLamp) {
-        s.cloud = sim::thin(s.cloud, options.scan_points, combine_seeds(stream(kThinning), keys[i]));
-      }
-      if (sink) {
-        sink(keys[i], s.cloud);
-      } else {
-        s.cloud.points.shrink_to_fit();
-        clouds->at(keys[i]) = std::make_shared<const PointCloud>(std::move(s.cloud));
-      }
-      scan_report.step();
-    });
-  }
-  stop_here(stop);
-  for (const std::uint64_t n : rays) result.rays += n;
-  for (const Eigen::Matrix3d& s : scatter) {
-    result.observability.push_back(
+  Reporter report(progress_, "casting scans", keys_.size());
+  pool.for_each(keys_.size(), [&](std::size_t i) {
+    if (stop_.stop_requested()) return;
+    sim::Sweep s = sim::sweep(*caster_, directions, options().lidar, truth_[i],
+                              combine_seeds(stream(kSweeps), keys_[i]));
+    scatter_[i] = s.normal_scatter;
+    rays[i] = s.rays;
+    if (options().scans == ScanKind::kLamp) {
+      s.cloud = sim::thin(s.cloud, options().scan_points, combine_seeds(stream(kThinning), keys_[i]));
+    }
+    if (sink_) {
+      sink_(keys_[i], s.cloud);
+    } else {
+      s.cloud.points.shrink_to_fit();
+      clouds->at(keys_[i]) = std::make_shared<const PointCloud>(std::move(s.cloud));
+    }
+    report.step();
+  });
+  stop_here(stop_);
+  for (const std::uint64_t n : rays) result_.rays += n;
+  for (const Eigen::Matrix3d& s : scatter_) {
+    result_.observability.push_back(
         Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(s, Eigen::EigenvaluesOnly).eigenvalues()[0]);
   }
-  if (!sink) {
+  if (!sink_) {
     // The clouds live in the loader; the store itself keeps nothing.
-    mission.scans = std::make_shared<ScanStore>(
-        keys, [clouds](Key key) { return clouds->at(key); }, 0);
+    mission().scans = std::make_shared<ScanStore>(
+        keys_, [clouds](Key key) { return clouds->at(key); }, 0);
   }
+}
 
-  // The graph.
-  mission.start_ns = parameters::kEpochSeconds * 1'000'000'000LL;
-  for (std::size_t r = 0; r < robots; ++r) {
-    const auto [first, nodes] = spans[r];
-    const std::vector<Eigen::Isometry3d> own_truth(
-        truth.begin() + static_cast<std::ptrdiff_t>(first),
-        truth.begin() + static_cast<std::ptrdiff_t>(first + nodes));
-    const std::vector<Eigen::Matrix3d> own_scatter(
-        scatter.begin() + static_cast<std::ptrdiff_t>(first),
-        scatter.begin() + static_cast<std::ptrdiff_t>(first + nodes));
-    const bool legs = on_legs(options.world, static_cast<int>(r));
-    const auto steps =
-        sim::measure_odometry(own_truth, own_scatter, legs ? parameters::kLegged : parameters::kGround,
-                              combine_seeds(stream(kDrift), r));
-    Rng rng(combine_seeds(stream(kAlignment), r));
-    Vector6d sigmas, error;
-    sigmas << Eigen::Vector3d::Constant(options.prior_position_sigma_m), options.prior_tilt_sigma_rad,
-        options.prior_tilt_sigma_rad, options.prior_yaw_sigma_rad;
-    for (int k = 0; k < 6; ++k) error[k] = sigmas[k] * rng.normal();
-    PriorFactor prior;
-    prior.key = keys[first];
-    prior.pose = own_truth.front() * se3::exp(error);
-    prior.information = Matrix6d(sigmas.cwiseAbs2().cwiseInverse().asDiagonal());
+PriorFactor Maker::first_prior(std::size_t robot, const Eigen::Isometry3d& truth) const {
+  Rng rng(combine_seeds(stream(kAlignment), robot));
+  Vector6d sigmas, error;
+  sigmas << Eigen::Vector3d::Constant(options().prior_position_sigma_m), options().prior_tilt_sigma_rad,
+      options().prior_tilt_sigma_rad, options().prior_yaw_sigma_rad;
+  for (int k = 0; k < 6; ++k) error[k] = sigmas[k] * rng.normal();
+  PriorFactor prior;
+  prior.key = node_key(robot, 0);
+  prior.pose = truth * se3::exp(error);
+  prior.information = Matrix6d(sigmas.cwiseAbs2().cwiseInverse().asDiagonal());
+  return prior;
+}
 
-    Eigen::Isometry3d pose = prior.pose;
-    for (std::size_t k = 0; k < nodes; ++k) {
-      if (k > 0) pose = se3::normalized(pose * steps[k - 1]);
-      Node node;
-      node.key = keys[first + k];
-      node.pose = pose;
-      node.stamp_ns = mission.start_ns + std::llround(team[r].time_s[k] * 1e3) * 1'000'000LL;
-      mission.graph.add_node(node);
-      mission.ground_truth[node.key] = own_truth[k];
-    }
-    mission.graph.add_prior(prior);
-    for (std::size_t k = 1; k < nodes; ++k) {
-      Edge edge;
-      edge.from = keys[first + k - 1];
-      edge.to = keys[first + k];
-      edge.T_from_to = steps[k - 1];
-      edge.information =
-          sim::stated_information((own_truth[k].translation() - own_truth[k - 1].translation()).norm());
-      edge.kind = EdgeKind::kOdometry;
-      mission.graph.add_edge(edge);
-    }
+/// Nodes at the poses of drifting odometry, the edges that say so, and the prior of the first one.
+void Maker::add_robot_graph(std::size_t r) {
+  const auto [first, nodes] = spans_[r];
+  const auto begin = static_cast<std::ptrdiff_t>(first), end = static_cast<std::ptrdiff_t>(first + nodes);
+  const std::vector<Eigen::Isometry3d> truth(truth_.begin() + begin, truth_.begin() + end);
+  const std::vector<Eigen::Matrix3d> scatter(scatter_.begin() + begin, scatter_.begin() + end);
+  const auto steps = sim::measure_odometry(
+      truth, scatter, legs(r) ? parameters::kLegged : parameters::kGround, combine_seeds(stream(kDrift), r));
+  const PriorFactor prior = first_prior(r, truth.front());
+
+  Eigen::Isometry3d pose = prior.pose;
+  for (std::size_t k = 0; k < nodes; ++k) {
+    if (k > 0) pose = se3::normalized(pose * steps[k - 1]);
+    Node node;
+    node.key = keys_[first + k];
+    node.pose = pose;
+    node.stamp_ns = mission().start_ns + std::llround(team_[r].time_s[k] * 1e3) * 1'000'000LL;
+    mission().graph.add_node(node);
+    mission().ground_truth[node.key] = truth[k];
   }
+  mission().graph.add_prior(prior);
+  for (std::size_t k = 1; k < nodes; ++k) {
+    Edge edge;
+    edge.from = keys_[first + k - 1];
+    edge.to = keys_[first + k];
+    edge.T_from_to = steps[k - 1];
+    edge.information = sim::stated_information((truth[k].translation() - truth[k - 1].translation()).norm());
+    edge.kind = EdgeKind::kOdometry;
+    mission().graph.add_edge(edge);
+  }
+}
 
-  // The radio.
-  const auto node_key = [&](std::size_t robot, std::size_t node) { return keys[spans[robot].first + node]; };
-  for (std::size_t d = 0; d < drops.size(); ++d) {
+void Maker::hear_beacons(ThreadPool& pool) {
+  for (std::size_t d = 0; d < drops_.size(); ++d) {
     const std::string name = "beacon-" + std::to_string(d + 1);
-    const Key key = node_key(drops[d].robot, drops[d].node);
-    mission.beacons.push_back({name, drops[d].robot, key, mission.graph.node(key).stamp_ns});
-    result.beacons.push_back({name, sim::beacon_position(team, drops[d])});
+    const Key key = node_key(drops_[d].robot, drops_[d].node);
+    mission().beacons.push_back({name, drops_[d].robot, key, mission().graph.node(key).stamp_ns});
+    result_.beacons.push_back({name, sim::beacon_position(team_, drops_[d])});
   }
-  if (!drops.empty()) {
-    Reporter radio_report(progress, "hearing beacons", 1);
-    for (const sim::Heard& h : sim::listen(caster, options.world, team, drops, stream(kRadio), pool)) {
-      for (std::size_t k = 0; k < h.receive_dbm.size(); ++k) {
-        mission.radio.push_back({node_key(h.robot, h.node), mission.beacons[h.drop].beacon,
+  if (drops_.empty()) return;
+  Reporter report(progress_, "hearing beacons", 1);
+  for (const sim::Heard& h : sim::listen(*caster_, options().world, team_, drops_, stream(kRadio), pool)) {
+    for (std::size_t k = 0; k < h.receive_dbm.size(); ++k) {
+      mission().radio.push_back({node_key(h.robot, h.node), mission().beacons[h.drop].beacon,
                                  parameters::kTransmitDbm, std::to_string(k), h.receive_dbm[k]});
-        result.readings.push_back({h.distance_m, h.walls});
-      }
+      result_.readings.push_back({h.distance_m, h.walls});
     }
-    radio_report.step();
   }
-  stop_here(stop);
+  report.step();
+}
 
-  mission.name = enum_name(options.world) + "-" + std::to_string(seed);
-  SimulationOptions told = options;
-  told.threads = 0;  // how many threads made the mission is nowhere to be seen
+void Maker::describe() {
+  mission().name = enum_name(options().world) + "-" + std::to_string(seed_);
+  SimulationOptions stated = options();
+  stated.threads = 0;  // how many threads made the mission is nowhere to be seen
   Json provenance = Json::object();
   provenance["generator"] = "loopwise simulate";
   provenance["version"] = std::string(version());
-  provenance["seed"] = std::to_string(seed);
-  provenance["options"] = to_json(told);
+  provenance["seed"] = std::to_string(seed_);
+  provenance["options"] = to_json(stated);
   provenance["options"].erase("threads");
   provenance["parameters_sha256"] = std::string(simulation_parameters_hash());
-  mission.provenance_json = provenance.dump();
-  return result;
+  mission().provenance_json = provenance.dump();
+}
+
+}  // namespace
+
+SimulatedMission simulate(const SimulationOptions& options, std::uint64_t seed,
+                          const ProgressCallback& progress, const StopToken& stop, const ScanSink& sink) {
+  return Maker(options, seed, progress, stop, sink).make();
 }
 
 SimulatedMission simulate_to_folder(const std::filesystem::path& folder, const SimulationOptions& options,

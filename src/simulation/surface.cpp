@@ -141,118 +141,154 @@ struct Crossing {
   Eigen::Vector3d normal;
 };
 
-TriangleMesh tile_surface(const Cell3& tile, const Field& field, double cell) {
-  const auto position = [&](int x, int y, int z) -> Eigen::Vector3d {
-    return Eigen::Vector3d(static_cast<double>(tile.x * kTile + x), static_cast<double>(tile.y * kTile + y),
-                           static_cast<double>(tile.z * kTile + z)) *
-           cell;
-  };
-  // Far from any boundary: nothing to extract.
-  const double half_diagonal = 0.5 * std::sqrt(3.0) * (kSide - 1) * cell;
-  const double middle = field.smooth(position(kTile / 2, kTile / 2, kTile / 2));
-  if (std::abs(middle) > 1.6 * half_diagonal + 2.0) return {};
+/// The surface within one tile by dual contouring (Ju et al. 2002): a vertex in each cell that the boundary
+/// crosses, a quadrilateral around each edge that it crosses.
+class TileSurface {
+ public:
+  TileSurface(const Cell3& tile, const Field& field, double cell) : tile_(tile), field_(field), cell_(cell) {}
 
-  std::vector<double> value(static_cast<std::size_t>(kSide) * kSide * kSide);
+  TriangleMesh extract() {
+    // Far from any boundary: nothing to extract.
+    const double half_diagonal = 0.5 * std::sqrt(3.0) * (kSide - 1) * cell_;
+    const double middle = field_.smooth(position(kTile / 2, kTile / 2, kTile / 2));
+    if (std::abs(middle) > 1.6 * half_diagonal + 2.0) return {};
+    if (!sample()) return {};
+    find_crossings();
+    vertex_at_.assign(value_.size(), -1);
+    add_triangles();
+    return std::move(mesh_);
+  }
+
+ private:
+  [[nodiscard]] Eigen::Vector3d position(int x, int y, int z) const {
+    return Eigen::Vector3d(static_cast<double>(tile_.x * kTile + x), static_cast<double>(tile_.y * kTile + y),
+                           static_cast<double>(tile_.z * kTile + z)) *
+           cell_;
+  }
+  bool sample();
+  void find_crossings();
+  [[nodiscard]] Crossing crossing(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double share) const;
+  std::uint32_t vertex_of(int x, int y, int z);
+  void add_triangles();
+
+  const Cell3& tile_;
+  const Field& field_;
+  double cell_;
+  std::vector<double> value_;
+  std::vector<std::int32_t> crossing_at_;  ///< By sample and axis, of the edge that begins there; or -1.
+  std::vector<Crossing> crossings_;
+  std::vector<std::int32_t> vertex_at_;  ///< By cell; or -1.
+  TriangleMesh mesh_;
+};
+
+/// \returns whether there are both void and rock
+bool TileSurface::sample() {
+  value_.resize(static_cast<std::size_t>(kSide) * kSide * kSide);
   bool any_void = false, any_rock = false;
   std::vector<double> level(static_cast<std::size_t>(kSide) * kSide);
   for (int y = -1; y <= kTile; ++y) {
     for (int x = -1; x <= kTile; ++x) {
-      level[static_cast<std::size_t>((y + 1) * kSide + x + 1)] = field.ground(position(x, y, 0));
+      level[static_cast<std::size_t>((y + 1) * kSide + x + 1)] = field_.ground(position(x, y, 0));
     }
   }
   for (int z = -1; z <= kTile; ++z) {
     for (int y = -1; y <= kTile; ++y) {
       for (int x = -1; x <= kTile; ++x) {
         const double d =
-            field.rough(position(x, y, z), level[static_cast<std::size_t>((y + 1) * kSide + x + 1)], cell);
-        value[sample_index(x, y, z)] = d;
+            field_.rough(position(x, y, z), level[static_cast<std::size_t>((y + 1) * kSide + x + 1)], cell_);
+        value_[sample_index(x, y, z)] = d;
         (d < 0.0 ? any_void : any_rock) = true;
       }
     }
   }
-  if (!any_void || !any_rock) return {};
+  return any_void && any_rock;
+}
 
-  std::vector<std::int32_t> crossing_at(value.size() * 3, -1);
-  std::vector<Crossing> crossings;
+void TileSurface::find_crossings() {
+  crossing_at_.assign(value_.size() * 3, -1);
   for (int z = -1; z <= kTile; ++z) {
     for (int y = -1; y <= kTile; ++y) {
       for (int x = -1; x <= kTile; ++x) {
-        const double here = value[sample_index(x, y, z)];
+        const double here = value_[sample_index(x, y, z)];
         for (std::size_t axis = 0; axis < 3; ++axis) {
           const int x1 = x + kAxis[axis][0], y1 = y + kAxis[axis][1], z1 = z + kAxis[axis][2];
           if (x1 > kTile || y1 > kTile || z1 > kTile) continue;
-          const double there = value[sample_index(x1, y1, z1)];
+          const double there = value_[sample_index(x1, y1, z1)];
           if ((here < 0.0) == (there < 0.0)) continue;
-          Crossing c;
-          c.point = position(x, y, z) + (position(x1, y1, z1) - position(x, y, z)) * (here / (here - there));
-          const double at = field.smooth(c.point);
-          const double h = 0.2 * cell;
-          for (int k = 0; k < 3; ++k) {
-            c.normal[k] = field.smooth(c.point + h * Eigen::Vector3d::Unit(k)) - at;
-          }
-          const double length = c.normal.norm();
-          c.normal = length > 1e-9 ? Eigen::Vector3d(c.normal / length) : Eigen::Vector3d::UnitZ();
-          crossing_at[sample_index(x, y, z) * 3 + axis] = static_cast<std::int32_t>(crossings.size());
-          crossings.push_back(c);
+          crossing_at_[sample_index(x, y, z) * 3 + axis] = static_cast<std::int32_t>(crossings_.size());
+          crossings_.push_back(crossing(position(x, y, z), position(x1, y1, z1), here / (here - there)));
         }
       }
     }
   }
+}
 
-  TriangleMesh mesh;
-  std::vector<std::int32_t> vertex_at(value.size(), -1);
-  // The point of a cell that fits the planes at its crossings, drawn a little towards their mean.
-  const auto vertex_of = [&](int x, int y, int z) {
-    std::int32_t& known = vertex_at[sample_index(x, y, z)];
-    if (known >= 0) return static_cast<std::uint32_t>(known);
-    std::array<const Crossing*, 12> found{};
-    std::size_t count = 0;
-    for (std::size_t axis = 0; axis < 3; ++axis) {
-      const auto& u = kAxis[(axis + 1) % 3];
-      const auto& v = kAxis[(axis + 2) % 3];
-      for (int i = 0; i < 4; ++i) {
-        const int du = i & 1, dv = i >> 1;
-        const std::int32_t id = crossing_at[sample_index(x + du * u[0] + dv * v[0], y + du * u[1] + dv * v[1],
-                                                         z + du * u[2] + dv * v[2]) *
-                                                3 +
-                                            axis];
-        if (id >= 0) found[count++] = &crossings[static_cast<std::size_t>(id)];
-      }
+Crossing TileSurface::crossing(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double share) const {
+  Crossing c;
+  c.point = a + (b - a) * share;
+  const double at = field_.smooth(c.point);
+  const double h = 0.2 * cell_;
+  for (int k = 0; k < 3; ++k) {
+    c.normal[k] = field_.smooth(c.point + h * Eigen::Vector3d::Unit(k)) - at;
+  }
+  const double length = c.normal.norm();
+  c.normal = length > 1e-9 ? Eigen::Vector3d(c.normal / length) : Eigen::Vector3d::UnitZ();
+  return c;
+}
+
+/// The point of a cell that fits the planes at its crossings, drawn a little towards their mean.
+std::uint32_t TileSurface::vertex_of(int x, int y, int z) {
+  std::int32_t& known = vertex_at_[sample_index(x, y, z)];
+  if (known >= 0) return static_cast<std::uint32_t>(known);
+  std::array<const Crossing*, 12> found{};
+  std::size_t count = 0;
+  for (std::size_t axis = 0; axis < 3; ++axis) {
+    const auto& u = kAxis[(axis + 1) % 3];
+    const auto& v = kAxis[(axis + 2) % 3];
+    for (int i = 0; i < 4; ++i) {
+      const int du = i & 1, dv = i >> 1;
+      const std::int32_t id = crossing_at_[sample_index(x + du * u[0] + dv * v[0], y + du * u[1] + dv * v[1],
+                                                        z + du * u[2] + dv * v[2]) *
+                                               3 +
+                                           axis];
+      if (id >= 0) found[count++] = &crossings_[static_cast<std::size_t>(id)];
     }
-    Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    for (std::size_t i = 0; i < count; ++i) mean += found[i]->point;
-    mean /= static_cast<double>(std::max<std::size_t>(count, 1));
-    Eigen::Matrix3d A = 0.1 * Eigen::Matrix3d::Identity();
-    Eigen::Vector3d b = Eigen::Vector3d::Zero();
-    for (std::size_t i = 0; i < count; ++i) {
-      const Eigen::Vector3d& n = found[i]->normal;
-      A += n * n.transpose();
-      b += n * n.dot(found[i]->point - mean);
-    }
-    const Eigen::Vector3d low = position(x, y, z), high = position(x + 1, y + 1, z + 1);
-    const Eigen::Vector3d vertex = (mean + A.ldlt().solve(b)).cwiseMax(low).cwiseMin(high);
-    known = static_cast<std::int32_t>(mesh.vertices.size());
-    mesh.vertices.push_back(vertex.cast<float>());
-    return static_cast<std::uint32_t>(known);
-  };
+  }
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (std::size_t i = 0; i < count; ++i) mean += found[i]->point;
+  mean /= static_cast<double>(std::max<std::size_t>(count, 1));
+  Eigen::Matrix3d A = 0.1 * Eigen::Matrix3d::Identity();
+  Eigen::Vector3d b = Eigen::Vector3d::Zero();
+  for (std::size_t i = 0; i < count; ++i) {
+    const Eigen::Vector3d& n = found[i]->normal;
+    A += n * n.transpose();
+    b += n * n.dot(found[i]->point - mean);
+  }
+  const Eigen::Vector3d low = position(x, y, z), high = position(x + 1, y + 1, z + 1);
+  const Eigen::Vector3d vertex = (mean + A.ldlt().solve(b)).cwiseMax(low).cwiseMin(high);
+  known = static_cast<std::int32_t>(mesh_.vertices.size());
+  mesh_.vertices.push_back(vertex.cast<float>());
+  return static_cast<std::uint32_t>(known);
+}
+
+void TileSurface::add_triangles() {
   for (int z = 0; z < kTile; ++z) {
     for (int y = 0; y < kTile; ++y) {
       for (int x = 0; x < kTile; ++x) {
         for (std::size_t axis = 0; axis < 3; ++axis) {
-          if (crossing_at[sample_index(x, y, z) * 3 + axis] < 0) continue;
+          if (crossing_at_[sample_index(x, y, z) * 3 + axis] < 0) continue;
           const auto& u = kAxis[(axis + 1) % 3];
           const auto& v = kAxis[(axis + 2) % 3];
           const std::uint32_t c00 = vertex_of(x - u[0] - v[0], y - u[1] - v[1], z - u[2] - v[2]);
           const std::uint32_t c10 = vertex_of(x - v[0], y - v[1], z - v[2]);
           const std::uint32_t c01 = vertex_of(x - u[0], y - u[1], z - u[2]);
           const std::uint32_t c11 = vertex_of(x, y, z);
-          mesh.triangles.push_back({c00, c10, c11});
-          mesh.triangles.push_back({c00, c11, c01});
+          mesh_.triangles.push_back({c00, c10, c11});
+          mesh_.triangles.push_back({c00, c11, c01});
         }
       }
     }
   }
-  return mesh;
 }
 
 struct Box3 {
@@ -337,7 +373,7 @@ TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& gro
   ThreadPool pool(threads);
   pool.for_each(tiles.size(), [&](std::size_t i) {
     if (stop.stop_requested()) return;
-    parts[i] = tile_surface(tiles[i].first, Field(shapes, *tiles[i].second, ground, seed), cell);
+    parts[i] = TileSurface(tiles[i].first, Field(shapes, *tiles[i].second, ground, seed), cell).extract();
   });
 
   TriangleMesh mesh;

@@ -9,6 +9,7 @@
 #include <loopwise/distributed/work.hpp>
 #include <loopwise/registration/registrar.hpp>
 #include <loopwise/replay/replay.hpp>
+#include <loopwise/replay/result_codec.hpp>
 
 namespace loopwise {
 
@@ -17,11 +18,6 @@ namespace loopwise {
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_task(const RegistrationTask& task);
 /// The task from pack_task(). \throws InputError on invalid bytes
 [[nodiscard]] LOOPWISE_EXPORT RegistrationTask unpack_task(std::string_view bytes);
-/// A result as a message, without the candidate, which the sender of the task knows.
-[[nodiscard]] LOOPWISE_EXPORT std::string pack_result(const RegistrationResult& result);
-/// The result from pack_result() for this candidate. \throws InputError on invalid bytes
-[[nodiscard]] LOOPWISE_EXPORT RegistrationResult unpack_result(std::string_view bytes,
-                                                               const LoopCandidate& candidate);
 
 /// Data on which the ranks of a replay must agree: the version of the code, the options, the mission's graph
 /// and its list of scans.

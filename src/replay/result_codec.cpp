@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "outcome_json.hpp"
+// All forms that a RegistrationResult takes outside of memory: lines of JSON and bytes.
+#include <loopwise/replay/result_codec.hpp>
 
 #include <limits>
 
@@ -7,8 +8,25 @@
 
 #include <loopwise/replay/replay.hpp>
 
+#include "byte_stream.hpp"
+#include "outcome_json.hpp"
+
 namespace loopwise {
 namespace {
+
+/// What follows in the bytes of a result.
+enum Parts : std::uint8_t { kPose = 1, kClosure = 2, kIncomplete = 4, kTaskHash = 8, kAllParts = 15 };
+
+/// Figures of a result, in the order of its bytes.
+constexpr double RegistrationResult::*kFigures[] = {
+    &RegistrationResult::sac_fitness_m2, &RegistrationResult::gicp_fitness_m2, &RegistrationResult::overlap,
+    &RegistrationResult::features_s,     &RegistrationResult::global_s,        &RegistrationResult::refine_s};
+
+void require_closure_unless_rejected(const RegistrationResult& result) {
+  if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
+    throw InputError("an outcome is verified without a closure, or rejected with one");
+  }
+}
 
 Eigen::Isometry3d pose_of(const Json& list, bool any_numbers) {
   Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
@@ -82,9 +100,7 @@ RegistrationResult outcome_from(const Json& json, bool any_numbers) {
   }
   if (json.contains("incomplete")) result.incomplete = json["incomplete"].get<bool>();
   if (json.contains("task")) result.task_hash = parse_key(json["task"].get<std::string>());
-  if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
-    throw InputError("an outcome is verified without a closure, or rejected with one");
-  }
+  require_closure_unless_rejected(result);
   return result;
 }
 
@@ -100,6 +116,45 @@ RegistrationResult parse_outcome_line(const std::string& line) {
   } catch (const Error& error) {
     throw InputError(std::string("not an outcome: ") + error.what());
   }
+}
+
+std::string pack_result(const RegistrationResult& result) {
+  ByteWriter out;
+  out.put(static_cast<std::uint8_t>(result.reason));
+  out.put(static_cast<std::uint8_t>((result.T_from_to ? kPose : 0) | (result.closure ? kClosure : 0) |
+                                    (result.incomplete ? kIncomplete : 0) |
+                                    (result.task_hash != 0 ? kTaskHash : 0)));
+  for (const auto figure : kFigures) out.put(result.*figure);
+  if (result.T_from_to) out.put(*result.T_from_to);
+  if (result.closure) out.put(result.closure->T_from_to).matrix(result.closure->covariance);
+  out.put(result.message);
+  if (result.task_hash != 0) out.put(result.task_hash);
+  return out.take();
+}
+
+RegistrationResult unpack_result(std::string_view bytes, const LoopCandidate& candidate) {
+  ByteReader in(bytes);
+  RegistrationResult result;
+  result.candidate = candidate;
+  result.reason =
+      static_cast<RejectionReason>(in.one_of(static_cast<std::uint8_t>(RejectionReason::kTimeLimit)));
+  const std::uint8_t parts = in.one_of(kAllParts);
+  for (const auto figure : kFigures) result.*figure = in.get<double>();
+  if ((parts & kPose) != 0) result.T_from_to = in.pose();
+  if ((parts & kClosure) != 0) {
+    LoopClosure closure;
+    closure.from = candidate.from;
+    closure.to = candidate.to;
+    closure.T_from_to = in.pose();
+    closure.covariance = in.matrix<Matrix6d>();
+    result.closure = closure;
+  }
+  result.incomplete = (parts & kIncomplete) != 0;
+  result.message = in.text();
+  if ((parts & kTaskHash) != 0) result.task_hash = in.get<std::uint64_t>();
+  in.end();
+  require_closure_unless_rejected(result);
+  return result;
 }
 
 }  // namespace loopwise

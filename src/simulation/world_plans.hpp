@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// The parts that worlds are made of: where passages and rooms lie.
+#pragma once
+
+#include <cstddef>
+#include <map>
+#include <utility>
+#include <vector>
+
+#include "world_builder.hpp"
+
+namespace loopwise::simulation_detail {
+
+/// Places by (column, row).
+using PlaceGrid = std::map<std::pair<int, int>, std::size_t>;
+
+// ---- coal mine
+
+/// How an entry is cut; its sizes are drawn.
+[[nodiscard]] Style entry_style(Builder& builder);
+/// Distances along an entry at which cross-cuts leave it; the last is `length`.
+[[nodiscard]] std::vector<double> cross_cuts(Rng& rng, double length);
+/// Parallel entries along `along` from `start`, `across` apart, joined by cross-cuts. `first` holds the
+/// places where the entries begin (made if empty). \returns the places at the ends.
+std::vector<std::size_t> parallel_entries(Builder& builder, const Eigen::Vector2d& start,
+                                          const Eigen::Vector2d& along, const Eigen::Vector2d& across,
+                                          std::vector<std::size_t> first, const std::vector<double>& cuts,
+                                          std::size_t count,
+                                          std::vector<std::vector<std::size_t>>* places = nullptr);
+/// Pipes, props and boxes along all passages that there are.
+void furnish_entries(Builder& builder);
+/// A whole coal mine with passages of about `target` metres.
+void plan_tunnel(Builder& builder, double target);
+
+// ---- lattices
+
+/// A whole limestone mine.
+void plan_mine(Builder& builder, double target);
+/// A cave whose entrance is at `origin`, within rows `j_low` to `j_high` of its lattice.
+PlaceGrid plan_cave(Builder& builder, const Eigen::Vector2d& origin, double target, int j_low, int j_high);
+
+// ---- power plant
+
+/// One building from its south-west corner on: corridors on a grid, rooms and halls between, `floors`
+/// storeys. \returns the corridor places of the ground floor
+PlaceGrid plan_building(Builder& builder, const Eigen::Vector2d& corner, int columns, int rows, int floors);
+
+}  // namespace loopwise::simulation_detail
