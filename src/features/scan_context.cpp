@@ -3,6 +3,7 @@
 
 #include <loopwise/features/place.hpp>
 
+#include "density_image.hpp"
 #include "place_store.hpp"
 
 namespace loopwise {
@@ -20,17 +21,6 @@ struct ScanContext final : PlaceDescriptor {
     return sizeof(*this) + static_cast<std::size_t>(columns.size() + rings.size()) * sizeof(float);
   }
 };
-
-/// Height below which one in fifty of the points lies: the ground, or a floor near it.
-float ground_of(const std::vector<Eigen::Vector3f>& points) {
-  if (points.empty()) return 0.0F;
-  std::vector<float> z;
-  z.reserve(points.size());
-  for (const Eigen::Vector3f& point : points) z.push_back(point.z());
-  const auto low = z.begin() + static_cast<std::ptrdiff_t>(z.size() / 50);
-  std::nth_element(z.begin(), low, z.end());
-  return *low;
-}
 
 /// How alike two places are at the best shift of columns, and that shift.
 struct Comparison {
@@ -67,7 +57,7 @@ class ScanContextDatabase final : public PlaceDatabase {
 
   [[nodiscard]] std::shared_ptr<const PlaceDescriptor> describe(const PointCloud& level) const override {
     auto place = std::make_shared<ScanContext>();
-    place->ground_m = ground_of(level.points);
+    place->ground_m = ground_height(level.points);
     Eigen::MatrixXf heights = Eigen::MatrixXf::Zero(options_.rings, options_.sectors);
     for (const Eigen::Vector3f& p : level.points) {
       const double range = std::hypot(static_cast<double>(p.x()), static_cast<double>(p.y()));

@@ -7,43 +7,14 @@
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/se3.hpp>
 
+#include "place_site.hpp"
 #include "testing.hpp"
 
 namespace loopwise {
 namespace {
 
-Eigen::Isometry3d pose(double x, double y, double z, double yaw) {
-  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-  T.linear() = se3::so3_exp({0.0, 0.0, yaw});
-  T.translation() << x, y, z;
-  return T;
-}
-
-/// A site of boxes and poles around the origin, drawn from a seed, as seen from a level pose.
-PointCloud site(std::uint64_t seed, const Eigen::Isometry3d& T_site_level, std::uint64_t noise_seed = 1) {
-  Rng rng(seed), noise(noise_seed);
-  PointCloud cloud;
-  const Eigen::Isometry3d to_level = T_site_level.inverse();
-  const auto add = [&](double x, double y, double z) {
-    const Eigen::Vector3d p(x + noise.normal(0.0, 0.02), y + noise.normal(0.0, 0.02), z);
-    cloud.points.push_back((to_level * p).cast<float>());
-  };
-  for (int wall = 0; wall < 14; ++wall) {
-    const double x = rng.uniform(-30.0, 30.0), y = rng.uniform(-30.0, 30.0), turn = rng.uniform(0.0, 3.1);
-    const double length = rng.uniform(3.0, 12.0), height = rng.uniform(1.5, 5.0);
-    for (double s = 0.0; s < length; s += 0.2) {
-      for (double z = 0.0; z < height; z += 0.3) add(x + s * std::cos(turn), y + s * std::sin(turn), z);
-    }
-  }
-  for (int pole = 0; pole < 15; ++pole) {
-    const double x = rng.uniform(-25.0, 25.0), y = rng.uniform(-25.0, 25.0);
-    for (double z = 0.0; z < 4.0; z += 0.1) add(x, y, z);
-  }
-  for (double x = -30.0; x < 30.0; x += 1.0) {
-    for (double y = -30.0; y < 30.0; y += 1.0) add(x, y, 0.0);
-  }
-  return cloud;
-}
+constexpr auto pose = testing::level_pose;
+using testing::site;
 
 double yaw_of(const Eigen::Isometry3d& T) {
   return se3::so3_log(T.linear()).z();
@@ -88,16 +59,19 @@ TEST_CASE("places: a match between bodies is the one between their level frames"
 }
 
 TEST_CASE("places: databases find a place again, turned", "[features][place]") {
-  const std::unique_ptr<PlaceDatabase> places = make_scan_context_database();
+  const bool density = GENERATE(false, true);
+  CAPTURE(density);
+  const auto places = density ? make_density_place_database() : make_scan_context_database();
   for (std::uint64_t s = 0; s < kSites; ++s) places->add(100 + s, site(s, pose(0.0, 0.0, 1.0, 0.0)));
   REQUIRE(places->size() == kSites);
   for (std::uint64_t s = 0; s < kSites; ++s) {
     CAPTURE(s);
     const Eigen::Isometry3d there = pose(0.4, -0.3, 1.4, 0.2 * static_cast<double>(s) - 3.0);
     const auto matches = places->query(site(s, there, 2), 3);
-    REQUIRE(matches.size() == 3);
+    REQUIRE_FALSE(matches.empty());
     REQUIRE(matches[0].key == 100 + s);
-    REQUIRE(matches[0].similarity > matches[1].similarity);
+    for (std::size_t i = 1; i < matches.size(); ++i)
+      REQUIRE(matches[0].similarity > 1.1 * matches[i].similarity);
     REQUIRE(matches[0].similarity <= 1.0);
     const Vector6d error =
         se3::log(matches[0].T_query_match.inverse() * there.inverse() * pose(0.0, 0.0, 1.0, 0.0));
@@ -106,8 +80,72 @@ TEST_CASE("places: databases find a place again, turned", "[features][place]") {
   }
 }
 
+TEST_CASE("places: density images tell where, from another side, metres away and with less in view",
+          "[features][place]") {
+  const auto places = make_density_place_database();
+  for (std::uint64_t s = 0; s < kSites; ++s) places->add(s, site(s, pose(0.0, 0.0, 1.0, 0.0)));
+  std::size_t found = 0;
+  double worst_m = 0.0, worst_rad = 0.0;
+  for (std::uint64_t s = 0; s < kSites; ++s) {
+    CAPTURE(s);
+    const Eigen::Isometry3d there = pose(7.0, -4.0, 1.8, 0.21 * static_cast<double>(s) - 3.0);
+    const auto matches = places->query(site(s, there, 2, 30.0), 1);
+    if (matches.empty() || matches[0].key != s) continue;
+    ++found;
+    const Eigen::Isometry3d error =
+        matches[0].T_query_match.inverse() * there.inverse() * pose(0.0, 0.0, 1.0, 0.0);
+    worst_m = std::max(worst_m, error.translation().head<2>().norm());
+    worst_rad = std::max(worst_rad, std::abs(yaw_of(error)));
+  }
+  CAPTURE(found, worst_m, worst_rad);
+  REQUIRE(found >= kSites - 2);
+  REQUIRE(worst_m < 0.7);
+  REQUIRE(worst_rad < 0.05);
+}
+
+TEST_CASE("places: self-similar surroundings are no places", "[features][place]") {
+  // Poles on a grid look alike everywhere: the same grid elsewhere must not be found with confidence.
+  const auto grid = [](double shift) {
+    PointCloud cloud;
+    for (double x = -28.0; x < 28.0; x += 4.0) {
+      for (double y = -28.0; y < 28.0; y += 4.0) {
+        for (double z = 0.0; z < 3.0; z += 0.1) {
+          cloud.points.emplace_back(static_cast<float>(x + shift), static_cast<float>(y),
+                                    static_cast<float>(z));
+        }
+      }
+    }
+    return cloud;
+  };
+  const auto places = make_density_place_database();
+  places->add(1, grid(0.0));
+  for (const PlaceMatch& match : places->query(grid(1.3), 5)) REQUIRE(match.similarity < 0.3);
+}
+
+TEST_CASE("places: results do not depend on what was asked before, nor on other places' keys",
+          "[features][place][property]") {
+  const auto forward = make_density_place_database(), again = make_density_place_database();
+  for (std::uint64_t s = 0; s < 8; ++s) {
+    forward->add(s, site(s, pose(0.0, 0.0, 1.0, 0.0)));
+    again->add(1000 + s, site(s, pose(0.0, 0.0, 1.0, 0.0)));
+    static_cast<void>(forward->query(s, 3));
+  }
+  for (std::uint64_t s = 0; s < 8; ++s) {
+    const PointCloud seen = site(s, pose(2.0, 1.0, 1.0, 0.7), 3);
+    const auto a = forward->query(seen, 3), b = again->query(seen, 3);
+    REQUIRE(a.size() == b.size());
+    for (std::size_t i = 0; i < a.size(); ++i) {
+      REQUIRE(a[i].key + 1000 == b[i].key);
+      REQUIRE(a[i].similarity == b[i].similarity);
+      REQUIRE(a[i].T_query_match.matrix() == b[i].T_query_match.matrix());
+    }
+  }
+}
+
 TEST_CASE("places: filters, keys and clouds that show nothing", "[features][place]") {
-  const std::unique_ptr<PlaceDatabase> places = make_scan_context_database();
+  const bool density = GENERATE(false, true);
+  CAPTURE(density);
+  const auto places = density ? make_density_place_database() : make_scan_context_database();
   for (std::uint64_t s = 0; s < 5; ++s) places->add(s, site(s, pose(0.0, 0.0, 1.0, 0.0)));
   for (const PlaceMatch& match : places->query(2, 5)) REQUIRE(match.key != 2);
   for (const PlaceMatch& match : places->query(2, 5, [](Key key) { return key > 3; }))
@@ -122,6 +160,11 @@ TEST_CASE("places: filters, keys and clouds that show nothing", "[features][plac
   ScanContextOptions options;
   options.rings = 1;
   REQUIRE_THROWS_AS(make_scan_context_database(options), OptionError);
+  DensityPlaceOptions fine;
+  fine.cell_m = 0.01;
+  REQUIRE_THROWS_WITH(make_density_place_database(fine), Contains("range_m"));
+  const auto other = density ? make_scan_context_database() : make_density_place_database();
+  REQUIRE_THROWS_AS(places->search(*other->describe(PointCloud{}), 1, {}), InputError);
 }
 
 }  // namespace loopwise

@@ -133,4 +133,30 @@ struct ScanContextOptions {
 [[nodiscard]] LOOPWISE_EXPORT std::unique_ptr<PlaceDatabase> make_scan_context_database(
     const ScanContextOptions& options = {});
 
+/// Submaps from above: density images of columns, corners and poles in them with the directions of what
+/// surrounds them as binary descriptors, found by locality-sensitive hashing. Yaw and translation by
+/// consensus of the matched key points; similarity by how well what stands there agrees.
+struct DensityPlaceOptions {
+  double cell_m = 0.35;
+  double range_m = 30.0;
+  int key_points = 200;
+  int match_bits = 64;
+  int compared = 15;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("cell_m", self.cell_m, above(0.0), "Edge of the image's columns, m.");
+    field("range_m", self.range_m, above(0.0), "Half the width of the image, m.");
+    field("key_points", self.key_points, between(8.0, 1000.0), "Corners and poles of an image, at most.");
+    field("match_bits", self.match_bits, between(0.0, 128.0),
+          "Key points match that differ in at most this many of 256 bits.");
+    field("compared", self.compared, between(1.0, 1000.0),
+          "Places, those on whose pose most matches agree, whose images are compared.");
+  }
+};
+
+/// A database of density images. \throws OptionError, also if range_m exceeds 500 times cell_m
+[[nodiscard]] LOOPWISE_EXPORT std::unique_ptr<PlaceDatabase> make_density_place_database(
+    const DensityPlaceOptions& options = {});
+
 }  // namespace loopwise
