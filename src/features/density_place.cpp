@@ -263,7 +263,7 @@ class DensityPlaceDatabase final : public PlaceDatabase {
 
  private:
   static constexpr std::size_t kTables = 10, kHashBits = 16;
-  static constexpr std::size_t kCommon = 400;  // features in one bucket that say nothing any more
+  static constexpr std::size_t kCommon = 200;  // features in one bucket that say nothing any more
 
   [[nodiscard]] static std::size_t hash(const PlaceFeature& feature, std::size_t table) {
     return (feature.bits[table / 4] >> (16 * (table % 4))) & 0xffffU;

@@ -163,14 +163,18 @@ std::string options_json(const ReplayOptions& options) {
 std::string options_key(const ReplayOptions& options) {
   std::string key = options_json(options);
   const std::string& weights = options.prioritization.graph_information.gnn_weights;
-  if (weights.empty()) return key;
-  ContentHasher hasher;
-  std::ifstream in(weights, std::ios::binary);
-  std::string piece(1 << 16, '\0');
-  while (in.read(piece.data(), static_cast<std::streamsize>(piece.size())) || in.gcount() > 0) {
-    hasher.bytes(piece.data(), static_cast<std::size_t>(in.gcount()));
+  for (const auto& [name, file] :
+       {std::pair("gnn_weights", &weights), std::pair("candidates", &options.candidates)}) {
+    if (file->empty()) continue;
+    ContentHasher hasher;
+    std::ifstream in(*file, std::ios::binary);
+    std::string piece(1 << 16, '\0');
+    while (in.read(piece.data(), static_cast<std::streamsize>(piece.size())) || in.gcount() > 0) {
+      hasher.bytes(piece.data(), static_cast<std::size_t>(in.gcount()));
+    }
+    key += std::string(name) + " " + (in.eof() ? to_string(hasher.finish()) : "unreadable") + "\n";
   }
-  return key + "gnn_weights " + (in.eof() ? to_string(hasher.finish()) : "unreadable") + "\n";
+  return key;
 }
 
 std::string config_key(const Config& config) {

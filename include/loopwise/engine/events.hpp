@@ -87,7 +87,8 @@ struct Radio {
 };
 /// Pairs from a place recognition outside.
 struct Candidates {
-  /// Ids, times and sources are given by the engine; the newer node by stamp becomes `from`.
+  /// Ids and times are given by the engine, and the source is kUser unless it is kAppearance; the newer node
+  /// by stamp becomes `from`. A pair that is pending already takes over what was recognised.
   std::vector<LoopCandidate> candidates;
 };
 /// The batch is done, but for registrations that have not come back and are no longer waited for.

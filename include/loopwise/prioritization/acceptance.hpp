@@ -20,8 +20,8 @@ struct CandidateEvidence {
   /// predicted_overlap() of the two scans at the guess, in [0, 1]; NaN if a scan is missing.
   double overlap = std::numeric_limits<double>::quiet_NaN();
   double distance_m = 0.0;  ///< Between the nodes, by the estimate.
-  /// A place recognition or a radio beacon proposed it: then neither distance nor overlap at the guess say
-  /// much.
+  /// A radio beacon, or a place recognition without a guess of the pose, proposed it: then neither distance
+  /// nor overlap at the graph's pose say much.
   bool from_outside = false;
 };
 
