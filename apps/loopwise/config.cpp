@@ -16,6 +16,7 @@ const std::string& section_text(const std::string& section) {
       {"generation",
        "Candidates by proximity. In a file the key `preset` names a preset that the other keys then change: "
        "`lamp_base` (the defaults), `lamp_2022_01`, `lamp_robot` or `paper`."},
+      {"appearance", "Candidates by what places look like."},
       {"radio", "Candidates by passes of radio beacons."},
       {"engine", "Decisions about the whole mission: seed, guesses, estimates."},
       {"prioritization", "Which prioritisers order the candidates."},

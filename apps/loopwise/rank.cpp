@@ -15,7 +15,7 @@ namespace {
 
 struct Options {
   CommonOptions common;
-  std::string mission, output, method, preset, robots, odometry, bin_layout;
+  std::string mission, output, method, preset, candidates, robots, odometry, bin_layout;
   std::optional<std::int64_t> batch;
   std::optional<std::uint64_t> seed;
   RankOptions rank;
@@ -32,6 +32,7 @@ int run(const Options& options) {
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
   if (!options.preset.empty()) config.replay.engine.generation = proximity_preset(options.preset);
+  if (!options.candidates.empty()) config.replay.candidates = options.candidates;
   if (!options.robots.empty()) config.mission.robots = options.robots;
   set_odometry(options.odometry, config);
   apply_bin_layout(options.bin_layout, config);
@@ -141,6 +142,11 @@ void add_rank(CLI::App& app, Action& chosen) {
       ->add_option("--preset", options->preset,
                    "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
       ->type_name("NAME");
+  command
+      ->add_option("--candidates", options->candidates,
+                   "Pairs of another place recognition, which are candidates too: CSV with from,to and, if "
+                   "wanted, score and x,y,z,qx,qy,qz,qw")
+      ->type_name("FILE");
   add_bin_layout_option(*command, options->bin_layout);
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");

@@ -13,6 +13,13 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
   command
       .add_option("--skip-recent", arguments.skip_recent, "Least index gap between two nodes of one robot")
       ->type_name("N");
+  command
+      .add_option("--candidates", arguments.candidates,
+                  "Pairs of another place recognition: CSV with from,to and, if wanted, score and the pose "
+                  "x,y,z,qx,qy,qz,qw of `to` in the frame of `from`")
+      ->type_name("FILE");
+  command.add_flag("--appearance", arguments.appearance,
+                   "Also propose nodes that look alike, however far apart the estimate has them");
   command.add_option("--thin", arguments.thin, "Keep one candidate in N, drawn by pair and seed")
       ->type_name("N");
   command.add_option("--batch", arguments.batch, "Candidates handed out at a time")->type_name("B");
@@ -70,6 +77,8 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
 void apply(const ReplayArguments& a, Config& config) {
   ReplayOptions& replay = config.replay;
   if (!a.preset.empty()) replay.engine.generation = proximity_preset(a.preset);
+  if (!a.candidates.empty()) replay.candidates = a.candidates;
+  if (a.appearance) replay.appearance.enabled = true;
   if (a.skip_recent) replay.engine.generation.skip_recent = *a.skip_recent;
   if (!a.robots.empty()) config.mission.robots = a.robots;
   set_odometry(a.odometry, config);

@@ -15,12 +15,13 @@
 namespace loopwise::cli {
 
 struct ReplayArguments {
-  std::string preset, robots, odometry, decisions, guess, registrar, registration_time;
+  std::string preset, candidates, robots, odometry, decisions, guess, registrar, registration_time;
   std::optional<std::int64_t> batch, max_registrations, skip_recent, thin;
   std::optional<double> gi_evaluation_time;
   std::vector<double> odometry_noise;
   std::optional<std::uint64_t> seed;
   std::string outcomes;
+  bool appearance = false;
   OutcomeStoreOptions outcomes_bound;
   std::optional<double> rank_time_limit_s;
 };

@@ -192,7 +192,8 @@ void bind_core(py::module_& module) {
   py::enum_<CandidateSource>(module, "CandidateSource")
       .value("PROXIMITY", CandidateSource::kProximity)
       .value("RADIO", CandidateSource::kRadio)
-      .value("USER", CandidateSource::kUser);
+      .value("USER", CandidateSource::kUser)
+      .value("APPEARANCE", CandidateSource::kAppearance);
   py::class_<LoopCandidate>(module, "LoopCandidate", "A hypothesis that two nodes saw the same place.")
       .def(py::init([](const py::object& from, const py::object& to, CandidateId id) {
              LoopCandidate candidate;

@@ -7,6 +7,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/recognition.hpp>
 
 namespace loopwise {
 namespace {
@@ -39,7 +40,11 @@ std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
   std::size_t added = 0;
   std::vector<LoopCandidate> ready;
   for (LoopCandidate candidate : candidates) {
-    if (!proposed_.insert(std::minmax(candidate.from, candidate.to)).second) continue;
+    const auto [known, is_new] = proposed_.try_emplace(std::minmax(candidate.from, candidate.to), next_id_);
+    if (!is_new) {
+      take_recognition(known->second, candidate);
+      continue;
+    }
     candidate.id = next_id_++;
     candidate.time_s = latest_s_ = std::max(latest_s_, candidate.time_s);
     bool complete = true;
@@ -57,6 +62,31 @@ std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {
   accounting_.pending = pending_.size();
   enqueue(ready);
   return added;
+}
+
+void CandidatePool::take_recognition(CandidateId id, LoopCandidate from) {
+  if (!from.recognition) return;
+  const auto recognised = [&](LoopCandidate candidate) {
+    if (candidate.from != from.from) swap_ends(from);
+    candidate.recognition = from.recognition;
+    return candidate;
+  };
+  if (const LoopCandidate* waiting = waiting_.find(id)) {
+    if (!waiting->recognition) waiting_.set(id, recognised(*waiting));
+    return;
+  }
+  const LoopCandidate* pending = pending_.find(id);
+  if (pending == nullptr || pending->recognition) return;
+  const LoopCandidate candidate = recognised(*pending);
+  pending_.set(id, candidate);
+  const auto put_off =
+      std::find_if(redundant_.begin(), redundant_.end(), [id](const LoopCandidate& c) { return c.id == id; });
+  if (put_off != redundant_.end()) {
+    *put_off = candidate;
+    return;
+  }
+  queue_.remove({id});  // what a prioritiser knows of it is out of date
+  enqueue({candidate});
 }
 
 void CandidatePool::on_scan(const KeyedScan& scan) {

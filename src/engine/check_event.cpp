@@ -2,6 +2,7 @@
 #include <loopwise/engine/events.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/recognition.hpp>
 #include <loopwise/core/se3.hpp>
 
 #include "factor.hpp"
@@ -36,7 +37,18 @@ class Checker {
       owned(candidate.to);
       if (candidate.from == candidate.to)
         throw InputError("candidate from node " + key_name(candidate.from) + " to itself");
+      if (candidate.recognition) check_recognition(candidate, *candidate.recognition);
     }
+  }
+  static void check_recognition(const LoopCandidate& candidate, const Recognition& recognition) {
+    const std::string what = "candidate " + key_name(candidate.from) + " - " + key_name(candidate.to);
+    if (recognition.similarity < 0.0 || recognition.similarity > 1.0)
+      throw InputError(what + ": similarity " + std::to_string(recognition.similarity) + " is not in [0, 1]");
+    if (!recognition.T_from_to) return;
+    if (!recognition.T_from_to->matrix().allFinite() || !recognition.covariance.allFinite())
+      throw InputError(what + ": the guessed pose or its covariance is not finite");
+    if (se3::rotation_defect(recognition.T_from_to->linear()) > 1e-6)
+      throw InputError(what + ": the guessed pose is not a rigid transform");
   }
   void operator()(const ExternalEstimate& estimate) const {
     for (const auto& [key, pose] : estimate.poses) {

@@ -2,6 +2,7 @@
 #include <utility>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/recognition.hpp>
 #include <loopwise/registration/batch.hpp>
 
 #include "engine_impl.hpp"
@@ -50,7 +51,10 @@ void Engine::Impl::on(event::Choose& event) {
 RegistrationTask Engine::Impl::task_of(const LoopCandidate& candidate) const {
   RegistrationTask task = make_task(graph_, robots_, candidate, options_.task, options_.seed,
                                     [this](Key key) { return scans_.count(key) != 0; });
-  if (options_.task.use_guess && options_.guess == GuessSource::kOdometry) {
+  if (!options_.task.use_guess) return task;
+  if (candidate.recognition && candidate.recognition->T_from_to) {
+    task.guess_from_to = candidate.recognition->T_from_to;
+  } else if (options_.guess == GuessSource::kOdometry) {
     const auto& odometry = placement_.odometry();
     task.guess_from_to =
         odometry[graph_.index_of(candidate.from)].inverse() * odometry[graph_.index_of(candidate.to)];

@@ -6,6 +6,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/recognition.hpp>
 
 #include "engine_impl.hpp"
 
@@ -147,10 +148,9 @@ void Engine::Impl::announce(const KeyedScan& scan) {
 
 void Engine::Impl::on(event::Candidates& event) {
   for (LoopCandidate& candidate : event.candidates) {
-    candidate.source = CandidateSource::kUser;
+    if (candidate.source != CandidateSource::kAppearance) candidate.source = CandidateSource::kUser;
     const auto from = graph_.find(candidate.from), to = graph_.find(candidate.to);
-    if (from && to && graph_.nodes()[*from].stamp_ns < graph_.nodes()[*to].stamp_ns)
-      std::swap(candidate.from, candidate.to);
+    if (from && to && graph_.nodes()[*from].stamp_ns < graph_.nodes()[*to].stamp_ns) swap_ends(candidate);
   }
   propose(std::move(event.candidates));
 }

@@ -135,9 +135,21 @@ void EngineThread::improve() {
   statistics_.improved();
 }
 
+namespace {
+
+/// The node whose frame or scan an event brings.
+std::optional<Key> new_node(const Event& event) {
+  if (const auto* frame = std::get_if<KeyFrame>(&event)) return frame->node.key;
+  if (const auto* scan = std::get_if<event::Scan>(&event)) return scan->scan.key;
+  return std::nullopt;
+}
+
+}  // namespace
+
 /// The one way into the engine.
 void EngineThread::feed(Event event) {
   Event record = settings_.on_event ? event : Event();
+  const std::optional<Key> node = settings_.recognise ? new_node(event) : std::nullopt;
   const double now_s = settings_.clock->now();
   observability_.reset();
   signature_.reset();
@@ -162,6 +174,19 @@ void EngineThread::feed(Event event) {
     reporter_.call(settings_.on_event, HandledEvent{record, now_s, observability_, signature_});
   }
   for (Effect& effect : effects) std::visit([this](auto& e) { carry_out(e); }, effect);
+  if (node) recognise(*node);
+}
+
+void EngineThread::recognise(Key key) {
+  event::Candidates alike;
+  try {
+    alike.candidates = settings_.recognise(engine_->graph(), key, settings_.clock->now());
+  } catch (const std::bad_alloc&) {
+    throw;
+  } catch (const std::exception& error) {
+    return reporter_.problem(std::string("place recognition: ") + error.what());
+  }
+  if (!alike.candidates.empty()) feed(std::move(alike));
 }
 
 /// After each event: starts what there is reason for.

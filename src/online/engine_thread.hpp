@@ -31,6 +31,8 @@ class EngineThread {
     std::size_t capacity = 1;  ///< Events that wait before producers are held up.
     std::shared_ptr<const Clock> clock;
     std::function<void(const HandledEvent&)> on_event;  ///< May be empty.
+    /// Proposes what looks like a node whose frame or scan has come; may be empty.
+    std::function<std::vector<LoopCandidate>(const PoseGraph&, Key, double now_s)> recognise;
   };
   /// What the other threads of the module do. Must not wait.
   struct Workers {
@@ -79,6 +81,7 @@ class EngineThread {
   std::optional<Message> next_message();
   void improve();
   void feed(Event event);
+  void recognise(Key key);
   void keep_busy();
   void end_without_memory();
   [[nodiscard]] bool half_full() const { return 2 * inbox_.size() > settings_.capacity; }

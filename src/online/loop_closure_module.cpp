@@ -33,6 +33,7 @@ class LoopClosureModule::Impl {
             std::make_shared<FeatureCache>([this](Key key) { return intake_.load(key); }, options.features)),
         registrar_(make_registrar(parts)),
         reporter_(std::move(callbacks), statistics_),
+        appearance_(make_appearance()),
         engine_thread_(settings(options, parts), work_, statistics_, reporter_),
         crew_(*registrar_, options.threads, options.overdue_after_s, crew_hooks()),
         computation_([this](std::vector<RegistrationTask>&& tasks) { compute(std::move(tasks)); }),
@@ -100,10 +101,24 @@ class LoopClosureModule::Impl {
     statistics_.end();
   }
 
-  [[nodiscard]] static EngineThread::Settings settings(const ModuleOptions& options,
-                                                       const ModuleParts& parts) {
-    return {static_cast<std::size_t>(options.batch), static_cast<std::size_t>(options.queue_capacity),
-            parts.clock ? parts.clock : std::make_shared<const RealClock>(), parts.on_event};
+  [[nodiscard]] EngineThread::Settings settings(const ModuleOptions& options, const ModuleParts& parts) {
+    EngineThread::Settings settings{static_cast<std::size_t>(options.batch),
+                                    static_cast<std::size_t>(options.queue_capacity),
+                                    parts.clock ? parts.clock : std::make_shared<const RealClock>(),
+                                    parts.on_event,
+                                    {}};
+    if (appearance_) {
+      settings.recognise = [this](const PoseGraph& graph, Key key, double now_s) {
+        return appearance_->on_node(graph, key, now_s);
+      };
+    }
+    return settings;
+  }
+
+  [[nodiscard]] std::unique_ptr<AppearanceGenerator> make_appearance() {
+    if (!options_.appearance.enabled) return nullptr;
+    return std::make_unique<AppearanceGenerator>(options_.appearance, robots_,
+                                                 [this](Key key) { return intake_.load(key); });
   }
 
   [[nodiscard]] std::shared_ptr<const Registrar> make_registrar(const ModuleParts& parts) {
@@ -201,6 +216,7 @@ class LoopClosureModule::Impl {
   StopSource stop_source_;  // of the back end
   std::mutex stop_mutex_;
   bool ended_ = false;
+  std::unique_ptr<AppearanceGenerator> appearance_;  // of the engine's thread alone; null: not wanted
   // The threads. Those that come later use those before them.
   EngineThread engine_thread_;
   RegistrationCrew crew_;

@@ -13,6 +13,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/recognition.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/core/thread_pool.hpp>
 
@@ -301,12 +302,14 @@ struct ExpectedPrioritizer::Impl {
 
   /// All but the overlap's use of it is by the estimate now.
   [[nodiscard]] CandidateEvidence evidence_of(GroupMember& member) const {
-    const Eigen::Isometry3d T = guess(member.from, member.to);
+    const auto& recognition = member.candidate.recognition;
+    const bool placed = recognition && recognition->T_from_to;
+    const Eigen::Isometry3d T = placed ? *recognition->T_from_to : guess(member.from, member.to);
     if (member.overlap < 0.0F) member.overlap = overlap_of(member, T);
     CandidateEvidence out;
     out.overlap = static_cast<double>(member.overlap);
     out.distance_m = T.translation().norm();
-    out.from_outside = member.candidate.source != CandidateSource::kProximity;
+    out.from_outside = member.candidate.source != CandidateSource::kProximity && !placed;
     return out;
   }
 

@@ -2,62 +2,26 @@
 #include <loopwise/registration/task.hpp>
 
 #include <array>
-#include <optional>
 #include <vector>
 
+#include <loopwise/core/odometry_walk.hpp>
 #include <loopwise/core/random.hpp>
 
 namespace loopwise {
 namespace {
 
-/// A step along the odometry away from a node.
-struct Step {
-  std::size_t node;
-  Eigen::Isometry3d T_here_there;
-};
-
-/// The odometry neighbour of `node` with the next higher (or lower) key within its robot, if there is one.
-std::optional<Step> odometry_step(const PoseGraph& graph, const Robots& robots, std::size_t node,
-                                  bool forward) {
-  const Key here = graph.nodes()[node].key;
-  const std::optional<std::size_t> robot = robots.find(here);
-  std::optional<Step> best;
-  for (const std::size_t number : graph.edges_of(node)) {
-    const Edge& edge = graph.edges()[number];
-    if (edge.kind != EdgeKind::kOdometry) continue;
-    const PoseGraph::Ends ends = graph.ends(number);
-    const bool outgoing = ends.from == node;
-    const std::size_t other = outgoing ? ends.to : ends.from;
-    const Key there = graph.nodes()[other].key;
-    if ((there > here) != forward || robots.find(there) != robot) continue;
-    if (best) {
-      const Key known = graph.nodes()[best->node].key;
-      if (forward ? known <= there : known >= there) continue;
-    }
-    best = Step{other, outgoing ? edge.T_from_to : edge.T_from_to.inverse()};
-  }
-  return best;
-}
-
 /// Nearest to the centre first: 0, −1, +1, −2, +2, …
 std::vector<SubmapMember> submap(const PoseGraph& graph, const Robots& robots, Key centre, Key other_end,
                                  int neighbours, const std::function<bool(Key)>& has_scan) {
   std::vector<SubmapMember> members{{centre, Eigen::Isometry3d::Identity()}};
-  struct Walk {
-    bool forward;
-    std::optional<Step> at;  // pose in the centre's frame
-  };
-  const Step start{graph.index_of(centre), Eigen::Isometry3d::Identity()};
-  std::array<Walk, 2> walks{Walk{false, start}, Walk{true, start}};
+  std::array<OdometryWalk, 2> walks{OdometryWalk(graph, robots, centre, false),
+                                    OdometryWalk(graph, robots, centre, true)};
   for (int i = 0; i < neighbours; ++i) {
-    for (Walk& walk : walks) {
-      if (!walk.at) continue;
-      const Eigen::Isometry3d T_center_here = walk.at->T_here_there;
-      walk.at = odometry_step(graph, robots, walk.at->node, walk.forward);
-      if (!walk.at) continue;
-      walk.at->T_here_there = T_center_here * walk.at->T_here_there;
-      const Key key = graph.nodes()[walk.at->node].key;
-      if (key != other_end && (!has_scan || has_scan(key))) members.push_back({key, walk.at->T_here_there});
+    for (OdometryWalk& walk : walks) {
+      const auto place = walk.next();
+      if (!place) continue;
+      const Key key = graph.nodes()[place->node].key;
+      if (key != other_end && (!has_scan || has_scan(key))) members.push_back({key, place->T_start_here});
     }
   }
   return members;

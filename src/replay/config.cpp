@@ -179,7 +179,7 @@ std::string content_key(const std::string& option, const std::string& path) {
 std::string options_key(const ReplayOptions& options) {
   return options_json(options) +
          content_key("gnn_weights", options.prioritization.graph_information.gnn_weights) +
-         content_key("decisions", options.decisions);
+         content_key("candidates", options.candidates) + content_key("decisions", options.decisions);
 }
 
 std::string config_key(const Config& config) {

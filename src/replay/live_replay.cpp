@@ -106,7 +106,8 @@ class LiveRun {
         } catch (const Error&) {  // the store counts it; its candidates wait, then expire
         }
       }
-      bool taken = module_.add_key_frame(frame);
+      bool taken = arrival.candidates.empty() || module_.add_candidates(arrival.candidates);
+      taken = taken && module_.add_key_frame(frame);
       for (const BeaconDrop& drop : arrival.drops) taken = taken && module_.add_beacon_drop(drop);
       if (!arrival.readings.empty()) taken = taken && module_.add_radio(arrival.readings);
       if (!taken) throw std::bad_alloc();  // the one reason for the module to stop by itself
@@ -188,6 +189,7 @@ class LiveRun {
 ModuleOptions module_options(const ReplayOptions& options, int threads) {
   ModuleOptions module;
   module.engine = options.engine;
+  module.appearance = options.appearance;
   module.prioritization = options.prioritization;
   module.features = options.registration.features;
   module.registration = options.registration.fast;

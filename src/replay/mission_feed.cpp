@@ -13,7 +13,9 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/recognition.hpp>
 #include <loopwise/engine/engine.hpp>
+#include <loopwise/io/candidates.hpp>
 #include <loopwise/io/decisions.hpp>
 #include <loopwise/replay/replay.hpp>
 
@@ -98,6 +100,30 @@ std::vector<double> arrival_times(const Mission& mission) {
   return times;
 }
 
+namespace {
+
+/// The pairs of options.candidates by the place in `order` of the node that comes later, which becomes
+/// `from`.
+std::unordered_map<std::size_t, std::vector<LoopCandidate>> given_candidates(
+    const Mission& mission, const std::string& file, const std::vector<std::size_t>& order) {
+  std::unordered_map<std::size_t, std::vector<LoopCandidate>> by_place;
+  if (file.empty()) return by_place;
+  std::unordered_map<Key, std::size_t> place_of;
+  for (std::size_t i = 0; i < order.size(); ++i) place_of[mission.graph.nodes()[order[i]].key] = i;
+  for (LoopCandidate candidate : read_candidates(file)) {
+    for (const Key key : {candidate.from, candidate.to}) {
+      if (place_of.count(key) != 0 && !mission.robots.is_landmark(key)) continue;
+      throw InputError(file + ": " + key_name(key) + " is no node of a robot in " + mission.path.string() +
+                       ": give keys of this mission, as `loopwise info` names them");
+    }
+    if (place_of[candidate.from] < place_of[candidate.to]) swap_ends(candidate);
+    by_place[place_of[candidate.from]].push_back(candidate);
+  }
+  return by_place;
+}
+
+}  // namespace
+
 std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& options) {
   if (mission.graph.planar()) {
     throw InputError(mission.path.string() +
@@ -122,6 +148,8 @@ std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& o
     for (const BeaconDrop& drop : mission.beacons) drops[drop.drop_key].push_back(drop);
   }
 
+  auto candidates = given_candidates(mission, options.candidates, order);
+
   std::vector<Arrival> feed;
   feed.reserve(order.size());
   std::unordered_set<Key> arrived;
@@ -145,6 +173,8 @@ std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& o
     arrival.frame.gravities = at(gravities, key);
     arrival.drops = at(drops, key);
     arrival.readings = at(readings, key);
+    if (const auto given = candidates.find(feed.size()); given != candidates.end())
+      arrival.candidates = std::move(given->second);
     arrived.insert(key);
     feed.push_back(std::move(arrival));
   }

@@ -17,6 +17,9 @@ struct Arrival {
   KeyFrame frame;                      ///< Without its cloud. Factors to nodes that have arrived.
   std::vector<BeaconDrop> drops;       ///< Beacons that were dropped there.
   std::vector<RadioReading> readings;  ///< Heard there.
+  /// Pairs of another place recognition with an older node, see ReplayOptions::candidates. To be proposed
+  /// before the node comes, so that what was recognised counts.
+  std::vector<LoopCandidate> candidates;
 };
 
 /// All nodes of a mission in the order of (time, key), with the odometry of replay_edges(). Beacons and radio

@@ -66,6 +66,7 @@ std::vector<LoopCandidate> all_candidates(const Mission& mission, const ReplayOp
     if (!arrival.readings.empty()) feed(event::Radio{arrival.readings}, arrival.time_s);
     KeyFrame as_it_stands;  // without the odometry, which would move it
     as_it_stands.node = arrival.frame.node;
+    if (!arrival.candidates.empty()) feed(event::Candidates{arrival.candidates}, arrival.time_s);
     feed(as_it_stands, arrival.time_s);
     feed(event::Scan{{arrival.frame.node.key, arrival.frame.node.stamp_ns, any_cloud}}, arrival.time_s);
   }

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include <loopwise/core/content_hash.hpp>
+#include <loopwise/core/recognition.hpp>
 #include <loopwise/replay/code_version.hpp>
 #include <loopwise/replay/trace.hpp>
 
@@ -117,17 +118,33 @@ GravityFactor gravity_from(const Json& json) {
 }
 
 Json candidate_json(const LoopCandidate& c) {
-  return {{"id", c.id},           {"from", key_json(c.from)},
-          {"to", key_json(c.to)}, {"source", enum_name(c.source)},
-          {"time_s", c.time_s},   {"distance_m", c.distance_m}};
+  Json json = {{"id", c.id},           {"from", key_json(c.from)},
+               {"to", key_json(c.to)}, {"source", enum_name(c.source)},
+               {"time_s", c.time_s},   {"distance_m", c.distance_m}};
+  if (!c.recognition) return json;
+  json["similarity"] = c.recognition->similarity;
+  if (!c.recognition->T_from_to) return json;
+  json["pose"] = pose_json(*c.recognition->T_from_to);
+  json["covariance"] = numbers(c.recognition->covariance);
+  return json;
 }
 LoopCandidate candidate_from(const Json& json) {
-  return {whole_from(json, "id"),
-          key_from(json, "from"),
-          key_from(json, "to"),
-          parse_enum<CandidateSource>("source", json.at("source").get<std::string>()),
-          number_or_nan(json.at("time_s")),
-          number_or_nan(json.at("distance_m"))};
+  LoopCandidate candidate{whole_from(json, "id"),
+                          key_from(json, "from"),
+                          key_from(json, "to"),
+                          parse_enum<CandidateSource>("source", json.at("source").get<std::string>()),
+                          number_or_nan(json.at("time_s")),
+                          number_or_nan(json.at("distance_m")),
+                          nullptr};
+  if (!json.contains("similarity")) return candidate;
+  auto recognition = std::make_shared<Recognition>();
+  recognition->similarity = number_or_nan(json.at("similarity"));
+  if (json.contains("pose")) {
+    recognition->T_from_to = pose_from(json, "pose");
+    recognition->covariance = matrix_of<Matrix6d>(json.at("covariance"));
+  }
+  candidate.recognition = std::move(recognition);
+  return candidate;
 }
 
 Json reading_json(const RadioReading& r) {

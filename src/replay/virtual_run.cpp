@@ -61,7 +61,10 @@ class Run {
                 queue_of(mission.robots, options, registration, prioritizers)),
         computation_(*registration.registrar, threads, hooks, known),
         optimizer_(with_threads(options.back_end.optimization, threads.num_threads())),
-        log_(hooks, engine_, result_, mission.graph.nodes().size(), options.max_registrations) {}
+        log_(hooks, engine_, result_, mission.graph.nodes().size(), options.max_registrations) {
+    if (options.appearance.enabled)
+      appearance_.emplace(options.appearance, mission.robots, mission.scans->loader());
+  }
 
   ReplayResult execute() {
     const Stopwatch watch;
@@ -154,7 +157,14 @@ class Run {
     const std::size_t generated = account().generated;
     for (const BeaconDrop& drop : arrival.drops) feed(drop);
     if (!arrival.readings.empty()) feed(event::Radio{arrival.readings});
+    if (!arrival.candidates.empty()) feed(event::Candidates{arrival.candidates});
     feed(arrival.frame);
+    if (appearance_) {
+      const Stopwatch watch;
+      event::Candidates alike{appearance_->on_node(engine_.graph(), arrival.frame.node.key, now_s_)};
+      result_.decision_s += watch.seconds();
+      if (!alike.candidates.empty()) feed(std::move(alike));
+    }
     const std::size_t added = account().generated - generated;
     announce_scan(arrival.frame.node);
     log_.write(journal::key_frame_line(now_s_, arrival.frame.node.key, added, account()));
@@ -291,6 +301,7 @@ class Run {
     result_.problems.add(mission_.scans->problems());
     result_.problems.add(engine_.radio_problems());
     report_missing(decisions_, engine_.graph(), result_.problems);
+    if (appearance_) result_.problems.add(appearance_->problems());
     log_.write(journal::end_line(now_s_, result_.interrupted, account()));
     log_.show(ReplayMoment::Kind::kEnd, now_s_);
     result_.graph = engine_.graph();
@@ -304,6 +315,7 @@ class Run {
   const std::vector<Arrival> feed_;
   const std::vector<ClosureDecision> decisions_;
   Engine engine_;
+  std::optional<AppearanceGenerator> appearance_;
   BatchComputation computation_;
   PoseGraphOptimizer optimizer_;
   std::set<TimedEvent> events_;

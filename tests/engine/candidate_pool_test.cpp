@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <map>
+
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/recognition.hpp>
 #include <loopwise/engine/candidate_pool.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 
@@ -51,6 +54,31 @@ TEST_CASE("pool: a pair counts once, whichever way round and whoever proposes it
   REQUIRE(pool.accounting().computed == 2);
   REQUIRE(pool.accounting().balanced());
   REQUIRE_THROWS_AS(pool.complete(result_of(batch[0])), InputError);
+}
+
+TEST_CASE("pool: what was recognised counts for a pair that is there already", "[engine][pool]") {
+  CandidatePool pool = arrival_pool();
+  for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
+  pool.add({pair(3, 1), pair(3, 2), pair(4, 1)});
+  const auto recognised = [](Key from, Key to, double x) {
+    LoopCandidate candidate = pair(from, to);
+    auto recognition = std::make_shared<Recognition>();
+    recognition->T_from_to = Eigen::Translation3d(x, 0.0, 0.0) * Eigen::Isometry3d::Identity();
+    candidate.recognition = recognition;
+    return candidate;
+  };
+  // The other way round, of one that waits for a scan, and a second time: the first counts.
+  REQUIRE(pool.add({recognised(1, 3, 5.0), recognised(4, 1, 7.0), recognised(3, 1, 9.0)}) == 0);
+  pool.on_scan(scan_of(4));
+  std::map<Key, LoopCandidate> taken;
+  for (const LoopCandidate& c : pool.take(10)) taken[10 * c.from + c.to] = c;
+  REQUIRE(taken.size() == 3);
+  REQUIRE(taken.at(31).recognition->T_from_to->translation().x() == -5.0);
+  REQUIRE(taken.at(41).recognition->T_from_to->translation().x() == 7.0);
+  REQUIRE(taken.at(32).recognition == nullptr);
+  REQUIRE(pool.add({recognised(3, 2, 1.0)}) == 0);  // handed out: too late
+  REQUIRE(pool.accounting().generated == 3);
+  REQUIRE(pool.accounting().balanced());
 }
 
 TEST_CASE("pool: candidates wait for both scans", "[engine][pool]") {

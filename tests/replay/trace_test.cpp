@@ -8,6 +8,7 @@
 #include <loopwise/prioritization/baselines.hpp>
 #include <loopwise/replay/trace.hpp>
 
+#include <loopwise/core/recognition.hpp>
 #include "testing_mission.hpp"
 
 namespace loopwise {
@@ -103,6 +104,10 @@ std::size_t produce(LoopClosureModule& module, const Mission& mission, std::size
       LoopCandidate candidate;
       candidate.from = seen.back();
       candidate.to = seen[rng.below(seen.size() - 3)];
+      auto recognition = std::make_shared<Recognition>();
+      if (rng.uniform() < 0.5) recognition->similarity = rng.uniform();
+      if (rng.uniform() < 0.5) recognition->T_from_to = testing::random_pose(rng);
+      candidate.recognition = std::move(recognition);
       taken += module.add_candidates({candidate}) ? 1 : 0;
     }
     if (rng.uniform() < 0.1)

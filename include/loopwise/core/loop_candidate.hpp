@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstdint>
+#include <memory>
 
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/options.hpp>
@@ -13,17 +14,22 @@ using CandidateId = std::uint64_t;
 
 /// Who proposed a candidate.
 enum class CandidateSource {
-  kProximity,  ///< ProximityGenerator
-  kRadio,      ///< RadioGenerator
-  kUser,       ///< The stack's place recognition.
+  kProximity,   ///< ProximityGenerator
+  kRadio,       ///< RadioGenerator
+  kUser,        ///< The stack's place recognition.
+  kAppearance,  ///< AppearanceGenerator
 };
 [[nodiscard]] inline EnumNames<CandidateSource> enum_names(CandidateSource) {
   return {{CandidateSource::kProximity, "proximity"},
           {CandidateSource::kRadio, "radio"},
-          {CandidateSource::kUser, "user"}};
+          {CandidateSource::kUser, "user"},
+          {CandidateSource::kAppearance, "appearance"}};
 }
 
-/// A hypothesis that two nodes saw the same place. It carries no transform: finding one is the costly part.
+struct Recognition;
+
+/// A hypothesis that two nodes saw the same place. Finding the transform is the costly part; a place
+/// recognition may bring a guess.
 /// (a, b) and (b, a) are one candidate.
 struct LoopCandidate {
   CandidateId id = 0;                                    ///< Assigned by the candidate pool.
@@ -32,6 +38,8 @@ struct LoopCandidate {
   CandidateSource source = CandidateSource::kProximity;  ///< Who proposed it.
   double time_s = 0.0;                                   ///< Mission time of its generation.
   double distance_m = 0.0;  ///< Between the two nodes, by the estimate at that time.
+  /// What a place recognition knows of it, see core/recognition.hpp; null: nothing.
+  std::shared_ptr<const Recognition> recognition;
 };
 
 }  // namespace loopwise

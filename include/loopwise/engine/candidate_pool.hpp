@@ -78,8 +78,8 @@ class LOOPWISE_EXPORT CandidatePool {
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});
 
   /// Numbers and stores new pairs. (a, b) and (b, a) are one pair; known pairs that were not forgotten are
-  /// ignored. A time before that of an earlier candidate counts as that time. \returns the number of new
-  /// pairs.
+  /// ignored, except for the recognition of a pair that was not handed out yet. A time before that of an
+  /// earlier candidate counts as that time. \returns the number of new pairs.
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
   /// A node's scan has arrived: notifies the prioritisers; candidates that waited only for it become pending.
@@ -137,6 +137,7 @@ class LOOPWISE_EXPORT CandidatePool {
   };
   [[nodiscard]] std::optional<Place> place_of(Key from, Key to) const;
   [[nodiscard]] bool redundant(const LoopCandidate& candidate) const;
+  void take_recognition(CandidateId id, LoopCandidate from);
   void enqueue(const std::vector<LoopCandidate>& pending);
   void prune(const std::vector<LoopCandidate>& candidates, std::string_view reason);
   void drop_pending(const std::vector<CandidateId>& ids, std::string_view reason);
@@ -147,7 +148,7 @@ class LOOPWISE_EXPORT CandidatePool {
   CandidateAccounting accounting_;
   CandidateId next_id_ = 0;
   double latest_s_ = 0.0;  // candidates are ordered by id and by time
-  std::unordered_set<std::pair<Key, Key>, PairHash> proposed_;
+  std::unordered_map<std::pair<Key, Key>, CandidateId, PairHash> proposed_;
   std::unordered_set<Key> scans_;
   IdTable<LoopCandidate> waiting_;
   std::unordered_map<Key, std::vector<CandidateId>> waiting_for_;  // missing scan -> candidates, in order

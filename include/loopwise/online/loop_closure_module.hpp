@@ -28,6 +28,7 @@
 #include <loopwise/engine/engine.hpp>
 #include <loopwise/engine/events.hpp>
 #include <loopwise/features/feature_cache.hpp>
+#include <loopwise/generation/appearance.hpp>
 #include <loopwise/optimization/back_end.hpp>
 #include <loopwise/prioritization/method.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
@@ -39,6 +40,7 @@ namespace loopwise {
 /// All options of a module.
 struct ModuleOptions {
   EngineOptions engine;                  ///< Decisions.
+  AppearanceOptions appearance;          ///< Candidates by what places look like.
   PrioritizationOptions prioritization;  ///< Order of the candidates.
   FeatureOptions features;               ///< Preparation of scans.
   FastRegistrarOptions registration;     ///< Computation of candidates.
@@ -52,6 +54,7 @@ struct ModuleOptions {
   template <class Self, class Visitor>
   static void visit_sections(Self& self, Visitor&& visitor) {
     EngineOptions::visit_sections(self.engine, visitor);
+    visitor("appearance", self.appearance);
     PrioritizationOptions::visit_sections(self.prioritization, visitor);
     visitor("features", self.features);
     visitor("fast_registrar", self.registration);

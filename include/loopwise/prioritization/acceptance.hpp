@@ -20,8 +20,8 @@ struct CandidateEvidence {
   /// predicted_overlap() of the two scans at the guess, in [0, 1]; NaN if a scan is missing.
   double overlap = std::numeric_limits<double>::quiet_NaN();
   double distance_m = 0.0;  ///< Between the nodes, by the estimate.
-  /// Proposed by place recognition or a radio beacon: distance and overlap at the guess are then
-  /// uninformative.
+  /// Proposed by a radio beacon, or by a place recognition without a guess of the pose: distance and overlap
+  /// at the graph's pose are then uninformative.
   bool from_outside = false;
 };
 

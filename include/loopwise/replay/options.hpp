@@ -7,6 +7,7 @@
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/options.hpp>
 #include <loopwise/engine/engine.hpp>
+#include <loopwise/generation/appearance.hpp>
 #include <loopwise/optimization/back_end.hpp>
 #include <loopwise/prioritization/method.hpp>
 #include <loopwise/replay/registration.hpp>
@@ -43,6 +44,7 @@ struct CostModel {
 /// All options of a replay.
 struct ReplayOptions {
   EngineOptions engine;                  ///< Decisions.
+  AppearanceOptions appearance;          ///< Candidates by what places look like.
   PrioritizationOptions prioritization;  ///< Order of candidates.
   RegistrationOptions registration;      ///< Computation of candidates.
   BackEndOptions back_end;               ///< Estimates.
@@ -50,6 +52,7 @@ struct ReplayOptions {
   std::int64_t batch = 100;
   std::int64_t max_registrations = 0;
   bool after_mission = false;
+  std::string candidates;
   double odometry_noise_m_per_m = 0.0;
   double odometry_noise_rad_per_m = 0.0;
   std::string decisions;
@@ -61,6 +64,9 @@ struct ReplayOptions {
           "The run ends after this many; 0: no bound.");
     field("after_mission", self.after_mission, any_value(),
           "Go on after the last key frame until nothing is pending.");
+    field("candidates", self.candidates, any_value(),
+          "A file with pairs of another place recognition that are candidates too, see read_candidates(); "
+          "empty: no such pairs.");
     field("odometry_noise_m_per_m", self.odometry_noise_m_per_m, at_least(0.0),
           "Added to the odometry: sigma of each axis after 1 m, m; grows with the root of the distance.");
     field(
@@ -75,6 +81,7 @@ struct ReplayOptions {
   template <class Self, class Visitor>
   static void visit_sections(Self& self, Visitor&& visitor) {
     EngineOptions::visit_sections(self.engine, visitor);
+    visitor("appearance", self.appearance);
     PrioritizationOptions::visit_sections(self.prioritization, visitor);
     visitor("registration", self.registration);
     visitor("features", self.registration.features);

@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <optional>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/pose_graph.hpp>
+#include <loopwise/core/robots.hpp>
+
+namespace loopwise {
+
+/// Walks away from a node along the odometry edges within its robot, towards higher or lower keys. Places of
+/// the nodes are those of the odometry, never the estimate's: a later optimisation does not change them.
+class LOOPWISE_EXPORT OdometryWalk {
+ public:
+  /// A node on the way.
+  struct Place {
+    std::size_t node = 0;  ///< Its number in the graph.
+    /// Its pose in the frame of the node where the walk began.
+    Eigen::Isometry3d T_start_here = Eigen::Isometry3d::Identity();
+  };
+
+  /// \param graph must outlive the walk, and not change
+  /// \param robots likewise
+  /// \param start where the walk begins. \throws UnknownKeyError if the graph lacks it
+  /// \param forward towards higher keys
+  OdometryWalk(const PoseGraph& graph, const Robots& robots, Key start, bool forward)
+      : graph_(graph), robots_(robots), forward_(forward), at_(Place{graph.index_of(start)}) {}
+
+  /// The next node, of neighbours by odometry the one with the nearest key; nothing where the chain ends.
+  [[nodiscard]] std::optional<Place> next();
+
+ private:
+  const PoseGraph& graph_;
+  const Robots& robots_;
+  bool forward_;
+  std::optional<Place> at_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,39 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <limits>
+#include <memory>
+#include <optional>
+#include <utility>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/loop_candidate.hpp>
+#include <loopwise/core/se3.hpp>
+
+namespace loopwise {
+
+/// What a place recognition knows of a candidate. Shared by its copies, and never changed.
+struct Recognition {
+  /// How alike the two places look, in [0, 1]; NaN if that was not said.
+  double similarity = std::numeric_limits<double>::quiet_NaN();
+  /// Guessed pose of `to` in the frame of `from`; absent: no idea. Registrations start from it, and are
+  /// compared with it, in place of the graph's.
+  std::optional<Eigen::Isometry3d> T_from_to;
+  /// How far the guess may be wrong if the place is the same: right perturbation, order [translation,
+  /// rotation], m² and rad².
+  Matrix6d covariance = Matrix6d::Identity();
+};
+
+/// Exchanges the two ends; what was recognised is turned round.
+inline void swap_ends(LoopCandidate& candidate) {
+  std::swap(candidate.from, candidate.to);
+  if (!candidate.recognition || !candidate.recognition->T_from_to) return;
+  auto turned = std::make_shared<Recognition>(*candidate.recognition);
+  const Eigen::Isometry3d T_to_from = turned->T_from_to->inverse();
+  turned->covariance = se3::covariance_of_inverse(*turned->T_from_to, turned->covariance);
+  turned->T_from_to = T_to_from;
+  candidate.recognition = std::move(turned);
+}
+
+}  // namespace loopwise

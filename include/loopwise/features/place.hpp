@@ -1,0 +1,162 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Place recognition: which places of a database a scan or submap shows, and where in them.
+///
+/// Places are described in *level* frames: z points up, and the yaw is that of the body. Two level frames of
+/// one place differ by a yaw and a translation alone. level_rotation() leads from a body to its level frame,
+/// level_cloud() moves a cloud there, and between_bodies() brings the pose of a match back.
+#pragma once
+
+#include <cstddef>
+#include <functional>
+#include <memory>
+#include <string_view>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/key.hpp>
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/se3.hpp>
+
+namespace loopwise {
+
+/// A place of the database that looks like the one in question.
+struct PlaceMatch {
+  Key key = 0;              ///< Of the place in the database.
+  double similarity = 0.0;  ///< In [0, 1]; comparable among the matches of one kind of database.
+  /// Guessed pose of the match's level frame in the level frame of the query.
+  Eigen::Isometry3d T_query_match = Eigen::Isometry3d::Identity();
+  /// How far the guess may be wrong if the place is the same: right perturbation, order [translation,
+  /// rotation], m² and rad².
+  Matrix6d covariance = Matrix6d::Identity();
+};
+
+/// What a database keeps of a place. Never changes once it is made.
+class LOOPWISE_EXPORT PlaceDescriptor {
+ public:
+  virtual ~PlaceDescriptor() = default;
+  /// Memory that the descriptor holds.
+  [[nodiscard]] virtual std::size_t bytes() const = 0;
+};
+
+/// Which places a query may return; empty: all.
+using PlaceFilter = std::function<bool(Key)>;
+
+/// Places by key, searched by appearance. The interface of place recognition: users derive from it for
+/// descriptors of their own. The const functions are safe to call from several threads at once. Results
+/// depend on the places and the order in which they were added alone.
+class LOOPWISE_EXPORT PlaceDatabase {
+ public:
+  virtual ~PlaceDatabase() = default;
+
+  /// Short and stable, for options and tables.
+  [[nodiscard]] virtual std::string_view name() const = 0;
+
+  /// Describes a scan or submap in its level frame. A cloud that shows nothing gives a descriptor that
+  /// matches nothing. Never null.
+  [[nodiscard]] virtual std::shared_ptr<const PlaceDescriptor> describe(const PointCloud& level) const = 0;
+
+  /// Adds a place that describe() of this kind of database has made. \throws InputError if the key is there
+  virtual void insert(Key key, std::shared_ptr<const PlaceDescriptor> place) = 0;
+
+  /// The most similar places, best first, equal ones by key; fewer than `k` if no more look alike.
+  /// \param place what describe() of this kind of database has made
+  /// \param k how many matches at most
+  /// \param filter which places count
+  [[nodiscard]] virtual std::vector<PlaceMatch> search(const PlaceDescriptor& place, std::size_t k,
+                                                       const PlaceFilter& filter) const = 0;
+
+  /// The place of a key; null if there is none.
+  [[nodiscard]] virtual std::shared_ptr<const PlaceDescriptor> find(Key key) const = 0;
+
+  /// Number of places.
+  [[nodiscard]] virtual std::size_t size() const = 0;
+
+  /// Describes and adds a place. \throws InputError if the key is there
+  void add(Key key, const PointCloud& level) { insert(key, describe(level)); }
+
+  /// search() of a cloud in its level frame.
+  [[nodiscard]] std::vector<PlaceMatch> query(const PointCloud& level, std::size_t k,
+                                              const PlaceFilter& filter = {}) const {
+    return search(*describe(level), k, filter);
+  }
+
+  /// search() of a place of the database among the others. \throws UnknownKeyError if it is not there
+  [[nodiscard]] std::vector<PlaceMatch> query(Key key, std::size_t k, const PlaceFilter& filter = {}) const;
+};
+
+/// Rotation from the body frame to the level frame: the body's attitude in a world whose z points up, without
+/// its yaw.
+[[nodiscard]] LOOPWISE_EXPORT Eigen::Matrix3d level_rotation(const Eigen::Isometry3d& T_world_body);
+
+/// The points of a cloud in the level frame. Normals turn along.
+/// \param body the cloud in the body frame
+/// \param T_world_body pose of the body in a world whose z points up
+[[nodiscard]] LOOPWISE_EXPORT PointCloud level_cloud(const PointCloud& body,
+                                                     const Eigen::Isometry3d& T_world_body);
+
+/// A match of level frames as one of body frames: the pose of the match's body in the query's body, with its
+/// covariance.
+/// \param match of level frames
+/// \param query_rotation level_rotation() of the query
+/// \param match_rotation level_rotation() of the match
+[[nodiscard]] LOOPWISE_EXPORT PlaceMatch between_bodies(const PlaceMatch& match,
+                                                        const Eigen::Matrix3d& query_rotation,
+                                                        const Eigen::Matrix3d& match_rotation);
+
+/// Scan Context (Kim, Kim 2018): highest point above the ground in cells of range and bearing around the
+/// sensor. Yaw by the shift of columns with the best match, no translation: `sigma_m` says how far apart the
+/// two places may lie.
+struct ScanContextOptions {
+  int rings = 20;
+  int sectors = 60;
+  double range_m = 40.0;
+  int compared = 50;
+  double sigma_m = 3.0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("rings", self.rings, between(2.0, 256.0), "Cells along the range.");
+    field("sectors", self.sectors, between(4.0, 720.0), "Cells around.");
+    field("range_m", self.range_m, above(0.0), "Points further away are left out, m.");
+    field("compared", self.compared, at_least(1.0),
+          "Places, the nearest by the means of their rings, that are compared in full.");
+    field("sigma_m", self.sigma_m, above(0.0),
+          "Standard deviation of the guessed translation, which is zero, along each horizontal axis, m.");
+  }
+};
+
+/// A database of Scan Contexts. \throws OptionError
+[[nodiscard]] LOOPWISE_EXPORT std::unique_ptr<PlaceDatabase> make_scan_context_database(
+    const ScanContextOptions& options = {});
+
+/// Submaps from above: density images of columns, corners and poles in them with the directions of what
+/// surrounds them as binary descriptors, found by locality-sensitive hashing. Yaw and translation by
+/// consensus of the matched key points; similarity by how well what stands there agrees.
+struct DensityPlaceOptions {
+  double cell_m = 0.35;
+  double range_m = 30.0;
+  int key_points = 200;
+  int match_bits = 64;
+  int compared = 15;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("cell_m", self.cell_m, above(0.0), "Edge of the image's columns, m.");
+    field("range_m", self.range_m, above(0.0), "Half the width of the image, m.");
+    field("key_points", self.key_points, between(8.0, 1000.0), "Corners and poles of an image, at most.");
+    field("match_bits", self.match_bits, between(0.0, 128.0),
+          "Key points match that differ in at most this many of 256 bits.");
+    field("compared", self.compared, between(1.0, 1000.0),
+          "Places, those on whose pose most matches agree, whose images are compared.");
+  }
+};
+
+/// A database of density images. \throws OptionError, also if range_m exceeds 500 times cell_m
+[[nodiscard]] LOOPWISE_EXPORT std::unique_ptr<PlaceDatabase> make_density_place_database(
+    const DensityPlaceOptions& options = {});
+
+}  // namespace loopwise

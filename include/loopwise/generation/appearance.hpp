@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <memory>
+#include <string_view>
+#include <unordered_map>
+#include <vector>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/options.hpp>
+#include <loopwise/core/problems.hpp>
+#include <loopwise/core/robots.hpp>
+#include <loopwise/features/place.hpp>
+#include <loopwise/generation/candidate_generator.hpp>
+
+namespace loopwise {
+
+/// Databases of places.
+enum class PlaceKind {
+  kDensity,      ///< make_density_place_database()
+  kScanContext,  ///< make_scan_context_database()
+};
+[[nodiscard]] inline EnumNames<PlaceKind> enum_names(PlaceKind) {
+  return {{PlaceKind::kDensity, "density"}, {PlaceKind::kScanContext, "scan_context"}};
+}
+
+/// Candidates by what places look like, wherever the estimate has them.
+struct AppearanceOptions {
+  bool enabled = false;
+  PlaceKind descriptor = PlaceKind::kDensity;
+  std::int64_t per_place = 3;
+  double min_similarity = 0.15;
+  double spacing_m = 1.0;
+  double apart_m = 50.0;
+  double path_m = 15.0;
+  double voxel_m = 0.25;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("enabled", self.enabled, any_value(),
+          "Propose nodes that look alike, however far apart the estimate has them. The z axis of the common "
+          "frame must point up.");
+    field("descriptor", self.descriptor, any_value(),
+          "What places are compared by: density (submaps from above; brings a guess of the pose) or "
+          "scan_context.");
+    field("per_place", self.per_place, at_least(1), "Candidates for each new place at most.");
+    field("min_similarity", self.min_similarity, between(0.0, 1.0), "Places that look less alike are not proposed.");
+    field("spacing_m", self.spacing_m, at_least(0.0),
+          "Distance along the path from one place of a robot to its next, m.");
+    field("apart_m", self.apart_m, at_least(0.0),
+          "Places of one robot that are nearer along its path are not proposed, m.");
+    field("path_m", self.path_m, at_least(0.0),
+          "A place is what was seen along so much of the path, m; 0: its own scan alone.");
+    field("voxel_m", self.voxel_m, above(0.0), "Edge of the voxels that scans are thinned with, m.");
+  }
+};
+
+/// Proposes places of all robots that look like a new one, with the relative pose as the recognition has it.
+/// A place is described by the scans along the path up to it, so that each is known as soon as its node is.
+class LOOPWISE_EXPORT AppearanceGenerator final : public CandidateGenerator {
+ public:
+  /// \param options of which `enabled` is not looked at
+  /// \param robots of the team
+  /// \param scans hands out their clouds
+  /// \param database of places, empty; null: as the options say. \throws OptionError; InputError without a
+  /// loader
+  AppearanceGenerator(const AppearanceOptions& options, Robots robots, ScanLoader scans,
+                      std::unique_ptr<PlaceDatabase> database = nullptr);
+  ~AppearanceGenerator() override;
+
+  [[nodiscard]] std::string_view name() const override { return "appearance"; }
+
+  /// May be called again when the scan of a node comes after the node: until then it is no place.
+  [[nodiscard]] std::vector<LoopCandidate> on_node(const PoseGraph& graph, Key key, double time_s) override;
+
+  /// The places so far.
+  [[nodiscard]] const PlaceDatabase& places() const { return *database_; }
+  /// Scans that could not be read ("scan of a place cannot be read").
+  [[nodiscard]] const Problems& problems() const { return problems_; }
+
+ private:
+  /// Where a node lies on its robot's path.
+  struct Station {
+    std::size_t piece = 0;  ///< Of a path that odometry ties together.
+    double path_m = 0.0;    ///< From the piece's begin.
+  };
+  struct Scans;
+  [[nodiscard]] Station station_of(const PoseGraph& graph, Key key);
+
+  AppearanceOptions options_;
+  Robots robots_;
+  std::unique_ptr<PlaceDatabase> database_;
+  std::unique_ptr<Scans> scans_;
+  std::unordered_map<Key, Station> stations_;
+  std::unordered_map<Key, Eigen::Matrix3d> level_;  ///< Of the places.
+  std::vector<double> last_place_m_;                ///< By piece; infinite before the first.
+  Problems problems_;
+};
+
+}  // namespace loopwise

@@ -1,0 +1,380 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <optional>
+#include <tuple>
+
+#include <loopwise/features/place.hpp>
+
+#include "density_image.hpp"
+#include "place_store.hpp"
+
+namespace loopwise {
+namespace {
+
+constexpr float kPi = 3.14159265F;
+
+float wrapped(float angle) {
+  return angle - 2.0F * kPi * std::round(angle / (2.0F * kPi));
+}
+
+/// A pose of one level frame in another, seen from above.
+struct Pose2 {
+  float yaw = 0.0F, c = 1.0F, s = 0.0F;
+  Eigen::Vector2f t = Eigen::Vector2f::Zero();
+
+  Pose2() = default;
+  Pose2(float angle, const Eigen::Vector2f& translation)
+      : yaw(angle), c(std::cos(angle)), s(std::sin(angle)), t(translation) {}
+  [[nodiscard]] Eigen::Vector2f turned(const Eigen::Vector2f& p) const {
+    return {c * p.x() - s * p.y(), s * p.x() + c * p.y()};
+  }
+  Eigen::Vector2f operator*(const Eigen::Vector2f& p) const { return turned(p) + t; }
+  [[nodiscard]] Pose2 inverse() const {
+    Pose2 out(-yaw, Eigen::Vector2f::Zero());
+    out.t = -out.turned(t);
+    return out;
+  }
+};
+
+struct DensityPlace final : PlaceDescriptor {
+  std::vector<PlaceFeature> features;
+  float ground_m = 0.0F;
+  float cell_m = 0.5F;
+  int size = 0;
+  std::vector<std::uint64_t> seen;       // bit of each column: something was seen
+  std::vector<std::uint64_t> near_tall;  // a column that is tall, or one beside it
+  std::vector<Eigen::Vector2f> tall;     // middles of columns that are tall, some of them
+  float chance = 0.0F;                   // share of the seen columns that are near tall ones
+
+  [[nodiscard]] std::size_t bytes() const override {
+    return sizeof(*this) + features.capacity() * sizeof(features[0]) +
+           (seen.capacity() + near_tall.capacity()) * sizeof(seen[0]) + tall.capacity() * sizeof(tall[0]);
+  }
+  [[nodiscard]] static bool bit(const std::vector<std::uint64_t>& bits, int at) {
+    return ((bits[static_cast<std::size_t>(at) / 64] >> (static_cast<std::size_t>(at) % 64)) & 1U) != 0;
+  }
+};
+
+constexpr std::uint8_t kTall = 3;          // voxels of a column that stands out from the ground
+constexpr std::size_t kTallColumns = 600;  // that are kept of a place
+
+void fill_bits(DensityPlace& place, const DensityImage& image) {
+  const auto count = image.heights.size();
+  place.cell_m = image.cell_m;
+  place.size = image.size;
+  place.ground_m = image.ground_m;
+  place.seen.assign((count + 63) / 64, 0);
+  place.near_tall = place.seen;
+  const auto set = [](std::vector<std::uint64_t>& bits, std::size_t at) {
+    bits[at / 64] |= std::uint64_t{1} << (at % 64);
+  };
+  std::vector<Eigen::Vector2f> all;
+  for (int y = 0; y < image.size; ++y) {
+    for (int x = 0; x < image.size; ++x) {
+      const std::size_t at =
+          static_cast<std::size_t>(y) * static_cast<std::size_t>(image.size) + static_cast<std::size_t>(x);
+      if (image.heights[at] == 0) continue;
+      set(place.seen, at);
+      if (image.heights[at] < kTall) continue;
+      all.emplace_back(image.middle(static_cast<float>(x)), image.middle(static_cast<float>(y)));
+      for (int v = std::max(0, y - 1); v <= std::min(image.size - 1, y + 1); ++v) {
+        for (int u = std::max(0, x - 1); u <= std::min(image.size - 1, x + 1); ++u)
+          set(place.near_tall, static_cast<std::size_t>(v) * static_cast<std::size_t>(image.size) +
+                                   static_cast<std::size_t>(u));
+      }
+    }
+  }
+  const std::size_t kept = std::min(all.size(), kTallColumns);
+  for (std::size_t i = 0; i < kept; ++i) place.tall.push_back(all[i * all.size() / kept]);
+  std::size_t seen = 0, near = 0;
+  for (int at = 0; at < static_cast<int>(count); ++at) {
+    if (!DensityPlace::bit(place.seen, at)) continue;
+    ++seen;
+    if (DensityPlace::bit(place.near_tall, at)) ++near;
+  }
+  place.chance = seen > 0 ? static_cast<float>(near) / static_cast<float>(seen) : 1.0F;
+}
+
+/// Of the tall columns of one place that lie where the other one saw something: the share that are near tall
+/// ones there, beyond what chance makes of it. The less the two have in common the less it counts, which
+/// prefers places that are nearer.
+double agreement(const DensityPlace& from, const DensityPlace& to, const Pose2& T_to_from) {
+  std::size_t common = 0, hits = 0;
+  const float half = 0.5F * static_cast<float>(to.size);
+  for (const Eigen::Vector2f& middle : from.tall) {
+    const Eigen::Vector2f p = (T_to_from * middle) / to.cell_m + Eigen::Vector2f(half, half);
+    if (!(p.minCoeff() >= 0.0F) || !(p.maxCoeff() < static_cast<float>(to.size))) continue;
+    const int at = static_cast<int>(p.y()) * to.size + static_cast<int>(p.x());
+    if (!DensityPlace::bit(to.seen, at)) continue;
+    ++common;
+    if (DensityPlace::bit(to.near_tall, at)) ++hits;
+  }
+  constexpr double kFew = 50.0;
+  const double share = static_cast<double>(hits) / (static_cast<double>(common) + kFew);
+  const double chance = std::min(0.9, static_cast<double>(to.chance));
+  const double seen =
+      static_cast<double>(common) / std::max<double>(1.0, static_cast<double>(from.tall.size()));
+  return std::sqrt(seen) * std::clamp((share - chance) / (1.0 - chance), 0.0, 1.0);
+}
+
+struct Hit {
+  std::uint32_t place, query, match;  // numbers of place and features
+  bool operator<(const Hit& other) const {
+    return std::tie(place, query, match) < std::tie(other.place, other.query, other.match);
+  }
+  bool operator==(const Hit& other) const {
+    return place == other.place && query == other.query && match == other.match;
+  }
+};
+
+struct Hypothesis {
+  std::size_t place = 0;
+  int support = 0;
+  Pose2 T_query_match;
+};
+
+constexpr float kNear_m = 2.0F, kTurned_rad = 0.35F;  // two features of one object
+
+/// The pose on which most hits of a place agree, each of which gives one by itself.
+Hypothesis consensus(const DensityPlace& query, const DensityPlace& match, const Hit* hits,
+                     std::size_t count) {
+  constexpr std::size_t kMost = 80;
+  const std::size_t step = (count + kMost - 1) / kMost;
+  Hypothesis best;
+  best.place = hits->place;
+  for (std::size_t i = 0; i < count; i += step) {
+    const PlaceFeature& a = query.features[hits[i].query];
+    const PlaceFeature& b = match.features[hits[i].match];
+    Pose2 T(wrapped(a.angle - b.angle), Eigen::Vector2f::Zero());
+    T.t = a.position - T.turned(b.position);
+    int support = 0;
+    for (std::size_t j = 0; j < count; j += step) {
+      const PlaceFeature& c = query.features[hits[j].query];
+      const PlaceFeature& d = match.features[hits[j].match];
+      if (std::abs(wrapped(c.angle - d.angle - T.yaw)) < kTurned_rad &&
+          (T * d.position - c.position).squaredNorm() < 2.0F * kNear_m * kNear_m)
+        ++support;
+    }
+    if (support > best.support) {
+      best.support = support;
+      best.T_query_match = T;
+    }
+  }
+  return best;
+}
+
+/// A pose after all features of the two places that fit it have been looked at.
+struct Refined {
+  Pose2 T_query_match;
+  int inliers = 0;
+  float rms_m = 0.0F;
+};
+
+Refined refine(const DensityPlace& query, const DensityPlace& match, Refined from, int most_bits,
+               float near_m) {
+  Eigen::Vector2f mean_q = Eigen::Vector2f::Zero(), mean_m = mean_q;
+  std::vector<std::pair<Eigen::Vector2f, Eigen::Vector2f>> pairs;
+  const Pose2& T = from.T_query_match;
+  for (const PlaceFeature& b : match.features) {
+    const Eigen::Vector2f moved = T * b.position;
+    const PlaceFeature* best = nullptr;
+    int least = most_bits + 1;
+    for (const PlaceFeature& a : query.features) {
+      if ((a.position - moved).squaredNorm() > near_m * near_m ||
+          std::abs(wrapped(a.angle - b.angle - T.yaw)) > kTurned_rad)
+        continue;
+      const int bits = differing_bits(a, b);
+      if (bits < least) {
+        least = bits;
+        best = &a;
+      }
+    }
+    if (best == nullptr) continue;
+    pairs.emplace_back(best->position, b.position);
+    mean_q += best->position;
+    mean_m += b.position;
+  }
+  from.inliers = static_cast<int>(pairs.size());
+  if (pairs.size() < 2) return from;
+  mean_q /= static_cast<float>(pairs.size());
+  mean_m /= static_cast<float>(pairs.size());
+  float dot = 0.0F, cross = 0.0F;
+  for (const auto& [q, m] : pairs) {
+    const Eigen::Vector2f a = q - mean_q, b = m - mean_m;
+    dot += a.dot(b);
+    cross += b.x() * a.y() - b.y() * a.x();
+  }
+  from.T_query_match = Pose2(std::atan2(cross, dot), Eigen::Vector2f::Zero());
+  from.T_query_match.t = mean_q - from.T_query_match.turned(mean_m);
+  float squares = 0.0F;
+  for (const auto& [q, m] : pairs) squares += (from.T_query_match * m - q).squaredNorm();
+  from.rms_m = std::sqrt(squares / static_cast<float>(pairs.size()));
+  return from;
+}
+
+class DensityPlaceDatabase final : public PlaceDatabase {
+ public:
+  explicit DensityPlaceDatabase(const DensityPlaceOptions& options) : options_(options) {
+    validate(options_);
+    if (options_.range_m > 500.0 * options_.cell_m) {
+      throw OptionError("range_m = " + std::to_string(options_.range_m) +
+                        ", must be <= 500 cell_m = " + std::to_string(500.0 * options_.cell_m));
+    }
+    for (auto& table : tables_) table.resize(std::size_t{1} << kHashBits);
+  }
+
+  [[nodiscard]] std::string_view name() const override { return "density"; }
+  [[nodiscard]] std::size_t size() const override { return places_.size(); }
+  [[nodiscard]] std::shared_ptr<const PlaceDescriptor> find(Key key) const override {
+    return places_.find(key);
+  }
+
+  [[nodiscard]] std::shared_ptr<const PlaceDescriptor> describe(const PointCloud& level) const override {
+    auto place = std::make_shared<DensityPlace>();
+    const DensityImage image = density_image(level, options_.cell_m, options_.range_m);
+    fill_bits(*place, image);
+    place->features = place_features(image, static_cast<std::size_t>(options_.key_points));
+    return place;
+  }
+
+  void insert(Key key, std::shared_ptr<const PlaceDescriptor> place) override {
+    const std::size_t number = places_.add(key, std::move(place), name());
+    for (const PlaceFeature& feature : places_[number].features) {
+      const auto id = static_cast<std::uint32_t>(bits_.size());
+      for (std::size_t t = 0; t < kTables; ++t) tables_[t][hash(feature, t)].push_back(id);
+      bits_.push_back(feature.bits);
+      place_of_.push_back(static_cast<std::uint32_t>(number));
+    }
+    first_feature_.push_back(bits_.size() - places_[number].features.size());
+  }
+
+  [[nodiscard]] std::vector<PlaceMatch> search(const PlaceDescriptor& place, std::size_t k,
+                                               const PlaceFilter& filter) const override {
+    const DensityPlace& query = places_.own(place, name());
+    std::vector<PlaceMatch> matches;
+    for (const Hypothesis& hypothesis : hypotheses(query, std::max(k, compared()), filter)) {
+      if (auto match = judged(query, hypothesis)) matches.push_back(*match);
+    }
+    keep_best(matches, k);
+    return matches;
+  }
+
+ private:
+  static constexpr std::size_t kTables = 10, kHashBits = 16;
+  static constexpr std::size_t kCommon = 200;  // features in one bucket that say nothing any more
+
+  [[nodiscard]] static std::size_t hash(const PlaceFeature& feature, std::size_t table) {
+    return (feature.bits[table / 4] >> (16 * (table % 4))) & 0xffffU;
+  }
+  [[nodiscard]] std::size_t compared() const { return static_cast<std::size_t>(options_.compared); }
+
+  /// Pairs of similar features by place.
+  [[nodiscard]] std::vector<Hit> hits(const DensityPlace& query) const {
+    std::vector<Hit> found;
+    for (std::uint32_t q = 0; q < query.features.size(); ++q) {
+      const PlaceFeature& feature = query.features[q];
+      for (std::size_t t = 0; t < kTables; ++t) {
+        const std::vector<std::uint32_t>& bucket = tables_[t][hash(feature, t)];
+        if (bucket.size() > kCommon) continue;
+        for (const std::uint32_t id : bucket) {
+          PlaceFeature other;
+          other.bits = bits_[id];
+          if (differing_bits(feature, other) > options_.match_bits) continue;
+          const std::uint32_t number = place_of_[id];
+          found.push_back({number, q, id - static_cast<std::uint32_t>(first_feature_[number])});
+        }
+      }
+    }
+    std::sort(found.begin(), found.end());
+    found.erase(std::unique(found.begin(), found.end()), found.end());
+    return found;
+  }
+
+  /// The places whose hits agree best on a pose.
+  [[nodiscard]] std::vector<Hypothesis> hypotheses(const DensityPlace& query, std::size_t most,
+                                                   const PlaceFilter& filter) const {
+    const std::vector<Hit> all = hits(query);
+    struct Group {
+      std::size_t begin, count;
+      int turned_alike;
+    };
+    std::vector<Group> groups;
+    for (std::size_t begin = 0, end = 0; begin < all.size(); begin = end) {
+      while (end < all.size() && all[end].place == all[begin].place) ++end;
+      if (filter && !filter(places_.key(all[begin].place))) continue;
+      groups.push_back({begin, end - begin, turned_alike(query, &all[begin], end - begin)});
+    }
+    const auto better = [](const Group& a, const Group& b) {
+      return a.turned_alike != b.turned_alike ? a.turned_alike > b.turned_alike : a.begin < b.begin;
+    };
+    const std::size_t looked_at = std::min(groups.size(), 4 * most);
+    std::partial_sort(groups.begin(), groups.begin() + static_cast<std::ptrdiff_t>(looked_at), groups.end(),
+                      better);
+    groups.resize(looked_at);
+    std::vector<Hypothesis> out;
+    for (const Group& group : groups) {
+      const Hit* first = &all[group.begin];
+      out.push_back(consensus(query, places_[first->place], first, group.count));
+    }
+    std::sort(out.begin(), out.end(), [](const Hypothesis& a, const Hypothesis& b) {
+      return a.support != b.support ? a.support > b.support : a.place < b.place;
+    });
+    if (out.size() > most) out.resize(most);
+    return out;
+  }
+
+  /// The most hits that agree on a yaw.
+  [[nodiscard]] int turned_alike(const DensityPlace& query, const Hit* hits, std::size_t count) const {
+    constexpr int kYaws = 18;
+    const DensityPlace& match = places_[hits->place];
+    std::array<int, kYaws> votes{};
+    for (std::size_t i = 0; i < count; ++i) {
+      const float turn =
+          (query.features[hits[i].query].angle - match.features[hits[i].match].angle) / (2.0F * kPi);
+      const int bin = static_cast<int>((turn - std::floor(turn)) * kYaws) % kYaws;
+      ++votes[static_cast<std::size_t>(bin)];
+    }
+    int most = 0;
+    for (std::size_t i = 0; i < kYaws; ++i) most = std::max(most, votes[i] + votes[(i + 1) % kYaws]);
+    return most;
+  }
+
+  [[nodiscard]] std::optional<PlaceMatch> judged(const DensityPlace& query,
+                                                 const Hypothesis& hypothesis) const {
+    const DensityPlace& other = places_[hypothesis.place];
+    Refined pose{hypothesis.T_query_match, hypothesis.support, kNear_m};
+    for (const float near_m : {1.5F * kNear_m, kNear_m})
+      pose = refine(query, other, pose, options_.match_bits + 20, near_m);
+    if (pose.inliers < 2) return std::nullopt;
+    const double agreed = std::min(agreement(other, query, pose.T_query_match),
+                                   agreement(query, other, pose.T_query_match.inverse()));
+    constexpr double kManyInliers = 6.0;
+    PlaceMatch match;
+    match.key = places_.key(hypothesis.place);
+    match.similarity = agreed * (1.0 - std::exp(-static_cast<double>(pose.inliers) / kManyInliers));
+    if (!(match.similarity > 0.0)) return std::nullopt;
+    match.T_query_match.linear() = se3::so3_exp({0.0, 0.0, static_cast<double>(pose.T_query_match.yaw)});
+    match.T_query_match.translation() << pose.T_query_match.t.cast<double>(),
+        static_cast<double>(query.ground_m) - static_cast<double>(other.ground_m);
+    constexpr double kYawSigma_rad = 0.05;
+    match.covariance = level_covariance(2.0 * options_.cell_m, kHeightSigma_m, kTiltSigma_rad, kYawSigma_rad);
+    return match;
+  }
+
+  DensityPlaceOptions options_;
+  PlaceStore<DensityPlace> places_;
+  std::array<std::vector<std::vector<std::uint32_t>>, kTables> tables_;  // features by some of their bits
+  std::vector<std::array<std::uint64_t, PlaceFeature::kWords>> bits_;    // of all features
+  std::vector<std::uint32_t> place_of_;
+  std::vector<std::size_t> first_feature_;  // of each place
+};
+
+}  // namespace
+
+std::unique_ptr<PlaceDatabase> make_density_place_database(const DensityPlaceOptions& options) {
+  return std::make_unique<DensityPlaceDatabase>(options);
+}
+
+}  // namespace loopwise
