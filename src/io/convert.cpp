@@ -4,7 +4,6 @@
 #include <unistd.h>
 
 #include <algorithm>
-#include <atomic>
 #include <map>
 #include <mutex>
 #include <set>
@@ -12,12 +11,12 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/planar.hpp>
-#include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/trajectory.hpp>
 
 #include "cloud_points.hpp"
+#include "convert_parts.hpp"
 #include "mission_parts.hpp"
 #include "text.hpp"
 
@@ -29,15 +28,9 @@ namespace fs = std::filesystem;
 constexpr const char* kGraph = "result.g2o";
 constexpr const char* kClouds = "pcd";
 
-void make_folder(const fs::path& folder) {
-  std::error_code error;
-  fs::create_directories(folder, error);
-  if (error) throw IoError(folder.string(), error.message());
-}
-
 /// A folder of this process alone, in the one where the other shall be.
 fs::path new_folder_beside(const fs::path& folder) {
-  make_folder(folder.parent_path());
+  parts::make_folder(folder.parent_path());
   for (int attempt = 0;; ++attempt) {
     fs::path made =
         folder.parent_path() / ("." + folder.filename().string() + "." + std::to_string(::getpid()) + "-" +
@@ -85,33 +78,6 @@ class Target {
   bool done_ = false;
 };
 
-/// Hands every scan to `write`, on as many threads as the options say. \returns how many could be read.
-template <class Write>
-std::size_t write_scans(const Mission& mission, const std::vector<Key>& keys, const ConvertOptions& options,
-                        Write&& write) {
-  ThreadPool threads(options.threads);
-  std::atomic<std::size_t> written{0};
-  std::size_t done = 0;
-  std::mutex mutex;
-  threads.for_each(keys.size(), [&](std::size_t i) {
-    if (options.stop.stop_requested()) throw StoppedError("writing was stopped");
-    std::shared_ptr<const PointCloud> cloud;
-    try {
-      cloud = mission.scans->load(keys[i]);
-    } catch (const InputError&) {
-      // The store counts it among its problems.
-    }
-    if (cloud) {
-      write(keys[i], *cloud);
-      ++written;
-    }
-    const std::lock_guard<std::mutex> lock(mutex);
-    ++done;
-    if (options.progress) options.progress({"writing scans", done, keys.size(), ""});
-  });
-  return written;
-}
-
 void count_lost_kinds(const parts::OdometryList& odometry, const std::string& name, Problems& left_out) {
   left_out.add("kind of an edge left out", name + ": of several between the same nodes", odometry.lost);
 }
@@ -119,8 +85,8 @@ void count_lost_kinds(const parts::OdometryList& odometry, const std::string& na
 ConvertResult write_folder(const Mission& mission, const fs::path& folder, const ConvertOptions& options) {
   ConvertResult result;
   const MissionWriter writer(folder, options.encoding);
-  result.scans = write_scans(mission, mission.scans->keys(), options,
-                             [&](Key key, const PointCloud& cloud) { writer.add_scan(key, cloud); });
+  result.scans = parts::write_scans(mission, mission.scans->keys(), options,
+                                    [&](Key key, const PointCloud& cloud) { writer.add_scan(key, cloud); });
   writer.finish(mission);
   count_lost_kinds(parts::odometry_list(mission.graph, mission.robots), mission.name, result.left_out);
   return result;
@@ -198,23 +164,10 @@ class FullKeys {
   std::string letters_;  // by robot
 };
 
-void count_description(const Mission& mission, Problems& left_out) {
-  if (mission.frame != "map") left_out.add("name of the frame left out", mission.frame);
-  if (mission.provenance_json != "{}")
-    left_out.add("provenance left out", mission.provenance_json.substr(0, 80));
-  for (const CommunicationGap& gap : mission.gaps) {
-    left_out.add("communication gap left out", mission.robots[gap.robot].name);
-  }
-  left_out.add("radio reading left out",
-               mission.radio.empty() ? "" : "node " + key_name(mission.radio[0].key), mission.radio.size());
-  left_out.add("beacon left out", mission.beacons.empty() ? "" : mission.beacons[0].beacon,
-               mission.beacons.size());
-}
-
 ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, const ConvertOptions& options) {
   ConvertResult result;
   const FullKeys keys(mission, result.left_out);
-  count_description(mission, result.left_out);
+  parts::count_description(mission, result.left_out);
   result.left_out.add("reference pose left out", mission.name, mission.reference.size());
   std::int64_t first_ns = mission.start_ns;
   for (const Node& node : mission.graph.nodes()) first_ns = std::max(first_ns, node.stamp_ns);
@@ -223,7 +176,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
     result.left_out.add("clock's start left out", std::to_string(mission.start_ns) + " ns");
   }
 
-  make_folder(folder / kClouds);
+  parts::make_folder(folder / kClouds);
   std::vector<Key> with_node;
   for (const Key key : mission.scans->keys()) {
     if (mission.graph.contains(key)) {
@@ -234,7 +187,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   }
   std::mutex mutex;
   std::set<Key> written;
-  result.scans = write_scans(mission, with_node, options, [&](Key key, const PointCloud& cloud) {
+  result.scans = parts::write_scans(mission, with_node, options, [&](Key key, const PointCloud& cloud) {
     write_file(folder / kClouds / (std::to_string(keys.of(key)) + ".pcd"),
                points::pcd_text(cloud, options.encoding), Flush::kLater);
     const std::lock_guard<std::mutex> lock(mutex);
@@ -281,7 +234,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   }
   write_file(folder / "keys.csv", table);
   if (!truth.empty()) {
-    make_folder(folder / "ground_truth");
+    parts::make_folder(folder / "ground_truth");
     write_g2o(folder / "ground_truth" / kGraph, truth);
   }
   if (!graph.ranges().empty()) write_file(folder / parts::kRanges, parts::ranges_text(graph));
@@ -296,7 +249,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
 
 ConvertResult write_trajectories(const Mission& mission, const fs::path& folder, MissionFormat format) {
   ConvertResult result;
-  count_description(mission, result.left_out);
+  parts::count_description(mission, result.left_out);
   const PoseGraph& graph = mission.graph;
   const auto leave_out = [&](const char* kind, std::size_t count) {
     result.left_out.add(kind, mission.name, count);
@@ -370,6 +323,29 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
 
 }  // namespace
 
+namespace parts {
+
+void make_folder(const fs::path& folder) {
+  std::error_code error;
+  fs::create_directories(folder, error);
+  if (error) throw IoError(folder.string(), error.message());
+}
+
+void count_description(const Mission& mission, Problems& left_out) {
+  if (mission.frame != "map") left_out.add("name of the frame left out", mission.frame);
+  if (mission.provenance_json != "{}")
+    left_out.add("provenance left out", mission.provenance_json.substr(0, 80));
+  for (const CommunicationGap& gap : mission.gaps) {
+    left_out.add("communication gap left out", mission.robots[gap.robot].name);
+  }
+  left_out.add("radio reading left out",
+               mission.radio.empty() ? "" : "node " + key_name(mission.radio[0].key), mission.radio.size());
+  left_out.add("beacon left out", mission.beacons.empty() ? "" : mission.beacons[0].beacon,
+               mission.beacons.size());
+}
+
+}  // namespace parts
+
 ConvertResult convert_mission(const Mission& mission, const fs::path& folder, MissionFormat format,
                               const ConvertOptions& options) {
   for (const Node& node : mission.graph.nodes()) static_cast<void>(mission.robots.of(node.key));
@@ -378,8 +354,20 @@ ConvertResult convert_mission(const Mission& mission, const fs::path& folder, Mi
     return write_trajectories(mission, folder, format);
   }
   Target target(folder);
-  ConvertResult result = format == MissionFormat::kMission ? write_folder(mission, folder, options)
-                                                           : write_g2o_pcd(mission, folder, options);
+  ConvertResult result;
+  switch (format) {
+    case MissionFormat::kMission:
+      result = write_folder(mission, folder, options);
+      break;
+    case MissionFormat::kHdlGraphSlam:
+      result = parts::write_hdl_graph_slam(mission, folder, options);
+      break;
+    case MissionFormat::kHba:
+      result = parts::write_hba(mission, folder, options);
+      break;
+    default:
+      result = write_g2o_pcd(mission, folder, options);
+  }
   target.keep();
   return result;
 }

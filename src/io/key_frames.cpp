@@ -3,8 +3,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <memory>
-#include <numeric>
+#include <new>
 #include <optional>
 #include <utility>
 
@@ -22,6 +23,7 @@ constexpr double kUsualGaps = 10.0;   // times the usual interval
 constexpr double kLeastJump_m = 1.0;  // stamps of a millisecond make any step fast
 constexpr double kLargestSpeed_mps = 50.0;
 constexpr double kAtOrigin_m = 0.5;
+constexpr float kFarthest_m = 1e7f;  // as read_cloud()
 
 double seconds(std::int64_t from, std::int64_t to) {
   return static_cast<double>(to - from) * 1e-9;
@@ -263,6 +265,11 @@ CloudFile read_scan(const SweepReader& read, std::size_t stream, const KeyFrame&
       scan.problems.add_altered("sweep of a submap cannot be read", error.what());
     }
   }
+  const auto in_range = [](const Eigen::Vector3f& point) {
+    return point.cwiseAbs().maxCoeff() <= kFarthest_m;
+  };
+  if (!std::all_of(scan.cloud.points.begin(), scan.cloud.points.end(), in_range))
+    throw InputError("submap of sweep " + std::to_string(frame.sweep) + ": odometry jumps within it");
   return scan;
 }
 
@@ -332,8 +339,15 @@ Mission make_key_frame_mission(const std::vector<RobotStream>& streams, SweepRea
   }
   Mission mission;
   Parts made;
-  for (std::size_t i = 0; i < streams.size(); ++i)
-    add_stream(streams[i], i, streams.size() == 1, options, mission.problems, made);
+  for (std::size_t i = 0; i < streams.size(); ++i) {
+    try {
+      add_stream(streams[i], i, streams.size() == 1, options, mission.problems, made);
+    } catch (const InputError& error) {
+      const std::string what = error.what();
+      const bool named = what.rfind(streams[i].source, 0) == 0;
+      throw InputError(named ? what : streams[i].source + ": " + what);
+    }
+  }
   for (std::size_t i = 0; made.at_origin.size() > 1 && i < made.at_origin.size(); ++i) {
     mission.problems.add("joined without a frame",
                          made.at_origin[i] + ": its origin is taken for that of the common frame");

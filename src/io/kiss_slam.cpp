@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include <memory>
+#include <algorithm>
 #include <utility>
 
 #include <loopwise/core/error.hpp>
@@ -27,13 +27,25 @@ void mark_without_information(G2oFile& file, const std::string& name) {
   file.without_information.insert(file.without_information.end(), bare.begin(), bare.end());
 }
 
-/// A cloud of the world in the frame of its node.
-CloudFile moved_to_node(CloudFile file, const Eigen::Isometry3d& T_world_node) {
+constexpr double kFar_m = 300.0;  // as far as clouds may lie from their sensor
+
+/// A cloud of the world in the frame of its node. \throws InputError naming the file if it does not lie about
+/// it
+CloudFile moved_to_node(CloudFile file, const Eigen::Isometry3d& T_world_node, const std::string& name) {
   PointCloud& cloud = file.cloud;
   const Eigen::Isometry3d T = T_world_node.inverse();
   const Eigen::Matrix3f R = T.linear().cast<float>();
-  for (Eigen::Vector3f& point : cloud.points)
-    point = (T * (cloud.origin + point.cast<double>())).cast<float>();
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (Eigen::Vector3f& point : cloud.points) {
+    const Eigen::Vector3d moved = T * (cloud.origin + point.cast<double>());
+    sum += moved;
+    point = moved.cast<float>();
+  }
+  const double away_m = sum.norm() / static_cast<double>(std::max<std::size_t>(cloud.size(), 1));
+  if (!(away_m < kFar_m)) {
+    throw InputError(name + ": the middle of its points lies " + std::to_string(away_m) +
+                     " m from its node: local maps of KISS-SLAM are in the coordinates of their graph");
+  }
   for (Eigen::Vector3f& normal : cloud.normals) normal = R * normal;
   cloud.origin.setZero();
   return file;
@@ -71,7 +83,7 @@ Mission read_kiss_slam(const fs::path& folder, const MissionOptions& options) {
       [clouds, poses, layout = options.bin_layout](Key key) {
         const auto pose = poses.find(key);
         if (pose == poses.end()) throw InputError(clouds.at(key).string() + ": has no node");
-        return moved_to_node(read_cloud(clouds.at(key), layout), pose->second);
+        return moved_to_node(read_cloud(clouds.at(key), layout), pose->second, clouds.at(key).string());
       },
       [&](Key key) { return clouds.at(key).string(); }, options);
   mission.provenance_json = provenance_of(mission.kind, {file.filename().string()});

@@ -156,17 +156,21 @@ Mission mission_of_frames(const SavedFrames& frames, MissionKind kind, const fs:
   PoseGraph graph;
   Stamps stamps;
   std::map<Key, Eigen::Isometry3d> reference;
-  Node node;
-  for (std::size_t i = 0; i < frames.poses.size(); ++i) {
-    node.key = frames.numbers[i];
-    node.pose = i == 0 ? frames.poses[0] : se3::normalized(node.pose * steps[i - 1]);
-    graph.add_node(node);
-    reference.emplace(node.key, frames.poses[i]);
-    if (i < frames.stamps_ns.size()) stamps.emplace(node.key, frames.stamps_ns[i]);
-    if (i > 0) {
-      graph.add_edge(
-          {frames.numbers[i - 1], node.key, steps[i - 1], odometry_information(steps[i - 1], options)});
+  try {
+    Node node;
+    for (std::size_t i = 0; i < frames.poses.size(); ++i) {
+      node.key = frames.numbers[i];
+      node.pose = i == 0 ? frames.poses[0] : se3::normalized(node.pose * steps[i - 1]);
+      graph.add_node(node);
+      reference.emplace(node.key, frames.poses[i]);
+      if (i < frames.stamps_ns.size()) stamps.emplace(node.key, frames.stamps_ns[i]);
+      if (i > 0) {
+        graph.add_edge(
+            {frames.numbers[i - 1], node.key, steps[i - 1], odometry_information(steps[i - 1], options)});
+      }
     }
+  } catch (const InputError& error) {
+    throw InputError(frames.source.string() + ": " + error.what());
   }
   mission.robots = robots_of(graph, options, Robots({{"0", frames.numbers.front(), frames.numbers.back()}}));
   if (stamps.empty()) {

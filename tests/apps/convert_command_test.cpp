@@ -4,6 +4,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/io/cloud.hpp>
 #include <loopwise/io/convert.hpp>
 #include <loopwise/io/json_options.hpp>
 
@@ -159,6 +160,29 @@ TEST_CASE("convert: bags and sessions from the command line", "[apps][convert]")
   CHECK(converted["scans"] == 12);
   CHECK(converted["ground_truth"] == 12);
   CHECK(json_of({"info", (folder / "mission").string()})["length_m"] == info["length_m"]);
+}
+
+TEST_CASE("convert: sweeps become key frames as the command line says", "[apps][convert][key_frames]") {
+  const TemporaryFolder folder;
+  fs::create_directories(folder / "run");
+  PointCloud cloud;
+  cloud.points = {Eigen::Vector3f(1.0f, 2.0f, 0.5f), Eigen::Vector3f(-3.0f, 1.0f, 0.5f)};
+  std::string poses;
+  for (int i = 0; i < 30; ++i) {
+    const std::string stamp = std::to_string(1'600'000'000 + i);
+    write_pcd(folder / "run" / (stamp + ".pcd"), cloud);
+    poses += stamp + " " + std::to_string(0.5 * i) + " 0 0 0 0 0 1\n";
+  }
+  write_file(folder / "poses.tum", poses);
+  const std::string run = (folder / "run").string(), tum = (folder / "poses.tum").string();
+  const Json info = json_of({"info", run, "--poses", tum});
+  CHECK(info["kind"] == "stamped_clouds");
+  CHECK(info["nodes"] == 15);
+  const Json made = json_of({"convert", run, "-o", (folder / "m").string(), "--poses", tum,
+                             "--keyframe-distance", "5", "--submap", "3"});
+  CHECK(made["nodes"] == 3);
+  CHECK(run_program({"info", run, "--poses", tum, "--keyframe-distance", "-1"}).status == kBadUsage);
+  CHECK(run_program({"info", run}).status == kBadInput);
 }
 
 }  // namespace

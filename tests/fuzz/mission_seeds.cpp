@@ -101,6 +101,7 @@ void write_seed_missions(const fs::path& folder) {
   frames.row("session", 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0);
   frames.row("session2", 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0);
   write_file(folder / "session" / "frames.csv", frames.text());
+  write_seed_saved_maps(folder);
 }
 
 const SeedFiles& seed_mission_files() {
@@ -122,7 +123,21 @@ const SeedFiles& seed_mission_files() {
                                   {"session", "frames.csv"},
                                   {"g2o_pcd", "result.g2o"},
                                   {"g2o_pcd", "keys.csv"},
-                                  {"g2o_pcd", "pcd/" + first + ".pcd"}};
+                                  {"g2o_pcd", "pcd/" + first + ".pcd"},
+                                  {"kitti", "poses.txt"},
+                                  {"kitti", "times.txt"},
+                                  {"kitti", "calib.txt"},
+                                  {"stamped", "poses.txt"},
+                                  {"glim", "graph.txt"},
+                                  {"glim", "000000/data.txt"},
+                                  {"fast_lio", "poses_tum.txt"},
+                                  {"hba", "pose.json"},
+                                  {"voxel", "alidarState.txt"},
+                                  {"kiss", "local_map_graph.g2o"},
+                                  {"kiss", "plys/000000.ply"},
+                                  {"mrg", "g2o/graph.g2o"},
+                                  {"mrg", "keyframes/000000.txt"},
+                                  {"open3d", "graph.json"}};
   return files;
 }
 

@@ -3,6 +3,7 @@
 #include <cstdlib>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/io/convert.hpp>
 #include <loopwise/io/mission.hpp>
 
 #include "saved_maps_data.hpp"
@@ -176,6 +177,10 @@ TEST_CASE("KISS-SLAM: local maps go back to their nodes", "[io][saved_map][kiss_
     CHECK(mission.problems.count("edge with the identity as information, which is replaced") == 12);
     for (const Edge& edge : mission.graph.edges()) CHECK(edge.information(0, 0) > 1.5);
   }
+  write_ply(folder / "results" / "local_maps" / "plys" / "000003.ply",
+            testing::random_cloud(23, true, false));
+  CHECK_THROWS_WITH(read_mission(folder / "results").scans->load(3),
+                    Contains("000003.ply") && Contains("from its node"));
 }
 
 TEST_CASE("Open3D: a pose graph, alone and with clouds", "[io][saved_map][open3d]") {
@@ -252,6 +257,59 @@ TEST_CASE("mrg_slam: robots by their names", "[io][saved_map][mrg_slam]") {
   testing::write_mrg_slam(folder / "team", {"bestla", "atlas"}, made);
   replace_in(folder / "team" / "keyframes" / "000003.txt", "g2o_id 4", "g2o_id 3");
   CHECK_THROWS_WITH(read_mission(folder / "team"), Contains("g2o_id 3"));
+}
+
+TEST_CASE("convert: dumps of hdl_graph_slam read back", "[io][saved_map][convert]") {
+  const TemporaryFolder folder;
+  testing::write_glim(folder / "glim", testing::glim_drive(6));
+  const Mission mission = read_mission(folder / "glim");
+  const ConvertResult result = convert_mission(mission, folder / "dump", MissionFormat::kHdlGraphSlam);
+  CHECK(result.scans == 6);
+  CHECK(result.left_out.count("reference pose left out") == 6);
+  const Mission back = read_mission(folder / "dump");
+  CHECK(back.kind == MissionKind::kG2oPcd);
+  REQUIRE(back.graph.nodes().size() == 6);
+  REQUIRE(back.graph.edges().size() == 5);
+  for (const Node& node : back.graph.nodes()) {
+    CHECK(testing::difference(node.pose, mission.graph.node(node.key).pose) < 1e-12);
+    CHECK(node.stamp_ns == mission.graph.node(node.key).stamp_ns);
+    CHECK(back.scans->load(node.key)->points == mission.scans->load(node.key)->points);
+  }
+  for (std::size_t e = 0; e < 5; ++e) {
+    CHECK(testing::difference(back.graph.edges()[e].T_from_to, mission.graph.edges()[e].T_from_to) < 1e-12);
+    CHECK(back.graph.edges()[e].information.isApprox(mission.graph.edges()[e].information, 1e-9));
+  }
+  REQUIRE(back.graph.priors().size() == 1);
+  CHECK(testing::difference(back.graph.priors()[0].pose, mission.graph.priors()[0].pose) < 1e-12);
+  CHECK(back.graph.priors()[0].information.isApprox(mission.graph.priors()[0].information, 1e-9));
+}
+
+TEST_CASE("convert: HBA's folder read back, and what both programs cannot hold", "[io][saved_map][convert]") {
+  const TemporaryFolder folder;
+  testing::write_glim(folder / "glim", testing::glim_drive(6));
+  fs::remove(folder / "glim" / "000003" / "points_compact.bin");
+  const Mission mission = read_mission(folder / "glim");
+  const ConvertResult result = convert_mission(mission, folder / "hba", MissionFormat::kHba);
+  CHECK(result.left_out.count("node without scan left out") == 1);
+  const Mission back = read_mission(folder / "hba");
+  CHECK(back.kind == MissionKind::kHba);
+  REQUIRE(back.graph.nodes().size() == 5);
+  CHECK(testing::difference(back.graph.node(4).pose, mission.graph.node(5).pose) < 1e-12);
+  CHECK(back.scans->load(4)->size() == 25);
+
+  Mission bare = read_mission(folder / "glim");
+  bare.scans = std::make_shared<ScanStore>();
+  static_cast<void>(convert_mission(bare, folder / "poses", MissionFormat::kHba));
+  CHECK(testing::read_text(folder / "poses" / "pose.json").find('\n') != std::string::npos);
+  CHECK_FALSE(fs::exists(folder / "poses" / "pcd"));
+
+  testing::write_mrg_slam(folder / "team", {"bestla", "atlas"}, testing::drive(5));
+  const Mission team = read_mission(folder / "team");
+  for (const MissionFormat format : {MissionFormat::kHba, MissionFormat::kHdlGraphSlam}) {
+    CHECK_THROWS_WITH(convert_mission(team, folder / "out", format),
+                      Contains("2 robots") && Contains("g2o_pcd"));
+    CHECK_FALSE(fs::exists(folder / "out"));
+  }
 }
 
 }  // namespace

@@ -16,16 +16,20 @@ namespace loopwise {
 
 /// Output formats of a mission.
 enum class MissionFormat {
-  kMission,  ///< A mission folder: all data.
-  kG2oPcd,   ///< result.g2o and pcd/KEY.pcd, as in the NeBula multi-robot data set, with keys.csv.
-  kTum,      ///< A trajectory for each robot, with stamps.
-  kKitti,    ///< A trajectory for each robot, poses alone.
+  kMission,       ///< A mission folder: all data.
+  kG2oPcd,        ///< result.g2o and pcd/KEY.pcd, as in the NeBula multi-robot data set, with keys.csv.
+  kTum,           ///< A trajectory for each robot, with stamps.
+  kKitti,         ///< A trajectory for each robot, poses alone.
+  kHdlGraphSlam,  ///< A dump of hdl_graph_slam, of one robot.
+  kHba,           ///< pose.json and pcd/ as HBA reads them, of one robot.
 };
 [[nodiscard]] inline EnumNames<MissionFormat> enum_names(MissionFormat) {
   return {{MissionFormat::kMission, "mission"},
           {MissionFormat::kG2oPcd, "g2o_pcd"},
           {MissionFormat::kTum, "tum"},
-          {MissionFormat::kKitti, "kitti"}};
+          {MissionFormat::kKitti, "kitti"},
+          {MissionFormat::kHdlGraphSlam, "hdl_graph_slam"},
+          {MissionFormat::kHba, "hba"}};
 }
 
 /// How a mission is written.
@@ -54,6 +58,11 @@ struct ConvertResult {
 /// read_mission() reads all of it.
 /// **tum**, **kitti**: ROBOT.tum or ROBOT.kitti, ROBOT_truth.* if the truth is known and ROBOT_reference.* if
 /// there is a reference; the nodes of each robot are in the order of their keys. No landmarks.
+///
+/// **hdl_graph_slam**: graph.g2o, special_nodes.csv, NUMBER/data and NUMBER/cloud.pcd. Nodes are numbered by
+/// their keys; priors become edges from a fixed node, as read_mission() takes them. Of one robot, in space.
+/// **hba**: pose.json and pcd/NUMBER.pcd, of the nodes with a scan; of a mission without scans, such as the
+/// results of a replay, all poses alone. Of one robot.
 ///
 /// The folder must not exist or be empty. An incomplete target is never read as complete: mission.json or
 /// result.g2o is written last, trajectories appear all at once, and all output is removed if this throws.
