@@ -140,7 +140,7 @@ void add_acceptance(CLI::App& app, Action& chosen) {
   command->footer(
       "Replays each mission with candidates in random order and fits how likely a candidate is verified, "
       "and\n"
-      "a verified closure kept, to what came of them. Scores are of missions that were left out of the fit.\n"
+      "a verified closure kept, to the results. Scores are of missions that were left out of the fit.\n"
       "  loopwise study acceptance mine-* -o chances.json --max-registrations 3000\n"
       "  loopwise replay MISSION -o out --config chances.json");
   command->add_option("missions", options->missions, "Missions; ground truth is not needed")

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Options on the command line that the studies of replays share, and what becomes of their results.
+/// Options on the command line that the studies of replays share, and the output of their results.
 #pragma once
 
 #include <cstdint>

@@ -20,7 +20,7 @@
 
 namespace loopwise::training {
 
-/// What the paper's network is taught to put out. The Loopwise network always learns the logarithm.
+/// Training target of the paper's network. The Loopwise network always learns the logarithm.
 enum class Target { kLog, kTrace };
 [[nodiscard]] inline EnumNames<Target> enum_names(Target) {
   return {{Target::kLog, "log"}, {Target::kTrace, "trace"}};

@@ -38,7 +38,7 @@ struct LoopCandidate {
   CandidateSource source = CandidateSource::kProximity;  ///< Who proposed it.
   double time_s = 0.0;                                   ///< Mission time of its generation.
   double distance_m = 0.0;  ///< Between the two nodes, by the estimate at that time.
-  /// What a place recognition knows of it, see core/recognition.hpp; null: nothing.
+  /// Result of a place recognition, see core/recognition.hpp; null: no result.
   std::shared_ptr<const Recognition> recognition;
 };
 

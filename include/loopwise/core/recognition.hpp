@@ -13,7 +13,7 @@
 
 namespace loopwise {
 
-/// What a place recognition knows of a candidate. Shared by its copies, and never changed.
+/// Result of a place recognition for a candidate. Shared by its copies, immutable.
 struct Recognition {
   /// How alike the two places look, in [0, 1]; NaN if that was not said.
   double similarity = std::numeric_limits<double>::quiet_NaN();

@@ -34,7 +34,7 @@ struct PlaceMatch {
   Matrix6d covariance = Matrix6d::Identity();
 };
 
-/// What a database keeps of a place. Never changes once it is made.
+/// A place as a database stores it. Immutable.
 class LOOPWISE_EXPORT PlaceDescriptor {
  public:
   virtual ~PlaceDescriptor() = default;
@@ -69,7 +69,7 @@ class LOOPWISE_EXPORT PlaceDatabase {
   [[nodiscard]] virtual std::vector<PlaceMatch> search(const PlaceDescriptor& place, std::size_t k,
                                                        const PlaceFilter& filter) const = 0;
 
-  /// The place of a key; null if there is none.
+  /// The place of a key; null if the key is unknown.
   [[nodiscard]] virtual std::shared_ptr<const PlaceDescriptor> find(Key key) const = 0;
 
   /// Number of places.

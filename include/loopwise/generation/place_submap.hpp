@@ -26,7 +26,7 @@ struct PlaceSubmapOptions {
   }
 };
 
-/// What a robot saw around a node, in the node's level frame (see features/place.hpp).
+/// The surroundings of a node as a robot saw them, in the node's level frame (see features/place.hpp).
 struct PlaceSubmap {
   PointCloud level;  ///< Points of all scans, without normals.
   /// level_rotation() of the node that the cloud was turned by.

@@ -19,7 +19,7 @@
 
 namespace loopwise {
 
-/// What one robot recorded: its odometry, and when its sweeps were taken. The points stay where they are.
+/// The recording of one robot: odometry, and the stamps of its sweeps. The points are read later.
 struct RobotStream {
   std::string name;                           ///< Of the robot; unique among the streams, not empty.
   std::string source;                         ///< File, folder or topic, for problems and errors.
@@ -42,7 +42,7 @@ struct KeyFrame {
   std::size_t sweep = 0;                                   ///< Its number in the stream.
   std::int64_t stamp_ns = 0;                               ///< Of the sweep.
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();  ///< T_odom_sensor at that stamp.
-  /// What its scan is made of, by stamp, its own sweep included. Empty without submaps: its own sweep alone.
+  /// Sweeps of its scan by stamp, including its own. Empty without submaps: only its own sweep.
   std::vector<SubmapSweep> submap;
 };
 

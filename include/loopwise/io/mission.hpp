@@ -41,7 +41,7 @@ enum class MissionKind {
   kFastLioSamQn,   ///< Key frames that FAST-LIO-SAM or FAST-LIO-SAM-QN saved.
   kVoxelSlam,      ///< A session that Voxel-SLAM saved.
   kHba,            ///< Poses and clouds in the layout of HBA.
-  kKissSlam,       ///< What KISS-SLAM saved: its local maps.
+  kKissSlam,       ///< Local maps of KISS-SLAM.
   kOpen3d,         ///< A pose graph of Open3D.
 };
 [[nodiscard]] inline EnumNames<MissionKind> enum_names(MissionKind) {
@@ -292,9 +292,9 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// camera), or clouds named by their stamps beside a trajectory in TUM's form. They become key frames, see
 /// choose_key_frames(). options.poses names another file with the poses.
 ///
-/// **What other programs save**: GLIM's submaps, key frames of FAST-LIO-SAM-QN, sessions of Voxel-SLAM, poses
-/// and clouds of HBA, local maps of KISS-SLAM, pose graphs of Open3D. docs/formats.md says of each what is
-/// taken, and how it counts what is not.
+/// **Files of other programs**: GLIM's submaps, key frames of FAST-LIO-SAM-QN, sessions of Voxel-SLAM, poses
+/// and clouds of HBA, local maps of KISS-SLAM, pose graphs of Open3D. docs/formats.md lists for each
+/// the data that are read, and counts of the rest.
 ///
 /// Counted: "no prior given", "no stamps given", "stamps not ascending", "node without scan", "scan without
 /// node", "repeated scan", "node without ground truth", "ground truth without node", "reference without

@@ -13,7 +13,7 @@
 
 namespace loopwise {
 
-/// What a file of outcomes still holds.
+/// Contents of a file of outcomes.
 struct KeptOutcomes {
   KnownOutcomes known;  ///< Those that count this time.
   std::string lines;    ///< Theirs.

@@ -12,11 +12,11 @@
 
 namespace loopwise {
 
-/// A result to the bit, without the candidate, which whoever asked for it knows. Numbers stand as this
-/// machine has them.
+/// A result, exact to the bit, without the candidate, which the receiver knows. Numbers have the byte order
+/// of this machine.
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_result(const RegistrationResult& result);
 
-/// The result of pack_result() for this candidate. \throws InputError on bytes that are none
+/// The result of pack_result() for this candidate. \throws InputError on invalid bytes
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult unpack_result(std::string_view bytes,
                                                                const LoopCandidate& candidate);
 

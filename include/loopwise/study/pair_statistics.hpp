@@ -22,7 +22,7 @@ struct StudyPair {
   [[nodiscard]] bool overlapping() const { return overlap >= 0.4; }
 };
 
-/// What one registrar made of a candidate.
+/// Result of one registrar for a candidate.
 struct PairOutcome {
   RejectionReason reason = RejectionReason::kNone;  ///< Why it was refused.
   bool accepted = false;                            ///< It was verified.

@@ -25,26 +25,26 @@ struct RegistrationStudyOptions {
   std::size_t count = 2000;   ///< Candidates to draw; 0 takes all.
   std::size_t pcl_count = 0;  ///< PCL computes only the first so many of them; 0: all.
   std::uint64_t seed = 1;     ///< Of the draw.
-  int threads = 0;            ///< 0: all processors. Never changes the results, but for times.
+  int threads = 0;            ///< 0: all processors. Changes only times, never results.
 };
 
-/// What one registrar made of the pairs.
+/// Results of one registrar for the pairs.
 struct RegistrarOutcomes {
   RegistrarKind registrar = RegistrarKind::kFast;  ///< Which.
   std::vector<PairOutcome> outcomes;               ///< Of the first pairs of the study.
-  std::map<std::string, std::size_t> rejected;     ///< How many, by reason.
+  std::map<std::string, std::size_t> rejected;     ///< Number of rejected pairs, by reason.
   double seconds = 0.0;                            ///< Wall time of the batch.
 };
 
-/// The pairs and what came of them.
+/// The pairs and their results.
 struct RegistrationStudy {
   std::size_t generated = 0;                  ///< Candidates of the mission.
-  std::vector<StudyPair> pairs;               ///< Those that were drawn.
-  std::vector<RegistrarOutcomes> registrars;  ///< In the order asked for.
+  std::vector<StudyPair> pairs;               ///< The drawn pairs.
+  std::vector<RegistrarOutcomes> registrars;  ///< In the requested order.
 };
 
 /// Draws candidates of a mission uniformly among those whose nodes have truth and scans, and computes them.
-/// \returns nothing if stopped
+/// \returns no result if stopped
 /// \throws OptionError, also if this build lacks a registrar; InputError
 [[nodiscard]] LOOPWISE_EXPORT std::optional<RegistrationStudy> study_registration(
     const Mission& mission, const ReplayOptions& replay, const RegistrationStudyOptions& options,

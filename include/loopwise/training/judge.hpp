@@ -18,7 +18,7 @@
 
 namespace loopwise::training {
 
-/// With what effort networks are judged.
+/// Effort of the evaluation of networks.
 struct JudgeOptions {
   std::vector<double> set_sizes = {5.0, 20.0, 50.0};
   std::int64_t candidates = 300;
@@ -39,12 +39,12 @@ struct JudgeOptions {
   }
 };
 
-/// A network under trial.
+/// A network under evaluation.
 struct Judged {
   std::string name;                               ///< In the tables.
   std::shared_ptr<const GraphNetwork> paper;      ///< Of the paper's kind; else null.
   std::shared_ptr<const EffectNetwork> loopwise;  ///< Of Loopwise's own kind; else null.
-  GnnFeatures features = GnnFeatures::kWorld;     ///< That a network of the paper's kind is fed.
+  GnnFeatures features = GnnFeatures::kWorld;     ///< Input features for a network of the paper's kind.
 };
 /// Reads a weights file; "FILE:lamp" feeds it as LAMP does. Named after the file. \throws IoError, InputError
 [[nodiscard]] LOOPWISE_EXPORT Judged read_judged(const std::string& argument);
@@ -58,8 +58,8 @@ struct Judgement {
   std::size_t stage = 0;     ///< Place in stages().
   std::size_t nodes = 0;     ///< Of the graph.
   std::size_t set_size = 0;  ///< B.
-  /// Median |log(ê / e)| over (a): the relative error of the trace. NaN where the method says nothing of it,
-  /// as the figures that follow.
+  /// Median |log(ê / e)| over (a): the relative error of the trace. NaN if the method gives no prediction, as
+  /// for the following figures.
   double log_error = 0.0;
   double spearman_mixed = 0.0;  ///< (a) Random sets of 0 to B closures.
   double spearman_fixed = 0.0;  ///< (b) Random sets of B closures.
@@ -78,12 +78,12 @@ struct Judgement {
                                                            const JudgeOptions& options,
                                                            const StopToken& stop = {});
 
-/// Medians by set size, over the missions of the sizes trained with and the others.
+/// Medians by set size, over the missions of training sizes and of other sizes.
 struct JudgementTables {
   std::string json;      ///< A list of rows, with quartiles.
   std::string markdown;  ///< The same for people.
 };
-/// Puts judgements into tables.
+/// Makes tables of evaluations.
 [[nodiscard]] LOOPWISE_EXPORT JudgementTables summarize(const std::vector<Judgement>& judgements);
 
 }  // namespace loopwise::training

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What networks are trained on and judged by: sets of closures added to pose graphs, with the exact trace of
-/// each. Nothing here needs libtorch.
+/// Data for training and evaluation of networks: sets of closures added to pose graphs, with the exact trace
+/// of each. Nothing here needs libtorch.
 #pragma once
 
 #include <cstdint>
@@ -41,7 +41,7 @@ struct DataOptions {
   }
 };
 
-/// What of a mission the graphs are made from: odometry, priors and stamps, no scans.
+/// Input of the graphs from a mission: odometry, priors and stamps, no scans.
 struct MissionRecord {
   std::string name;         ///< Of the mission.
   std::string group;        ///< Missions of one world; the split takes from every group.
@@ -87,9 +87,9 @@ struct TrainingGraph {
   std::vector<TrainingSet> sets;  ///< The first is empty. Some differ from the one before by one swap.
 };
 
-/// Everything of one mission: one file.
+/// All data of one mission: one file.
 struct MissionData {
-  MissionRecord record;               ///< What the graphs were made from.
+  MissionRecord record;               ///< The input of the graphs.
   std::vector<TrainingGraph> graphs;  ///< Of its stages.
 };
 
@@ -134,7 +134,7 @@ struct LOOPWISE_EXPORT DataSet {
 /// Reads dataset.json. \throws IoError; InputError if the folder is no finished data set or holds no missions
 [[nodiscard]] LOOPWISE_EXPORT DataSet read_data_set(const std::filesystem::path& folder);
 
-/// What a mission is for.
+/// Role of a mission.
 enum class Role {
   kTrain,       ///< Weights are fitted to it.
   kValidation,  ///< It says which epoch was best.
@@ -145,7 +145,7 @@ enum class Role {
 }
 
 /// Gives each whole mission one role: 5 of 8 train, 1 validates, 2 test, in each group as far as it goes;
-/// those of other sizes test. A function of (names, groups, seed), whatever the order of the entries. \throws
+/// those of other sizes test. A function of (names, groups, seed), for any order of the entries. \throws
 /// InputError unless every role gets a mission: 3 are needed.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<Role> split_by_mission(const std::vector<DataSetEntry>& entries,
                                                                  std::uint64_t seed);

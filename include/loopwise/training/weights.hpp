@@ -14,7 +14,7 @@
 
 namespace loopwise::training {
 
-/// Which network weights are of.
+/// The network of the weights.
 enum class NetworkKind {
   kLoopwise,  ///< EffectNetwork
   kPaper,     ///< GraphNetwork with the sizes of the paper: 4 kernels, world-frame covariances.
@@ -31,7 +31,7 @@ struct PlainTensor {
 /// Arrays by their names.
 using Tensors = std::map<std::string, PlainTensor>;
 
-/// Writes the JSON that GraphNetwork or EffectNetwork reads; numbers give back the same single-precision
+/// Writes the JSON that GraphNetwork or EffectNetwork reads; numbers read back to the same single-precision
 /// values. `meta` becomes `__meta__`, with `kind` put first.
 LOOPWISE_EXPORT void write_weights(const std::filesystem::path& path, NetworkKind kind,
                                    const Tensors& tensors, const std::string& meta_json);
