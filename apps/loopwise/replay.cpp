@@ -22,8 +22,8 @@
 #include <loopwise/replay/code_version.hpp>
 #include <loopwise/replay/cost_forecast.hpp>
 #include <loopwise/replay/live_replay.hpp>
-#include <loopwise/replay/outcome_store.hpp>
 #include <loopwise/replay/outcome_file.hpp>
+#include <loopwise/replay/outcome_store.hpp>
 #include <loopwise/replay/replay.hpp>
 #include <loopwise/replay/trace.hpp>
 

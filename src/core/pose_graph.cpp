@@ -271,7 +271,9 @@ void PoseGraph::set_weight(std::size_t edge, double weight) {
   edges_.at(edge).weight = weight;
 }
 
-void PoseGraph::set_trusted(std::size_t edge, bool trusted) { edges_.at(edge).trusted = trusted; }
+void PoseGraph::set_trusted(std::size_t edge, bool trusted) {
+  edges_.at(edge).trusted = trusted;
+}
 
 void PoseGraph::set_information(std::size_t edge, const Matrix6d& information) {
   Edge& changed = edges_.at(edge);

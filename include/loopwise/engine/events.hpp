@@ -90,8 +90,8 @@ struct Radio {
 };
 /// Pairs from an external place recognition.
 struct Candidates {
-  /// The engine sets ids and times, and the source, which is kUser unless it is kAppearance; the newer node by
-  /// stamp becomes `from`. A pending pair takes over the recognition.
+  /// The engine sets ids and times, and the source, which is kUser unless it is kAppearance; the newer node
+  /// by stamp becomes `from`. A pending pair takes over the recognition.
   std::vector<LoopCandidate> candidates;
 };
 /// The batch is done, except for registrations that are overdue.

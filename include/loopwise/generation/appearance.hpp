@@ -47,7 +47,8 @@ struct AppearanceOptions {
           "What places are compared by: density (submaps from above; brings a guess of the pose) or "
           "scan_context.");
     field("per_place", self.per_place, at_least(1), "Candidates for each new place at most.");
-    field("min_similarity", self.min_similarity, between(0.0, 1.0), "Places that look less alike are not proposed.");
+    field("min_similarity", self.min_similarity, between(0.0, 1.0),
+          "Places that look less alike are not proposed.");
     field("spacing_m", self.spacing_m, at_least(0.0),
           "Distance along the path from one place of a robot to its next, m.");
     field("apart_m", self.apart_m, at_least(0.0),

@@ -27,15 +27,15 @@ namespace loopwise {
 
 /// The source of a mission.
 enum class MissionKind {
-  kMission,  ///< A folder with mission.json.
-  kSession,  ///< A folder with Scans/ and KITTI poses, as single-robot SLAM programs write it.
-  kG2o,      ///< A g2o file alone: no scans.
-  kG2oPcd,   ///< A folder with a g2o file and clouds, as in the NeBula multi-robot data set.
-  kBags,     ///< ROS 1 bags of LAMP's messages.
-  kLampZip,  ///< A map that LAMP's base station saved.
-  kJoined,   ///< Several missions of one robot each.
-  kRun,      ///< A folder that a replay wrote: its graph with the closures, without scans.
-  kKitti,    ///< A sequence in the layout of KITTI's odometry data.
+  kMission,        ///< A folder with mission.json.
+  kSession,        ///< A folder with Scans/ and KITTI poses, as single-robot SLAM programs write it.
+  kG2o,            ///< A g2o file alone: no scans.
+  kG2oPcd,         ///< A folder with a g2o file and clouds, as in the NeBula multi-robot data set.
+  kBags,           ///< ROS 1 bags of LAMP's messages.
+  kLampZip,        ///< A map that LAMP's base station saved.
+  kJoined,         ///< Several missions of one robot each.
+  kRun,            ///< A folder that a replay wrote: its graph with the closures, without scans.
+  kKitti,          ///< A sequence in the layout of KITTI's odometry data.
   kStampedClouds,  ///< A folder of clouds whose names are stamps, and a trajectory.
   kGlim,           ///< A map that GLIM saved: its submaps.
   kFastLioSamQn,   ///< Key frames that FAST-LIO-SAM or FAST-LIO-SAM-QN saved.
