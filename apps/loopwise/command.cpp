@@ -93,6 +93,19 @@ void add_key_frame_options(CLI::App& command, CommonOptions& options) {
       .add_option_function<std::string>("--poses", assign("poses"),
                                         "Folders of sweeps: file with their poses, KITTI rows or TUM")
       ->type_name("FILE");
+  command
+      .add_option_function<std::string>("--odometry-topic", assign("odometry_topic"),
+                                        "Bags without graphs: topic of the odometry, whole or within each "
+                                        "robot's namespace")
+      ->type_name("NAME");
+  command
+      .add_option_function<std::string>("--cloud-topic", assign("cloud_topic"),
+                                        "Bags without graphs: topic of the clouds, in the same way")
+      ->type_name("NAME");
+  command
+      .add_option_function<std::string>("--truth-topic", assign("truth_topic"),
+                                        "Bags without graphs: topic of true poses, in the same way")
+      ->type_name("NAME");
 }
 
 void add_joining_options(CLI::App& command, std::string& frames, bool& start_together) {
@@ -197,7 +210,8 @@ int thread_count(const CommonOptions& options) {
 
 bool is_recording(const std::filesystem::path& path) {
   const std::filesystem::path ending = path.extension();
-  return std::filesystem::is_directory(path) || ending == ".bag" || ending == ".zip" || ending == ".json";
+  return std::filesystem::is_directory(path) || ending == ".bag" || ending == ".db3" || ending == ".mcap" ||
+         ending == ".zstd" || ending == ".zip" || ending == ".json";
 }
 
 std::filesystem::path graph_of_run(const std::filesystem::path& folder) {

@@ -118,7 +118,7 @@ void add_convert(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("convert", "Write recorded data in another form");
   command->footer(
-      "Reads what every command reads: mission folders, sessions, g2o files, g2o_pcd folders, ROS 1 bags, "
+      "Reads what every command reads: mission folders, sessions, g2o files, g2o_pcd folders, bags, "
       "maps "
       "that\n"
       "LAMP saved. Several bags are one recording; several missions of one robot each become one mission.\n"

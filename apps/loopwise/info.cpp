@@ -173,6 +173,21 @@ std::string reference_text(const Mission& mission) {
          fixed(off.ate_m.mean, 2) + " m in the mean, " + fixed(off.ate_m.max, 2) + " m at most";
 }
 
+/// What the bags hold, and what was taken from it.
+void add_topics(const Mission& mission, Json& json, std::string& text) {
+  if (mission.topics.empty()) return;
+  Json all = Json::array();
+  std::vector<std::vector<std::string>> rows{{"topic", "type", "messages", "taken for"}};
+  for (const RecordedTopic& topic : mission.topics) {
+    all.push_back(
+        {{"name", topic.name}, {"type", topic.type}, {"messages", topic.messages}, {"use", topic.use}});
+    rows.push_back(
+        {topic.name, topic.type, std::to_string(topic.messages), topic.use.empty() ? "-" : topic.use});
+  }
+  json["topics"] = all;
+  text += "\n" + table(rows);
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -283,6 +298,7 @@ int run(const Options& options) {
   add_candidates(mission, options, json, text);
   add_cost(mission, options, config.replay, interrupt.token(), json, text);
   add_drift(mission, json, text);
+  add_topics(mission, json, text);
   if (!options.picture.empty()) write_file(options.picture, mission_picture_svg(mission));
   for (const Problem& problem : problems.all()) text += "problem      " + to_string(problem) + "\n";
   print_results(options.common, json, text);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// ROS 1 bags as connections and messages. The one place that knows the library behind it is bag_rosbag.cpp;
-/// bag_absent.cpp stands in for it in a build without. Private to io.
+/// Bags of ROS 1 and ROS 2 as connections and messages. Each form is a Storage (bag_storage.hpp): ROS 1 bags
+/// are in bag_rosbag.cpp, those of ROS 2 in mcap.cpp and db3.cpp; what stands in for them in a build without
+/// is in bag_absent.cpp and rosbag2_absent.cpp. Private to io.
 #pragma once
 
 #include <cstddef>
@@ -19,19 +20,31 @@
 
 namespace loopwise::bags {
 
-/// Whether this build reads bags.
+/// Whether this build reads bags of ROS 1.
 [[nodiscard]] bool available();
+
+/// Whether this build reads bags of ROS 2.
+[[nodiscard]] bool rosbag2_available();
 
 /// What to tell a user of a build that does not.
 inline constexpr const char* kUnavailable =
     "this program was built without ROS bags (LOOPWISE_WITH_ROSBAG; Debian: librosbag-storage-dev)";
 
-/// Whether the file begins like a bag, of whatever version. \throws IoError
-[[nodiscard]] bool is_bag(const std::filesystem::path& file);
+/// The same for bags of ROS 2.
+inline constexpr const char* kRosbag2Unavailable =
+    "this program was built without ROS 2 bags (LOOPWISE_WITH_ROSBAG2; Debian: libsqlite3-dev libzstd-dev "
+    "liblz4-dev)";
 
 struct BagFile {
   std::filesystem::path path;
   std::string name;  ///< For errors and problems: the path, unless the file is a copy of something else.
+};
+
+/// How the bytes of messages are laid out.
+enum class Encoding {
+  kRos1,
+  kCdr,    ///< Of ROS 2, see cdr.hpp.
+  kOther,  ///< Not read.
 };
 
 /// Messages of one type under one name in one bag.
@@ -39,7 +52,10 @@ struct Connection {
   std::size_t bag = 0;  ///< In the order given.
   std::string topic;
   std::string type;        ///< "pose_graph_msgs/KeyedScan"
-  std::string definition;  ///< What Schema reads.
+  std::string definition;  ///< What Schema reads; empty if it is not known.
+  Encoding encoding = Encoding::kRos1;
+  std::string encoding_name;  ///< As the bag has it.
+  std::size_t messages = 0;
 };
 
 struct Message {
@@ -48,15 +64,18 @@ struct Message {
   std::string_view bytes;     ///< Valid during the call.
 };
 
-/// Several bags as one recording. Nothing is held in memory but their indexes.
+/// Several bags as one recording, of ROS 1 and ROS 2. Nothing is held in memory but their indexes.
 class BagSet {
  public:
-  using Wanted = std::function<bool(const Connection&)>;
+  using Wanted = std::function<bool(std::size_t connection)>;
   /// Handed a message; returns whether fetch() will ask for it again.
   using Visitor = std::function<bool(const Message&)>;
 
-  /// Checks (see check_bag) and opens the bags. \throws IoError; InputError; StoppedError
-  BagSet(const std::vector<BagFile>& files, Problems& problems, const ProgressCallback& progress,
+  /// Types whose messages for_each() may be asked for. Bags of ROS 2 are indexed for these alone.
+  using Known = bool (*)(const std::string& type);
+
+  /// Checks (see check_bag, Mcap, Db3) and opens the bags. \throws IoError; InputError; StoppedError
+  BagSet(const std::vector<BagFile>& files, Known known, Problems& problems, const ProgressCallback& progress,
          const StopToken& stop);
 
   [[nodiscard]] const std::vector<Connection>& connections() const;

@@ -1,13 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "bag_check.hpp"
 
-#include <fcntl.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
 #include <map>
 #include <tuple>
 #include <utility>
@@ -15,6 +9,7 @@
 
 #include <loopwise/core/error.hpp>
 
+#include "raw_file.hpp"
 #include "text.hpp"
 
 namespace loopwise::bags {
@@ -43,40 +38,6 @@ T load(std::string_view bytes) {
     value = static_cast<T>(value << 8 | static_cast<unsigned char>(bytes[i]));
   return value;
 }
-
-class File {
- public:
-  explicit File(const fs::path& path) : path_(path), fd_(::open(path.c_str(), O_RDONLY | O_CLOEXEC)) {
-    if (fd_ < 0) throw IoError(path.string(), std::strerror(errno));
-    struct stat status {};
-    if (::fstat(fd_, &status) != 0 || !S_ISREG(status.st_mode)) {
-      ::close(fd_);
-      throw IoError(path.string(), "is no regular file");
-    }
-    size_ = static_cast<std::uint64_t>(status.st_size);
-  }
-  ~File() { ::close(fd_); }
-  File(const File&) = delete;
-  File& operator=(const File&) = delete;
-
-  [[nodiscard]] std::uint64_t size() const { return size_; }
-  /// The caller has made sure that so much is there.
-  void read(std::uint64_t at, std::size_t count, std::string& out) const {
-    out.resize(count);
-    for (std::size_t done = 0; done < count;) {
-      const ssize_t got = ::pread(fd_, out.data() + done, count - done, static_cast<off_t>(at + done));
-      if (got < 0 && errno == EINTR) continue;
-      if (got <= 0)
-        throw IoError(path_.string(), got < 0 ? std::strerror(errno) : "became shorter while it was read");
-      done += static_cast<std::size_t>(got);
-    }
-  }
-
- private:
-  fs::path path_;
-  int fd_;
-  std::uint64_t size_ = 0;
-};
 
 /// The fields of a record's header: "name=value", each after its length.
 class Header {
@@ -464,7 +425,7 @@ class Walk {
     }
   }
 
-  File file_;
+  RawFile file_;
   std::string name_;
   Problems& problems_;
   const ProgressCallback& progress_;

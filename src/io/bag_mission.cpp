@@ -1,9 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include <unistd.h>
-
 #include <algorithm>
-#include <cerrno>
-#include <cstring>
 #include <fstream>
 #include <map>
 #include <memory>
@@ -12,47 +8,27 @@
 #include <loopwise/core/error.hpp>
 
 #include "bag.hpp"
-#include "bag_check.hpp"
+#include "bag_recording.hpp"
 #include "cloud_files.hpp"
-#include "file_kind.hpp"
 #include "lamp_messages.hpp"
 #include "point_cloud2.hpp"
+#include "temporary_file.hpp"
 #include "zip_archive.hpp"
 
 namespace loopwise {
 namespace {
 
 namespace fs = std::filesystem;
-using bags::BagFile;
 using bags::BagSet;
 using lamp::MessageKind;
-
-/// The definitions of a recording's connections, each read when its first message comes.
-class Schemas {
- public:
-  explicit Schemas(const std::vector<bags::Connection>& connections)
-      : connections_(&connections), schemas_(connections.size()) {}
-
-  const std::shared_ptr<const ros1::Schema>& of(std::size_t connection) {
-    auto& schema = schemas_[connection];
-    const bags::Connection& c = (*connections_)[connection];
-    if (!schema) schema = std::make_shared<const ros1::Schema>(c.type, c.definition);
-    return schema;
-  }
-
- private:
-  const std::vector<bags::Connection>* connections_;
-  std::vector<std::shared_ptr<const ros1::Schema>> schemas_;
-};
 
 /// Hands out the scans that an index pass has found.
 class BagScans {
  public:
   BagScans(BagSet bags, std::vector<fs::path> files) : bags_(std::move(bags)), files_(std::move(files)) {}
 
-  void add(Key key, std::size_t number, const bags::Connection& connection,
-           const std::shared_ptr<const ros1::Schema>& schema) {
-    scans_[key] = {number, files_[connection.bag].string(), schema};
+  void add(Key key, std::size_t number, const bags::Connection& connection) {
+    scans_[key] = {number, files_[connection.bag].string()};
   }
   [[nodiscard]] bool has(Key key) const { return scans_.count(key) != 0; }
   [[nodiscard]] std::vector<Key> keys() const {
@@ -62,16 +38,15 @@ class BagScans {
   }
   [[nodiscard]] std::string where(Key key) const { return scans_.at(key).bag + ": scan " + key_name(key); }
   [[nodiscard]] CloudFile read(Key key) const {
-    const Scan& scan = scans_.at(key);
-    const BagSet::Kept kept = bags_.fetch(scan.number);
-    return ros1::read_point_cloud2(where(key), ros1::Value(*scan.schema, kept.bytes).at("scan"));
+    const BagSet::Kept kept = bags_.fetch(scans_.at(key).number);
+    bags::Decoder decoder({bags_.connections()[kept.connection]});
+    return ros1::read_point_cloud2(where(key), decoder.message(0, kept.bytes).at("scan"));
   }
 
  private:
   struct Scan {
     std::size_t number = 0;
     std::string bag;
-    std::shared_ptr<const ros1::Schema> schema;
   };
   BagSet bags_;
   std::vector<fs::path> files_;
@@ -82,55 +57,9 @@ bool is_lamp(MessageKind kind) {
   return kind != MessageKind::kOther && kind != MessageKind::kOdometry;
 }
 
-std::vector<BagFile> bag_files(const std::vector<fs::path>& paths) {
-  std::vector<BagFile> files;
-  files.reserve(paths.size());
-  for (const fs::path& path : paths) files.push_back({path, path.string()});
-  return files;
-}
-
-/// The bags of a recording: its own, then those of its truth.
-struct Recording {
-  std::vector<fs::path> files;
-  std::size_t own = 0;  // how many are its own
-  fs::path truth;       // a g2o file, if the truth is one
-};
-
-Recording recording_of(const std::vector<fs::path>& paths, Problems& problems) {
-  Recording recording;
-  std::set<fs::path> seen;  // one that is given by name and found beside as well is read once
-  const auto add = [&](const fs::path& file) {
-    refuse_foreign_file(file, {FileKind::kBag}, "a ROS 1 bag");
-    if (seen.insert(fs::weakly_canonical(file)).second) recording.files.push_back(file);
-  };
-  parts::TruthFiles truth;
-  for (const fs::path& path : paths) {
-    const bool folder = fs::is_directory(path);
-    if (truth.g2o.empty() && truth.bags.empty()) {
-      truth = parts::find_truth(folder ? path : fs::absolute(path).parent_path());
-    }
-    if (!folder) {
-      add(path);
-      continue;
-    }
-    const std::size_t before = recording.files.size();
-    for (const fs::path& entry : parts::entries(path)) {
-      if (!fs::is_regular_file(entry)) continue;
-      if (entry.extension() == ".bag") add(entry);
-      if (entry.extension() == ".active")
-        problems.add_altered("bag that was never closed left out", entry.string());
-    }
-    if (recording.files.size() == before) throw InputError(path.string() + ": no bag in it");
-  }
-  recording.own = recording.files.size();
-  recording.truth = truth.g2o;
-  for (const fs::path& file : truth.bags) add(file);
-  return recording;
-}
-
 /// Hands a message other than a scan to the gatherer.
 void take(lamp::Gatherer& gatherer, const std::string& where, const bags::Connection& connection,
-          const fs::path& bag, const ros1::Value& message, std::int64_t recorded_ns) {
+          const std::string& source, const ros1::Value& message, std::int64_t recorded_ns) {
   switch (lamp::message_kind(connection.type)) {
     case MessageKind::kPoseGraph:
       gatherer.add_graph(where, connection.topic, recorded_ns, message);
@@ -142,7 +71,7 @@ void take(lamp::Gatherer& gatherer, const std::string& where, const bags::Connec
       gatherer.add_radio(message, recorded_ns);
       break;
     case MessageKind::kOdometry:
-      gatherer.add_truth({connection.topic, bag.filename().string()}, message, recorded_ns);
+      gatherer.add_truth({connection.topic, source}, message, recorded_ns);
       break;
     case MessageKind::kKeyedScan:
     case MessageKind::kOther:
@@ -150,51 +79,71 @@ void take(lamp::Gatherer& gatherer, const std::string& where, const bags::Connec
   }
 }
 
-/// A temporary copy under a name of our own.
-class TemporaryFile {
- public:
-  TemporaryFile() {
-    std::string pattern = (fs::temp_directory_path() / "loopwise-XXXXXX").string();
-    const int fd = ::mkstemp(pattern.data());
-    if (fd < 0) throw IoError(pattern, std::strerror(errno));
-    ::close(fd);
-    path_ = pattern;
+/// What is taken from a topic of LAMP's.
+const char* use_of(MessageKind kind) {
+  switch (kind) {
+    case MessageKind::kKeyedScan:
+      return "scans of nodes";
+    case MessageKind::kPoseGraph:
+      return "nodes and factors";
+    case MessageKind::kBeacons:
+      return "beacons";
+    case MessageKind::kRadio:
+      return "received powers";
+    case MessageKind::kOdometry:
+      return "true poses";
+    case MessageKind::kOther:
+      break;
   }
-  ~TemporaryFile() {
-    std::error_code ignored;
-    fs::remove(path_, ignored);
-  }
-  TemporaryFile(const TemporaryFile&) = delete;
-  TemporaryFile& operator=(const TemporaryFile&) = delete;
-  [[nodiscard]] const fs::path& path() const { return path_; }
+  return "";
+}
 
- private:
-  fs::path path_;
-};
-
-}  // namespace
-
-namespace parts {
-
-Mission read_bags(const std::vector<fs::path>& paths, const MissionOptions& options, const Work& work) {
-  Mission mission;
-  mission.kind = MissionKind::kBags;
-  mission.path = paths.front();
-  mission.name = recording_name(paths.front()) +
-                 (paths.size() > 1 ? "+" + std::to_string(paths.size() - 1) : std::string());
-  Problems& problems = mission.problems;
-  const Recording recording = recording_of(paths, problems);
-  BagSet bags(bag_files(recording.files), problems, work.progress, work.stop);
-  const std::vector<bags::Connection>& connections = bags.connections();
-  std::set<std::size_t> with_lamp;  // bags whose odometry is the robot's own
+/// Connections that are taken from, with what for. Odometry of a recorder of LAMP's messages is the robot's
+/// own, other is the truth; of ROS 1 each bag counts alone.
+std::map<std::size_t, std::string> uses_of(const std::vector<bags::Connection>& connections,
+                                           const bags::Recording& recording, const bags::Decoder& decoder,
+                                           Problems& problems) {
+  const auto recorder_of = [&](std::size_t bag) {
+    const bool alone = recording.files[bag].extension() == ".bag";
+    return alone ? recording.names.size() + bag : recording.recorders[bag];
+  };
+  std::set<std::size_t> with_lamp;
   for (const bags::Connection& connection : connections) {
-    if (is_lamp(lamp::message_kind(connection.type)) && connection.bag < recording.own) {
-      with_lamp.insert(connection.bag);
+    if (is_lamp(lamp::message_kind(connection.type)) && connection.bag < recording.own)
+      with_lamp.insert(recorder_of(connection.bag));
+  }
+  std::map<std::size_t, std::string> uses;
+  for (std::size_t i = 0; i < connections.size(); ++i) {
+    const bags::Connection& connection = connections[i];
+    const MessageKind kind = lamp::message_kind(connection.type);
+    const std::string bag = recording.files[connection.bag].string();
+    const bool is_own = connection.bag < recording.own;
+    if (kind == MessageKind::kOther || (is_lamp(kind) && !is_own)) continue;
+    if (kind == MessageKind::kOdometry && with_lamp.count(recorder_of(connection.bag)) != 0) {
+      problems.add("odometry messages not used", bag + ": " + connection.topic);
+    } else if (decoder.can_read(i, bag, problems)) {
+      uses[i] = use_of(kind);
     }
   }
+  return uses;
+}
 
+/// Whether the recording holds graphs of LAMP's; else key frames are made of it.
+bool has_graphs(const std::vector<bags::Connection>& connections, const bags::Recording& recording) {
+  return std::any_of(connections.begin(), connections.end(), [&](const bags::Connection& connection) {
+    return is_lamp(lamp::message_kind(connection.type)) && connection.bag < recording.own;
+  });
+}
+
+/// Mission of graphs and keyed scans.
+Mission read_graphs(const BagSet& bags, const bags::Recording& recording, const MissionOptions& options,
+                    const parts::Work& work) {
+  Mission mission;
+  Problems& problems = mission.problems;
+  const std::vector<bags::Connection>& connections = bags.connections();
   lamp::Gatherer gatherer(options, problems);
-  Schemas schemas(connections);
+  bags::Decoder decoder(connections);
+  const auto uses = uses_of(connections, recording, decoder, problems);
   const auto scans = std::make_shared<BagScans>(bags, recording.files);
   std::size_t kept = 0;
   /// Whether the scan is to be found again.
@@ -205,44 +154,57 @@ Mission read_bags(const std::vector<fs::path>& paths, const MissionOptions& opti
       return false;
     }
     ros1::check_point_cloud2("scan " + key_name(key), message.at("scan"));
-    scans->add(key, kept++, connections[connection], schemas.of(connection));
+    scans->add(key, kept++, connections[connection]);
     return true;
   };
-  bags.for_each(
-      [&](const bags::Connection& connection) {
-        const MessageKind kind = lamp::message_kind(connection.type);
-        if (kind != MessageKind::kOdometry) return is_lamp(kind) && connection.bag < recording.own;
-        const bool is_truth = with_lamp.count(connection.bag) == 0;
-        if (!is_truth) {
-          problems.add("odometry messages not used",
-                       recording.files[connection.bag].string() + ": " + connection.topic);
-        }
-        return is_truth;
-      },
-      [&](const bags::Message& message) {
-        const bags::Connection& connection = connections[message.connection];
-        const fs::path& bag = recording.files[connection.bag];
-        const std::string where = bag.string() + ": " + connection.topic;
-        try {
-          const ros1::Value value(*schemas.of(message.connection), message.bytes);
-          if (lamp::message_kind(connection.type) == MessageKind::kKeyedScan) {
-            return take_scan(where, message.connection, value);
-          }
-          take(gatherer, where, connection, bag, value, message.stamp_ns);
-        } catch (const InputError& error) {
-          problems.add_altered("message cannot be read", where + ": " + error.what());
-        }
-        return false;
-      },
-      work.progress, work.stop);
+  BagSet(bags).for_each([&](std::size_t connection) { return uses.count(connection) != 0; },
+                        [&](const bags::Message& message) {
+                          const bags::Connection& connection = connections[message.connection];
+                          const fs::path& bag = recording.files[connection.bag];
+                          const std::string where = bag.string() + ": " + connection.topic;
+                          try {
+                            const ros1::Value value = decoder.message(message.connection, message.bytes);
+                            if (lamp::message_kind(connection.type) == MessageKind::kKeyedScan) {
+                              return take_scan(where, message.connection, value);
+                            }
+                            take(gatherer, where, connection, bag.filename().string(), value,
+                                 message.stamp_ns);
+                          } catch (const InputError& error) {
+                            problems.add_altered("message cannot be read", where + ": " + error.what());
+                          }
+                          return false;
+                        },
+                        work.progress, work.stop);
 
-  gatherer.finish(mission, mission.path.string());
+  gatherer.finish(mission, recording.files.front().string());
   if (!recording.truth.empty() && mission.ground_truth.empty()) {
-    set_ground_truth(mission, read_truth(recording.truth, problems));
+    parts::set_ground_truth(mission, parts::read_truth(recording.truth, problems));
   }
-  set_scans(
+  parts::set_scans(
       mission, scans->keys(), [scans](Key key) { return scans->read(key); },
       [&](Key key) { return scans->where(key); }, options);
+  mission.topics = bags::recorded_topics(connections, uses);
+  return mission;
+}
+
+}  // namespace
+
+namespace parts {
+
+Mission read_bags(const std::vector<fs::path>& paths, const MissionOptions& options, const Work& work) {
+  Problems problems;
+  const bags::Recording recording = bags::recording_of(paths, problems);
+  const BagSet bags(bags::bag_files(recording.files), bags::is_known_type, problems, work.progress,
+                    work.stop);
+  Mission mission = has_graphs(bags.connections(), recording)
+                        ? read_graphs(bags, recording, options, work)
+                        : bags::read_key_frames(bags, recording, options, work);
+  problems.add(mission.problems);
+  mission.problems = std::move(problems);
+  mission.kind = MissionKind::kBags;
+  mission.path = paths.front();
+  mission.name = recording_name(paths.front()) +
+                 (paths.size() > 1 ? "+" + std::to_string(paths.size() - 1) : std::string());
   std::vector<std::string> sources;
   for (std::size_t i = 0; i < recording.own; ++i) {
     sources.push_back(recording.files[i].filename().string());
@@ -253,25 +215,31 @@ Mission read_bags(const std::vector<fs::path>& paths, const MissionOptions& opti
 
 void read_bag_truth(Mission& mission, const std::vector<fs::path>& files, const MissionOptions& options,
                     const Work& work) {
-  if (!bags::available()) {
-    mission.problems.add("ground truth not read", files.front().string() + ": " + bags::kUnavailable);
+  const bool can_read = std::all_of(files.begin(), files.end(), [](const fs::path& file) {
+    return file.extension() == ".bag" ? bags::available() : bags::rosbag2_available();
+  });
+  if (!can_read) {
+    mission.problems.add(
+        "ground truth not read",
+        files.front().string() + ": " + (bags::available() ? bags::kRosbag2Unavailable : bags::kUnavailable));
     return;
   }
-  BagSet bags(bag_files(files), mission.problems, work.progress, work.stop);
+  BagSet bags(bags::bag_files(files), bags::is_known_type, mission.problems, work.progress, work.stop);
   const std::vector<bags::Connection>& connections = bags.connections();
   lamp::Gatherer gatherer(options, mission.problems);
-  Schemas schemas(connections);
+  bags::Decoder decoder(connections);
   bags.for_each(
-      [](const bags::Connection& connection) {
-        return lamp::message_kind(connection.type) == MessageKind::kOdometry;
+      [&](std::size_t i) {
+        return lamp::message_kind(connections[i].type) == MessageKind::kOdometry &&
+               decoder.can_read(i, files[connections[i].bag].string(), mission.problems);
       },
       [&](const bags::Message& message) {
         const bags::Connection& connection = connections[message.connection];
         const fs::path& bag = files[connection.bag];
         const std::string where = bag.string() + ": " + connection.topic;
         try {
-          take(gatherer, where, connection, bag, ros1::Value(*schemas.of(message.connection), message.bytes),
-               message.stamp_ns);
+          take(gatherer, where, connection, bag.filename().string(),
+               decoder.message(message.connection, message.bytes), message.stamp_ns);
         } catch (const InputError& error) {
           mission.problems.add_altered("message cannot be read", where + ": " + error.what());
         }
@@ -324,20 +292,18 @@ Mission read_lamp_save(const fs::path& path, const MissionOptions& options, cons
     bag_path = copy->path();
     unpack(ZipArchive(path), *graph, bag_path, files.path(*graph), work.stop);
   }
-  BagSet bags({{bag_path, files.path(*graph)}}, problems, work.progress, work.stop);
+  BagSet bags({{bag_path, files.path(*graph)}}, bags::is_known_type, problems, work.progress, work.stop);
   const std::vector<bags::Connection>& connections = bags.connections();
   // The whole graph each time: the last is the one that LAMP itself takes.
   const std::size_t count = bags.for_each(
-      [](const bags::Connection& connection) {
-        return lamp::message_kind(connection.type) == MessageKind::kPoseGraph;
-      },
+      [&](std::size_t i) { return lamp::message_kind(connections[i].type) == MessageKind::kPoseGraph; },
       [](const bags::Message&) { return true; }, work.progress, work.stop);
   if (count == 0) throw InputError(files.path(*graph) + ": no pose_graph_msgs/PoseGraph in it");
   const BagSet::Kept last = bags.fetch(count - 1);
-  const ros1::Schema schema(connections[last.connection].type, connections[last.connection].definition);
+  bags::Decoder decoder({connections[last.connection]});
   lamp::Gatherer gatherer(options, problems);
   try {
-    gatherer.add_graph(files.path(*graph), "", 0, ros1::Value(schema, last.bytes));
+    gatherer.add_graph(files.path(*graph), "", 0, decoder.message(0, last.bytes));
   } catch (const InputError& error) {
     throw InputError(files.path(*graph) + ": " + error.what());
   }

@@ -2,12 +2,12 @@
 #include <rosbag/bag.h>
 #include <rosbag/view.h>
 
-#include <mutex>
+#include <map>
 
 #include <loopwise/core/error.hpp>
 
-#include "bag.hpp"
 #include "bag_check.hpp"
+#include "bag_storage.hpp"
 
 namespace loopwise::bags {
 namespace {
@@ -28,97 +28,77 @@ auto call_library(const std::string& name, Call&& call) -> decltype(call()) {
   }
 }
 
-void copy_bytes(const rosbag::MessageInstance& message, std::string& bytes) {
-  bytes.resize(message.size());
-  ros::serialization::OStream stream(reinterpret_cast<std::uint8_t*>(bytes.data()),
-                                     static_cast<std::uint32_t>(bytes.size()));
-  message.write(stream);
-}
+class Rosbags : public Storage {
+ public:
+  Rosbags(const std::vector<NumberedFile>& files, const Opening& opening) {
+    for (const auto& [number, file] : files) {
+      check_bag(file.path, file.name, opening.problems, opening.progress, opening.stop);
+      call_library(file.name, [&, bag_number = number, &path = file.path, &name = file.name] {
+        auto bag = std::make_unique<rosbag::Bag>(path.string());
+        rosbag::View view(*bag);
+        std::map<const std::string*, std::size_t> counts;
+        for (const rosbag::MessageInstance& message : view) ++counts[&message.getTopic()];
+        for (const rosbag::ConnectionInfo* info : view.getConnections()) {
+          connections_.push_back({bag_number, info->topic, info->datatype, info->msg_def, Encoding::kRos1,
+                                  "ros1", counts[&info->topic]});
+          infos_.push_back(info);
+        }
+        bags_.push_back(std::move(bag));
+        names_[bag_number] = name;
+      });
+    }
+  }
+
+  std::vector<Entry> index(const std::vector<bool>& wanted) override {
+    // A message tells its connection only by the address of the topic's name.
+    std::map<const std::string*, std::uint32_t> topics;
+    for (std::size_t i = 0; i < infos_.size(); ++i) {
+      if (wanted[i]) topics[&infos_[i]->topic] = static_cast<std::uint32_t>(i);
+    }
+    const std::string name =
+        names_.size() == 1 ? names_.begin()->second : std::to_string(names_.size()) + " bags";
+    return call_library(name, [&] {
+      rosbag::View view;
+      for (const auto& bag : bags_) {
+        view.addQuery(*bag,
+                      [&](const rosbag::ConnectionInfo* info) { return topics.count(&info->topic) != 0; });
+      }
+      std::vector<Entry> entries;
+      for (const rosbag::MessageInstance& message : view) {
+        entries.push_back(
+            {nanoseconds(message.getTime()), messages_.size(), 0, topics.at(&message.getTopic())});
+        messages_.push_back(message);
+      }
+      return entries;
+    });
+  }
+
+  std::string read(const Entry& entry) override {
+    return call_library(names_.at(connections_[entry.connection].bag), [&] {
+      const rosbag::MessageInstance& message = messages_[entry.place];
+      std::string bytes(message.size(), '\0');
+      ros::serialization::OStream stream(reinterpret_cast<std::uint8_t*>(bytes.data()),
+                                         static_cast<std::uint32_t>(bytes.size()));
+      message.write(stream);
+      return bytes;
+    });
+  }
+
+ private:
+  std::vector<std::unique_ptr<rosbag::Bag>> bags_;
+  std::map<std::size_t, std::string> names_;          // by the bags' numbers
+  std::vector<const rosbag::ConnectionInfo*> infos_;  // as connections_
+  std::vector<rosbag::MessageInstance> messages_;     // of all indexes asked for
+};
 
 }  // namespace
-
-struct BagSet::State {
-  struct Open {
-    std::string name;
-    std::unique_ptr<rosbag::Bag> bag;
-  };
-  struct Remembered {
-    std::size_t connection;
-    rosbag::MessageInstance message;
-  };
-  std::vector<Open> bags;
-  std::vector<Connection> connections;
-  std::vector<const rosbag::ConnectionInfo*> infos;  // as connections
-  std::vector<Remembered> kept;
-  std::mutex mutex;  // a bag has one place in its file and one chunk in memory
-};
 
 bool available() {
   return true;
 }
 
-BagSet::BagSet(const std::vector<BagFile>& files, Problems& problems, const ProgressCallback& progress,
-               const StopToken& stop)
-    : state_(std::make_shared<State>()) {
-  for (const BagFile& file : files) {
-    check_bag(file.path, file.name, problems, progress, stop);
-    call_library(file.name, [&] {
-      auto bag = std::make_unique<rosbag::Bag>(file.path.string());
-      rosbag::View view(*bag);
-      for (const rosbag::ConnectionInfo* info : view.getConnections()) {
-        state_->connections.push_back({state_->bags.size(), info->topic, info->datatype, info->msg_def});
-        state_->infos.push_back(info);
-      }
-      state_->bags.push_back({file.name, std::move(bag)});
-    });
-  }
-}
-
-const std::vector<Connection>& BagSet::connections() const {
-  return state_->connections;
-}
-
-std::size_t BagSet::for_each(const Wanted& wanted, const Visitor& visit, const ProgressCallback& progress,
-                             const StopToken& stop) {
-  const std::lock_guard<std::mutex> lock(state_->mutex);
-  // A message tells its connection only by the address of the topic's name.
-  std::map<const std::string*, std::size_t> wanted_topics;
-  for (std::size_t i = 0; i < state_->infos.size(); ++i) {
-    if (wanted(state_->connections[i])) wanted_topics[&state_->infos[i]->topic] = i;
-  }
-  const std::string name =
-      state_->bags.size() == 1 ? state_->bags[0].name : std::to_string(state_->bags.size()) + " bags";
-  call_library(name, [&] {
-    rosbag::View view;
-    for (const State::Open& open : state_->bags) {
-      view.addQuery(*open.bag, [&](const rosbag::ConnectionInfo* info) {
-        return wanted_topics.count(&info->topic) != 0;
-      });
-    }
-    const std::size_t total = view.size();
-    std::size_t done = 0;
-    std::string bytes;
-    for (const rosbag::MessageInstance& message : view) {
-      if (stop.stop_requested()) throw StoppedError("reading " + name + " was stopped");
-      const std::size_t connection = wanted_topics.at(&message.getTopic());
-      copy_bytes(message, bytes);
-      if (visit({connection, nanoseconds(message.getTime()), bytes})) {
-        state_->kept.push_back({connection, message});
-      }
-      if (progress) progress({"reading " + name, ++done, total, "messages"});
-    }
-  });
-  return state_->kept.size();
-}
-
-BagSet::Kept BagSet::fetch(std::size_t number) const {
-  const std::lock_guard<std::mutex> lock(state_->mutex);
-  const State::Remembered& kept = state_->kept.at(number);
-  Kept out;
-  out.connection = kept.connection;
-  call_library(state_->bags[state_->connections[kept.connection].bag].name,
-               [&] { copy_bytes(kept.message, out.bytes); });
-  return out;
+std::unique_ptr<Storage> open_rosbags(const std::vector<NumberedFile>& files, const Opening& opening) {
+  return std::make_unique<Rosbags>(files, opening);
 }
 
 }  // namespace loopwise::bags

@@ -105,9 +105,7 @@ struct Description {
   const char* advice;
 };
 
-constexpr const char* kBagAdvice =
-    "convert it to a ROS 1 bag, for example with rosbags-convert (LAMP's messages are read), or save scans "
-    "and poses of its topics as a session";
+constexpr const char* kBagAdvice = "give it as a mission: 'loopwise info', 'convert' and 'replay' read it";
 constexpr const char* kUnpack = "unpack it first";
 constexpr const char* kCloudAdvice =
     "'loopwise info' and 'register' read a cloud alone, by the ending of its name; a mission needs poses "
@@ -123,7 +121,7 @@ constexpr Description kDescriptions[] = {
      "run 'git annex get' where it came from"},
     {FileKind::kSqlite, "an SQLite database, as ROS 2 records (.db3)", kBagAdvice},
     {FileKind::kMcap, "an MCAP recording, as ROS 2 records", kBagAdvice},
-    {FileKind::kBag, "a ROS 1 bag", "give it as a mission: 'loopwise info', 'convert' and 'replay' read it"},
+    {FileKind::kBag, "a ROS 1 bag", kBagAdvice},
     {FileKind::kOldBag, "a bag of an old version of ROS 1", "'rosbag fix' makes one of version 2.0 of it"},
     {FileKind::kPcd, "a PCD cloud", kCloudAdvice},
     {FileKind::kPly, "a PLY cloud", kCloudAdvice},
@@ -142,8 +140,7 @@ constexpr Description kDescriptions[] = {
     {FileKind::kPickle, "a pickle of Python", "write its data as text in the program that made it"},
     {FileKind::kMarkup, "a web page or XML", "a download may have saved an error page: look into it"},
     {FileKind::kJson, "JSON", "a mission is given by its folder, options by --config"},
-    {FileKind::kYaml, "YAML",
-     "of a ROS 2 bag's folder the recording is needed: convert it with rosbags-convert"},
+    {FileKind::kYaml, "YAML", "a bag of ROS 2 is given by its folder or by its .db3 or .mcap file"},
     {FileKind::kG2o, "a g2o graph", "give it as a mission or to 'loopwise optimize'"},
     {FileKind::kTum, "a list of 8 numbers a line, as trajectories in TUM's form are", kTrajectoryAdvice},
     {FileKind::kKitti, "a list of 12 numbers a line, as poses in KITTI's form are", kTrajectoryAdvice},
@@ -197,14 +194,7 @@ void refuse_foreign_numbers(std::string_view bytes, const std::string& name, con
 std::string describe_foreign_folder(const fs::path& folder) {
   const std::vector<fs::path> entries = parts::entries(folder);
   const auto has = [&](const char* name) { return parts::exists(folder / name); };
-  const auto has_extension = [&](const char* extension) {
-    return std::any_of(entries.begin(), entries.end(),
-                       [&](const fs::path& entry) { return entry.extension() == extension; });
-  };
   if (entries.empty()) return "is an empty folder";
-  if (has_extension(".db3") || has_extension(".mcap") ||
-      (has("metadata.yaml") && parts::begins_with(folder / "metadata.yaml", "rosbag2_bagfile_information")))
-    return std::string("is a recording of ROS 2: ") + kBagAdvice;
   if (has("sequences"))
     return "holds KITTI's odometry data: give one of its sequences, for example sequences/00";
   if (has("velodyne") || has("velodyne_points") ||

@@ -37,19 +37,6 @@ constexpr double kLeastEigenvalue = 1e-10;
 /// Hostnames with it are the robots' own radios.
 constexpr const char* kRobotRadio = "scom-";
 
-std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose) {
-  const ros1::Value p = pose.at("position"), q = pose.at("orientation");
-  const Eigen::Vector3d t(p.at("x").number(), p.at("y").number(), p.at("z").number());
-  Eigen::Quaterniond r(q.at("w").number(), q.at("x").number(), q.at("y").number(), q.at("z").number());
-  const double norm = r.norm();
-  // Unset poses are all zero; a quaternion that is off by more than a tenth is no rounding.
-  if (!t.allFinite() || !(std::abs(norm - 1.0) <= 0.1)) return std::nullopt;
-  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
-  T.linear() = r.normalized().toRotationMatrix();
-  T.translation() = t;
-  return T;
-}
-
 bool same(const SeenFactor& a, const SeenFactor& b) {
   return a.pose->matrix() == b.pose->matrix() && a.covariance == b.covariance;
 }
@@ -83,12 +70,33 @@ std::string ends(Key from, Key to) {
   return from == to ? key_name(from) : key_name(from) + " to " + key_name(to);
 }
 
+}  // namespace
+
+std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& p, const ros1::Value& q) {
+  const Eigen::Vector3d t(p.at("x").number(), p.at("y").number(), p.at("z").number());
+  Eigen::Quaterniond r(q.at("w").number(), q.at("x").number(), q.at("y").number(), q.at("z").number());
+  const double norm = r.norm();
+  // Unset poses are all zero; a quaternion that is off by more than a tenth is no rounding.
+  if (!t.allFinite() || !(std::abs(norm - 1.0) <= 0.1)) return std::nullopt;
+  Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
+  T.linear() = r.normalized().toRotationMatrix();
+  T.translation() = t;
+  return T;
+}
+
+std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose) {
+  return pose_of(pose.at("position"), pose.at("orientation"));
+}
+
+std::optional<Eigen::Isometry3d> pose_of_message(const ros1::Value& message) {
+  const ros1::Value pose = message.at("pose");
+  return pose_of(pose.has("pose") ? pose.at("pose") : pose);
+}
+
 std::int64_t stamp_of(const ros1::Value& message, std::int64_t otherwise) {
   const std::int64_t stamp = message.at("header").at("stamp").time_ns();
   return stamp == 0 ? otherwise : stamp;
 }
-
-}  // namespace
 
 bool is_landmark(Key key) {
   return parts::is_landmark_character(key_character(key));
@@ -291,7 +299,7 @@ void Gatherer::add_truth(const std::vector<std::string>& source, const ros1::Val
   auto truth =
       std::find_if(truths_.begin(), truths_.end(), [&](const Truth& t) { return t.source == source; });
   if (truth == truths_.end()) truth = truths_.insert(truths_.end(), Truth{source, {}});
-  if (const auto pose = pose_of(message.at("pose").at("pose"))) {
+  if (const auto pose = pose_of_message(message)) {
     truth->poses.emplace_back(stamp_of(message, recorded_ns), *pose);
   } else {
     problems_.add_altered("true pose unusable", source.front());

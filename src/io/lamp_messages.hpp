@@ -27,6 +27,16 @@ enum class MessageKind {
 };
 [[nodiscard]] MessageKind message_kind(const std::string& type);
 
+/// The pose of a position and an orientation; nothing if it is not finite or was never set.
+[[nodiscard]] std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& position,
+                                                       const ros1::Value& orientation);
+[[nodiscard]] std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose);
+/// The same of nav_msgs/Odometry, geometry_msgs/PoseStamped or geometry_msgs/PoseWithCovarianceStamped.
+[[nodiscard]] std::optional<Eigen::Isometry3d> pose_of_message(const ros1::Value& message);
+
+/// The stamp of a message's header, or `otherwise` if that is 0.
+[[nodiscard]] std::int64_t stamp_of(const ros1::Value& message, std::int64_t otherwise);
+
 /// A node as the first message that has a usable pose shows it.
 struct SeenNode {
   std::optional<Eigen::Isometry3d> pose;
@@ -138,6 +148,7 @@ class Gatherer {
   [[nodiscard]] parts::Stamps stamps_of(const PoseGraph& graph, const Robots& robots) const;
   void add_radio_to(Mission& mission) const;
   [[nodiscard]] std::optional<std::size_t> robot_named(const Robots& robots, const std::string& text) const;
+  [[nodiscard]] std::optional<std::size_t> robot_of_truth(const Robots& robots, const Truth& truth) const;
 
   const MissionOptions& options_;
   Problems& problems_;

@@ -331,6 +331,22 @@ void Gatherer::add_radio_to(Mission& mission) const {
   }
 }
 
+std::optional<std::size_t> Gatherer::robot_of_truth(const Robots& robots, const Truth& truth) const {
+  for (const std::string& source : truth.source) {
+    if (const auto robot = robot_named(robots, first_word(source))) return robot;
+    for (std::size_t r = 0; r < robots.size(); ++r) {
+      if (robots[r].landmarks) continue;
+      // "husky3_odom.bag"
+      const std::string& name = robots[r].name;
+      const bool begins =
+          name.size() > 1 && source.rfind(name, 0) == 0 &&
+          (source.size() == name.size() || !std::isalnum(static_cast<unsigned char>(source[name.size()])));
+      if (begins) return r;
+    }
+  }
+  return std::nullopt;
+}
+
 void Gatherer::add_truth_to(Mission& mission) const {
   if (truths_.empty()) return;
   const double tolerance_s = std::min(options_.truth_max_time_difference_s, 1e9);
@@ -340,34 +356,37 @@ void Gatherer::add_truth_to(Mission& mission) const {
   for (const Node& node : mission.graph.nodes()) {
     if (!mission.robots.is_landmark(node.key)) own.insert(mission.robots.of(node.key));
   }
-  std::map<Key, Eigen::Isometry3d> poses;
+  // A topic may go on in another bag.
+  std::set<std::string> topics;
+  for (const Truth& truth : truths_) topics.insert(truth.source.front());
+  struct Path {
+    std::size_t robot;
+    std::string topic;
+    std::vector<std::pair<std::int64_t, Eigen::Isometry3d>> poses;
+  };
+  std::vector<Path> paths;
   for (const Truth& truth : truths_) {
-    std::optional<std::size_t> robot;
-    for (const std::string& source : truth.source) {
-      if (robot) break;
-      robot = robot_named(mission.robots, first_word(source));
-      for (std::size_t r = 0; r < mission.robots.size() && !robot; ++r) {
-        if (mission.robots[r].landmarks) continue;
-        // "husky3_odom.bag"
-        const std::string& name = mission.robots[r].name;
-        const bool begins =
-            name.size() > 1 && source.rfind(name, 0) == 0 &&
-            (source.size() == name.size() || !std::isalnum(static_cast<unsigned char>(source[name.size()])));
-        if (begins) robot = r;
-      }
-    }
+    std::optional<std::size_t> robot = robot_of_truth(mission.robots, truth);
     // Without any name, one truth is that of the only robot.
     const bool nameless = names.empty() || first_word(truth.source.front()).empty();
-    if (!robot && nameless && own.size() == 1 && truths_.size() == 1) robot = *own.begin();
+    if (!robot && nameless && own.size() == 1 && topics.size() == 1) robot = *own.begin();
     if (!robot) {
       problems_.add("ground truth of an unknown robot", truth.source.front());
       continue;
     }
-    auto sorted = truth.poses;
+    auto path = std::find_if(paths.begin(), paths.end(), [&](const Path& other) {
+      return other.robot == *robot && other.topic == truth.source.front();
+    });
+    if (path == paths.end()) path = paths.insert(paths.end(), Path{*robot, truth.source.front(), {}});
+    path->poses.insert(path->poses.end(), truth.poses.begin(), truth.poses.end());
+  }
+  std::map<Key, Eigen::Isometry3d> poses;
+  for (Path& path : paths) {
+    auto& sorted = path.poses;
     std::stable_sort(sorted.begin(), sorted.end(),
                      [](const auto& a, const auto& b) { return a.first < b.first; });
     for (const Node& node : mission.graph.nodes()) {
-      if (sorted.empty() || mission.robots.of(node.key) != *robot) continue;
+      if (sorted.empty() || mission.robots.of(node.key) != path.robot) continue;
       auto at = std::lower_bound(sorted.begin(), sorted.end(), node.stamp_ns,
                                  [](const auto& pose, std::int64_t stamp) { return pose.first < stamp; });
       const auto distance = [&](auto pose) { return std::abs(pose->first - node.stamp_ns); };

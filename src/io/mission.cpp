@@ -11,6 +11,7 @@
 #include <loopwise/io/g2o.hpp>
 
 #include "bag.hpp"
+#include "bag_files.hpp"
 #include "file_kind.hpp"
 #include "hdl_graph_slam.hpp"
 #include "key_pairs.hpp"
@@ -24,7 +25,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kWanted = "a mission (folder, g2o graph, ROS 1 bag or zip archive of LAMP)";
+constexpr const char* kWanted = "a mission (folder, g2o graph, bag of ROS 1 or 2, or zip archive of LAMP)";
 
 bool has_file(const fs::path& folder, const char* name) {
   return fs::is_regular_file(folder / name);
@@ -330,22 +331,16 @@ Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& 
 
 namespace {
 
-bool has_bag(const fs::path& folder) {
-  const auto files = parts::entries(folder);
-  return std::any_of(files.begin(), files.end(), [](const fs::path& file) {
-    return (file.extension() == ".bag" || file.extension() == ".active") && fs::is_regular_file(file);
-  });
-}
-
 /// The folder that a path stands for: of a mission.json, and in the data set's own folder that of the best
 /// form of its data.
 fs::path resolved(const fs::path& path) {
-  if (path.filename() == "mission.json") return path.has_parent_path() ? path.parent_path() : fs::path(".");
+  if (path.filename() == "mission.json" || path.filename() == "metadata.yaml")
+    return path.has_parent_path() ? path.parent_path() : fs::path(".");
   if (!fs::is_directory(path) || has_file(path, "mission.json")) return path;
   // Bags hold more than what was made of them: stamps, priors, the first estimates.
   const bool has_g2o = fs::is_directory(path / "g2o_pcd");
-  const bool has_bags = fs::is_directory(path / "rosbag") && has_bag(path / "rosbag");
-  if (has_bags && (bags::available() || !has_g2o)) return path / "rosbag";
+  const bool has_bags = fs::is_directory(path / "rosbag") && bags::has_bags(path / "rosbag");
+  if (has_bags && (bags::available() || bags::rosbag2_available() || !has_g2o)) return path / "rosbag";
   return has_g2o ? path / "g2o_pcd" : path;
 }
 
@@ -357,6 +352,14 @@ bool is_open3d_file(const fs::path& path) {
   in.read(beginning.data(), static_cast<std::streamsize>(beginning.size()));
   beginning.resize(static_cast<std::size_t>(in.gcount()));
   return parts::looks_like_open3d(beginning);
+}
+
+bool is_bag_file(const fs::path& path) {
+  if (path.filename() == "metadata.yaml") return bags::is_rosbag2_folder(resolved(path));
+  // Packed by zstd, anything may be in it: its name must say so.
+  const bool is_packed = bags::is_bag_name(path) && parts::begins_with(path, "\x28\xb5\x2f\xfd");
+  return is_packed || parts::begins_with(path, "#ROSBAG") || parts::begins_with(path, "\x89MCAP0\r\n") ||
+         parts::begins_with(path, std::string_view("SQLite format 3\0", 16));
 }
 
 void check_options(const MissionOptions& options) {
@@ -376,7 +379,7 @@ MissionKind mission_kind(const fs::path& path) {
     throw IoError(path.string(), error ? error.message() : "No such file or directory");
   if (!fs::is_directory(status)) {
     if (path.filename() == "mission.json") return MissionKind::kMission;
-    if (fs::is_regular_file(status) && parts::begins_with(path, "#ROSBAG")) return MissionKind::kBags;
+    if (fs::is_regular_file(status) && is_bag_file(path)) return MissionKind::kBags;
     if (fs::is_regular_file(status) && parts::begins_with(path, "PK\x03\x04")) return MissionKind::kLampZip;
     if (is_open3d_file(path)) return MissionKind::kOpen3d;
     refuse_foreign_file(path, {FileKind::kG2o}, kWanted);
@@ -400,17 +403,18 @@ MissionKind mission_kind(const fs::path& path) {
   // A session's graph is empty until its program ends.
   const bool is_begun = graph.filename() == "singlesession_posegraph.g2o" && fs::is_empty(graph);
   if (!graph.empty() && !is_begun) return MissionKind::kG2oPcd;
-  if (has_bag(folder)) return MissionKind::kBags;
+  if (bags::has_bags(folder)) return MissionKind::kBags;
   if (parts::is_kitti_sequence(folder)) return MissionKind::kKitti;
   if (!parts::stamped_clouds_of(folder).empty()) return MissionKind::kStampedClouds;
   const std::string what = describe_foreign_folder(folder);
   if (!what.empty()) throw InputError(folder.string() + ": no mission, it " + what);
-  throw InputError(path.string() +
-                   ": no mission: expected mission.json or result.g2o (which are written last: without them "
-                   "a mission is not "
-                   "complete), optimized_poses.txt or odom_poses.txt of a session, *.bag, rosbag/ or "
-                   "g2o_pcd/, or the path of a "
-                   "g2o file, a bag or a zip archive");
+  throw InputError(
+      path.string() +
+      ": no mission: expected mission.json or result.g2o (which are written last: without them "
+      "a mission is not "
+      "complete), optimized_poses.txt or odom_poses.txt of a session, *.bag, *.db3, *.mcap, rosbag/ or "
+      "g2o_pcd/, or the path of a "
+      "g2o file, a bag or a zip archive");
 }
 
 namespace {
@@ -463,7 +467,7 @@ Mission read_as_named(const fs::path& path, const MissionOptions& options, const
     }
     case MissionKind::kG2oPcd: {
       Mission mission = parts::read_g2o_pcd(place, options, work);
-      if (place != path && fs::is_directory(path / "rosbag") && has_bag(path / "rosbag")) {
+      if (place != path && fs::is_directory(path / "rosbag") && bags::has_bags(path / "rosbag")) {
         mission.problems.add("bags not read", path.string() + ": " + bags::kUnavailable);
       }
       return mission;

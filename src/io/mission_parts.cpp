@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "mission_parts.hpp"
+#include "bag_files.hpp"
 
 #include <algorithm>
 #include <cctype>
@@ -204,8 +205,10 @@ TruthFiles find_truth(const fs::path& folder) {
       for (const fs::path& file : entries(own)) {
         if (!fs::is_regular_file(file)) continue;
         if (file.extension() == ".g2o") graphs.push_back(file);
-        if (file.extension() == ".bag") truth.bags.push_back(file);
       }
+      Problems unused;  // what is left out of a folder of the truth is not the mission's
+      for (const bags::Parts& files : bags::bags_of_folder(own, unused))
+        truth.bags.insert(truth.bags.end(), files.begin(), files.end());
       if (fs::is_regular_file(own / "result.g2o")) {
         truth.g2o = own / "result.g2o";
       } else if (graphs.size() == 1) {

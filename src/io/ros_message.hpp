@@ -43,6 +43,7 @@ class Schema {
   [[nodiscard]] const std::string& type() const { return types_.front().name; }
 
  private:
+  friend class CdrReader;  // of ROS 2, see cdr.hpp
   friend class Value;
   struct Field {
     std::string name;

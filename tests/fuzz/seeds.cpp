@@ -14,6 +14,9 @@
 #include "lamp_data.hpp"
 #include "lzf.hpp"
 #include "mission_seeds.hpp"
+#ifdef LOOPWISE_FUZZ_ROSBAG2
+#include "rosbag2_seeds.hpp"
+#endif
 #include "target.hpp"
 
 namespace loopwise::fuzz {
@@ -142,6 +145,16 @@ Seeds io_seeds() {
   all["ros_message"].push_back({"small", "uint8[] a\nB[2] b\nstring[] c\n===\nMSG: B\nfloat32 x\ntime t\n" +
                                              std::string(1, '\0') + std::string("\2\0\0\0ab", 6) +
                                              std::string(24, '\1') + std::string("\1\0\0\0\1\0\0\0z", 9)});
+  const std::string none(1, '\0');
+  const std::string little = none + "\1" + none + none;
+  all["cdr"] = {
+      {"numbers", "uint8 a\nfloat64 b\nuint16[<=3] c\nstring d\n" + none + little + "\7" +
+                      std::string(7, '\0') + "12345678" + "\1" + std::string(3, '\0') + "\1" +
+                      std::string(3, '\0') + "\2" + std::string(3, '\0') + "h" + none},
+      {"messages",
+       "std_msgs/msg/Header header\nB[2] b\n===\nMSG: B\nbool x true\n===\nMSG: std_msgs/msg/Header\n"
+       "builtin_interfaces/msg/Time stamp\nstring frame_id\n" +
+           none + std::string(4, '\0') + std::string(8, '\1') + std::string(3, '\0') + "\1" + none + "\1\1"}};
   all["lamp"] = {{"all", with_choice(0, every)}, {"all_robots", with_choice(1, every)}};
   all["point_cloud2"] = {{"scan", with_choice(0, messages[1].bytes)}};
   all["bag_chunk"] = {{"none", sized(0, 5, "bytes")}};
@@ -151,6 +164,11 @@ Seeds io_seeds() {
   all["bag_chunk"].push_back({"bz2", sized(1, text.size(), compressed("bz2", text))});
   all["bag_chunk"].push_back({"lz4", sized(2, text.size(), compressed("lz4", text))});
   for (const std::string how : {"bz2", "lz4"}) all["bag"].push_back({how, bag(messages, {how})});
+#endif
+#ifdef LOOPWISE_FUZZ_ROSBAG2
+  for (const std::string how : {"none", "", "zstd", "lz4"})
+    all["rosbag2"].push_back({"mcap_" + how, mcap(messages, how)});
+  all["rosbag2"].push_back({"db3", db3(messages)});
 #endif
   const auto recorded = [&](std::size_t first, std::size_t last) {
     std::string out;

@@ -51,6 +51,21 @@ inline bool lamp_data(const std::string& form, const fs::path& folder, const std
   return true;
 }
 
+/// The same as bags of ROS 2, and forms of rosbag2_data.py's own.
+inline bool rosbag2_data(const std::string& form, const fs::path& folder, const std::string& arguments = {}) {
+  if (!bags::rosbag2_available()) {
+    std::cerr << "SKIPPED: " << bags::kRosbag2Unavailable << "\n";
+    SUCCEED("skipped");
+    return false;
+  }
+  if (!lamp_data("probe", folder)) return false;  // its messages are python3-rosbag's
+  const std::string command = std::string(kPython) + " '" + LOOPWISE_SOURCE_DIR +
+                              "/tests/io/rosbag2_data.py' " + form + " '" + folder.string() + "' " +
+                              arguments;
+  REQUIRE(std::system(command.c_str()) == 0);
+  return true;
+}
+
 inline Json expected_of(const fs::path& folder) {
   return parse_json(read_file(folder / "expected.json"), "expected.json");
 }

@@ -31,7 +31,7 @@ enum class MissionKind {
   kSession,        ///< A folder with Scans/ and KITTI poses, as single-robot SLAM programs write it.
   kG2o,            ///< A g2o file alone: no scans.
   kG2oPcd,         ///< A folder with a g2o file and clouds, as in the NeBula multi-robot data set.
-  kBags,           ///< ROS 1 bags of LAMP's messages.
+  kBags,           ///< Bags of ROS 1 or ROS 2.
   kLampZip,        ///< A map that LAMP's base station saved.
   kJoined,         ///< Several missions of one robot each.
   kRun,            ///< A folder that a replay wrote: its graph with the closures, without scans.
@@ -79,6 +79,14 @@ struct CommunicationGap {
   double end_s = 0.0;     ///< Back in range, s.
 };
 
+/// A topic of the bags that a mission was read from.
+struct RecordedTopic {
+  std::string name;          ///< "/husky1/points"
+  std::string type;          ///< "sensor_msgs/PointCloud2"
+  std::size_t messages = 0;  ///< In all bags.
+  std::string use;           ///< Data taken from it, in words; empty if it is not used.
+};
+
 /// All recorded data of a run of a team of robots, in one common frame.
 struct Mission {
   std::string name;                          ///< Name of the folder, or the one in mission.json.
@@ -101,6 +109,7 @@ struct Mission {
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json sets it.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
+  std::vector<RecordedTopic> topics;  ///< Of bags, by name; else empty.
   Problems problems;  ///< Of all files except scans, whose problems are in scans->problems().
 
   /// Mission time of a stamp, s.
@@ -134,6 +143,11 @@ struct MissionOptions {
   CovarianceOrder odometry_covariance_order = CovarianceOrder::kRotationFirst;
   /// Largest difference of stamps between a node and its true pose.
   double truth_max_time_difference_s = 1.0;
+  /// Topics of bags, as whole names or as names in each robot's namespace. Empty: see read_mission().
+  std::string odometry_topic;
+  std::string cloud_topic;
+  /// Topic of true poses. Empty: those with "ground_truth" or "gt" in their names.
+  std::string truth_topic;
   /// File with the pose of each joined mission's frame in the common frame. Empty: poses are in the common
   /// frame.
   std::string frames;
@@ -185,6 +199,14 @@ struct MissionOptions {
     field("truth_max_time_difference_s", self.truth_max_time_difference_s, at_least(0.0),
           "Bags: a node's true pose is the nearest in time, at most this far, s; files given as truth: the "
           "longest gap between stamps that is interpolated.");
+    field("odometry_topic", self.odometry_topic, any_value(),
+          "Bags without graphs: topic of the odometry, whole or within each robot's namespace; empty: the "
+          "one with "
+          "the most messages.");
+    field("cloud_topic", self.cloud_topic, any_value(),
+          "Bags without graphs: topic of the clouds, in the same way.");
+    field("truth_topic", self.truth_topic, any_value(),
+          "Bags without graphs: topic of true poses; empty: those with ground_truth or gt in their names.");
     field("frames", self.frames, any_value(),
           "Several missions as one: file with the pose of each one's frame in the common frame.");
     field("start_together", self.start_together, any_value(),
@@ -276,13 +298,16 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// clouds in NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to the fixed node of
 /// special_nodes.csv, which is not a key frame, become priors.
 ///
-/// **Bags**: a bag, or a folder's bags, as one recording. Messages are selected by type: KeyedScan, PoseGraph
-/// and CommNodeStatus of pose_graph_msgs, silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag without
-/// these or in ground_truth/ is the truth, nearest in time. Nodes have the pose of their first message.
-/// Artifacts and radio anchors are landmarks under their own keys; a landmark with ranges alone needs three
-/// of them and gets a prior of 10 m. Ranges and gravity (of which the first number of the covariance is the
-/// sigma) become factors. Needs a build with librosbag-storage. Scans stay in the bags, which must not
-/// change.
+/// **Bags**: bags of ROS 1, or of ROS 2 in MCAP or SQLite (.db3), or a folder's bags, as one recording.
+/// Messages are selected by type: KeyedScan, PoseGraph and CommNodeStatus of pose_graph_msgs,
+/// silvus_msgs/SilvusStreamscape; nav_msgs/Odometry in a bag without these or in ground_truth/ is the truth,
+/// nearest in time. Nodes have the pose of their first message. Artifacts and radio anchors are landmarks
+/// under their own keys; a landmark with ranges alone needs three of them and gets a prior of 10 m. Ranges
+/// and gravity (of which the first number of the covariance is the sigma) become factors. Without any of
+/// these, make_key_frame_mission() makes key frames of nav_msgs/Odometry or geometry_msgs/PoseStamped and
+/// sensor_msgs/PointCloud2: of several such topics the one of the options, else the one with the most
+/// messages; robots by namespace. Needs a build with librosbag-storage; for ROS 2 with SQLite, zstd and lz4.
+/// Scans stay in the bags, which must not change. Mission::topics lists all topics.
 ///
 /// **LAMP's saved map**: a zip archive with keys.csv, pc_N.pcd and pose_graph.bag, or the same unpacked.
 ///
@@ -312,8 +337,14 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// absent", "unusable covariance", "odometry covariance looks swapped", "odometry not between consecutive
 /// nodes", "unusable range factor", "unusable gravity factor", "gravity factor that points up left out",
 /// "range factor of a landmark left out", "landmark left out", "landmark by ranges alone gets a prior", "edge
-/// of unknown type left out", "odometry messages not used", "ground truth of an unknown robot". \throws
-/// IoError; ParseError or InputError naming file and line or key; OptionError; StoppedError
+/// of unknown type left out", "odometry messages not used", "ground truth of an unknown robot", "topic of
+/// unknown encoding left out", "topic without message definition left out", "bag not listed in metadata.yaml
+/// left out", "messages missing from the summary", "message of an unknown topic left out", "several topics of
+/// poses, one is taken", "several topics of clouds, one is taken", "clouds taken to be in the frame whose
+/// poses are recorded", "clouds in the frame of the odometry are moved back to the robot", "frame of clouds
+/// changes, that of the first is taken", "empty cloud left out", "odometry pose unusable", "message without
+/// stamp, that of its record is taken", "truth in another frame". \throws IoError; ParseError or InputError
+/// naming file and line or key; OptionError; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
                                                    const MissionOptions& options = {},
                                                    const ProgressCallback& progress = {},

@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// What a form of bag has to offer so that BagSet reads it. Private to io.
+#pragma once
+
+#include <cstdint>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include "bag.hpp"
+
+namespace loopwise::bags {
+
+/// Where a message lies in its storage.
+struct Entry {
+  std::int64_t stamp_ns = 0;  ///< When it was recorded.
+  std::uint64_t place = 0;    ///< As the storage counts.
+  std::uint32_t offset = 0;   ///< From there.
+  std::uint32_t connection = 0;
+};
+
+/// A bag of ROS 2 may index so many messages of known types; these are more than a day of a hundred a second.
+inline constexpr std::size_t kMostMessages = std::size_t{1} << 24;
+
+/// A chunk, or a message that is compressed by itself, holds at most as much.
+inline constexpr std::size_t kLargestPiece = std::size_t{1} << 28;
+
+/// One bag, or several that one library reads together.
+class Storage {
+ public:
+  virtual ~Storage() = default;
+  [[nodiscard]] const std::vector<Connection>& connections() const { return connections_; }
+  /// Messages of the wanted connections in the order of time. \throws InputError
+  [[nodiscard]] virtual std::vector<Entry> index(const std::vector<bool>& wanted) = 0;
+  /// The message, as it was recorded. Not safe to call from several threads. \throws InputError naming the
+  /// file, the topic and the place
+  [[nodiscard]] virtual std::string read(const Entry& entry) = 0;
+
+ protected:
+  std::vector<Connection> connections_;
+};
+
+/// Those of `all` that are wanted, in the order of time.
+[[nodiscard]] std::vector<Entry> sorted(const std::vector<Entry>& all, const std::vector<bool>& wanted);
+
+/// What opening a bag is given besides its file.
+struct Opening {
+  BagSet::Known known;
+  Problems& problems;
+  const ProgressCallback& progress;
+  const StopToken& stop;
+};
+
+/// A bag and its number in the order given.
+struct NumberedFile {
+  std::size_t number = 0;
+  BagFile file;
+};
+
+/// Bags of ROS 1, read as one.
+[[nodiscard]] std::unique_ptr<Storage> open_rosbags(const std::vector<NumberedFile>& files,
+                                                    const Opening& opening);
+/// A bag of ROS 2, of either form, or a whole file of one that is compressed.
+[[nodiscard]] std::unique_ptr<Storage> open_rosbag2(const NumberedFile& file, const Opening& opening);
+
+}  // namespace loopwise::bags

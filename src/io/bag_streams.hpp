@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Which topics of a bag are the odometry, the clouds and the truth of which robot. Private to io.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "bag_recording.hpp"
+
+namespace loopwise::bags {
+
+/// What the messages of a type give to key frames.
+enum class StreamKind {
+  kOther,
+  kOdometry,    ///< nav_msgs/Odometry
+  kPose,        ///< geometry_msgs/PoseStamped, geometry_msgs/PoseWithCovarianceStamped
+  kCloud,       ///< sensor_msgs/PointCloud2
+  kTransforms,  ///< tf2_msgs/TFMessage
+};
+[[nodiscard]] StreamKind stream_kind(const std::string& type);
+
+/// A topic in the files of one recorder.
+struct StreamTopic {
+  std::string name;
+  StreamKind kind = StreamKind::kOther;
+  std::size_t recorder = 0;
+  std::size_t messages = 0;
+  std::vector<std::size_t> connections;  ///< One a file.
+};
+
+/// A robot and what it is read from.
+struct RobotTopics {
+  std::string name;
+  StreamTopic poses;
+  StreamTopic clouds;
+};
+
+struct ChosenTopics {
+  std::vector<RobotTopics> robots;
+  std::vector<StreamTopic> truth;
+};
+
+/// Robots by the namespaces of topics, if at least two have poses and clouds; else by recorders. Of several
+/// topics of a kind that one is taken which the options name, else odometry before poses, the one with the
+/// most messages, the first by name; counted as "several topics of poses, one is taken" and "several topics
+/// of clouds, one is taken". Truth is what options.truth_topic names, else topics with "ground_truth" or "gt"
+/// in their names. \throws InputError if an option names no topic of its kind, or no robot has both
+[[nodiscard]] ChosenTopics choose_topics(const std::vector<StreamTopic>& topics, const Recording& recording,
+                                         const MissionOptions& options, const std::string& name,
+                                         const std::string& what_there_is, Problems& problems);
+
+}  // namespace loopwise::bags
