@@ -80,13 +80,7 @@ std::string about_extra(const CLI::App& app, int argc, char** argv, const CLI::E
   return error.what();
 }
 
-int run_program(int argc, char** argv) {
-  using namespace loopwise;
-  using namespace loopwise::cli;
-  CLI::App app{
-      "Decides which loop closures of a multi-robot lidar SLAM system are worth computing, computes them,\n"
-      "and keeps the map consistent.",
-      "loopwise"};
+void describe(CLI::App& app) {
   app.set_version_flag("--version", "loopwise " + std::string(loopwise::version()));
   app.require_subcommand(1);
   app.failure_message(CLI::FailureMessage::simple);
@@ -101,22 +95,10 @@ int run_program(int argc, char** argv) {
       "  loopwise evaluate estimate.tum truth.tum               trajectory errors\n\n"
       "Exit status: 0 done, 2 bad usage, 3 bad input, 130 interrupted, 1 anything else.\n"
       "Results go to standard output, everything else to standard error.");
+}
 
-  Transport* job = nullptr;
-#ifdef LOOPWISE_HAS_MPI
-  std::optional<MpiSession> session;
-  if (started_by_mpi()) {
-    try {
-      session.emplace();
-    } catch (const Error& error) {
-      std::cerr << "loopwise: " << error.what() << "\n";
-      return kFailed;
-    }
-    if (session->transport().size() > 1) job = &session->transport();
-  }
-#endif
-
-  Action chosen;
+void add_commands(CLI::App& app, loopwise::cli::Action& chosen, loopwise::Transport* job) {
+  using namespace loopwise::cli;
   add_info(app, chosen);
   add_convert(app, chosen);
   add_replay(app, chosen, job);
@@ -131,13 +113,28 @@ int run_program(int argc, char** argv) {
   add_study(app, chosen, job);
   add_config(app, chosen);
   add_reference(app, chosen, value_words());
+}
 
-  const bool first = job == nullptr || is_first(*job);
+/// \throws OptionError if the first word is no command
+void require_command(const CLI::App& app, int argc, char** argv) {
   std::vector<std::string> commands;  // that are shown
   bool known = argc < 2 || argv[1][0] == '-' || std::string(argv[1]) == "help";
   for (const CLI::App* command : app.get_subcommands({})) {
     if (!command->get_group().empty()) commands.push_back(command->get_name());
     known = known || command->get_name() == argv[1];
+  }
+  if (!known) loopwise::throw_unknown_name("command", argv[1], commands);
+}
+
+/// What the command line chooses, or the exit status if nothing is to be done. Ranks but the first are
+/// silent.
+std::optional<int> parse(CLI::App& app, int argc, char** argv, bool first) {
+  using namespace loopwise::cli;
+  try {
+    require_command(app, argc, argv);
+  } catch (const loopwise::OptionError& error) {
+    if (first) std::cerr << "loopwise: " << error.what() << "\n";
+    return kBadUsage;
   }
   // `loopwise help replay` means `loopwise replay --help`.
   std::vector<char*> arguments(argv, argv + argc);
@@ -145,27 +142,46 @@ int run_program(int argc, char** argv) {
   if (argc > 1 && std::string(argv[1]) == "help") {
     arguments.erase(arguments.begin() + 1);
     arguments.push_back(help);
-    argc = static_cast<int>(arguments.size());
-    argv = arguments.data();
   }
-  if (!known) {
-    try {
-      throw_unknown_name("command", argv[1], commands);
-    } catch (const OptionError& error) {
-      if (first) std::cerr << "loopwise: " << error.what() << "\n";
-      return kBadUsage;
-    }
-  }
+  argc = static_cast<int>(arguments.size());
   try {
-    app.parse(argc, argv);
+    app.parse(argc, arguments.data());
   } catch (const CLI::ExtrasError& error) {
-    if (first) std::cerr << "loopwise: " << about_extra(app, argc, argv, error) << "\n";
+    if (first) std::cerr << "loopwise: " << about_extra(app, argc, arguments.data(), error) << "\n";
     return kBadUsage;
   } catch (const CLI::ParseError& error) {
     std::ostringstream nowhere;
     const int code = first ? app.exit(error) : app.exit(error, nowhere, nowhere);
     return code == 0 ? kDone : kBadUsage;
   }
+  return std::nullopt;
+}
+
+int run_program(int argc, char** argv) {
+  using namespace loopwise;
+  using namespace loopwise::cli;
+  CLI::App app{
+      "Decides which loop closures of a multi-robot lidar SLAM system are worth computing, computes them,\n"
+      "and keeps the map consistent.",
+      "loopwise"};
+  describe(app);
+  Transport* job = nullptr;
+#ifdef LOOPWISE_HAS_MPI
+  std::optional<MpiSession> session;
+  if (started_by_mpi()) {
+    try {
+      session.emplace();
+    } catch (const Error& error) {
+      std::cerr << "loopwise: " << error.what() << "\n";
+      return kFailed;
+    }
+    if (session->transport().size() > 1) job = &session->transport();
+  }
+#endif
+  Action chosen;
+  add_commands(app, chosen, job);
+  const bool first = job == nullptr || is_first(*job);
+  if (const auto status = parse(app, argc, argv, first)) return *status;
   if (job != nullptr && !app.got_subcommand("replay") && !app.got_subcommand("study")) {
     if (first) std::cerr << "loopwise: only replay and study spread over ranks\n";
     return kBadUsage;

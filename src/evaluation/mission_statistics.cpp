@@ -41,9 +41,20 @@ std::vector<RobotDrift> odometry_drift(const Mission& mission) {
   return result;
 }
 
-CandidateStatistics candidate_statistics(const Mission& mission, const CandidateStatisticsOptions& options) {
-  validate(options);
-  // In the order of arrival, so that the newer node of a pair is known.
+namespace {
+
+/// Places of a candidate's nodes, the newer first.
+using Pair = std::pair<std::size_t, std::size_t>;
+
+/// A candidate as the truth and its scans have it.
+struct Seen {
+  bool valid = false;
+  bool near = false;
+  double overlap = 0.0;
+};
+
+/// All nodes but landmarks in the order of arrival, so that the newer node of a pair is known.
+std::vector<const Node*> by_arrival(const Mission& mission) {
   std::vector<const Node*> nodes;
   for (const Node& node : mission.graph.nodes()) {
     if (!mission.robots.is_landmark(node.key)) nodes.push_back(&node);
@@ -51,16 +62,19 @@ CandidateStatistics candidate_statistics(const Mission& mission, const Candidate
   std::sort(nodes.begin(), nodes.end(), [](const Node* a, const Node* b) {
     return std::pair(a->stamp_ns, a->key) < std::pair(b->stamp_ns, b->key);
   });
+  return nodes;
+}
+
+/// A uniform sample of all candidates (Vitter's algorithm R), which are counted.
+std::vector<Pair> draw_pairs(const Mission& mission, const std::vector<const Node*>& nodes,
+                             const CandidateStatisticsOptions& options, std::uint64_t& candidates) {
   std::vector<std::size_t> robot(nodes.size());
   std::vector<std::uint64_t> index(nodes.size());
   for (std::size_t i = 0; i < nodes.size(); ++i) {
     robot[i] = mission.robots.of(nodes[i]->key);
     index[i] = mission.robots.node_index(nodes[i]->key);
   }
-
-  CandidateStatistics result;
-  std::vector<std::pair<std::size_t, std::size_t>>
-      chosen;  // a uniform sample of a stream (Vitter's algorithm R)
+  std::vector<Pair> chosen;
   Rng rng(0x5eed);
   const double sq_radius = options.radius_m * options.radius_m;
   for (std::size_t i = 0; i < nodes.size(); ++i) {
@@ -69,46 +83,55 @@ CandidateStatistics candidate_statistics(const Mission& mission, const Candidate
       if ((nodes[j]->pose.translation() - here).squaredNorm() > sq_radius) continue;
       const std::uint64_t gap = index[i] > index[j] ? index[i] - index[j] : index[j] - index[i];
       if (robot[i] == robot[j] && gap < static_cast<std::uint64_t>(options.skip_recent)) continue;
-      ++result.candidates;
+      ++candidates;
       if (chosen.size() < static_cast<std::size_t>(options.pairs)) {
         chosen.emplace_back(i, j);
-      } else if (const std::uint64_t at = rng.below(result.candidates); at < chosen.size()) {
+      } else if (const std::uint64_t at = rng.below(candidates); at < chosen.size()) {
         chosen[at] = {i, j};
       }
     }
   }
+  return chosen;
+}
 
-  struct Seen {
-    bool valid = false;
-    bool near = false;
-    double overlap = 0.0;
-  };
+Seen look_at(const Mission& mission, Key from, Key to, const CandidateStatisticsOptions& options) {
+  const auto truth_from = mission.ground_truth.find(from), truth_to = mission.ground_truth.find(to);
+  if (truth_from == mission.ground_truth.end() || truth_to == mission.ground_truth.end()) return {};
+  std::shared_ptr<const PointCloud> source, target;
+  try {
+    source = mission.scans->load(from);
+    target = mission.scans->load(to);
+  } catch (const Error&) {
+    return {};  // the store keeps it among its problems
+  }
+  if (!source || !target || source->empty() || target->empty()) return {};
+  const Eigen::Isometry3d relative = truth_to->second.inverse() * truth_from->second;
+  const Eigen::Isometry3f T_to_from = relative.cast<float>();
+  const KdTree tree(target->points);
+  // A share is known well enough from some points of a whole sweep.
+  constexpr std::size_t kMostQueries = 2000;
+  const std::size_t stride = 1 + (source->size() - 1) / kMostQueries;
+  std::size_t shared = 0, queries = 0;
+  for (std::size_t i = 0; i < source->size(); i += stride, ++queries) {
+    if (tree.nearest(T_to_from * source->points[i], static_cast<float>(options.near_m))) ++shared;
+  }
+  return {true, relative.translation().norm() <= options.radius_m,
+          static_cast<double>(shared) / static_cast<double>(queries)};
+}
+
+}  // namespace
+
+CandidateStatistics candidate_statistics(const Mission& mission, const CandidateStatisticsOptions& options) {
+  validate(options);
+  CandidateStatistics result;
+  const std::vector<const Node*> nodes = by_arrival(mission);
+  std::uint64_t candidates = 0;
+  const std::vector<Pair> chosen = draw_pairs(mission, nodes, options, candidates);
+  result.candidates = candidates;
   std::vector<Seen> seen(chosen.size());
   ThreadPool pool(options.threads);
   pool.for_each(chosen.size(), [&](std::size_t c) {
-    const Key from = nodes[chosen[c].first]->key, to = nodes[chosen[c].second]->key;
-    const auto truth_from = mission.ground_truth.find(from), truth_to = mission.ground_truth.find(to);
-    if (truth_from == mission.ground_truth.end() || truth_to == mission.ground_truth.end()) return;
-    std::shared_ptr<const PointCloud> source, target;
-    try {
-      source = mission.scans->load(from);
-      target = mission.scans->load(to);
-    } catch (const Error&) {
-      return;  // the store keeps it among its problems
-    }
-    if (!source || !target || source->empty() || target->empty()) return;
-    const Eigen::Isometry3d relative = truth_to->second.inverse() * truth_from->second;
-    const Eigen::Isometry3f T_to_from = relative.cast<float>();
-    const KdTree tree(target->points);
-    // A share is known well enough from some points of a whole sweep.
-    constexpr std::size_t kMostQueries = 2000;
-    const std::size_t stride = 1 + (source->size() - 1) / kMostQueries;
-    std::size_t shared = 0, queries = 0;
-    for (std::size_t i = 0; i < source->size(); i += stride, ++queries) {
-      if (tree.nearest(T_to_from * source->points[i], static_cast<float>(options.near_m))) ++shared;
-    }
-    seen[c] = {true, relative.translation().norm() <= options.radius_m,
-               static_cast<double>(shared) / static_cast<double>(queries)};
+    seen[c] = look_at(mission, nodes[chosen[c].first]->key, nodes[chosen[c].second]->key, options);
   });
   std::size_t overlapping = 0, near = 0;
   double sum = 0.0;
@@ -120,11 +143,12 @@ CandidateStatistics candidate_statistics(const Mission& mission, const Candidate
     if (s.near) ++near;
   }
   const auto count = static_cast<double>(result.looked_at);
-  result.mean_overlap = result.looked_at > 0 ? sum / count : std::numeric_limits<double>::quiet_NaN();
-  result.overlapping = result.looked_at > 0 ? static_cast<double>(overlapping) / count
-                                            : std::numeric_limits<double>::quiet_NaN();
-  result.within_radius =
-      result.looked_at > 0 ? static_cast<double>(near) / count : std::numeric_limits<double>::quiet_NaN();
+  const auto share = [&](double of) {
+    return result.looked_at > 0 ? of / count : std::numeric_limits<double>::quiet_NaN();
+  };
+  result.mean_overlap = share(sum);
+  result.overlapping = share(static_cast<double>(overlapping));
+  result.within_radius = share(static_cast<double>(near));
   return result;
 }
 

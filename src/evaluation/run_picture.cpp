@@ -44,24 +44,31 @@ std::vector<Eigen::Vector2d> thinned(const PointCloud& map, const Page& page) {
   return some;
 }
 
-}  // namespace
+using Paths = std::vector<std::map<Key, Eigen::Vector2d>>;  // by robot
 
-std::string run_picture_svg(const Mission& mission, const ReplayResult& result, const PointCloud& map) {
+/// What the picture shows of poses, seen from above.
+struct Ways {
+  Paths optimized, odometry, truth, reference;
+  std::vector<Eigen::Vector2d> extent;  ///< Of what robots' paths and the map cover.
+};
+
+Ways ways_of(const Mission& mission, const ReplayResult& result, const PointCloud& map) {
   const std::vector<Node>& nodes = result.graph.nodes();
-  std::vector<std::map<Key, Eigen::Vector2d>> optimized(mission.robots.size()),
-      odometry(mission.robots.size()), truth(mission.robots.size()), reference(mission.robots.size());
-  std::vector<Eigen::Vector2d> extent;
+  const std::size_t robots = mission.robots.size();
+  Ways ways{Paths(robots), Paths(robots), Paths(robots), Paths(robots), {}};
+  const auto flat = [](const Eigen::Isometry3d& pose) {
+    return Eigen::Vector2d(pose.translation().head<2>());
+  };
   for (std::size_t i = 0; i < nodes.size(); ++i) {
-    const std::size_t robot = mission.robots.of(nodes[i].key);
-    optimized[robot][nodes[i].key] = nodes[i].pose.translation().head<2>();
-    odometry[robot][nodes[i].key] = result.odometry[i].translation().head<2>();
-    extent.push_back(optimized[robot][nodes[i].key]);
-    extent.push_back(odometry[robot][nodes[i].key]);
-    if (const auto known = mission.ground_truth.find(nodes[i].key); known != mission.ground_truth.end()) {
-      truth[robot][nodes[i].key] = known->second.translation().head<2>();
+    const Key key = nodes[i].key;
+    const std::size_t robot = mission.robots.of(key);
+    ways.extent.push_back(ways.optimized[robot][key] = flat(nodes[i].pose));
+    ways.extent.push_back(ways.odometry[robot][key] = flat(result.odometry[i]));
+    if (const auto known = mission.ground_truth.find(key); known != mission.ground_truth.end()) {
+      ways.truth[robot][key] = flat(known->second);
     }
-    if (const auto known = mission.reference.find(nodes[i].key); known != mission.reference.end()) {
-      reference[robot][nodes[i].key] = known->second.translation().head<2>();
+    if (const auto known = mission.reference.find(key); known != mission.reference.end()) {
+      ways.reference[robot][key] = flat(known->second);
     }
   }
   // The map's middle 99 %: a few far points must not shrink all else.
@@ -72,18 +79,15 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
     std::sort(values.begin(), values.end());
     for (const double share : {0.005, 0.995}) {
       const auto place = static_cast<std::size_t>(share * static_cast<double>(values.size() - 1));
-      Eigen::Vector2d corner = extent.empty() ? Eigen::Vector2d::Zero() : extent.front();
+      Eigen::Vector2d corner = ways.extent.empty() ? Eigen::Vector2d::Zero() : ways.extent.front();
       corner[axis] = map.origin[axis] + static_cast<double>(values[place]);
-      extent.push_back(corner);
+      ways.extent.push_back(corner);
     }
   }
-  const Page page(extent);
+  return ways;
+}
 
-  std::string out;
-  put(out,
-      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %.0f %.0f\" font-family=\"sans-serif\" "
-      "font-size=\"16\">\n",
-      kWidth, page.height() + kLegend);
+void put_map(std::string& out, const Page& page, const PointCloud& map) {
   out +=
       "<rect width=\"100%\" height=\"100%\" fill=\"white\"/>\n<path stroke=\"#9aa3ab\" stroke-width=\"1.6\" "
       "stroke-linecap=\"round\" d=\"";
@@ -92,6 +96,9 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
     if (x >= 0.0 && x <= kWidth && y >= 0.0 && y <= page.height()) put(out, "M%.1f %.1fh0", x, y);
   }
   out += "\"/>\n";
+}
+
+void put_closures(std::string& out, const Page& page, const ReplayResult& result) {
   for (const ComputedCandidate& computed : result.computed) {
     if (!computed.result.verified()) continue;
     const Eigen::Vector3d a = result.graph.node(computed.result.candidate.from).pose.translation();
@@ -102,18 +109,23 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
         page.x(a.x()), page.y(a.y()), page.x(b.x()), page.y(b.y()),
         computed.weight > 0.5 ? "#35a35f" : "#d1342f");
   }
-  for (std::size_t robot = 0; robot < mission.robots.size(); ++robot) {
+}
+
+void put_ways(std::string& out, const Page& page, const Ways& ways) {
+  for (std::size_t robot = 0; robot < ways.optimized.size(); ++robot) {
     const char* colour = robot_colour(robot);
     std::string style;
     put(style, "stroke=\"%s\" stroke-width=\"1.2\" stroke-dasharray=\"5 4\" opacity=\"0.8\"", colour);
-    put_path(out, page, odometry[robot], style.c_str());
-    put_path(out, page, reference[robot], kReference);
-    put_path(out, page, truth[robot], "stroke=\"black\" stroke-width=\"4\" opacity=\"0.25\"");
+    put_path(out, page, ways.odometry[robot], style.c_str());
+    put_path(out, page, ways.reference[robot], kReference);
+    put_path(out, page, ways.truth[robot], "stroke=\"black\" stroke-width=\"4\" opacity=\"0.25\"");
     style.clear();
     put(style, "stroke=\"%s\" stroke-width=\"2\"", colour);
-    put_path(out, page, optimized[robot], style.c_str());
+    put_path(out, page, ways.optimized[robot], style.c_str());
   }
+}
 
+void put_legend(std::string& out, const Page& page, const Mission& mission) {
   const double y = page.height() + 10.0;
   double x = kMargin;
   const auto entry = [&](const char* line_style, const std::string& label) {
@@ -135,6 +147,22 @@ std::string run_picture_svg(const Mission& mission, const ReplayResult& result, 
   entry("stroke=\"#35a35f\" stroke-width=\"2\"", "closure");
   entry("stroke=\"#d1342f\" stroke-width=\"2\"", "left out");
   put_scale_bar(out, page, y + 40.0);
+}
+
+}  // namespace
+
+std::string run_picture_svg(const Mission& mission, const ReplayResult& result, const PointCloud& map) {
+  const Ways ways = ways_of(mission, result, map);
+  const Page page(ways.extent);
+  std::string out;
+  put(out,
+      "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 %.0f %.0f\" font-family=\"sans-serif\" "
+      "font-size=\"16\">\n",
+      kWidth, page.height() + kLegend);
+  put_map(out, page, map);
+  put_closures(out, page, result);
+  put_ways(out, page, ways);
+  put_legend(out, page, mission);
   out += "</svg>\n";
   return out;
 }

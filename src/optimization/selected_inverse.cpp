@@ -19,73 +19,47 @@ std::vector<int> owners(const Panels& panels) {
   return owner;
 }
 
-}  // namespace
+/// Z over all rows of a panel: what its children need, whose rows are among its rows.
+struct Front {
+  std::size_t panel;
+  std::size_t first_of_subtree;
+  std::vector<double> z;
+};
 
-Eigen::MatrixXd selected_inverse(const Panels& panels, int block,
-                                 const std::function<void(std::size_t, const double*)>& visit) {
-  const SingleThreadedBlas guard;
-  const auto n = static_cast<Eigen::Index>(panels.first.empty() ? 0 : panels.first.back());
-  Eigen::MatrixXd out(block, n);
+/// First panel of each panel's subtree.
+std::vector<std::size_t> first_of_subtrees(const Panels& panels) {
   const std::vector<int> owner = owners(panels);
-
-  // Z over all rows of a panel (its front) holds what its children need: their rows are among its rows.
-  // Panels are in postorder, so going backwards a front is needed until the panels of its subtree, which
-  // precede it, are done.
-  struct Front {
-    std::size_t panel;
-    std::size_t first_of_subtree;
-    std::vector<double> z;
-  };
   std::vector<std::size_t> subtree(panels.size());
   for (std::size_t s = 0; s < panels.size(); ++s) subtree[s] = s;
-  std::vector<int> parent(panels.size(), -1);
   for (std::size_t s = 0; s < panels.size(); ++s) {
     const int width = panels.columns(s);
     if (panels.height(s) == width) continue;
     const auto p = static_cast<std::size_t>(
         owner[static_cast<std::size_t>(panels.rows[panels.row_start[s] + static_cast<std::size_t>(width)])]);
-    parent[s] = static_cast<int>(p);
     subtree[p] = std::min(subtree[p], subtree[s]);
   }
+  return subtree;
+}
 
-  std::vector<Front> stack;
-  std::vector<double> spare, y;
-  std::vector<int> place;
-  for (std::size_t s = panels.size(); s-- > 0;) {
-    while (!stack.empty() && stack.back().first_of_subtree > s) {
-      spare.swap(stack.back().z);
-      stack.pop_back();
-    }
-    const int width = panels.columns(s), height = panels.height(s), below = height - width;
+/// Fronts of one panel after the other, from the last one on.
+class Fronts {
+ public:
+  explicit Fronts(const Panels& panels) : panels_(panels) {}
+
+  /// Z of a panel, of all rows and columns of its front; `parent` is the front above, unless it has none.
+  void compute(std::size_t s, const Front* parent, std::vector<double>& z) {
+    const int width = panels_.columns(s), height = panels_.height(s), below = height - width;
     const auto h = static_cast<std::size_t>(height), w = static_cast<std::size_t>(width);
-    const auto b = static_cast<std::size_t>(below);
-    const double* l = panels.values.data() + panels.value_start[s];
-    const int* rows = panels.rows.data() + panels.row_start[s];
-    std::vector<double> z;
-    z.swap(spare);
+    const double* l = panels_.values.data() + panels_.value_start[s];
     z.resize(h * h);
-
     if (below > 0) {
-      // Z_RR out of the parent's front.
-      const Front& front = stack.back();
-      const std::size_t p = front.panel;
-      const int* parent_rows = panels.rows.data() + panels.row_start[p];
-      const auto parent_height = static_cast<std::size_t>(panels.height(p));
-      place.resize(b);
-      for (std::size_t i = 0, at = 0; i < b; ++i) {
-        while (parent_rows[at] != rows[w + i]) ++at;
-        place[i] = static_cast<int>(at);
-      }
-      for (std::size_t j = 0; j < b; ++j) {
-        const double* from = front.z.data() + static_cast<std::size_t>(place[j]) * parent_height;
-        double* to = z.data() + (w + j) * h + w;
-        for (std::size_t i = j; i < b; ++i) to[i] = from[place[i]];
-      }
+      take_from_parent(s, *parent, z);
       // Y = L_RJ L_JJ⁻¹, Z_RJ = −Z_RR Y.
-      y.resize(b * w);
-      for (std::size_t j = 0; j < w; ++j) std::copy_n(l + j * h + w, b, y.data() + j * b);
-      blas::trsm('R', 'N', below, width, l, height, y.data(), below);
-      blas::symm(below, width, -1.0, z.data() + w * h + w, height, y.data(), below, 0.0, z.data() + w,
+      const auto b = static_cast<std::size_t>(below);
+      y_.resize(b * w);
+      for (std::size_t j = 0; j < w; ++j) std::copy_n(l + j * h + w, b, y_.data() + j * b);
+      blas::trsm('R', 'N', below, width, l, height, y_.data(), below);
+      blas::symm(below, width, -1.0, z.data() + w * h + w, height, y_.data(), below, 0.0, z.data() + w,
                  height);
     }
     // Z_JJ = L_JJ⁻ᵀ L_JJ⁻¹ − Yᵀ Z_RJ.
@@ -95,16 +69,66 @@ Eigen::MatrixXd selected_inverse(const Panels& panels, int block,
     blas::trsm('L', 'N', width, width, l, height, z.data(), height);
     blas::trsm('L', 'T', width, width, l, height, z.data(), height);
     if (below > 0) {
-      blas::gemm('T', 'N', width, width, below, -1.0, y.data(), below, z.data() + w, height, 1.0, z.data(),
+      blas::gemm('T', 'N', width, width, below, -1.0, y_.data(), below, z.data() + w, height, 1.0, z.data(),
                  height);
     }
+  }
+
+ private:
+  /// Z_RR out of the parent's front.
+  void take_from_parent(std::size_t s, const Front& parent, std::vector<double>& z) {
+    const auto h = static_cast<std::size_t>(panels_.height(s)),
+               w = static_cast<std::size_t>(panels_.columns(s));
+    const std::size_t b = h - w;
+    const int* rows = panels_.rows.data() + panels_.row_start[s];
+    const int* parent_rows = panels_.rows.data() + panels_.row_start[parent.panel];
+    const auto parent_height = static_cast<std::size_t>(panels_.height(parent.panel));
+    place_.resize(b);
+    for (std::size_t i = 0, at = 0; i < b; ++i) {
+      while (parent_rows[at] != rows[w + i]) ++at;
+      place_[i] = static_cast<int>(at);
+    }
+    for (std::size_t j = 0; j < b; ++j) {
+      const double* from = parent.z.data() + static_cast<std::size_t>(place_[j]) * parent_height;
+      double* to = z.data() + (w + j) * h + w;
+      for (std::size_t i = j; i < b; ++i) to[i] = from[place_[i]];
+    }
+  }
+
+  const Panels& panels_;
+  std::vector<double> y_;
+  std::vector<int> place_;
+};
+
+}  // namespace
+
+Eigen::MatrixXd selected_inverse(const Panels& panels, int block,
+                                 const std::function<void(std::size_t, const double*)>& visit) {
+  const SingleThreadedBlas guard;
+  const auto n = static_cast<Eigen::Index>(panels.first.empty() ? 0 : panels.first.back());
+  Eigen::MatrixXd out(block, n);
+  // Panels are in postorder, so going backwards a front is needed until the panels of its subtree, which
+  // precede it, are done.
+  const std::vector<std::size_t> subtree = first_of_subtrees(panels);
+  Fronts fronts(panels);
+  std::vector<Front> stack;
+  std::vector<double> spare;
+  for (std::size_t s = panels.size(); s-- > 0;) {
+    while (!stack.empty() && stack.back().first_of_subtree > s) {
+      spare.swap(stack.back().z);
+      stack.pop_back();
+    }
+    const int width = panels.columns(s), height = panels.height(s);
+    std::vector<double> z;
+    z.swap(spare);
+    fronts.compute(s, stack.empty() ? nullptr : &stack.back(), z);
     if (visit) visit(s, z.data());
     // A panel never splits a block: its columns continue each other's pattern.
     for (int column = 0; column < width; column += block) {
       out.middleCols(panels.first[s] + column, block) =
           Eigen::Map<const Eigen::MatrixXd, 0, Eigen::OuterStride<>>(
-              z.data() + static_cast<std::size_t>(column) * (h + 1), block, block,
-              Eigen::OuterStride<>(height));
+              z.data() + static_cast<std::size_t>(column) * static_cast<std::size_t>(height + 1), block,
+              block, Eigen::OuterStride<>(height));
     }
     if (subtree[s] < s) {
       stack.push_back({s, subtree[s], std::move(z)});

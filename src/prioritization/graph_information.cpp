@@ -26,6 +26,16 @@ std::vector<LoopCandidate> at(const std::vector<LoopCandidate>& all, const std::
   return out;
 }
 
+/// Appends what is not at `places`.
+void append_others(std::vector<LoopCandidate>& out, const std::vector<LoopCandidate>& all,
+                   const std::vector<std::size_t>& places) {
+  std::vector<bool> listed(all.size(), false);
+  for (const std::size_t i : places) listed[i] = true;
+  for (std::size_t i = 0; i < all.size(); ++i) {
+    if (!listed[i]) out.push_back(all[i]);
+  }
+}
+
 bool knows_nodes_of(const PoseGraph& graph, const LoopCandidate& candidate) {
   return graph.contains(candidate.from) && graph.contains(candidate.to);
 }
@@ -45,6 +55,13 @@ struct GraphInformationPrioritizer::Prepared {
   std::vector<std::size_t> set;     // of the list, most valuable first
   std::vector<LoopCandidate> rest;  // known candidates that are not in the list
   std::optional<std::vector<LoopCandidate>> reserve;
+
+  std::size_t choose_connecting(const GraphInformationPrioritizer& of,
+                                const std::vector<LoopCandidate>& connecting, std::size_t others,
+                                std::size_t wanted);
+  void make_objective(GraphInformationPrioritizer& of, const std::vector<LoopCandidate>& others,
+                      std::size_t wanted, std::uint64_t seed);
+  void choose_by_objective(GraphInformationPrioritizer& of, std::size_t wanted, std::uint64_t seed);
 };
 
 GraphInformationPrioritizer::GraphInformationPrioritizer(const GraphInformationOptions& options,
@@ -164,20 +181,7 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
   }
   status_.pool = connecting.size() + others.size();
   count = std::min(count, status_.pool);
-  if (!connecting.empty()) {
-    const auto share =
-        static_cast<std::size_t>(std::ceil(greedy_options_.connecting_share * static_cast<double>(count)));
-    const std::size_t ties =
-        std::min({std::max(share, count - std::min(count, others.size())), connecting.size(), count});
-    const auto chosen = farthest_points(candidate_midpoints(graph_, connecting), ties);
-    p.first = at(connecting, chosen);
-    std::vector<bool> taken(connecting.size(), false);
-    for (const std::size_t i : chosen) taken[i] = true;
-    for (std::size_t i = 0; i < connecting.size(); ++i) {
-      if (!taken[i]) p.rest.push_back(connecting[i]);
-    }
-    count -= ties;
-  }
+  if (!connecting.empty()) count -= p.choose_connecting(*this, connecting, others.size(), count);
   if (others.empty()) return;
 
   const auto spread_alone = [&] {
@@ -194,39 +198,7 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
       p.set = largest_covariance(graph_, others, marginals(graph_).covariances, count);
       return;
     }
-    const ClosureModel closures = model();
-    const auto longest = static_cast<std::size_t>(
-        std::ceil(options_.shortlist * static_cast<double>(std::max<std::size_t>(count, 1))));
-    std::vector<std::size_t> shortlist(others.size());
-    std::iota(shortlist.begin(), shortlist.end(), std::size_t{0});
-    if (others.size() > longest) {
-      const std::vector<double> gains = sketched_gains(graph_, others, closure_options_, closures,
-                                                       static_cast<std::size_t>(options_.probes), seed);
-      shortlist = spread_shortlist(graph_, others, gains, longest, options_.cell_m);
-      std::vector<bool> listed(others.size(), false);
-      for (const std::size_t i : shortlist) listed[i] = true;
-      for (std::size_t i = 0; i < others.size(); ++i) {
-        if (!listed[i]) p.rest.push_back(others[i]);
-      }
-    }
-    p.list = at(others, shortlist);
-    status_.shortlist = p.list.size();
-    switch (options_.objective) {
-      case ObjectiveKind::kCovariance:
-        p.objective = std::make_unique<CovarianceObjective>(graph_, p.list, closure_options_, closures);
-        break;
-      case ObjectiveKind::kLogDet:
-        p.objective = std::make_unique<LogDetObjective>(graph_, p.list, closure_options_, closures);
-        break;
-      case ObjectiveKind::kGnn:
-        if (effect_network_) {
-          p.objective =
-              std::make_unique<EffectObjective>(graph_, p.list, effect_network_, closure_options_, closures);
-          break;
-        }
-        p.objective = std::make_unique<GnnObjective>(graph_, p.list, network_, options_.gnn_features,
-                                                     marginals(graph_).covariances);
-    }
+    p.make_objective(*this, others, count, seed);
   } catch (const InputError& error) {
     // A graph whose factors leave a pose undetermined has no covariance to speak of; its places are known.
     status_.problem = error.what();
@@ -235,18 +207,72 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
     spread_alone();
     return;
   }
-  p.midpoints = candidate_midpoints(graph_, p.list);
-  if (options_.selector == SelectorKind::kAnnealing) {
-    p.annealing.emplace(*p.objective, p.midpoints, count, annealing_options_, seed);
-    p.set = p.annealing->best().set;
-    status_.start_value = status_.value = p.annealing->start_value();
+  p.choose_by_objective(*this, count, seed);
+}
+
+/// Ties between parts of the graph, far from each other. \returns how many
+std::size_t GraphInformationPrioritizer::Prepared::choose_connecting(
+    const GraphInformationPrioritizer& of, const std::vector<LoopCandidate>& connecting, std::size_t others,
+    std::size_t wanted) {
+  const auto share =
+      static_cast<std::size_t>(std::ceil(of.greedy_options_.connecting_share * static_cast<double>(wanted)));
+  const std::size_t ties =
+      std::min({std::max(share, wanted - std::min(wanted, others)), connecting.size(), wanted});
+  const auto chosen = farthest_points(candidate_midpoints(of.graph_, connecting), ties);
+  first = at(connecting, chosen);
+  append_others(rest, connecting, chosen);
+  return ties;
+}
+
+/// The shortlist of a set of `wanted`, and the objective over it.
+void GraphInformationPrioritizer::Prepared::make_objective(GraphInformationPrioritizer& of,
+                                                           const std::vector<LoopCandidate>& others,
+                                                           std::size_t wanted, std::uint64_t seed) {
+  const ClosureModel closures = of.model();
+  const auto longest = static_cast<std::size_t>(
+      std::ceil(of.options_.shortlist * static_cast<double>(std::max<std::size_t>(wanted, 1))));
+  std::vector<std::size_t> shortlist(others.size());
+  std::iota(shortlist.begin(), shortlist.end(), std::size_t{0});
+  if (others.size() > longest) {
+    const std::vector<double> gains = sketched_gains(of.graph_, others, of.closure_options_, closures,
+                                                     static_cast<std::size_t>(of.options_.probes), seed);
+    shortlist = spread_shortlist(of.graph_, others, gains, longest, of.options_.cell_m);
+    append_others(rest, others, shortlist);
+  }
+  list = at(others, shortlist);
+  of.status_.shortlist = list.size();
+  switch (of.options_.objective) {
+    case ObjectiveKind::kCovariance:
+      objective = std::make_unique<CovarianceObjective>(of.graph_, list, of.closure_options_, closures);
+      break;
+    case ObjectiveKind::kLogDet:
+      objective = std::make_unique<LogDetObjective>(of.graph_, list, of.closure_options_, closures);
+      break;
+    case ObjectiveKind::kGnn:
+      if (of.effect_network_) {
+        objective = std::make_unique<EffectObjective>(of.graph_, list, of.effect_network_,
+                                                      of.closure_options_, closures);
+        break;
+      }
+      objective = std::make_unique<GnnObjective>(of.graph_, list, of.network_, of.options_.gnn_features,
+                                                 marginals(of.graph_).covariances);
+  }
+}
+
+void GraphInformationPrioritizer::Prepared::choose_by_objective(GraphInformationPrioritizer& of,
+                                                                std::size_t wanted, std::uint64_t seed) {
+  midpoints = candidate_midpoints(of.graph_, list);
+  if (of.options_.selector == SelectorKind::kAnnealing) {
+    annealing.emplace(*objective, midpoints, wanted, of.annealing_options_, seed);
+    set = annealing->best().set;
+    of.status_.start_value = of.status_.value = annealing->start_value();
     return;
   }
-  const Selection chosen = greedy(*p.objective, p.midpoints, count, greedy_options_);
-  p.set = chosen.set;
-  status_.start_value = status_.value = chosen.value;
-  if (options_.selector == SelectorKind::kGreedyAnnealing && !p.set.empty()) {
-    p.annealing.emplace(*p.objective, p.midpoints, count, annealing_options_, seed, p.set);
+  const Selection chosen = greedy(*objective, midpoints, wanted, of.greedy_options_);
+  set = chosen.set;
+  of.status_.start_value = of.status_.value = chosen.value;
+  if (of.options_.selector == SelectorKind::kGreedyAnnealing && !set.empty()) {
+    annealing.emplace(*objective, midpoints, wanted, of.annealing_options_, seed, set);
   }
 }
 
