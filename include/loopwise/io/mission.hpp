@@ -109,7 +109,7 @@ struct Mission {
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json sets it.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
-  std::vector<RecordedTopic> topics;  ///< Of bags, by name; else empty.
+  std::vector<RecordedTopic> topics;   ///< Of bags, by name; else empty.
   Problems problems;  ///< Of all files except scans, whose problems are in scans->problems().
 
   /// Mission time of a stamp, s.
