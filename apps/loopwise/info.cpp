@@ -173,7 +173,7 @@ std::string reference_text(const Mission& mission) {
          fixed(off.ate_m.mean, 2) + " m in the mean, " + fixed(off.ate_m.max, 2) + " m at most";
 }
 
-/// What the bags hold, and what was taken from it.
+/// Topics of the bags, and the data taken from each.
 void add_topics(const Mission& mission, Json& json, std::string& text) {
   if (mission.topics.empty()) return;
   Json all = Json::array();

@@ -126,7 +126,7 @@ void require_command(const CLI::App& app, int argc, char** argv) {
   if (!known) loopwise::throw_unknown_name("command", argv[1], commands);
 }
 
-/// What the command line chooses, or the exit status if nothing is to be done. Ranks but the first are
+/// Parses the command line. \returns the exit status if nothing is to be done. Ranks other than the first are
 /// silent.
 std::optional<int> parse(CLI::App& app, int argc, char** argv, bool first) {
   using namespace loopwise::cli;
