@@ -246,10 +246,7 @@ void decide(PoseGraph& graph, const std::string& path, Console& console) {
   console.warn(problems);
 }
 
-int run(const Options& options) {
-  const Stopwatch watch;
-  Console console(options.common.quiet);
-  const InterruptGuard interrupt;
+Config config_of(const Options& options) {
   Config defaults;
   defaults.replay.back_end.optimization =
       OptimizerOptions();  // a file has no earlier estimates to suffer from
@@ -265,101 +262,90 @@ int run(const Options& options) {
   if (!options.robots.empty()) config.mission.robots = options.robots;
   set_odometry(options.odometry, config);
   validate_config(config);
+  return config;
+}
 
-  PoseGraph graph;
+/// The graph of a file, a run or a recording, with the kinds of its edges.
+PoseGraph read_graph(const Options& options, Config& config, Console& console, const StopToken& stop) {
   const std::filesystem::path of_run = graph_of_run(options.input);
   if (of_run.empty() && is_recording(options.input)) {
-    Mission mission =
-        read_mission(options.input, config.mission, console.progress_callback(), interrupt.token());
+    Mission mission = read_mission(options.input, config.mission, console.progress_callback(), stop);
     console.warn(mission.problems);
-    graph = std::move(mission.graph);  // whose edges have their kinds already
-  } else {
-    // A run whose odometry is not between neighbours has the list beside its graph.
-    if (const auto list = of_run.parent_path() / "odometry.csv";
-        !of_run.empty() && config.mission.odometry.empty() && std::filesystem::exists(list))
-      config.mission.odometry = list.string();
-    G2oFile file = read_g2o(of_run.empty() ? std::filesystem::path(options.input) : of_run);
-    if (config.mission.strict) require_unaltered(file.problems);
-    console.warn(file.problems);
-    graph = std::move(file.graph);
-    const std::string& robots = config.mission.robots;
-    console.warn(classify_edges(graph,
-                                robots.empty() ? Robots::from_keys(graph.keys()) : parse_robots(robots),
-                                config.mission, file.without_information));
+    return std::move(mission.graph);  // whose edges have their kinds already
   }
-  if (!options.decisions.empty()) decide(graph, options.decisions, console);
-  PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
-  add_priors(graph, options, console);
-  const double reading_s = watch.seconds();
+  // A run whose odometry is not between neighbours has the list beside its graph.
+  if (const auto list = of_run.parent_path() / "odometry.csv";
+      !of_run.empty() && config.mission.odometry.empty() && std::filesystem::exists(list))
+    config.mission.odometry = list.string();
+  G2oFile file = read_g2o(of_run.empty() ? std::filesystem::path(options.input) : of_run);
+  if (config.mission.strict) require_unaltered(file.problems);
+  console.warn(file.problems);
+  const std::string& robots = config.mission.robots;
+  console.warn(classify_edges(file.graph,
+                              robots.empty() ? Robots::from_keys(file.graph.keys()) : parse_robots(robots),
+                              config.mission, file.without_information));
+  return std::move(file.graph);
+}
 
-  Json json = Json::object();
-  OptimizationResult result;
-  std::vector<double> weights(graph.edges().size(), 1.0);
-  std::string text;
-  if (options.gnc) {
-    GncResult gnc = optimize_gnc(graph, config.replay.back_end.optimization, config.replay.back_end.gnc,
-                                 interrupt.token());
-    result = std::move(gnc.optimization);
-    weights = gnc.weights;
-    json["gnc"] = {{"outer_iterations", gnc.outer_iterations},
-                   {"inliers", gnc.inliers},
-                   {"outliers", gnc.outliers},
-                   {"start", enum_name(gnc.start)},
-                   {"truncated_cost", gnc.truncated_cost}};
-    for (const OdometryScale& odometry : gnc.odometry_scales) {
-      json["gnc"]["odometry_scales"].push_back({{"first", odometry.first}, {"scale", odometry.scale}});
-    }
-    text += "closures     " + std::to_string(gnc.inliers) + " inliers, " + std::to_string(gnc.outliers) +
-            " outliers, " + std::to_string(gnc.outer_iterations) + " outer iterations, start " +
-            enum_name(gnc.start) + "\n";
-    text += odometry_text(gnc);
-  } else {
-    result = optimize(graph, config.replay.back_end.optimization, interrupt.token());
+/// Optimises robustly; `weights` are those of the edges.
+OptimizationResult run_gnc(const PoseGraph& graph, const Config& config, const StopToken& stop,
+                           std::vector<double>& weights, Json& json, std::string& text) {
+  GncResult gnc = optimize_gnc(graph, config.replay.back_end.optimization, config.replay.back_end.gnc, stop);
+  weights = gnc.weights;
+  json["gnc"] = {{"outer_iterations", gnc.outer_iterations},
+                 {"inliers", gnc.inliers},
+                 {"outliers", gnc.outliers},
+                 {"start", enum_name(gnc.start)},
+                 {"truncated_cost", gnc.truncated_cost}};
+  for (const OdometryScale& odometry : gnc.odometry_scales) {
+    json["gnc"]["odometry_scales"].push_back({{"first", odometry.first}, {"scale", odometry.scale}});
   }
-  graph.set_poses(result.poses);
-  for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
-  const double optimized_s = watch.seconds();
-  if (options.certify) {
-    text += certify_result(config.replay.back_end.optimization, interrupt.token(), graph, result, json);
-  }
-  const double certified_s = watch.seconds();
+  text += "closures     " + std::to_string(gnc.inliers) + " inliers, " + std::to_string(gnc.outliers) +
+          " outliers, " + std::to_string(gnc.outer_iterations) + " outer iterations, start " +
+          enum_name(gnc.start) + "\n";
+  text += odometry_text(gnc);
+  return std::move(gnc.optimization);
+}
 
-  if (!options.marginals.empty()) {
-    const Marginals covariances = marginals(graph, config.replay.back_end.optimization);
-    write_marginals(options.marginals, graph, covariances);
-    json["marginals"] = {{"trace_translation", covariances.trace_translation},
-                         {"trace_full", covariances.trace_full}};
-    char line[96];
-    std::snprintf(line, sizeof line, "marginals    trace %.9g m^2 (translation), %.9g (full)\n",
-                  covariances.trace_translation, covariances.trace_full);
-    text += line;
-  }
-  const double marginals_s = watch.seconds();
-  if (!options.output.empty()) {
-    written.set_poses(result.poses);
-    write_g2o(options.output, written);
-  }
-  if (!options.weights.empty()) write_weights(options.weights, graph, weights);
+std::string report_marginals(const std::string& path, const PoseGraph& graph,
+                             const OptimizerOptions& optimizer, Json& json) {
+  const Marginals covariances = marginals(graph, optimizer);
+  write_marginals(path, graph, covariances);
+  json["marginals"] = {{"trace_translation", covariances.trace_translation},
+                       {"trace_full", covariances.trace_full}};
+  char line[96];
+  std::snprintf(line, sizeof line, "marginals    trace %.9g m^2 (translation), %.9g (full)\n",
+                covariances.trace_translation, covariances.trace_full);
+  return line;
+}
 
-  Json head = {{"poses", graph.nodes().size()},
-               {"planar", graph.planar()},
-               {"edges", graph.edges().size()},
-               {"components", result.components},
-               {"cost_initial", result.cost_initial},
-               {"cost", result.cost},
-               {"iterations", result.iterations},
-               {"factorizations", result.factorizations},
-               {"converged", result.converged},
-               {"initialization", enum_name(result.initialization)},
-               {"termination", enum_name(result.termination)},
-               {"message", result.message},
-               {"seconds",
-                {{"total", watch.seconds()},
-                 {"reading", reading_s},
-                 {"optimization", optimized_s - reading_s},
-                 {"certificate", certified_s - optimized_s},
-                 {"marginals", marginals_s - certified_s}}}};
-  head.update(json);
+/// Wall times at the ends of the stages, s.
+struct Times {
+  double reading = 0.0, optimized = 0.0, certified = 0.0, marginals = 0.0;
+};
+
+Json head_json(const PoseGraph& graph, const OptimizationResult& result, const Times& at, double total) {
+  return {{"poses", graph.nodes().size()},
+          {"planar", graph.planar()},
+          {"edges", graph.edges().size()},
+          {"components", result.components},
+          {"cost_initial", result.cost_initial},
+          {"cost", result.cost},
+          {"iterations", result.iterations},
+          {"factorizations", result.factorizations},
+          {"converged", result.converged},
+          {"initialization", enum_name(result.initialization)},
+          {"termination", enum_name(result.termination)},
+          {"message", result.message},
+          {"seconds",
+           {{"total", total},
+            {"reading", at.reading},
+            {"optimization", at.optimized - at.reading},
+            {"certificate", at.certified - at.optimized},
+            {"marginals", at.marginals - at.certified}}}};
+}
+
+std::string head_text(const PoseGraph& graph, const OptimizationResult& result, double seconds) {
   char line[256];
   std::snprintf(line, sizeof line,
                 "graph        %zu poses, %zu edges, %zu component%s%s\ncost         %.12g -> %.12g\n"
@@ -367,8 +353,46 @@ int run(const Options& options) {
                 graph.nodes().size(), graph.edges().size(), result.components,
                 result.components == 1 ? "" : "s", graph.planar() ? ", planar" : "", result.cost_initial,
                 result.cost, enum_name(result.initialization).c_str(), result.iterations,
-                result.factorizations, enum_name(result.termination).c_str(), optimized_s - reading_s);
-  print_results(options.common, head, (options.verbose ? trace_table(result) + "\n" : "") + line + text);
+                result.factorizations, enum_name(result.termination).c_str(), seconds);
+  return line;
+}
+
+int run(const Options& options) {
+  const Stopwatch watch;
+  Console console(options.common.quiet);
+  const InterruptGuard interrupt;
+  Config config = config_of(options);
+  PoseGraph graph = read_graph(options, config, console, interrupt.token());
+  if (!options.decisions.empty()) decide(graph, options.decisions, console);
+  PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
+  add_priors(graph, options, console);
+  Times at;
+  at.reading = watch.seconds();
+
+  Json json = Json::object();
+  const OptimizerOptions& optimizer = config.replay.back_end.optimization;
+  std::vector<double> weights(graph.edges().size(), 1.0);
+  std::string text;
+  OptimizationResult result = options.gnc ? run_gnc(graph, config, interrupt.token(), weights, json, text)
+                                          : optimize(graph, optimizer, interrupt.token());
+  graph.set_poses(result.poses);
+  for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
+  at.optimized = watch.seconds();
+  if (options.certify) text += certify_result(optimizer, interrupt.token(), graph, result, json);
+  at.certified = watch.seconds();
+  if (!options.marginals.empty()) text += report_marginals(options.marginals, graph, optimizer, json);
+  at.marginals = watch.seconds();
+  if (!options.output.empty()) {
+    written.set_poses(result.poses);
+    write_g2o(options.output, written);
+  }
+  if (!options.weights.empty()) write_weights(options.weights, graph, weights);
+
+  Json head = head_json(graph, result, at, watch.seconds());
+  head.update(json);
+  print_results(options.common, head,
+                (options.verbose ? trace_table(result) + "\n" : "") +
+                    head_text(graph, result, at.optimized - at.reading) + text);
   if (interrupt.interrupted()) return kInterrupted;
   if (!result.converged) console.warn("not converged: " + result.message);
   return kDone;

@@ -109,6 +109,51 @@ Problems problems_of(const Registration& registration, const std::vector<std::pa
   return problems;
 }
 
+/// The two clouds, and what their coordinates are relative to.
+struct Clouds {
+  CloudFile source, target;
+  Origins files{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()}, clouds, reported;
+};
+
+// The pair as two nodes: the source is the newer one.
+constexpr Key kTarget = 0, kSource = 1;
+
+Clouds read_clouds(const Options& options, const Config& config, Console& console) {
+  Clouds out;
+  out.source = read(options.source, config, console);
+  out.target = read(options.target, config, console);
+  out.clouds = {out.target.cloud.origin, out.source.cloud.origin};
+  out.reported = origins_to_report(out.clouds);
+  return out;
+}
+
+/// The pose, and the aligned cloud's file if it is asked for.
+void report_pose(const Options& options, const Clouds& pair, const Eigen::Isometry3d& T_clouds, Json& json,
+                 std::string& text) {
+  const Eigen::Isometry3d T_files = pair.files.from(pair.clouds, T_clouds),
+                          T_reported = pair.reported.from(pair.clouds, T_clouds);
+  json["T_target_source"] = row_major(T_files.matrix());
+  json["T_target_source_about_origin"] = row_major(T_reported.matrix());
+  text += pose_text(T_files, T_reported, pair.reported);
+  if (options.out.empty()) return;
+  const std::filesystem::path path(options.out);
+  const PointCloud cloud = moved(pair.source.cloud, T_clouds, pair.target.cloud.origin);
+  path.extension() == ".ply" ? write_ply(path, cloud) : write_pcd(path, cloud);
+  if (!cloud.origin.isZero(0.0)) {
+    text += "aligned      " + options.out + " is relative to " + point_text(cloud.origin) +
+            " m of the target, as a comment in it says\n";
+  }
+}
+
+void report_covariance(const Clouds& pair, const LoopClosure& closure, Json& json, std::string& text) {
+  const Matrix6d of_inverse = se3::covariance_of_inverse(closure.T_from_to, closure.covariance);
+  const Matrix6d covariance = pair.reported.covariance_from(pair.clouds, of_inverse);
+  json["covariance"] = row_major(covariance);
+  const Vector6d sigma = covariance.diagonal().cwiseSqrt();
+  text += "sigma        " + fixed(sigma[0], 4) + " " + fixed(sigma[1], 4) + " " + fixed(sigma[2], 4) +
+          " m, " + fixed(sigma[3], 5) + " " + fixed(sigma[4], 5) + " " + fixed(sigma[5], 5) + " rad\n";
+}
+
 int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
@@ -118,29 +163,23 @@ int run(const Options& options) {
   if (!options.registrar.empty()) {
     registration.registrar = parse_enum<RegistrarKind>("--registrar", options.registrar);
   }
-
-  // The pair as two nodes: the source is the newer one.
-  constexpr Key kTarget = 0, kSource = 1;
-  const CloudFile source = read(options.source, config, console),
-                  target = read(options.target, config, console);
-  const Origins of_files{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()},
-      of_clouds{target.cloud.origin, source.cloud.origin}, reported = origins_to_report(of_clouds);
+  const Clouds pair = read_clouds(options, config, console);
   RegistrationTask task = pair_task(kSource, kTarget, options.seed);
   if (!options.guess.empty()) {
-    task.guess_from_to = of_clouds.from(of_files, read_transform(options.guess)).inverse();
+    task.guess_from_to = pair.clouds.from(pair.files, read_transform(options.guess)).inverse();
   }
   const double reading_s = watch.seconds();
 
-  const auto source_cloud = std::make_shared<const PointCloud>(source.cloud);
-  const auto target_cloud = std::make_shared<const PointCloud>(target.cloud);
+  const auto source_cloud = std::make_shared<const PointCloud>(pair.source.cloud);
+  const auto target_cloud = std::make_shared<const PointCloud>(pair.target.cloud);
   const auto scans = [&](Key key) { return key == kSource ? source_cloud : target_cloud; };
   const Registration made = make_registration(registration, scans);
   const RegistrationResult result = made.registrar->compute(task);
   Problems problems = problems_of(made, {{options.source, kSource}, {options.target, kTarget}},
                                   registration.features.max_range_m);
   console.warn(problems);
-  problems.add(source.problems);
-  problems.add(target.problems);
+  problems.add(pair.source.problems);
+  problems.add(pair.target.problems);
 
   Json json = Json::object();
   json["status"] = result.verified() ? "verified" : "rejected";
@@ -150,37 +189,16 @@ int run(const Options& options) {
                          ? "verified\n"
                          : "rejected: " + enum_name(result.reason) + ", " + result.message + "\n";
   json["T_target_source"] = nullptr;
-  json["origin_m"] = {{"target", row_major(reported.target)}, {"source", row_major(reported.source)}};
+  json["origin_m"] = {{"target", row_major(pair.reported.target)},
+                      {"source", row_major(pair.reported.source)}};
   json["T_target_source_about_origin"] = nullptr;
   json["covariance"] = nullptr;
   if (result.T_from_to) {
-    const Eigen::Isometry3d T_clouds = result.T_from_to->inverse();
-    const Eigen::Isometry3d T_files = of_files.from(of_clouds, T_clouds),
-                            T_reported = reported.from(of_clouds, T_clouds);
-    json["T_target_source"] = row_major(T_files.matrix());
-    json["T_target_source_about_origin"] = row_major(T_reported.matrix());
-    text += pose_text(T_files, T_reported, reported);
-    if (!options.out.empty()) {
-      const std::filesystem::path path(options.out);
-      const PointCloud cloud = moved(source.cloud, T_clouds, target.cloud.origin);
-      path.extension() == ".ply" ? write_ply(path, cloud) : write_pcd(path, cloud);
-      if (!cloud.origin.isZero(0.0)) {
-        text += "aligned      " + options.out + " is relative to " + point_text(cloud.origin) +
-                " m of the target, as a comment in it says\n";
-      }
-    }
+    report_pose(options, pair, result.T_from_to->inverse(), json, text);
   } else if (!options.out.empty()) {
     console.warn("no transform was found: " + options.out + " is not written");
   }
-  if (result.closure) {
-    const Matrix6d of_inverse =
-        se3::covariance_of_inverse(result.closure->T_from_to, result.closure->covariance);
-    const Matrix6d covariance = reported.covariance_from(of_clouds, of_inverse);
-    json["covariance"] = row_major(covariance);
-    const Vector6d sigma = covariance.diagonal().cwiseSqrt();
-    text += "sigma        " + fixed(sigma[0], 4) + " " + fixed(sigma[1], 4) + " " + fixed(sigma[2], 4) +
-            " m, " + fixed(sigma[3], 5) + " " + fixed(sigma[4], 5) + " " + fixed(sigma[5], 5) + " rad\n";
-  }
+  if (result.closure) report_covariance(pair, *result.closure, json, text);
   json["fitness"] = {{"sac_m2", result.sac_fitness_m2}, {"gicp_m2", result.gicp_fitness_m2}};
   json["overlap"] = result.overlap;
   json["problems"] = Json::array();

@@ -5,6 +5,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/json_options.hpp>
 #include <loopwise/training/judge.hpp>
 
 #include "missions.hpp"
