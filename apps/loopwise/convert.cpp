@@ -132,7 +132,8 @@ void add_convert(CLI::App& app, Action& chosen) {
       ->required()
       ->type_name("DST")
       ->check(not_standard_output());
-  command->add_option("--to", options->to, "mission (default), g2o_pcd, tum, kitti, hdl_graph_slam or hba")->type_name("FORM");
+  command->add_option("--to", options->to, "mission (default), g2o_pcd, tum, kitti, hdl_graph_slam or hba")
+      ->type_name("FORM");
   command
       ->add_option("--encoding", options->encoding,
                    "Of the clouds: ascii, binary or binary_compressed (default)")
