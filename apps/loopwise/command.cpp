@@ -231,8 +231,10 @@ void refuse_recording(const std::filesystem::path& folder, const std::vector<std
     if (fs::equivalent(place, folder, unknown))
       throw OptionError(folder.string() + ": " + source.string() + " lies there" + consequence);
   }
-  for (const char* name : {"mission.json", "result.g2o", "keys.csv", "optimized_poses.txt", "odom_poses.txt",
-                           "singlesession_posegraph.g2o"}) {
+  for (const char* name :
+       {"mission.json", "result.g2o", "keys.csv", "optimized_poses.txt", "odom_poses.txt",
+        "singlesession_posegraph.g2o", "poses.txt", "calib.txt", "graph.txt", "poses_tum.txt",
+        "poses_kitti.txt", "pose.json", "alidarState.txt", "local_map_graph.g2o", "special_nodes.csv"}) {
     if (fs::exists(folder / name))
       throw OptionError(folder.string() + ": there is a recording (" + name + ")" + consequence);
   }

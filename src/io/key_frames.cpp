@@ -18,8 +18,11 @@ namespace loopwise {
 namespace {
 
 constexpr std::size_t kLetters = 26;
-constexpr double kLeastGap_s = 1.0;   // robots that send key poses only have steps of about a second
-constexpr double kUsualGaps = 10.0;   // times the usual interval
+constexpr double kLeastGap_s = 1.0;     // robots that send key poses only have steps of about a second
+constexpr double kUsualGaps = 10.0;     // times the usual interval
+constexpr double kLongestStep_s = 1.0;  // in which a motion is taken to be even
+constexpr double kSameTime_s = 0.001;
+constexpr double kNever_s = 1e12;
 constexpr double kLeastJump_m = 1.0;  // stamps of a millisecond make any step fast
 constexpr double kLargestSpeed_mps = 50.0;
 constexpr double kAtOrigin_m = 0.5;
@@ -105,21 +108,30 @@ typename std::vector<T>::const_iterator first_at(const std::vector<T>& all, std:
                           [](const T& entry, std::int64_t stamp) { return stamp_of(entry) < stamp; });
 }
 
-/// The pose at a stamp, if the odometry knows it within so many seconds.
-std::optional<Eigen::Isometry3d> pose_at(const std::vector<StampedPose>& odometry, std::int64_t stamp_ns,
-                                         double max_difference_s) {
+/// A pose of the odometry, and how far from the stamp that was asked for it was taken.
+struct TimedPose {
+  Eigen::Isometry3d pose;
+  double off_s = 0.0;
+};
+
+/// The pose at a stamp, if the odometry has one within so many seconds: between its neighbours where they are
+/// close enough for that.
+std::optional<TimedPose> pose_at(const std::vector<StampedPose>& odometry, std::int64_t stamp_ns,
+                                 double max_difference_s) {
   const auto after = first_at(odometry, stamp_ns);
-  const bool has_after = after != odometry.end() && seconds(stamp_ns, after->stamp_ns) <= max_difference_s;
   const auto before = after == odometry.begin() ? odometry.end() : std::prev(after);
-  const bool has_before = before != odometry.end() && seconds(before->stamp_ns, stamp_ns) <= max_difference_s;
-  if (has_before && has_after) {
-    const double share = seconds(before->stamp_ns, stamp_ns) / seconds(before->stamp_ns, after->stamp_ns);
+  const bool has_after = after != odometry.end(), has_before = before != odometry.end();
+  const double until_s = has_after ? seconds(stamp_ns, after->stamp_ns) : kNever_s;
+  const double since_s = has_before ? seconds(before->stamp_ns, stamp_ns) : kNever_s;
+  if ((!has_before && !has_after) || std::min(since_s, until_s) > max_difference_s) return std::nullopt;
+  if (until_s == 0.0) return TimedPose{after->pose, 0.0};
+  const double longest_s = std::max(kLongestStep_s, 2.0 * max_difference_s);
+  if (has_before && has_after && seconds(before->stamp_ns, after->stamp_ns) <= longest_s) {
     const Vector6d step = se3::log(before->pose.inverse() * after->pose);
-    return se3::normalized(before->pose * se3::exp(share * step));
+    return TimedPose{se3::normalized(before->pose * se3::exp(since_s / (since_s + until_s) * step)), 0.0};
   }
-  if (has_after) return after->pose;
-  if (has_before) return before->pose;
-  return std::nullopt;
+  if (has_after && until_s < since_s) return TimedPose{after->pose, until_s};
+  return has_before ? TimedPose{before->pose, since_s} : TimedPose{after->pose, until_s};
 }
 
 bool has_sweep_near(const std::vector<Sweep>& sweeps, std::int64_t stamp_ns, double max_difference_s) {
@@ -173,9 +185,14 @@ std::vector<Sweep> with_poses(const RobotStream& stream, const std::vector<Stamp
   const double nearest_s = options.keyframe_max_time_difference_s;
   std::vector<Sweep> posed;
   for (Sweep sweep : sweeps) {
-    if (const auto pose = pose_at(odometry, sweep.stamp_ns, nearest_s)) {
-      sweep.pose = *pose;
+    if (const auto found = pose_at(odometry, sweep.stamp_ns, nearest_s)) {
+      sweep.pose = found->pose;
       posed.push_back(sweep);
+      if (found->off_s > kSameTime_s) {
+        problems.add_altered(
+            "sweep with the pose of another moment",
+            at(stream.source, sweep.stamp_ns) + ", " + std::to_string(found->off_s) + " s off");
+      }
     } else {
       problems.add_altered("sweep without odometry near in time left out", at(stream.source, sweep.stamp_ns));
     }

@@ -445,6 +445,10 @@ Mission with_legible_names(Mission mission) {
 }
 
 Mission finished(Mission mission, const MissionOptions& options) {
+  const bool of_sweeps = mission.kind == MissionKind::kKitti || mission.kind == MissionKind::kStampedClouds;
+  if (!options.poses.empty() && !of_sweeps)
+    mission.problems.add("file of poses not used",
+                         options.poses + ": " + mission.path.string() + " has its own");
   if (options.strict) require_unaltered(mission.problems);
   return with_legible_names(std::move(mission));
 }
@@ -510,6 +514,10 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
     throw OptionError("frames and start_together are of several missions, one is given");
   }
   if (paths.size() == 1) return read_mission(paths.front(), options, progress, stop);
+  if (!options.poses.empty()) {
+    throw OptionError("poses: one file is given for " + std::to_string(paths.size()) +
+                      " sources: convert each with its own first");
+  }
   std::vector<fs::path> bag_paths;
   for (const fs::path& path : paths) {
     if (mission_kind(path) == MissionKind::kBags) bag_paths.push_back(resolved(path));

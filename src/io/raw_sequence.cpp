@@ -313,8 +313,15 @@ fs::path stamped_clouds_of(const fs::path& folder) {
   };
   if (has_stamps(folder)) return folder;
   fs::path found;
+  const auto may_be_read = [](const fs::path& place) {
+    std::error_code error;
+    const fs::directory_iterator first(place, error);
+    return !error;
+  };
   for (const fs::path& entry : entries(folder)) {
-    if (!fs::is_directory(entry) || is_truth(entry) || !has_stamps(entry)) continue;
+    std::error_code unknown;
+    if (!fs::is_directory(entry, unknown) || is_truth(entry) || !may_be_read(entry) || !has_stamps(entry))
+      continue;
     if (!found.empty()) {
       throw InputError(folder.string() + ": clouds in " + found.filename().string() + "/ and " +
                        entry.filename().string() +

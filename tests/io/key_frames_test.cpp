@@ -168,6 +168,30 @@ TEST_CASE("key frames: gaps and jumps of the odometry are counted", "[io][key_fr
   CHECK(of_jump.count("odometry jumps") == 1);
 }
 
+TEST_CASE("key frames: odometry of few poses", "[io][key_frames]") {
+  RobotStream stream = stream_of();
+  stream.odometry.clear();
+  for (int i = 0; i <= 10; ++i) stream.odometry.push_back({stamp(i), pose_after(i)});
+  MissionOptions options;
+  options.keyframe_distance_m = 0.0;
+  Problems problems;
+  // Of ten sweeps a second those at 0.02, 0.92 and 1.02 s are near enough to a pose.
+  const std::vector<KeyFrame> frames = choose_key_frames(stream, options, problems);
+  CHECK(frames.size() == 20);
+  for (const KeyFrame& frame : frames) {
+    const double time_s = static_cast<double>(frame.stamp_ns - kStart_ns) * 1e-9;
+    // Even motion lies between the poses exactly; the nearest pose would be 0.16 m off.
+    CHECK(testing::difference(frame.pose, pose_after(time_s)) < 1e-7);
+  }
+  CHECK(problems.count("sweep without odometry near in time left out") == 80);
+  CHECK(problems.count("sweep with the pose of another moment") == 0);
+
+  stream.odometry.erase(stream.odometry.begin() + 5);
+  Problems of_gap;
+  static_cast<void>(choose_key_frames(stream, options, of_gap));
+  CHECK(of_gap.count("sweep with the pose of another moment") == 2);  // at 4.02 and 5.92 s
+}
+
 TEST_CASE("key frames: clocks that have nothing to do with each other", "[io][key_frames]") {
   RobotStream stream = stream_of();
   for (std::int64_t& ns : stream.sweep_stamps_ns) ns -= kStart_ns;

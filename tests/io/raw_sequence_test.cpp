@@ -211,6 +211,11 @@ TEST_CASE("stamped clouds: joined with another run, and submaps", "[io][stamped_
   CHECK(mission.robots.size() == 2);
   CHECK(mission.scans->size() == 40);
   CHECK(mission.scans->load(make_key('a', 3))->size() == 60);
+  options.poses = folder / "a" / "poses.txt";
+  CHECK_THROWS_WITH(read_missions({folder / "a", folder / "b"}, options),
+                    Contains("one file is given for 2"));
+  testing::write_fast_lio_slam(folder / "session", testing::drive(4));
+  CHECK(read_mission(folder / "session", options).problems.count("file of poses not used") == 1);
 }
 
 }  // namespace

@@ -48,13 +48,15 @@ struct KeyFrame {
 
 /// The key frames of a stream, by stamp. The first sweep with a pose is one, and each that lies
 /// options.keyframe_distance_m or options.keyframe_angle_rad from the key frame before it. The pose of a
-/// sweep is that of the odometry at its stamp: between the poses before and after it, if both are within
-/// options.keyframe_max_time_difference_s, else the nearest one within that. Each sweep belongs to the submap
-/// of the key frame that is nearest in time; of more than options.submap_sweeps the nearest are kept.
+/// sweep is that of the odometry at its stamp, which must have a pose within
+/// options.keyframe_max_time_difference_s: between the poses before and after it, if these are at most 1 s
+/// (or twice that option) apart, else the nearer one. Each sweep belongs to the submap of the key frame that
+/// is nearest in time; of more than options.submap_sweeps the nearest are kept.
 ///
 /// Counted: "odometry stamps run backwards, sorted", "sweep stamps run backwards, sorted", "odometry pose of
 /// a repeated stamp left out", "sweep of a repeated stamp left out", "odometry pose not finite left out",
-/// "stamp out of range left out", "sweep without odometry near in time left out", "odometry pose without a
+/// "stamp out of range left out", "sweep without odometry near in time left out", "sweep with the pose of
+/// another moment" (by more than 1 ms), "odometry pose without a
 /// sweep near in time", "odometry is missing for a while" and "sweeps are missing for a while" (more than 1 s
 /// and ten times the usual interval, in which the sensor has moved by the distance of key frames), "odometry
 /// jumps" (by more than 1 m, faster than 50 m/s), "sweep beyond the bound of a submap left out".
