@@ -83,6 +83,31 @@ TEST_CASE("rosbag2: sizes that lie are found before memory is taken", "[io][bag]
   CHECK_THAT(with(header + 9 + 16, 200'000'000), Contains("its header says 200000000"));
 }
 
+TEST_CASE("rosbag2: broken messages are counted or named with topic and row", "[io][bag][rosbag2][damage]") {
+  const TemporaryFolder folder;
+  if (!rosbag2_data("bags", folder / "d", "--robots c --nodes 4 --storage db3")) return;
+  const fs::path file = folder / "d" / "rosbag" / "husky3.db3";
+  const auto update = [&](const std::string& sql) {
+    const std::string run =
+        "import sqlite3; d = sqlite3.connect('" + file.string() + "'); d.execute('" + sql + "'); d.commit()";
+    REQUIRE(std::system((std::string(testing::kPython) + " -c \"" + run + "\"").c_str()) == 0);
+  };
+  update("UPDATE messages SET data = substr(data, 1, 21) WHERE id = 1");
+  const Mission mission = read_mission(file);
+  CHECK(mission.problems.count("message cannot be read") == 1);
+  for (const Problem& problem : mission.problems.all()) {
+    if (problem.kind == "message cannot be read")
+      CHECK_THAT(problem.example, Contains("husky3.db3: /husky3/lamp/") && Contains("bytes are left"));
+  }
+  update("INSERT INTO messages (topic_id, timestamp, data) VALUES (77, 1, zeroblob(3))");
+  CHECK(read_mission(file).problems.count("message of an unknown topic left out") == 1);
+  update("UPDATE messages SET data = 5 WHERE id = 2");
+  CHECK_THAT(error_of(file),
+             Contains("husky3.db3: row 2 of messages, topic /husky3/lamp/") && Contains("holds no bytes"));
+  update("UPDATE messages SET timestamp = 1.5 WHERE id = 2");
+  CHECK_THAT(error_of(file), Contains("row 2 of messages: timestamp is no whole number"));
+}
+
 TEST_CASE("rosbag2: files that unpack to too much are refused", "[io][bag][rosbag2][damage]") {
   const TemporaryFolder folder;
   if (!rosbag2_data("bags", folder / "d", "--robots c --nodes 3")) return;

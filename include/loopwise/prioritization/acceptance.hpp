@@ -23,6 +23,9 @@ struct CandidateEvidence {
   /// Proposed by a radio beacon, or by a place recognition without a guess of the pose: distance and overlap
   /// at the graph's pose are then uninformative.
   bool from_outside = false;
+  /// Recognition::similarity where a place recognition has guessed the pose that overlap and distance are of;
+  /// else 0. It adds to the logit with a fixed weight, which is not learned.
+  double similarity = 0.0;
 };
 
 /// A logistic model of the probability that a candidate succeeds. Its weights start from a prior and are
