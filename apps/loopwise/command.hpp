@@ -110,6 +110,7 @@ void print_results(const CommonOptions& options, const Json& json, const std::st
 /// Rows of equal length as text in columns, the first row underlined.
 [[nodiscard]] std::string table(const std::vector<std::vector<std::string>>& rows);
 
+void add_align(CLI::App& app, Action& chosen);
 void add_config(CLI::App& app, Action& chosen);
 void add_convert(CLI::App& app, Action& chosen);
 void add_evaluate(CLI::App& app, Action& chosen);

@@ -94,6 +94,7 @@ int run_program(int argc, char** argv) {
       "Examples:\n"
       "  loopwise info my_mission                               what is recorded there\n"
       "  loopwise convert my_bags -o my_mission                 recordings of other programs\n"
+      "  loopwise align my_map new_session -o joined            place a session in a map\n"
       "  loopwise replay my_mission -o out --method obs         find loop closures and the map\n"
       "  loopwise report out -o report.html                     look at it in a browser\n"
       "  loopwise optimize graph.g2o -o better.g2o --gnc        optimise a pose graph robustly\n"
@@ -119,6 +120,7 @@ int run_program(int argc, char** argv) {
   Action chosen;
   add_info(app, chosen);
   add_convert(app, chosen);
+  add_align(app, chosen);
   add_replay(app, chosen, job);
   add_optimize(app, chosen);
   add_rank(app, chosen);

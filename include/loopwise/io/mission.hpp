@@ -78,6 +78,8 @@ struct Mission {
   std::vector<CommunicationGap> gaps;  ///< By robot, then begin.
   std::vector<RadioReading> radio;     ///< In the order of the file.
   std::vector<BeaconDrop> beacons;     ///< In the order of the file.
+  /// Of several sources joined: by robot, the number of the source that it comes from. Else empty.
+  std::vector<std::size_t> robot_sources;
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json says otherwise.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
@@ -114,6 +116,7 @@ struct MissionOptions {
   /// A true pose whose stamp is further from a node's is not its truth.
   double truth_max_time_difference_s = 1.0;
   /// File with the pose of each joined mission's frame in the common one. Empty: they stand in it already.
+  /// The words "auto" and "common" of the command line are not for read_missions(), see read_team().
   std::string frames;
   /// Joined missions begin at the same moment, whenever they were recorded.
   bool start_together = false;
@@ -264,12 +267,15 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
                                                    const StopToken& stop = {});
 
 /// Several sources as one mission. Bags and folders of bags are one recording. Otherwise each must be a
-/// mission of one robot, by read_mission(): the robots are named after their sources and get the keys a0, a1,
-/// …; b0, b1, … in the order given. Poses stand in the common frame as they are, or options.frames names a
-/// file with the pose T_common_source of each: CSV with the header `source,x,y,z,qx,qy,qz,qw`, where source
-/// is the name of its folder or file, or TUM, where the number of the source from 0 stands for the stamp. One
-/// source is read as it is. Landmarks get the keys A0, A1, …; B0, …, each source its own. \throws as
-/// read_mission(); InputError naming a source of several robots, or one that the file lacks
+/// mission by read_mission(): its robots get the next letters, with the keys a0, a1, …; b0, b1, … in the
+/// order given. The robot of a source that has one alone is named after it, others SOURCE_ROBOT. Poses stand
+/// in the common frame as they are, or options.frames names a file with the pose T_common_source of each: CSV
+/// with the header `source,x,y,z,qx,qy,qz,qw` or `source,x,y,z,yaw` (rad, frames are level), where source is
+/// the name of its folder or file, or TUM, where the number of the source from 0 stands for the stamp. CSV
+/// may go on with the sigmas `sx,sy,sz,srx,sry,srz` or `sx,sy,sz,syaw` of the first key frame's pose: they
+/// replace the source's priors. One source is read as it is. Landmarks get the keys A0, A1, …; B0, …, each
+/// source its own. Sources that each begin at an origin of their own count as "joined without a frame".
+/// \throws as read_mission(); InputError naming a source that the file lacks
 [[nodiscard]] LOOPWISE_EXPORT Mission read_missions(const std::vector<std::filesystem::path>& paths,
                                                     const MissionOptions& options = {},
                                                     const ProgressCallback& progress = {},
