@@ -18,5 +18,5 @@ endfunction()
 
 hash_components(registration core features registration)
 # Finished runs of studies hold figures that evaluation makes.
-hash_components(replay core features registration io generation optimization prioritization engine online replay evaluation)
+hash_components(replay core features registration joining io generation optimization prioritization engine online replay evaluation)
 file(WRITE ${OUTPUT} "#define LOOPWISE_REGISTRATION_CODE \"${registration}\"\n#define LOOPWISE_REPLAY_CODE \"${replay}\"\n")

@@ -110,9 +110,11 @@ void add_key_frame_options(CLI::App& command, CommonOptions& options) {
 
 void add_joining_options(CLI::App& command, std::string& frames, bool& start_together) {
   command
-      .add_option("--frames", frames,
-                  "Several missions: pose of each one's frame in the common frame, CSV "
-                  "(source,x,y,z,qx,qy,qz,qw) or TUM")
+      .add_option(
+          "--frames", frames,
+          "Several missions: pose of each one's frame in the common frame, CSV "
+          "(source,x,y,z,qx,qy,qz,qw or source,x,y,z,yaw, with sigmas or without) or TUM; of convert and "
+          "replay also auto: found from the scans, or common: as they stand")
       ->type_name("FILE");
   command.add_flag("--start-together", start_together, "Several missions: all begin at the same moment");
 }

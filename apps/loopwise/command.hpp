@@ -107,6 +107,7 @@ void print_json_text(const CommonOptions& options, const std::string& json, cons
 [[nodiscard]] int run_main(const char* name, int (*program)(int argc, char** argv), int argc,
                            char** argv) noexcept;
 
+void add_align(CLI::App& app, Action& chosen);
 void add_config(CLI::App& app, Action& chosen);
 void add_convert(CLI::App& app, Action& chosen);
 void add_evaluate(CLI::App& app, Action& chosen);

@@ -13,6 +13,7 @@ namespace {
 const std::string& section_text(const std::string& section) {
   static const std::map<std::string, std::string> texts = {
       {"mission", "How missions are read, and what is put in where their files say nothing."},
+      {"joining", "Sources without a common frame: what it takes before two become one."},
       {"generation",
        "Candidates by proximity. In a file the key `preset` names a preset that the other keys then change: "
        "`lamp_base` (the defaults), `lamp_2022_01`, `lamp_robot` or `paper`."},

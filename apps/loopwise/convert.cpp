@@ -6,6 +6,7 @@
 #include <loopwise/io/mission.hpp>
 
 #include "command.hpp"
+#include "team.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -47,7 +48,7 @@ int run(const Options& options) {
   if (!options.frames.empty()) config.mission.frames = options.frames;
   if (options.start_together) config.mission.start_together = true;
   apply_bin_layout(options.bin_layout, config);
-  config.mission.scan_cache_mb = 0.0;  // each scan is used once
+  if (config.mission.frames != "auto") config.mission.scan_cache_mb = 0.0;  // each scan is used once
   const auto format = parse_enum<MissionFormat>("--to", options.to);
   ConvertOptions convert;
   convert.encoding = parse_enum<PcdEncoding>("--encoding", options.encoding);
@@ -57,11 +58,13 @@ int run(const Options& options) {
   const bool existed = std::filesystem::exists(options.output);
   prepare_output_folder(options.output, false, "");
 
-  Mission mission;
+  Team team;
+  Mission& mission = team.mission;
   ConvertResult result;
   try {
     const std::vector<std::filesystem::path> paths(options.sources.begin(), options.sources.end());
-    mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+    ThreadPool threads(convert.threads);
+    team = read_team(paths, config, /*find=*/false, threads, console.progress_callback(), interrupt.token());
     console.warn(mission.problems);
     result = convert_mission(mission, options.output, format, convert);
   } catch (...) {
@@ -84,30 +87,32 @@ int run(const Options& options) {
     if (!robot.landmarks) robots.push_back(robot.name);
   }
   for (const Node& node : mission.graph.nodes()) landmarks += mission.robots.is_landmark(node.key) ? 1 : 0;
-  const Json json = {{"kind", enum_name(mission.kind)},
-                     {"to", options.to},
-                     {"folder", options.output},
-                     {"name", mission.name},
-                     {"robots", robots},
-                     {"nodes", mission.graph.nodes().size()},
-                     {"landmarks", landmarks},
-                     {"edges", mission.graph.edges().size()},
-                     {"priors", mission.graph.priors().size()},
-                     {"ranges", mission.graph.ranges().size()},
-                     {"gravity", mission.graph.gravities().size()},
-                     {"scans", result.scans},
-                     {"ground_truth", mission.ground_truth.size()},
-                     {"reference", mission.reference.size()},
-                     {"radio_readings", mission.radio.size()},
-                     {"beacons", mission.beacons.size()},
-                     {"left_out", problems_json(result.left_out)},
-                     {"problems", problems_json(problems)}};
+  Json json = {{"kind", enum_name(mission.kind)},
+               {"to", options.to},
+               {"folder", options.output},
+               {"name", mission.name},
+               {"robots", robots},
+               {"nodes", mission.graph.nodes().size()},
+               {"landmarks", landmarks},
+               {"edges", mission.graph.edges().size()},
+               {"priors", mission.graph.priors().size()},
+               {"ranges", mission.graph.ranges().size()},
+               {"gravity", mission.graph.gravities().size()},
+               {"scans", result.scans},
+               {"ground_truth", mission.ground_truth.size()},
+               {"reference", mission.reference.size()},
+               {"radio_readings", mission.radio.size()},
+               {"beacons", mission.beacons.size()},
+               {"left_out", problems_json(result.left_out)},
+               {"problems", problems_json(problems)}};
   std::string text =
       enum_name(mission.kind) + " \"" + mission.name + "\" to " + options.to + ": " +
       std::to_string(robots.size()) + " robots, " + std::to_string(mission.graph.nodes().size()) + " nodes" +
       (landmarks > 0 ? " (" + std::to_string(landmarks) + " landmarks), " : ", ") +
       std::to_string(mission.graph.edges().size()) + " edges, " + std::to_string(result.scans) + " scans, " +
-      std::to_string(mission.ground_truth.size()) + " true poses\nfolder       " + options.output + "\n";
+      std::to_string(mission.ground_truth.size()) + " true poses\n" +
+      (team.frames ? frames_text(*team.frames) : "") + "folder       " + options.output + "\n";
+  if (team.frames) json["frames"] = frames_json(*team.frames);
   print_results(options.common, json, text);
   return kDone;
 }
@@ -121,9 +126,10 @@ void add_convert(CLI::App& app, Action& chosen) {
       "Reads what every command reads: mission folders, sessions, g2o files, g2o_pcd folders, bags, "
       "maps "
       "that\n"
-      "LAMP saved. Several bags are one recording; several missions of one robot each become one mission.\n"
+      "LAMP saved. Several bags are one recording; several missions become one mission.\n"
       "  loopwise convert tunnel/rosbag -o tunnel_mission\n"
       "  loopwise convert session1 session2 session3 -o team --frames frames.csv\n"
+      "  loopwise convert session1 session2 session3 -o team --frames auto\n"
       "  loopwise convert my_mission -o for_others --to g2o_pcd");
   command->add_option("sources", options->sources, "Missions, sessions, bags, archives or folders of them")
       ->required()

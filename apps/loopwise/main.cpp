@@ -88,6 +88,7 @@ void describe(CLI::App& app) {
       "Examples:\n"
       "  loopwise info my_mission                               what is recorded there\n"
       "  loopwise convert my_bags -o my_mission                 recordings of other programs\n"
+      "  loopwise align my_map new_session -o joined            place a session in a map\n"
       "  loopwise replay my_mission -o out --method obs         find loop closures and the map\n"
       "  loopwise report out -o report.html                     look at it in a browser\n"
       "  loopwise optimize graph.g2o -o better.g2o --gnc        optimise a pose graph robustly\n"
@@ -101,6 +102,7 @@ void add_commands(CLI::App& app, loopwise::cli::Action& chosen, loopwise::Transp
   using namespace loopwise::cli;
   add_info(app, chosen);
   add_convert(app, chosen);
+  add_align(app, chosen);
   add_replay(app, chosen, job);
   add_optimize(app, chosen);
   add_rank(app, chosen);

@@ -34,6 +34,7 @@
 #include "command.hpp"
 #include "replay_arguments.hpp"
 #include "run_text.hpp"
+#include "team.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -339,7 +340,12 @@ int run(const Options& options) {
   const InterruptGuard interrupt;
   const Config config = configured(options);
   const std::vector<fs::path> paths(options.missions.begin(), options.missions.end());
-  Mission mission = read_missions(paths, config.mission, console.progress_callback(), interrupt.token());
+  ThreadPool threads(options.job == nullptr ? thread_count(options.common) : 1);
+  Team team =
+      options.job != nullptr
+          ? Team{read_missions(paths, config.mission, console.progress_callback(), interrupt.token()), {}}
+          : read_team(paths, config, /*find=*/true, threads, console.progress_callback(), interrupt.token());
+  Mission& mission = team.mission;
   set_truth(mission, options.truth, config.mission);
   Problems problems;
   for (const Problem& problem : mission.problems.all()) {
@@ -427,7 +433,6 @@ int run(const Options& options) {
       return replay_live(mission, config.replay, registration.registrar, clock, thread_count(options.common),
                          hooks);
     }
-    ThreadPool threads(options.job == nullptr ? thread_count(options.common) : 1);
 #ifdef LOOPWISE_HAS_MPI
     if (options.job != nullptr) {
       WorkOptions limits;
@@ -469,8 +474,10 @@ int run(const Options& options) {
 #ifdef LOOPWISE_HAS_MPI
   if (server) note_ranks(console, server->statistics(), summary);
 #endif
+  if (team.frames) summary["frames"] = frames_json(*team.frames);
   print_results(options.common, summary,
-                results_text(config.replay, result, evaluation, thread_count(options.common)) +
+                (team.frames ? frames_text(*team.frames) : "") +
+                    results_text(config.replay, result, evaluation, thread_count(options.common)) +
                     "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +

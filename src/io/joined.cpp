@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
+#include <array>
+#include <cmath>
 #include <limits>
 #include <map>
+#include <optional>
 #include <set>
 
 #include <loopwise/core/error.hpp>
@@ -18,7 +21,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const std::vector<std::string> kFrameColumns = {"source", "x", "y", "z", "qx", "qy", "qz", "qw"};
 constexpr std::size_t kLetters = 26;
 
 std::string first_line(const std::string& contents) {
@@ -29,17 +31,82 @@ std::string first_line(const std::string& contents) {
   return {};
 }
 
-/// T_common_source of each source.
-std::vector<Eigen::Isometry3d> read_frames(const fs::path& file, const std::vector<std::string>& sources) {
+/// Where the frame of a source lies in the common one.
+struct SourceFrame {
+  Eigen::Isometry3d T_common_source = Eigen::Isometry3d::Identity();
+  /// Of the first key frame there: x y z roll pitch yaw. Absent: its priors are as certain as they say.
+  std::optional<std::array<double, 6>> sigmas;
+};
+
+/// A header that files of frames may have.
+struct FrameColumns {
+  std::vector<std::string> names;
+  bool yaw_alone;  ///< Else a quaternion.
+  bool sigmas;
+};
+
+/// The header of those that the first line of a file names; the plain one if it is like no other.
+const FrameColumns& frame_columns(const std::string& header) {
+  static const std::vector<FrameColumns> kKnown = {
+      {{"source", "x", "y", "z", "qx", "qy", "qz", "qw"}, false, false},
+      {{"source", "x", "y", "z", "qx", "qy", "qz", "qw", "sx", "sy", "sz", "srx", "sry", "srz"}, false, true},
+      {{"source", "x", "y", "z", "yaw"}, true, false},
+      {{"source", "x", "y", "z", "yaw", "sx", "sy", "sz", "syaw"}, true, true}};
+  std::string plain;
+  for (const char c : header) {
+    if (c != ' ' && c != '\t' && c != '"') plain += c;
+  }
+  for (const FrameColumns& columns : kKnown) {
+    std::string names;
+    for (const std::string& name : columns.names) names += (names.empty() ? "" : ",") + name;
+    if (names == plain) return columns;
+  }
+  return kKnown.front();
+}
+
+/// A row from its second column on.
+SourceFrame frame_of_row(const CsvTable& table, std::size_t row, const FrameColumns& columns,
+                         const text::Place& place, const MissionOptions& options) {
+  std::vector<double> values;
+  for (std::size_t i = 1; i < columns.names.size(); ++i) values.push_back(table.number(row, i));
+  SourceFrame frame;
+  const std::size_t numbers = columns.yaw_alone ? 4 : 7;
+  if (columns.yaw_alone) {
+    constexpr double kTurn_rad = 6.2832;
+    if (std::abs(values[3]) > kTurn_rad)
+      table.fail(row, 4, "is in rad, at most a turn of 6.2832, found " + table.text(row, 4));
+    frame.T_common_source.linear() =
+        Eigen::AngleAxisd(values[3], Eigen::Vector3d::UnitZ()).toRotationMatrix();
+    frame.T_common_source.translation() = Eigen::Vector3d(values[0], values[1], values[2]);
+  } else {
+    frame.T_common_source = text::pose_of(values.data(), place).pose;
+  }
+  if (!columns.sigmas) return frame;
+  for (std::size_t i = numbers; i < values.size(); ++i) {
+    if (!(values[i] > 0.0)) table.fail(row, i + 1, "a sigma must be > 0, found " + table.text(row, i + 1));
+  }
+  std::array<double, 6> sigmas{};
+  for (std::size_t i = 0; i < 3; ++i) sigmas[i] = values[numbers + i];
+  for (std::size_t i = 3; i < 6; ++i)
+    sigmas[i] = columns.yaw_alone ? options.prior_sigmas[i] : values[numbers + i];
+  if (columns.yaw_alone) sigmas[5] = values[numbers + 3];
+  frame.sigmas = sigmas;
+  return frame;
+}
+
+std::vector<SourceFrame> read_frames(const MissionOptions& options, const std::vector<std::string>& sources) {
+  const fs::path file = options.frames;
   const std::string name = file.string();
-  std::vector<std::optional<Eigen::Isometry3d>> frames(sources.size());
-  const auto set = [&](std::size_t source, const Eigen::Isometry3d& pose) {
+  std::vector<std::optional<SourceFrame>> frames(sources.size());
+  const auto set = [&](std::size_t source, const SourceFrame& frame) {
     if (frames[source])
       throw InputError(name + ": source " + text::quoted(sources[source]) + " has two frames");
-    frames[source] = pose;
+    frames[source] = frame;
   };
-  if (first_line(read_file(file)).rfind("source", 0) == 0) {
-    const CsvTable table(file, kFrameColumns);
+  const std::string header = first_line(read_file(file));
+  if (header.rfind("source", 0) == 0) {
+    const FrameColumns& columns = frame_columns(header);
+    const CsvTable table(file, columns.names);
     for (std::size_t row = 0; row < table.size(); ++row) {
       const text::Place place{name, table.line(row)};
       const std::string& source = table.text(row, 0);
@@ -50,9 +117,8 @@ std::vector<Eigen::Isometry3d> read_frames(const fs::path& file, const std::vect
             row, 0,
             "several sources are called " + text::quoted(source) + ": use TUM lines with their numbers");
       }
-      double values[7];
-      for (std::size_t i = 0; i < 7; ++i) values[i] = table.number(row, i + 1);
-      set(static_cast<std::size_t>(found - sources.begin()), text::pose_of(values, place).pose);
+      set(static_cast<std::size_t>(found - sources.begin()),
+          frame_of_row(table, row, columns, place, options));
     }
   } else {
     const Trajectory lines = read_trajectory(file, TrajectoryFormat::kTum);
@@ -64,10 +130,10 @@ std::vector<Eigen::Isometry3d> read_frames(const fs::path& file, const std::vect
                          ": the first value must be the number of a source, 0 to " +
                          std::to_string(sources.size() - 1));
       }
-      set(static_cast<std::size_t>(number), lines.poses[i]);
+      set(static_cast<std::size_t>(number), {lines.poses[i], std::nullopt});
     }
   }
-  std::vector<Eigen::Isometry3d> out;
+  std::vector<SourceFrame> out;
   for (std::size_t i = 0; i < sources.size(); ++i) {
     if (!frames[i]) throw InputError(name + ": no frame of source " + text::quoted(sources[i]));
     out.push_back(*frames[i]);
@@ -82,150 +148,225 @@ bool begins_at_origin(const Mission& mission) {
   return !first.empty() && mission.graph.node(first.front()).pose.translation().norm() < kNear_m;
 }
 
-}  // namespace
-
-Mission join_missions(const std::vector<Mission>& missions, const MissionOptions& options) {
-  if (missions.size() > kLetters) {
-    throw InputError(std::to_string(missions.size()) + " sources, at most " + std::to_string(kLetters) +
-                     " can be joined: a letter each");
+/// Makes one mission of several, source by source.
+class Joiner {
+ public:
+  Joiner(const std::vector<Mission>& missions, const MissionOptions& options)
+      : missions_(missions), options_(options), frames_(missions.size()) {
+    joined_.kind = MissionKind::kJoined;
+    joined_.path = missions.front().path;
+    for (const Mission& mission : missions) sources_.push_back(mission.name);
+    if (!options.frames.empty()) frames_ = read_frames(options, sources_);
+    joined_.start_ns = missions.front().start_ns;
+    for (const Mission& mission : missions) joined_.start_ns = std::min(joined_.start_ns, mission.start_ns);
+    // Where one alone begins there, poses stand apart as a common frame has them.
+    at_origin_ = std::count_if(missions.begin(), missions.end(), begins_at_origin);
   }
-  Mission joined;
-  joined.kind = MissionKind::kJoined;
-  joined.path = missions.front().path;
-  std::vector<std::string> sources;
-  sources.reserve(missions.size());
-  for (const Mission& mission : missions) sources.push_back(mission.name);
-  std::vector<Eigen::Isometry3d> frames(missions.size(), Eigen::Isometry3d::Identity());
-  if (!options.frames.empty()) frames = read_frames(options.frames, sources);
-  joined.start_ns = missions.front().start_ns;
-  for (const Mission& mission : missions) joined.start_ns = std::min(joined.start_ns, mission.start_ns);
 
-  // Where one alone begins there, poses stand apart as a common frame has them.
-  const auto at_origin = std::count_if(missions.begin(), missions.end(), begins_at_origin);
+  Mission join() {
+    for (std::size_t source = 0; source < missions_.size(); ++source) add(source);
+    joined_.robots = robots_of(joined_.graph, options_, Robots(std::move(robots_)));
+    joined_.graph = with_stamps(joined_.graph, stamps_, priors_);
+    // Else each source knows the kinds of its edges, and has counted the flaws of its odometry.
+    if (!options_.odometry.empty() || !options_.robots.empty())
+      joined_.problems.add(classify_edges(joined_.graph, joined_.robots, options_));
+    // The options may have divided the keys in another way.
+    for (BeaconDrop& drop : joined_.beacons) drop.robot = joined_.robots.of(drop.drop_key);
+    for (CommunicationGap& gap : joined_.gaps)
+      gap.robot = joined_.robots.of(make_key(static_cast<char>('a' + gap.robot), 0));
+    for (const Robot& robot : joined_.robots.all()) {
+      const char letter = key_character(robot.first);
+      const auto index = static_cast<std::size_t>(letter - (robot.landmarks ? 'A' : 'a'));
+      joined_.robot_sources.push_back(index < source_of_letter_.size() ? source_of_letter_[index] : 0);
+    }
+    joined_.scans = std::make_shared<ScanStore>(std::move(scans_));
+    joined_.provenance_json = provenance_of(joined_.kind, sources_);
+    return std::move(joined_);
+  }
 
-  std::vector<Robot> robots;
-  std::set<std::string> names, beacons;
-  std::vector<PriorFactor> priors;
-  Stamps stamps;
-  std::map<Key, ScanStore::Part> scans;
-  for (std::size_t i = 0; i < missions.size(); ++i) {
-    const Mission& mission = missions[i];
-    const Eigen::Isometry3d& T = frames[i];
-    if (mission.graph.planar())
-      throw InputError(mission.path.string() + ": has a 2D graph: only 3D missions can be joined");
-    const std::vector<Key> firsts = first_nodes(mission.graph, mission.robots);
-    if (firsts.size() != 1) {
-      throw InputError(mission.path.string() + ": has " + std::to_string(firsts.size()) +
-                       " robots: only missions of one robot each can be joined");
-    }
-    const char letter = static_cast<char>('a' + i), capital = static_cast<char>('A' + i);
-    std::string name = mission.name;
-    for (int n = 2; names.count(name) + names.count(name + "_landmarks") != 0; ++n) {
-      name = mission.name + "_" + std::to_string(n);
-    }
-    names.insert({name, name + "_landmarks"});
-    if (options.frames.empty() && at_origin > 1 && begins_at_origin(mission)) {
-      joined.problems.add(
-          "joined without a frame",
-          name + ": its origin is taken for that of the common frame; --frames says where it is");
-    }
-    robots.push_back(robot_of_character(letter, name));
-    joined.name += (i > 0 ? "+" : "") + name;
-    const Key first = mission.robots[mission.robots.of(firsts.front())].first;
-    // Each source has seen its own landmarks: the same key in another is another.
-    std::map<Key, Key> landmarks;
-    for (const Node& node : mission.graph.nodes()) {
-      if (mission.robots.is_landmark(node.key)) landmarks.emplace(node.key, 0);
-    }
-    Key seen = 0;
-    for (auto& [key, as] : landmarks) as = make_key(capital, seen++);
-    if (!landmarks.empty()) {
-      robots.push_back(robot_of_character(capital, name + "_landmarks"));
-      robots.back().landmarks = true;
-    }
-    const auto renamed = [&](Key key) {
-      const auto landmark = landmarks.find(key);
-      return landmark != landmarks.end() ? landmark->second : make_key(letter, key - first);
-    };
-    const std::int64_t shift = options.start_together ? joined.start_ns - mission.start_ns : 0;
-    const auto shifted = [&](std::int64_t stamp_ns) {
-      // The shift goes back, by up to twice the largest stamp there is.
-      const bool far = stamp_ns < std::numeric_limits<std::int64_t>::min() - shift;
-      if (far || !stamp_in_range(stamp_ns + shift)) {
-        throw InputError(mission.path.string() + ": a stamp of " + std::to_string(stamp_ns) +
-                         " ns is out of range once the mission starts with the others");
-      }
-      return stamp_ns + shift;
-    };
+ private:
+  void add(std::size_t source);
+  void name_robots(std::size_t source);
+  void add_graph(const Mission& mission, const SourceFrame& frame);
+  void add_rest(const Mission& mission);
+  std::string unique_name(const std::string& wanted);
+  [[nodiscard]] Key renamed(Key key) const;
+  [[nodiscard]] std::int64_t shifted(const Mission& mission, std::int64_t stamp_ns) const;
 
-    for (Node node : mission.graph.nodes()) {
-      node.key = renamed(node.key);
-      node.pose = se3::normalized(T * node.pose);
-      stamps[node.key] = shifted(node.stamp_ns);
-      joined.graph.add_node(node);
+  const std::vector<Mission>& missions_;
+  const MissionOptions& options_;
+  std::vector<SourceFrame> frames_;
+  std::vector<std::string> sources_;
+  std::ptrdiff_t at_origin_ = 0;
+  Mission joined_;
+  std::vector<Robot> robots_;
+  std::set<std::string> names_, beacons_;
+  std::vector<PriorFactor> priors_;
+  Stamps stamps_;
+  std::map<Key, ScanStore::Part> scans_;
+  std::vector<std::size_t> source_of_letter_;
+
+  // Of the source that is being added.
+  std::map<std::size_t, std::size_t> letter_of_robot_;
+  std::map<Key, Key> landmarks_;
+  const Mission* source_ = nullptr;
+};
+
+std::string Joiner::unique_name(const std::string& wanted) {
+  std::string name = wanted;
+  for (int n = 2; names_.count(name) + names_.count(name + "_landmarks") != 0; ++n)
+    name = wanted + "_" + std::to_string(n);
+  names_.insert({name, name + "_landmarks"});
+  return name;
+}
+
+/// A letter for each robot, and the capital one of the first for landmarks.
+void Joiner::name_robots(std::size_t source) {
+  const Mission& mission = missions_[source];
+  const std::vector<Key> firsts = first_nodes(mission.graph, mission.robots);
+  if (firsts.empty()) throw InputError(mission.path.string() + ": has no key frames");
+  const std::size_t first_letter = source_of_letter_.size();
+  if (first_letter + firsts.size() > kLetters) {
+    throw InputError("more than " + std::to_string(kLetters) +
+                     " robots, which can be joined at most: a letter each");
+  }
+  letter_of_robot_.clear();
+  landmarks_.clear();
+  const std::string whole = unique_name(mission.name);
+  joined_.name += (source > 0 ? "+" : "") + whole;
+  for (const Key first : firsts) {
+    const std::size_t robot = mission.robots.of(first), letter = source_of_letter_.size();
+    letter_of_robot_[robot] = letter;
+    source_of_letter_.push_back(source);
+    const std::string name =
+        firsts.size() == 1 ? whole : unique_name(whole + "_" + mission.robots[robot].name);
+    robots_.push_back(robot_of_character(static_cast<char>('a' + letter), name));
+  }
+  // Each source has seen its own landmarks: the same key in another is another.
+  for (const Node& node : mission.graph.nodes()) {
+    if (mission.robots.is_landmark(node.key)) landmarks_.emplace(node.key, 0);
+  }
+  const char capital = static_cast<char>('A' + first_letter);
+  Key seen = 0;
+  for (auto& [key, as] : landmarks_) as = make_key(capital, seen++);
+  if (!landmarks_.empty()) {
+    robots_.push_back(robot_of_character(capital, whole + "_landmarks"));
+    robots_.back().landmarks = true;
+  }
+}
+
+Key Joiner::renamed(Key key) const {
+  const auto landmark = landmarks_.find(key);
+  if (landmark != landmarks_.end()) return landmark->second;
+  const std::size_t robot = source_->robots.of(key);
+  const Key first = source_->robots[robot].first;
+  return make_key(static_cast<char>('a' + letter_of_robot_.at(robot)), key - first);
+}
+
+std::int64_t Joiner::shifted(const Mission& mission, std::int64_t stamp_ns) const {
+  // The shift goes back, by up to twice the largest stamp there is.
+  const std::int64_t shift = options_.start_together ? joined_.start_ns - mission.start_ns : 0;
+  const bool far = stamp_ns < std::numeric_limits<std::int64_t>::min() - shift;
+  if (far || !stamp_in_range(stamp_ns + shift)) {
+    throw InputError(mission.path.string() + ": a stamp of " + std::to_string(stamp_ns) +
+                     " ns is out of range once the mission starts with the others");
+  }
+  return stamp_ns + shift;
+}
+
+void Joiner::add_graph(const Mission& mission, const SourceFrame& frame) {
+  const Eigen::Isometry3d& T = frame.T_common_source;
+  for (Node node : mission.graph.nodes()) {
+    node.key = renamed(node.key);
+    node.pose = se3::normalized(T * node.pose);
+    stamps_[node.key] = shifted(mission, node.stamp_ns);
+    joined_.graph.add_node(node);
+  }
+  if (frame.sigmas) {
+    for (const Key first : first_nodes(mission.graph, mission.robots)) {
+      const Key key = renamed(first);
+      priors_.push_back({key, joined_.graph.node(key).pose, information_of_sigmas(frame.sigmas->data())});
     }
+    for (const PriorFactor& prior : mission.graph.priors()) {
+      const std::vector<Key> firsts = first_nodes(mission.graph, mission.robots);
+      if (std::find(firsts.begin(), firsts.end(), prior.key) == firsts.end())
+        joined_.problems.add("prior left out for the sigmas of its source's frame",
+                             mission.path.string() + ": node " + key_name(prior.key));
+    }
+  } else {
     for (PriorFactor prior : mission.graph.priors()) {
       prior.key = renamed(prior.key);
       prior.pose = se3::normalized(T * prior.pose);
-      priors.push_back(prior);
+      priors_.push_back(prior);
     }
-    for (Edge edge : mission.graph.edges()) {
-      edge.from = renamed(edge.from);
-      edge.to = renamed(edge.to);
-      joined.graph.add_edge(edge);
-    }
-    for (RangeFactor range : mission.graph.ranges()) {
-      range.from = renamed(range.from);
-      range.to = renamed(range.to);
-      joined.graph.add_range(range);
-    }
-    // Felt in the body frame, and down is down in every frame.
-    for (GravityFactor gravity : mission.graph.gravities()) {
-      gravity.key = renamed(gravity.key);
-      joined.graph.add_gravity(gravity);
-    }
-    for (const auto& [key, pose] : mission.ground_truth) {
-      joined.ground_truth.emplace(renamed(key), se3::normalized(T * pose));
-    }
-    for (const auto& [key, pose] : mission.reference) {
-      joined.reference.emplace(renamed(key), se3::normalized(T * pose));
-    }
-    for (const Key key : mission.scans->keys()) {
-      if (mission.graph.contains(key)) scans[renamed(key)] = {mission.scans, key};
-    }
-    for (RadioReading reading : mission.radio) {
-      reading.key = renamed(reading.key);
-      joined.radio.push_back(std::move(reading));
-    }
-    for (BeaconDrop drop : mission.beacons) {
-      if (!beacons.insert(drop.beacon).second) {
-        joined.problems.add("beacon dropped twice", mission.path.string() + ": " + drop.beacon);
-        continue;
-      }
-      drop.robot = i;
-      drop.drop_key = renamed(drop.drop_key);
-      drop.stamp_ns = shifted(drop.stamp_ns);
-      joined.beacons.push_back(std::move(drop));
-    }
-    const double later_s = static_cast<double>(mission.start_ns + shift - joined.start_ns) * 1e-9;
-    for (CommunicationGap gap : mission.gaps) {
-      joined.gaps.push_back({i, gap.begin_s + later_s, gap.end_s + later_s});
-    }
-    joined.problems.add(mission.problems);
   }
-  joined.robots = robots_of(joined.graph, options, Robots(std::move(robots)));
-  joined.graph = with_stamps(joined.graph, stamps, priors);
-  // Else each source knows the kinds of its edges, and has counted the flaws of its odometry.
-  if (!options.odometry.empty() || !options.robots.empty())
-    joined.problems.add(classify_edges(joined.graph, joined.robots, options));
-  // The options may have divided the keys in another way.
-  for (BeaconDrop& drop : joined.beacons) drop.robot = joined.robots.of(drop.drop_key);
-  for (CommunicationGap& gap : joined.gaps) {
-    gap.robot = joined.robots.of(make_key(static_cast<char>('a' + gap.robot), 0));
+  for (Edge edge : mission.graph.edges()) {
+    edge.from = renamed(edge.from);
+    edge.to = renamed(edge.to);
+    joined_.graph.add_edge(edge);
   }
-  joined.scans = std::make_shared<ScanStore>(std::move(scans));
-  joined.provenance_json = provenance_of(joined.kind, sources);
-  return joined;
+  for (RangeFactor range : mission.graph.ranges()) {
+    range.from = renamed(range.from);
+    range.to = renamed(range.to);
+    joined_.graph.add_range(range);
+  }
+  // Felt in the body frame, and down is down in every frame.
+  for (GravityFactor gravity : mission.graph.gravities()) {
+    gravity.key = renamed(gravity.key);
+    joined_.graph.add_gravity(gravity);
+  }
+  for (const auto& [key, pose] : mission.ground_truth)
+    joined_.ground_truth.emplace(renamed(key), se3::normalized(T * pose));
+  for (const auto& [key, pose] : mission.reference)
+    joined_.reference.emplace(renamed(key), se3::normalized(T * pose));
+}
+
+void Joiner::add_rest(const Mission& mission) {
+  for (const Key key : mission.scans->keys()) {
+    if (mission.graph.contains(key)) scans_[renamed(key)] = {mission.scans, key};
+  }
+  for (RadioReading reading : mission.radio) {
+    reading.key = renamed(reading.key);
+    joined_.radio.push_back(std::move(reading));
+  }
+  for (BeaconDrop drop : mission.beacons) {
+    if (!beacons_.insert(drop.beacon).second) {
+      joined_.problems.add("beacon dropped twice", mission.path.string() + ": " + drop.beacon);
+      continue;
+    }
+    drop.drop_key = renamed(drop.drop_key);
+    drop.stamp_ns = shifted(mission, drop.stamp_ns);
+    joined_.beacons.push_back(std::move(drop));
+  }
+  const std::int64_t shift = options_.start_together ? joined_.start_ns - mission.start_ns : 0;
+  const double later_s = static_cast<double>(mission.start_ns + shift - joined_.start_ns) * 1e-9;
+  for (const CommunicationGap& gap : mission.gaps) {
+    const auto letter = letter_of_robot_.find(gap.robot);
+    if (letter == letter_of_robot_.end()) continue;  // of a robot without nodes
+    joined_.gaps.push_back({letter->second, gap.begin_s + later_s, gap.end_s + later_s});
+  }
+}
+
+void Joiner::add(std::size_t source) {
+  const Mission& mission = missions_[source];
+  source_ = &mission;
+  if (mission.graph.planar())
+    throw InputError(mission.path.string() + ": has a 2D graph: only 3D missions can be joined");
+  name_robots(source);
+  if (options_.frames.empty() && at_origin_ > 1 && begins_at_origin(mission)) {
+    joined_.problems.add(kWithoutFrame,
+                         mission.name + ": its origin is taken for that of the common frame; --frames auto " +
+                             "finds where it is from the scans, --frames FILE says it");
+  }
+  add_graph(mission, frames_[source]);
+  add_rest(mission);
+  joined_.problems.add(mission.problems);
+}
+
+}  // namespace
+
+Mission join_missions(const std::vector<Mission>& missions, const MissionOptions& options) {
+  return Joiner(missions, options).join();
 }
 
 }  // namespace loopwise::parts

@@ -510,6 +510,11 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
                       const ProgressCallback& progress, const StopToken& stop) {
   check_options(options);
   if (paths.empty()) throw InputError("no mission given");
+  if (options.frames == "auto" || options.frames == "common") {
+    throw OptionError("frames = \"" + options.frames +
+                      "\": convert, replay and align take this word; here a file is expected (./" +
+                      options.frames + " for one of this name)");
+  }
   if (paths.size() == 1 && (!options.frames.empty() || options.start_together)) {
     throw OptionError("frames and start_together are of several missions, one is given");
   }

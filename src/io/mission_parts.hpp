@@ -23,6 +23,9 @@ using Stamps = std::unordered_map<Key, std::int64_t>;
 /// folder.
 inline constexpr const char* kUnfinished = ".unfinished";
 
+/// Problem of joined missions that each begin at an origin of their own.
+inline constexpr const char* kWithoutFrame = "joined without a frame";
+
 /// Files of ranges, gravity and the list of odometry beside a graph.
 inline constexpr const char* kRanges = "ranges.csv";
 inline constexpr const char* kOdometry = "odometry.csv";

@@ -102,7 +102,7 @@ TEST_CASE("convert: bad usage is 2, bad input 3, and neither leaves anything", "
         "must be one of: mission, g2o_pcd, tum, kitti");
   fails({"convert", m, "-o", out, "--encoding", "zip"}, kBadUsage, "--encoding");
   fails({"convert", m, "-o", out, "--frames", "f.csv"}, kBadUsage, "one is given");
-  fails({"convert", m, m, "-o", out}, kBadInput, "has 2 robots");
+  fails({"info", m, m, "--frames", "auto"}, kBadUsage, "frames = \"auto\"");
   fails({"convert", (folder / "none").string(), "-o", out}, kBadInput, "none");
   testing::write_text(folder / "cut.bag", "#ROSBAG V2.0\n");
   fails({"convert", (folder / "cut.bag").string(), "-o", out}, kBadInput, "cut.bag");
@@ -145,7 +145,8 @@ TEST_CASE("convert: bags and sessions from the command line", "[apps][convert]")
     CHECK(direct[field] == written[field]);
   }
   CHECK(
-      json_of({"replay", s0, s1, s2, "-o", (folder / "run").string(), "--method", "odom", "--start-together"})
+      json_of({"replay", s0, s1, s2, "-o", (folder / "run").string(), "--method", "odom", "--start-together",
+               "--frames", "common"})
           .contains("ate_m"));
 
   if (!lamp_data("bags", folder / "b")) return;

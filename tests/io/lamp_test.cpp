@@ -518,9 +518,6 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
     CHECK_THROWS_WITH(with_frames("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n")(), Contains("has two frames"));
     CHECK_THROWS_WITH(with_frames("3 0 0 0 0 0 0 1\n")(), Contains("number of a source, 0 to 2"));
     CHECK_THROWS_AS(read_missions({paths[0]}, options), OptionError);
-    options.frames.clear();
-    if (!lamp_data("g2o_pcd", folder / "two")) return;
-    CHECK_THROWS_WITH(read_missions({paths[0], folder / "two"}, options), Contains("has 2 robots"));
     CHECK_THROWS_AS(read_missions({}), InputError);
   }
   SECTION("with landmarks, ranges and gravity of their own") {

@@ -106,6 +106,8 @@ struct Mission {
   std::vector<CommunicationGap> gaps;  ///< By robot, then begin.
   std::vector<RadioReading> radio;     ///< In the order of the file.
   std::vector<BeaconDrop> beacons;     ///< In the order of the file.
+  /// Of several sources joined: by robot, the number of its source. Else empty.
+  std::vector<std::size_t> robot_sources;
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json sets it.
   std::string frame = "map";  ///< Name of the common frame.
   std::string provenance_json = "{}";  ///< A JSON object: where the mission comes from.
@@ -150,6 +152,7 @@ struct MissionOptions {
   std::string truth_topic;
   /// File with the pose of each joined mission's frame in the common frame. Empty: poses are in the common
   /// frame.
+  /// The words "auto" and "common" of the command line are not for read_missions(), see read_team().
   std::string frames;
   /// Joined missions begin at the same time, independent of their stamps.
   bool start_together = false;
@@ -351,12 +354,15 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
                                                    const StopToken& stop = {});
 
 /// Several sources as one mission. Bags and folders of bags are one recording. Otherwise each must be a
-/// mission of one robot, by read_mission(): the robots are named after their sources and get the keys a0, a1,
-/// …; b0, b1, … in the order given. Poses are in the common frame, or options.frames names a file with the
-/// pose T_common_source of each: CSV with the header `source,x,y,z,qx,qy,qz,qw`, where source is the name of
-/// its folder or file, or TUM, with the number of the source from 0 as the stamp. A single source is read
-/// unchanged. Landmarks get the keys A0, A1, …; B0, …, separate for each source. \throws as read_mission();
-/// InputError naming a source of several robots, or one that the file lacks
+/// mission by read_mission(): its robots get the next letters, with the keys a0, a1, …; b0, b1, … in the
+/// given order. The robot of a source with one robot is named after the source, others SOURCE_ROBOT. Poses
+/// are in the common frame, or options.frames names a file with the pose T_common_source of each: CSV with the
+/// header `source,x,y,z,qx,qy,qz,qw` or `source,x,y,z,yaw` (rad, frames are level), where source is the name
+/// of its folder or file, or TUM, with the number of the source from 0 as the stamp. CSV may continue with the
+/// sigmas `sx,sy,sz,srx,sry,srz` or `sx,sy,sz,syaw` of the first key frame's pose: they replace the source's
+/// priors. A single source is read unchanged. Landmarks get the keys A0, A1, …; B0, …, separate for each
+/// source. Sources that each begin at an origin of their own count as "joined without a frame".
+/// \throws as read_mission(); InputError naming a source that the file lacks
 [[nodiscard]] LOOPWISE_EXPORT Mission read_missions(const std::vector<std::filesystem::path>& paths,
                                                     const MissionOptions& options = {},
                                                     const ProgressCallback& progress = {},

@@ -8,6 +8,7 @@
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/io/mission.hpp>
+#include <loopwise/joining/join.hpp>
 #include <loopwise/replay/options.hpp>
 
 namespace loopwise {
@@ -15,12 +16,14 @@ namespace loopwise {
 /// Contents of a configuration file: an object of sections, {"generation": {"rate_m": 0.3}, ...}.
 struct Config {
   MissionOptions mission;  ///< Reading of missions.
+  JoinOptions joining;     ///< Of sources without a common frame.
   ReplayOptions replay;    ///< All later stages.
 
   /// Calls visitor(name, section) for each section.
   template <class Self, class Visitor>
   static void visit_sections(Self& self, Visitor&& visitor) {
     visitor("mission", self.mission);
+    visitor("joining", self.joining);
     ReplayOptions::visit_sections(self.replay, visitor);
   }
 };

@@ -1,0 +1,18 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// How the commands say what came of joining sources without a common frame.
+#pragma once
+
+#include <string>
+
+#include <loopwise/io/json_options.hpp>
+#include <loopwise/replay/read_team.hpp>
+
+namespace loopwise::cli {
+
+/// A line for each component: its frame and what it rests on, or why it stands apart.
+[[nodiscard]] std::string frames_text(const TeamFrames& frames);
+/// The same with all figures.
+[[nodiscard]] Json frames_json(const TeamFrames& frames);
+
+}  // namespace loopwise::cli

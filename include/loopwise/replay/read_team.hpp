@@ -1,0 +1,67 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Missions whose robots or sessions have no common frame yet: read, joined and put in their places.
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <optional>
+#include <vector>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/progress.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/joining/join.hpp>
+#include <loopwise/replay/config.hpp>
+
+namespace loopwise {
+
+/// How find_frames() came to a mission.
+struct TeamFrames {
+  std::vector<JoinComponent> components;  ///< Sources or robots whose frames were sought.
+  JoinResult result;                      ///< What was found, by component.
+};
+
+/// Robots of a mission by the frame that they share: those of one source where several were joined, else each
+/// robot alone. Landmarks and nodes without scans are left out.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<JoinComponent> frames_to_find(const Mission& mission);
+
+/// Finds the frames of a mission's components, see frames_to_find().
+/// \param mission whose components stand each in its own frame, z up
+/// \param config of registration and joining
+/// \param threads that register pairs
+/// \throws InputError naming a component without scans; OptionError; StoppedError
+[[nodiscard]] LOOPWISE_EXPORT TeamFrames find_team_frames(const Mission& mission, const Config& config,
+                                                          ThreadPool& threads,
+                                                          const ProgressCallback& progress = {},
+                                                          const StopToken& stop = {});
+
+/// The mission with the largest group of joined components in the frame of its first one. Their closures are
+/// edges of the graph. The first component keeps its priors; every robot of the others has one at its first
+/// key frame with ten times the deviations of its frame, so that closures decide and the path to them does
+/// not count twice. Components that are apart are left out and counted. \throws InputError saying of each
+/// component why it is apart if no two are joined
+[[nodiscard]] LOOPWISE_EXPORT Mission placed_team(const Mission& mission, const TeamFrames& frames);
+
+/// A mission of sources in a common frame.
+struct Team {
+  Mission mission;                   ///< As read_missions() gives it, in a common frame.
+  std::optional<TeamFrames> frames;  ///< Present if the frames were found from the scans.
+};
+
+/// read_missions() with two more words for MissionOptions::frames: "auto" finds the frames of the sources, or
+/// of the robots of a single source, from the scans; "common" takes the poses as they stand, without a
+/// warning. \param paths of the sources
+/// \param config of reading, registration and joining
+/// \param find also find frames where MissionOptions::frames is empty and several sources, with scans, begin
+///   at an origin of their own
+/// \param threads that register pairs
+/// \throws as read_missions(), find_team_frames() and placed_team()
+[[nodiscard]] LOOPWISE_EXPORT Team read_team(const std::vector<std::filesystem::path>& paths,
+                                             const Config& config, bool find, ThreadPool& threads,
+                                             const ProgressCallback& progress = {},
+                                             const StopToken& stop = {});
+
+}  // namespace loopwise
