@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// How the commands say what came of joining sources without a common frame.
+/// Output of the commands about joined sources without a common frame.
 #pragma once
 
 #include <string>

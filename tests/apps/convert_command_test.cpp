@@ -144,10 +144,9 @@ TEST_CASE("convert: bags and sessions from the command line", "[apps][convert]")
     CAPTURE(field);
     CHECK(direct[field] == written[field]);
   }
-  CHECK(
-      json_of({"replay", s0, s1, s2, "-o", (folder / "run").string(), "--method", "odom", "--start-together",
-               "--frames", "common"})
-          .contains("ate_m"));
+  CHECK(json_of({"replay", s0, s1, s2, "-o", (folder / "run").string(), "--method", "odom",
+                 "--start-together", "--frames", "common"})
+            .contains("ate_m"));
 
   if (!lamp_data("bags", folder / "b")) return;
   const Json info = json_of({"info", (folder / "b" / "rosbag").string()});

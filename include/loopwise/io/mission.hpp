@@ -356,13 +356,13 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// Several sources as one mission. Bags and folders of bags are one recording. Otherwise each must be a
 /// mission by read_mission(): its robots get the next letters, with the keys a0, a1, …; b0, b1, … in the
 /// given order. The robot of a source with one robot is named after the source, others SOURCE_ROBOT. Poses
-/// are in the common frame, or options.frames names a file with the pose T_common_source of each: CSV with the
-/// header `source,x,y,z,qx,qy,qz,qw` or `source,x,y,z,yaw` (rad, frames are level), where source is the name
-/// of its folder or file, or TUM, with the number of the source from 0 as the stamp. CSV may continue with the
-/// sigmas `sx,sy,sz,srx,sry,srz` or `sx,sy,sz,syaw` of the first key frame's pose: they replace the source's
-/// priors. A single source is read unchanged. Landmarks get the keys A0, A1, …; B0, …, separate for each
-/// source. Sources that each begin at an origin of their own count as "joined without a frame".
-/// \throws as read_mission(); InputError naming a source that the file lacks
+/// are in the common frame, or options.frames names a file with the pose T_common_source of each: CSV with
+/// the header `source,x,y,z,qx,qy,qz,qw` or `source,x,y,z,yaw` (rad, frames are level), where source is the
+/// name of its folder or file, or TUM, with the number of the source from 0 as the stamp. CSV may continue
+/// with the sigmas `sx,sy,sz,srx,sry,srz` or `sx,sy,sz,syaw` of the first key frame's pose: they replace the
+/// source's priors. A single source is read unchanged. Landmarks get the keys A0, A1, …; B0, …, separate for
+/// each source. Sources that each begin at an origin of their own count as "joined without a frame". \throws
+/// as read_mission(); InputError naming a source that the file lacks
 [[nodiscard]] LOOPWISE_EXPORT Mission read_missions(const std::vector<std::filesystem::path>& paths,
                                                     const MissionOptions& options = {},
                                                     const ProgressCallback& progress = {},

@@ -25,7 +25,7 @@
 
 namespace loopwise {
 
-/// What it takes before two components become one.
+/// Requirements for two components to become one.
 struct JoinOptions {
   std::int64_t max_pairs = 1000;
   std::int64_t min_pairs = 200;
@@ -102,7 +102,7 @@ struct ProposedPair {
   double similarity = 0.0;  ///< Higher is more likely. Only the order counts.
 };
 
-/// What was found between two components.
+/// The result between two components.
 struct Tie {
   std::size_t a = 0;               ///< Number of the first component, a < b.
   std::size_t b = 0;               ///< Number of the second.
@@ -134,7 +134,7 @@ struct ComponentFrame {
   std::string reason;  ///< For people: what joins it, or why it stands apart.
 };
 
-/// What came of it all.
+/// The result of find_frames().
 struct JoinResult {
   std::vector<ComponentFrame> frames;  ///< One per component.
   std::vector<Tie> ties;               ///< Of each pair of components, by number.

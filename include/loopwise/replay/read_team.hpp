@@ -21,7 +21,7 @@ namespace loopwise {
 /// How find_frames() came to a mission.
 struct TeamFrames {
   std::vector<JoinComponent> components;  ///< Sources or robots whose frames were sought.
-  JoinResult result;                      ///< What was found, by component.
+  JoinResult result;                      ///< The frames, by component.
 };
 
 /// Robots of a mission by the frame that they share: those of one source where several were joined, else each
