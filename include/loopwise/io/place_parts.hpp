@@ -33,7 +33,7 @@ struct MissionPart {
 /// \param parts no robot in two of them
 /// \param closures between nodes of the parts
 /// \param move_truth whether true poses stand in the parts' own frames and move along; else they stay
-/// \throws InputError on a robot in two parts or a number that is not finite; UnknownKeyError
+/// \throws InputError on a robot in two parts or an unknown number of a robot; UnknownKeyError
 [[nodiscard]] LOOPWISE_EXPORT Mission place_parts(const Mission& mission,
                                                   const std::vector<MissionPart>& parts,
                                                   const std::vector<LoopClosure>& closures, bool move_truth);
