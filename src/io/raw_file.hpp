@@ -18,7 +18,7 @@
 
 namespace loopwise {
 
-/// A regular file, open for reading. \throws IoError if it is none or cannot be read
+/// A regular file, open for reading. \throws IoError if it is no regular file or cannot be read
 class RawFile {
  public:
   explicit RawFile(const std::filesystem::path& path)

@@ -9,14 +9,14 @@ namespace loopwise::bags {
 
 /// An MCAP file, chunked or not; messages of ROS 2, or of ROS 1. The file is walked from its first byte to
 /// its last: every record lies within the file or its chunk, chunks decompress to the size and checksum that
-/// they claim, and every message has its channel. The index is made from the messages, so that none that the
-/// file has may lead astray. Memory: a chunk, compressed and not, and 24 bytes for each message of a known
+/// they claim, and every message has its channel. The index is made from the messages; the
+/// one in the file is not used. Memory: a chunk, compressed and not, and 24 bytes for each message of a known
 /// type. Counted: "messages missing from the summary". \throws IoError; InputError naming the byte;
 /// StoppedError
 [[nodiscard]] std::unique_ptr<Storage> open_mcap(const NumberedFile& file, const Opening& opening);
 
-/// An SQLite database with the tables of rosbag2. SQLite's own quick check comes first, so that no page leads
-/// astray. Counted: "message of an unknown topic left out". \throws IoError; InputError; StoppedError
+/// An SQLite database with the tables of rosbag2. SQLite's own quick check comes first. Counted: "message of
+/// an unknown topic left out". \throws IoError; InputError; StoppedError
 [[nodiscard]] std::unique_ptr<Storage> open_db3(const NumberedFile& file, const Opening& opening);
 
 /// A connection of rosbag2: its definition from the file, where that has it in the form of .msg files, else

@@ -10,7 +10,7 @@
 
 namespace loopwise::fuzz {
 
-/// An MCAP file; in chunks that are compressed as told ("", "zstd", "lz4"), or, as "none", without chunks.
+/// An MCAP file; in chunks compressed by "", "zstd" or "lz4"; "none": without chunks.
 [[nodiscard]] std::string mcap(const std::vector<TypedMessage>& messages, const std::string& compression);
 
 /// A database of rosbag2.

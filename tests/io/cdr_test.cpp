@@ -31,7 +31,7 @@ TEST_CASE("cdr: numbers are aligned from behind the first four bytes, in either 
     CHECK(value.at("d").text() == "hi");
     CHECK(value.at("e").integer() == -2);
   }
-  // Padding to four bytes at the end is none of the message's; more is.
+  // Padding to four bytes at the end is no part of the message; more bytes are an error.
   CHECK(cdr::to_ros1(schema, little + "\0\0\0"s) == cdr::to_ros1(schema, little));
   CHECK_THROWS_WITH(cdr::to_ros1(schema, little + "\0\0\0\0"s), Contains("its definition takes"));
 }
