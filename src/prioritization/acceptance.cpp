@@ -22,6 +22,12 @@ Eigen::Map<const Vector> as_vector(const AcceptanceModel::Terms& terms) {
   return Eigen::Map<const Vector>(terms.data());
 }
 
+/// What a recognised place adds to the logit. Right guesses have similarities of 0.3 to 0.6: 1.2 to 2.4.
+double recognised(const CandidateEvidence& evidence) {
+  constexpr double kWeight = 4.0;
+  return kWeight * evidence.similarity;
+}
+
 double logistic(double x) {
   return 1.0 / (1.0 + std::exp(-std::clamp(x, -30.0, 30.0)));
 }
@@ -83,7 +89,7 @@ AcceptanceModel::Terms AcceptanceModel::parse(std::string_view text, std::string
 
 double AcceptanceModel::probability(const CandidateEvidence& evidence) const {
   const Terms x = terms(evidence);
-  return logistic(as_vector(weights_).dot(as_vector(x)));
+  return logistic(as_vector(weights_).dot(as_vector(x)) + recognised(evidence));
 }
 
 void AcceptanceModel::fit(const std::vector<std::pair<CandidateEvidence, bool>>& results) {
@@ -99,7 +105,8 @@ void AcceptanceModel::fit(const std::vector<std::pair<CandidateEvidence, bool>>&
   const auto log_posterior = [&](const Vector& at) {
     double sum = -0.5 * prior_information * (at - w0).squaredNorm();
     for (std::size_t i = 0; i < x.size(); ++i) {
-      const double logit = (results[i].second ? 1.0 : -1.0) * at.dot(as_vector(x[i]));
+      const double logit =
+          (results[i].second ? 1.0 : -1.0) * (at.dot(as_vector(x[i])) + recognised(results[i].first));
       sum -= logit > 0.0 ? std::log1p(std::exp(-logit)) : std::log1p(std::exp(logit)) - logit;
     }
     return sum;
@@ -110,7 +117,7 @@ void AcceptanceModel::fit(const std::vector<std::pair<CandidateEvidence, bool>>&
     Matrix information = prior_information * Matrix::Identity();
     for (std::size_t i = 0; i < x.size(); ++i) {
       const Eigen::Map<const Vector> terms = as_vector(x[i]);
-      const double p = logistic(w.dot(terms));
+      const double p = logistic(w.dot(terms) + recognised(results[i].first));
       gradient += ((results[i].second ? 1.0 : 0.0) - p) * terms;
       information.noalias() += p * (1.0 - p) * terms * terms.transpose();
     }

@@ -310,6 +310,7 @@ struct ExpectedPrioritizer::Impl {
     out.overlap = static_cast<double>(member.overlap);
     out.distance_m = T.translation().norm();
     out.from_outside = member.candidate.source != CandidateSource::kProximity && !placed;
+    if (placed && recognition->similarity > 0.0) out.similarity = recognition->similarity;
     return out;
   }
 

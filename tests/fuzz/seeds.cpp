@@ -95,6 +95,11 @@ Seeds io_seeds() {
                        {"seven", with_choice(5, "1 2 3 0 0 0 1\n")}};
   all["numbers"] = {{"numbers", "1 -2.5 1e300 1e-320 0.000001 +3 nan inf 18446744073709551615 a12 1.6e9\n"},
                     {"stamps", "1600000000.123456789 -0.5 1.6000000001e9 5e-9 9.2e9\n"}};
+  all["candidates"] = {{"poses",
+                        "from,to,score,x,y,z,qx,qy,qz,qw\na412,b17,0.83,1.5,-0.2,0.1,0,0,0.6,0.8\n"
+                        "a413,b17,,,,,,,,\n7,9,1,,,,,,,\n"},
+                       {"order", "score,to,from\n0.5,3,4\n"},
+                       {"pairs", "from,to\n1,2\n"}};
   all["keys_csv"] = {{"keys",
                       "pc_0.pcd/pc_1.pcd/a3.pcd/7.ply\n6989586621679009792,pc_0.pcd,1600000000000000000\n"
                       "6989586621679009793,,1600000002000000000\n"}};

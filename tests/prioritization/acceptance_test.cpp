@@ -120,6 +120,34 @@ TEST_CASE("acceptance: without overlap it goes by distance, from outside by the 
           Approx(AcceptanceModel(AcceptanceModel::shipped_verified()).probability(near)));
 }
 
+TEST_CASE("acceptance: the more alike a recognised place looks, the likelier, also once it is fitted",
+          "[prioritization][acceptance]") {
+  Rng rng(4);
+  AcceptanceModel model(AcceptanceModel::shipped_verified());
+  CandidateEvidence evidence;
+  evidence.overlap = 0.3;
+  evidence.distance_m = 5.0;
+  const auto rises = [&] {
+    double before = 0.0;
+    for (const double similarity : {0.0, 0.3, 0.6}) {
+      evidence.similarity = similarity;
+      REQUIRE(model.probability(evidence) > before);
+      before = model.probability(evidence);
+    }
+  };
+  rises();
+  // Results in which recognition has no say leave its weight alone.
+  Results results = results_of(AcceptanceModel({-1.0, 4.0, 0.0, 0.0, -0.5, 0.0}), 2000, rng);
+  model.fit(results);
+  rises();
+  // What recognition explains is not put down to overlap.
+  AcceptanceModel other(AcceptanceModel::shipped_verified()), same = other;
+  for (auto& [of, verified] : results) of.similarity = 0.5;
+  other.fit(results);
+  same.fit(results_of(AcceptanceModel({-1.0, 4.0, 0.0, 0.0, -0.5, 0.0}), 2000, rng));
+  REQUIRE(other.weights()[0] < same.weights()[0]);
+}
+
 TEST_CASE("acceptance: evidence that is not finite gives a probability all the same",
           "[prioritization][acceptance][error]") {
   constexpr double kInf = std::numeric_limits<double>::infinity();

@@ -79,7 +79,8 @@ Mission round_trip(double drift_rad_per_m) {
     Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
     for (int c = 0; c <= corner; ++c) {
       T.translate(Eigen::Vector3d(c < corner ? side_m : rest, 0.0, 0.0));
-      if (c < corner) T.rotate(Eigen::AngleAxisd(0.5 * EIGEN_PI, Eigen::Vector3d::UnitZ()));
+      if (c < corner)
+        T.rotate(Eigen::AngleAxisd(0.5 * static_cast<double>(EIGEN_PI), Eigen::Vector3d::UnitZ()));
     }
     T.pretranslate(Eigen::Vector3d(0.0, 0.0, 1.2));
     return T;

@@ -23,6 +23,9 @@ struct CandidateEvidence {
   /// A radio beacon, or a place recognition without a guess of the pose, proposed it: then neither distance
   /// nor overlap at the graph's pose say much.
   bool from_outside = false;
+  /// Recognition::similarity where a place recognition has guessed the pose that overlap and distance are of;
+  /// else 0. It adds to the logit with a fixed weight, which is not learned.
+  double similarity = 0.0;
 };
 
 /// A logistic model of the probability that a candidate succeeds. Its weights start from a prior and are
