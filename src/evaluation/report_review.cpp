@@ -8,6 +8,8 @@
 #include <string>
 #include <utility>
 
+#include <nlohmann/json.hpp>
+
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/se3.hpp>
 
