@@ -49,7 +49,7 @@ McapWriter::McapWriter(std::ostream& out, const std::string& library) : out_(out
 
 void McapWriter::write(const std::string& bytes) {
   out_.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
-  if (!out_) throw IoError("the MCAP file cannot be written: is the disk full?");
+  if (!out_) throw IoError("the MCAP file", "cannot be written: is the disk full?");
   offset_ += bytes.size();
 }
 

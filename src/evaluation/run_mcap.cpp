@@ -35,7 +35,7 @@ class WholeFile {
  public:
   explicit WholeFile(fs::path path)
       : path_(std::move(path)), part_(path_.string() + ".part"), out_(part_, std::ios::binary) {
-    if (!out_) throw IoError(part_.string() + ": cannot be written");
+    if (!out_) throw IoError(part_.string(), "cannot be written");
   }
   ~WholeFile() {
     std::error_code ignored;
@@ -47,7 +47,7 @@ class WholeFile {
   [[nodiscard]] std::ostream& out() { return out_; }
   void finish() {
     out_.close();
-    if (!out_) throw IoError(part_.string() + ": cannot be written: is the disk full?");
+    if (!out_) throw IoError(part_.string(), "cannot be written: is the disk full?");
     flush_file(part_);
     fs::rename(part_, path_);
     is_done_ = true;
