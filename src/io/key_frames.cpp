@@ -218,7 +218,7 @@ bool is_far(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const Missio
 }
 
 /// Hands each sweep to the key frame that is nearest in time.
-void make_submaps(std::vector<KeyFrame>& key_frames, const std::vector<Sweep>& sweeps,
+void make_submaps(std::vector<SelectedKeyFrame>& key_frames, const std::vector<Sweep>& sweeps,
                   const std::string& source, const MissionOptions& options, Problems& problems) {
   std::vector<std::vector<const Sweep*>> owned(key_frames.size());
   std::size_t k = 0;
@@ -229,7 +229,7 @@ void make_submaps(std::vector<KeyFrame>& key_frames, const std::vector<Sweep>& s
   }
   const auto most = static_cast<std::size_t>(options.submap_sweeps);
   for (std::size_t n = 0; n < key_frames.size(); ++n) {
-    KeyFrame& frame = key_frames[n];
+    SelectedKeyFrame& frame = key_frames[n];
     std::vector<const Sweep*>& own = owned[n];
     if (own.size() > most) {
       problems.add("sweep beyond the bound of a submap left out", at(source, frame.stamp_ns),
@@ -266,7 +266,7 @@ void append_moved(const PointCloud& sweep, const Eigen::Isometry3d& T, PointClou
 }
 
 /// The scan of a key frame, from its sweeps.
-CloudFile read_scan(const SweepReader& read, std::size_t stream, const KeyFrame& frame) {
+CloudFile read_scan(const SweepReader& read, std::size_t stream, const SelectedKeyFrame& frame) {
   if (frame.submap.size() <= 1) return read(stream, frame.sweep);
   CloudFile scan;
   for (const SubmapSweep& part : frame.submap) {
@@ -293,7 +293,7 @@ CloudFile read_scan(const SweepReader& read, std::size_t stream, const KeyFrame&
 /// Where the scan of a node comes from.
 struct Source {
   std::size_t stream = 0;
-  KeyFrame frame;
+  SelectedKeyFrame frame;
 };
 
 /// What the streams become, as far as they have been added.
@@ -307,7 +307,7 @@ struct Parts {
 
 void add_stream(const RobotStream& stream, std::size_t number, bool alone, const MissionOptions& options,
                 Problems& problems, Parts& to) {
-  std::vector<KeyFrame> key_frames = choose_key_frames(stream, options, problems);
+  std::vector<SelectedKeyFrame> key_frames = choose_key_frames(stream, options, problems);
   const char letter = static_cast<char>('a' + number);
   to.robots.push_back(alone ? Robot{stream.name, 0, key_frames.size() - 1, false}
                             : robot_of_character(letter, stream.name));
@@ -329,15 +329,15 @@ void add_stream(const RobotStream& stream, std::size_t number, bool alone, const
 
 }  // namespace
 
-std::vector<KeyFrame> choose_key_frames(const RobotStream& stream, const MissionOptions& options,
-                                        Problems& problems) {
+std::vector<SelectedKeyFrame> choose_key_frames(const RobotStream& stream, const MissionOptions& options,
+                                                Problems& problems) {
   const std::vector<StampedPose> odometry = usable_odometry(stream, problems);
   const std::vector<Sweep> sweeps =
       with_poses(stream, odometry, usable_sweeps(stream, problems), options, problems);
   count_gaps(odometry, "odometry is missing for a while", stream.source, options, problems);
   count_gaps(sweeps, "sweeps are missing for a while", stream.source, options, problems);
   count_jumps(odometry, stream.source, problems);
-  std::vector<KeyFrame> key_frames;
+  std::vector<SelectedKeyFrame> key_frames;
   for (const Sweep& sweep : sweeps) {
     if (key_frames.empty() || is_far(key_frames.back().pose, sweep.pose, options))
       key_frames.push_back({sweep.number, sweep.stamp_ns, sweep.pose, {}});

@@ -78,7 +78,7 @@ TEST_CASE("messages: tasks and results come through to the bit; cut ones are ref
     const std::string answer = pack_result(result);
     require_same(unpack_result(answer, task.candidate), result);
     REQUIRE_THROWS_AS(unpack_result(answer.substr(0, rng.below(answer.size())), task.candidate), InputError);
-    REQUIRE(bytes.size() + answer.size() <= 1024);
+    REQUIRE(bytes.size() + answer.size() <= 1152);
   }
 }
 

@@ -132,6 +132,7 @@ void write_run(const Mission& mission, Run& run) {
   const auto registrar = std::make_shared<testing::OracleRegistrar>(mission.ground_truth);
   ThreadPool pool(1);
   run.result = MissionReplay(mission, options, {features, registrar}).run(pool);
+  testing::fs::create_directory(run.folder / "run");
   write_run_folder(run.folder / "run", mission, options, run.result, evaluate_run(mission, run.result), {},
                    PointCloud());
 }

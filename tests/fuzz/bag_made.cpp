@@ -66,7 +66,7 @@ LOOPWISE_FUZZ_TARGET(bag_made, bytes) {
   const auto file = fuzz::scratch() / "made.bag";
   fuzz::put_file(file, fuzz::bag(messages, layout, types));
   Problems problems;
-  bags::BagSet bag({{file, "made.bag"}}, problems, {}, {});
+  bags::BagSet bag({{file, "made.bag"}}, [](const std::string&) { return true; }, problems, {}, {});
   fuzz::expect(problems.empty(), "a bag that is as it should be passes without a problem");
   std::vector<Recorded> recorded, read;
   for (const fuzz::TypedMessage& message : messages) {
@@ -80,7 +80,7 @@ LOOPWISE_FUZZ_TARGET(bag_made, bytes) {
                       message.bytes);
     return false;
   };
-  bag.for_each([](const bags::Connection&) { return true; }, visit, {}, {});
+  bag.for_each([](std::size_t) { return true; }, visit, {}, {});
   fuzz::expect(std::is_sorted(read.begin(), read.end(), earlier), "messages come in the order of time");
   std::sort(recorded.begin(), recorded.end());
   std::sort(read.begin(), read.end());

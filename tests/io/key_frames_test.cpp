@@ -48,7 +48,7 @@ CloudFile sweep_of(std::size_t stream, std::size_t sweep) {
 TEST_CASE("key frames: a sweep after every metre, with the pose at its stamp", "[io][key_frames]") {
   const RobotStream stream = stream_of();
   Problems problems;
-  const std::vector<KeyFrame> frames = choose_key_frames(stream, {}, problems);
+  const std::vector<SelectedKeyFrame> frames = choose_key_frames(stream, {}, problems);
   CHECK(problems.empty());
   // 2 m/s and a sweep every 0.2 m: each sixth at the latest.
   REQUIRE(frames.size() >= 17);
@@ -130,7 +130,7 @@ TEST_CASE("key frames: flaws of stamps and poses are counted", "[io][key_frames]
   stream.sweep_stamps_ns.push_back(stamp(12.0));
   stream.odometry.push_back({stamp(15.0), pose_after(10.0)});
   Problems problems;
-  const std::vector<KeyFrame> frames = choose_key_frames(stream, {}, problems);
+  const std::vector<SelectedKeyFrame> frames = choose_key_frames(stream, {}, problems);
   CHECK(problems.count("odometry stamps run backwards, sorted") == 1);
   CHECK(problems.count("odometry pose of a repeated stamp left out") == 1);
   CHECK(problems.count("sweep stamps run backwards, sorted") == 1);
@@ -139,7 +139,7 @@ TEST_CASE("key frames: flaws of stamps and poses are counted", "[io][key_frames]
   CHECK(problems.count("stamp out of range left out") == 2);
   CHECK(problems.count("sweep without odometry near in time left out") == 1);
   CHECK(problems.count("odometry pose without a sweep near in time") == 1);
-  for (const KeyFrame& frame : frames) {
+  for (const SelectedKeyFrame& frame : frames) {
     const double time_s = static_cast<double>(frame.stamp_ns - kStart_ns) * 1e-9;
     CHECK(testing::difference(frame.pose, pose_after(time_s)) < 1e-7);
   }
@@ -176,9 +176,9 @@ TEST_CASE("key frames: odometry of few poses", "[io][key_frames]") {
   options.keyframe_distance_m = 0.0;
   Problems problems;
   // Of ten sweeps a second those at 0.02, 0.92 and 1.02 s are near enough to a pose.
-  const std::vector<KeyFrame> frames = choose_key_frames(stream, options, problems);
+  const std::vector<SelectedKeyFrame> frames = choose_key_frames(stream, options, problems);
   CHECK(frames.size() == 20);
-  for (const KeyFrame& frame : frames) {
+  for (const SelectedKeyFrame& frame : frames) {
     const double time_s = static_cast<double>(frame.stamp_ns - kStart_ns) * 1e-9;
     // Even motion lies between the poses exactly; the nearest pose would be 0.16 m off.
     CHECK(testing::difference(frame.pose, pose_after(time_s)) < 1e-7);
@@ -208,9 +208,9 @@ TEST_CASE("key frames: sweeps between them make a submap", "[io][key_frames][sub
   options.submap_sweeps = 100;
   Problems problems;
   const RobotStream stream = stream_of();
-  const std::vector<KeyFrame> frames = choose_key_frames(stream, options, problems);
+  const std::vector<SelectedKeyFrame> frames = choose_key_frames(stream, options, problems);
   std::size_t used = 0;
-  for (const KeyFrame& frame : frames) {
+  for (const SelectedKeyFrame& frame : frames) {
     used += frame.submap.size();
     for (const SubmapSweep& part : frame.submap) {
       const double time_s = static_cast<double>(stream.sweep_stamps_ns[part.sweep] - frame.stamp_ns) * 1e-9;
@@ -220,7 +220,7 @@ TEST_CASE("key frames: sweeps between them make a submap", "[io][key_frames][sub
   }
   CHECK(used == 100);
   options.submap_sweeps = 3;
-  for (const KeyFrame& frame : choose_key_frames(stream, options, problems)) {
+  for (const SelectedKeyFrame& frame : choose_key_frames(stream, options, problems)) {
     CHECK(frame.submap.size() <= 3);
     CHECK(std::any_of(frame.submap.begin(), frame.submap.end(),
                       [&](const SubmapSweep& part) { return part.sweep == frame.sweep; }));
@@ -238,7 +238,7 @@ TEST_CASE("key frames: the scan of a submap is read when it is needed", "[io][ke
     return sweep_of(stream, sweep);
   };
   Problems problems;
-  const std::vector<KeyFrame> frames = choose_key_frames(stream_of(), options, problems);
+  const std::vector<SelectedKeyFrame> frames = choose_key_frames(stream_of(), options, problems);
   const Mission mission = make_key_frame_mission({stream_of()}, read, options);
   CHECK(*reads == 0);
   REQUIRE(frames[1].sweep == 6);

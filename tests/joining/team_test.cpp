@@ -54,9 +54,10 @@ TEST_CASE("team: robots of a simulated mission that start anywhere", "[joining][
   CAPTURE(to_string(frames.result, frames.components), frames.result.ties[0].reason);
   REQUIRE(frames.result.groups == 1);
   const testing::FrameError error = testing::frame_error(made, 0, 1, frames.result.frames[1].pose);
-  // Drift of both robots is in it.
+  // The frame is that of the robot's first pose: the drift of both robots up to the shared places is in it,
+  // 0.1 rad in finals.
   CHECK(error.translation_m < 1.5);
-  CHECK(error.rotation_rad < 0.05);
+  CHECK(error.rotation_rad < 0.15);
 
   const Mission placed = placed_team(made.mission, frames);
   CHECK(placed.graph.nodes().size() == made.mission.graph.nodes().size());
@@ -75,8 +76,8 @@ TEST_CASE("team: places with nothing in common stay apart, and the error says wh
   config.mission.frames = "auto";
   config.joining.max_pairs = 300;
   CHECK_THROWS_WITH(read_team({folder / "one", folder / "two"}, config, false, pool),
-                    Contains("0 of 2 joined; one is apart: ") && Contains("pairs computed, best overlap") &&
-                        Contains("--frames FILE"));
+                    Contains("0 of 2 joined; tunnel-3 is apart: ") &&
+                        Contains("pairs computed, best overlap") && Contains("--frames FILE"));
   config.mission.frames = "common";
   const Team team = read_team({folder / "one", folder / "two"}, config, true, pool);
   CHECK_FALSE(team.frames);

@@ -38,7 +38,7 @@ struct SubmapSweep {
 };
 
 /// A sweep that was chosen to be a node.
-struct KeyFrame {
+struct SelectedKeyFrame {
   std::size_t sweep = 0;                                   ///< Its number in the stream.
   std::int64_t stamp_ns = 0;                               ///< Of the sweep.
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();  ///< T_odom_sensor at that stamp.
@@ -62,9 +62,9 @@ struct KeyFrame {
 /// jumps" (by more than 1 m, faster than 50 m/s), "sweep beyond the bound of a submap left out".
 ///
 /// \throws InputError naming the source if no sweep has a pose, with the range of both stamps
-[[nodiscard]] LOOPWISE_EXPORT std::vector<KeyFrame> choose_key_frames(const RobotStream& stream,
-                                                                      const MissionOptions& options,
-                                                                      Problems& problems);
+[[nodiscard]] LOOPWISE_EXPORT std::vector<SelectedKeyFrame> choose_key_frames(const RobotStream& stream,
+                                                                              const MissionOptions& options,
+                                                                              Problems& problems);
 
 /// The mission of one stream or several: nodes are the key frames, the steps between them odometry with
 /// odometry_information(), and the first node of each robot gets a prior where it stands. The streams share
