@@ -258,7 +258,8 @@ function(loopwise_install_package)
   write_basic_package_version_file(${PROJECT_BINARY_DIR}/loopwiseConfigVersion.cmake COMPATIBILITY SameMinorVersion)
   install(FILES ${PROJECT_BINARY_DIR}/loopwiseConfig.cmake ${PROJECT_BINARY_DIR}/loopwiseConfigVersion.cmake
                 ${PROJECT_SOURCE_DIR}/cmake/FindCHOLMOD.cmake ${PROJECT_SOURCE_DIR}/cmake/FindPCLFeatures.cmake
-                ${PROJECT_SOURCE_DIR}/cmake/FindRosbagStorage.cmake ${PROJECT_SOURCE_DIR}/cmake/FindLibZip.cmake
+                ${PROJECT_SOURCE_DIR}/cmake/FindRosbagStorage.cmake ${PROJECT_SOURCE_DIR}/cmake/FindRosbag2Libraries.cmake
+                ${PROJECT_SOURCE_DIR}/cmake/FindLibZip.cmake
           DESTINATION ${LOOPWISE_CMAKE_DIR} COMPONENT loopwise_development)
 
   set(PC_NAME loopwise)

@@ -119,7 +119,11 @@ TEST_CASE("places: self-similar surroundings are no places", "[features][place]"
   };
   const auto places = make_density_place_database();
   places->add(1, grid(0.0));
-  for (const PlaceMatch& match : places->query(grid(1.3), 5)) REQUIRE(match.similarity < 0.3);
+  double similarity = 0.0;
+  for (const PlaceMatch& match : places->query(grid(1.3), 5)) {
+    similarity = std::max(similarity, match.similarity);
+  }
+  REQUIRE(similarity < 0.3);
 }
 
 TEST_CASE("places: results do not depend on what was asked before, nor on other places' keys",

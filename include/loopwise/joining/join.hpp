@@ -158,11 +158,16 @@ struct JoinResult {
 ///
 /// Frames around a cycle of components must agree; the ties of a cycle that does not close and are not by far
 /// the best supported ones are given up. A missed tie is the lesser evil. The result does not depend on the
-/// number of threads. \param graph poses of the components in their own frames, and odometry
+/// number of threads.
+/// \param graph poses of the components in their own frames, and odometry
 /// \param robots own the nodes
 /// \param components whose frames are sought; their keys are nodes with scans
 /// \param proposals of a place recognition; may be empty
 /// \param registrar computes pairs
+/// \param threads that register pairs
+/// \param options bounds of the work and requirements of a tie
+/// \param progress is called with the pairs registered so far
+/// \param stop ends the search early; components without a tie so far stay apart
 /// \throws OptionError; UnknownKeyError; InputError on a planar graph or a key in two components
 [[nodiscard]] LOOPWISE_EXPORT JoinResult find_frames(
     const PoseGraph& graph, const Robots& robots, const std::vector<JoinComponent>& components,

@@ -32,6 +32,8 @@ struct TeamFrames {
 /// \param mission whose components stand each in its own frame, z up
 /// \param config of registration and joining
 /// \param threads that register pairs
+/// \param progress is called while places are described and pairs registered
+/// \param stop ends the search: StoppedError
 /// \throws InputError naming a component without scans; OptionError; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT TeamFrames find_team_frames(const Mission& mission, const Config& config,
                                                           ThreadPool& threads,
@@ -58,6 +60,8 @@ struct Team {
 /// \param find also find frames where MissionOptions::frames is empty and several sources, with scans, begin
 ///   at an origin of their own
 /// \param threads that register pairs
+/// \param progress is called while sources are read and frames are sought
+/// \param stop ends it early: StoppedError
 /// \throws as read_missions(), find_team_frames() and placed_team()
 [[nodiscard]] LOOPWISE_EXPORT Team read_team(const std::vector<std::filesystem::path>& paths,
                                              const Config& config, bool find, ThreadPool& threads,
