@@ -27,6 +27,7 @@ std::vector<std::vector<std::size_t>> groups_of(const ComponentPaths& paths, con
   std::map<std::uint32_t, std::vector<std::size_t>> by_root;
   for (std::size_t c = 0; c < paths.components(); ++c) by_root[sets.root(c)].push_back(c);
   std::vector<std::vector<std::size_t>> groups;
+  groups.reserve(by_root.size());
   for (auto& [root, members] : by_root) groups.push_back(std::move(members));
   const auto size = [&](const std::vector<std::size_t>& members) {
     std::size_t nodes = 0;

@@ -60,6 +60,7 @@ std::vector<StationPair> ordered_pairs(const ComponentPaths& paths, std::size_t 
                    [](const auto& x, const auto& y) { return x.first < y.first; });
   const auto most = static_cast<std::size_t>(options.max_pairs);
   std::vector<StationPair> order;
+  order.reserve(ranked.size());
   for (const auto& [rank, pair] : ranked) order.push_back(pair);
   if (order.size() < most) {
     double step_m = 0.4 * options.place_m;

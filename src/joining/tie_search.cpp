@@ -101,6 +101,7 @@ std::optional<StationPair> TieSearch::near_pair(std::size_t b, const PairClosure
 /// The distance between the two ends that this share of a group's closures does not exceed.
 double TieSearch::distance_of(const std::vector<std::size_t>& group, double share) const {
   std::vector<double> distances;
+  distances.reserve(group.size());
   for (const std::size_t i : group) distances.push_back(closures_[i].closure.T_from_to.translation().norm());
   const auto at = static_cast<std::size_t>(share * static_cast<double>(distances.size() - 1));
   std::nth_element(distances.begin(), distances.begin() + static_cast<std::ptrdiff_t>(at), distances.end());
