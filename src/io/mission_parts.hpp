@@ -171,7 +171,8 @@ struct TruthFiles {
 [[nodiscard]] std::map<Key, Eigen::Isometry3d> read_truth(const std::filesystem::path& g2o,
                                                           Problems& problems);
 
-/// The graph of a g2o_pcd folder; empty if there is none. \throws InputError if it is not clear which
+/// The graph of a g2o_pcd folder; empty if the folder has no graph. \throws InputError if it is not clear
+/// which
 [[nodiscard]] std::filesystem::path g2o_of_folder(const std::filesystem::path& folder);
 
 /// How a reader says how far it is, and hears that it is to stop.

@@ -24,8 +24,8 @@ namespace loopwise::parts {
 /// What the name of a cloud says of when it was taken: digits that count s, ms, µs or ns since 1970, decimal
 /// seconds, or SECONDS_NANOSECONDS, behind any word. Nothing of names that number clouds.
 [[nodiscard]] std::optional<std::int64_t> stamp_of_name(std::string_view stem);
-/// The folder, or the only folder in it, whose clouds are named by stamps; empty if there is none.
-/// \throws InputError if there are several
+/// The folder, or the only folder in it, whose clouds are named by stamps; empty if no folder has such
+/// clouds. \throws InputError if there are several
 [[nodiscard]] std::filesystem::path stamped_clouds_of(const std::filesystem::path& folder);
 /// Clouds named by their stamps, and a trajectory in TUM's form: options.poses, else the only one in the
 /// folder or beside the clouds.

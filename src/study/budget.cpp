@@ -90,7 +90,7 @@ double durations(const Run& run) {
   return figure(run.result->summary, {"mission_time_s"}) / run.mission_end_s;
 }
 
-/// Values of the last row at or before a moment of each run, NaN where there is none.
+/// Values of the last row at or before a moment of each run, NaN before the first row.
 template <class Value>
 auto at_time(double durations_of_mission, Value value) {
   return [durations_of_mission, value](const Run& run) {

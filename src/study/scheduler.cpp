@@ -165,7 +165,8 @@ void Study::run_here(const Open& open, const StopToken& stop) {
         if (!computed) return;
         open.results[i] = keep(*computed, open.files[i]);
         flaws[unit.mission] = own->mission.scans->problems();
-        for (const std::string& why : computed->spoilt) warn(name + ": not kept for the next time: " + why);
+        for (const std::string& why : computed->not_repeatable)
+          warn(name + ": not kept for the next time: " + why);
         ++done;
         show(done, open.units.size(), name + " finished");
       } catch (...) {
@@ -219,7 +220,8 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
     const std::lock_guard<std::mutex> lock(mutex);
     open.results[i] = keep(computed, open.files[i]);
     const std::string name = name_of(missions_[open.units[i].mission], open.units[i]);
-    for (const std::string& why : computed.spoilt) warn(name + ": not kept for the next time: " + why);
+    for (const std::string& why : computed.not_repeatable)
+      warn(name + ": not kept for the next time: " + why);
     ++done;
     show(done, open.units.size(), name + " finished by rank " + std::to_string(rank));
   };
@@ -240,7 +242,7 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
     const Json json = parse_json(answer, "answer of rank " + std::to_string(rank));
     take(open.numbers[k],
          {json.at("unit"), json.at("seconds").get<double>(),
-          json.at("spoilt").get<std::vector<std::string>>()},
+          json.at("not_repeatable").get<std::vector<std::string>>()},
          rank);
   };
   const int threads = options_.threads > 0 ? options_.threads : 1;
@@ -264,7 +266,7 @@ void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
     if (!computed) return std::string();  // interrupted
     Json answer = Json::object();
     answer["seconds"] = computed->seconds;
-    answer["spoilt"] = computed->spoilt;
+    answer["not_repeatable"] = computed->not_repeatable;
     answer["unit"] = computed->json;
     return json_text(answer);
   });

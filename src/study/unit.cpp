@@ -182,7 +182,7 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
   for (const Problem& problem : result.problems.all()) {
     for (const char* kind : {"scan cannot be read", "neighbour's scan cannot be read", "registration failed",
                              "registration reached its time limit"}) {
-      if (problem.kind == kind) computed.spoilt.push_back(to_string(problem));
+      if (problem.kind == kind) computed.not_repeatable.push_back(to_string(problem));
     }
   }
   computed.seconds = watch.seconds();
@@ -191,7 +191,7 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
 
 UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
   const std::string text = json_text(unit.json);
-  if (unit.spoilt.empty()) {
+  if (unit.not_repeatable.empty()) {
     write_file(files.seconds, Json(unit.seconds).dump() + "\n");
     write_file(files.result, text + "\n");
   }

@@ -64,9 +64,9 @@ struct LoadedMission {
 struct ComputedUnit {
   Json json;
   double seconds = 0.0;
-  /// What circumstances have spoilt, see depends_on_circumstances(): scans that could not be read,
-  /// registrations that failed. Nothing, usually.
-  std::vector<std::string> spoilt;
+  /// Problems of this run that another may not have, see depends_on_circumstances(): scans that could not be
+  /// read, registrations that failed. Nothing, usually.
+  std::vector<std::string> not_repeatable;
 };
 
 /// Computes one unit on one thread. Nothing if it was stopped.
@@ -75,7 +75,7 @@ struct ComputedUnit {
                                                   bool keep_run, const StopToken& stop,
                                                   const ProgressCallback& progress);
 
-/// Writes the files of a unit. What circumstances have spoilt goes into this study's tables and is said, but
+/// Writes the files of a unit. A run that is not repeatable goes into this study's tables with a warning, but
 /// the next one computes it again.
 [[nodiscard]] UnitResult keep(const ComputedUnit& unit, const UnitFiles& files);
 
