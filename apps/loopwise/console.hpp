@@ -2,6 +2,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <string>
 
 #include <loopwise/core/problems.hpp>
@@ -9,6 +10,9 @@
 #include <loopwise/core/stop_token.hpp>
 
 namespace loopwise::cli {
+
+/// "1 closure", "3 closures".
+std::string counted(std::size_t count, const std::string& noun);
 
 /// Standard error: progress, warnings and notes. Results go to standard output and never through here.
 class Console {

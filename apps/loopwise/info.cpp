@@ -142,10 +142,11 @@ void add_candidates(const Mission& mission, const Options& options, Json& json, 
                         {"mean_overlap", number(found.mean_overlap)},
                         {"overlapping", number(found.overlapping)},
                         {"within_radius", number(found.within_radius)}};
-  text += "candidates   " + std::to_string(found.candidates) + " within " + fixed(wanted.radius_m, 0) + " m";
+  text += "pairs        " + std::to_string(found.candidates) + " of nodes within " +
+          fixed(wanted.radius_m, 0) + " m";
   if (found.looked_at > 0) {
-    text += "; of " + std::to_string(found.looked_at) + " looked at " + fixed(100.0 * found.overlapping, 1) +
-            " % overlap truly";
+    text += "; the scans of " + fixed(100.0 * found.overlapping, 1) +
+            " % overlap at the true poses (sample of " + std::to_string(found.looked_at) + ")";
   }
   text += "\n";
 }
@@ -328,8 +329,9 @@ void add_info(CLI::App& app, Action& chosen) {
                    "Candidates whose scans are compared at the true poses (default 1000)")
       ->type_name("N");
   command
-      ->add_option("--timed", options->timed,
-                   "Candidates to compute, to tell how long all would take; 0: do not (default 40)")
+      ->add_option(
+          "--timed", options->timed,
+          "Candidates to register, which gives the time of all of them; 0: do not measure (default 40)")
       ->check(CLI::Range(0, 1000000))
       ->type_name("N");
   add_joining_options(*command, options->frames, options->start_together);

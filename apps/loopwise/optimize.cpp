@@ -19,6 +19,7 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 #include "command.hpp"
+#include "optimize_text.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -90,126 +91,6 @@ void add_priors(PoseGraph& graph, const Options& options, Console& console) {
                (next == 1 ? std::string() : " of each of " + std::to_string(next) + " components"));
 }
 
-std::string trace_table(const OptimizationResult& result) {
-  std::vector<std::vector<std::string>> rows{
-      {"step", "cost", "decrease", "predicted", "gradient", "size", "damping", ""}};
-  const auto scientific = [](double value) {
-    char text[32];
-    std::snprintf(text, sizeof text, "%.6e", value);
-    return std::string(text);
-  };
-  for (const IterationRecord& r : result.trace) {
-    rows.push_back({std::to_string(r.iteration), scientific(r.cost), scientific(r.decrease),
-                    scientific(r.predicted), scientific(r.gradient), scientific(r.step),
-                    scientific(r.damping), r.accepted ? "" : "refused"});
-  }
-  return table(rows);
-}
-
-/// A line for every chain of odometry that is worse than stated.
-std::string odometry_text(const GncResult& gnc) {
-  std::string text;
-  for (const OdometryScale& odometry : gnc.odometry_scales) {
-    char factor[32];
-    std::snprintf(factor, sizeof factor, "%.2f", odometry.scale);
-    text += "odometry     from " + key_name(odometry.first) + " on: deviations " + factor +
-            " times those stated\n";
-  }
-  return text;
-}
-
-void write_weights(const std::string& path, const PoseGraph& graph, const std::vector<double>& weights) {
-  CsvText csv({"edge", "from", "to", "weight"});
-  for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-    csv.row(e, graph.edges()[e].from, graph.edges()[e].to, weights[e]);
-  }
-  write_file(path, csv.text());
-}
-
-void write_marginals(const std::string& path, const PoseGraph& graph, const Marginals& marginals) {
-  const std::string axes[] = {"x", "y", "z", "rx", "ry", "rz"};
-  std::string text = "key";
-  for (int r = 0; r < 6; ++r) {
-    for (int c = r; c < 6; ++c) text += "," + axes[r] + "_" + axes[c];
-  }
-  text += "\n";
-  char number[32];
-  for (std::size_t i = 0; i < graph.nodes().size(); ++i) {
-    text += std::to_string(graph.nodes()[i].key);
-    for (int r = 0; r < 6; ++r) {
-      for (int c = r; c < 6; ++c) {
-        text += ',';
-        text.append(number,
-                    std::to_chars(number, number + sizeof number, marginals.covariances[i](r, c)).ptr);
-      }
-    }
-    text += "\n";
-  }
-  write_file(path, text);
-}
-
-Json certificate_json(const CertifiedEstimate& estimate) {
-  const Certificate& c = estimate.certificate;
-  return {{"status", enum_name(c.status)},
-          {"message", c.message},
-          {"cost", c.cost},
-          {"cost_at_estimate", c.cost_at_estimate},
-          {"lower_bound", c.lower_bound},
-          {"relative_gap", c.relative_gap},
-          {"min_eigenvalue", c.min_eigenvalue},
-          {"eigenvalue_tolerance", c.eigenvalue_tolerance},
-          {"components", c.components},
-          {"certified_components", c.certified_components},
-          {"reduced_factors", c.reduced_factors},
-          {"difference",
-           {{"rotation_max_rad", c.rotation_max_rad},
-            {"rotation_rms_rad", c.rotation_rms_rad},
-            {"translation_max_m", c.translation_max_m},
-            {"translation_rms_m", c.translation_rms_m}}},
-          {"lower_minimum", estimate.lower_minimum},
-          {"same_minimum", estimate.same_minimum},
-          {"cost_before", estimate.cost_before},
-          {"seconds", c.seconds}};
-}
-
-std::string certificate_text(const CertifiedEstimate& estimate) {
-  const Certificate& c = estimate.certificate;
-  char line[256];
-  std::string text;
-  if (estimate.improved) {
-    std::snprintf(line, sizeof line, "improved     %s cost %.9g -> %.9g\n",
-                  estimate.lower_minimum ? "a lower minimum was found:" : "went on to", estimate.cost_before,
-                  estimate.cost);
-    text += line;
-  }
-  if (c.components == 0 && c.status == CertificateStatus::kCertified)
-    return text + "certificate  nothing to certify: " + c.message + "\n";
-  if (c.status == CertificateStatus::kUnsupported)
-    return text + "certificate  not certified: " + c.message + "\n";
-  if (c.status == CertificateStatus::kCertified) {
-    std::snprintf(
-        line, sizeof line,
-        "certificate  certified: globally optimal (isotropic chordal relaxation, smallest eigenvalue "
-        "> -%.1e, cost within %.1e)\n",
-        c.eigenvalue_tolerance, c.relative_gap);
-    text += line;
-  } else {
-    if (c.min_eigenvalue < 0.0) std::snprintf(line, sizeof line, " (eigenvalue %.3g)", c.min_eigenvalue);
-    text += std::string("certificate  not certified") + (c.min_eigenvalue < 0.0 ? line : "") + ": " +
-            c.message + "\n";
-  }
-  const char* next_to_it = c.status != CertificateStatus::kCertified ? ""
-                           : estimate.same_minimum ? "; the estimate is the minimum next to it"
-                                                   : "; the minimum next to it is not the estimate";
-  std::snprintf(line, sizeof line,
-                "             its optimum is up to %.2g rad and %.2g m from the estimate (rms %.2g rad, %.2g "
-                "m)%s, %.3f s\n",
-                c.rotation_max_rad, c.translation_max_m, c.rotation_rms_rad, c.translation_rms_m, next_to_it,
-                c.seconds);
-  text += line;
-  return text;
-}
-
 /// An optimisation and the one that went on from it, as one: begun as the first, ended as the last.
 void go_on(OptimizationResult last, OptimizationResult& result) {
   last.cost_initial = result.cost_initial;
@@ -222,22 +103,22 @@ void go_on(OptimizationResult last, OptimizationResult& result) {
 }
 
 /// Certifies the optimum and goes on from lower poses where there are such.
-std::string certify_result(const OptimizerOptions& optimizer, const StopToken& stop, PoseGraph& graph,
-                           OptimizationResult& result, Json& json) {
+std::string certify_result(const OptimizerOptions& optimizer, bool robust, const StopToken& stop,
+                           PoseGraph& graph, OptimizationResult& result, Json& json) {
   const CertifiedEstimate estimate = optimize_certified(graph, optimizer, {}, stop);
   if (estimate.improved) {
     graph.set_poses(estimate.poses);
     go_on(estimate.optimization, result);
   }
   json["certificate"] = certificate_json(estimate);
-  return certificate_text(estimate);
+  return certificate_text(estimate, robust);
 }
 
 void decide(PoseGraph& graph, const std::string& path, Console& console) {
   const std::vector<ClosureDecision> decisions = read_decisions(path);
   const AppliedDecisions applied = apply_decisions(graph, decisions);
-  console.note(std::to_string(decisions.size()) + " decisions: " + std::to_string(applied.removed) +
-               " closures left out, " + std::to_string(applied.trusted) + " trusted");
+  console.note("decisions: " + counted(applied.removed, "closure") + " left out, " +
+               counted(applied.trusted, "closure") + " trusted");
   Problems problems;
   for (const ClosureDecision& decision : applied.without_match) {
     problems.add("decision on a pair without a closure",
@@ -319,44 +200,6 @@ std::string report_marginals(const std::string& path, const PoseGraph& graph,
   return line;
 }
 
-/// Wall times at the ends of the stages, s.
-struct Times {
-  double reading = 0.0, optimized = 0.0, certified = 0.0, marginals = 0.0;
-};
-
-Json head_json(const PoseGraph& graph, const OptimizationResult& result, const Times& at, double total) {
-  return {{"poses", graph.nodes().size()},
-          {"planar", graph.planar()},
-          {"edges", graph.edges().size()},
-          {"components", result.components},
-          {"cost_initial", result.cost_initial},
-          {"cost", result.cost},
-          {"iterations", result.iterations},
-          {"factorizations", result.factorizations},
-          {"converged", result.converged},
-          {"initialization", enum_name(result.initialization)},
-          {"termination", enum_name(result.termination)},
-          {"message", result.message},
-          {"seconds",
-           {{"total", total},
-            {"reading", at.reading},
-            {"optimization", at.optimized - at.reading},
-            {"certificate", at.certified - at.optimized},
-            {"marginals", at.marginals - at.certified}}}};
-}
-
-std::string head_text(const PoseGraph& graph, const OptimizationResult& result, double seconds) {
-  char line[256];
-  std::snprintf(line, sizeof line,
-                "graph        %zu poses, %zu edges, %zu component%s%s\ncost         %.12g -> %.12g\n"
-                "optimisation from %s, %d steps, %d factorisations, %s, %.3f s\n",
-                graph.nodes().size(), graph.edges().size(), result.components,
-                result.components == 1 ? "" : "s", graph.planar() ? ", planar" : "", result.cost_initial,
-                result.cost, enum_name(result.initialization).c_str(), result.iterations,
-                result.factorizations, enum_name(result.termination).c_str(), seconds);
-  return line;
-}
-
 int run(const Options& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
@@ -378,7 +221,7 @@ int run(const Options& options) {
   graph.set_poses(result.poses);
   for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
   at.optimized = watch.seconds();
-  if (options.certify) text += certify_result(optimizer, interrupt.token(), graph, result, json);
+  if (options.certify) text += certify_result(optimizer, options.gnc, interrupt.token(), graph, result, json);
   at.certified = watch.seconds();
   if (!options.marginals.empty()) text += report_marginals(options.marginals, graph, optimizer, json);
   at.marginals = watch.seconds();
@@ -404,7 +247,9 @@ void add_optimize(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("optimize", "Optimise a pose graph, robustly if asked");
   command->footer(
-      "Edges between neighbours of one robot are odometry: robust optimisation never doubts them.\n"
+      "Edges between neighbours of one robot are odometry. Robust optimisation keeps them; where odometry is "
+      "worse\n"
+      "than stated, it lowers the weight of a robot's odometry as a whole.\n"
       "  loopwise optimize graph.g2o -o out.g2o\n"
       "  loopwise optimize graph.g2o -o out.g2o --gnc --weights weights.csv --robots 0-624,625-1249 \\\n"
       "      --prior 0 --prior 625:1e-4:1e-4");
@@ -438,7 +283,10 @@ void add_optimize(CLI::App& app, Action& chosen) {
       ->type_name("KEY[:M[:RAD]]")
       ->expected(1)
       ->take_all();
-  command->add_option("--weights", options->weights, "Weight of every edge, CSV in file order")
+  command
+      ->add_option(
+          "--weights", options->weights,
+          "Weight and kind of every edge, CSV in file order; a closure of less than 0.5 is an outlier")
       ->type_name("W.csv")
       ->check(not_standard_output());
   command

@@ -15,7 +15,7 @@ namespace {
 
 struct Options {
   CommonOptions common;
-  std::string mission, output, method, preset, candidates, robots, odometry, bin_layout;
+  std::string mission, output, method, preset, candidates, robots, odometry, decisions, bin_layout;
   std::optional<std::int64_t> batch;
   std::optional<std::uint64_t> seed;
   RankOptions rank;
@@ -35,6 +35,7 @@ int run(const Options& options) {
   if (!options.candidates.empty()) config.replay.candidates = options.candidates;
   if (!options.robots.empty()) config.mission.robots = options.robots;
   set_odometry(options.odometry, config);
+  if (!options.decisions.empty()) config.replay.decisions = options.decisions;
   apply_bin_layout(options.bin_layout, config);
   if (!options.method.empty()) config.replay.prioritization.method = parse_method(options.method);
   if (options.batch) config.replay.batch = *options.batch;
@@ -126,8 +127,9 @@ void add_rank(CLI::App& app, Action& chosen) {
       ->type_name("FILE.csv")
       ->check(not_standard_output());
   command
-      ->add_option("--method", options->method,
-                   "baseline, random, obs, gi, full, rssi, or several joined by +")
+      ->add_option(
+          "--method", options->method,
+          "expected (default), likely, obs, gi, full, rssi, random, baseline, or several joined by +")
       ->type_name("M");
   command->add_option("--batch", options->batch, "Candidates handed out at a time")->type_name("B");
   command->add_option("--count", options->rank.count, "Candidates to rank (default: one batch)")
@@ -151,6 +153,7 @@ void add_rank(CLI::App& app, Action& chosen) {
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
       ->type_name("LIST");
   add_odometry_option(*command, options->odometry);
+  add_decisions_option(*command, options->decisions);
   command->add_option("--seed", options->seed, "Of everything random (default 1)")
       ->type_name("S")
       ->check(not_negative());

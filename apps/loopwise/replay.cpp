@@ -78,7 +78,7 @@ Config configured(const Options& o) {
     throw OptionError("--record-trace needs --clock real: a run on the virtual clock repeats by itself");
   }
   if (o.clock == "real") {
-    if (o.resume) throw OptionError("--resume: what a real clock made cannot be made again");
+    if (o.resume) throw OptionError("--resume: a run on the real clock cannot be repeated");
     for (const auto& [given, name] :
          {std::pair(o.workers.has_value(), "--workers"),
           std::pair(!o.replay.registration_time.empty(), "--registration-time"),
@@ -127,7 +127,7 @@ std::string reasons_text(const std::string& what, const std::map<std::string, st
   return text.empty() ? text : what + std::string(13 - what.size(), ' ') + text + "\n";
 }
 
-/// Chances that were said of candidates, against what came.
+/// Predicted and observed shares of verified candidates.
 std::string calibration_text(const ReplayResult& result) {
   std::string text;
   for (const auto& [name, calibration] : result.calibration) {
@@ -139,15 +139,35 @@ std::string calibration_text(const ReplayResult& result) {
       count += bin.count;
     }
     if (count == 0) continue;
-    text += "chances      " + fixed(100.0 * expected / static_cast<double>(count), 1) + " % said by " + name +
-            ", " + fixed(100.0 * static_cast<double>(verified) / static_cast<double>(count), 1) +
-            " % came true, Brier score " + fixed(calibration.brier(), 3) + "\n";
+    text += "predicted    " + fixed(100.0 * expected / static_cast<double>(count), 1) +
+            " % verified by method " + name + ", observed " +
+            fixed(100.0 * static_cast<double>(verified) / static_cast<double>(count), 1) +
+            " % (Brier score " + fixed(calibration.brier(), 3) + ")\n";
   }
   return text;
 }
 
-std::string results_text(const ReplayOptions& options, const ReplayResult& result, const RunEvaluation& e,
-                         int threads) {
+/// Closures that tie robots or sessions together. If they verify but are not kept, the common frame is wrong.
+std::string between_robots_text(const Robots& robots, const ReplayResult& result) {
+  if (robots.size() < 2) return {};
+  const double inlier_weight = ClosureClassOptions().gnc_inlier_weight;
+  std::size_t verified = 0, kept = 0;
+  for (const ComputedCandidate& computed : result.computed) {
+    if (!computed.result.verified()) continue;
+    const LoopClosure& closure = *computed.result.closure;
+    if (robots.of(closure.from) == robots.of(closure.to)) continue;
+    ++verified;
+    kept += computed.weight > inlier_weight ? 1 : 0;
+  }
+  std::string text = "between      " + counted(verified, "verified closure") + " of different robots, " +
+                     std::to_string(kept) + " kept";
+  if (verified >= 8 && 2 * kept < verified)
+    text += ": most contradict the robots' common frame or each other; check --frames and the priors";
+  return text + "\n";
+}
+
+std::string results_text(const Robots& robots, const ReplayOptions& options, const ReplayResult& result,
+                         const RunEvaluation& e, int threads) {
   const CandidateAccounting& a = result.accounting;
   const auto share = [&](std::size_t count) {
     return std::to_string(count) + " (" + fixed(percent(count, a.queued()), 2) + " % of queued)";
@@ -158,6 +178,7 @@ std::string results_text(const ReplayOptions& options, const ReplayResult& resul
   text += reasons_text("pruned", result.pruned) + reasons_text("expired", result.expired);
   text +=
       "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
+  text += between_robots_text(robots, result);
   if (is_judged(e)) {
     text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth\n";
   }
@@ -176,10 +197,15 @@ std::string results_text(const ReplayOptions& options, const ReplayResult& resul
   }
   const auto most = static_cast<std::size_t>(options.max_registrations);
   if (a.pending > 0 && most > 0 && a.computed >= most) {
-    text += "pending      " + std::to_string(a.pending) + " after as many as --max-registrations allows\n";
+    text += "pending      " + std::to_string(a.pending) + " beyond --max-registrations\n";
   } else if (a.pending > 0 && !options.after_mission) {
-    text += "pending      " + std::to_string(a.pending) +
-            " not begun or not finished when the mission's clock ended: --after-mission computes them too\n";
+    text += "pending      " + std::to_string(a.pending) + " not computed when the mission ended" +
+            (options.cost.measured_time
+                 ? std::string()
+                 : ", by a modelled computer of " +
+                       counted(static_cast<std::size_t>(options.cost.workers), "worker") + " and " +
+                       fixed(options.cost.registration_time_s, 1) + " s a registration") +
+            ": --after-mission computes them too\n";
   } else if (a.pending == 0 && a.computed > 0) {
     text += "order        all candidates were computed: every order gives the same closures\n";
   }
@@ -323,9 +349,10 @@ int run_trace(const Options& options) {
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
   write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map.cloud);
-  print_results(
-      options.common, parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
-      results_text(recorded, result, evaluation, /*threads=*/0) + "results      " + folder.string() + "\n");
+  print_results(options.common,
+                parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
+                results_text(mission.robots, recorded, result, evaluation, /*threads=*/0) + "results      " +
+                    folder.string() + "\n");
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 
@@ -355,6 +382,12 @@ int run(const Options& options) {
     if (!settled) problems.add(problem.kind, problem.example, problem.count);
   }
   console.warn(problems);
+  std::size_t recorded = 0;
+  for (const Edge& edge : mission.graph.edges()) recorded += edge.kind == EdgeKind::kLoopClosure ? 1 : 0;
+  if (recorded > 0) {
+    console.note(counted(recorded, "closure") +
+                 " of the mission left out: a replay finds its own (optimize and rank use them)");
+  }
   if (config.replay.prioritization.method == Method{PrioritizerKind::kRssi} && mission.radio.empty()) {
     console.warn("the mission has no radio readings: method rssi has no candidates");
   }
@@ -475,10 +508,11 @@ int run(const Options& options) {
   if (server) note_ranks(console, server->statistics(), summary);
 #endif
   if (team.frames) summary["frames"] = frames_json(*team.frames);
-  print_results(options.common, summary,
-                (team.frames ? frames_text(*team.frames) : "") +
-                    results_text(config.replay, result, evaluation, thread_count(options.common)) +
-                    "results      " + folder.string() + "\n");
+  print_results(
+      options.common, summary,
+      (team.frames ? frames_text(*team.frames) : "") +
+          results_text(mission.robots, config.replay, result, evaluation, thread_count(options.common)) +
+          "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +
                  (live ? "" : "; --resume goes on"));
@@ -515,10 +549,10 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->type_name("DIR")
       ->check(not_standard_output());
   command
-      ->add_option(
-          "--method", options->method,
-          "Order of the candidates: odom (none), baseline, random, obs, gi, full (obs and gi), rssi, or "
-          "several joined by +")
+      ->add_option("--method", options->method,
+                   "Order of the candidates: expected (default), likely, obs, gi, full (obs and gi), rssi, "
+                   "random, baseline "
+                   "(arrival), odom (computes nothing), or several joined by +")
       ->type_name("M");
   add_joining_options(*command, options->frames, options->start_together);
   add_truth_option(*command, options->truth);
@@ -549,7 +583,8 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->add_option("--workers", options->workers,
                    "Registrations at a time on the mission's clock (default 10)")
       ->type_name("N");
-  command->add_flag("--after-mission", options->after_mission, "Go on until no candidate is pending");
+  command->add_flag("--after-mission", options->after_mission,
+                    "Continue after the mission's end until no candidate is pending");
   command->add_option("--map-voxel", options->map_voxel_m, "Voxel of map.pcd, m (default 0.2)")
       ->type_name("M")
       ->check(CLI::PositiveNumber);

@@ -53,9 +53,10 @@ void measure(const SimulatedMission& made, int threads, Json& json, std::string&
                         {"mean_overlap", number(candidates.mean_overlap)},
                         {"overlapping", number(candidates.overlapping)},
                         {"within_radius", number(candidates.within_radius)}};
-  text += "candidates   " + std::to_string(candidates.candidates) + " within " +
-          fixed(candidate_options.radius_m, 0) + " m; of " + std::to_string(candidates.looked_at) +
-          " looked at " + fixed(100.0 * candidates.overlapping, 1) + " % overlap truly\n";
+  text += "pairs        " + std::to_string(candidates.candidates) + " of nodes within " +
+          fixed(candidate_options.radius_m, 0) + " m; the scans of " +
+          fixed(100.0 * candidates.overlapping, 1) + " % overlap at the true poses (sample of " +
+          std::to_string(candidates.looked_at) + ")\n";
   const SensorStatistics sensors = sensor_statistics(made, threads);
   json["observability"] = {{"corridors", quartiles(sensors.corridors)},
                            {"elsewhere", quartiles(sensors.elsewhere)}};

@@ -22,7 +22,7 @@ std::string pose_text(const ComponentFrame& frame) {
   const double sigma_rad = std::sqrt(frame.covariance.bottomRightCorner<3, 3>().diagonal().maxCoeff());
   return "at " + fixed(t.x(), 2) + " " + fixed(t.y(), 2) + " " + fixed(t.z(), 2) + " m, yaw " +
          fixed(yaw_of(frame.pose) * kDegrees, 2) + " deg; sigma " + fixed(sigma_m, 2) + " m, " +
-         fixed(sigma_rad * kDegrees, 2) + " deg";
+         fixed(sigma_rad * kDegrees, 2) + " deg by the stated odometry";
 }
 
 Json matrix_json(const Eigen::Isometry3d& pose) {

@@ -19,6 +19,12 @@ double radius_bound(const ProximityOptions& options) {
   return std::numeric_limits<double>::infinity();
 }
 
+/// The search radius of two nodes whose indices differ by `indices`.
+double radius_after(const ProximityOptions& options, double indices) {
+  if (options.rate_m == 0.0 && options.radius_max_m > 0.0) return options.radius_max_m;
+  return std::clamp(options.rate_m * indices, options.radius_min_m, radius_bound(options));
+}
+
 struct Preset {
   std::string_view name;
   ProximityOptions options;
@@ -28,7 +34,7 @@ const std::vector<Preset>& presets() {
   static const std::vector<Preset> all{
       {"paper", {0.2, 0.0, 0.0, 0, 0, 0.0}},
       {"lamp_2022_01", {0.2, 0.0, 30.0, 10, 10}},
-      {"lamp_base", {0.2, 30.0, 30.0, 10, 0}},
+      {"lamp_base", {0.0, 0.0, 30.0, 10, 0}},
       {"lamp_robot", {0.2, 5.0, 80.0, 15, 3}},
   };
   return all;
@@ -84,7 +90,7 @@ ProximityGenerator::Cell ProximityGenerator::cell_of(const Eigen::Vector3d& posi
 double ProximityGenerator::radius(const Entry& entry, const Entry& other) const {
   double indices = static_cast<double>(entry.index);
   if (entry.robot == other.robot) indices = std::abs(indices - static_cast<double>(other.index));
-  return std::clamp(options_.rate_m * indices, options_.radius_min_m, radius_bound(options_));
+  return radius_after(options_, indices);
 }
 
 void ProximityGenerator::collect(const Entry& entry, std::size_t own, const std::vector<std::size_t>& numbers,
@@ -105,8 +111,7 @@ void ProximityGenerator::collect(const Entry& entry, std::size_t own, const std:
 
 std::vector<LoopCandidate> ProximityGenerator::near(const Entry& entry, std::size_t own, std::uint64_t most,
                                                     double time_s) const {
-  const double reach =
-      std::clamp(options_.rate_m * static_cast<double>(most), options_.radius_min_m, radius_bound(options_));
+  const double reach = radius_after(options_, static_cast<double>(most));
   const double cells = std::pow(2.0 * std::ceil(reach / cell_m_) + 1.0, 3);
 
   std::vector<std::pair<double, std::size_t>> found;

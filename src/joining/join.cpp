@@ -75,6 +75,7 @@ bool give_up_contradictions(std::vector<Tie>& ties, const std::vector<std::size_
   return true;
 }
 
+/// The best tie of the component is said once, at the component that comes later.
 std::string apart_text(const std::vector<JoinComponent>& components, const std::vector<Tie>& ties,
                        std::size_t component) {
   std::size_t computed = 0;
@@ -88,7 +89,8 @@ std::string apart_text(const std::vector<JoinComponent>& components, const std::
   }
   std::string text =
       std::to_string(computed) + " pairs computed, best overlap " + std::to_string(overlap).substr(0, 4);
-  if (best != nullptr && best->closures.size() > 1) {
+  const bool said_elsewhere = best != nullptr && best->a == component && ties.size() == 1;
+  if (best != nullptr && best->closures.size() > 1 && !said_elsewhere) {
     const std::size_t other = best->a == component ? best->b : best->a;
     text += "; with " + components[other].name + " " + best->reason;
   }

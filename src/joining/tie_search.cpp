@@ -16,9 +16,10 @@
 namespace loopwise::joining {
 namespace {
 
-constexpr std::size_t kBatch = 64;        // pairs between two looks at what they came to
-constexpr std::size_t kMostTested = 60;   // pairs that confirm a frame
-constexpr std::size_t kLeastTested = 8;   // fewer do not tell anything
+constexpr double kDegrees = 180.0 / 3.14159265358979323846;  // in a radian
+constexpr std::size_t kBatch = 64;                           // pairs between two looks at what they came to
+constexpr std::size_t kMostTested = 60;                      // pairs that confirm a frame
+constexpr std::size_t kLeastTested = 8;                      // fewer do not tell anything
 constexpr std::size_t kManyPlaces = 4;    // from fewer, twice the share of pairs has to confirm a frame
 constexpr double kAgrees = 0.8;           // share of a group that a closure of the same frame agrees with
 constexpr std::size_t kLeastGroup = 3;    // closures from which on a frame is worth a test
@@ -192,10 +193,10 @@ std::string TieSearch::refusal(const Tie& tie) const {
   const auto count = [](std::int64_t n) { return std::to_string(n); };
   const std::string agreeing = std::to_string(tie.closures.size()) + " closures agree";
   if (tie.closures.size() < static_cast<std::size_t>(o.min_closures))
-    return agreeing + ", " + count(o.min_closures) + " are needed";
+    return agreeing + ", fewer than joining.min_closures = " + count(o.min_closures);
   if (tie.places < static_cast<std::size_t>(o.min_places))
-    return agreeing + ", from " + std::to_string(tie.places) + " places, " + count(o.min_places) +
-           " are needed";
+    return agreeing + ", but from " + std::to_string(tie.places) + (tie.places == 1 ? " place" : " places") +
+           ", fewer than joining.min_places = " + count(o.min_places);
   if (tie.tested < kLeastTested)
     return agreeing + ", but their frame puts only " + std::to_string(tie.tested) +
            " pairs close together, too few to confirm it";
@@ -203,7 +204,8 @@ std::string TieSearch::refusal(const Tie& tie) const {
   const double needed = tie.places < kManyPlaces ? std::min(1.0, 2.0 * o.min_confirmed) : o.min_confirmed;
   if (share < needed)
     return agreeing + ", but only " + std::to_string(tie.confirmed) + " of " + std::to_string(tie.tested) +
-           " pairs that their frame puts close together confirm it";
+           " pairs that their frame puts close together confirm it; " + rounded(100.0 * needed, 0) +
+           " % are needed";
   const bool is_rival =
       tie.rival_closures >= kLeastGroup &&
       (static_cast<double>(tie.rival_closures) > o.max_rival * static_cast<double>(tie.closures.size()) ||
@@ -212,7 +214,8 @@ std::string TieSearch::refusal(const Tie& tie) const {
     return agreeing + ", but " + std::to_string(tie.rival_closures) + " others agree on another frame";
   if (tie.sigma_m > o.max_sigma_m || tie.sigma_rad > o.max_sigma_rad)
     return agreeing + ", but leave the frame uncertain by " + rounded(tie.sigma_m, 2) + " m and " +
-           rounded(tie.sigma_rad * 180.0 / 3.14159265358979323846, 2) + " deg";
+           rounded(tie.sigma_rad * kDegrees, 2) + " deg, more than " + rounded(o.max_sigma_m, 2) + " m or " +
+           rounded(o.max_sigma_rad * kDegrees, 2) + " deg";
   return {};
 }
 

@@ -112,13 +112,12 @@ CostForecast forecast_cost(const ReplayResult& result) {
 
 std::string forecast_text(const CostForecast& forecast, int threads) {
   if (forecast.measured == 0 || forecast.candidates == 0) return {};
-  return std::to_string(forecast.candidates) + " candidates: " + fixed1(forecast.all_s(threads) / 60.0) +
-         " min on " + std::to_string(threads) + (threads == 1 ? " thread" : " threads") + " by " +
-         std::to_string(forecast.measured) + " registrations measured, the mission lasts " +
-         fixed1(forecast.mission_s / 60.0) + ": " +
-         (forecast.all_in_time(threads)
-              ? "a live run can compute them all, and every order ends at the same map"
-              : "the order decides");
+  return std::to_string(forecast.candidates) + " candidates take " + fixed1(forecast.all_s(threads) / 60.0) +
+         " min on " + std::to_string(threads) + (threads == 1 ? " thread" : " threads") +
+         " of this machine (by " + std::to_string(forecast.measured) + " registrations), the mission lasts " +
+         fixed1(forecast.mission_s / 60.0) + " min: " +
+         (forecast.all_in_time(threads) ? "a live run computes them all, and the method does not matter"
+                                        : "a live run computes a part, and the method decides which");
 }
 
 }  // namespace loopwise

@@ -79,8 +79,10 @@ TEST_CASE("optimize: a false edge between neighbours is reported, and doubted by
   REQUIRE(run.status == 0);
   REQUIRE_THAT(run.err, Contains("contradicts odometry"));
   REQUIRE_THAT(run.err, !Contains("chain"));
-  const CsvTable table(weights, {"edge", "from", "to", "weight"});
+  const CsvTable table(weights, {"edge", "from", "to", "weight", "kind"});
   REQUIRE(table.size() == 26);
+  REQUIRE(table.text(0, 4) == "odometry");
+  REQUIRE(table.text(25, 4) == "closure");
   for (std::size_t e = 0; e < table.size(); ++e) REQUIRE(table.number(e, 3) == (e == 25 ? 0.0 : 1.0));
   const Json errors = json_of({"evaluate", out, truth, "--alignment", "se3"});
   REQUIRE(errors.at("ate_m").at("rmse").get<double>() < 0.1);

@@ -45,14 +45,16 @@ TEST_CASE("cost forecast: all candidates of the mission, by a sample of registra
 TEST_CASE("cost forecast: the sentence says whether the order matters", "[replay][forecast]") {
   const CostForecast quick{1000, 40, 0.01, 100, 0.02, 60.0};
   REQUIRE(quick.all_in_time(1));
-  REQUIRE(forecast_text(quick, 1) ==
-          "1000 candidates: 0.2 min on 1 thread by 40 registrations measured, the mission lasts 1.0: a live "
-          "run can compute them all, and every order ends at the same map");
+  REQUIRE(
+      forecast_text(quick, 1) ==
+      "1000 candidates take 0.2 min on 1 thread of this machine (by 40 registrations), the mission lasts 1.0 "
+      "min: a live run computes them all, and the method does not matter");
   const CostForecast slow{100000, 40, 0.01, 100, 0.02, 60.0};
   REQUIRE_FALSE(slow.all_in_time(2));
-  REQUIRE(forecast_text(slow, 2) ==
-          "100000 candidates: 8.3 min on 2 threads by 40 registrations measured, the mission lasts 1.0: the "
-          "order decides");
+  REQUIRE(
+      forecast_text(slow, 2) ==
+      "100000 candidates take 8.3 min on 2 threads of this machine (by 40 registrations), the mission lasts "
+      "1.0 min: a live run computes a part, and the method decides which");
 }
 
 TEST_CASE("cost forecast: after a run it is of its registrations", "[replay][forecast]") {

@@ -679,6 +679,9 @@ TEST_CASE("config: sections, presets and assignments; errors name section and fi
   REQUIRE(config.replay.engine.generation.skip_recent == 3);
   REQUIRE(config.replay.batch == 7);
   set_config_option("prioritization.method=random", config);
+  Config nearer;  // the example of the documentation: one option is enough
+  set_config_option("generation.radius_max_m=20", nearer);
+  REQUIRE_NOTHROW(validate_proximity(nearer.replay.engine.generation));
   REQUIRE(to_string(config.replay.prioritization.method) == "random");
   testing::write_text(folder / "all.json", config_json(config));
   Config copy;

@@ -19,10 +19,10 @@ namespace loopwise {
 
 /// Selection of older nodes near a new one (paper §III-A). The radius grows with the possible drift: `rate_m
 /// · |i_n − i_c|` for two nodes of one robot, `rate_m · i_n` between robots, where i counts a robot's own
-/// nodes from 0 and n is the new node.
+/// nodes from 0 and n is the new node. With a rate of 0 the radius is `radius_max_m` for all.
 struct ProximityOptions {
-  double rate_m = 0.2;
-  double radius_min_m = 30.0;
+  double rate_m = 0.0;
+  double radius_min_m = 0.0;
   double radius_max_m = 30.0;
   std::int64_t skip_recent = 10;
   std::int64_t n_closest = 0;
@@ -31,7 +31,8 @@ struct ProximityOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
+    field("rate_m", self.rate_m, at_least(0.0),
+          "Search radius gained per node index, m; 0: the radius is radius_max_m.");
     field("radius_min_m", self.radius_min_m, at_least(0.0), "The radius is never less than this, m.");
     field("radius_max_m", self.radius_max_m, at_least(0.0),
           "The radius is never more than this, m; 0: no bound.");
@@ -40,10 +41,11 @@ struct ProximityOptions {
     field("n_closest", self.n_closest, at_least(0.0),
           "Only so many of the nearest, for each new node; 0: all.");
     field("spacing_m", self.spacing_m, at_least(0.0),
-          "Nodes nearer than this to the last one of their robot that takes part take none, unless they are "
-          "turned, m; 0: all take part.");
+          "Minimum distance along the path between nodes that get candidates, m; a node turned by "
+          "spacing_rad is "
+          "exempt. 0: all nodes get candidates.");
     field("spacing_rad", self.spacing_rad, at_least(0.0),
-          "A node that is turned by this against the last one of its robot takes part, however near, rad.");
+          "A node gets candidates if it is turned by this against the last one of its robot that does, rad.");
   }
 };
 
