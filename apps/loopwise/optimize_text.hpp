@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What `optimize` prints and writes.
+// Texts and tables of the command `optimize`.
 #pragma once
 
 #include <string>

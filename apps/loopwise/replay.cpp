@@ -386,7 +386,7 @@ int run(const Options& options) {
   for (const Edge& edge : mission.graph.edges()) recorded += edge.kind == EdgeKind::kLoopClosure ? 1 : 0;
   if (recorded > 0) {
     console.note(counted(recorded, "closure") +
-                 " of the mission left out: a replay finds its own (optimize and rank use them)");
+                 " of the mission left out: a replay finds its own (`loopwise optimize` and `rank` use them)");
   }
   if (config.replay.prioritization.method == Method{PrioritizerKind::kRssi} && mission.radio.empty()) {
     console.warn("the mission has no radio readings: method rssi has no candidates");

@@ -249,9 +249,9 @@ TEST_CASE("optimize --certify: proves optima, and leaves local minima", "[apps]"
                   "reduced_factors", "difference", "same_minimum", "cost_before", "seconds"});
   REQUIRE(json.at("certificate").at("status") == "certified");
   REQUIRE(json.at("certificate").at("same_minimum") == true);
-  REQUIRE_THAT(run_program({"optimize", in, "--gnc", "--certify", "--quiet"}).out,
-               Contains("certified: no poses have a lower chordal cost") &&
-                   Contains("their choice is not certified"));
+  REQUIRE_THAT(
+      run_program({"optimize", in, "--gnc", "--certify", "--quiet"}).out,
+      Contains("certified: no poses have a lower chordal cost") && Contains("their choice is not certified"));
   require_fields(json.at("seconds"), {"certificate"});
   REQUIRE_FALSE(json_of({"optimize", in}).contains("certificate"));
 
@@ -278,7 +278,7 @@ TEST_CASE("optimize --certify: proves optima, and leaves local minima", "[apps]"
   REQUIRE(json.at("certificate").at("cost_before").get<double>() > 0.5);
   REQUIRE(json.at("cost").get<double>() < 1e-9);
   REQUIRE(graph_cost(read_g2o(out).graph) < 1e-9);
-  REQUIRE_THAT(run_program(command).out, Contains("a lower minimum was found"));
+  REQUIRE_THAT(run_program(command).out, Contains("found a lower minimum"));
 
   // The same in the plane, where the result is written as 2D again.
   PoseGraph flat;
