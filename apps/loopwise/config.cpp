@@ -12,7 +12,7 @@ namespace {
 /// Description of a section. Every section must have one.
 const std::string& section_text(const std::string& section) {
   static const std::map<std::string, std::string> texts = {
-      {"mission", "How missions are read, and what is put in where their files say nothing."},
+      {"mission", "Reading of missions, and the defaults of data that their files lack."},
       {"joining", "Sources without a common frame: what it takes before two become one."},
       {"generation",
        "Candidates by proximity. In a file the key `preset` names a preset that the other keys then change: "
@@ -56,7 +56,7 @@ std::string config_markdown(const Config& config) {
 
 Every option of a configuration file, as `loopwise config --markdown` prints them. A file is an object of sections,
 `{"generation": {"radius_max_m": 20}}`, given by `--config FILE`; `--set generation.radius_max_m=20` sets one option.
-`//` comments are allowed, what is left out keeps its default, an unknown key or a value out of bounds is an error.
+`//` comments are allowed. Omitted keys keep their defaults; an unknown key or a value out of bounds is an error.
 `loopwise config` prints all of them as such a file.
 )";
   std::string section;

@@ -24,8 +24,8 @@ std::string duration(double seconds) {
   return text;
 }
 
-// A handler can only reach what is static. The source is made once and never destroyed before the process
-// ends.
+// A signal handler can only reach static objects. The source is made once and never destroyed before the
+// process ends.
 StopSource& interrupt_source() {
   static StopSource source;
   return source;

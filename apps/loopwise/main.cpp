@@ -86,7 +86,7 @@ void describe(CLI::App& app) {
   app.failure_message(CLI::FailureMessage::simple);
   app.footer(
       "Examples:\n"
-      "  loopwise info my_mission                               what is recorded there\n"
+      "  loopwise info my_mission                               contents of a recording\n"
       "  loopwise convert my_bags -o my_mission                 recordings of other programs\n"
       "  loopwise align my_map new_session -o joined            place a session in a map\n"
       "  loopwise replay my_mission -o out --method obs         find loop closures and the map\n"

@@ -102,7 +102,7 @@ void go_on(OptimizationResult last, OptimizationResult& result) {
   result = std::move(last);
 }
 
-/// Certifies the optimum and goes on from lower poses where there are such.
+/// Certifies the optimum, and continues from lower poses if the search finds any.
 std::string certify_result(const OptimizerOptions& optimizer, bool robust, const StopToken& stop,
                            PoseGraph& graph, OptimizationResult& result, Json& json) {
   const CertifiedEstimate estimate = optimize_certified(graph, optimizer, {}, stop);

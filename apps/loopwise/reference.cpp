@@ -261,7 +261,7 @@ std::string value_patterns(const CommandPage& page, const OptionPage& option) {
   return patterns(places);
 }
 
-/// Words for what is no option: commands, or those of the first positional.
+/// Words for arguments without a name: commands, or those of the first positional.
 std::vector<std::string> plain_words(const CommandPage& page) {
   std::vector<std::string> words;
   for (const CommandPage& command : page.commands) words.push_back(command.path.back());

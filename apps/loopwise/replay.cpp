@@ -385,8 +385,9 @@ int run(const Options& options) {
   std::size_t recorded = 0;
   for (const Edge& edge : mission.graph.edges()) recorded += edge.kind == EdgeKind::kLoopClosure ? 1 : 0;
   if (recorded > 0) {
-    console.note(counted(recorded, "closure") +
-                 " of the mission left out: a replay finds its own (`loopwise optimize` and `rank` use them)");
+    console.note(
+        counted(recorded, "closure") +
+        " of the mission left out: a replay finds its own (`loopwise optimize` and `rank` use them)");
   }
   if (config.replay.prioritization.method == Method{PrioritizerKind::kRssi} && mission.radio.empty()) {
     console.warn("the mission has no radio readings: method rssi has no candidates");
@@ -421,7 +422,7 @@ int run(const Options& options) {
   } else {
     outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   }
-  // Not before it is certain that this run may take the place of what is there.
+  // Not before it is certain that this run may replace the former results.
   for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) remove_former(name);
   for (const fs::path& file : former_trajectories(folder)) remove_former(file);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
@@ -515,7 +516,7 @@ int run(const Options& options) {
           "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +
-                 (live ? "" : "; --resume goes on"));
+                 (live ? "" : "; --resume continues"));
     return kInterrupted;
   }
   return kDone;

@@ -29,7 +29,7 @@ void add_ablation(CLI::App& app, Action& chosen, Transport* job) {
   CLI::App* command =
       app.add_subcommand("ablation", "Methods side by side over missions and seeds: the paper's Table I");
   command->footer(
-      "Missions of one world are its repetitions. Every run is kept as it ends: the same command goes on "
+      "Missions of one world are its repetitions. Every finished run is kept: the same command continues "
       "where it\n"
       "was ended, and computes nothing twice.\n"
       "  loopwise study ablation tunnel-* urban-* -o ablation --methods baseline,obs,random,gi,full\n"

@@ -117,7 +117,8 @@ void add_report(CLI::App& app, Action& chosen) {
       ->add_option("--review", options->report.review_closures,
                    "Closures whose scans are shown for review, the most doubtful first (default 60)")
       ->type_name("N");
-  command->add_option("--seed", options->report.seed, "Of what is drawn where a layer has more (default 1)")
+  command
+      ->add_option("--seed", options->report.seed, "Seed of the draw in layers with more items (default 1)")
       ->type_name("S")
       ->check(not_negative());
   add_key_frame_options(*command, options->common);

@@ -25,7 +25,7 @@ void add_study_arguments(CLI::App& command, StudyArguments& arguments) {
   command.add_flag("--keep-runs", arguments.keep_runs,
                    "Keep each run's folder, as replay writes it, in DIR/runs");
   command.add_flag("--resume", arguments.resume,
-                   "Go on in DIR; what is finished there is never computed again anyway");
+                   "Continue in DIR; its finished runs are never computed again anyway");
   add_key_frame_options(command, arguments.common);
   add_common_options(command, arguments.common);
 }

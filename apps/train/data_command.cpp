@@ -179,7 +179,7 @@ int run(const Options& options) {
     });
   } catch (const std::exception&) {
     if (!interrupt.interrupted()) throw;
-    console.warn("interrupted: finished missions are kept, --resume goes on");
+    console.warn("interrupted: finished missions are kept, --resume continues");
     return cli::kInterrupted;
   }
   write_data_set(folder, entries, data);

@@ -88,7 +88,7 @@ int run(const Options& options) {
     const auto epoch = trainer.run_epoch(interrupt.token(), console.progress_callback());
     if (!epoch) {
       console.warn("interrupted: " + std::to_string(trainer.history().size()) +
-                   " epochs are kept, --resume goes on");
+                   " epochs are kept, --resume continues");
       return cli::kInterrupted;
     }
     trainer.save(checkpoint);

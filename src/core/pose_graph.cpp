@@ -76,7 +76,7 @@ void PoseGraph::require_information(const Matrix6d& information, const std::stri
   if (!planar::is_information(information)) {
     throw InputError(what + ": information ties z, roll or pitch to x, y or yaw, but the graph is planar");
   }
-  // Large values across the plane would hide what is wrong within it.
+  // Large values across the plane would hide errors within it.
   require_sound(kept_information(information, true));
 }
 

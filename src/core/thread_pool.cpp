@@ -62,7 +62,7 @@ struct Loop {
 struct ThreadPool::Impl {
   ~Impl() { end(); }
 
-  /// Starts what is missing of so many. Where there is no memory or no thread there are fewer.
+  /// Starts threads up to this number. There are fewer if memory or threads run out.
   void start(std::size_t count) {
     try {
       workers.reserve(count);

@@ -230,7 +230,7 @@ std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
       const std::vector<LoopCandidate> taken = queue_.take(count - batch.size());
       if (taken.empty()) break;
       for (const LoopCandidate& handed : taken) {
-        const LoopCandidate candidate = *pending_.find(handed.id);  // whatever a prioritiser made of its copy
+        const LoopCandidate candidate = *pending_.find(handed.id);  // a prioritiser may have changed its copy
         if (options_.redundant_m > 0.0 && redundant(candidate)) {
           redundant_.push_back(candidate);
         } else {

@@ -24,7 +24,7 @@ constexpr double kFitStrength = 1.0;
 
 using Evidence = std::map<std::pair<Key, Key>, CandidateEvidence>;
 
-/// Random order, with the evidence of what is handed out written down.
+/// Random order that records the evidence of each candidate that it hands out.
 class RecordingPrioritizer final : public Prioritizer {
  public:
   RecordingPrioritizer(std::uint64_t seed, ScanInsight scans, std::shared_ptr<Evidence> evidence)

@@ -221,7 +221,7 @@ void require_truth(const std::string& path, const Mission& mission) {
   throw InputError(
       path + ": has no ground truth to compare with" +
       (mission.reference.empty() ? "" : " (its own optimised poses are another program's result)") +
-      "; --truth FILE says what is true");
+      "; --truth FILE gives the true poses");
 }
 
 void require_own_stamps(const Mission& mission, const std::string& file, const MissionOptions& options) {

@@ -117,7 +117,7 @@ bool is_judged_alike(const Json& a, const Json& b) {
   return true;
 }
 
-/// Summaries of before references: those of sessions are of what is a reference now.
+/// Summaries of older versions, which called the reference poses of sessions the truth.
 bool bring_up_to_date(Json& summary) {
   summary["residuals"] = nullptr;
   summary["reference"] = nullptr;

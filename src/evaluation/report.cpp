@@ -273,7 +273,7 @@ class RunReader {
                       {"reference", has_reference ? Json(base64(reference)) : Json(nullptr)},
                       {"time_s", has_times ? Json(base64(time_s)) : Json(nullptr)},
                       {"observability", has_observability ? Json(base64(observability)) : Json(nullptr)}};
-    if (!has_odometry) note("no trajectories: robots are told apart by their keys, no odometry");
+    if (!has_odometry) note("no trajectories: robots are distinguished by their keys, no odometry");
     if (view == nullptr) {
       note("no mission given: no true paths, beacons, radio or observability (--mission MISSION)");
     } else {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Arrays of a report's data as text, and what is drawn of long ones.
+/// Arrays of a report's data as text, and samples of long ones.
 #pragma once
 
 #include <algorithm>

@@ -14,7 +14,7 @@
 
 namespace loopwise {
 
-/// A robot's part of a run. The vectors go along with `keys`; what is not known is empty.
+/// A robot's part of a run. The vectors are parallel to `keys`, or empty if unknown.
 struct RobotPath {
   std::string name;
   std::vector<Key> keys;

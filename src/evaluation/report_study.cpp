@@ -96,7 +96,7 @@ std::vector<StudyCurve> read_curves(const fs::path& path) {
       about.push_back(column(name));
   }
   const std::size_t end = column("mission_end_s"), time = column("time_s");
-  // The rows of a run stand together, in order of time. Missions of one name are told apart by that alone.
+  // The rows of a run stand together, in order of time. Missions of one name are distinguished by that alone.
   std::vector<std::string> last;
   double last_time_s = 0.0;
   std::vector<StudyCurve> curves;

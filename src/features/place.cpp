@@ -17,7 +17,7 @@ Eigen::Matrix3d level_rotation(const Eigen::Isometry3d& T_world_body) {
   // Twist about z and swing of the attitude: R = Rz(yaw) · level.
   const Eigen::Quaterniond q(T_world_body.linear());
   const double norm = std::hypot(q.w(), q.z());
-  if (norm < 1e-9) return T_world_body.linear();  // upside down: no yaw can be told from the tilt
+  if (norm < 1e-9) return T_world_body.linear();  // upside down: yaw and tilt cannot be separated
   const Eigen::Quaterniond yaw(q.w() / norm, 0.0, 0.0, q.z() / norm);
   return (yaw.conjugate() * q).normalized().toRotationMatrix();
 }

@@ -100,7 +100,7 @@ double ScanSignature::share_of(const ScanSignature& other, const Eigen::Isometry
   const Eigen::Matrix3f R = T_this_other.linear().cast<float>() * per_m;
   const Eigen::Vector3f t =
       (T_this_other.translation().cast<float>() - Eigen::Vector3f(low_[0], low_[1], low_[2])) * per_m;
-  // All places are worked out, whatever the number of points: one loop without branches.
+  // All places are computed for any number of points: one loop without branches.
   std::array<std::int32_t, kPoints> at;
   std::array<std::int32_t, kPoints> within;
   const auto& [px, py, pz] = other.drawn_;

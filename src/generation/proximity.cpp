@@ -77,7 +77,7 @@ ProximityGenerator::ProximityGenerator(const ProximityOptions& options, Robots r
       path_(robots_.size()),
       left_out_(robots_.size()) {
   validate_proximity(options_);
-  // About a quarter of the largest radius: few cells to visit, few nodes visited in vain.
+  // About a quarter of the largest radius: few cells to visit, few nodes visited without result.
   constexpr double kFewestMetres = 2.0, kMostMetres = 20.0;
   cell_m_ = std::clamp(0.25 * radius_bound(options_), kFewestMetres, kMostMetres);
 }

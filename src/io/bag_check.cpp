@@ -191,7 +191,7 @@ class Walk {
     if (index_at_ > file_.size() || (index_at_ == file_.size() && connections_expected_ > 0)) {
       throw InputError(name_ + ": its index should begin at byte " + std::to_string(index_at_) +
                        ", the file has " + std::to_string(file_.size()) +
-                       ": it is cut short; 'rosbag reindex' makes an index of what is there");
+                       ": it is cut short; 'rosbag reindex' makes an index of the remaining part");
     }
     if (index_at_ < record.end()) fail(record.at, "the index begins within the bag's header");
     // Room for the header to be written anew, blank. Nothing is read from it, but a fault there may not be

@@ -32,7 +32,8 @@ void check_bag(const std::filesystem::path& file, const std::string& name, Probl
                const ProgressCallback& progress = {}, const StopToken& stop = {});
 
 /// The contents of a chunk of `size` bytes that is "none", "bz2" or "lz4". Memory grows with what comes out,
-/// not with what is claimed. \throws InputError if the data are damaged, of another size, or of another kind.
+/// not with the stated sizes. \throws InputError if the data are damaged, of another size, or of another
+/// kind.
 [[nodiscard]] std::string inflate_chunk(std::string_view compression, std::string_view data,
                                         std::size_t size);
 

@@ -29,7 +29,7 @@ struct Recording {
   std::filesystem::path truth;     ///< A g2o file, if the truth is one.
 };
 
-/// Files, and the bags of folders. \throws InputError naming what is no bag
+/// Files, and the bags of folders. \throws InputError naming a file that is no bag
 [[nodiscard]] Recording recording_of(const std::vector<std::filesystem::path>& paths, Problems& problems);
 
 [[nodiscard]] std::vector<BagFile> bag_files(const std::vector<std::filesystem::path>& paths);
@@ -57,7 +57,7 @@ class Decoder {
   std::string buffer_;
 };
 
-/// Names, types and counts of the topics, those of several files once, and what is taken from each
+/// Names, types and counts of the topics, those of several files once, and the use of each
 /// connection.
 [[nodiscard]] std::vector<RecordedTopic> recorded_topics(const std::vector<Connection>& connections,
                                                          const std::map<std::size_t, std::string>& uses);

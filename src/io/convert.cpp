@@ -152,7 +152,7 @@ class FullKeys {
       std::size_t& next = robot.landmarks ? landmarks : robots;
       if (next == letters.size()) {
         throw InputError(std::to_string(robots_.size()) + " robots, at most " + std::to_string(next) +
-                         " can be told apart by a letter");
+                         " can be distinguished by a letter");
       }
       letters_ += letters[next++];
     }

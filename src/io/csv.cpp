@@ -12,7 +12,7 @@
 namespace loopwise {
 namespace {
 
-/// Blanks at the line's end may stand within a quoted value that goes on in the next line.
+/// Blanks at the line's end may belong to a quoted value that continues in the next line.
 std::string_view without_blanks_before(std::string_view line) {
   while (!line.empty() && text::is_blank(line.front())) line.remove_prefix(1);
   return line;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// zstd and lz4 as recordings of ROS 2 have them. Memory grows with what comes out, not with what is claimed.
+/// zstd and lz4 as recordings of ROS 2 have them. Memory grows with the output, not with the stated size.
 /// Private to io.
 #pragma once
 

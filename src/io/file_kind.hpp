@@ -54,7 +54,7 @@ inline constexpr std::size_t kKindBytes = 4096;
 void refuse_foreign(std::string_view text, const std::string& name, std::initializer_list<FileKind> accepted,
                     const std::string& wanted);
 
-/// The same of a file that is not read yet; what is no regular file passes. \throws IoError too
+/// The same of a file that is not read yet; other kinds of files than regular ones pass. \throws IoError too
 void refuse_foreign_file(const std::filesystem::path& file, std::initializer_list<FileKind> accepted,
                          const std::string& wanted);
 

@@ -71,7 +71,7 @@ const std::map<Key, Key>& keys_of_team(const KeyFrameFolders& key_frames, const 
   for (const Node& node : graph.nodes()) {
     if (key_frames.full.count(node.key) == 0) {
       throw InputError(file + ": node " + std::to_string(node.key) +
-                       " has no key frame in keyframes/, which would say whose it is");
+                       " has no key frame in keyframes/, which would name its robot");
     }
   }
   return key_frames.full;

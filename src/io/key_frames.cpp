@@ -140,7 +140,7 @@ bool has_sweep_near(const std::vector<Sweep>& sweeps, std::int64_t stamp_ns, dou
          (after != sweeps.begin() && seconds(std::prev(after)->stamp_ns, stamp_ns) <= max_difference_s);
 }
 
-/// Counts where the data stops for a while although the sensor goes on.
+/// Counts gaps in the data during which the sensor continued.
 template <class T>
 void count_gaps(const std::vector<T>& all, const char* kind, const std::string& source,
                 const MissionOptions& options, Problems& problems) {

@@ -88,7 +88,7 @@ struct SeenGraph {
 /// The first word of a topic, which names its robot; empty if it has one word alone.
 [[nodiscard]] std::string first_word(const std::string& topic);
 
-/// Gathers messages in any order: a scan may come before its node, and whatever comes again is taken once.
+/// Gathers messages in any order: a scan may come before its node, and repeated messages count once.
 class Gatherer {
  public:
   Gatherer(const MissionOptions& options, Problems& problems);

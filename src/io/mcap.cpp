@@ -140,8 +140,9 @@ class Mcap : public Storage {
     throw InputError(name_ + ": byte " + std::to_string(at) + ": " + why);
   }
   [[noreturn]] void cut_short(std::uint64_t at, const std::string& why) const {
-    fail(at,
-         why + ": the recording is cut short or damaged; 'mcap recover' makes a whole one of what is there");
+    fail(at, why +
+                 ": the recording is cut short or damaged; 'mcap recover' makes a complete one of the "
+                 "remaining part");
   }
 
   /// The message in a record, which was found whole when the file was opened.

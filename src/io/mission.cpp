@@ -390,7 +390,7 @@ MissionKind mission_kind(const fs::path& path) {
   if (has_file(folder, parts::kUnfinished)) {
     throw InputError(
         folder.string() +
-        ": a mission that is not complete: its making goes on or was interrupted, expected mission.json");
+        ": an incomplete mission: its conversion is still running or was interrupted, expected mission.json");
   }
   if (has_file(folder, "optimized_poses.txt") || has_file(folder, "odom_poses.txt"))
     return MissionKind::kSession;
@@ -419,27 +419,27 @@ MissionKind mission_kind(const fs::path& path) {
 
 namespace {
 
-/// Names come from files, folders and topics of whatever encoding; summaries, tables and pictures are UTF-8.
+/// Names come from files, folders and topics of any encoding; summaries, tables and pictures are UTF-8.
 Mission with_legible_names(Mission mission) {
-  const auto mend = [&](std::string& name) {
+  const auto to_utf8 = [&](std::string& name) {
     if (text::is_utf8(name)) return false;
     name = text::legible(name);
     mission.problems.add("name is no UTF-8", name);
     return true;
   };
-  mend(mission.name);
+  to_utf8(mission.name);
   std::vector<Robot> robots = mission.robots.all();
   std::set<std::string> names;
-  bool mended = false;
+  bool changed = false;
   for (Robot& robot : robots) {
-    mended = mend(robot.name) || mended;
+    changed = to_utf8(robot.name) || changed;
     while (!names.insert(robot.name).second) robot.name += '_';
   }
-  if (mended) mission.robots = Robots(std::move(robots));
-  for (BeaconDrop& drop : mission.beacons) mend(drop.beacon);
+  if (changed) mission.robots = Robots(std::move(robots));
+  for (BeaconDrop& drop : mission.beacons) to_utf8(drop.beacon);
   for (RadioReading& reading : mission.radio) {
-    mend(reading.beacon);
-    mend(reading.receiver);
+    to_utf8(reading.beacon);
+    to_utf8(reading.receiver);
   }
   return mission;
 }

@@ -206,7 +206,7 @@ TruthFiles find_truth(const fs::path& folder) {
         if (!fs::is_regular_file(file)) continue;
         if (file.extension() == ".g2o") graphs.push_back(file);
       }
-      Problems unused;  // what is left out of a folder of the truth is not the mission's
+      Problems unused;  // problems of a folder of the truth are not the mission's
       for (const bags::Parts& files : bags::bags_of_folder(own, unused))
         truth.bags.insert(truth.bags.end(), files.begin(), files.end());
       if (fs::is_regular_file(own / "result.g2o")) {

@@ -139,7 +139,7 @@ void check_stamps(Mission& mission);
 /// The name of a folder or, without its extension, of a file.
 [[nodiscard]] std::string name_of(const std::filesystem::path& path);
 
-/// The same of a recording: folders that are called by what is in them go by the name of the folder around
+/// The same of a recording: folders with a generic name go by the name of the folder around
 /// them.
 [[nodiscard]] std::string recording_name(const std::filesystem::path& path);
 
@@ -149,8 +149,8 @@ void check_stamps(Mission& mission);
 /// Entries of a folder by name, those that begin with a dot left out. \throws IoError
 [[nodiscard]] std::vector<std::filesystem::path> entries(const std::filesystem::path& folder);
 
-/// Whether there is something of this name. \throws IoError if that cannot be told, as of a name that is too
-/// long
+/// Whether there is something of this name. \throws IoError if that cannot be determined, as of a name that
+/// is too long
 [[nodiscard]] bool exists(const std::filesystem::path& path);
 /// \throws IoError if something is there that is no folder, or one with something in it
 void require_empty(const std::filesystem::path& folder);

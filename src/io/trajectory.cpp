@@ -86,7 +86,7 @@ std::vector<std::size_t> by_stamp(const std::vector<std::int64_t>& stamps) {
   return order;
 }
 
-/// Puts poses in the order of their stamps and counts what is wrong with these. `lines`: of each pose.
+/// Sorts poses by their stamps and counts faults of the stamps. `lines`: of each pose.
 void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& lines, Trajectory& out) {
   constexpr std::int64_t kSecond = 1'000'000'000;
   const std::vector<std::int64_t> read = out.stamps_ns;
@@ -183,7 +183,7 @@ std::vector<Moment> time_line(const Trajectory& estimate, const Trajectory& trut
   return line;
 }
 
-/// Pairs within the tolerance, closest first; each pose is used once. The closest of what is left always
+/// Pairs within the tolerance, closest first; each pose is used once. The closest remaining pair always
 /// follow each other on the time line, so that there is no need to list all pairs within the tolerance.
 IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, double tolerance_s) {
   struct Choice {

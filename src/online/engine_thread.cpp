@@ -60,7 +60,7 @@ void EngineThread::give_up() {
   inbox_.close(/*abandon=*/true);
   no_more_batches_.request_stop();
   interrupt_improvement();
-  work_.stop();  // something is lost: whoever waits for all of it must not be told that it is done
+  work_.stop();  // something is lost: callers of wait() must not learn that all is done
 }
 
 PoseGraph EngineThread::graph() const {

@@ -49,7 +49,7 @@ class EngineThread {
 
   /// Begins. \throws std::system_error if the system has no more threads
   void start(Engine engine, Workers workers);
-  /// Handles what is there, begins no more batches, and ends once those under way are done and the last
+  /// Handles the waiting events, begins no more batches, and ends once those under way are done and the last
   /// estimate is one from scratch. To be called once started.
   void end();
 

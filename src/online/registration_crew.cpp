@@ -122,7 +122,7 @@ void RegistrationCrew::pause(std::unique_lock<std::mutex>& lock, double seconds)
   changed_.wait_until(lock, std::chrono::system_clock::now() +
                                 std::chrono::duration_cast<std::chrono::system_clock::duration>(length));
 #else
-  changed_.wait_for(lock, length);  // by the steady clock, whatever is done to the system's
+  changed_.wait_for(lock, length);  // by the steady clock: the system's may be set
 #endif
 }
 

@@ -29,7 +29,7 @@ class RegistrationCrew {
   /// `threads` 0: one per processor. `overdue_after_s` 0: run() waits for all. \throws std::system_error if
   /// the system has no more threads.
   RegistrationCrew(const Registrar& registrar, int threads, double overdue_after_s, Hooks hooks);
-  /// Waits for what is being computed, however long that takes: a thread cannot be taken from a registrar.
+  /// Waits for running registrations without a time limit: a registrar cannot be interrupted.
   ~RegistrationCrew();
   RegistrationCrew(const RegistrationCrew&) = delete;
   RegistrationCrew& operator=(const RegistrationCrew&) = delete;

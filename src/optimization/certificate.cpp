@@ -84,7 +84,7 @@ double isotropic(const Eigen::Matrix<double, n, n>& information, bool& lost) {
   return 0.0;
 }
 
-/// Terms of a graph's factors; of a planar graph by what is known within the plane.
+/// Terms of a graph's factors; of a planar graph by the information within the plane.
 class Terms {
  public:
   explicit Terms(bool planar) : planar_(planar) {}

@@ -134,7 +134,7 @@ class Starts {
         equations_(equations),
         chains_(odometry_chains(given.graph)),
         d2_(innovations(given.graph, given.forest)),
-        gross_(find_gross(given.graph, d2_, given.gnc.innovation_probability)) {}
+        gross_(find_gross_outliers(given.graph, d2_, given.gnc.innovation_probability)) {}
 
   /// From the last result. \returns whether nothing calls for the other starts
   bool from_last(const WarmStart& warm) {
@@ -238,10 +238,11 @@ class Starts {
     const OdometryVariances variances = best_->odometry_variances;
     const double probability = given_.gnc.innovation_probability;
     Scaled scaled(*this, variances);
-    const Gross fewer =
+    const GrossOutliers fewer =
         variances.empty()
-            ? find_gross(given_.graph, d2_, probability, given_.gnc.odometry_margin)
-            : find_gross(given_.graph, innovations(scaled.given().graph, scaled.given().forest), probability);
+            ? find_gross_outliers(given_.graph, d2_, probability, given_.gnc.odometry_margin)
+            : find_gross_outliers(given_.graph, innovations(scaled.given().graph, scaled.given().forest),
+                                  probability);
     if (fewer.aside == gross_.aside) return;
     Solution out;
     out.poses = given_.start;
@@ -274,7 +275,7 @@ class Starts {
     return true;
   }
 
-  /// The best solution gives way to one that goes on from it with these variance factors.
+  /// Replaces the best solution by its continuation with these variance factors.
   /// \returns false if that was stopped: the best solution stays
   bool solve_with(OdometryVariances variances) {
     Scaled scaled(*this, variances);
@@ -379,7 +380,7 @@ class Starts {
     std::optional<PoseProblem> problem_;
   };
 
-  Solution solved_from(const Gross& gross, std::vector<Pose> poses, GncStart start) {
+  Solution solved_from(const GrossOutliers& gross, std::vector<Pose> poses, GncStart start) {
     PoseProblem problem = problem_;
     Solution out;
     out.poses = std::move(poses);
@@ -438,7 +439,7 @@ class Starts {
   NormalEquations& equations_;
   const std::vector<std::uint32_t> chains_;  // of odometry, by node
   const std::vector<double> d2_;             // innovations, by edge
-  const Gross gross_;
+  const GrossOutliers gross_;
   std::optional<Solution> best_;
   GncResult spent_;  // by solutions that are not the best: counts alone
 };

@@ -15,7 +15,7 @@ namespace loopwise {
 namespace detail {
 namespace {
 
-/// Chained from the nodes that are known, then from priors, then from the first node of what is left.
+/// Chained from the nodes that are known, then from priors, then from the first remaining node.
 std::vector<Eigen::Isometry3d> chain(const PoseGraph& graph, std::vector<Eigen::Isometry3d> poses,
                                      std::vector<char> known) {
   std::deque<std::size_t> fresh;

@@ -14,7 +14,7 @@ namespace loopwise::detail {
 [[nodiscard]] std::optional<Matrix6d> covariance_of(const Matrix6d& information);
 
 /// Trees of known inliers (odometry, trusted edges) with the poses chained along them and their covariance.
-/// Roots are the nodes with priors, then the first node of what is left. The error of a pose is written on
+/// Roots are the nodes with priors, then the first remaining node. The error of a pose is written on
 /// its left, T = Exp(η) T̄: so the errors of steps add up along a path, and those of the path between two
 /// nodes are what the two do not share from the root on. First order in the noise.
 class OdometryForest {

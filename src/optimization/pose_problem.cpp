@@ -71,7 +71,7 @@ PoseProblem::PoseProblem(const PoseGraph& graph)
 std::vector<Pose> PoseProblem::poses_of(const std::vector<Eigen::Isometry3d>& poses) const {
   std::vector<Pose> out(nodes_ + 1);
   for (std::size_t i = 0; i < nodes_; ++i) {
-    // Files round: what is kept below keeps R orthogonal. What is orthogonal already passes unchanged.
+    // Files round: normalisation makes R orthogonal. Orthogonal matrices pass unchanged.
     const Matrix3d R = poses[i].linear();
     const bool orthogonal = (R.transpose() * R - Matrix3d::Identity()).cwiseAbs().maxCoeff() < 1e-14;
     out[i].R = orthogonal ? R : Eigen::Quaterniond(R).normalized().toRotationMatrix();

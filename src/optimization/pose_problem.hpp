@@ -53,7 +53,7 @@ class PoseProblem {
   [[nodiscard]] std::vector<Eigen::Isometry3d> isometries(const std::vector<Pose>& poses) const;
 
   [[nodiscard]] Vector6d residual(std::size_t k, const std::vector<Pose>& poses) const;
-  /// rᵀΩr of a factor, whatever its weight.
+  /// rᵀΩr of a factor, without its weight.
   [[nodiscard]] double squared_residual(std::size_t k, const std::vector<Pose>& poses) const;
   /// ½ Σ ‖r‖² over the auxiliary factors.
   [[nodiscard]] double auxiliary_cost(const std::vector<Pose>& poses) const;

@@ -17,14 +17,14 @@ namespace loopwise::detail {
 /// spoil, and the threshold follows it down, with a margin for heavy tails. It never follows it up. Closures
 /// that repeat the odometry to within rounding (made from it, or registered from the same scans) say nothing
 /// of the noise and are not counted: a quarter of them would take the threshold to 0, and all others with it.
-Gross find_gross(const PoseGraph& graph, const std::vector<double>& d2, double probability,
-                 double odometry_margin) {
+GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2, double probability,
+                                  double odometry_margin) {
   constexpr double kMargin = 25.0;
   constexpr std::size_t kFewest = 8;
   // Less is no noise: by information pessimistic by 10⁶ one true closure in 50 000 has so little. The scale
   // is therefore 7e-7 at least.
   constexpr double kLeast = 1e-7;
-  Gross gross{std::vector<char>(graph.edges().size(), 0)};
+  GrossOutliers gross{std::vector<char>(graph.edges().size(), 0)};
   if (probability >= 1.0) return gross;
   const int dof = graph.degrees_of_freedom();
   std::vector<double> known;
@@ -78,7 +78,7 @@ Matrix6d relative_adjoint(const Pose& a, const Pose& b) {
 
 }  // namespace
 
-RobustSolver::RobustSolver(const RobustProblem& given, const Gross& gross, PoseProblem& problem,
+RobustSolver::RobustSolver(const RobustProblem& given, const GrossOutliers& gross, PoseProblem& problem,
                            NormalEquations& equations, std::vector<Pose>& poses)
     : graph_(given.graph),
       problem_(problem),

@@ -15,15 +15,15 @@
 namespace loopwise::detail {
 
 /// What the known inliers alone rule out.
-struct Gross {
+struct GrossOutliers {
   std::vector<char> aside;  ///< By edge
   double scale = 1.0;       ///< Of the noise against what information says, squared; at most 1
 };
 
 /// Finds the closures to put aside before anything is factorised, by the innovations d² (innovation.hpp).
 /// \param odometry_margin how many times its stated deviations odometry's may be
-[[nodiscard]] Gross find_gross(const PoseGraph& graph, const std::vector<double>& d2, double probability,
-                               double odometry_margin = 1.0);
+[[nodiscard]] GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2,
+                                                double probability, double odometry_margin = 1.0);
 
 /// Everything that starts of one robust problem share.
 struct RobustProblem {
@@ -41,7 +41,7 @@ struct RobustProblem {
 class RobustSolver {
  public:
   /// \throws InputError if the cost of the poses is not finite
-  RobustSolver(const RobustProblem& given, const Gross& gross, PoseProblem& problem,
+  RobustSolver(const RobustProblem& given, const GrossOutliers& gross, PoseProblem& problem,
                NormalEquations& equations, std::vector<Pose>& poses);
 
   /// By the kernel of the options, from the poses as they are.
@@ -91,7 +91,7 @@ class RobustSolver {
   const GncOptions& gnc_;
   ThreadPool& pool_;
   const StopToken& stop_;
-  const Gross& gross_;
+  const GrossOutliers& gross_;
   NeighbourInnovations neighbours_;
   const double c2_;
   std::vector<std::size_t> closures_;             // factors in doubt

@@ -12,7 +12,7 @@
 namespace loopwise::detail {
 
 /// The cube of this edge length that a position lies in, as a hash of its three numbers. Beyond ±2⁶² cubes,
-/// of which no integer tells any more, is the last cube; what is no number counts as 0.
+/// beyond the range of the integers, is the last cube; NaN counts as 0.
 inline std::uint64_t cell_of(const Eigen::Vector3d& position, double cell_m) {
   constexpr double kLast = 4611686018427387904.0;  // 2⁶²
   std::uint64_t hash = 0;

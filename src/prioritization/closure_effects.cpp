@@ -64,7 +64,7 @@ Eigen::MatrixXd ClosureEffects::edge_features(Index candidate) const {
   Eigen::MatrixXd out = Eigen::MatrixXd::Zero(unit_count(), kEdgeFeatures);
   const double log_gain = std::log(1e-6 + std::max(0.0, gain[candidate]));
   for (Index u = 0; u < unit_count(); ++u) {
-    out(u, 0) = static_cast<double>(relief(u, candidate));
+    out(u, 0) = static_cast<double>(log_reduction(u, candidate));
     out(u, 1 + side(u / 3, candidate)) = 1.0;
     out(u, 5) = static_cast<double>(gap(u / 3, candidate));
     out(u, 6) = log_gain;
@@ -131,7 +131,7 @@ ClosureEffects closure_effects(const PoseGraph& graph, const std::vector<LoopCan
 
   const auto L = static_cast<Index>(candidates.size());
   const auto A = static_cast<Index>(strata.size());
-  out.relief = Eigen::MatrixXf::Zero(unit_count, L);
+  out.log_reduction = Eigen::MatrixXf::Zero(unit_count, L);
   out.gap = Eigen::MatrixXf::Zero(A, L);
   out.far = Eigen::MatrixXf::Zero(A, L);
   out.reference = Eigen::MatrixXf::Zero(A, L);
@@ -192,8 +192,9 @@ ClosureEffects closure_effects(const PoseGraph& graph, const std::vector<LoopCan
           if (anchor.variance[k] <= kHeldVariance) continue;
           const Vector6d column_of = y.row(k).transpose();
           const double left = 1.0 - column_of.dot(cholesky.solve(column_of)) / anchor.variance[k];
-          const double relief = -std::log(std::clamp(left, std::exp(-ClosureEffects::kMaxRelief), 1.0));
-          out.relief(static_cast<Index>(3 * a) + k, column) = static_cast<float>(relief);
+          const double log_reduction =
+              -std::log(std::clamp(left, std::exp(-ClosureEffects::kMaxLogReduction), 1.0));
+          out.log_reduction(static_cast<Index>(3 * a) + k, column) = static_cast<float>(log_reduction);
         }
       }
     }
@@ -202,8 +203,8 @@ ClosureEffects closure_effects(const PoseGraph& graph, const std::vector<LoopCan
   return out;
 }
 
-Eigen::VectorXd unit_reliefs(const ClosureEffects& effects, const PoseGraph& graph,
-                             const std::vector<Matrix6d>& covariances) {
+Eigen::VectorXd unit_log_reductions(const ClosureEffects& effects, const PoseGraph& graph,
+                                    const std::vector<Matrix6d>& covariances) {
   Eigen::VectorXd out = Eigen::VectorXd::Zero(effects.unit_count());
   for (std::size_t a = 0; a < effects.anchors.size(); ++a) {
     const ClosureEffects::Anchor& anchor = effects.anchors[a];

@@ -66,8 +66,8 @@ struct CovarianceObjective::Impl {
   Impl(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates, const ClosureModelOptions& given,
        const ClosureModel& model)
       : options(given), closures(graph, candidates, given, model), pool(given.threads) {
-    dense = options.holding == Holding::kDense ||
-            (options.holding == Holding::kAutomatic && candidates.size() <= kDenseUpTo);
+    dense = options.storage == BlockStorage::kDense ||
+            (options.storage == BlockStorage::kAutomatic && candidates.size() <= kDenseUpTo);
   }
 
   ClosureModelOptions options;
@@ -84,7 +84,7 @@ struct CovarianceObjective::Impl {
   };
   std::optional<Change> last_swap;  // evaluated for the current set
 
-  // Columns: blocks of every candidate under the current set, while a greedy choice goes on.
+  // Columns: blocks of every candidate under the current set, during a greedy choice.
   std::vector<GainBlocks> tracked;
   // Dense: S and M of all pairs, lower triangles valid.
   Eigen::MatrixXd S, M;
@@ -176,7 +176,7 @@ struct CovarianceObjective::Impl {
     const GainBlocks own = blocks_of(closures, factor, in, options.trace, x);  // leaves the columns in x
     const double gain = own.gain();
     if (!tracked.empty()) {
-      // What was carried along must agree with what is fresh; if it has drifted all is made anew.
+      // Updated blocks must agree with fresh ones; if they have drifted, all are computed again.
       if (std::abs(tracked[in].gain() - gain) > 1e-6 * std::abs(gain)) {
         tracked.clear();
       } else {
@@ -344,8 +344,8 @@ bool CovarianceObjective::contains(std::size_t candidate) const {
 bool CovarianceObjective::connecting(std::size_t candidate) const {
   return impl_->closures.terms.connecting(candidate);
 }
-Holding CovarianceObjective::holding() const {
-  return impl_->dense ? Holding::kDense : Holding::kColumns;
+BlockStorage CovarianceObjective::storage() const {
+  return impl_->dense ? BlockStorage::kDense : BlockStorage::kColumns;
 }
 std::size_t CovarianceObjective::factorizations() const {
   return impl_->closures.factorizations();

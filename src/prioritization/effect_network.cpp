@@ -17,7 +17,7 @@ using Eigen::Index;
 /// Channels that are not learned: the information of independent closures, and nearly their largest.
 constexpr Index kFixed = 2;
 constexpr double kSharp = 6.0;
-/// Logarithms of messages are kept within ±this; the reliefs' own bound gives 6·9.
+/// Logarithms of messages are kept within ±this; the log_reductions' own bound gives 6·9.
 constexpr double kLogBound = 20.0;
 /// A message that leaves takes rounding with it: where less than this share of the sum is left, it is summed
 /// anew.

@@ -238,7 +238,7 @@ struct ExpectedPrioritizer::Impl {
     in_flight_.erase(found);
   }
 
-  // ---- what is learned
+  // ---- learning
 
   void learn(const PoseGraph& graph) {
     std::unordered_set<std::pair<Key, Key>, KeyPairHash> refuted;

@@ -59,7 +59,7 @@ struct GraphNetwork::Impl {
   Linear last;
   Eigen::RowVectorXd input_mean, input_std;
   double output_mean = 0.0, output_std = 1.0;
-  bool logarithm = false;  // what is put out so far is a logarithm
+  bool logarithm = false;  // the output so far is a logarithm
 
   /// The summed-up kernels for edges of these attributes, a row each.
   template <class Scalar>

@@ -26,7 +26,7 @@ std::vector<LoopCandidate> at(const std::vector<LoopCandidate>& all, const std::
   return out;
 }
 
-/// Appends what is not at `places`.
+/// Appends all elements except those at `places`.
 void append_others(std::vector<LoopCandidate>& out, const std::vector<LoopCandidate>& all,
                    const std::vector<std::size_t>& places) {
   std::vector<bool> listed(all.size(), false);
@@ -48,7 +48,7 @@ struct GraphInformationPrioritizer::Prepared {
   bool stale = false;                // the candidates or the graph have changed since
   bool handed = false;               // some of it was handed out
   std::vector<LoopCandidate> first;  // connecting candidates
-  std::vector<LoopCandidate> list;   // what is chosen among
+  std::vector<LoopCandidate> list;   // candidates of the choice
   std::vector<Eigen::Vector3d> midpoints;
   std::unique_ptr<GraphObjective> objective;
   std::optional<SimulatedAnnealing> annealing;

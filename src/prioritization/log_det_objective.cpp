@@ -43,7 +43,7 @@ struct LogDetObjective::Impl {
   std::vector<double> x;
   std::optional<double> value;
   std::size_t moves = 0;
-  std::vector<Matrix6d> tracked;  // S of every candidate while a greedy choice goes on
+  std::vector<Matrix6d> tracked;  // S of every candidate during a greedy choice
 
   void moved(double change) {
     if (value) *value += change;

@@ -160,7 +160,8 @@ std::vector<LoopCandidate> RoundRobinQueue::take_in_turns(std::size_t count,
   std::vector<LoopCandidate> batch;
   if (n == 0) return batch;
   batch.reserve(count);
-  // Rounds of equal shares: who is empty gives less than its share, and what is missing goes round again.
+  // Rounds of equal shares: an empty prioritiser gives less than its share, and the rest is taken in another
+  // round.
   std::size_t empty_rounds = 0;
   while (batch.size() < count) {
     const std::size_t left = count - batch.size();
@@ -177,7 +178,7 @@ std::vector<LoopCandidate> RoundRobinQueue::take_in_turns(std::size_t count,
     }
     turn_ = (first + left) % n;
     empty_rounds = found > 0 ? 0 : empty_rounds + 1;
-    if (empty_rounds > n) break;  // what is left is held back
+    if (empty_rounds > n) break;  // the rest is held back
     // Best first across the shares: one of each in turn.
     for (std::size_t rank = 0; found > 0; ++rank) {
       for (const auto& share : shares) {

@@ -14,7 +14,7 @@ namespace loopwise {
 
 /// Surface directions fall into 13 bins (faces, edges and corners of a cube, opposite ones joined, for a
 /// surface may be seen from either side) and one for unknown normals. Scenes are mostly ground or mostly
-/// walls: what is drawn or counted by bin gives the few surfaces that fix the other directions their say.
+/// walls: drawing or counting by bin gives weight to the few surfaces that fix the other directions.
 inline constexpr std::size_t kNormalBins = 14;
 inline constexpr std::size_t kUnknownNormal = 13;
 

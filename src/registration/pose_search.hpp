@@ -36,7 +36,7 @@ class PoseSearch {
   [[nodiscard]] bool empty() const { return poses_.empty(); }
 
   /// Refines a start from coarse to fine and keeps it. Returns its share on the target's surfaces, against
-  /// what is expected of a right one; 0 if it went where it is not allowed.
+  /// the value expected of a right one; 0 if it left the allowed region.
   double refine(const Eigen::Isometry3d& start);
 
   /// Judges the best pose. One that passes is compared with its rivals. Returns whether there was time for
@@ -48,7 +48,7 @@ class PoseSearch {
 
   struct Pose {
     Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
-    double share = 0.0;         // on surfaces, against what is expected of a right pose
+    double share = 0.0;         // on surfaces, relative to the value expected of a right pose
     std::optional<double> fit;  // see fit_of()
     AlignmentFigures figures;   // with few points; known with the fit
   };

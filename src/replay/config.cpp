@@ -52,6 +52,7 @@ const std::map<std::string, std::string>& renamed_keys() {
       {"replay.guess", "engine.guess"},
       {"replay.seed", "engine.seed"},
       {"replay.registrar", "registration.registrar"},
+      {"closure_model.holding", "closure_model.storage"},
       {"optimization.num_threads", "optimization.threads"},
       {"closure_model.num_threads", "closure_model.threads"},
       {"fast_registrar.max_rotation_deg", "fast_registrar.max_rotation_rad (50 degrees are 0.8727 rad)"},

@@ -50,7 +50,7 @@ class LiveRun {
     write(journal::start_line(mission_, options_));
     drive();
     if (options_.after_mission && !stopped()) wait();
-    stopped() ? module_.stop() : module_.finish();  // what is being computed still counts
+    stopped() ? module_.stop() : module_.finish();  // running registrations still count
     take_result();
     try {
       write(journal::end_line(result_.mission_time_s, result_.interrupted, result_.accounting));

@@ -273,8 +273,8 @@ void OutcomeStore::open_for_writing() {
   fs::create_directories(folder_, failure);
   std::vector<std::uint64_t> numbers = files_in(folder_);
   const std::uint64_t next = numbers.empty() ? 1 : numbers.back() + 1;
-  // A file of a process that has ended is gone on with, or processes that run at once would leave new ones
-  // behind every time.
+  // The file of a process that has ended is continued; otherwise processes that run at once would leave new
+  // ones behind every time.
   std::reverse(numbers.begin(), numbers.end());
   for (std::size_t i = 0; i < numbers.size() && !writing_; ++i) {
     auto file = std::make_shared<File>(file_path(folder_, numbers[i]), kAppend);

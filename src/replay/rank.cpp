@@ -137,7 +137,7 @@ void judge(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
   out.gains_exact = candidates.size() <= exact_up_to;
   std::vector<double> gains;
   if (out.gains_exact) {
-    closures.holding = Holding::kColumns;
+    closures.storage = BlockStorage::kColumns;
     CovarianceObjective objective(graph, candidates, closures);
     gains = objective.add_changes();
     for (std::size_t i = 0; i < gains.size(); ++i) {

@@ -58,7 +58,7 @@ EffectBatch effect_batch(const TrainingGraph& graph, torch::ScalarType type) {
   }
   out.members = torch::zeros({S, L}, real);
   out.log_e = torch::empty({S}, real);
-  out.relief = torch::empty({S, U}, real);
+  out.log_reduction = torch::empty({S, U}, real);
   out.swaps = torch::zeros({S}, real);
   std::vector<std::uint32_t> before;
   for (std::int64_t s = 0; s < S; ++s) {
@@ -66,7 +66,7 @@ EffectBatch effect_batch(const TrainingGraph& graph, torch::ScalarType type) {
     for (const std::uint32_t c : set.members) out.members[s][c] = 1.0;
     out.log_e[s] = std::log(set.trace_m2 / e.trace_m2);
     for (std::int64_t u = 0; u < U; ++u) {
-      out.relief.data_ptr<double>()[s * U + u] = static_cast<double>(set.relief[u]);
+      out.log_reduction.data_ptr<double>()[s * U + u] = static_cast<double>(set.log_reduction[u]);
     }
     std::vector<std::uint32_t> members = set.members, common;
     std::sort(members.begin(), members.end());
@@ -78,7 +78,7 @@ EffectBatch effect_batch(const TrainingGraph& graph, torch::ScalarType type) {
     before = std::move(members);
   }
   for (torch::Tensor* t : {&out.edges, &out.units, &out.share, &out.active, &out.beside, &out.members,
-                           &out.log_e, &out.relief, &out.swaps}) {
+                           &out.log_e, &out.log_reduction, &out.swaps}) {
     *t = t->to(type);
   }
   return out;
@@ -117,9 +117,9 @@ std::pair<torch::Tensor, torch::Tensor> effect_forward(const TensorMap& w, const
 torch::Tensor effect_loss(const TensorMap& w, const EffectBatch& batch) {
   const auto [y, log_e] = effect_forward(w, batch);
   const torch::Tensor error = log_e - batch.log_e;
-  const torch::Tensor left = batch.share * (-batch.relief).exp();
+  const torch::Tensor left = batch.share * (-batch.log_reduction).exp();
   const torch::Tensor weight = 0.5 * left / left.sum(1, true) + 0.5 * batch.share;
-  const torch::Tensor units = (weight * (y - batch.relief).pow(2)).sum(1).mean();
+  const torch::Tensor units = (weight * (y - batch.log_reduction).pow(2)).sum(1).mean();
   torch::Tensor loss = error.pow(2).mean() + 0.2 * units;
   const auto S = batch.members.size(0);
   if (S > 1) {

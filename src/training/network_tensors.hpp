@@ -32,15 +32,15 @@ inline constexpr std::int64_t kDense = 3;
 
 /// A graph as tensors: L candidates, U units, S sets.
 struct EffectBatch {
-  torch::Tensor edges;    // L × U × 9, as they are
-  torch::Tensor units;    // U × 5
-  torch::Tensor share;    // U
-  torch::Tensor active;   // L: 0 for connecting candidates
-  torch::Tensor members;  // S × L
-  torch::Tensor log_e;    // S: log(e / e(PG))
-  torch::Tensor relief;   // S × U
-  torch::Tensor beside;   // U × U: means over the anchors next on the chain
-  torch::Tensor swaps;    // S: 1 where the set differs from the one before by a swap
+  torch::Tensor edges;          // L × U × 9, as they are
+  torch::Tensor units;          // U × 5
+  torch::Tensor share;          // U
+  torch::Tensor active;         // L: 0 for connecting candidates
+  torch::Tensor members;        // S × L
+  torch::Tensor log_e;          // S: log(e / e(PG))
+  torch::Tensor log_reduction;  // S × U
+  torch::Tensor beside;         // U × U: means over the anchors next on the chain
+  torch::Tensor swaps;          // S: 1 where the set differs from the one before by a swap
   double trace_m2 = 0.0;
 };
 

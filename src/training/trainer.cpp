@@ -511,7 +511,7 @@ double torch_evaluate(NetworkKind kind, const Tensors& tensors, const TrainingGr
   TrainingSet wanted;
   wanted.members = set;
   wanted.trace_m2 = 1.0;
-  wanted.relief = Eigen::VectorXf::Zero(graph.effects.unit_count());
+  wanted.log_reduction = Eigen::VectorXf::Zero(graph.effects.unit_count());
   if (kind == NetworkKind::kLoopwise) {
     TrainingGraph alone = graph;
     alone.sets = {wanted};

@@ -73,7 +73,7 @@ std::vector<std::vector<std::size_t>> choose_sets(const StageGraph& stage, const
     out.emplace_back(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(size));
   }
   ClosureModelOptions closures;
-  closures.holding = Holding::kColumns;  // most moves of the hot phase stand, and cost less so
+  closures.storage = BlockStorage::kColumns;  // most moves of the hot phase stand, and cost less so
   CovarianceObjective exact(stage.graph, stage.candidates, closures);
   for (std::int64_t run = 0; run < options.annealing_runs; ++run) {
     const std::size_t sizes[] = {5, 20, 50, 2 + rng.below(most - 1)};
@@ -116,7 +116,7 @@ TrainingGraph solve(const StageGraph& stage, std::size_t number, const DataOptio
     TrainingSet set;
     for (const std::size_t c : members) set.members.push_back(static_cast<std::uint32_t>(c));
     set.trace_m2 = solved.trace_translation;
-    set.relief = unit_reliefs(out.effects, stage.graph, solved.covariances).cast<float>();
+    set.log_reduction = unit_log_reductions(out.effects, stage.graph, solved.covariances).cast<float>();
     out.sets.push_back(std::move(set));
   }
   return out;

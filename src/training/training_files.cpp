@@ -129,12 +129,13 @@ std::vector<std::pair<std::uint32_t, std::uint32_t>> unpack_pairs(const Field& f
 Packed pack_training_graph(const TrainingGraph& graph) {
   std::vector<std::uint32_t> members, sizes, anchor_nodes, anchor_chains;
   std::vector<double> traces, anchor_values;
-  std::vector<float> reliefs;
+  std::vector<float> log_reductions;
   for (const TrainingSet& set : graph.sets) {
     sizes.push_back(static_cast<std::uint32_t>(set.members.size()));
     members.insert(members.end(), set.members.begin(), set.members.end());
     traces.push_back(set.trace_m2);
-    reliefs.insert(reliefs.end(), set.relief.data(), set.relief.data() + set.relief.size());
+    log_reductions.insert(log_reductions.end(), set.log_reduction.data(),
+                          set.log_reduction.data() + set.log_reduction.size());
   }
   const ClosureEffects& e = graph.effects;
   for (const ClosureEffects::Anchor& anchor : e.anchors) {
@@ -155,7 +156,7 @@ Packed pack_training_graph(const TrainingGraph& graph) {
           {"anchors", pack(anchor_values)},
           {"share", pack(e.share)},
           {"units", pack(e.units)},
-          {"relief", pack(e.relief)},
+          {"relief", pack(e.log_reduction)},
           {"side", pack(e.side)},
           {"gap", pack(e.gap)},
           {"far", pack(e.far)},
@@ -165,7 +166,7 @@ Packed pack_training_graph(const TrainingGraph& graph) {
           {"set_sizes", pack(sizes)},
           {"set_members", pack(members)},
           {"set_traces_m2", pack(traces)},
-          {"set_reliefs", pack(reliefs)}};
+          {"set_reliefs", pack(log_reductions)}};
 }
 
 TrainingGraph unpack_training_graph(const Field& field) {
@@ -198,7 +199,7 @@ TrainingGraph unpack_training_graph(const Field& field) {
   const auto L = static_cast<Eigen::Index>(out.ends.size());
   e.share = field["share"].matrix<double>(3 * A, 1);
   e.units = field["units"].matrix<double>(3 * A, ClosureEffects::kUnitFeatures);
-  e.relief = field["relief"].matrix<float>(3 * A, L);
+  e.log_reduction = field["relief"].matrix<float>(3 * A, L);
   e.side = field["side"].matrix<std::uint8_t>(A, L);
   if (e.side.size() > 0 && e.side.maxCoeff() > ClosureEffects::kElsewhere) field["side"].fail("no such side");
   e.gap = field["gap"].matrix<float>(A, L);
@@ -212,7 +213,7 @@ TrainingGraph unpack_training_graph(const Field& field) {
   const auto members =
       field["set_members"].values<std::uint32_t>(std::accumulate(sizes.begin(), sizes.end(), std::size_t{0}));
   const auto traces = field["set_traces_m2"].values<double>(sizes.size());
-  const Eigen::MatrixXf reliefs =
+  const Eigen::MatrixXf log_reductions =
       field["set_reliefs"].matrix<float>(3 * A, static_cast<Eigen::Index>(sizes.size()));
   std::size_t at = 0;
   for (std::size_t s = 0; s < sizes.size(); ++s) {
@@ -225,7 +226,7 @@ TrainingGraph unpack_training_graph(const Field& field) {
     }
     set.trace_m2 = traces[s];
     if (!(set.trace_m2 > 0.0)) field["set_traces_m2"].fail("a trace is not positive");
-    set.relief = reliefs.col(static_cast<Eigen::Index>(s));
+    set.log_reduction = log_reductions.col(static_cast<Eigen::Index>(s));
     out.sets.push_back(std::move(set));
   }
   return out;

@@ -3,7 +3,7 @@
 /// Figures of docs/prioritization.md. Processor time of the calling thread unless wall time is said.
 ///
 ///     loopwise_prioritization_bench annealing GRAPH.g2o        Algorithm 1 on |L| = 500, B = 250, exact
-///     loopwise_prioritization_bench holding GRAPH.g2o          the two ways to hold blocks, by |L|
+///     loopwise_prioritization_bench storage GRAPH.g2o          the two ways to hold blocks, by |L|
 ///     loopwise_prioritization_bench first-batch POSES L B THREADS   sketch, shortlist and greedy choice
 ///     loopwise_prioritization_bench choosing METHOD POSES L BATCHES THREADS   batches of 100, by expected,
 ///     gi or both loopwise_prioritization_bench signatures                 of scans: to make, and a pair
@@ -146,14 +146,14 @@ void annealing(const std::string& path) {
               1e3 * evaluation[10], 1e3 * reference[5]);
 }
 
-void holding(const std::string& path) {
+void storage(const std::string& path) {
   const PoseGraph graph = bare(bench::read_bench_graph(path).graph);
   for (const std::size_t size : {50U, 100U, 200U, 300U, 500U}) {
     const auto candidates = nearby_pairs(graph, size, 30.0, 1);
     const auto midpoints = candidate_midpoints(graph, candidates);
-    for (const Holding way : {Holding::kColumns, Holding::kDense}) {
+    for (const BlockStorage way : {BlockStorage::kColumns, BlockStorage::kDense}) {
       ClosureModelOptions options;
-      options.holding = way;
+      options.storage = way;
       CovarianceObjective objective(graph, candidates, options);
       SimulatedAnnealing run(objective, midpoints, size / 2, {}, 1);
       const double start = cpu();
@@ -348,8 +348,8 @@ int main(int argc, char** argv) {
   const std::string what = words.empty() ? "" : words[0];
   if (what == "annealing" && words.size() == 2) {
     annealing(words[1]);
-  } else if (what == "holding" && words.size() == 2) {
-    holding(words[1]);
+  } else if (what == "storage" && words.size() == 2) {
+    storage(words[1]);
   } else if (what == "first-batch" && words.size() == 5) {
     first_batch(std::stoul(words[1]), std::stoul(words[2]), std::stoul(words[3]), std::stoi(words[4]));
   } else if (what == "choosing" && words.size() == 6) {
@@ -361,7 +361,7 @@ int main(int argc, char** argv) {
   } else if (what == "gnn" && words.size() == 3) {
     gnn(words[1], words[2]);
   } else {
-    std::cerr << "annealing GRAPH | holding GRAPH | first-batch POSES L B THREADS | choosing METHOD POSES L "
+    std::cerr << "annealing GRAPH | storage GRAPH | first-batch POSES L B THREADS | choosing METHOD POSES L "
                  "BATCHES "
                  "THREADS | signatures | sketch GRAPH | gnn GRAPH "
                  "WEIGHTS\n";

@@ -27,7 +27,7 @@ void read_mission_file(std::string_view bytes) {
       fuzz::expect(effects.edge_features(c).rows() == effects.unit_count(), "features of every unit");
     }
     for (const training::TrainingSet& set : graph.sets) {
-      fuzz::expect(set.relief.size() == effects.unit_count(), "a target for each unit");
+      fuzz::expect(set.log_reduction.size() == effects.unit_count(), "a target for each unit");
       for (const std::uint32_t member : set.members)
         fuzz::expect(member < graph.ends.size(), "members are candidates");
     }

@@ -70,8 +70,8 @@ void swap_at_random(GraphObjective& objective, int moves, Rng& rng) {
 
 TEST_CASE("covariance objective: equals adding, refactorising and inverting", "[prioritization][graph]") {
   const std::uint64_t seed = GENERATE(range(1, 25));
-  const Holding holding = GENERATE(Holding::kColumns, Holding::kDense);
-  CAPTURE(seed, holding);
+  const BlockStorage storage = GENERATE(BlockStorage::kColumns, BlockStorage::kDense);
+  CAPTURE(seed, storage);
   Rng rng(seed);
   testing::RandomGraphOptions shape;
   shape.nodes = 20 + 2 * seed;
@@ -81,10 +81,10 @@ TEST_CASE("covariance objective: equals adding, refactorising and inverting", "[
   const PoseGraph& graph = random.graph;
   const auto candidates = random_candidates(graph, 40, rng);
   ClosureModelOptions options;
-  options.holding = holding;
+  options.storage = storage;
   options.trace = seed % 4 == 0 ? TraceKind::kFull : TraceKind::kTranslation;
   CovarianceObjective objective(graph, candidates, options);
-  REQUIRE(objective.holding() == holding);
+  REQUIRE(objective.storage() == storage);
   const auto score = [&](const std::vector<std::size_t>& set) {
     return brute_force(graph, candidates, set, options);
   };
@@ -110,9 +110,9 @@ TEST_CASE("covariance objective: bulk gains follow a growing set", "[prioritizat
   shape.closures = 3;
   const PoseGraph graph = testing::random_graph(rng, shape).graph;
   const auto candidates = random_candidates(graph, 150, rng);
-  for (const Holding holding : {Holding::kColumns, Holding::kDense}) {
+  for (const BlockStorage storage : {BlockStorage::kColumns, BlockStorage::kDense}) {
     ClosureModelOptions options;
-    options.holding = holding;
+    options.storage = storage;
     CovarianceObjective one(graph, candidates, options);
     options.threads = 2;
     CovarianceObjective two(graph, candidates, options);

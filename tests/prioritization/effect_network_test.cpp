@@ -81,9 +81,11 @@ TEST_CASE("effects: what one closure does is exact", "[prioritization][effects]"
   double worst = 0.0, worst_gain = 0.0;
   for (std::size_t c = 0; c < p.candidates.size(); ++c) {
     const Marginals after = marginals(testing::with_closures(p.graph, p.candidates, {c}, model.covariance));
-    const Eigen::VectorXd expected = unit_reliefs(effects, p.graph, after.covariances);
-    const Eigen::VectorXd relief = effects.relief.col(static_cast<Eigen::Index>(c)).cast<double>();
-    worst = std::max(worst, (relief - expected.cwiseMin(ClosureEffects::kMaxRelief)).cwiseAbs().maxCoeff());
+    const Eigen::VectorXd expected = unit_log_reductions(effects, p.graph, after.covariances);
+    const Eigen::VectorXd log_reduction =
+        effects.log_reduction.col(static_cast<Eigen::Index>(c)).cast<double>();
+    worst = std::max(
+        worst, (log_reduction - expected.cwiseMin(ClosureEffects::kMaxLogReduction)).cwiseAbs().maxCoeff());
     worst_gain = std::max(worst_gain, std::abs(effects.gain[static_cast<Eigen::Index>(c)] * effects.trace_m2 +
                                                exact.add_change(c)));
   }
@@ -119,7 +121,7 @@ TEST_CASE("effects: the world frame and the threads do not show", "[prioritizati
   ClosureModelOptions threaded = options;
   threaded.threads = 4;
   const ClosureEffects again = closure_effects(p.graph, p.candidates, threaded, model);
-  REQUIRE(again.relief == effects.relief);
+  REQUIRE(again.log_reduction == effects.log_reduction);
   REQUIRE(again.gain == effects.gain);
 }
 

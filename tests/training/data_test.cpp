@@ -50,8 +50,9 @@ TEST_CASE("data: targets are the exact traces", "[train]") {
       exact.assign({set.members.begin(), set.members.end()});
       worst = std::max(worst, std::abs(exact.value() / set.trace_m2 - 1.0));
       // What is left at the units makes up the trace, as far as a sample of the nodes can say.
-      const double left = (graph.effects.share.array() * (-set.relief.cast<double>().array()).exp()).sum() *
-                          graph.effects.trace_m2;
+      const double left =
+          (graph.effects.share.array() * (-set.log_reduction.cast<double>().array()).exp()).sum() *
+          graph.effects.trace_m2;
       REQUIRE(left == Approx(set.trace_m2).epsilon(0.25));
     }
     REQUIRE(worst < 1e-9);  // measured: below 1e-10
@@ -82,7 +83,7 @@ TEST_CASE("data: a file gives back what was written", "[train]") {
   write_mission_data(folder / "b.cbor", back, "these options");
   REQUIRE(read_file(folder / "a.cbor") == read_file(folder / "b.cbor"));
   REQUIRE(back.graphs.size() == data.graphs.size());
-  REQUIRE(back.graphs[0].effects.relief == data.graphs[0].effects.relief);
+  REQUIRE(back.graphs[0].effects.log_reduction == data.graphs[0].effects.log_reduction);
   REQUIRE(back.graphs[0].input.nodes == data.graphs[0].input.nodes);
   REQUIRE(back.record.graph.keys() == data.record.graph.keys());
 }

@@ -155,18 +155,18 @@ TEST_CASE("trainer: statistics are those of the training missions", "[train]") {
       Trainer(parts().training, parts().validation, small_fit(NetworkKind::kLoopwise)).weights();
   const Tensors paper =
       Trainer(parts().training, parts().validation, small_fit(NetworkKind::kPaper)).weights();
-  double relief = 0.0, edges = 0.0, x = 0.0, nodes = 0.0, log_trace = 0.0, sets = 0.0;
+  double log_reduction = 0.0, edges = 0.0, x = 0.0, nodes = 0.0, log_trace = 0.0, sets = 0.0;
   for (const MissionData& mission : parts().training) {
     for (const TrainingGraph& graph : mission.graphs) {
-      relief += graph.effects.relief.cast<double>().sum();
-      edges += static_cast<double>(graph.effects.relief.size());
+      log_reduction += graph.effects.log_reduction.cast<double>().sum();
+      edges += static_cast<double>(graph.effects.log_reduction.size());
       x += graph.input.nodes.col(3).sum();
       nodes += static_cast<double>(graph.input.nodes.rows());
       for (const TrainingSet& set : graph.sets) log_trace += std::log(set.trace_m2);
       sets += static_cast<double>(graph.sets.size());
     }
   }
-  REQUIRE(loopwise.at("edge.mean").data[0] == Approx(relief / edges).epsilon(1e-5));
+  REQUIRE(loopwise.at("edge.mean").data[0] == Approx(log_reduction / edges).epsilon(1e-5));
   REQUIRE(loopwise.at("edge.std").data[1] == 1.0F);  // one-hot: as it is
   REQUIRE(paper.at("input.mean").data[3] == Approx(x / nodes).epsilon(1e-5));
   REQUIRE(paper.at("input.mean").data[6] == 0.0F);  // the constant 1

@@ -37,7 +37,7 @@ struct LOOPWISE_EXPORT ClosureEffects {
   std::vector<Anchor> anchors;  ///< Chain by chain, in their order along it.
   Eigen::VectorXd share;        ///< By unit: its stratum's part of the trace along that axis. Sums to 1.
   Eigen::MatrixXd units = Eigen::MatrixXd::Zero(0, kUnitFeatures);  ///< A row of kUnitFeatures for each unit.
-  Eigen::MatrixXf relief;  ///< Units × candidates: log(v / v'), in [0, kMaxRelief].
+  Eigen::MatrixXf log_reduction;  ///< Units × candidates: log(v / v'), in [0, kMaxLogReduction].
   Eigen::Matrix<std::uint8_t, Eigen::Dynamic, Eigen::Dynamic> side;  ///< Anchors × candidates: Side.
   Eigen::MatrixXf gap;  ///< Anchors × candidates: log(1 + nodes to the nearest end); 0 if elsewhere.
   Eigen::MatrixXf far;  ///< The same to the other end; 0 unless both lie on the anchor's chain.
@@ -50,14 +50,14 @@ struct LOOPWISE_EXPORT ClosureEffects {
   /// log(v / σ²) for the closures' σ, log(v / mean variance of the graph), 1 on the first and on the second
   /// axis, log(number of nodes).
   static constexpr Eigen::Index kUnitFeatures = 5;
-  /// relief; before, after, around, elsewhere (one of them 1); gap; log(1e-6 + gain); far; reference
+  /// log_reduction; before, after, around, elsewhere (one of them 1); gap; log(1e-6 + gain); far; reference
   static constexpr Eigen::Index kEdgeFeatures = 9;
-  static constexpr double kMaxRelief = 9.0;  ///< Bound of `relief`.
+  static constexpr double kMaxLogReduction = 9.0;  ///< Bound of `log_reduction`.
 
   /// Units: three for each anchor.
   [[nodiscard]] Eigen::Index unit_count() const { return share.size(); }
   /// Number of candidates.
-  [[nodiscard]] Eigen::Index candidates() const { return relief.cols(); }
+  [[nodiscard]] Eigen::Index candidates() const { return log_reduction.cols(); }
   /// A row of kEdgeFeatures for each unit: the effect of a candidate's closure there.
   [[nodiscard]] Eigen::MatrixXd edge_features(Eigen::Index candidate) const;
 };
@@ -74,8 +74,8 @@ inline constexpr std::size_t kEffectAnchors = 64;  ///< Default number of strata
 
 /// log(v / v'), not bounded, of each unit for covariances of the same nodes after a change, as in Marginals:
 /// the training target of EffectNetwork.
-[[nodiscard]] LOOPWISE_EXPORT Eigen::VectorXd unit_reliefs(const ClosureEffects& effects,
-                                                           const PoseGraph& graph,
-                                                           const std::vector<Matrix6d>& covariances);
+[[nodiscard]] LOOPWISE_EXPORT Eigen::VectorXd unit_log_reductions(const ClosureEffects& effects,
+                                                                  const PoseGraph& graph,
+                                                                  const std::vector<Matrix6d>& covariances);
 
 }  // namespace loopwise

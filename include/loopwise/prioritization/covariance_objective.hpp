@@ -24,15 +24,17 @@ enum class TraceKind {
 }
 
 /// Representation of the data for evaluations in CovarianceObjective.
-enum class Holding {
+enum class BlockStorage {
   kAutomatic,  ///< Dense for few candidates, columns otherwise; the bound is measured.
   kColumns,    ///< Columns of Σ by sparse solves with the factor of the current set: a move costs one
                ///< factorisation for any number of candidates, and nothing drifts.
   kDense,      ///< S and M of all pairs of candidates: an evaluation costs a 12×12 problem, a move a rank-12
                ///< and a rank-24 update; recomputed from a factorisation after some moves.
 };
-[[nodiscard]] inline EnumNames<Holding> enum_names(Holding) {
-  return {{Holding::kAutomatic, "automatic"}, {Holding::kColumns, "columns"}, {Holding::kDense, "dense"}};
+[[nodiscard]] inline EnumNames<BlockStorage> enum_names(BlockStorage) {
+  return {{BlockStorage::kAutomatic, "automatic"},
+          {BlockStorage::kColumns, "columns"},
+          {BlockStorage::kDense, "dense"}};
 }
 
 /// Model of a candidate's closure, and the computation of its effect.
@@ -40,7 +42,7 @@ struct ClosureModelOptions {
   double sigma_m = 0.1;
   double sigma_rad = 0.02;
   TraceKind trace = TraceKind::kTranslation;
-  Holding holding = Holding::kAutomatic;
+  BlockStorage storage = BlockStorage::kAutomatic;
   std::int64_t dense_refresh = 64;
   int threads = 1;
 
@@ -50,9 +52,9 @@ struct ClosureModelOptions {
           "Sigma of a hypothetical closure's translation, each axis, m.");
     field("sigma_rad", self.sigma_rad, above(0.0), "The same of its rotation, rad.");
     field("trace", self.trace, any_value(), "What the trace counts: translation or full.");
-    field("holding", self.holding, any_value(), "How blocks are held: automatic, columns or dense.");
+    field("storage", self.storage, any_value(), "Storage of the blocks: automatic, columns or dense.");
     field("dense_refresh", self.dense_refresh, at_least(1),
-          "Holding dense: moves between two fresh factorisations.");
+          "Dense storage: moves between two fresh factorisations.");
     field("threads", self.threads, between(0, 1024),
           "Threads; 0: one per processor. They change the run time, never a result.");
   }
@@ -106,7 +108,7 @@ class LOOPWISE_EXPORT CovarianceObjective final : public GraphObjective {
   [[nodiscard]] bool connecting(std::size_t candidate) const override;
 
   /// The representation in use: kColumns or kDense.
-  [[nodiscard]] Holding holding() const;
+  [[nodiscard]] BlockStorage storage() const;
   /// Numeric factorisations made so far.
   [[nodiscard]] std::size_t factorizations() const;
 

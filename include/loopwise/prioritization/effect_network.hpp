@@ -29,10 +29,10 @@ namespace loopwise {
 ///     y_u    = q_u + σ(α)(p_u − q_u) + β (1 − e^−p_u)
 ///     e      = e(PG) · Σ_u share_u · e^−y_u
 ///
-/// with a_cu the normalised edge features, f_u the normalised unit features, r_cu the relief of c at u, s(x)
-/// = x / (1 + |x|) and σ the logistic function. m and P have K channels, with which P can represent values
-/// between the largest message and the sum of all; g is the mean over the whole graph; y_u predicts log(v /
-/// v'), and is 0 without closures.
+/// with a_cu the normalised edge features, f_u the normalised unit features, r_cu the log_reduction of c at
+/// u, s(x) = x / (1 + |x|) and σ the logistic function. m and P have K channels, with which P can represent
+/// values between the largest message and the sum of all; g is the mean over the whole graph; y_u predicts
+/// log(v / v'), and is 0 without closures.
 ///
 /// p is the effect of independent closures, q nearly that of the best alone. Differences from the paper's
 /// network: exact single effects on the edges, an aggregation that is neither sum nor mean, and a logarithm

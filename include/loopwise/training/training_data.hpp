@@ -75,7 +75,7 @@ struct StageGraph {
 struct TrainingSet {
   std::vector<std::uint32_t> members;  ///< Numbers of its candidates.
   double trace_m2 = 0.0;               ///< e(PG ∪ set)
-  Eigen::VectorXf relief;              ///< unit_reliefs()
+  Eigen::VectorXf log_reduction;       ///< unit_log_reductions()
 };
 
 /// A graph with its candidates, what a network is fed of it, and the sets with their answers.
