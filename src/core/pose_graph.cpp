@@ -48,6 +48,14 @@ Matrix6d kept_information(const Matrix6d& stated, bool planar) {
                    ": gravity says nothing about yaw, and the graph is planar");
 }
 
+/// Refuses the number of a node or edge that the graph does not have.
+void require_number(const char* what, std::size_t number, std::size_t count) {
+  if (number < count) return;
+  const std::string name(what);
+  throw InputError(name + " number " + std::to_string(number) + " is not in the graph, which has " +
+                   std::to_string(count) + " " + name + (count == 1 ? "" : "s") + ", numbered from 0");
+}
+
 /// For one more: without memory it throws, and push_back() does not any more. At least doubles what there is.
 template <class Value>
 void make_room(std::vector<Value>& values) {
@@ -260,23 +268,28 @@ std::vector<Eigen::Isometry3d> PoseGraph::poses() const {
 }
 
 void PoseGraph::set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance) {
+  require_number("node", node, nodes_.size());
   if (covariance && !covariance->allFinite()) {
-    throw InputError("node " + describe(nodes_.at(node).key) + ": covariance is not finite");
+    throw InputError("node " + describe(nodes_[node].key) + ": covariance is not finite");
   }
-  nodes_.at(node).covariance = covariance;
+  nodes_[node].covariance = covariance;
 }
 
 void PoseGraph::set_weight(std::size_t edge, double weight) {
-  if (!(weight >= 0.0 && weight <= 1.0)) throw InputError("edge weight is outside [0, 1]");
-  edges_.at(edge).weight = weight;
+  require_number("edge", edge, edges_.size());
+  Edge& changed = edges_[edge];
+  if (!(weight >= 0.0 && weight <= 1.0)) throw InputError(name_of(changed) + ": weight is outside [0, 1]");
+  changed.weight = weight;
 }
 
 void PoseGraph::set_trusted(std::size_t edge, bool trusted) {
-  edges_.at(edge).trusted = trusted;
+  require_number("edge", edge, edges_.size());
+  edges_[edge].trusted = trusted;
 }
 
 void PoseGraph::set_information(std::size_t edge, const Matrix6d& information) {
-  Edge& changed = edges_.at(edge);
+  require_number("edge", edge, edges_.size());
+  Edge& changed = edges_[edge];
   require_information(information, name_of(changed));
   changed.information = kept_information(information, planar_);
 }

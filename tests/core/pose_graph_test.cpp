@@ -91,6 +91,20 @@ TEST_CASE("graph: bad input is refused with its key, and nothing changes", "[cor
   REQUIRE(graph.priors().empty());
 }
 
+TEST_CASE("graph: numbers of nodes and edges that it does not have are errors of the library",
+          "[core][graph][error]") {
+  PoseGraph graph = chain(3);
+  const std::string absent = "edge number 7 is not in the graph, which has 2 edges, numbered from 0";
+  REQUIRE_THROWS_WITH(graph.set_weight(7, 0.5), absent);
+  REQUIRE_THROWS_AS(graph.set_weight(7, 0.5), InputError);
+  REQUIRE_THROWS_WITH(graph.set_trusted(7, true), absent);
+  REQUIRE_THROWS_WITH(graph.set_information(7, Matrix6d::Identity()), absent);
+  REQUIRE_THROWS_WITH(graph.set_covariance(3, std::nullopt),
+                      "node number 3 is not in the graph, which has 3 nodes, numbered from 0");
+  REQUIRE_THROWS_WITH(graph.set_weight(1, 2.0), "edge 1 to 2: weight is outside [0, 1]");
+  REQUIRE_NOTHROW(graph.set_weight(1, 0.5));
+}
+
 TEST_CASE("graph: information may be singular and badly scaled", "[core][graph]") {
   Matrix6d information = Matrix6d::Zero();
   REQUIRE(check_information(information) == nullptr);

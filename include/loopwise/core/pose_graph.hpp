@@ -171,13 +171,13 @@ class LOOPWISE_EXPORT PoseGraph {
   void set_poses(const std::vector<Eigen::Isometry3d>& poses);
   /// Poses of all nodes by their number.
   [[nodiscard]] std::vector<Eigen::Isometry3d> poses() const;
-  /// Sets or clears the marginal covariance of node number `node`; it is not checked.
+  /// Sets or clears a marginal covariance. \throws InputError if it is not finite, or without such a node.
   void set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance);
-  /// \throws InputError unless the weight lies in [0, 1].
+  /// \throws InputError if there is no such edge or the weight is outside [0, 1].
   void set_weight(std::size_t edge, double weight);
-  /// Makes edge number `edge` a known inlier, or one that robust optimisation may doubt.
+  /// Makes an edge a known inlier, or one that may be rejected. \throws InputError without such an edge.
   void set_trusted(std::size_t edge, bool trusted);
-  /// \throws InputError on bad numbers (see check_information).
+  /// \throws InputError if there is no such edge, or on bad numbers (see check_information).
   void set_information(std::size_t edge, const Matrix6d& information);
   /// Sets the kind of edge number `edge`.
   void set_kind(std::size_t edge, EdgeKind kind) { edges_[edge].kind = kind; }

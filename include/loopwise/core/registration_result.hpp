@@ -26,7 +26,7 @@ struct LoopClosure {
   Matrix6d covariance = Matrix6d::Identity();
 };
 
-/// Why a computed candidate is not a closure. closures.csv and summary.json hold the words of to_string().
+/// Why a computed candidate is not a closure. closures.csv and summary.json hold its enum_name().
 enum class RejectionReason {
   kNone,                ///< Not rejected.
   kMissingScan,         ///< A node without a scan, or one whose file cannot be read.
