@@ -85,10 +85,9 @@ class Engine::Impl {
     } catch (const std::bad_alloc&) {
       throw;
     } catch (const std::exception& error) {
-      problem("prioritisation", error.what(), std::current_exception());
-    } catch (...) {
-      problem("prioritisation", "something that is not a std::exception was thrown",
-              std::current_exception());
+      // The queue names prioritiser and function; the cause is what the prioritiser threw.
+      const auto* nested = dynamic_cast<const std::nested_exception*>(&error);
+      problem("prioritisation", error.what(), nested ? nested->nested_ptr() : std::current_exception());
     }
   }
 

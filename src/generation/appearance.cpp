@@ -82,8 +82,9 @@ std::vector<LoopCandidate> AppearanceGenerator::on_node(const PoseGraph& graph, 
   if (submap.level.empty()) return {};
   const auto place = database_->describe(submap.level);
   const auto found = database_->search(*place, static_cast<std::size_t>(options_.per_place), [&](Key other) {
-    const Station& there = stations_.at(other);
-    return there.piece != here.piece || std::abs(there.path_m - here.path_m) >= options_.apart_m;
+    const auto there = stations_.find(other);
+    return there != stations_.end() && (there->second.piece != here.piece ||
+                                        std::abs(there->second.path_m - here.path_m) >= options_.apart_m);
   });
   database_->insert(key, place);
   level_[key] = submap.rotation;
@@ -92,7 +93,12 @@ std::vector<LoopCandidate> AppearanceGenerator::on_node(const PoseGraph& graph, 
   std::vector<LoopCandidate> candidates;
   for (const PlaceMatch& match : found) {
     if (match.similarity < options_.min_similarity) break;  // the best come first
-    const PlaceMatch bodies = between_bodies(match, submap.rotation, level_.at(match.key));
+    const auto level = level_.find(match.key);
+    if (level == level_.end()) {
+      throw InputError("place database \"" + std::string(database_->name()) + "\" has found key " +
+                       key_name(match.key) + ", which it was not given");
+    }
+    const PlaceMatch bodies = between_bodies(match, submap.rotation, level->second);
     auto recognition = std::make_shared<Recognition>();
     recognition->similarity = bodies.similarity;
     recognition->T_from_to = bodies.T_query_match;

@@ -26,7 +26,7 @@ bool EngineThread::post(Event event) {
   bool taken = false;
   try {
     // Callbacks and prioritisers run in the thread that would make room.
-    if (std::this_thread::get_id() == id_) {
+    if (is_own_thread()) {
       taken = inbox_.post_now(std::move(event));
     } else {
       taken = inbox_.post(std::move(event), [this] { statistics_.producer_waits(); });
@@ -64,11 +64,13 @@ void EngineThread::give_up() {
 }
 
 PoseGraph EngineThread::graph() const {
+  if (is_own_thread()) return engine_->graph();  // which may hold the mutex now
   const std::lock_guard<std::mutex> lock(graph_mutex_);
   return engine_->graph();
 }
 
 std::shared_ptr<const Estimate> EngineThread::estimate() const {
+  if (is_own_thread()) return estimate_;
   const std::lock_guard<std::mutex> lock(graph_mutex_);
   return estimate_;
 }
@@ -171,7 +173,7 @@ void EngineThread::feed(Event event) {
       improve->stop = StopToken();
       improve->max_evaluations = engine_->evaluations();
     }
-    reporter_.call(settings_.on_event, HandledEvent{record, now_s, observability_, signature_});
+    reporter_.call("on_event", settings_.on_event, HandledEvent{record, now_s, observability_, signature_});
   }
   for (Effect& effect : effects) std::visit([this](auto& e) { carry_out(e); }, effect);
   if (node) recognise(*node);

@@ -53,6 +53,9 @@ class EngineThread {
   /// estimate is one from scratch. To be called once started.
   void end();
 
+  /// Whether the caller runs in this thread, as callbacks and prioritisers do.
+  [[nodiscard]] bool is_own_thread() const { return std::this_thread::get_id() == id_; }
+
   /// An event from outside: waits while the inbox is full, unless called from this thread itself, where
   /// callbacks and prioritisers run. \returns false, with the event not taken, after the end
   [[nodiscard]] bool post(Event event);
@@ -108,7 +111,7 @@ class EngineThread {
   // Of this thread alone, but for the graph, which others read with the mutex held.
   std::optional<double> observability_;  // of the scan that the last event brought
   std::optional<ScanSignature> signature_;
-  mutable std::mutex graph_mutex_;
+  mutable std::mutex graph_mutex_;  // taken by this thread to write, and by others to read
   std::optional<Engine> engine_;
   std::shared_ptr<const Estimate> estimate_;
   bool improving_ = false;  // the next set is being prepared ...

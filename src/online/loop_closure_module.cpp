@@ -6,6 +6,7 @@
 #include <mutex>
 #include <new>
 #include <optional>
+#include <string>
 #include <utility>
 
 #include <loopwise/core/error.hpp>
@@ -33,7 +34,7 @@ class LoopClosureModule::Impl {
             std::make_shared<FeatureCache>([this](Key key) { return intake_.load(key); }, options.features)),
         registrar_(make_registrar(parts)),
         reporter_(std::move(callbacks), statistics_),
-        appearance_(make_appearance()),
+        appearance_(make_appearance(std::move(parts.places))),
         engine_thread_(settings(options, parts), work_, statistics_, reporter_),
         crew_(*registrar_, options.threads, options.overdue_after_s, crew_hooks()),
         computation_([this](std::vector<RegistrationTask>&& tasks) { compute(std::move(tasks)); }),
@@ -72,14 +73,21 @@ class LoopClosureModule::Impl {
     return add(estimate);
   }
 
-  [[nodiscard]] bool wait() { return work_.wait(); }
+  [[nodiscard]] bool wait() {
+    refuse_own_threads("wait");
+    return work_.wait();
+  }
 
   void stop() {
+    refuse_own_threads("stop");
     stop_source_.request_stop();  // ends a last estimate as well
     end();
   }
 
-  void finish() { end(); }
+  void finish() {
+    refuse_own_threads("finish");
+    end();
+  }
 
   [[nodiscard]] std::shared_ptr<const Estimate> estimate() const { return engine_thread_.estimate(); }
   [[nodiscard]] PoseGraph graph() const { return engine_thread_.graph(); }
@@ -91,6 +99,14 @@ class LoopClosureModule::Impl {
   }
 
  private:
+  /// These calls wait for the module's threads, which must not wait for themselves.
+  void refuse_own_threads(const char* call) {
+    if (!engine_thread_.is_own_thread() && !crew_.is_own_thread()) return;
+    throw Error(std::string(call) +
+                "() waits for the thread that has called it: call it from a thread of your own, not from a "
+                "callback, prioritiser, registrar or scan loader of the module");
+  }
+
   void end() {
     work_.stop();
     const std::lock_guard<std::mutex> lock(stop_mutex_);
@@ -115,10 +131,10 @@ class LoopClosureModule::Impl {
     return settings;
   }
 
-  [[nodiscard]] std::unique_ptr<AppearanceGenerator> make_appearance() {
-    if (!options_.appearance.enabled) return nullptr;
-    return std::make_unique<AppearanceGenerator>(options_.appearance, robots_,
-                                                 [this](Key key) { return intake_.load(key); });
+  [[nodiscard]] std::unique_ptr<AppearanceGenerator> make_appearance(std::unique_ptr<PlaceDatabase> own) {
+    if (!options_.appearance.enabled && own == nullptr) return nullptr;
+    return std::make_unique<AppearanceGenerator>(
+        options_.appearance, robots_, [this](Key key) { return intake_.load(key); }, std::move(own));
   }
 
   [[nodiscard]] std::shared_ptr<const Registrar> make_registrar(const ModuleParts& parts) {

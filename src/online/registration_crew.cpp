@@ -39,6 +39,13 @@ RegistrationCrew::~RegistrationCrew() {
   end();
 }
 
+bool RegistrationCrew::is_own_thread() {
+  const std::lock_guard<std::mutex> lock(mutex_);
+  return std::any_of(workers_.begin(), workers_.end(), [](const Worker& worker) {
+    return worker.thread.get_id() == std::this_thread::get_id();
+  });
+}
+
 void RegistrationCrew::end() {
   {
     const std::lock_guard<std::mutex> lock(mutex_);

@@ -38,6 +38,9 @@ class RegistrationCrew {
   /// \returns those that were not begun.
   [[nodiscard]] std::vector<LoopCandidate> run(std::vector<RegistrationTask> tasks, const StopToken& stop);
 
+  /// Whether the caller runs in a thread of the crew, as registrars do.
+  [[nodiscard]] bool is_own_thread();
+
  private:
   struct Worker {
     std::thread thread;

@@ -18,9 +18,11 @@ class Reporter {
   Reporter(ModuleCallbacks callbacks, StatisticsBoard& statistics)
       : callbacks_(std::move(callbacks)), statistics_(statistics) {}
 
-  void closure(const LoopClosure& closure) { call(callbacks_.on_closure, closure); }
-  void result(const RegistrationResult& result) { call(callbacks_.on_result, result); }
-  void estimate(const std::shared_ptr<const Estimate>& estimate) { call(callbacks_.on_estimate, estimate); }
+  void closure(const LoopClosure& closure) { call("on_closure", callbacks_.on_closure, closure); }
+  void result(const RegistrationResult& result) { call("on_result", callbacks_.on_result, result); }
+  void estimate(const std::shared_ptr<const Estimate>& estimate) {
+    call("on_estimate", callbacks_.on_estimate, estimate);
+  }
 
   /// Counts the problem, and keeps it for the statistics.
   void problem(const std::string& text) {
@@ -33,16 +35,16 @@ class Reporter {
   }
 
   template <class Callback, class... Arguments>
-  void call(const Callback& callback, const Arguments&... arguments) {
+  void call(const char* name, const Callback& callback, const Arguments&... arguments) {
     if (!callback) return;
     try {
       callback(arguments...);
     } catch (const std::bad_alloc&) {
       throw;  // ends the module
     } catch (const std::exception& error) {
-      problem(std::string("a callback threw: ") + error.what());
+      problem(std::string("callback ") + name + ": " + error.what());
     } catch (...) {
-      problem("a callback threw something that is not a std::exception");
+      problem(std::string("callback ") + name + ": something that is not a std::exception was thrown");
     }
   }
 

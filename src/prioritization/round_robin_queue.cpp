@@ -11,13 +11,30 @@
 namespace loopwise {
 namespace {
 
-/// One that fails keeps nothing from those after it. \throws what the first of them threw
-template <class Tell>
-void tell_all(const std::vector<std::unique_ptr<Prioritizer>>& prioritizers, Tell&& tell) {
+/// Calls a function of a prioritiser. \throws Error that names the call, nested around what was thrown
+template <class Call>
+auto guarded(const Prioritizer& prioritizer, const char* function, Call&& call) {
+  const auto what = [&](const char* why) {
+    return Error(std::string(prioritizer.name()) + ": " + function + "(): " + why);
+  };
+  try {
+    return call();
+  } catch (const std::bad_alloc&) {
+    throw;
+  } catch (const std::exception& error) {
+    std::throw_with_nested(what(error.what()));
+  } catch (...) {
+    std::throw_with_nested(what("something that is not a std::exception was thrown"));
+  }
+}
+
+/// Calls a function of all prioritisers, also if one throws. \throws what the first of them threw
+template <class Call>
+void each(const std::vector<std::unique_ptr<Prioritizer>>& prioritizers, const char* function, Call&& call) {
   std::exception_ptr failure;
   for (const auto& prioritizer : prioritizers) {
     try {
-      tell(*prioritizer);
+      guarded(*prioritizer, function, [&] { call(*prioritizer); });
     } catch (const std::bad_alloc&) {
       throw;
     } catch (...) {
@@ -40,7 +57,9 @@ std::vector<Refusal> RoundRobinQueue::add(const std::vector<LoopCandidate>& cand
   std::unordered_map<CandidateId, std::string> reasons;
   for (const LoopCandidate& candidate : candidates) holders_.set(candidate.id, prioritizers_.size());
   for (const auto& prioritizer : prioritizers_) {
-    for (const Refusal& refusal : prioritizer->add(candidates)) {
+    const std::vector<Refusal> refusals =
+        guarded(*prioritizer, "add", [&] { return prioritizer->add(candidates); });
+    for (const Refusal& refusal : refusals) {
       std::size_t* holders = holders_.find(refusal.id);
       if (holders == nullptr || *holders == 0) continue;
       --*holders;
@@ -60,19 +79,19 @@ std::vector<Refusal> RoundRobinQueue::add(const std::vector<LoopCandidate>& cand
 
 void RoundRobinQueue::remove(const std::vector<CandidateId>& ids) {
   for (const CandidateId id : ids) holders_.erase(id);
-  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.remove(ids); });
+  each(prioritizers_, "remove", [&](Prioritizer& prioritizer) { prioritizer.remove(ids); });
 }
 
 void RoundRobinQueue::on_graph(const PoseGraph& graph) {
-  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_graph(graph); });
+  each(prioritizers_, "on_graph", [&](Prioritizer& prioritizer) { prioritizer.on_graph(graph); });
 }
 
 void RoundRobinQueue::on_scan(const KeyedScan& scan) {
-  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_scan(scan); });
+  each(prioritizers_, "on_scan", [&](Prioritizer& prioritizer) { prioritizer.on_scan(scan); });
 }
 
 void RoundRobinQueue::on_result(const RegistrationResult& result) {
-  tell_all(prioritizers_, [&](Prioritizer& prioritizer) { prioritizer.on_result(result); });
+  each(prioritizers_, "on_result", [&](Prioritizer& prioritizer) { prioritizer.on_result(result); });
 }
 
 void RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
@@ -83,7 +102,7 @@ void RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
   count = std::min(count, size());
   if (count == 0) return;
   std::size_t next = 0;
-  tell_all(prioritizers_, [&](Prioritizer& prioritizer) {
+  each(prioritizers_, "improve", [&](Prioritizer& prioritizer) {
     const std::size_t i = next++;
     const std::size_t k = (i + n - turn_) % n;  // its turn in the next batch
     const std::size_t share = count / n + (k < count % n ? 1 : 0);
@@ -96,7 +115,7 @@ void RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
 std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
   std::vector<Refusal> gone;
   try {
-    tell_all(prioritizers_, [&](Prioritizer& prioritizer) {
+    each(prioritizers_, "give_up", [&](Prioritizer& prioritizer) {
       for (Refusal& refusal : prioritizer.give_up(now_s)) {
         std::size_t* holders = holders_.find(refusal.id);
         if (holders == nullptr || --*holders > 0) continue;
@@ -107,7 +126,7 @@ std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
   } catch (const std::bad_alloc&) {
     throw;
   } catch (...) {
-    if (gone.empty()) throw;  // else it will throw again, when nothing else is to be told
+    if (gone.empty()) throw;  // else it will throw again, when nothing else is to be reported
   }
   return gone;
 }
@@ -130,7 +149,7 @@ std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
 
 std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, std::size_t count,
                                                      std::vector<LoopCandidate>& taken) {
-  std::vector<LoopCandidate> share = prioritizer.take(count);
+  std::vector<LoopCandidate> share = guarded(prioritizer, "take", [&] { return prioritizer.take(count); });
   // All are noted, for which there is room, before anything can fail: they can be given back then.
   const LoopCandidate* wrong = share.size() > count ? &share[count] : nullptr;
   for (const LoopCandidate& candidate : share) {
@@ -141,14 +160,14 @@ std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, s
     }
   }
   if (wrong != nullptr) {
-    throw Error("prioritizer \"" + std::string(prioritizer.name()) + "\" handed out candidate " +
+    throw Error(std::string(prioritizer.name()) + ": take(): handed out candidate " +
                 std::to_string(wrong->id) +
                 (wrong == share.data() + count ? ", which was not asked for" : ", which is not pending"));
   }
   std::vector<CandidateId> ids;
   ids.reserve(share.size());
   for (const LoopCandidate& candidate : share) ids.push_back(candidate.id);
-  tell_all(prioritizers_, [&](Prioritizer& other) {
+  each(prioritizers_, "remove", [&](Prioritizer& other) {
     if (&other != &prioritizer) other.remove(ids);
   });
   return share;

@@ -160,14 +160,14 @@ TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pend
 
   pool.add({pair(5, 1), pair(5, 2), pair(5, 3)});
   control.throws_in_add = control.throws_in_remove = true;
-  REQUIRE_THROWS_WITH(pool.add({pair(6, 1), pair(6, 2)}), "add");
+  REQUIRE_THROWS_WITH(pool.add({pair(6, 1), pair(6, 2)}), "fragile: add(): add");
   control.throws_in_add = control.throws_in_remove = false;
   REQUIRE(pool.accounting().balanced());
   REQUIRE(pool.accounting().pending == 3);
   REQUIRE(pool.pruned_reasons().at("prioritizer_failed") == 2);
 
   control.throws_in_take = true;
-  REQUIRE_THROWS_WITH(pool.take(3), "take");
+  REQUIRE_THROWS_WITH(pool.take(3), "fragile: take(): take");
   control.throws_in_take = false;
   REQUIRE(pool.accounting().pending == 3);
   REQUIRE(pool.accounting().in_flight == 0);

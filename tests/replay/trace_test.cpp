@@ -326,7 +326,7 @@ TEST_CASE("trace: an observer of events that throws is reported, and the module 
   REQUIRE(module.graph().nodes().size() == mission.graph.nodes().size());
   REQUIRE(seen > mission.graph.nodes().size());
   REQUIRE(module.statistics().problems >= seen);
-  REQUIRE(module.statistics().last_problems.back() == "a callback threw: no room for a trace");
+  REQUIRE(module.statistics().last_problems.back() == "callback on_event: no room for a trace");
 }
 
 TEST_CASE("trace: one that could not be written to its end has no gaps", "[replay][trace][error]") {

@@ -177,7 +177,7 @@ struct EstimateReady {
 struct Problem {
   std::string topic;         ///< Short and stable, for counting: "registration failed".
   std::string detail;        ///< Which nodes, and why.
-  std::exception_ptr cause;  ///< Of a prioritiser that threw; else null.
+  std::exception_ptr cause;  ///< Exception of a prioritiser; else null.
 };
 
 }  // namespace effect

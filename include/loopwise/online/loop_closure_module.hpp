@@ -28,6 +28,7 @@
 #include <loopwise/engine/engine.hpp>
 #include <loopwise/engine/events.hpp>
 #include <loopwise/features/feature_cache.hpp>
+#include <loopwise/features/place.hpp>
 #include <loopwise/generation/appearance.hpp>
 #include <loopwise/optimization/back_end.hpp>
 #include <loopwise/prioritization/method.hpp>
@@ -64,20 +65,21 @@ struct ModuleOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("batch", self.batch, at_least(1), "Candidates handed out each time the computation runs dry.");
-    field("threads", self.threads, between(0, 1024), "That compute registrations; 0: one per processor.");
+    field("batch", self.batch, at_least(1), "Size of a batch of candidates.");
+    field("threads", self.threads, between(0, 1024),
+          "Threads that compute registrations; 0: one per processor.");
     field("queue_capacity", self.queue_capacity, at_least(1),
-          "Events that wait to be taken in; whoever adds more is held until there is room.");
+          "Capacity of the event queue; a producer blocks while it is full.");
     field("overdue_after_s", self.overdue_after_s, at_least(0.0),
-          "A registration that has run for so long, s of wall time, is reported as a problem, and its batch "
-          "goes on without it and its thread; its result still counts when it comes. 0: never.");
+          "Wall time, s, after which a running registration is reported as a problem. Its batch continues "
+          "without it; its result still counts when it arrives. 0: never.");
   }
 };
 
 /// Called from the engine's thread of the module, one at a time, in the order of events. Data shared with the
-/// stack's threads need a lock. Callbacks may call everything except wait(), finish(), stop() and the
-/// destructor. Keep them short: the module waits for them. Their exceptions are reported as problems, except
-/// std::bad_alloc, which ends the module. Any may be empty.
+/// stack's threads need a lock. Keep callbacks short: the module waits for them. They may call every function
+/// of the module except wait(), finish() and stop(), which throw there, and the destructor. Exceptions are
+/// reported as problems, except std::bad_alloc, which ends the module. Any may be empty.
 struct ModuleCallbacks {
   /// A verified closure, not yet optimised.
   std::function<void(const LoopClosure& closure)> on_closure;
@@ -97,11 +99,15 @@ struct ModuleParts {
   /// Empty: the module stores the clouds in memory.
   ScanLoader scans;
   /// Makes the registrar that computes the candidates. The registrar must be thread-safe. It gets the clouds
-  /// from `scans`, and may use it until the module ends.
+  /// from `scans`, and may use it until the module ends. It may call the same functions as callbacks.
   std::function<std::shared_ptr<const Registrar>(const ScanLoader& scans)> registrar;
-  /// Order the candidates; several take turns. They run in the engine's thread, and may call only add_*,
-  /// set_estimate() and remove_closure().
+  /// Order the candidates; several take turns. They run in the engine's thread and may call the same
+  /// functions as callbacks. An exception is reported as a problem that names prioritiser and function;
+  /// candidates that were being added then count as pruned ("prioritizer_failed").
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;
+  /// Finds places that look alike, in place of the database that AppearanceOptions::descriptor names; must be
+  /// empty. Place recognition is then on, also without AppearanceOptions::enabled.
+  std::unique_ptr<PlaceDatabase> places;
   /// Measures the waiting time of candidates, factors and scans; now() must be thread-safe. Null: seconds
   /// since the construction of the module, by the steady clock.
   std::shared_ptr<const Clock> clock;
@@ -142,9 +148,10 @@ struct ModuleStatistics {
 ///
 /// While a batch is computed, the engine's thread improves the next set. External events then wait until the
 /// set cannot be improved further, the computation has no more work, or the queue is half full. All functions
-/// may be called from any thread at any time, but see ModuleCallbacks. A full queue blocks its producer until
-/// there is room: no event is dropped. Unlike a replay's, the outcome depends on arrival times and on the
-/// speed of the machine; ModuleParts::on_event records a run for repetition.
+/// may be called from any thread at any time, except those that wait for the module, see ModuleCallbacks. A
+/// full queue blocks its producer until there is room: no event is dropped. Unlike a replay's, the outcome
+/// depends on arrival times and on the speed of the machine; ModuleParts::on_event records a run for
+/// repetition.
 ///
 /// Bad input throws in the call and changes nothing. A std::bad_alloc in add_* goes to the caller; in a
 /// thread of the module it stops the module with one problem, and wait() returns false. The graph, the
@@ -159,7 +166,8 @@ class LOOPWISE_EXPORT LoopClosureModule {
   /// exceptions
   explicit LoopClosureModule(const Robots& robots, const ModuleOptions& options = {},
                              ModuleCallbacks callbacks = {}, ModuleParts parts = {});
-  /// Like stop().
+  /// Like stop(). Must not run in a callback, prioritiser, registrar or scan loader of the module: it would
+  /// end the program.
   ~LoopClosureModule();
   LoopClosureModule(const LoopClosureModule&) = delete;
   LoopClosureModule& operator=(const LoopClosureModule&) = delete;
@@ -200,17 +208,17 @@ class LOOPWISE_EXPORT LoopClosureModule {
 
   /// Waits until nothing more happens without new input: all input is handled, and the estimate is up to
   /// date, except for reported problems. It does not wait for candidates with missing scans or that a
-  /// prioritiser holds back. \returns false if the module was stopped.
+  /// prioritiser holds back. \returns false if the module was stopped. \throws Error in a callback,
+  /// prioritiser, registrar or scan loader of the module, which would wait for itself.
   [[nodiscard]] bool wait();
 
   /// Like stop(), but with a last estimate if closures have come since the previous one, or if that one
   /// continued an earlier one (GncOptions::warm_start): the last estimate starts from scratch. To compute all
-  /// pending candidates, call wait() before it.
+  /// pending candidates, call wait() before it. \throws Error like wait().
   void finish();
   /// Ends all work soon and joins the threads. Running registrations complete, without a limit of time (a
   /// thread cannot be stopped from outside: see RegistrationTask::time_limit_s), and pending candidates
-  /// remain pending in the account. May be called more than once and from any thread except that of the
-  /// callbacks.
+  /// remain pending in the account. May be called more than once. \throws Error like wait().
   void stop();
 
   /// The last estimate; null before the first.

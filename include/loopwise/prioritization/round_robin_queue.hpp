@@ -15,15 +15,15 @@
 namespace loopwise {
 
 /// Joins the prioritisers of a method: batches take equal shares from each, best first, in turns (paper
-/// §III-E). A candidate taken from one prioritiser is removed from the others; a candidate refused by some
-/// stays with the rest.
+/// §III-E). A candidate taken from one prioritiser is removed from the others; one refused by some stays with
+/// the rest. If a prioritiser throws, an Error names it and the function; the original is nested in it.
 class LOOPWISE_EXPORT RoundRobinQueue {
  public:
   /// May be empty: then every candidate is refused ("no_prioritizer"). \throws InputError on a null pointer.
   explicit RoundRobinQueue(std::vector<std::unique_ptr<Prioritizer>> prioritizers);
 
-  /// \returns the candidates that every prioritiser refused, with their reasons joined. \throws exceptions of
-  /// a prioritiser: then call remove(), because others may still hold the candidates
+  /// \returns the candidates that every prioritiser refused, with their reasons joined. \throws Error if a
+  /// prioritiser throws: then call remove(), because others may still hold the candidates
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates);
   /// Removes expired or withdrawn candidates from all prioritisers, also if one throws.
   void remove(const std::vector<CandidateId>& ids);
