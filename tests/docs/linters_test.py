@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""scripts/lint_words and scripts/lint_links find what they are for, and nothing else."""
+"""scripts/lint_words, lint_links and lint_names find what they are for, and nothing else."""
 import pathlib
 import subprocess
 import sys
@@ -66,6 +66,17 @@ class Links(Linter):
         self.assertEqual(status, 1)
         self.assertEqual([line.split(":")[1] for line in out.splitlines()], ["3", "4", "5", "6"])
         self.assertIn("docs/page.md:4: other.md#no-such: other.md has no heading with the anchor no-such", out)
+
+
+class Names(Linter):
+    def test_names_that_the_code_lacks(self):
+        self.write("src/a.cpp", "int found() { return 1; }  // not_here\nenum class Kind { kOne };\nstruct Thing { int field; };\n")
+        self.write("include/loopwise/a.hpp", "/// See found(), Kind::kOne and Thing::field; std::move() is of others.\n"
+                                             "/// See not_here() or Thing::absent.\nint found();  ///< kTwo\n")
+        self.write("docs/page.md", "# Page\n\n`found()` and `lost()`\n\n```\nlost()\n```\n")
+        status, out = self.run_linter("lint_names")
+        self.assertEqual(status, 1)
+        self.assertEqual([line.rsplit(": ", 1)[1].split()[0] for line in out.splitlines()], ["not_here", "absent", "kTwo", "lost"])
 
 
 if __name__ == "__main__":
