@@ -5,6 +5,7 @@
 
 #include <cstddef>
 #include <cstdint>
+#include <initializer_list>
 #include <string>
 #include <vector>
 
@@ -19,6 +20,7 @@
 #include <loopwise/core/keyed_scan.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/problems.hpp>
+#include <loopwise/core/robots.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/replay/config.hpp>
 
@@ -31,8 +33,14 @@ using RowMatrix6d = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
 using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
 
-/// A (4, 4) array. \throws InputError naming `what` unless its last row is 0 0 0 1.
+/// An array of doubles of this shape. \throws InputError naming `what`, the shape that it needs and that
+/// found
+[[nodiscard]] Doubles array_from(const py::object& value, std::initializer_list<py::ssize_t> shape,
+                                 const std::string& what);
+
+/// A (4, 4) array. \throws InputError naming `what` on another shape, or unless its last row is 0 0 0 1.
 [[nodiscard]] Eigen::Isometry3d pose_from(const RowMatrix4d& matrix, const std::string& what);
+[[nodiscard]] Eigen::Isometry3d pose_from(const py::object& matrix, const std::string& what);
 [[nodiscard]] inline RowMatrix4d matrix_from(const Eigen::Isometry3d& pose) {
   return pose.matrix();
 }
@@ -44,6 +52,11 @@ using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
 [[nodiscard]] py::array matrices_array(const std::vector<Matrix6d>& matrices);
 /// (n,) of unsigned 64-bit keys
 [[nodiscard]] py::array keys_array(const std::vector<Key>& keys);
+
+/// A key as people write it ("a12") or as a number. \throws InputError
+[[nodiscard]] Key key_from(const py::object& value);
+/// Robots, their text, or None for those that the keys of the graph name. \throws InputError
+[[nodiscard]] Robots robots_from(const py::object& value, const PoseGraph& graph);
 
 /// (n, 3) points, and optionally (n, 3) normals and (n,) intensities. \throws InputError on another shape or
 /// a point that is not finite
@@ -57,8 +70,9 @@ using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
 /// A Config from a dictionary of sections, a JSON text or a Config; None gives the defaults. \throws
 /// OptionError
 [[nodiscard]] Config config_from(const py::object& value);
-/// Applies a dictionary to the options of one section of a Config. \throws OptionError
-void apply_section(Config& config, const char* section, const py::object& values);
+/// Applies a dictionary to a Config: options of the first of these sections, or {section: options} of any of
+/// them. \throws OptionError, also for another section
+void apply_sections(Config& config, std::initializer_list<const char*> sections, const py::object& values);
 
 void bind_core(py::module_& module);
 void bind_io(py::module_& module);

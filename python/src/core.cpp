@@ -7,27 +7,19 @@
 namespace loopwise::python {
 namespace {
 
-/// A key as people write it ("a12") or as a number.
-Key key_from(const py::object& value) {
-  if (py::isinstance<py::str>(value)) return parse_key(value.cast<std::string>());
-  return value.cast<Key>();
-}
-
 /// (6, 6), or six sigmas: x y z in m, then rotation in rad.
 Matrix6d information_from(const py::object& information, const py::object& sigmas, const std::string& what) {
   if (information.is_none() == sigmas.is_none()) {
     throw InputError(what + ": give either information or sigmas");
   }
-  if (!information.is_none()) return information.cast<Matrix6d>();
-  const auto values = sigmas.cast<Vector6d>();
+  if (!information.is_none()) {
+    const Doubles values = array_from(information, {6, 6}, what + ": information");
+    return Eigen::Map<const RowMatrix6d>(values.data());
+  }
+  const Doubles array = array_from(sigmas, {6}, what + ": sigmas");
+  const Vector6d values = Eigen::Map<const Vector6d>(array.data());
   if (!(values.array() > 0.0).all()) throw InputError(what + ": sigmas must be positive");
   return values.cwiseAbs2().cwiseInverse().asDiagonal();
-}
-
-Robots robots_from(const py::object& value, const PoseGraph& graph) {
-  if (value.is_none()) return Robots::from_keys(graph.keys());
-  if (py::isinstance<py::str>(value)) return parse_robots(value.cast<std::string>());
-  return value.cast<Robots>();
 }
 
 py::dict edges_dict(const PoseGraph& graph) {
@@ -95,7 +87,7 @@ void bind_core(py::module_& module) {
       .def("copy", [](const PoseGraph& graph) { return PoseGraph(graph); })
       .def(
           "add_node",
-          [](PoseGraph& graph, const py::object& key, const RowMatrix4d& pose, std::int64_t stamp_ns) {
+          [](PoseGraph& graph, const py::object& key, const py::object& pose, std::int64_t stamp_ns) {
             Node node;
             node.key = key_from(key);
             node.pose = pose_from(pose, "node " + key_name(node.key));
@@ -105,7 +97,7 @@ void bind_core(py::module_& module) {
           py::arg("key"), py::arg("pose"), py::arg("stamp_ns") = 0, "Returns the node's number.")
       .def(
           "add_prior",
-          [](PoseGraph& graph, const py::object& key, const RowMatrix4d& pose, const py::object& information,
+          [](PoseGraph& graph, const py::object& key, const py::object& pose, const py::object& information,
              const py::object& sigmas) {
             const Key k = key_from(key);
             const std::string what = "prior of " + key_name(k);
@@ -115,7 +107,7 @@ void bind_core(py::module_& module) {
           py::arg("sigmas") = py::none())
       .def(
           "add_edge",
-          [](PoseGraph& graph, const py::object& from, const py::object& to, const RowMatrix4d& T_from_to,
+          [](PoseGraph& graph, const py::object& from, const py::object& to, const py::object& T_from_to,
              const py::object& information, const py::object& sigmas, EdgeKind kind) {
             Edge edge;
             edge.from = key_from(from);
@@ -136,10 +128,11 @@ void bind_core(py::module_& module) {
           py::arg("from_key"), py::arg("to_key"), py::arg("range_m"), py::arg("sigma_m"))
       .def(
           "add_gravity",
-          [](PoseGraph& graph, const py::object& key, const Eigen::Vector3d& direction, double sigma_rad) {
+          [](PoseGraph& graph, const py::object& key, const py::object& direction, double sigma_rad) {
             GravityFactor gravity;
             gravity.key = key_from(key);
-            gravity.direction = direction;
+            gravity.direction = Eigen::Map<const Eigen::Vector3d>(
+                array_from(direction, {3}, "gravity at " + key_name(gravity.key) + ": direction").data());
             gravity.sigma_rad = sigma_rad;
             return graph.add_gravity(gravity);
           },
@@ -228,7 +221,7 @@ void bind_core(py::module_& module) {
       .def_property_readonly("verified", &RegistrationResult::verified)
       .def_property_readonly(
           "reason", [](const RegistrationResult& r) { return enum_name(r.reason); },
-          "\"none\", or why it was rejected")
+          "empty if verified, else why it was rejected")
       .def_readonly("message", &RegistrationResult::message)
       .def_readonly("closure", &RegistrationResult::closure, "None unless verified")
       .def_property_readonly("T_from_to",

@@ -47,9 +47,11 @@ PosesByKey poses_by_key(const py::object& value) {
     for (const Node& node : value.cast<const PoseGraph&>().nodes()) poses[node.key] = node.pose;
     return poses;
   }
-  for (const auto& [key, pose] : value.cast<py::dict>()) {
-    const Key k = key.cast<Key>();
-    poses[k] = pose_from(pose.cast<RowMatrix4d>(), "pose of " + key_name(k));
+  if (!py::isinstance<py::dict>(value))
+    throw InputError("poses must be a graph or a dictionary of key: (4, 4)");
+  for (const auto& [key, pose] : py::reinterpret_borrow<py::dict>(value)) {
+    const Key k = key_from(py::reinterpret_borrow<py::object>(key));
+    poses[k] = pose_from(py::reinterpret_borrow<py::object>(pose), "node " + key_name(k));
   }
   return poses;
 }
@@ -82,7 +84,8 @@ void bind_io(py::module_& module) {
                              [](const Mission& mission) { return problem_lines(mission.problems); })
       .def(
           "scan",
-          [](const Mission& mission, Key key) {
+          [](const Mission& mission, const py::object& node) {
+            const Key key = key_from(node);
             std::shared_ptr<const PointCloud> cloud;
             {
               const py::gil_scoped_release release;
@@ -97,7 +100,7 @@ void bind_io(py::module_& module) {
       "read_mission",
       [](const std::filesystem::path& path, const py::object& options) {
         Config config;
-        apply_section(config, "mission", options);
+        apply_sections(config, {"mission"}, options);
         const py::gil_scoped_release release;
         return read_mission(path, config.mission);
       },
@@ -109,7 +112,7 @@ void bind_io(py::module_& module) {
       "set_truth",
       [](Mission& mission, const std::vector<std::string>& files, const py::object& options) {
         Config config;
-        apply_section(config, "mission", options);
+        apply_sections(config, {"mission"}, options);
         set_truth(mission, files, config.mission);
       },
       py::arg("mission"), py::arg("files"), py::arg("options") = py::none(),

@@ -1,12 +1,63 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "bindings.hpp"
 
+#include <algorithm>
 #include <cstring>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/robust_centre.hpp>
 
 namespace loopwise::python {
+
+namespace {
+
+std::string shape_text(const py::ssize_t* shape, py::ssize_t dimensions) {
+  std::string text = "(";
+  for (py::ssize_t i = 0; i < dimensions; ++i) text += (i > 0 ? ", " : "") + std::to_string(shape[i]);
+  return text + (dimensions == 1 ? ",)" : ")");
+}
+
+std::string type_of(const py::object& value) {
+  return py::str(py::type::of(value).attr("__name__")).cast<std::string>();
+}
+
+}  // namespace
+
+Doubles array_from(const py::object& value, std::initializer_list<py::ssize_t> shape,
+                   const std::string& what) {
+  const Doubles array = Doubles::ensure(value);
+  if (!array) throw InputError(what + " must be an array of numbers, found " + type_of(value));
+  if (std::equal(shape.begin(), shape.end(), array.shape(), array.shape() + array.ndim())) return array;
+  if (shape.size() == 1 && array.ndim() == 1) {
+    throw InputError(what + " needs " + std::to_string(*shape.begin()) + " values, found " +
+                     std::to_string(array.shape(0)));
+  }
+  throw InputError(what + " needs shape " +
+                   shape_text(shape.begin(), static_cast<py::ssize_t>(shape.size())) + ", found " +
+                   shape_text(array.shape(), array.ndim()));
+}
+
+Key key_from(const py::object& value) {
+  if (py::isinstance<py::str>(value)) return parse_key(value.cast<std::string>());
+  try {
+    return value.cast<Key>();
+  } catch (const py::cast_error&) {
+    throw InputError("a key is a name such as \"a12\" or a number in [0, 2^64), found " +
+                     py::repr(value).cast<std::string>());
+  }
+}
+
+Robots robots_from(const py::object& value, const PoseGraph& graph) {
+  if (value.is_none()) return Robots::from_keys(graph.keys());
+  if (py::isinstance<py::str>(value)) return parse_robots(value.cast<std::string>());
+  if (py::isinstance<Robots>(value)) return value.cast<Robots>();
+  throw InputError("robots must be Robots or a text such as \"a,b\", found " + type_of(value));
+}
+
+Eigen::Isometry3d pose_from(const py::object& matrix, const std::string& what) {
+  const Doubles array = array_from(matrix, {4, 4}, what + ": the pose");
+  return pose_from(RowMatrix4d(Eigen::Map<const RowMatrix4d>(array.data())), what);
+}
 
 Eigen::Isometry3d pose_from(const RowMatrix4d& matrix, const std::string& what) {
   if (!matrix.row(3).isApprox(Eigen::RowVector4d(0.0, 0.0, 0.0, 1.0), 1e-9)) {
@@ -129,10 +180,27 @@ std::string json_text(const py::object& value) {
 
 }  // namespace
 
-void apply_section(Config& config, const char* section, const py::object& values) {
+void apply_sections(Config& config, std::initializer_list<const char*> sections, const py::object& values) {
   if (values.is_none()) return;
   py::dict file;
-  file[section] = values;
+  const bool by_section = py::isinstance<py::dict>(values) && py::len(values) > 0 &&
+                          std::all_of(py::reinterpret_borrow<py::dict>(values).begin(),
+                                      py::reinterpret_borrow<py::dict>(values).end(),
+                                      [](const auto& item) { return py::isinstance<py::dict>(item.second); });
+  if (!by_section) {
+    file[*sections.begin()] = values;
+    return parse_config(json_text(file), "options", config);
+  }
+  for (const auto& [name, options] : py::reinterpret_borrow<py::dict>(values)) {
+    const auto section = py::str(name).cast<std::string>();
+    if (std::find(sections.begin(), sections.end(), section) == sections.end()) {
+      std::string known;
+      for (const char* one : sections) known += (known.empty() ? "\"" : " or \"") + std::string(one) + "\"";
+      throw OptionError("options of the section \"" + section + "\" have no effect here: give those of " +
+                        known);
+    }
+    file[name] = options;
+  }
   parse_config(json_text(file), "options", config);
 }
 
@@ -155,6 +223,15 @@ PYBIND11_MODULE(_loopwise, module) {
   py::register_exception<loopwise::UnknownKeyError>(module, "UnknownKeyError", input.ptr());
   py::register_exception<loopwise::OptionError>(module, "OptionError", base.ptr());
   py::register_exception<loopwise::IoError>(module, "IoError", base.ptr());
+  // A value of the wrong type, also one that a function of the user's has returned.
+  static const py::object input_error = input;
+  py::register_exception_translator([](std::exception_ptr failure) {
+    try {
+      if (failure) std::rethrow_exception(failure);
+    } catch (const py::cast_error& error) {
+      PyErr_SetString(input_error.ptr(), error.what());
+    }
+  });
   loopwise::python::bind_core(module);
   loopwise::python::bind_io(module);
   loopwise::python::bind_optimization(module);

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "bindings.hpp"
 
+#include <limits>
 #include <map>
+#include <vector>
 
 #include <loopwise/optimization/certificate.hpp>
 #include <loopwise/optimization/gnc.hpp>
@@ -9,6 +11,22 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 namespace loopwise::python {
+namespace {
+
+std::vector<std::size_t> nodes_without_factors(const PoseGraph& graph) {
+  std::vector<bool> bound(graph.nodes().size(), false);
+  const auto bind = [&](Key key) { bound[graph.index_of(key)] = true; };
+  for (const PriorFactor& prior : graph.priors()) bind(prior.key);
+  for (const RangeFactor& range : graph.ranges()) bind(range.from), bind(range.to);
+  for (const GravityFactor& gravity : graph.gravities()) bind(gravity.key);
+  std::vector<std::size_t> nodes;
+  for (std::size_t node = 0; node < bound.size(); ++node) {
+    if (!bound[node] && graph.edges_of(node).empty()) nodes.push_back(node);
+  }
+  return nodes;
+}
+
+}  // namespace
 
 void bind_optimization(py::module_& module) {
   py::class_<OptimizationResult>(module, "OptimizationResult")
@@ -85,28 +103,27 @@ void bind_optimization(py::module_& module) {
       [](const PoseGraph& graph, const py::object& options) {
         Config config;
         config.replay.back_end.optimization = OptimizerOptions();  // those of C++, not of a replay
-        apply_section(config, "optimization", options);
+        apply_sections(config, {"optimization"}, options);
         const py::gil_scoped_release release;
         return optimize(graph, config.replay.back_end.optimization);
       },
       py::arg("graph"), py::arg("options") = py::none(),
-      "Least squares over the poses. The graph is not changed: graph.poses = result.poses. Options are those "
-      "of the "
-      "section \"optimization\".");
+      "Least squares over the poses. The graph is not changed: graph.poses = result.poses. Options of the "
+      "section \"optimization\", as {\"threads\": 2} or {\"optimization\": {\"threads\": 2}}.");
   module.def(
       "optimize_gnc",
       [](const PoseGraph& graph, const py::object& options, const py::object& gnc) {
         Config config;
         config.replay.back_end.optimization = OptimizerOptions();
         config.replay.back_end.gnc = GncOptions();
-        apply_section(config, "optimization", options);
-        apply_section(config, "gnc", gnc);
+        apply_sections(config, {"optimization", "gnc"}, options);
+        apply_sections(config, {"gnc"}, gnc);
         const py::gil_scoped_release release;
         return optimize_gnc(graph, config.replay.back_end.optimization, config.replay.back_end.gnc);
       },
       py::arg("graph"), py::arg("options") = py::none(), py::arg("gnc") = py::none(),
-      "Robust: finds out which loop closures are false. Options of the sections \"optimization\" and "
-      "\"gnc\".");
+      "Robust: finds out which loop closures are false. `options` are those of the section \"optimization\", "
+      "`gnc` those of \"gnc\"; or `options` holds both sections, as a configuration does.");
   module.def(
       "certify",
       [](const PoseGraph& graph) {
@@ -121,9 +138,16 @@ void bind_optimization(py::module_& module) {
       "marginals",
       [](const PoseGraph& graph) {
         const py::gil_scoped_release release;
-        return marginals(graph);
+        Marginals result = marginals(graph);
+        for (const std::size_t node : nodes_without_factors(graph)) {
+          result.covariances[node].setConstant(std::numeric_limits<double>::quiet_NaN());
+        }
+        return result;
       },
-      py::arg("graph"), "Marginal covariances of all poses.");
+      py::arg("graph"),
+      "Marginal covariances of all poses: zero for the first node of a component without a prior, which "
+      "holds "
+      "it, and NaN for nodes without any factor. The traces leave both out.");
 }
 
 }  // namespace loopwise::python

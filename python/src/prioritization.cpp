@@ -13,7 +13,7 @@ namespace loopwise::python {
 namespace {
 
 /// The prioritisers of a method as one, for use without an engine.
-class QueuePrioritizer final : public Prioritizer {
+class QueuePrioritizer final : public Prioritizer, public OfOneRun {
  public:
   QueuePrioritizer(std::string name, RoundRobinQueue queue)
       : name_(std::move(name)), queue_(std::move(queue)) {}
@@ -68,8 +68,7 @@ void bind_prioritization(py::module_& module) {
   py::class_<Prioritizer, PythonPrioritizer, std::shared_ptr<Prioritizer>>(
       module, "Prioritizer",
       "Orders pending candidates. Derive from it for a method of your own: name, add, remove, take and size "
-      "must be "
-      "there, the on_* functions and improve may.")
+      "must be there, the on_* functions and improve may. One object serves one run.")
       .def(py::init<>())
       .def("name", [](const Prioritizer& p) { return std::string(p.name()); })
       .def("add", &Prioritizer::add, py::arg("candidates"),
@@ -107,12 +106,8 @@ void bind_prioritization(py::module_& module) {
       "propose",
       [](const PoseGraph& graph, const py::object& robots, const py::object& options) {
         Config config;
-        apply_section(config, "generation", options);
-        const Robots owners =
-            robots.is_none() ? Robots::from_keys(graph.keys())
-                             : (py::isinstance<py::str>(robots) ? parse_robots(robots.cast<std::string>())
-                                                                : robots.cast<Robots>());
-        ProximityGenerator generator(config.replay.engine.generation, owners);
+        apply_sections(config, {"generation"}, options);
+        ProximityGenerator generator(config.replay.engine.generation, robots_from(robots, graph));
         std::vector<LoopCandidate> all;
         for (const Node& node : graph.nodes()) {
           for (LoopCandidate candidate :
@@ -132,7 +127,7 @@ void bind_prioritization(py::module_& module) {
       [](const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
          const py::object& closure_model) {
         Config config;
-        apply_section(config, "closure_model", closure_model);
+        apply_sections(config, {"closure_model"}, closure_model);
         std::vector<double> gains;
         {
           const py::gil_scoped_release release;

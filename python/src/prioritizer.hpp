@@ -3,12 +3,31 @@
 
 #include "bindings.hpp"
 
+#include <string>
+#include <string_view>
+#include <utility>
+
+#include <loopwise/core/error.hpp>
 #include <loopwise/prioritization/prioritizer.hpp>
 
 namespace loopwise::python {
 
+/// A prioritiser keeps the state of a run, so that another run needs another object.
+class OfOneRun {
+ public:
+  /// \throws InputError on the second call
+  void begin_run(std::string_view name) {
+    if (!std::exchange(used_, true)) return;
+    throw InputError("prioritizer \"" + std::string(name) +
+                     "\" has been used before: make a new object for each run and each place in the list");
+  }
+
+ private:
+  bool used_ = false;
+};
+
 /// A prioritiser written in Python: each call takes the interpreter's lock by itself.
-class PythonPrioritizer final : public Prioritizer {
+class PythonPrioritizer final : public Prioritizer, public OfOneRun {
  public:
   using Prioritizer::Prioritizer;
 

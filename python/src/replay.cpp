@@ -26,6 +26,9 @@ PythonRun run_replay(const std::shared_ptr<Mission>& mission, const py::object& 
   PrioritizerFactory factory;
   if (!prioritizers.is_none()) {
     const auto own = prioritizers.cast<std::vector<std::shared_ptr<Prioritizer>>>();
+    for (const auto& prioritizer : own) {
+      if (auto* once = dynamic_cast<OfOneRun*>(prioritizer.get())) once->begin_run(prioritizer->name());
+    }
     factory = [own] {
       std::vector<std::unique_ptr<Prioritizer>> out;
       for (const auto& prioritizer : own) out.push_back(std::make_unique<SharedPrioritizer>(prioritizer));
@@ -147,11 +150,13 @@ void bind_replay(py::module_& module) {
           },
           py::arg("folder"), py::arg("map_voxel_m") = 0.5, "Writes what `loopwise replay` does.");
 
-  module.def("replay", &run_replay, py::arg("mission"), py::arg("method") = py::none(),
-             py::arg("config") = py::none(), py::arg("prioritizers") = py::none(), py::arg("threads") = 0,
-             py::arg("progress") = py::none(),
-             "Replays a mission on a virtual clock. `prioritizers`, a list, take the place of the method's. "
-             "`progress(stage, done, total, detail)` is called now and then.");
+  module.def(
+      "replay", &run_replay, py::arg("mission"), py::arg("method") = py::none(),
+      py::arg("config") = py::none(), py::arg("prioritizers") = py::none(), py::arg("threads") = 0,
+      py::arg("progress") = py::none(),
+      "Replays a mission on a virtual clock. `prioritizers`, a list of new objects, take the place of the "
+      "method's. `progress(stage, done, total, detail)` is called repeatedly. A study is a loop over "
+      "missions, methods and seeds.");
 }
 
 }  // namespace loopwise::python

@@ -74,6 +74,28 @@ class Graph(unittest.TestCase):
         with self.assertRaisesRegex(lw.InputError, "either information or sigmas"):
             graph.add_edge("a0", "a5", np.eye(4))
 
+    def test_values_of_another_shape_or_type(self):
+        graph = square()
+        one = [1.0] * 6
+        for message, call in (
+                ("edge a0 to a5: sigmas needs 6 values, found 3", lambda: graph.add_edge("a0", "a5", np.eye(4), sigmas=one[:3])),
+                ("prior of a0: sigmas needs 6 values, found 1", lambda: graph.add_prior("a0", np.eye(4), sigmas=[1.0])),
+                ("edge a0 to a5: information needs shape (6, 6), found (3, 3)",
+                 lambda: graph.add_edge("a0", "a5", np.eye(4), information=np.eye(3))),
+                ("node a70: the pose needs shape (4, 4), found (3, 4)", lambda: graph.add_node("a70", np.eye(4)[:3])),
+                ("edge a0 to a5: the pose must be an array of numbers, found str", lambda: graph.add_edge("a0", "a5", "x", sigmas=one)),
+                ("gravity at a0: direction needs 3 values, found 2", lambda: graph.add_gravity("a0", [0, 1], 0.1)),
+                ("guess: the pose needs shape (4, 4), found (6,)", lambda: lw.align(np.eye(3), np.eye(3), guess=one)),
+                ("a key is a name such as \"a12\" or a number in [0, 2^64), found -1", lambda: graph.index_of(-1)),
+                ("a key is a name such as \"a12\" or a number in [0, 2^64), found 1.5", lambda: lw.key(1.5)),
+                ("robots must be Robots or a text such as \"a,b\", found int", lambda: lw.propose(graph, robots=3)),
+                ("poses must be a graph or a dictionary", lambda: lw.trajectory_errors(graph, 3)),
+                ("node a0: the pose needs shape (4, 4), found (2,)", lambda: lw.trajectory_errors({"a0": [1, 2]}, graph)),
+                ("Unable to cast", lambda: lw.replay(lw.read_mission(SAMPLE), prioritizers=[3]))):
+            with self.subTest(message), self.assertRaises(lw.InputError) as raised:
+                call()
+            self.assertIn(message, str(raised.exception))
+
     def test_files(self):
         with tempfile.TemporaryDirectory() as folder:
             path = pathlib.Path(folder) / "graph.g2o"
@@ -148,9 +170,31 @@ class Optimization(unittest.TestCase):
                                    result.trace_translation)
         np.testing.assert_allclose(result.covariances[0], 1e-6 * np.eye(6), rtol=1e-6, atol=1e-15)
 
+    def test_marginals_of_nodes_that_nothing_constrains(self):
+        graph = square()
+        graph.add_node("b0", pose())
+        result = lw.marginals(graph)
+        self.assertTrue(np.isnan(result.covariances[9]).all())
+        self.assertFalse(np.isnan(result.covariances[:9]).any())
+        self.assertEqual(result.trace_full, lw.marginals(square()).trace_full)
+        graph.add_prior("b0", pose(), sigmas=[0.1] * 6)
+        self.assertFalse(np.isnan(lw.marginals(graph).covariances).any())
+
     def test_options_are_checked(self):
         with self.assertRaisesRegex(lw.OptionError, "max_iterations"):
             lw.optimize(square(), {"max_iteration": 3})
+
+    def test_options_by_section_or_of_the_section(self):
+        graph = square()
+        graph.add_edge("a8", "a0", np.eye(4), sigmas=[0.01] * 3 + [0.002] * 3)
+        one_step = {"max_iterations": 1, "initialization": "file"}
+        self.assertEqual(lw.optimize(graph, one_step).iterations, 1)
+        self.assertEqual(lw.optimize(graph, {"optimization": one_step}).iterations, 1)
+        both = {"optimization": {"threads": 1}, "gnc": {"inlier_probability": 0.9}}
+        np.testing.assert_array_equal(lw.optimize_gnc(graph, both).weights,
+                                      lw.optimize_gnc(graph, gnc={"inlier_probability": 0.9}).weights)
+        with self.assertRaisesRegex(lw.OptionError, 'section "gnc" have no effect here: give those of "optimization"'):
+            lw.optimize(graph, both)
 
 
 class Registration(unittest.TestCase):
@@ -179,6 +223,31 @@ class Registration(unittest.TestCase):
             lw.register(source, target)
         with self.assertRaisesRegex(lw.InputError, "shape"):
             lw.register(source[:, :2], target)
+
+    def test_align(self):
+        truth = pose(0.8, -0.4, 0.0, 0.3)  # T_target_source
+        target, world = self.room(1), self.room(2)
+        source = (world - truth[:3, 3]) @ truth[:3, :3]
+        result = lw.align(target, source)
+        self.assertTrue(result.success, result.message)
+        self.assertEqual(result.reason, "")
+        np.testing.assert_allclose(result.T_target_source, truth, atol=0.05)
+        same = lw.register(source, target)
+        np.testing.assert_array_equal(result.T_target_source, same["T_target_source"])
+        np.testing.assert_array_equal(result.covariance, same["covariance"])
+        self.assertTrue(0.5 < result.inlier_share <= 1.0)
+        holes = np.vstack([source, [[np.nan, 0, 0]]])
+        again = lw.align(target, holes, guess=truth)
+        self.assertTrue(again.success, again.message)
+        self.assertEqual((again.dropped_target_points, again.dropped_source_points), (0, 1))
+        failed = lw.align(target, source[:5])
+        self.assertEqual((failed.success, failed.reason), (False, "too_few_points"))
+        self.assertTrue(np.isnan(failed.T_target_source[:3]).all() and np.isnan(failed.covariance).all())
+        self.assertIn("too_few_points", repr(failed))
+        with self.assertRaisesRegex(lw.InputError, "source must be an array of shape"):
+            lw.align(target, source[:, :2])
+        with self.assertRaisesRegex(lw.OptionError, "voxel_m"):
+            lw.align(target, source, options={"features": {"voxel_m": -1}})
 
 
 class Prioritization(unittest.TestCase):
@@ -296,6 +365,9 @@ class Replay(unittest.TestCase):
         self.assertGreater(own.results, 0)
         baseline = lw.replay(self.mission, method="baseline", config=self.CONFIG)
         self.assertNotEqual(run.closures["from"].tolist(), baseline.closures["from"].tolist())
+        for used in ([own], [(new := Newest()), new]):
+            with self.assertRaisesRegex(lw.InputError, 'prioritizer "newest" has been used before: make a new object'):
+                lw.replay(self.mission, config=self.CONFIG, prioritizers=used)
 
     def test_exceptions_of_python_come_through(self):
         class Broken(Newest):
@@ -317,12 +389,32 @@ class Documentation(unittest.TestCase):
             with self.subTest(page=page.name):
                 subprocess.run([sys.executable, "-c", program], cwd=SOURCE, check=True, stdout=subprocess.DEVNULL)
 
+    def test_the_recipes_run(self):
+        recipes = SOURCE / "docs" / "examples" / "recipes"
+        clouds = sorted((SAMPLE / "scans").glob("*.pcd"))[:2]
+        graph = SOURCE / "tests" / "package" / "circle.g2o"
+        programs = {"align_clouds.py": clouds, "robust_g2o.py": [graph], "replay_methods.py": [SAMPLE]}
+        self.assertEqual(sorted(path.name for path in recipes.glob("*.py")), sorted(programs))
+        for name, arguments in programs.items():
+            with self.subTest(name):
+                run = subprocess.run([sys.executable, recipes / name, *arguments], check=True, capture_output=True, text=True)
+                self.assertNotEqual(run.stdout, "")
+                if name == "robust_g2o.py":
+                    self.assertIn("false closure: 3 - 9\n3 closures kept", run.stdout)
+
+    def test_the_page_lists_the_exceptions(self):
+        page = (SOURCE / "docs" / "python.md").read_text()
+        for name in dir(lw):
+            if isinstance(getattr(lw, name), type) and issubclass(getattr(lw, name), Exception):
+                self.assertIn(f"`{name}`", page)
+
     def test_the_stubs_name_everything(self):
         stubs = (pathlib.Path(lw.__file__).parent / "_loopwise.pyi").read_text()
         for name in dir(lw):
             if not name.startswith("_"):
                 self.assertRegex(stubs, rf"(?m)^(def|class) {name}\b", name)
-        for cls in (lw.PoseGraph, lw.Mission, lw.Run, lw.Prioritizer, lw.LoopCandidate, lw.RegistrationResult):
+        for cls in (lw.PoseGraph, lw.Mission, lw.Run, lw.Prioritizer, lw.LoopCandidate, lw.RegistrationResult,
+                    lw.AlignResult):
             body = stubs.split(f"class {cls.__name__}", 1)[1].split("\nclass ", 1)[0]
             for name in dir(cls):
                 if not name.startswith("_"):
