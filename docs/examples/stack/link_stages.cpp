@@ -55,6 +55,7 @@ class BaseStation {
     if (!closed) return;
     const GncResult estimate = optimizer_.optimize_gnc(graph_, GncOptions());  // or a back end of your own
     graph_.set_poses(estimate.optimization.poses);
+    for (std::size_t i = 0; i < estimate.weights.size(); ++i) graph_.set_weight(i, estimate.weights[i]);
     generator_.on_graph(graph_);
     pool_.on_graph(graph_);
     inliers_ = estimate.inliers;

@@ -94,7 +94,7 @@ struct AlignOptions {
 /// The result of align().
 struct AlignResult {
   bool success = false;                             ///< The alignment has passed all tests.
-  RejectionReason reason = RejectionReason::kNone;  ///< kNone if successful; enum_name() gives the word.
+  RejectionReason reason = RejectionReason::kNone;  ///< kNone if successful; else enum_name() gives a word.
   std::string message;  ///< For people: figures against bounds. Empty if successful.
   /// Maps points of the source to the frame of the target: p_target = T_target_source · p_source. NaN unless
   /// successful.
