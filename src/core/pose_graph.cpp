@@ -48,14 +48,6 @@ Matrix6d kept_information(const Matrix6d& stated, bool planar) {
                    ": gravity says nothing about yaw, and the graph is planar");
 }
 
-/// Refuses the number of a node or edge that the graph does not have.
-void require_number(const char* what, std::size_t number, std::size_t count) {
-  if (number < count) return;
-  const std::string name(what);
-  throw InputError(name + " number " + std::to_string(number) + " is not in the graph, which has " +
-                   std::to_string(count) + " " + name + (count == 1 ? "" : "s") + ", numbered from 0");
-}
-
 /// For one more: without memory it throws, and push_back() does not any more. At least doubles what there is.
 template <class Value>
 void make_room(std::vector<Value>& values) {
@@ -267,8 +259,19 @@ std::vector<Eigen::Isometry3d> PoseGraph::poses() const {
   return poses;
 }
 
+void PoseGraph::refuse_number(const char* what, std::size_t number, std::size_t count) {
+  const std::string name(what);
+  throw InputError(name + " number " + std::to_string(number) + " is not in the graph, which has " +
+                   std::to_string(count) + " " + name + (count == 1 ? "" : "s") + ", numbered from 0");
+}
+
+Edge& PoseGraph::edge_at(std::size_t number) {
+  if (number >= edges_.size()) refuse_number("edge", number, edges_.size());
+  return edges_[number];
+}
+
 void PoseGraph::set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance) {
-  require_number("node", node, nodes_.size());
+  if (node >= nodes_.size()) refuse_number("node", node, nodes_.size());
   if (covariance && !covariance->allFinite()) {
     throw InputError("node " + describe(nodes_[node].key) + ": covariance is not finite");
   }
@@ -276,20 +279,21 @@ void PoseGraph::set_covariance(std::size_t node, const std::optional<Matrix6d>& 
 }
 
 void PoseGraph::set_weight(std::size_t edge, double weight) {
-  require_number("edge", edge, edges_.size());
-  Edge& changed = edges_[edge];
+  Edge& changed = edge_at(edge);
   if (!(weight >= 0.0 && weight <= 1.0)) throw InputError(name_of(changed) + ": weight is outside [0, 1]");
   changed.weight = weight;
 }
 
 void PoseGraph::set_trusted(std::size_t edge, bool trusted) {
-  require_number("edge", edge, edges_.size());
-  edges_[edge].trusted = trusted;
+  edge_at(edge).trusted = trusted;
+}
+
+void PoseGraph::set_kind(std::size_t edge, EdgeKind kind) {
+  edge_at(edge).kind = kind;
 }
 
 void PoseGraph::set_information(std::size_t edge, const Matrix6d& information) {
-  require_number("edge", edge, edges_.size());
-  Edge& changed = edges_[edge];
+  Edge& changed = edge_at(edge);
   require_information(information, name_of(changed));
   changed.information = kept_information(information, planar_);
 }

@@ -99,6 +99,10 @@ TEST_CASE("graph: numbers of nodes and edges that it does not have are errors of
   REQUIRE_THROWS_AS(graph.set_weight(7, 0.5), InputError);
   REQUIRE_THROWS_WITH(graph.set_trusted(7, true), absent);
   REQUIRE_THROWS_WITH(graph.set_information(7, Matrix6d::Identity()), absent);
+  REQUIRE_THROWS_WITH(graph.set_kind(7, EdgeKind::kOdometry), absent);
+  REQUIRE_THROWS_WITH(graph.ends(7), absent);
+  REQUIRE_THROWS_WITH(graph.edges_of(3),
+                      "node number 3 is not in the graph, which has 3 nodes, numbered from 0");
   REQUIRE_THROWS_WITH(graph.set_covariance(3, std::nullopt),
                       "node number 3 is not in the graph, which has 3 nodes, numbered from 0");
   REQUIRE_THROWS_WITH(graph.set_weight(1, 2.0), "edge 1 to 2: weight is outside [0, 1]");

@@ -117,7 +117,8 @@ class LOOPWISE_EXPORT PoseGraph {
   /// Makes both directions unit vectors. \throws UnknownKeyError; InputError on a direction of length 0 or a
   /// sigma that is not positive.
   std::size_t add_gravity(const GravityFactor& gravity);
-  /// The edge of a verified closure: information is the inverse of its covariance.
+  /// The edge of a verified closure: information is the inverse of its covariance. \throws UnknownKeyError;
+  /// InputError on bad numbers or a covariance that is not positive definite.
   std::size_t add_closure(const LoopClosure& closure);
   /// Removes the edges for which `drop(edge)` is true; the others keep their order. \returns the number of
   /// removed edges.
@@ -160,10 +161,16 @@ class LOOPWISE_EXPORT PoseGraph {
     std::size_t from;  ///< Number of Edge::from.
     std::size_t to;    ///< Number of Edge::to.
   };
-  /// Numbers of the two nodes that edge number `edge` joins.
-  [[nodiscard]] Ends ends(std::size_t edge) const { return ends_[edge]; }
-  /// Numbers of the edges at a node, in order of arrival.
-  [[nodiscard]] const std::vector<std::size_t>& edges_of(std::size_t node) const { return adjacency_[node]; }
+  /// Numbers of the two nodes that edge number `edge` joins. \throws InputError if there is no such edge.
+  [[nodiscard]] Ends ends(std::size_t edge) const {
+    if (edge >= ends_.size()) refuse_number("edge", edge, ends_.size());
+    return ends_[edge];
+  }
+  /// Numbers of the edges at a node, in order of arrival. \throws InputError if there is no such node.
+  [[nodiscard]] const std::vector<std::size_t>& edges_of(std::size_t node) const {
+    if (node >= adjacency_.size()) refuse_number("node", node, adjacency_.size());
+    return adjacency_[node];
+  }
 
   /// \throws UnknownKeyError; InputError if the pose is not finite.
   void set_pose(Key key, const Eigen::Isometry3d& pose);
@@ -179,10 +186,12 @@ class LOOPWISE_EXPORT PoseGraph {
   void set_trusted(std::size_t edge, bool trusted);
   /// \throws InputError if there is no such edge, or on bad numbers (see check_information).
   void set_information(std::size_t edge, const Matrix6d& information);
-  /// Sets the kind of edge number `edge`.
-  void set_kind(std::size_t edge, EdgeKind kind) { edges_[edge].kind = kind; }
+  /// Sets the kind of an edge. \throws InputError if there is no such edge.
+  void set_kind(std::size_t edge, EdgeKind kind);
 
  private:
+  [[noreturn]] static void refuse_number(const char* what, std::size_t number, std::size_t count);
+  [[nodiscard]] Edge& edge_at(std::size_t number);
   std::size_t replace_edges(std::vector<Edge> edges);
   [[nodiscard]] bool fits(const Eigen::Isometry3d& pose) const;
   void require_pose(const Eigen::Isometry3d& pose, const std::string& what) const;
