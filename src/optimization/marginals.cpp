@@ -54,6 +54,11 @@ struct HessianFactor::Impl {
     return 6 * static_cast<Eigen::Index>(position[variable[node]]);
   }
   [[nodiscard]] bool held(std::size_t node) const { return variable[node] == kHeld; }
+  void require_node(std::size_t node) const {
+    if (node < variable.size()) return;
+    throw InputError("node number " + std::to_string(node) + " is not in the graph, which has " +
+                     std::to_string(variable.size()) + " nodes, numbered from 0");
+  }
 
   [[nodiscard]] std::size_t index_of(Key key) const {
     const auto found = std::lower_bound(keys.begin(), keys.end(), std::pair<Key, std::size_t>(key, 0));
@@ -245,6 +250,7 @@ Eigen::Index HessianFactor::dimension() const {
   return 6 * static_cast<Eigen::Index>(impl_->variable.size());
 }
 bool HessianFactor::held(std::size_t node) const {
+  impl_->require_node(node);
   return impl_->held(node);
 }
 double HessianFactor::log_determinant() const {
@@ -266,6 +272,7 @@ Eigen::MatrixXd HessianFactor::solve_root(const Eigen::MatrixXd& rhs) const {
 }
 
 Eigen::Matrix<double, Eigen::Dynamic, 6> HessianFactor::columns(std::size_t node) const {
+  impl_->require_node(node);
   Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(dimension(), 6);
   rhs.middleRows<6>(6 * static_cast<Eigen::Index>(node)).setIdentity();
   return solve(rhs);

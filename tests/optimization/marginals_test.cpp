@@ -114,6 +114,11 @@ TEST_CASE("marginals: a graph without a prior is seen from its first node", "[op
   PoseGraph graph = testing::random_graph(rng, shape).graph;
   const HessianFactor factor(graph);
   REQUIRE(factor.held(0));
+  const std::size_t count = static_cast<std::size_t>(factor.dimension()) / 6;
+  REQUIRE_THROWS_AS(factor.held(count), InputError);
+  REQUIRE_THROWS_WITH(factor.columns(count), "node number " + std::to_string(count) +
+                                                 " is not in the graph, which has " + std::to_string(count) +
+                                                 " nodes, numbered from 0");
   const Marginals result = factor.marginals();
   REQUIRE(result.covariances[0].isZero());
   const Eigen::MatrixXd H = testing::dense_hessian(graph);

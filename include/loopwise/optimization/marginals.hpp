@@ -28,8 +28,9 @@ struct Marginals {
 
 /// Covariances at the graph's poses with the edges' weights, i.e. the diagonal blocks of the inverse
 /// Gauss-Newton Hessian. A component without a prior is anchored at its first node (covariance zero there):
-/// its covariances are relative to that node. Nodes without any factor have covariance zero too. \throws
-/// InputError naming a node if the factors do not determine its pose.
+/// its covariances are relative to that node. Nodes without any factor keep their pose, count as known too,
+/// and have covariance zero: it says nothing about their uncertainty. \throws InputError naming a node if the
+/// factors do not determine its pose.
 [[nodiscard]] LOOPWISE_EXPORT Marginals marginals(const PoseGraph& graph,
                                                   const OptimizerOptions& options = {});
 
@@ -48,19 +49,19 @@ class LOOPWISE_EXPORT HessianFactor {
 
   /// 6 times the number of nodes.
   [[nodiscard]] Eigen::Index dimension() const;
-  /// Whether the node has a fixed pose and counts as known exactly.
+  /// Whether the node has a fixed pose and counts as known exactly. \throws InputError without such a node.
   [[nodiscard]] bool held(std::size_t node) const;
 
   /// Σ · rhs. rhs has dimension() rows.
   [[nodiscard]] Eigen::MatrixXd solve(const Eigen::MatrixXd& rhs) const;
   /// A matrix square root of Σ applied to the right-hand side: X with E[X Xᵀ] = Σ for white rhs.
   [[nodiscard]] Eigen::MatrixXd solve_root(const Eigen::MatrixXd& rhs) const;
-  /// The six columns of Σ of a node.
+  /// The six columns of Σ of a node. \throws InputError without such a node.
   [[nodiscard]] Eigen::Matrix<double, Eigen::Dynamic, 6> columns(std::size_t node) const;
 
   /// All 6×6 diagonal blocks of Σ by selected inversion of the factor.
   [[nodiscard]] Marginals marginals() const;
-  /// Σ over the two nodes of each pair, in the order of the pair.
+  /// Σ over the two nodes of each pair, in the order of the pair. \throws InputError without such a node.
   [[nodiscard]] std::vector<Matrix12d> joint(
       const std::vector<std::pair<std::size_t, std::size_t>>& pairs) const;
 
