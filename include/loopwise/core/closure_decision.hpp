@@ -12,21 +12,21 @@
 
 namespace loopwise {
 
-/// A person's word on the closures between two nodes, in either direction.
+/// A person's decision on the closures between two nodes, in either direction.
 struct ClosureDecision {
   Key from = 0;           ///< One of the nodes.
   Key to = 0;             ///< The other.
-  bool accepted = false;  ///< True: they are known inliers (Edge::trusted). False: they are left out.
+  bool accepted = false;  ///< True: they are known inliers (Edge::trusted). False: they are removed.
 };
 
 /// The effect of decisions on a graph.
 struct AppliedDecisions {
   std::size_t trusted = 0;                     ///< Closures that are known inliers now.
-  std::size_t removed = 0;                     ///< Closures that were taken out.
-  std::vector<ClosureDecision> without_match;  ///< Decisions on pairs that the graph has no closure between.
+  std::size_t removed = 0;                     ///< Closures that were removed.
+  std::vector<ClosureDecision> without_match;  ///< Decisions on pairs without a closure in the graph.
 };
 
-/// Takes rejected closures out of the graph and trusts the accepted ones. Edges that stay keep their order.
+/// Removes rejected closures from the graph and trusts the accepted ones. The other edges keep their order.
 /// Of several decisions on one pair the last counts. Odometry and landmarks are never changed.
 LOOPWISE_EXPORT AppliedDecisions apply_decisions(PoseGraph& graph,
                                                  const std::vector<ClosureDecision>& decisions);

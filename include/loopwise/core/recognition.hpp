@@ -15,17 +15,17 @@ namespace loopwise {
 
 /// Result of a place recognition for a candidate. Shared by its copies, immutable.
 struct Recognition {
-  /// How alike the two places look, in [0, 1]; NaN if that was not said.
+  /// Similarity of the two places, in [0, 1]; NaN if unknown.
   double similarity = std::numeric_limits<double>::quiet_NaN();
-  /// Guessed pose of `to` in the frame of `from`; absent: no idea. Registrations start from it, and are
-  /// compared with it, in place of the graph's.
+  /// Guessed pose of `to` in the frame of `from`; absent: no guess. Registrations start from it and are
+  /// compared with it instead of the relative pose of the graph.
   std::optional<Eigen::Isometry3d> T_from_to;
-  /// How far the guess may be wrong if the place is the same: right perturbation, order [translation,
+  /// Covariance of the guess, given that the place is the same: right perturbation, order [translation,
   /// rotation], m² and rad².
   Matrix6d covariance = Matrix6d::Identity();
 };
 
-/// Exchanges the two ends; what was recognised is turned round.
+/// Exchanges the two ends; inverts the recognised pose and transforms its covariance.
 inline void swap_ends(LoopCandidate& candidate) {
   std::swap(candidate.from, candidate.to);
   if (!candidate.recognition || !candidate.recognition->T_from_to) return;

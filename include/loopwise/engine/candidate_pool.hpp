@@ -58,13 +58,12 @@ struct CandidatePoolOptions {
     field("max_age_s", self.max_age_s, at_least(0.0),
           "Pending candidates older than this expire, s; 0: never.");
     field("max_wait_s", self.max_wait_s, at_least(0.0),
-          "Candidates whose scan has not come for this long expire, s; 0: never.");
+          "Candidates whose scan is missing for longer than this expire, s; 0: never.");
     field("max_pending", self.max_pending, at_least(0.0),
           "Pending candidates beyond this number expire, oldest first; 0: no bound.");
     field("redundant_m", self.redundant_m, at_least(0.0),
-          "Candidates with both ends this near those of a verified closure between the same robots come "
-          "last, m; 0: "
-          "they come in their turn.");
+          "Candidates whose ends are both within this distance of those of a verified closure between "
+          "the same robots come last, m; 0: no such rule.");
   }
 };
 

@@ -65,13 +65,13 @@ struct EngineOptions {
     field("guess", self.guess, any_value(),
           "Relative pose that registrations are given: estimate or odometry.");
     field("use_proximity", self.use_proximity, any_value(),
-          "Propose nodes that are near. Without, candidates come from outside and from radio alone.");
+          "Propose nodes that are near. Off: candidates come from outside and from radio only.");
     field("use_back_end", self.use_back_end, any_value(),
-          "Optimise the graph after each batch with a closure. Without, estimates come from outside.");
+          "Optimise the graph after each batch with a closure. Off: estimates come from outside.");
     field("thin", self.thin, at_least(1), "Keep one candidate in this many, drawn by pair and seed; 1: all.");
     field("max_factor_wait_s", self.max_factor_wait_s, at_least(0.0),
-          "Factors to nodes that have not come for this long, s, are dropped and counted; 0: never.");
-    field("seed", self.seed, at_least(0), "Of everything random.");
+          "Factors whose nodes are missing for longer than this, s, are dropped and counted; 0: never.");
+    field("seed", self.seed, at_least(0), "Seed of all random draws.");
   }
 };
 

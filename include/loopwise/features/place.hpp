@@ -29,7 +29,7 @@ struct PlaceMatch {
   double similarity = 0.0;  ///< In [0, 1]; comparable among the matches of one kind of database.
   /// Guessed pose of the match's level frame in the level frame of the query.
   Eigen::Isometry3d T_query_match = Eigen::Isometry3d::Identity();
-  /// How far the guess may be wrong if the place is the same: right perturbation, order [translation,
+  /// Covariance of the guess, given that the place is the same: right perturbation, order [translation,
   /// rotation], m² and rad².
   Matrix6d covariance = Matrix6d::Identity();
 };
@@ -55,17 +55,19 @@ class LOOPWISE_EXPORT PlaceDatabase {
   /// Short and stable, for options and tables.
   [[nodiscard]] virtual std::string_view name() const = 0;
 
-  /// Describes a scan or submap in its level frame. A cloud that shows nothing gives a descriptor that
-  /// matches nothing. Never null.
+  /// Describes a scan or submap in its level frame. A cloud without structure gives a descriptor that matches
+  /// no place. Never null.
   [[nodiscard]] virtual std::shared_ptr<const PlaceDescriptor> describe(const PointCloud& level) const = 0;
 
-  /// Adds a place that describe() of this kind of database has made. \throws InputError if the key is there
+  /// Adds a place. \throws InputError if the key is in the database already
+  /// \param key of the place
+  /// \param place result of describe() of the same kind of database
   virtual void insert(Key key, std::shared_ptr<const PlaceDescriptor> place) = 0;
 
-  /// The most similar places, best first, equal ones by key; fewer than `k` if no more look alike.
-  /// \param place what describe() of this kind of database has made
-  /// \param k how many matches at most
-  /// \param filter which places count
+  /// The most similar places, best first, equal ones by key; fewer than `k` if fewer are similar.
+  /// \param place result of describe() of the same kind of database
+  /// \param k bound on the number of matches
+  /// \param filter which places may be returned
   [[nodiscard]] virtual std::vector<PlaceMatch> search(const PlaceDescriptor& place, std::size_t k,
                                                        const PlaceFilter& filter) const = 0;
 
@@ -75,7 +77,7 @@ class LOOPWISE_EXPORT PlaceDatabase {
   /// Number of places.
   [[nodiscard]] virtual std::size_t size() const = 0;
 
-  /// Describes and adds a place. \throws InputError if the key is there
+  /// Describes and adds a place. \throws InputError if the key is in the database already
   void add(Key key, const PointCloud& level) { insert(key, describe(level)); }
 
   /// search() of a cloud in its level frame.
@@ -84,7 +86,7 @@ class LOOPWISE_EXPORT PlaceDatabase {
     return search(*describe(level), k, filter);
   }
 
-  /// search() of a place of the database among the others. \throws UnknownKeyError if it is not there
+  /// search() of a place of the database among the others. \throws UnknownKeyError without such a place
   [[nodiscard]] std::vector<PlaceMatch> query(Key key, std::size_t k, const PlaceFilter& filter = {}) const;
 };
 
@@ -108,8 +110,8 @@ class LOOPWISE_EXPORT PlaceDatabase {
                                                         const Eigen::Matrix3d& match_rotation);
 
 /// Scan Context (Kim, Kim 2018): highest point above the ground in cells of range and bearing around the
-/// sensor. Yaw by the shift of columns with the best match, no translation: `sigma_m` says how far apart the
-/// two places may lie.
+/// sensor. The yaw is the shift of columns with the best match. The guessed translation is zero, with the
+/// standard deviation `sigma_m`.
 struct ScanContextOptions {
   int rings = 20;
   int sectors = 60;
@@ -123,7 +125,7 @@ struct ScanContextOptions {
     field("sectors", self.sectors, between(4.0, 720.0), "Cells around.");
     field("range_m", self.range_m, above(0.0), "Points further away are left out, m.");
     field("compared", self.compared, at_least(1.0),
-          "Places, the nearest by the means of their rings, that are compared in full.");
+          "Number of places, nearest by the means of their rings, that are compared in full.");
     field("sigma_m", self.sigma_m, above(0.0),
           "Standard deviation of the guessed translation, which is zero, along each horizontal axis, m.");
   }
@@ -133,9 +135,9 @@ struct ScanContextOptions {
 [[nodiscard]] LOOPWISE_EXPORT std::unique_ptr<PlaceDatabase> make_scan_context_database(
     const ScanContextOptions& options = {});
 
-/// Submaps from above: density images of columns, corners and poles in them with the directions of what
-/// surrounds them as binary descriptors, found by locality-sensitive hashing. Yaw and translation by
-/// consensus of the matched key points; similarity by how well what stands there agrees.
+/// Density images of submaps from above. Corners and poles are key points; their binary descriptors encode
+/// the gradients around them and are searched by locality-sensitive hashing. Yaw and translation come from a
+/// consensus of matched key points, the similarity from the agreement of the two images.
 struct DensityPlaceOptions {
   double cell_m = 0.35;
   double range_m = 30.0;

@@ -41,20 +41,21 @@ struct AppearanceOptions {
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
     field("enabled", self.enabled, any_value(),
-          "Propose nodes that look alike, however far apart the estimate has them. The z axis of the common "
+          "Propose nodes that look alike, wherever the estimate places them. The z axis of the common "
           "frame must point up.");
     field("descriptor", self.descriptor, any_value(),
           "What places are compared by: density (submaps from above; brings a guess of the pose) or "
           "scan_context.");
-    field("per_place", self.per_place, at_least(1), "Candidates for each new place at most.");
+    field("per_place", self.per_place, at_least(1), "Bound on the candidates of each new place.");
     field("min_similarity", self.min_similarity, between(0.0, 1.0),
-          "Places that look less alike are not proposed.");
+          "Places with a lower similarity are not proposed.");
     field("spacing_m", self.spacing_m, at_least(0.0),
-          "Distance along the path from one place of a robot to its next, m.");
+          "Distance along the path between consecutive places of a robot, m.");
     field("apart_m", self.apart_m, at_least(0.0),
-          "Places of one robot that are nearer along its path are not proposed, m.");
+          "Minimum distance along the path between two places of one robot that are proposed as a pair, "
+          "m.");
     field("path_m", self.path_m, at_least(0.0),
-          "A place is what was seen along so much of the path, m; 0: its own scan alone.");
+          "Length of the path whose scans form a place, m; 0: one scan.");
     field("voxel_m", self.voxel_m, above(0.0), "Edge of the voxels that scans are thinned with, m.");
   }
 };

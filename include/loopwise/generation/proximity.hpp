@@ -39,13 +39,13 @@ struct ProximityOptions {
     field("skip_recent", self.skip_recent, at_least(0.0),
           "Nodes of one robot are left out unless their indices differ by at least this much.");
     field("n_closest", self.n_closest, at_least(0.0),
-          "Only so many of the nearest, for each new node; 0: all.");
+          "Bound on the candidates of each new node, nearest first; 0: no bound.");
     field("spacing_m", self.spacing_m, at_least(0.0),
-          "Minimum distance along the path between nodes that get candidates, m; a node turned by "
-          "spacing_rad is "
-          "exempt. 0: all nodes get candidates.");
+          "Minimum distance along the path between nodes that get candidates, m; nodes rotated by "
+          "spacing_rad are exempt. 0: all nodes get candidates.");
     field("spacing_rad", self.spacing_rad, at_least(0.0),
-          "A node gets candidates if it is turned by this against the last one of its robot that does, rad.");
+          "A node rotated by at least this against the last node of its robot that got candidates also "
+          "gets candidates, rad.");
   }
 };
 

@@ -6,9 +6,8 @@
 
 namespace loopwise {
 
-/// Options of a back end that estimates the same graph again and again as it grows: from the last result, and
-/// now and then from odometry too, as an earlier estimate may have been bent by a false closure, which then
-/// seems to fit.
+/// Options of a back end that estimates one graph repeatedly as it grows. It starts from the last result, and
+/// at times also from odometry: a false closure may have bent the last result, and then seems to fit it.
 struct BackEndOptions {
   OptimizerOptions optimization = from_odometry();  ///< Minimisation.
   GncOptions gnc = from_last_result();              ///< Robust weights.

@@ -49,9 +49,8 @@ struct GncOptions {
   static void visit(Self& self, Visitor&& field) {
     field("kernel", self.kernel, any_value(), "Weights: gnc_tls, tls, cauchy or geman_mcclure.");
     field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true},
-          "Share p of true closures that the noise keeps below the threshold: c² = quantile p of chi-squared "
-          "with "
-          "6 degrees of freedom, on rᵀΩr.");
+          "Share p of true closures whose noise stays below the threshold: c² = quantile p of "
+          "chi-squared with 6 degrees of freedom, on rᵀΩr.");
     field("mu_step", self.mu_step, Bounds{1.0, 100.0, true}, "Factor of mu between outer iterations.");
     field("max_outer_iterations", self.max_outer_iterations, at_least(1), "Bound on outer iterations.");
     field("steps_per_iteration", self.steps_per_iteration, at_least(1),
@@ -59,40 +58,33 @@ struct GncOptions {
     field("weight_tolerance", self.weight_tolerance, between(0.0, 0.5),
           "Weights count as settled within this of 0 or 1.");
     field("second_start", self.second_start, any_value(),
-          "Several starts, of which the result of the lowest truncated cost is kept. First the closures that "
-          "others near them confirm; if they are many, all stay, and every other closure contradicts them, "
-          "that is the result. Else also the first estimate, the chordal estimate, and what follows if "
-          "odometry is worse than it says, see odometry_margin. Without: the first estimate alone.");
+          "Try several starts and keep the result of the lowest truncated cost. First the closures that "
+          "others near them confirm; if they are many, all are kept, and every other closure "
+          "contradicts them, that is the result. Otherwise also the first estimate, the chordal "
+          "estimate, and odometry of reduced weight, see odometry_margin. Off: the first estimate "
+          "alone.");
     field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true},
-          "Share of true closures that what odometry alone says of their ends does not put aside at first: "
-          "quantile "
-          "of chi-squared with 6 degrees of freedom, on the innovation. One that the estimate then confirms "
-          "comes "
-          "back. 1 puts none aside.");
+          "Probability of the chi-squared quantile (6 DoF) of the innovation test; closures above it "
+          "are excluded at first, and return if the estimate confirms them. 1: no test.");
     field("odometry_margin", self.odometry_margin, Bounds{1.0, 1e6, false},
-          "How many times larger than stated odometry's deviations may be for second_start. The odometry of "
-          "each "
-          "robot is weighted down to what the kept closures show of it, as far as this, and closures that it "
-          "allows "
-          "then are tried. More helps where odometry slips, and lets groups of false closures that agree "
-          "with each "
-          "other, as from two floors of one plan, bend it. 1: odometry is as it says.");
+          "For second_start: largest ratio of true to stated standard deviation of odometry. The "
+          "odometry of each robot loses weight as far as the kept closures show that it is worse than "
+          "stated, and closures that it then allows are tried. Larger values help where odometry slips, "
+          "but let groups of consistent false closures, as from two floors of one plan, bend it. 1: "
+          "odometry is as stated.");
     field("growth", self.growth, any_value(),
-          "At the end of truncated least squares, let closures in that the innovation test has put aside and "
-          "that agree with the kept ones around them, as long as that lowers the truncated cost: where "
-          "odometry drifts more than its information says that test puts true ones aside.");
-    field(
-        "warm_start", self.warm_start, any_value(),
-        "For a graph that is optimised again and again as it grows: start from the last result, with the new "
-        "closures that neither it nor the odometry contradicts. The result of a solution from scratch "
-        "replaces it where it did not converge, where a kept closure is lost, where a new one is neither "
-        "kept "
-        "nor contradicted, and as warm_growth says. For truncated least squares alone. Replays and the live "
-        "module do it.");
-    field(
-        "warm_growth", self.warm_growth, at_least(0.0),
-        "For warm_start: a solution from scratch is due when there are this share more closures than at the "
-        "last one, or more left-out closures that others confirm. 0: always.");
+          "At the end of truncated least squares, re-admit closures that the innovation test excluded "
+          "and that agree with the kept closures around them, as long as this lowers the truncated "
+          "cost. Helps where odometry drifts more than stated.");
+    field("warm_start", self.warm_start, any_value(),
+          "For a graph that is optimised repeatedly as it grows: start from the last result, with the "
+          "new closures that contradict neither it nor the odometry. A solution from scratch replaces "
+          "it if it did not converge, if a kept closure is lost, if a new closure is neither kept nor "
+          "contradicted, and as warm_growth says. Truncated least squares only. Replays and the live "
+          "module use it.");
+    field("warm_growth", self.warm_growth, at_least(0.0),
+          "For warm_start: solve from scratch when the number of closures has grown by this share since "
+          "the last such solution, or that of excluded closures that others confirm. 0: always.");
   }
 };
 

@@ -61,14 +61,14 @@ struct OptimizerOptions {
   static void visit(Self& self, Visitor&& field) {
     field("max_iterations", self.max_iterations, at_least(0), "Bound on steps.");
     field("cost_tolerance", self.cost_tolerance, at_least(0.0),
-          "Converged when a step promises to lower the cost by less than this share of it ...");
+          "Converged when the predicted decrease is below this fraction of the cost ...");
     field("gradient_tolerance", self.gradient_tolerance, at_least(0.0),
-          "... and the largest element of the gradient is below this share of its start,");
+          "... and the largest element of the gradient is below this fraction of its first value,");
     field("step_tolerance", self.step_tolerance, at_least(0.0),
           "or when the largest element of an undamped step (m, rad) is below this.");
     field("initial_damping", self.initial_damping, at_least(0.0),
-          "Levenberg-Marquardt damping of the first step, relative to the Hessian's diagonal. 0 starts with "
-          "Gauss-Newton steps and brings damping in when one fails.");
+          "Levenberg-Marquardt damping of the first step, relative to the diagonal of the Hessian. 0: "
+          "Gauss-Newton steps, with damping after a step that fails.");
     field("initialization", self.initialization, any_value(),
           "First estimate: auto, file, odometry or chordal. auto takes the one of the lowest cost.");
     field("factorization", self.factorization, any_value(),

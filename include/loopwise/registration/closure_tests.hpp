@@ -44,40 +44,42 @@ struct ClosureTestOptions {
   static void visit(Self& self, Visitor&& field) {
     field("min_points", self.min_points, at_least(4.0), "Points that a scan must have to be aligned.");
     field("measured_points", self.measured_points, at_least(0.0),
-          "Source points, evenly taken, that an alignment is measured with; 0 takes all.");
+          "Source points, evenly sampled, that an alignment is measured with; 0: all.");
     field("max_fitness_m2", self.max_fitness_m2, above(0.0),
-          "Mean squared distance of all source points to the target, m^2, above which a closure is refused.");
+          "Closures with a larger mean squared distance of all source points to the target are "
+          "rejected, m^2.");
     field("fitness_range_m", self.fitness_range_m, above(0.0),
-          "A point counts at most as this far away: scans of long range overlap in part, m. LAMP: no limit.");
+          "Larger distances count as this, m: scans of long range overlap only in part. LAMP: no limit.");
     field("overlap_distance_m", self.overlap_distance_m, above(0.0),
           "A source point with a target point within this distance overlaps, m.");
     field("min_overlap", self.min_overlap, between(0.0, 1.0),
-          "Share of overlapping source points, against that of neighbours within the target, that a closure "
-          "needs.");
-    field(
-        "min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0),
-        "The same where every direction of surfaces counts alike: ground on ground alone is not one place.");
+          "Smallest share of overlapping source points, relative to that of neighbours within the "
+          "target.");
+    field("min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0),
+          "The same with equal weight for every direction of surfaces, so that ground on ground alone "
+          "is not enough.");
     field("plane_distance_m", self.plane_distance_m, above(0.0),
-          "A point whose distance along the target's normal is less lies on the same surface, m.");
-    field(
-        "min_consistency", self.min_consistency, between(0.0, 1.0),
-        "Share of such points among those that overlap, against that within the scans themselves, less five "
-        "times the share of points in what the other scan saw as free; 0: no test.");
+          "A point lies on a surface of the target if its distance along the normal is less than this, "
+          "m.");
+    field("min_consistency", self.min_consistency, between(0.0, 1.0),
+          "Smallest share of points on a surface among those that overlap, relative to that within the "
+          "scans themselves, minus five times the share of points in space that the other scan saw "
+          "free; 0: no test.");
     field("max_free_directions", self.max_free_directions, between(0.0, 6.0),
-          "Closures with more directions whose deviation reaches max_sigma are refused; a round tunnel has "
-          "two.");
+          "Closures with more directions whose standard deviation reaches max_sigma are rejected; a "
+          "round tunnel has two.");
     field("max_translation_m", self.max_translation_m, above(0.0),
-          "Closures further than this from the graph's relative pose are refused, m.");
+          "Closures further than this from the relative pose of the graph are rejected, m.");
     field("max_rotation_rad", self.max_rotation_rad, above(0.0), "The same for the rotation, rad.");
     field("point_sigma_m", self.point_sigma_m, above(0.0),
           "Least standard deviation of a point's distance to the target's plane, m.");
-    field(
-        "normal_sigma_rad", self.normal_sigma_rad, between(0.0, 1.0),
-        "Standard deviation of a normal, rad: what its noise alone explains is not counted as information.");
+    field("normal_sigma_rad", self.normal_sigma_rad, between(0.0, 1.0),
+          "Standard deviation of a normal, rad: information that its noise alone explains does not "
+          "count.");
     field("points_per_sample", self.points_per_sample, at_least(1.0),
           "Neighbouring points share their error: this many count as one independent measurement.");
     field("min_sigma_m", self.min_sigma_m, above(0.0),
-          "Added to each direction of the covariance: what no scan tells, m.");
+          "Added to the standard deviation of each direction, for errors that scans do not show, m.");
     field("min_sigma_rad", self.min_sigma_rad, above(0.0), "The same for rotations, rad.");
     field("max_sigma_m", self.max_sigma_m, above(0.0),
           "Standard deviation of a direction that is not constrained, m.");

@@ -48,43 +48,42 @@ struct FastRegistrarOptions {
   static void visit(Self& self, Visitor&& field) {
     field("fpfh_radius_m", self.fpfh_radius_m, above(0.0), "Radius of the FPFH descriptors, m.");
     field("fpfh_neighbours", self.fpfh_neighbours, between(3.0, 1000.0),
-          "Neighbours within the radius, evenly taken, that a histogram is made of.");
+          "Neighbours within the radius, evenly sampled, that form a histogram.");
     field("key_points", self.key_points, between(3.0, 10000.0),
           "Key points per scan at most, drawn alike from all directions of surfaces.");
     field("key_share", self.key_share, between(0.0, 1.0),
-          "Share of a scan's points that become key points at most, but 200 may: sparse scans need fewer.");
+          "Largest share of the points of a scan that become key points; sparse scans need fewer. 200 "
+          "are allowed in any case.");
     field("max_matches", self.max_matches, between(3.0, 10000.0),
-          "Matches of key points that consensus is sought among.");
+          "Largest number of matches of key points among which consensus is searched.");
     field("match_tolerance_m", self.match_tolerance_m, above(0.0),
           "Two matches agree if their distances in the two scans differ by less, m.");
     field("hypotheses", self.hypotheses, between(1.0, 1000.0),
           "Consensus poses that are compared on the scans.");
-    field("score_points", self.score_points, between(3.0, 100000.0),
-          "Source points that the comparison looks at.");
+    field("score_points", self.score_points, between(3.0, 100000.0), "Source points of this comparison.");
     field("min_score", self.min_score, between(0.0, 1.0),
-          "Share of these on the target, nearer counting more, below which the pair is given up.");
+          "The pair is rejected if a smaller share of these points lies on the target; nearer points "
+          "count more.");
     field("refined_hypotheses", self.refined_hypotheses, between(1.0, 100.0),
-          "Hypotheses, the best by that comparison, that are refined and compared in detail.");
+          "Number of best hypotheses that are refined and compared in detail.");
     field("sure_share", self.sure_share, between(0.0, 1.0),
-          "Share of the scored points on the target's surfaces, against that within the scans themselves, at "
-          "which the refined guess is judged before matches are sought.");
-    field(
-        "ambiguous_margin", self.ambiguous_margin, at_least(0.0),
-        "A pair is refused if a second pose, more than 1 m or 5 degrees away and outside the closure's "
-        "covariance, fits worse by no more than this; the fit is min(1, consistency) + ln(share of points on "
-        "surfaces) / 10.");
+          "The refined guess is tested before matches are searched if at least this share of the scored "
+          "points lies on surfaces of the target, relative to the share within the scans themselves.");
+    field("ambiguous_margin", self.ambiguous_margin, at_least(0.0),
+          "A pair is rejected as ambiguous if a second pose, more than 1 m or 5 degrees away and "
+          "outside the covariance of the closure, has a fit lower by at most this; the fit is min(1, "
+          "consistency) + ln(share of points on surfaces) / 10.");
     field("free_share", self.free_share, between(0.01, 0.99),
-          "Along an axis where this share of the points that fix it would lie on surfaces a metre away as "
-          "well, "
-          "the standard deviation is half of max_sigma_m; less is less, smoothly.");
+          "If a shift of 1 m along an axis leaves this share of the points that constrain it on "
+          "surfaces, the standard deviation along the axis is half of max_sigma_m; a smaller share "
+          "gives less, smoothly.");
     field("coarse_reach_m", self.coarse_reach_m, above(0.0),
           "Largest distance of matched points in the first pass, m.");
     field("fine_reach_m", self.fine_reach_m, above(0.0), "The same in the last pass, m.");
     field("coarse_points", self.coarse_points, at_least(10.0), "Source points in the first passes.");
     field("fine_points", self.fine_points, at_least(10.0), "Source points in the last pass.");
     field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0),
-          "Bound of the submaps kept in memory, and as much again for their descriptors and for the scans', "
-          "MB.");
+          "Memory for submaps, MB; their descriptors and those of scans get as much each.");
     ClosureTestOptions::visit(self.tests, field);
   }
 };

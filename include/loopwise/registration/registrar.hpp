@@ -25,7 +25,8 @@ struct SubmapMember {
 /// All input of the computation of one candidate, besides the scans.
 struct RegistrationTask {
   LoopCandidate candidate;  ///< Both ends.
-  /// T_from_to by the graph. It is tried first, and results must be close to it; absent: no guess.
+  /// T_from_to by the graph: maps points of `to` (target) to `from` (source). It is tried first, and results
+  /// must be close to it; absent: no guess.
   std::optional<Eigen::Isometry3d> guess_from_to;
   std::vector<SubmapMember> source;  ///< Centre: candidate.from, at least {from, identity}.
   std::vector<SubmapMember> target;  ///< Centre: candidate.to, e.g. with its neighbours along the odometry.
@@ -37,7 +38,10 @@ struct RegistrationTask {
   double time_limit_s = 0.0;
 };
 
-/// The task of two scans without submaps and guess: source `from`, target `to`.
+/// The task of two scans without submaps and guess: source `from`, target `to`. The result's T_from_to is the
+/// pose of the target in the frame of the source, T_source_target, as in an edge of the graph; its covariance
+/// belongs to that transform, and guess_from_to has the same direction. align() has the opposite direction,
+/// T_target_source.
 [[nodiscard]] inline RegistrationTask pair_task(Key from, Key to, std::uint64_t seed) {
   RegistrationTask task;
   task.candidate.from = from;

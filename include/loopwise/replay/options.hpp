@@ -59,11 +59,11 @@ struct ReplayOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("batch", self.batch, at_least(1), "Candidates handed out each time the computation runs dry.");
+    field("batch", self.batch, at_least(1), "Size of a batch of candidates.");
     field("max_registrations", self.max_registrations, at_least(0),
-          "The run ends after this many; 0: no bound.");
+          "The run ends after this number of registrations; 0: no bound.");
     field("after_mission", self.after_mission, any_value(),
-          "Go on after the last key frame until nothing is pending.");
+          "Continue after the last key frame until no candidate is pending.");
     field("candidates", self.candidates, any_value(),
           "A file with pairs of another place recognition that are candidates too, see read_candidates(); "
           "empty: no such pairs.");

@@ -35,7 +35,7 @@ struct JudgeOptions {
     field("evaluations", self.evaluations, between(1, 10000000),
           "Evaluations of a run of annealing, those that find its scale included.");
     field("swaps", self.swaps, between(1, 100000), "Swaps of a run of exact annealing whose sign is asked.");
-    field("seed", self.seed, at_least(0), "Of everything random.");
+    field("seed", self.seed, at_least(0), "Seed of all random draws.");
   }
 };
 

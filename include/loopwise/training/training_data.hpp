@@ -37,7 +37,7 @@ struct DataOptions {
     field("random_sets", self.random_sets, between(8, 10000), "Random sets of each graph.");
     field("annealing_runs", self.annealing_runs, between(0, 1000),
           "Runs of annealing on the exact objective that sets are taken from, for each graph.");
-    field("seed", self.seed, at_least(0), "Of everything random.");
+    field("seed", self.seed, at_least(0), "Seed of all random draws.");
   }
 };
 
