@@ -27,7 +27,7 @@ RegistrationCrew::RegistrationCrew(const Registrar& registrar, int threads, doub
   try {
     for (int i = 0; i < threads; ++i) {
       Worker& worker = workers_.emplace_back();
-      worker.thread = std::thread([this, &worker] { work(worker); });
+      start(worker);
     }
   } catch (...) {
     end();
@@ -41,9 +41,13 @@ RegistrationCrew::~RegistrationCrew() {
 
 bool RegistrationCrew::is_own_thread() {
   const std::lock_guard<std::mutex> lock(mutex_);
-  return std::any_of(workers_.begin(), workers_.end(), [](const Worker& worker) {
-    return worker.thread.get_id() == std::this_thread::get_id();
-  });
+  return std::any_of(workers_.begin(), workers_.end(),
+                     [](const Worker& worker) { return worker.id == std::this_thread::get_id(); });
+}
+
+void RegistrationCrew::start(Worker& worker) {
+  worker.thread = std::thread([this, &worker] { work(worker); });
+  worker.id = worker.thread.get_id();
 }
 
 void RegistrationCrew::end() {
@@ -114,7 +118,7 @@ void RegistrationCrew::replace_hanging() {
     Worker& worker = ended == workers_.end() ? workers_.emplace_back() : *ended;
     worker.ended = true;
     if (worker.thread.joinable()) worker.thread.join();  // it has let go of the mutex, and does no more
-    worker.thread = std::thread([this, &worker] { work(worker); });
+    start(worker);
     worker.ended = worker.overdue = false;
     ++spares_;
   } catch (const std::exception&) {

@@ -44,6 +44,7 @@ class RegistrationCrew {
  private:
   struct Worker {
     std::thread thread;
+    std::thread::id id;  // of the thread, which another one may be joining
     bool busy = false;
     bool overdue = false;
     bool ended = false;       // its thread, for others have its place
@@ -51,6 +52,7 @@ class RegistrationCrew {
     Stopwatch watch;          // since it became busy
   };
 
+  void start(Worker& worker);
   void work(Worker& self);
   void end();
   /// With the mutex held, also while the hook runs: Hooks::back must not come before it.
