@@ -4,6 +4,7 @@
 #include <atomic>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <stdexcept>
 
 #include <loopwise/core/error.hpp>
@@ -117,44 +118,51 @@ TEST_CASE("module: calls that would wait for themselves throw, the others are al
   REQUIRE(module.statistics().problems == 0);
 }
 
-TEST_CASE("module: a place database of the user's own finds candidates", "[online][module][places]") {
-  /// Takes each place for the same as the first.
-  class FirstPlace final : public PlaceDatabase {
-   public:
-    explicit FirstPlace(std::atomic<int>& described) : described_(described) {}
-    [[nodiscard]] std::string_view name() const override { return "first_place"; }
-    [[nodiscard]] std::shared_ptr<const PlaceDescriptor> describe(const PointCloud&) const override {
-      struct Nothing final : PlaceDescriptor {
-        [[nodiscard]] std::size_t bytes() const override { return 1; }
-      };
-      ++described_;
-      return std::make_shared<Nothing>();
-    }
-    void insert(Key key, std::shared_ptr<const PlaceDescriptor> place) override {
-      places_.emplace(key, std::move(place));
-    }
-    [[nodiscard]] std::vector<PlaceMatch> search(const PlaceDescriptor&, std::size_t,
-                                                 const PlaceFilter& filter) const override {
-      std::vector<PlaceMatch> matches;
-      for (const auto& [key, place] : places_) {
-        if (filter && !filter(key)) continue;
-        matches.emplace_back();
-        matches.back().key = key;
-        matches.back().similarity = 1.0;
-        break;
-      }
-      return matches;
-    }
-    [[nodiscard]] std::shared_ptr<const PlaceDescriptor> find(Key key) const override {
-      const auto found = places_.find(key);
-      return found == places_.end() ? nullptr : found->second;
-    }
-    [[nodiscard]] std::size_t size() const override { return places_.size(); }
+namespace {
 
-   private:
-    std::atomic<int>& described_;
-    std::map<Key, std::shared_ptr<const PlaceDescriptor>> places_;
-  };
+/// Takes each place for the same as the first, or as one that it was not given.
+class FirstPlace final : public PlaceDatabase {
+ public:
+  explicit FirstPlace(std::atomic<int>& described, std::optional<Key> unknown = {})
+      : described_(described), unknown_(unknown) {}
+  [[nodiscard]] std::string_view name() const override { return "first_place"; }
+  [[nodiscard]] std::shared_ptr<const PlaceDescriptor> describe(const PointCloud&) const override {
+    struct Nothing final : PlaceDescriptor {
+      [[nodiscard]] std::size_t bytes() const override { return 1; }
+    };
+    ++described_;
+    return std::make_shared<Nothing>();
+  }
+  void insert(Key key, std::shared_ptr<const PlaceDescriptor> place) override {
+    places_.emplace(key, std::move(place));
+  }
+  [[nodiscard]] std::vector<PlaceMatch> search(const PlaceDescriptor&, std::size_t,
+                                               const PlaceFilter& filter) const override {
+    std::vector<PlaceMatch> matches;
+    for (const auto& [key, place] : places_) {
+      if (filter && !filter(key)) continue;
+      matches.emplace_back();
+      matches.back().key = unknown_.value_or(key);
+      matches.back().similarity = 1.0;
+      break;
+    }
+    return matches;
+  }
+  [[nodiscard]] std::shared_ptr<const PlaceDescriptor> find(Key key) const override {
+    const auto found = places_.find(key);
+    return found == places_.end() ? nullptr : found->second;
+  }
+  [[nodiscard]] std::size_t size() const override { return places_.size(); }
+
+ private:
+  std::atomic<int>& described_;
+  std::optional<Key> unknown_;
+  std::map<Key, std::shared_ptr<const PlaceDescriptor>> places_;
+};
+
+}  // namespace
+
+TEST_CASE("module: a place database of the user's own finds candidates", "[online][module][places]") {
   const Mission mission = two_circles(1, 12);
   std::atomic<int> described{0};
   ModuleParts parts = with_oracle(mission);
@@ -174,6 +182,22 @@ TEST_CASE("module: a place database of the user's own finds candidates", "[onlin
   REQUIRE(module.wait());
   REQUIRE(described > 2);
   REQUIRE(by_appearance > 0);
+}
+
+TEST_CASE("module: a key that a place database was not given is a problem that names both",
+          "[online][module][places][error]") {
+  const Mission mission = two_circles(1, 12);
+  std::atomic<int> described{0};
+  ModuleParts parts = with_oracle(mission);
+  parts.places = std::make_unique<FirstPlace>(described, make_key('a', 777));
+  ModuleOptions options = module_options("baseline");
+  options.engine.use_proximity = false;
+  LoopClosureModule module(mission.robots, options, {}, std::move(parts));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  REQUIRE(module.wait());
+  REQUIRE(module.statistics().problems > 0);
+  REQUIRE(module.statistics().last_problems.back() ==
+          "place recognition: place database \"first_place\" has found key a777, which it was not given");
 }
 
 }  // namespace loopwise
