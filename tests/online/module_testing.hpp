@@ -52,7 +52,7 @@ namespace loopwise::testing {
   return parts;
 }
 
-/// Tells of what it is told and asked, and fails as those that hear it do.
+/// Reports its calls to functions of the test, and fails if they throw.
 class TellingPrioritizer final : public Prioritizer {
  public:
   struct Heard {
