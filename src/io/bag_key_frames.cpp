@@ -308,34 +308,7 @@ class Reader {
       return;
     }
     truth_.add_truth_to(mission);
-    if (mission.ground_truth.empty()) return;
-    const auto& [key, first] = *mission.ground_truth.begin();
-    const Eigen::Isometry3d& node = mission.graph.node(key).pose;
-    constexpr double kNear_m = 0.5, kNear_rad = 0.1;
-    const Eigen::Isometry3d off = node.inverse() * first;
-    if (off.translation().norm() < kNear_m && Eigen::AngleAxisd(off.linear()).angle() < kNear_rad) return;
-    mission.truth_is_aligned = true;
-    problems_.add("truth in another frame",
-                  truth_source_ + ": laid on the mission, errors are those after alignment");
-    align_truth(mission);
-  }
-
-  /// By least squares of the positions, or by the first pose where these are too few.
-  static void align_truth(Mission& mission) {
-    const auto count = static_cast<Eigen::Index>(mission.ground_truth.size());
-    Eigen::Matrix3Xd truth(3, count), nodes(3, count);
-    Eigen::Index i = 0;
-    for (const auto& [key, pose] : mission.ground_truth) {
-      truth.col(i) = pose.translation();
-      nodes.col(i++) = mission.graph.node(key).pose.translation();
-    }
-    const auto& [key, first] = *mission.ground_truth.begin();
-    Eigen::Isometry3d T = se3::normalized(mission.graph.node(key).pose * first.inverse());
-    if (count >= 3) {
-      const Eigen::Matrix4d laid = Eigen::umeyama(truth, nodes, false);
-      if (laid.allFinite()) T = se3::normalized(Eigen::Isometry3d(laid));
-    }
-    for (auto& entry : mission.ground_truth) entry.second = se3::normalized(T * entry.second);
+    if (!mission.ground_truth.empty()) parts::lay_truth_on_nodes(mission, truth_source_);
   }
 
   BagSet bags_;

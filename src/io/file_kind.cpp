@@ -94,7 +94,7 @@ FileKind kind_of_text(std::string_view beginning) {
       numbers = numbers && is_number(word);
     // A line that the beginning cuts short says nothing.
     if (!numbers || !(lines.ended() || beginning.size() < kKindBytes)) return FileKind::kUnknown;
-    return words == 8 ? FileKind::kTum : words == 12 ? FileKind::kKitti : FileKind::kUnknown;
+    return words == 8 || words == 9 ? FileKind::kTum : words == 12 ? FileKind::kKitti : FileKind::kUnknown;
   }
   return FileKind::kUnknown;
 }
@@ -142,7 +142,7 @@ constexpr Description kDescriptions[] = {
     {FileKind::kJson, "JSON", "a mission is given by its folder, options by --config"},
     {FileKind::kYaml, "YAML", "a bag of ROS 2 is given by its folder or by its .db3 or .mcap file"},
     {FileKind::kG2o, "a g2o graph", "give it as a mission or to 'loopwise optimize'"},
-    {FileKind::kTum, "a list of 8 numbers a line, as trajectories in TUM's form are", kTrajectoryAdvice},
+    {FileKind::kTum, "a list of 8 or 9 numbers a line, as trajectories in TUM's form are", kTrajectoryAdvice},
     {FileKind::kKitti, "a list of 12 numbers a line, as poses in KITTI's form are", kTrajectoryAdvice},
 };
 
@@ -191,6 +191,16 @@ void refuse_foreign_numbers(std::string_view bytes, const std::string& name, con
   if (mark != nullptr && mark->at == 0 && mark->bytes.size() >= kSure) refuse(mark->kind, name, wanted);
 }
 
+namespace {
+
+/// The first line of poses that rtabmap-export writes by default.
+bool is_rtabmap_poses(const fs::path& file) {
+  return file.extension() == ".txt" && fs::is_regular_file(file) &&
+         parts::begins_with(file, "#timestamp x y z qx qy qz qw");
+}
+
+}  // namespace
+
 std::string describe_foreign_folder(const fs::path& folder) {
   const std::vector<fs::path> entries = parts::entries(folder);
   const auto has = [&](const char* name) { return parts::exists(folder / name); };
@@ -207,6 +217,9 @@ std::string describe_foreign_folder(const fs::path& folder) {
   if (has("transformations.pcd") && has("trajectory.pcd"))
     return "is a map that LIO-SAM saved, which keeps no scans of key frames: replay its run with SC-LIO-SAM, "
            "which saves Scans/, or give clouds named by their stamps and its trajectory in TUM's form";
+  if (std::any_of(entries.begin(), entries.end(), is_rtabmap_poses))
+    return "holds poses that rtabmap-export wrote; the scans of its nodes are in the database alone: give "
+           "its .db";
   if (std::any_of(entries.begin(), entries.end(), [](const fs::path& entry) { return is_cloud_file(entry); }))
     return "holds clouds without poses: put a graph beside them (result.g2o, clouds named by its ids), "
            "make them the Scans/ of a session with odom_poses.txt, or name them by their stamps beside a "

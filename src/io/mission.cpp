@@ -17,6 +17,7 @@
 #include "key_pairs.hpp"
 #include "mission_parts.hpp"
 #include "raw_sequence.hpp"
+#include "rtabmap.hpp"
 #include "saved_maps.hpp"
 #include "text.hpp"
 
@@ -41,9 +42,12 @@ Mission read_g2o_mission(const fs::path& path, const MissionOptions& options) {
   mission.robots = parts::robots_of(file.graph, options, Robots::from_keys(file.graph.keys()));
   std::vector<PriorFactor> priors = file.graph.priors();
   if (priors.empty()) {
-    const Key first = parts::first_nodes(file.graph, mission.robots).front();
-    priors.push_back(parts::default_prior(file.graph, first, options));
-    mission.problems.add("no prior given", path.string() + ": node " + std::to_string(first) + " gets one");
+    const std::vector<Key> firsts = parts::first_nodes(file.graph, mission.robots);
+    priors.push_back(parts::default_prior(file.graph, firsts.front(), options));
+    if (firsts.size() > 1) {
+      mission.problems.add("no prior given",
+                           path.string() + ": node " + std::to_string(firsts.front()) + " gets one");
+    }
   }
   mission.problems.add("no stamps given", path.string());
   mission.graph =
@@ -354,12 +358,16 @@ bool is_open3d_file(const fs::path& path) {
   return parts::looks_like_open3d(beginning);
 }
 
+bool is_sqlite_file(const fs::path& path) {
+  return parts::begins_with(path, std::string_view("SQLite format 3\0", 16));
+}
+
 bool is_bag_file(const fs::path& path) {
   if (path.filename() == "metadata.yaml") return bags::is_rosbag2_folder(resolved(path));
   // Packed by zstd, anything may be in it: its name must say so.
   const bool is_packed = bags::is_bag_name(path) && parts::begins_with(path, "\x28\xb5\x2f\xfd");
   return is_packed || parts::begins_with(path, "#ROSBAG") || parts::begins_with(path, "\x89MCAP0\r\n") ||
-         parts::begins_with(path, std::string_view("SQLite format 3\0", 16));
+         is_sqlite_file(path);
 }
 
 void check_options(const MissionOptions& options) {
@@ -379,6 +387,8 @@ MissionKind mission_kind(const fs::path& path) {
     throw IoError(path.string(), error ? error.message() : "No such file or directory");
   if (!fs::is_directory(status)) {
     if (path.filename() == "mission.json") return MissionKind::kMission;
+    if (fs::is_regular_file(status) && is_sqlite_file(path) && parts::is_rtabmap_database(path))
+      return MissionKind::kRtabmap;
     if (fs::is_regular_file(status) && is_bag_file(path)) return MissionKind::kBags;
     if (fs::is_regular_file(status) && parts::begins_with(path, "PK\x03\x04")) return MissionKind::kLampZip;
     if (is_open3d_file(path)) return MissionKind::kOpen3d;
@@ -491,6 +501,8 @@ Mission read_as_named(const fs::path& path, const MissionOptions& options, const
     case MissionKind::kKissSlam:
     case MissionKind::kOpen3d:
       return parts::read_saved_map(kind, place, options);
+    case MissionKind::kRtabmap:
+      return parts::read_rtabmap(place, options, work);
     case MissionKind::kG2o:
     case MissionKind::kJoined:
       break;

@@ -385,12 +385,8 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
     const auto listed_priors = read_priors(folder / files.priors, g2o.graph, mission.problems);
     priors.insert(priors.end(), listed_priors.begin(), listed_priors.end());
   }
-  if (priors.empty()) {
-    for (const Key key : first_nodes(g2o.graph, mission.robots)) {
-      priors.push_back(default_prior(g2o.graph, key, options));
-      mission.problems.add("no prior given", folder.string() + ": node " + std::to_string(key) + " gets one");
-    }
-  }
+  if (priors.empty())
+    complete_priors(g2o.graph, mission.robots, options, folder.string(), priors, mission.problems);
   MissionOptions own = options;
   if (own.odometry.empty() && present(files.odometry)) own.odometry = (folder / files.odometry).string();
   mission.graph =

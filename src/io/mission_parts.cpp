@@ -11,6 +11,7 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/se3.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
 
@@ -78,10 +79,12 @@ void complete_priors(const PoseGraph& graph, const Robots& robots, const Mission
                      const std::string& name, std::vector<PriorFactor>& priors, Problems& problems) {
   std::set<std::size_t> tied;
   for (const PriorFactor& prior : priors) tied.insert(robots.of(prior.key));
-  for (const Key key : first_nodes(graph, robots)) {
+  const std::vector<Key> firsts = first_nodes(graph, robots);
+  for (const Key key : firsts) {
     if (tied.count(robots.of(key)) != 0) continue;
     priors.push_back(default_prior(graph, key, options));
-    problems.add("no prior given", name + ": node " + key_name(key) + " gets one");
+    // The frame of a robot that is alone is its own.
+    if (firsts.size() > 1) problems.add("no prior given", name + ": node " + key_name(key) + " gets one");
   }
 }
 
@@ -236,6 +239,40 @@ void set_scans(Mission& mission, const std::vector<Key>& keys, ScanStore::CloudS
                const std::function<std::string(Key)>& where, const MissionOptions& options) {
   count_scans(mission, keys, where);
   mission.scans = std::make_shared<ScanStore>(keys, std::move(source), scan_bytes(options));
+}
+
+namespace {
+
+/// By least squares of the positions, or by the first pose where these are too few.
+void align_truth(Mission& mission) {
+  const auto count = static_cast<Eigen::Index>(mission.ground_truth.size());
+  Eigen::Matrix3Xd truth(3, count), nodes(3, count);
+  Eigen::Index i = 0;
+  for (const auto& [key, pose] : mission.ground_truth) {
+    truth.col(i) = pose.translation();
+    nodes.col(i++) = mission.graph.node(key).pose.translation();
+  }
+  const auto& [key, first] = *mission.ground_truth.begin();
+  Eigen::Isometry3d T = se3::normalized(mission.graph.node(key).pose * first.inverse());
+  if (count >= 3) {
+    const Eigen::Matrix4d laid = Eigen::umeyama(truth, nodes, false);
+    if (laid.allFinite()) T = se3::normalized(Eigen::Isometry3d(laid));
+  }
+  for (auto& entry : mission.ground_truth) entry.second = se3::normalized(T * entry.second);
+}
+
+}  // namespace
+
+void lay_truth_on_nodes(Mission& mission, const std::string& source) {
+  if (mission.ground_truth.empty()) return;
+  const auto& [key, first] = *mission.ground_truth.begin();
+  constexpr double kNear_m = 0.5, kNear_rad = 0.1;
+  const Eigen::Isometry3d off = mission.graph.node(key).pose.inverse() * first;
+  if (off.translation().norm() < kNear_m && Eigen::AngleAxisd(off.linear()).angle() < kNear_rad) return;
+  mission.truth_is_aligned = true;
+  mission.problems.add("truth in another frame",
+                       source + ": laid on the mission, errors are those after alignment");
+  align_truth(mission);
 }
 
 }  // namespace loopwise::parts

@@ -83,7 +83,8 @@ struct OdometryList {
 /// A prior with the options' sigmas where the node stands.
 [[nodiscard]] PriorFactor default_prior(const PoseGraph& graph, Key key, const MissionOptions& options);
 
-/// Adds a default prior at the first node of each robot that has none at any of its nodes, and counts them.
+/// Adds a default prior at the first node of each robot that has none at any of its nodes. Counted if there
+/// are several robots: their frames are then guessed to be one.
 void complete_priors(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                      const std::string& name, std::vector<PriorFactor>& priors, Problems& problems);
 
@@ -130,6 +131,9 @@ void set_scans(Mission& mission, const std::vector<Key>& keys, ScanStore::CloudS
 
 /// Counts nodes without truth and the reverse, and drops the latter.
 void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth);
+/// Where the truth does not begin at the nodes (0.5 m, 0.1 rad) it is in another frame: it is laid on the
+/// nodes, by least squares of the positions or by the first pose where these are too few, and counted.
+void lay_truth_on_nodes(Mission& mission, const std::string& source);
 /// Drops poses without node, counted.
 void set_reference(Mission& mission, std::map<Key, Eigen::Isometry3d> reference);
 

@@ -11,6 +11,8 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/trajectory.hpp>
 
+#include "rtabmap.hpp"
+
 namespace loopwise::parts {
 namespace {
 
@@ -189,8 +191,19 @@ Mission mission_of_frames(const SavedFrames& frames, MissionKind kind, const fs:
   return mission;
 }
 
+std::vector<fs::path> rtabmap_databases(const fs::path& folder) {
+  std::vector<fs::path> databases;
+  for (const fs::path& file : entries(folder)) {
+    if (file.extension() == ".db" && fs::is_regular_file(file) &&
+        begins_with(file, std::string_view("SQLite format 3\0", 16)) && is_rtabmap_database(file))
+      databases.push_back(file);
+  }
+  return databases;
+}
+
 std::optional<MissionKind> saved_map_kind(const fs::path& folder) {
   if (has_file(folder, "result.g2o")) return std::nullopt;  // a g2o_pcd folder
+  if (!rtabmap_databases(folder).empty()) return MissionKind::kRtabmap;
   if (has_file(folder, "graph.txt") && begins_with(folder / "graph.txt", "num_submaps:"))
     return MissionKind::kGlim;
   if (fs::is_directory(folder / "scans") &&

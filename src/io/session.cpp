@@ -293,7 +293,6 @@ Mission read_session(const fs::path& folder, const MissionOptions& options) {
   }
   mission.graph =
       assemble(graph, stamps, {default_prior(graph, 0, options)}, mission.robots, options, mission.problems);
-  mission.problems.add("no prior given", folder.string() + ": the first node gets one");
   check_stamps(mission);
 
   if (session.optimized) {

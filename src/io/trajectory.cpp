@@ -24,6 +24,7 @@ constexpr const char* kWanted = "a trajectory in TUM's or KITTI's form or a g2o 
 constexpr std::initializer_list<FileKind> kTrajectories = {FileKind::kTum, FileKind::kKitti, FileKind::kG2o,
                                                            FileKind::kEmpty};
 constexpr std::size_t kTumNumbers = 8;
+constexpr std::size_t kTumWithId = 9;  // RTAB-Map writes the id of the node behind the pose
 constexpr std::size_t kKittiNumbers = 12;
 
 /// The form of the first line that is neither blank nor a comment.
@@ -36,7 +37,7 @@ TrajectoryFormat recognise(const std::string& file, std::string_view contents) {
     if ((c >= 'A' && c <= 'Z') || c == '_') return TrajectoryFormat::kG2o;
     std::size_t words = 1;
     while (!text::next_word(line).empty()) ++words;
-    if (words == kTumNumbers) return TrajectoryFormat::kTum;
+    if (words == kTumNumbers || words == kTumWithId) return TrajectoryFormat::kTum;
     if (words == kKittiNumbers) return TrajectoryFormat::kKitti;
     throw ParseError(file, lines.number(),
                      std::to_string(words) +
@@ -49,9 +50,11 @@ TrajectoryFormat recognise(const std::string& file, std::string_view contents) {
 void read_tum_line(std::string_view line, const text::Place& place, Trajectory& out) {
   std::string_view rest = line;
   const std::string_view stamp = text::next_word(rest);
-  double values[kTumNumbers - 1];
-  const std::size_t found = text::read_numbers(rest, values, kTumNumbers - 1, place) + 1;
-  if (found != kTumNumbers) place.fail("a TUM pose needs 8 values, found " + std::to_string(found));
+  double values[kTumWithId - 1];
+  const std::size_t found = text::read_numbers(rest, values, kTumWithId - 1, place) + 1;
+  const bool has_id = found == kTumWithId && values[kTumNumbers - 1] == std::floor(values[kTumNumbers - 1]);
+  if (found != kTumNumbers && !has_id)
+    place.fail("a TUM pose needs 8 values, found " + std::to_string(found));
   const auto ns = text::parse_seconds_ns(stamp);
   if (!ns) place.fail(text::quoted(stamp) + " is no stamp in seconds");
   const text::Pose pose = text::pose_of(values, place);

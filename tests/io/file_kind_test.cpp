@@ -171,6 +171,12 @@ TEST_CASE("file kinds: folders of other data are named", "[io][file_kind][error]
       write_pcd(folder / (std::string(name) + ".pcd"), testing::random_cloud(5, false, true));
     refused("is a map that LIO-SAM saved, which keeps no scans", "SC-LIO-SAM");
   }
+  SECTION("exports of RTAB-Map without its database") {
+    write_ply(folder / "lab_cloud.ply", testing::random_cloud(5, false, false));
+    testing::write_text(folder / "lab_poses.txt",
+                        "#timestamp x y z qx qy qz qw id\n1.5 0 0 0 0 0 0 1 1\n2.5 1 0 0 0 0 0 1 2\n");
+    refused("holds poses that rtabmap-export wrote", "give its .db");
+  }
   SECTION("clouds alone") {
     write_ply(folder / "a.ply", testing::random_cloud(5, false, false));
     refused("holds clouds without poses", "odom_poses.txt");

@@ -91,6 +91,16 @@ TEST_CASE("trajectory: stamps are read to the nanosecond, however they are writt
   CHECK_THROWS_WITH(read("nan" + pose), Contains("is no stamp in seconds"));
 }
 
+TEST_CASE("trajectory: the id of a node may stand behind a TUM pose", "[io][trajectory]") {
+  const Trajectory poses =
+      read("#timestamp x y z qx qy qz qw id\n1.5 1 2 3 0 0 0 1 7\n2.5 1 2 4 0 0 0 1 8\n");
+  CHECK(poses.format == TrajectoryFormat::kTum);
+  CHECK(poses.poses.size() == 2);
+  CHECK(poses.stamps_ns[1] == 2'500'000'000);
+  CHECK_THROWS_WITH(read("1.5 1 2 3 0 0 0 1 7\n2.5 1 2 4 0 0 0 1 0.5\n"),
+                    Contains("t.txt:2: a TUM pose needs 8 values"));
+}
+
 TEST_CASE("trajectory: bad poses are refused with their line, small flaws counted",
           "[io][trajectory][error]") {
   CHECK_THROWS_WITH(read("1 0 0 0 0 0 0 1\n2 0 nan 0 0 0 0 1\n"), Contains("t.txt:2: \"nan\" is not finite"));

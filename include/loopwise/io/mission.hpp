@@ -43,6 +43,7 @@ enum class MissionKind {
   kHba,            ///< Poses and clouds in the layout of HBA.
   kKissSlam,       ///< Local maps of KISS-SLAM.
   kOpen3d,         ///< A pose graph of Open3D.
+  kRtabmap,        ///< A database of RTAB-Map.
 };
 [[nodiscard]] inline EnumNames<MissionKind> enum_names(MissionKind) {
   return {{MissionKind::kMission, "mission"},
@@ -60,7 +61,8 @@ enum class MissionKind {
           {MissionKind::kVoxelSlam, "voxel_slam"},
           {MissionKind::kHba, "hba"},
           {MissionKind::kKissSlam, "kiss_slam"},
-          {MissionKind::kOpen3d, "open3d"}};
+          {MissionKind::kOpen3d, "open3d"},
+          {MissionKind::kRtabmap, "rtabmap"}};
 }
 
 /// How the 36 numbers of an odometry edge's covariance in a bag are ordered. LAMP's code stores rotation

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// SQLite databases that other programs wrote, opened for reading alone. Private to io.
+#pragma once
+
+#include <sqlite3.h>
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <set>
+#include <string>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/stop_token.hpp>
+
+namespace loopwise::sqlite {
+
+/// A statement that is prepared once.
+class Statement {
+ public:
+  /// \throws InputError with SQLite's message
+  Statement(sqlite3* database, const std::string& sql);
+  ~Statement() { sqlite3_finalize(statement_); }
+  Statement(const Statement&) = delete;
+  Statement& operator=(const Statement&) = delete;
+
+  /// Sets the only parameter and starts anew.
+  void bind(std::int64_t value);
+  void reset() { sqlite3_reset(statement_); }
+  /// False at the end.
+  bool next();
+  /// \throws InputError naming `what` if it is no whole number
+  [[nodiscard]] std::int64_t integer(int column, const char* what) const;
+  /// As SQLite converts it; 0 if it is no number.
+  [[nodiscard]] double number(int column) const { return sqlite3_column_double(statement_, column); }
+  /// Text or bytes.
+  [[nodiscard]] std::string bytes(int column) const;
+  [[nodiscard]] bool is_blob(int column) const {
+    return sqlite3_column_type(statement_, column) == SQLITE_BLOB;
+  }
+
+ private:
+  void check(int result) const;
+
+  sqlite3* database_;
+  sqlite3_stmt* statement_ = nullptr;
+};
+
+/// A database, without locks and without writing to its folder unless a journal lies beside it.
+class Database {
+ public:
+  /// `name`: for errors. \throws InputError if the file is cut short or no database; IoError
+  Database(const std::filesystem::path& path, const std::string& name, const StopToken& stop);
+
+  /// Calls `work()`, whose errors get the name of the file. \throws StoppedError
+  template <class Work>
+  void checked(Work&& work) {
+    watch(true);
+    try {
+      work();
+    } catch (const InputError& error) {
+      watch(false);
+      if (stop_.stop_requested()) throw StoppedError("reading " + name_ + " was stopped");
+      throw InputError(name_ + ": " + error.what());
+    }
+    watch(false);
+  }
+  /// SQLite's own quick check. \throws InputError without the name of the file
+  void check_pages();
+  /// Of real tables: views and virtual tables would run what the file says.
+  [[nodiscard]] bool has_table(const std::string& table);
+  [[nodiscard]] sqlite3* handle() const { return database_.get(); }
+
+ private:
+  struct Close {
+    void operator()(sqlite3* database) const { sqlite3_close(database); }
+  };
+  void check_size(const std::filesystem::path& path) const;
+  void watch(bool on);
+
+  std::string name_;
+  StopToken stop_;
+  std::unique_ptr<sqlite3, Close> database_;
+  std::set<std::string> tables_;
+};
+
+}  // namespace loopwise::sqlite
