@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // How well maps agree with themselves, where no truth is known.
+#include <algorithm>
 #include <cmath>
-#include <set>
 
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
-#include <loopwise/evaluation/sample_statistics.hpp>
-#include <loopwise/evaluation/surface_agreement.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/evaluation/map_quality.hpp>
 #include <loopwise/io/mission.hpp>
 
 #include "evaluate_map.hpp"
@@ -21,8 +21,103 @@ PosesByKey poses_of(const Mission& mission) {
   return poses;
 }
 
+Revisits closures_of(const Mission& run) {
+  Revisits closures;
+  for (const Edge& edge : run.graph.edges()) {
+    if (edge.kind == EdgeKind::kLoopClosure) closures.emplace_back(edge.from, edge.to);
+  }
+  return closures;
+}
+
 Json number(double value) {
   return std::isfinite(value) ? Json(value) : Json();
+}
+
+/// Without the sign of a zero.
+std::string signed_text(double value, int digits) {
+  const std::string text = fixed(value, digits);
+  const bool is_zero = text.find_first_not_of("-0.") == std::string::npos;
+  return is_zero ? fixed(0.0, digits) : text;
+}
+
+Json json_of(const Displacement& d) {
+  return {
+      {"mean", number(d.mean_m)}, {"median", number(d.median_m)}, {"worst_tenth", number(d.worst_tenth_m)}};
+}
+Json json_of(const NearPairs& near) {
+  return {{"pairs", near.pairs}, {"proven", near.proven}, {"median_m", number(near.median_m)}};
+}
+
+Json json_of(const MapQuality& q) {
+  const bool enough = q.enough();
+  return {{"pairs", q.pairs},
+          {"revisits", q.revisits.size()},
+          {"stretches", q.stretches},
+          {"enough_for_interval", enough},
+          {"displacement_m", {{"recording", json_of(q.before)}, {"estimate", json_of(q.after)}}},
+          {"difference_m", number(q.difference.mean_difference)},
+          {"difference_interval_95",
+           {enough ? number(q.difference.difference.low) : Json(),
+            enough ? number(q.difference.difference.high) : Json()}},
+          {"share_on_surfaces",
+           {{"recording", number(q.share_before)},
+            {"estimate", number(q.share_after)},
+            {"registered", number(q.share_registered)}}},
+          {"near_by_estimate", json_of(q.near)},
+          {"near_by_estimate_between_robots", json_of(q.near_between_robots)}};
+}
+
+std::string line_of(const char* what, const Displacement& d) {
+  return std::string(what) + fixed(d.mean_m, 3) + " m in the mean, median " + fixed(d.median_m, 3) +
+         ", worst tenth above " + fixed(d.worst_tenth_m, 3) + "\n";
+}
+
+std::string text_of(const MapQuality& q) {
+  std::string text = "revisits     " + std::to_string(q.revisits.size()) + " of " + std::to_string(q.pairs) +
+                     " pairs of nodes, proven by registration, at " + std::to_string(q.stretches) +
+                     " pairs of stretches of path\ndisplacement of the poses from the registrations:\n";
+  text += line_of("  recording  ", q.before) + line_of("  estimate   ", q.after);
+  text += "difference   " + signed_text(q.difference.mean_difference, 3) + " m";
+  if (q.enough()) {
+    text += ", 95 % interval " + signed_text(q.difference.difference.low, 3) + " to " +
+            signed_text(q.difference.difference.high, 3);
+  }
+  text += "\non surfaces  " + fixed(100.0 * q.share_before, 1) +
+          " % of points within 0.12 m of the other scan by the recording's poses, " +
+          fixed(100.0 * q.share_after, 1) + " % by the estimate's; " + fixed(100.0 * q.share_registered, 1) +
+          " % where the registrations put them, which is the most to be had\n";
+  const auto near = [](const NearPairs& n) {
+    return std::to_string(n.proven) + " of " + std::to_string(n.pairs) +
+           (n.proven > 0 ? ", " + fixed(n.median_m, 3) + " m off in the median" : "");
+  };
+  text += "near         pairs that the estimate puts within 3 m and that are proven: " + near(q.near);
+  if (q.near_between_robots.pairs > 0) text += "; of two robots " + near(q.near_between_robots);
+  return text + "\n";
+}
+
+/// Warns if the figures say less than they seem to.
+void warn_of_weakness(const MapQuality& q, Console& console) {
+  if (!q.enough()) {
+    console.warn("revisits at " + std::to_string(q.stretches) + " pairs of stretches of path, fewer than " +
+                 std::to_string(kLeastStretches) +
+                 ": too few for an interval, the figures are of these places alone");
+  }
+  // Maps that are right: most pairs are proven, centimetres off.
+  constexpr std::size_t kSome = 10;
+  constexpr double kFewProven = 0.2, kFar_m = 1.0;
+  const auto is_wrong = [](const NearPairs& near) {
+    const bool few = static_cast<double>(near.proven) < kFewProven * static_cast<double>(near.pairs);
+    return near.pairs >= kSome && (few || near.median_m > kFar_m);
+  };
+  if (is_wrong(q.near_between_robots)) {
+    console.warn(
+        "places that the estimate shares between robots are not where registrations put them: the "
+        "frames of the robots are perhaps wrong");
+  } else if (is_wrong(q.near)) {
+    console.warn(
+        "places that the estimate visits twice are not where registrations put them: its poses are "
+        "perhaps wrong");
+  }
 }
 
 }  // namespace
@@ -44,37 +139,19 @@ int evaluate_map(const CommonOptions& common, const std::string& estimate, const
     if (after.count(key) != 0) before.emplace(key, pose);
   }
   if (before.empty()) throw InputError(estimate + ": has no node of " + recording);
-  const Revisits revisits = find_revisits(mission, before);
-  if (revisits.empty()) {
-    throw InputError(recording + ": no revisits by its own poses (nodes with scans that " + estimate +
-                     " has too, within 3 m, 20 m of path apart): the map cannot be judged without truth");
-  }
-  const SurfaceAgreement own = surface_agreement(mission, before, revisits, {}, interrupt.token());
-  const SurfaceAgreement its = surface_agreement(mission, after, revisits, {}, interrupt.token());
+  ThreadPool pool(thread_count(common));
+  const MapQuality quality = map_quality(mission, before, after, closures_of(run), config.replay, pool,
+                                         interrupt.token(), console.progress_callback());
   if (interrupt.interrupted()) return kInterrupted;
   console.warn(mission.scans->problems());
-  const std::vector<std::size_t> groups = revisit_groups(mission, before, revisits);
-  const PairedComparison c = compare_paired(its.shares, own.shares, groups);
-  if (c.count == 0)
-    throw InputError(recording + ": no revisit of which both scans can be read and have points");
-  const std::size_t stretches = std::set<std::size_t>(groups.begin(), groups.end()).size();
-  const Json json = {{"revisits", revisits.size()},
-                     {"compared", c.count},
-                     {"stretches", stretches},
-                     {"share_on_surfaces", {{"recording", number(own.mean)}, {"estimate", number(its.mean)}}},
-                     {"difference", number(c.mean_difference)},
-                     {"difference_interval_95", {number(c.difference.low), number(c.difference.high)}}};
-  const std::string interval = std::isnan(c.difference.low)
-                                   ? ""
-                                   : ", 95 % interval " + fixed(100.0 * c.difference.low, 1) + " to " +
-                                         fixed(100.0 * c.difference.high, 1);
-  const std::string text =
-      "revisits     " + std::to_string(revisits.size()) + " by the recording's poses, at " +
-      std::to_string(stretches) + " pairs of stretches of path, " + std::to_string(c.count) +
-      " compared\non surfaces  " + fixed(100.0 * own.mean, 1) +
-      " % of points within 0.12 m of the other scan by the recording's poses, " + fixed(100.0 * its.mean, 1) +
-      " % by the estimate's (difference " + fixed(100.0 * c.mean_difference, 1) + interval + ")\n";
-  print_results(common, json, text);
+  if (quality.revisits.empty()) {
+    throw InputError(
+        recording + ": of " + std::to_string(quality.pairs) +
+        " pairs of nodes that may have seen one place at different times (both with scans, 20 m of "
+        "path between them) no registration proves one: the map cannot be judged without truth");
+  }
+  print_results(common, json_of(quality), text_of(quality));
+  warn_of_weakness(quality, console);
   return kDone;
 }
 

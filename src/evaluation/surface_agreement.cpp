@@ -46,6 +46,11 @@ double loop_m(const PathNode& a, const PathNode& b) {
   return a.robot == b.robot ? std::abs(a.along_m - b.along_m) : a.along_m + b.along_m;
 }
 
+/// How far apart two nodes of a revisit may be.
+double reach_m(const SurfaceAgreementOptions& options, double loop_m) {
+  return std::max(options.reach_m, std::min(options.reach_m + options.drift * loop_m, options.reach_most_m));
+}
+
 /// Nodes in cells that are as large as the reach.
 class NearNodes {
  public:
@@ -123,16 +128,21 @@ Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
                        const SurfaceAgreementOptions& options) {
   validate(options);
   const std::vector<PathNode> nodes = path_nodes(mission, poses);
-  const NearNodes near(nodes, options.reach_m);
+  const double most_m =
+      options.drift > 0.0 ? std::max(options.reach_m, options.reach_most_m) : options.reach_m;
+  const NearNodes near(nodes, most_m);
+  const auto is_revisit = [&](const PathNode& a, const PathNode& b) {
+    const double loop = loop_m(a, b);
+    return loop >= options.apart_m && (a.position - b.position).norm() <= reach_m(options, loop);
+  };
   std::size_t count = 0;
-  near.for_each_pair(
-      [&](const PathNode& a, const PathNode& b) { count += loop_m(a, b) >= options.apart_m ? 1 : 0; });
+  near.for_each_pair([&](const PathNode& a, const PathNode& b) { count += is_revisit(a, b) ? 1 : 0; });
   // Of all of them those in the middle of as many equal stretches as are wanted.
   const std::size_t wanted = std::min(count, static_cast<std::size_t>(options.pairs));
   Revisits drawn;
   std::size_t rank = 0;
   near.for_each_pair([&](const PathNode& a, const PathNode& b) {
-    if (loop_m(a, b) < options.apart_m || drawn.size() == wanted) return;
+    if (drawn.size() == wanted || !is_revisit(a, b)) return;
     if (rank++ == (2 * drawn.size() + 1) * count / (2 * wanted)) drawn.emplace_back(a.key, b.key);
   });
   return drawn;

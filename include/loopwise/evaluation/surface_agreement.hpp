@@ -20,6 +20,8 @@ namespace loopwise {
 /// Criteria for revisits, and for points on a surface.
 struct SurfaceAgreementOptions {
   double reach_m = 3.0;
+  double drift = 0.0;
+  double reach_most_m = 20.0;
   double apart_m = 20.0;
   double near_m = 0.12;
   std::int64_t pairs = 400;
@@ -29,6 +31,9 @@ struct SurfaceAgreementOptions {
   static void visit(Self& self, Visitor&& field) {
     field("reach_m", self.reach_m, above(0.0),
           "Nodes this near, by the poses that choose, are a revisit, m.");
+    field("drift", self.drift, at_least(0.0),
+          "Share of the path between two nodes by which they may be further apart than reach_m.");
+    field("reach_most_m", self.reach_most_m, above(0.0), "They are never further apart than this, m.");
     field("apart_m", self.apart_m, at_least(0.0),
           "Nodes are a revisit only if the path between them is this long, m: that of their robot; of two "
           "robots both paths from their starts.");

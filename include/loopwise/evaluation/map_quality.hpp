@@ -1,0 +1,86 @@
+// SPDX-License-Identifier: BSD-3-Clause
+/// \file
+/// Quality of a map without a truth: how far poses are from what registrations of revisits measure that took
+/// no part in the estimate.
+#pragma once
+
+#include <cstddef>
+#include <vector>
+
+#include <Eigen/Geometry>
+
+#include <loopwise/core/export.hpp>
+#include <loopwise/core/progress.hpp>
+#include <loopwise/core/stop_token.hpp>
+#include <loopwise/core/thread_pool.hpp>
+#include <loopwise/evaluation/sample_statistics.hpp>
+#include <loopwise/evaluation/surface_agreement.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/replay/options.hpp>
+
+namespace loopwise {
+
+/// Criteria of revisits that a map is judged by: nodes may be apart by as much as odometry drifts.
+[[nodiscard]] LOOPWISE_EXPORT SurfaceAgreementOptions map_quality_options();
+
+/// A pair of nodes whose scans a registration aligned.
+struct ProvenRevisit {
+  Key from = 0;                 ///< Key of the newer node.
+  Key to = 0;                   ///< Key of the older node.
+  Eigen::Isometry3d T_from_to;  ///< As measured.
+};
+
+/// Tries to register the pairs, without a guess from any poses, so that neither map is favoured. The outcome
+/// is in the order of the pairs, for any number of threads. \throws OptionError
+[[nodiscard]] LOOPWISE_EXPORT std::vector<ProvenRevisit> prove_revisits(
+    const Mission& mission, const Revisits& pairs, const ReplayOptions& options, ThreadPool& pool,
+    const StopToken& stop = {}, const ProgressCallback& progress = {});
+
+/// Distances between the relative positions of a map and those that were measured, m.
+struct Displacement {
+  std::vector<double> each_m;  ///< Of each revisit; NaN where a pose is missing.
+  double mean_m = 0.0;         ///< Their mean; NaN without revisits.
+  double median_m = 0.0;       ///< Half are smaller.
+  double worst_tenth_m = 0.0;  ///< A tenth is larger.
+};
+/// The displacement of a map with poses T_world_body.
+[[nodiscard]] LOOPWISE_EXPORT Displacement displacement(const PosesByKey& poses,
+                                                        const std::vector<ProvenRevisit>& revisits);
+
+/// With fewer pairs of stretches of path, an interval of a difference says nothing.
+inline constexpr std::size_t kLeastStretches = 8;
+
+/// Pairs that are near by the poses of the estimate, and how many of them a registration proves.
+struct NearPairs {
+  std::size_t pairs = 0;   ///< Near by the estimate, and registered.
+  std::size_t proven = 0;  ///< Their registration succeeded.
+  double median_m = 0.0;   ///< Displacement of the estimate at the proven ones; NaN without any.
+};
+
+/// One map against another at the same revisits.
+struct MapQuality {
+  std::size_t pairs = 0;                ///< Registered of those that may be revisits by either map.
+  std::vector<ProvenRevisit> revisits;  ///< The proven ones.
+  std::size_t stretches = 0;            ///< Pairs of stretches of path at which they lie.
+  Displacement before;                  ///< Of the recording.
+  Displacement after;                   ///< Of the estimate.
+  PairedComparison difference;          ///< Of `after` and `before`, in stretches, m.
+  double share_before = 0.0;            ///< Mean share of points on the other scan's surfaces, recording.
+  double share_after = 0.0;             ///< The same by the estimate's poses.
+  double share_registered = 0.0;        ///< The same by the registrations: as much as can be reached.
+  NearPairs near;                       ///< All of them.
+  NearPairs near_between_robots;        ///< Those of two robots.
+
+  /// Whether there are enough independent revisits for an interval.
+  [[nodiscard]] bool enough() const { return stretches >= kLeastStretches; }
+};
+
+/// Judges the poses `after` of an estimate against `before`, those of the recording. Pairs of `used`, the
+/// closures that the estimate was made of, do not count. \throws OptionError
+[[nodiscard]] LOOPWISE_EXPORT MapQuality map_quality(const Mission& mission, const PosesByKey& before,
+                                                     const PosesByKey& after, const Revisits& used,
+                                                     const ReplayOptions& options, ThreadPool& pool,
+                                                     const StopToken& stop = {},
+                                                     const ProgressCallback& progress = {});
+
+}  // namespace loopwise
