@@ -69,6 +69,22 @@ Trajectory trajectory_of(const std::filesystem::path& path, const Mission& missi
   return trajectory;
 }
 
+/// Errors against the poses that odometry was taken from are those of closures alone.
+void warn_if_odometry_is_truth(const std::filesystem::path& path, const Mission& mission, Console& console) {
+  PosesByKey odometry;
+  for (const Node& node : mission.graph.nodes()) {
+    if (mission.ground_truth.count(node.key) != 0) odometry.emplace(node.key, node.pose);
+  }
+  if (odometry.empty()) return;
+  constexpr double kSame_m = 1e-6;
+  if (evaluate_trajectory(odometry, mission.ground_truth, Alignment::kNone, mission.robots).ate_m.max >
+      kSame_m)
+    return;
+  console.warn(path.string() +
+               ": odometry and truth are the same poses, so that errors say nothing of a map; give another "
+               "odometry, or judge a replay with --odometry-noise 0.05 0.01");
+}
+
 /// Both trajectories. Those of recordings are paired with the other by key, with a TUM file by stamp.
 Input read_input(const Options& options, const Config& config, Console& console, const StopToken& stop) {
   const std::filesystem::path run = graph_of_run(options.estimate);
@@ -81,6 +97,7 @@ Input read_input(const Options& options, const Config& config, Console& console,
   const auto read = [&](const std::filesystem::path& path, Poses wanted, bool by_stamp) {
     const Mission mission = read_mission(path, config.mission, console.progress_callback(), stop);
     input.robots = mission.robots;
+    if (wanted == Poses::kTruth) warn_if_odometry_is_truth(path, mission, console);
     // A trajectory of a run has the stamps that the mission was given.
     if (by_stamp && wanted == Poses::kEstimate) require_own_stamps(mission, options.truth, config.mission);
     return trajectory_of(path, mission, wanted, by_stamp);

@@ -58,6 +58,7 @@ struct Options {
   bool resume = false;
   bool overwrite = false;
   double map_voxel_m = 0.2;
+  bool map_ply = false;
   Transport* job = nullptr;
 };
 
@@ -184,7 +185,7 @@ std::string results_text(const Robots& robots, const ReplayOptions& options, con
   }
   std::map<std::string, std::size_t> rejected;
   for (const auto& [reason, count] : e.closures.rejected) rejected[std::string(enum_name(reason))] = count;
-  text += reasons_text("rejected", rejected) + calibration_text(result);
+  text += reasons_text("rejected", rejected) + no_closure_text(e) + calibration_text(result);
   text += errors_text(e);
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
@@ -348,6 +349,7 @@ int run_trace(const Options& options) {
   result.problems.add(map.problems);
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
+  if (options.map_ply && !map.cloud.empty()) write_ply(folder / "map.ply", map.cloud);
   write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map.cloud);
   print_results(options.common,
                 parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
@@ -423,7 +425,7 @@ int run(const Options& options) {
     outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   }
   // Not before it is certain that this run may replace the former results.
-  for (const char* name : {"summary.json", "map.pcd", "picture.svg"}) remove_former(name);
+  for (const char* name : {"summary.json", "map.pcd", "map.ply", "picture.svg"}) remove_former(name);
   for (const fs::path& file : former_trajectories(folder)) remove_former(file);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
   if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
@@ -501,6 +503,9 @@ int run(const Options& options) {
   console.warn(result.problems);
   attempt([&] { finish_log(journal, folder / "journal.jsonl"); });
   if (outcomes) outcomes->finish();
+  if (options.map_ply && !interrupt.interrupted() && !map.cloud.empty()) {
+    attempt([&] { write_ply(folder / "map.ply", map.cloud); });
+  }
   write_run_folder(folder, mission, config.replay, result, evaluation, history.rows(),
                    interrupt.interrupted() ? PointCloud{} : map.cloud);
   if (failure) std::rethrow_exception(failure);
@@ -586,6 +591,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->type_name("N");
   command->add_flag("--after-mission", options->after_mission,
                     "Continue after the mission's end until no candidate is pending");
+  command->add_flag("--map-ply", options->map_ply, "Write the map as binary PLY too, map.ply");
   command->add_option("--map-voxel", options->map_voxel_m, "Voxel of map.pcd, m (default 0.2)")
       ->type_name("M")
       ->check(CLI::PositiveNumber);

@@ -13,6 +13,9 @@ namespace loopwise::cli {
 /// closures that they make things worse.
 [[nodiscard]] bool is_judged(const RunEvaluation& e);
 
+/// Of a run that verified no closure: the most frequent reason and what to try. Else empty.
+[[nodiscard]] std::string no_closure_text(const RunEvaluation& e);
+
 /// Lines on residuals, errors and differences, as far as they are known.
 [[nodiscard]] std::string errors_text(const RunEvaluation& e);
 

@@ -821,6 +821,11 @@ TEST_CASE("replay: what its words say of runs that cannot be judged", "[apps]") 
   run = run_program({"replay", own, "-o", (folder / "own").string()});
   REQUIRE_THAT(run.out, Contains("not judged: odometry and truth are the same poses") &&
                             !Contains("true inliers") && !Contains("ATE mean"));
+  run = run_program({"evaluate", (folder / "own").string(), own});
+  REQUIRE(run.status == 0);
+  REQUIRE_THAT(run.err, Contains("own_truth: odometry and truth are the same poses"));
+  run = run_program({"evaluate", (folder / "one").string(), recorded});
+  REQUIRE_THAT(run.err, !Contains("the same poses"));
   run = run_program({"replay", own, "-o", (folder / "noisy").string(), "--odometry-noise", "0.05", "0.01"});
   REQUIRE_THAT(run.out, Contains("true inliers") && Contains("ATE mean"));
 }
