@@ -2,6 +2,9 @@
 #include "run_text.hpp"
 
 #include <algorithm>
+#include <map>
+
+#include <loopwise/replay/cost_forecast.hpp>
 
 #include "command.hpp"
 
@@ -43,6 +46,52 @@ const char* advice_on(RejectionReason reason) {
       return "registrations take longer than task.time_limit_s allows";
   }
   return "";
+}
+
+std::string reasons_text(const std::string& what, const std::map<std::string, std::size_t>& reasons) {
+  std::string text;
+  for (const auto& [reason, count] : reasons)
+    text += (text.empty() ? "" : ", ") + std::to_string(count) + " " + reason;
+  return text.empty() ? text : what + std::string(13 - what.size(), ' ') + text + "\n";
+}
+
+/// Predicted and observed shares of verified candidates.
+std::string calibration_text(const ReplayResult& result) {
+  std::string text;
+  for (const auto& [name, calibration] : result.calibration) {
+    double expected = 0.0;
+    std::size_t verified = 0, count = 0;
+    for (const Calibration::Bin& bin : calibration.bins()) {
+      expected += bin.expected;
+      verified += bin.verified;
+      count += bin.count;
+    }
+    if (count == 0) continue;
+    text += "predicted    " + fixed(100.0 * expected / static_cast<double>(count), 1) +
+            " % verified by method " + name + ", observed " +
+            fixed(100.0 * static_cast<double>(verified) / static_cast<double>(count), 1) +
+            " % (Brier score " + fixed(calibration.brier(), 3) + ")\n";
+  }
+  return text;
+}
+
+/// Closures that tie robots or sessions together. If they verify but are not kept, the common frame is wrong.
+std::string between_robots_text(const Robots& robots, const ReplayResult& result) {
+  if (robots.size() < 2) return {};
+  const double inlier_weight = ClosureClassOptions().gnc_inlier_weight;
+  std::size_t verified = 0, kept = 0;
+  for (const ComputedCandidate& computed : result.computed) {
+    if (!computed.result.verified()) continue;
+    const LoopClosure& closure = *computed.result.closure;
+    if (robots.of(closure.from) == robots.of(closure.to)) continue;
+    ++verified;
+    kept += computed.weight > inlier_weight ? 1 : 0;
+  }
+  std::string text = "between      " + counted(verified, "verified closure") + " of different robots, " +
+                     std::to_string(kept) + " kept";
+  if (verified >= 8 && 2 * kept < verified)
+    text += ": most contradict the robots' common frame or each other; check --frames and the priors";
+  return text + "\n";
 }
 
 }  // namespace
@@ -88,6 +137,52 @@ std::string errors_text(const RunEvaluation& e) {
     text += "reference    " + fixed(e.odometry_reference.ate_m.mean, 3) + " m by odometry, " +
             fixed(e.optimized_reference.ate_m.mean, 3) +
             " m optimised: mean difference from the session's own optimised poses, which are not the truth\n";
+  }
+  return text;
+}
+
+std::string results_text(const Robots& robots, const ReplayOptions& options, const ReplayResult& result,
+                         const RunEvaluation& e, int threads) {
+  const CandidateAccounting& a = result.accounting;
+  const auto share = [&](std::size_t count) {
+    return std::to_string(count) + " (" + fixed(percent(count, a.queued()), 2) + " % of queued)";
+  };
+  std::string text = "candidates   " + std::to_string(a.generated) + " generated, " +
+                     std::to_string(a.pruned) + " pruned, " + std::to_string(a.expired) + " expired, " +
+                     std::to_string(a.computed) + " computed, " + std::to_string(a.pending) + " pending\n";
+  text += reasons_text("pruned", result.pruned) + reasons_text("expired", result.expired);
+  text +=
+      "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
+  text += between_robots_text(robots, result);
+  if (is_judged(e)) {
+    text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth\n";
+  }
+  std::map<std::string, std::size_t> rejected;
+  for (const auto& [reason, count] : e.closures.rejected) rejected[std::string(enum_name(reason))] = count;
+  text += reasons_text("rejected", rejected) + no_closure_text(e) + calibration_text(result);
+  text += errors_text(e);
+  text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
+          fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +
+          fixed(result.optimization_s, 1) + " s optimisation, " + fixed(result.decision_s, 1) +
+          " s candidates and their order, method " + to_string(options.prioritization.method) + "\n";
+  if (result.interrupted) return text;
+  if (threads > 0 && a.pending > 0) {
+    const std::string all = forecast_text(forecast_cost(result), threads);
+    if (!all.empty()) text += "all of them  " + all + "\n";
+  }
+  const auto most = static_cast<std::size_t>(options.max_registrations);
+  if (a.pending > 0 && most > 0 && a.computed >= most) {
+    text += "pending      " + std::to_string(a.pending) + " beyond --max-registrations\n";
+  } else if (a.pending > 0 && !options.after_mission) {
+    text += "pending      " + std::to_string(a.pending) + " not computed when the mission ended" +
+            (options.cost.measured_time
+                 ? std::string()
+                 : ", by a modelled computer of " +
+                       counted(static_cast<std::size_t>(options.cost.workers), "worker") + " and " +
+                       fixed(options.cost.registration_time_s, 1) + " s a registration") +
+            ": --after-mission computes them too\n";
+  } else if (a.pending == 0 && a.computed > 0) {
+    text += "order        all candidates were computed: every order gives the same closures\n";
   }
   return text;
 }

@@ -19,4 +19,9 @@ namespace loopwise::cli {
 /// Lines on residuals, errors and differences, as far as they are known.
 [[nodiscard]] std::string errors_text(const RunEvaluation& e);
 
+/// All that a replay prints of its results. `threads`: those of this machine, for the time of all candidates;
+/// 0 leaves it out.
+[[nodiscard]] std::string results_text(const Robots& robots, const ReplayOptions& options,
+                                       const ReplayResult& result, const RunEvaluation& e, int threads);
+
 }  // namespace loopwise::cli
