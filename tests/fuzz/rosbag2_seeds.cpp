@@ -72,37 +72,105 @@ std::string mcap(const std::vector<TypedMessage>& messages, const std::string& c
          record(2, std::string(20, '\0')) + mark;
 }
 
-std::string db3(const std::vector<TypedMessage>& messages) {
+namespace {
+
+std::string hex_of(std::string_view bytes) {
+  constexpr char kDigits[] = "0123456789abcdef";
+  std::string hex;
+  for (const char c : bytes)
+    (hex += kDigits[static_cast<unsigned char>(c) >> 4]) += kDigits[static_cast<unsigned char>(c) & 15];
+  return hex;
+}
+
+/// The file of a database that is filled by `fill(run)`, where run() executes SQL.
+template <class Fill>
+std::string database(Fill&& fill) {
   const auto file = scratch() / "seed.db3";
   std::filesystem::remove(file);
-  sqlite3* database = nullptr;
+  sqlite3* made = nullptr;
   const auto run = [&](const std::string& sql) {
-    if (sqlite3_exec(database, sql.c_str(), nullptr, nullptr, nullptr) != SQLITE_OK)
-      throw std::runtime_error(sql + ": " + sqlite3_errmsg(database));
+    if (sqlite3_exec(made, sql.c_str(), nullptr, nullptr, nullptr) != SQLITE_OK)
+      throw std::runtime_error(sql + ": " + sqlite3_errmsg(made));
   };
-  if (sqlite3_open(file.c_str(), &database) != SQLITE_OK) throw std::runtime_error("no database");
-  run("PRAGMA page_size = 512; CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format);"
-      "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data);"
-      "CREATE TABLE message_definitions(topic_type, encoding, encoded_message_definition);");
-  std::set<std::size_t> described;
-  for (const TypedMessage& message : messages) {
-    if (described.insert(message.type).second) {
-      const std::string name = message_types()[message.type].name;
-      run("INSERT INTO topics VALUES (" + std::to_string(message.type) + ", '" +
-          message_types()[message.type].topic + "', '" + name +
-          "', 'ros1'); INSERT INTO message_definitions VALUES ('" + name + "', 'ros1msg', '" +
-          message_types()[message.type].definition + "')");
-    }
-    std::string hex;
-    for (const char c : message.bytes) {
-      constexpr char kDigits[] = "0123456789abcdef";
-      (hex += kDigits[static_cast<unsigned char>(c) >> 4]) += kDigits[static_cast<unsigned char>(c) & 15];
-    }
-    run("INSERT INTO messages (topic_id, timestamp, data) VALUES (" + std::to_string(message.type) + ", " +
-        std::to_string(stamp_of(message)) + ", x'" + hex + "')");
-  }
-  sqlite3_close(database);
+  if (sqlite3_open(file.c_str(), &made) != SQLITE_OK) throw std::runtime_error("no database");
+  run("PRAGMA page_size = 512");
+  fill(run);
+  sqlite3_close(made);
   return read_file(file);
+}
+
+template <class Number>
+std::string raw(const std::vector<Number>& numbers) {
+  return {reinterpret_cast<const char*>(numbers.data()), numbers.size() * sizeof(Number)};
+}
+
+/// A block that zlib stores as it is, and the size and type that RTAB-Map writes behind it.
+std::string stored_matrix(const std::string& bytes, std::int32_t columns, std::int32_t type) {
+  const auto size = static_cast<unsigned>(bytes.size());
+  std::uint32_t a = 1, b = 0;
+  for (const char c : bytes) {
+    a = (a + static_cast<unsigned char>(c)) % 65521;
+    b = (b + a) % 65521;
+  }
+  std::string out = "\x78\x01\x01";
+  for (const unsigned part : {size & 255, size >> 8, ~size & 255, ~size >> 8 & 255})
+    out += static_cast<char>(part);
+  out += bytes;
+  for (const std::uint32_t part : {b >> 8, b & 255, a >> 8, a & 255}) out += static_cast<char>(part);
+  return out + raw<std::int32_t>({1, columns, type});
+}
+
+}  // namespace
+
+std::string db3(const std::vector<TypedMessage>& messages) {
+  return database([&](const auto& run) {
+    run("CREATE TABLE topics(id INTEGER PRIMARY KEY, name, type, serialization_format);"
+        "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id, timestamp, data);"
+        "CREATE TABLE message_definitions(topic_type, encoding, encoded_message_definition);");
+    std::set<std::size_t> described;
+    for (const TypedMessage& message : messages) {
+      if (described.insert(message.type).second) {
+        const std::string name = message_types()[message.type].name;
+        run("INSERT INTO topics VALUES (" + std::to_string(message.type) + ", '" +
+            message_types()[message.type].topic + "', '" + name +
+            "', 'ros1'); INSERT INTO message_definitions VALUES ('" + name + "', 'ros1msg', '" +
+            message_types()[message.type].definition + "')");
+      }
+      run("INSERT INTO messages (topic_id, timestamp, data) VALUES (" + std::to_string(message.type) + ", " +
+          std::to_string(stamp_of(message)) + ", x'" + hex_of(message.bytes) + "')");
+    }
+  });
+}
+
+std::string rtabmap_database() {
+  return database([&](const auto& run) {
+    run("CREATE TABLE Node(id INTEGER PRIMARY KEY, map_id, weight, stamp, pose, ground_truth_pose);"
+        "CREATE TABLE Data(id INTEGER PRIMARY KEY, scan, scan_info);"
+        "CREATE TABLE Link(from_id, to_id, type, information_matrix, transform);"
+        "CREATE TABLE Admin(version, opt_ids, opt_poses);");
+    const auto pose = [](float x) { return raw<float>({1, 0, 0, x, 0, 1, 0, 0, 0, 0, 1, 0}); };
+    std::vector<double> information(36, 0.0);
+    for (std::size_t i = 0; i < 6; ++i) information[7 * i] = 100.0;
+    const auto blob = [](const std::string& bytes) { return "x'" + hex_of(bytes) + "'"; };
+    std::string poses;
+    for (int id = 1; id <= 3; ++id) {
+      const std::string key = std::to_string(id), at = pose(static_cast<float>(id));
+      run("INSERT INTO Node VALUES (" + key + ", 0, 0, " + key + ".5, " + blob(at) + ", " + blob(at) + ")");
+      const std::string points = raw<float>({1, 2, 3, 0.5F, 4, 5, 6, 0.5F});
+      run("INSERT INTO Data VALUES (" + key + ", " + blob(stored_matrix(points, 2, 29)) + ", " +
+          blob(raw<float>({6, 0, 80, 0, 0, 0, 0}) + pose(0)) + ")");
+      poses += at;
+      if (id == 1) continue;
+      for (const int to : {id - 1, id == 3 ? 1 : 0}) {
+        if (to > 0)
+          run("INSERT INTO Link VALUES (" + std::to_string(to) + ", " + key + ", " +
+              (to == id - 1 ? "0, " : "1, ") + blob(raw(information)) + ", " +
+              blob(pose(static_cast<float>(id - to))) + ")");
+      }
+    }
+    run("INSERT INTO Admin VALUES ('0.21.4', " + blob(stored_matrix(raw<std::int32_t>({1, 2, 3}), 3, 4)) +
+        ", " + blob(stored_matrix(poses, 36, 5)) + ")");
+  });
 }
 
 }  // namespace loopwise::fuzz

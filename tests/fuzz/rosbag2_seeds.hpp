@@ -16,4 +16,7 @@ namespace loopwise::fuzz {
 /// A database of rosbag2.
 [[nodiscard]] std::string db3(const std::vector<TypedMessage>& messages);
 
+/// A database of RTAB-Map: three nodes with scans, a closure, optimised poses.
+[[nodiscard]] std::string rtabmap_database();
+
 }  // namespace loopwise::fuzz
