@@ -130,6 +130,19 @@ std::vector<fs::path> former_trajectories(const fs::path& folder) {
   return files;
 }
 
+/// Beside new results it would be taken for theirs.
+void remove_former(const fs::path& file) {
+  std::error_code failure;
+  fs::remove(file, failure);
+  if (failure) throw IoError(file.string(), "cannot be removed: " + failure.message());
+}
+
+/// Files that a new run does not always write.
+void remove_former_results(const fs::path& folder) {
+  for (const char* name : {"summary.json", "map.pcd", "map.ply", "picture.svg"}) remove_former(folder / name);
+  for (const fs::path& file : former_trajectories(folder)) remove_former(folder / file);
+}
+
 /// Null if outcomes are not kept.
 std::shared_ptr<OutcomeStore> open_store(const ReplayArguments& arguments) {
   if (arguments.outcomes.empty()) return nullptr;
@@ -244,6 +257,7 @@ int run_trace(const Options& options) {
   sources.push_back(options.trace);
   refuse_recording(folder, sources);
   prepare_output_folder(folder, options.overwrite, "; --overwrite replaces it");
+  remove_former_results(folder);
   ReplayHooks hooks;
   RunHistory history(mission);
   hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
@@ -256,12 +270,13 @@ int run_trace(const Options& options) {
   result.problems.add(map.problems);
   add_scan_problems(result, *mission.scans);
   console.warn(result.problems);
-  if (options.map_ply && !map.cloud.empty()) write_ply(folder / "map.ply", map.cloud);
+  if (options.map_ply && !map.cloud.empty() && !interrupt.interrupted())
+    write_ply(folder / "map.ply", map.cloud);
   write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map.cloud);
-  print_results(options.common,
-                parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
-                results_text(mission.robots, recorded, result, evaluation, /*threads=*/0) + "results      " +
-                    folder.string() + "\n");
+  print_results(
+      options.common, parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
+      results_text(mission.robots, recorded, result, evaluation, /*threads=*/0, /*virtual_clock=*/false) +
+          "results      " + folder.string() + "\n");
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 
@@ -311,11 +326,6 @@ int run(const Options& options) {
   refuse_recording(folder, options.missions);
   prepare_output_folder(folder, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
-  const auto remove_former = [&folder](const fs::path& name) {
-    std::error_code failure;
-    fs::remove(folder / name, failure);  // beside new results it would be taken for theirs
-    if (failure) throw IoError((folder / name).string(), "cannot be removed: " + failure.message());
-  };
   const bool live = options.clock == "real";
   if (options.resume && !fs::exists(folder / "outcomes.jsonl")) {
     if (fs::exists(folder / "summary.json")) {
@@ -327,13 +337,12 @@ int run(const Options& options) {
   }
   std::optional<OutcomeFile> outcomes;
   if (live) {
-    remove_former("outcomes.jsonl");  // of another run
+    remove_former(folder / "outcomes.jsonl");  // of another run
   } else {
     outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   }
   // Not before it is certain that this run may replace the former results.
-  for (const char* name : {"summary.json", "map.pcd", "map.ply", "picture.svg"}) remove_former(name);
-  for (const fs::path& file : former_trajectories(folder)) remove_former(file);
+  remove_former_results(folder);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
   if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
   if (outcomes && !outcomes->known().empty()) {
@@ -421,11 +430,11 @@ int run(const Options& options) {
   if (server) note_ranks(console, server->statistics(), summary);
 #endif
   if (team.frames) summary["frames"] = frames_json(*team.frames);
-  print_results(
-      options.common, summary,
-      (team.frames ? frames_text(*team.frames) : "") +
-          results_text(mission.robots, config.replay, result, evaluation, thread_count(options.common)) +
-          "results      " + folder.string() + "\n");
+  print_results(options.common, summary,
+                (team.frames ? frames_text(*team.frames) : "") +
+                    results_text(mission.robots, config.replay, result, evaluation,
+                                 thread_count(options.common), !live) +
+                    "results      " + folder.string() + "\n");
   if (interrupt.interrupted()) {
     console.note(std::string("interrupted: the results are those so far") +
                  (live ? "" : "; --resume continues"));

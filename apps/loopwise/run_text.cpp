@@ -142,7 +142,7 @@ std::string errors_text(const RunEvaluation& e) {
 }
 
 std::string results_text(const Robots& robots, const ReplayOptions& options, const ReplayResult& result,
-                         const RunEvaluation& e, int threads) {
+                         const RunEvaluation& e, int threads, bool virtual_clock) {
   const CandidateAccounting& a = result.accounting;
   const auto share = [&](std::size_t count) {
     return std::to_string(count) + " (" + fixed(percent(count, a.queued()), 2) + " % of queued)";
@@ -175,14 +175,14 @@ std::string results_text(const Robots& robots, const ReplayOptions& options, con
     text += "pending      " + std::to_string(a.pending) + " beyond --max-registrations\n";
   } else if (a.pending > 0 && !options.after_mission) {
     text += "pending      " + std::to_string(a.pending) + " not computed when the mission ended" +
-            (options.cost.measured_time
+            (!virtual_clock || options.cost.measured_time
                  ? std::string()
                  : ", by a modelled computer of " +
                        counted(static_cast<std::size_t>(options.cost.workers), "worker") + " and " +
                        fixed(options.cost.registration_time_s, 1) + " s a registration") +
             ": --after-mission computes them too\n";
-  } else if (a.pending == 0 && a.computed > 0) {
-    text += "order        all candidates were computed: every order gives the same closures\n";
+  } else if (a.pending == 0 && a.pruned == 0 && a.expired == 0 && a.computed > 0) {
+    text += "order        all candidates were computed: the method hardly matters\n";
   }
   return text;
 }

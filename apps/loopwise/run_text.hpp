@@ -20,8 +20,9 @@ namespace loopwise::cli {
 [[nodiscard]] std::string errors_text(const RunEvaluation& e);
 
 /// All that a replay prints of its results. `threads`: those of this machine, for the time of all candidates;
-/// 0 leaves it out.
+/// 0 leaves it out. `virtual_clock`: the time of registrations was modelled.
 [[nodiscard]] std::string results_text(const Robots& robots, const ReplayOptions& options,
-                                       const ReplayResult& result, const RunEvaluation& e, int threads);
+                                       const ReplayResult& result, const RunEvaluation& e, int threads,
+                                       bool virtual_clock);
 
 }  // namespace loopwise::cli

@@ -15,12 +15,13 @@ namespace loopwise::python {
 /// A prioritiser keeps the state of a run, so that another run needs another object.
 class OfOneRun {
  public:
-  /// \throws InputError on the second call
-  void begin_run(std::string_view name) {
-    if (!std::exchange(used_, true)) return;
+  /// \throws InputError if a run has begun with it, or if it is in the list of a run already
+  void require_unused(std::string_view name, bool first_in_list) const {
+    if (!used_ && first_in_list) return;
     throw InputError("prioritizer \"" + std::string(name) +
                      "\" has been used before: make a new object for each run and each place in the list");
   }
+  void begin_run() { used_ = true; }
 
  private:
   bool used_ = false;

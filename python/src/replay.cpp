@@ -4,6 +4,7 @@
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/replay/replay.hpp>
+#include <set>
 
 namespace loopwise::python {
 namespace {
@@ -26,9 +27,12 @@ PythonRun run_replay(const std::shared_ptr<Mission>& mission, const py::object& 
   PrioritizerFactory factory;
   if (!prioritizers.is_none()) {
     const auto own = prioritizers.cast<std::vector<std::shared_ptr<Prioritizer>>>();
+    std::set<OfOneRun*> of_this_run;
     for (const auto& prioritizer : own) {
-      if (auto* once = dynamic_cast<OfOneRun*>(prioritizer.get())) once->begin_run(prioritizer->name());
+      auto* once = dynamic_cast<OfOneRun*>(prioritizer.get());
+      if (once != nullptr) once->require_unused(prioritizer->name(), of_this_run.insert(once).second);
     }
+    for (OfOneRun* once : of_this_run) once->begin_run();
     factory = [own] {
       std::vector<std::unique_ptr<Prioritizer>> out;
       for (const auto& prioritizer : own) out.push_back(std::make_unique<SharedPrioritizer>(prioritizer));

@@ -104,8 +104,8 @@ MapQuality map_quality(const Mission& mission, const PosesByKey& before, const P
   SurfaceAgreementOptions narrow;
   narrow.pairs = wide.pairs / 4;
   MapQuality quality;
-  // Those by the recording's poses are the same for every estimate. Where the two maps disagree, pairs that
-  // are near by the estimate alone show it to be wrong.
+  // Those by the recording's poses are the same for every estimate. Pairs that are near by the
+  // estimate and that no registration proves show it to be wrong.
   const Revisits by_recording = without(find_revisits(mission, before, wide), used);
   const Revisits by_estimate = without(find_revisits(mission, after, narrow), used);
   quality.revisits = prove_revisits(mission, by_recording, options, pool, stop, progress);

@@ -81,6 +81,8 @@ std::vector<LoopCandidate> AppearanceGenerator::on_node(const PoseGraph& graph, 
       graph, robots_, key, [this](Key of) { return scans_->load(of); }, submap_options);
   if (submap.level.empty()) return {};
   const auto place = database_->describe(submap.level);
+  if (!place)
+    throw InputError("place database \"" + std::string(database_->name()) + "\": describe() returned null");
   const auto found = database_->search(*place, static_cast<std::size_t>(options_.per_place), [&](Key other) {
     const auto there = stations_.find(other);
     return there != stations_.end() && (there->second.piece != here.piece ||

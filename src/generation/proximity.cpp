@@ -21,8 +21,8 @@ double radius_bound(const ProximityOptions& options) {
 
 /// The search radius of two nodes whose indices differ by `indices`.
 double radius_after(const ProximityOptions& options, double indices) {
-  if (options.rate_m == 0.0 && options.radius_max_m > 0.0) return options.radius_max_m;
-  return std::clamp(options.rate_m * indices, options.radius_min_m, radius_bound(options));
+  const double most = radius_bound(options);
+  return std::clamp(options.rate_m * indices, std::min(options.radius_min_m, most), most);
 }
 
 struct Preset {
@@ -34,7 +34,7 @@ const std::vector<Preset>& presets() {
   static const std::vector<Preset> all{
       {"paper", {0.2, 0.0, 0.0, 0, 0, 0.0}},
       {"lamp_2022_01", {0.2, 0.0, 30.0, 10, 10}},
-      {"lamp_base", {0.0, 0.0, 30.0, 10, 0}},
+      {"lamp_base", {0.2, 30.0, 30.0, 10, 0}},
       {"lamp_robot", {0.2, 5.0, 80.0, 15, 3}},
   };
   return all;
@@ -44,7 +44,8 @@ const std::vector<Preset>& presets() {
 
 void validate_proximity(const ProximityOptions& options) {
   validate(options);
-  if (options.radius_min_m > radius_bound(options)) {
+  const bool is_default = options.radius_min_m == ProximityOptions().radius_min_m;
+  if (!is_default && options.radius_min_m > radius_bound(options)) {
     throw OptionError("radius_min_m = " + std::to_string(options.radius_min_m) +
                       ", must be <= radius_max_m = " + std::to_string(options.radius_max_m));
   }

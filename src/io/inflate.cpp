@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <string>
 #include <utility>
+#include <vector>
 
 #include <loopwise/core/error.hpp>
 
@@ -86,7 +88,7 @@ class PrefixCode {
 
  private:
   std::array<std::uint16_t, kLongestCode + 1> of_length_{};
-  std::basic_string<std::uint16_t> symbols_;
+  std::vector<std::uint16_t> symbols_;
 };
 
 class Inflater {

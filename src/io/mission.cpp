@@ -416,6 +416,8 @@ MissionKind mission_kind(const fs::path& path) {
   if (bags::has_bags(folder)) return MissionKind::kBags;
   if (parts::is_kitti_sequence(folder)) return MissionKind::kKitti;
   if (!parts::stamped_clouds_of(folder).empty()) return MissionKind::kStampedClouds;
+  // Last: other programs may keep a database beside their own files.
+  if (!parts::rtabmap_databases(folder).empty()) return MissionKind::kRtabmap;
   const std::string what = describe_foreign_folder(folder);
   if (!what.empty()) throw InputError(folder.string() + ": no mission, it " + what);
   throw InputError(

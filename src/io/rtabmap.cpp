@@ -9,6 +9,7 @@
 #include <limits>
 #include <map>
 #include <mutex>
+#include <optional>
 #include <set>
 #include <utility>
 
@@ -245,12 +246,14 @@ class Reader {
         problems_.add_altered("link of a kind that is not used left out", place(from, to));
         continue;
       }
-      if (!seen.insert(std::minmax(from, to)).second) continue;
+      if (seen.count(std::minmax(from, to)) != 0) continue;
       const auto T = pose_of(rows.bytes(3));
       if (!T) {
         problems_.add_altered("link without a pose left out", place(from, to));
         continue;
       }
+      seen.insert(std::minmax(from, to));
+      if (type == kNeighbor || type == kNeighborMerged) neighbours_.insert(std::minmax(from, to));
       links_.push_back(
           {static_cast<Key>(from), static_cast<Key>(to), *T, information_of(rows.bytes(4), from, to)});
     }
@@ -261,8 +264,9 @@ class Reader {
     Matrix6d information = Matrix6d::Zero();
     if (blob.size() != sizeof(double) * 36) return information;
     std::memcpy(information.data(), blob.data(), blob.size());  // symmetric: its order of storage is all one
+    information = (0.5 * information + 0.5 * information.transpose()).eval();  // no overflow
     if (!information.allFinite()) return Matrix6d::Zero();
-    const SoundInformation sound = nearest_information(0.5 * (information + information.transpose()));
+    const SoundInformation sound = nearest_information(information);
     if (sound.flaw == InformationFlaw::kIndefinite)
       problems_.add_altered("information not positive semi-definite, its negative eigenvalues set to 0",
                             place(from, to));
@@ -288,6 +292,8 @@ class Reader {
         problems_.add_altered("node without a link left out", where);
         continue;
       }
+      if (!nodes_.empty() && nodes_.back().key == key)
+        throw InputError("node " + std::to_string(id) + " is there twice");
       nodes_.push_back({key, rows.integer(1, "map_id of a node"), *pose});
       const double stamp_ns = rows.number(3) * 1e9;
       if (stamp_ns > 0.0 && stamp_ns < 4.6e18) stamps_.emplace(key, std::llround(stamp_ns));
@@ -315,13 +321,15 @@ class Reader {
   }
 
   void read_scans() {
-    Statement rows(
-        database_.handle(),
-        "SELECT id, scan_info FROM Data WHERE length(scan) > 4 AND scan_info IS NOT NULL ORDER BY id");
+    Statement rows(database_.handle(), "SELECT id, scan_info FROM Data WHERE length(scan) > 4 ORDER BY id");
     while (rows.next()) {
       const std::int64_t id = rows.integer(0, "the id of a scan");
       if (id <= 0 || !std::binary_search(nodes_.begin(), nodes_.end(), static_cast<Key>(id), Less{}))
         continue;
+      if (rows.bytes(1).empty()) {
+        problems_.add_altered("scan without scan_info left out", name_ + ": node " + std::to_string(id));
+        continue;
+      }
       try {
         if (is_flat(scan_info_of(rows.bytes(1)).format)) {
           problems_.add_altered("scan of a 2D scanner left out", name_ + ": node " + std::to_string(id));
@@ -357,6 +365,10 @@ class Reader {
   PoseGraph graph_of(const Robots& robots) {
     std::map<std::pair<Key, Key>, Eigen::Isometry3d> steps;
     for (const Edge& link : links_) {
+      // A closure between two nodes in a row is not the step of odometry between them.
+      if (neighbours_.count(
+              std::minmax(static_cast<std::int64_t>(link.from), static_cast<std::int64_t>(link.to))) == 0)
+        continue;
       steps.emplace(std::pair(link.from, link.to), link.T_from_to);
       steps.emplace(std::pair(link.to, link.from), link.T_from_to.inverse());
     }
@@ -366,9 +378,9 @@ class Reader {
       const StoredNode& stored = nodes_[i];
       const bool begins = i == 0 || robots.of(stored.key) != robots.of(nodes_[i - 1].key);
       if (begins) {
-        const auto known = optimized_.find(stored.key);
-        pose = known != optimized_.end() ? known->second : stored.odometry;
-        if (known == optimized_.end() && robots.size() > 1)
+        const std::optional<Eigen::Isometry3d> placed = placed_start(robots, i);
+        pose = placed.value_or(stored.odometry);
+        if (!placed && robots.size() > 1)
           problems_.add(kWithoutFrame, name_ + ": map " + std::to_string(stored.map) + ", see --frames auto");
       } else {
         const auto step = steps.find({nodes_[i - 1].key, stored.key});
@@ -389,6 +401,18 @@ class Reader {
     }
     add_links(graph);
     return graph;
+  }
+
+  /// Where the program put the first node of a robot, by its first node that the last map still has.
+  [[nodiscard]] std::optional<Eigen::Isometry3d> placed_start(const Robots& robots, std::size_t first) const {
+    const std::size_t robot = robots.of(nodes_[first].key);
+    for (std::size_t i = first; i < nodes_.size() && robots.of(nodes_[i].key) == robot; ++i) {
+      const auto known = optimized_.find(nodes_[i].key);
+      if (known == optimized_.end()) continue;
+      if (i == first) return known->second;
+      return se3::normalized(known->second * nodes_[i].odometry.inverse() * nodes_[first].odometry);
+    }
+    return std::nullopt;
   }
 
   void add_links(PoseGraph& graph) {
@@ -421,6 +445,8 @@ class Reader {
   const MissionOptions& options_;
   Problems problems_;
   std::vector<Edge> links_;
+  std::set<std::pair<std::int64_t, std::int64_t>>
+      neighbours_;                 // pairs, the lower id first, whose link is odometry
   std::vector<StoredNode> nodes_;  // ascending
   Stamps stamps_;
   std::map<Key, Eigen::Isometry3d> truth_, optimized_;
@@ -447,6 +473,7 @@ Mission read_rtabmap(const fs::path& path, const MissionOptions& options, const 
       throw InputError(path.string() + ": holds " + std::to_string(databases.size()) +
                        " databases of RTAB-Map, give one of them: " + databases.front().string() + " ...");
     }
+    if (databases.empty()) throw InputError(path.string() + ": holds no database of RTAB-Map");
     file = databases.front();
   }
   return Reader(file, options, work).mission(path, file);

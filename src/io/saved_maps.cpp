@@ -203,7 +203,6 @@ std::vector<fs::path> rtabmap_databases(const fs::path& folder) {
 
 std::optional<MissionKind> saved_map_kind(const fs::path& folder) {
   if (has_file(folder, "result.g2o")) return std::nullopt;  // a g2o_pcd folder
-  if (!rtabmap_databases(folder).empty()) return MissionKind::kRtabmap;
   if (has_file(folder, "graph.txt") && begins_with(folder / "graph.txt", "num_submaps:"))
     return MissionKind::kGlim;
   if (fs::is_directory(folder / "scans") &&

@@ -92,6 +92,7 @@ void EngineThread::run() {
     out_of_memory_ = true;
   }
   if (out_of_memory_) end_without_memory();
+  id_ = std::thread::id();  // a later thread of the host may get the same
 }
 
 /// Until the inbox is closed and no worker has anything to answer.

@@ -118,6 +118,7 @@ void RegistrationCrew::replace_hanging() {
     Worker& worker = ended == workers_.end() ? workers_.emplace_back() : *ended;
     worker.ended = true;
     if (worker.thread.joinable()) worker.thread.join();  // it has let go of the mutex, and does no more
+    worker.id = std::thread::id();                       // a later thread may get the same
     start(worker);
     worker.ended = worker.overdue = false;
     ++spares_;

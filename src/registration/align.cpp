@@ -6,6 +6,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/robust_centre.hpp>
+#include <loopwise/features/voxel_grid.hpp>
 #include <loopwise/registration/registrar.hpp>
 
 namespace loopwise {
@@ -56,8 +57,8 @@ AlignResult align_points(const std::vector<Eigen::Vector3d>& target,
   out.reason = result.reason;
   out.message = result.message;
   out.inlier_share = result.overlap;
-  out.dropped_target_points += features->get(kTarget)->far_points;
-  out.dropped_source_points += features->get(kSource)->far_points;
+  out.dropped_target_points += points_beyond(*target_cloud, options.features.max_range_m);
+  out.dropped_source_points += points_beyond(*source_cloud, options.features.max_range_m);
   if (out.success) {
     out.T_target_source = result.closure->T_from_to.inverse();
     out.covariance = se3::covariance_of_inverse(result.closure->T_from_to, result.closure->covariance);

@@ -116,7 +116,7 @@ std::string forecast_text(const CostForecast& forecast, int threads) {
          " min on " + std::to_string(threads) + (threads == 1 ? " thread" : " threads") +
          " of this machine (by " + std::to_string(forecast.measured) + " registrations), the mission lasts " +
          fixed1(forecast.mission_s / 60.0) + " min: " +
-         (forecast.all_in_time(threads) ? "a live run computes them all, and the method does not matter"
+         (forecast.all_in_time(threads) ? "a live run computes them all, and the method hardly matters"
                                         : "a live run computes a part, and the method decides which");
 }
 

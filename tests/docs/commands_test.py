@@ -28,18 +28,26 @@ NOT_RUN = {
 
 
 def commands(page):
-    """(line, command) of the indented lines of a page that call the program."""
-    for number, line in enumerate((TREE / page).read_text(encoding="utf-8").splitlines(), 1):
+    """(line, command) of the indented lines of a page that call the program; a synopsis has further lines."""
+    lines = (TREE / page).read_text(encoding="utf-8").splitlines()
+    for number, line in enumerate(lines, 1):
         match = re.match(r"    (loopwise (?:[^#]*))", line)
         if match:
             # Some pages explain a command after it, beyond several blanks.
-            yield number, re.split(r"\s{3,}", match[1].strip())[0]
+            text = re.split(r"\s{3,}", match[1].strip())[0]
+            for further in lines[number:]:
+                if not re.match(r" {12,}\[", further):
+                    break
+                text += " " + further.strip()
+            yield number, text
 
 
 def options_of(command, known={}):
     if command not in known:
         text = subprocess.run([PROGRAM, *command, "--help"], capture_output=True, text=True, check=False)
-        known[command] = set(re.findall(r"(?<![\w-])--?[a-zA-Z][\w-]*", text.stdout)) if text.returncode == 0 else None
+        # The lines that define options begin with them; descriptions may name those of other commands.
+        defined = "\n".join(line[:60] for line in text.stdout.splitlines() if re.match(r"\s+-", line))
+        known[command] = set(re.findall(r"(?<![\w-])--?[a-zA-Z][\w-]*", defined)) if text.returncode == 0 else None
     return known[command]
 
 
@@ -266,12 +274,16 @@ def run_page(page, folder):
             left_out.append(f"{page}:{number}: {text}: this build has no page of reports")
         elif result.returncode != 0:
             faults.append(f"{page}:{number}: {text}: status {result.returncode}\n{result.stderr[-600:]}")
+    if ran + len(left_out) == 0:
+        faults.append(f"{page}: no command found")
     return faults, ran, left_out
 
 
 def main():
     faults, checked = check_options()
     print(f"{checked} commands of the documentation: options checked")
+    if checked < 70:
+        faults.append(f"only {checked} commands found: has the form of the pages changed?")
     if "--options-only" not in sys.argv:
         with tempfile.TemporaryDirectory() as name:
             folder = pathlib.Path(name)

@@ -44,7 +44,6 @@ std::vector<Pair> brute_force(const std::vector<Node>& nodes, const ProximityOpt
       if (same && gap < static_cast<double>(o.skip_recent)) continue;
       double radius = o.rate_m * (same ? gap : static_cast<double>(key_index(a)));
       radius = std::max(radius, o.radius_min_m);
-      if (o.rate_m == 0.0) radius = o.radius_max_m;
       if (o.radius_max_m > 0.0) radius = std::min(radius, o.radius_max_m);
       const double distance = (nodes[n].pose.translation() - nodes[c].pose.translation()).norm();
       if (distance <= radius) near.emplace_back(distance, c);

@@ -68,7 +68,7 @@ def main():
     parser.add_argument("--points", type=int, default=50)
     parser.add_argument("--level", type=int, default=-1, help="of zlib; 0 stores, 1 and 9 are unlike the default")
     parser.add_argument("--version", default="0.21.4")
-    for flag in ["flat", "no-scans", "no-optimized", "truth", "gap", "odd"]:
+    for flag in ["flat", "no-scans", "no-optimized", "truth", "gap", "odd", "false-closure", "late-start"]:
         parser.add_argument("--" + flag, action="store_true")
     o = parser.parse_args()
 
@@ -108,7 +108,9 @@ def main():
                                  (f, t, kind, information(*weights), floats(T)))
 
         for i in range(o.nodes - 1):
-            if o.gap and i == 2:
+            if (o.gap or o.false_closure) and i == 2:
+                if o.false_closure:  # in place of the step of odometry
+                    link(ids[i], ids[i + 1], 1, yaw_pose(9.0, -9.0, 0.0, 2.0))
                 continue
             step = multiply(inverse(yaw_pose(1.5 * i, 0.1 * i * i, 0.0, 0.15 * i)),
                             yaw_pose(1.5 * (i + 1), 0.1 * (i + 1) ** 2, 0.0, 0.15 * (i + 1)))
@@ -122,6 +124,8 @@ def main():
         for extra, weight, pose in ((1, -9, floats(yaw_pose(0, 0, 0, 0))), (2, 0, b""), (3, 0, floats(yaw_pose(9, 9, 0, 0)))):
             database.execute("INSERT INTO Node(id, map_id, weight, stamp, pose) VALUES(?,?,?,?,?)",
                              (node + extra, o.maps - 1, weight, 1700000000.0, pose))
+    if o.late_start:  # the last map lost its first node
+        del optimized[node - o.nodes + 1]
     ids = b"".join(struct.pack("<i", i) for i in optimized)
     poses = b"".join(floats(p) for p in optimized.values())
     database.execute("INSERT INTO Admin(version, opt_ids, opt_poses) VALUES(?,?,?)",

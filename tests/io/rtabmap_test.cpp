@@ -60,6 +60,9 @@ TEST_CASE("RTAB-Map: nodes, odometry, closures, scans and optimised poses of its
     CHECK(mission.reference.at(key).isApprox(rows_of(node["optimized"]), kFloat));
     CHECK(mission.graph.node(key).stamp_ns == std::llround(node["stamp"].get<double>() * 1e9));
   }
+  const Edge& closure = mission.graph.edges().back();
+  const auto optimized = [&](Key key) { return rows_of(expected["nodes"][key - 1]["optimized"]); };
+  CHECK(closure.T_from_to.isApprox(optimized(closure.from).inverse() * optimized(closure.to), kFloat));
   std::size_t odometry = 0;
   for (const Edge& edge : mission.graph.edges()) {
     odometry += edge.kind == EdgeKind::kOdometry ? 1 : 0;
@@ -94,6 +97,41 @@ TEST_CASE("RTAB-Map: each map is a robot that stands where the program put it", 
   const Mission bare = read_mission(folder / "bare.db");
   CHECK(bare.problems.count("joined without a frame") == 2);
   CHECK(bare.reference.empty());
+}
+
+TEST_CASE("RTAB-Map: a closure between two nodes in a row is not their odometry",
+          "[io][saved_map][rtabmap]") {
+  const TemporaryFolder folder;
+  if (!rtabmap_data(folder / "lab.db", "--false-closure")) return;
+  const Json expected = expected_of(folder / "lab.db");
+  const Mission mission = read_mission(folder / "lab.db");
+  CHECK(mission.problems.count("odometry without a link taken from the nodes") == 1);
+  const auto odometry = [&](std::size_t i) { return rows_of(expected["nodes"][i]["odometry"]); };
+  const Eigen::Isometry3d step = mission.graph.node(3).pose.inverse() * mission.graph.node(4).pose;
+  CHECK(step.isApprox(odometry(2).inverse() * odometry(3), kFloat));
+  std::size_t steps = 0;
+  for (const Edge& edge : mission.graph.edges()) {
+    steps += edge.kind == EdgeKind::kOdometry ? 1 : 0;
+    if (edge.T_from_to.translation().norm() > 5.0 && edge.from + edge.to == 7 &&
+        std::min(edge.from, edge.to) == 3)
+      CHECK(edge.kind == EdgeKind::kLoopClosure);
+  }
+  CHECK(steps == 5);
+}
+
+TEST_CASE("RTAB-Map: a map whose first node the program forgot stands by the next",
+          "[io][saved_map][rtabmap]") {
+  const TemporaryFolder folder;
+  if (!rtabmap_data(folder / "two.db", "--maps 2 --late-start")) return;
+  const Json expected = expected_of(folder / "two.db");
+  const Mission mission = read_mission(folder / "two.db");
+  CHECK(mission.problems.count("joined without a frame") == 0);
+  const auto rows = [&](std::size_t i, const char* name) { return rows_of(expected["nodes"][i][name]); };
+  CHECK(mission.graph.node(7).pose.isApprox(
+      rows(7, "optimized") * rows(7, "odometry").inverse() * rows(6, "odometry"), kFloat));
+  // Other files of a folder come first: programs keep their databases beside them.
+  testing::write_text(folder / "graph.g2o", "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n");
+  CHECK(mission_kind(folder.path()) == MissionKind::kG2oPcd);
 }
 
 TEST_CASE("RTAB-Map: what is left out or guessed is counted", "[io][saved_map][rtabmap][error]") {
@@ -150,7 +188,6 @@ TEST_CASE("RTAB-Map: damage is an error that names the file", "[io][saved_map][r
 }
 
 TEST_CASE("zlib: damage and bombs are errors", "[io][inflate][error]") {
-  if (!bags::rosbag2_available()) return;
   const std::string hello("\x78\x9c\xcb\x48\xcd\xc9\xc9\x07\x00\x06\x2c\x02\x15", 13);  // "hello"
   CHECK(inflate_zlib(hello, 5) == "hello");
   REQUIRE_THROWS_WITH(inflate_zlib(hello, 4), Catch::Matchers::Contains("more than the 4 bytes"));

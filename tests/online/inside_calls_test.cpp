@@ -6,6 +6,7 @@
 #include <mutex>
 #include <optional>
 #include <stdexcept>
+#include <thread>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/features/place.hpp>
@@ -161,6 +162,26 @@ class FirstPlace final : public PlaceDatabase {
 };
 
 }  // namespace
+
+TEST_CASE("module: threads that begin after its end may call it", "[online][module]") {
+  // The system may give a new thread the identity of one that has ended.
+  const Mission mission = two_circles(1, 12);
+  LoopClosureModule module(mission.robots, module_options(), {}, with_oracle(mission));
+  for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
+  module.finish();
+  std::atomic<int> failures{0};
+  for (int i = 0; i < 8; ++i) {
+    std::thread([&] {
+      try {
+        static_cast<void>(module.wait());
+        module.stop();
+      } catch (const Error&) {
+        ++failures;
+      }
+    }).join();
+  }
+  REQUIRE(failures == 0);
+}
 
 TEST_CASE("module: a place database of the user's own finds candidates", "[online][module][places]") {
   const Mission mission = two_circles(1, 12);

@@ -682,6 +682,7 @@ TEST_CASE("config: sections, presets and assignments; errors name section and fi
   Config nearer;  // the example of the documentation: one option is enough
   set_config_option("generation.radius_max_m=20", nearer);
   REQUIRE_NOTHROW(validate_proximity(nearer.replay.engine.generation));
+  REQUIRE(nearer.replay.engine.generation.rate_m == 0.2);  // and the others stay
   REQUIRE(to_string(config.replay.prioritization.method) == "random");
   testing::write_text(folder / "all.json", config_json(config));
   Config copy;

@@ -59,7 +59,7 @@ struct NearPairs {
 
 /// One map against another at the same revisits.
 struct MapQuality {
-  std::size_t pairs = 0;                ///< Registered of those that may be revisits by either map.
+  std::size_t pairs = 0;                ///< Registered of those that may be revisits by the recording.
   std::vector<ProvenRevisit> revisits;  ///< The proven ones.
   std::size_t stretches = 0;            ///< Pairs of stretches of path at which they lie.
   Displacement before;                  ///< Of the recording.

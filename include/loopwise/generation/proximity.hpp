@@ -19,10 +19,10 @@ namespace loopwise {
 
 /// Selection of older nodes near a new one (paper §III-A). The radius grows with the possible drift: `rate_m
 /// · |i_n − i_c|` for two nodes of one robot, `rate_m · i_n` between robots, where i counts a robot's own
-/// nodes from 0 and n is the new node. With a rate of 0 the radius is `radius_max_m` for all.
+/// nodes from 0 and n is the new node.
 struct ProximityOptions {
-  double rate_m = 0.0;
-  double radius_min_m = 0.0;
+  double rate_m = 0.2;
+  double radius_min_m = 30.0;
   double radius_max_m = 30.0;
   std::int64_t skip_recent = 10;
   std::int64_t n_closest = 0;
@@ -31,9 +31,9 @@ struct ProximityOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("rate_m", self.rate_m, at_least(0.0),
-          "Search radius gained per node index, m; 0: the radius is radius_max_m.");
-    field("radius_min_m", self.radius_min_m, at_least(0.0), "The radius is never less than this, m.");
+    field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
+    field("radius_min_m", self.radius_min_m, at_least(0.0),
+          "The radius is never less than this, m. The default gives way to a smaller radius_max_m.");
     field("radius_max_m", self.radius_max_m, at_least(0.0),
           "The radius is never more than this, m; 0: no bound.");
     field("skip_recent", self.skip_recent, at_least(0.0),
@@ -49,7 +49,8 @@ struct ProximityOptions {
   }
 };
 
-/// \throws OptionError naming the field, also if radius_min_m exceeds a bounded radius_max_m.
+/// \throws OptionError naming the field, also if a radius_min_m other than the default exceeds
+/// a bounded radius_max_m.
 LOOPWISE_EXPORT void validate_proximity(const ProximityOptions& options);
 
 /// Options by name: "paper" (0.2 m per index without a bound: too many candidates on long missions),
