@@ -256,7 +256,7 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
                   "--thin");
   require_failure({"study", "ablation", path, "-o", out, "--workers", "0"}, kBadUsage, "cost.workers = 0");
   require_failure({"study", "rssi", (folder / "untrue").string(), "-o", out}, kBadInput,
-                  "has no ground truth to compare with; --truth FILE says what is true");
+                  "has no ground truth to compare with; --truth FILE gives the true poses");
   mission.reference = small_mission(4).ground_truth;  // as a session's own optimised poses
   write_mission(folder / "referred", mission);
   require_failure(

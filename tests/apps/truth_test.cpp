@@ -94,7 +94,7 @@ TEST_CASE("truth: a session's own optimised poses are a reference everywhere", "
   CHECK_FALSE(fs::exists(folder / "m" / "ground_truth.g2o"));
 }
 
-TEST_CASE("truth: --truth says what is true", "[apps][truth]") {
+TEST_CASE("truth: --truth gives the true poses", "[apps][truth]") {
   const TemporaryFolder folder;
   const Mission mission = small_mission(8);
   write_session(folder / "s", mission);

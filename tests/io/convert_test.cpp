@@ -343,7 +343,7 @@ TEST_CASE("convert: a target is whole or nothing", "[io][convert][error]") {
   if (format == MissionFormat::kMission) {
     fs::remove(folder / "killed" / "mission.json");
     testing::write_text(folder / "killed" / ".unfinished", "");
-    CHECK_THROWS_WITH(read_mission(folder / "killed"), Contains("not complete"));
+    CHECK_THROWS_WITH(read_mission(folder / "killed"), Contains("incomplete mission"));
   } else {
     fs::remove(folder / "killed" / "result.g2o");
     CHECK_THROWS_WITH(read_mission(folder / "killed"), Contains("written last"));

@@ -243,7 +243,7 @@ TEST_CASE("mission: a folder is no mission before it is finished", "[io][mission
   CHECK_THROWS_WITH(read_mission(folder / "m"), Contains("expected mission.json"));
   testing::write_text(folder / "m" / "graph.g2o",
                       "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n");  // the part that comes first
-  CHECK_THROWS_WITH(read_mission(folder / "m"), Contains("not complete"));
+  CHECK_THROWS_WITH(read_mission(folder / "m"), Contains("incomplete mission"));
   CHECK_THROWS_AS(MissionWriter(folder / "m"), IoError);
   CHECK_THROWS_WITH(MissionWriter(folder / "m"), Contains("is not empty"));
   testing::write_text(folder / "file", "");
