@@ -33,7 +33,8 @@ TEST_CASE("replay: a run without closures says why and what to try", "[apps]") {
   };
   REQUIRE_THAT(with("fast_registrar.min_overlap=1"),
                Contains("no closure   of ") && Contains("failed by low_overlap: "));
-  REQUIRE_THAT(with("fast_registrar.min_points=100000"), Contains("no closure   of ") && Contains("--submap 10"));
+  REQUIRE_THAT(with("fast_registrar.min_points=100000"),
+               Contains("no closure   of ") && Contains("--submap 10"));
   REQUIRE_THAT(with("generation.skip_recent=1"), !Contains("no closure"));
 }
 
