@@ -31,7 +31,8 @@ using sqlite::Statement;
 /// Types of a link, as the program numbers them.
 enum LinkType { kNeighbor = 0, kUserClosure = 4, kVirtualClosure = 5, kNeighborMerged = 6 };
 
-/// Rows of a 3x4 matrix in floats. Nothing if there is none, or the null matrix that stands for none.
+/// Reads the rows of a 3x4 matrix of floats. Empty if the blob is empty or the null matrix, which stands for
+/// no pose.
 std::optional<Eigen::Isometry3d> pose_of(std::string_view blob) {
   std::array<float, 12> v{};
   if (blob.size() != sizeof v) return std::nullopt;
