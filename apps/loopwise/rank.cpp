@@ -154,7 +154,7 @@ void add_rank(CLI::App& app, Action& chosen) {
       ->type_name("LIST");
   add_odometry_option(*command, options->odometry);
   add_decisions_option(*command, options->decisions);
-  command->add_option("--seed", options->seed, "Of everything random (default 1)")
+  command->add_option("--seed", options->seed, "Seed of all random draws (default 1)")
       ->type_name("S")
       ->check(not_negative());
   add_key_frame_options(*command, options->common);

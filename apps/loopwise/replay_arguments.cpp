@@ -60,7 +60,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
       ->type_name("LIST");
   add_odometry_option(command, arguments.odometry);
   add_decisions_option(command, arguments.decisions);
-  command.add_option("--seed", arguments.seed, "Of everything random (default 1)")
+  command.add_option("--seed", arguments.seed, "Seed of all random draws (default 1)")
       ->type_name("S")
       ->check(not_negative());
 #ifdef LOOPWISE_HAS_MPI

@@ -176,7 +176,7 @@ void add_simulate(CLI::App& app, Action& chosen) {
       ->required()
       ->type_name("DIR")
       ->check(not_standard_output());
-  command->add_option("--seed", options->seed, "Of everything random (default 1)")
+  command->add_option("--seed", options->seed, "Seed of all random draws (default 1)")
       ->type_name("S")
       ->check(not_negative());
   command->add_option("--robots", simulation.robots, "Robots of the team")->type_name("N");

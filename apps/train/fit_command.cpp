@@ -137,7 +137,7 @@ void add_fit(CLI::App& app, Action& chosen) {
   command->add_option("--epochs", options->epochs, "At most (default 40)")->type_name("N");
   command->add_option("--patience", options->patience, "Epochs without a better validation (default 10)")
       ->type_name("N");
-  command->add_option("--seed", options->seed, "Of everything random (default 1)")
+  command->add_option("--seed", options->seed, "Seed of all random draws (default 1)")
       ->type_name("S")
       ->check(cli::not_negative());
   command->add_flag("--resume", options->resume, "Continue an interrupted training");
