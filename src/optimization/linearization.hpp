@@ -63,7 +63,7 @@ struct InverseJacobian {
   Eigen::Matrix3d a, b;
 };
 
-/// Coefficients of Q(ρ, φ) (se3::detail::jacobian_coupling) as functions of θ².
+/// Coefficients of Q(ρ, φ) (Barfoot eq. 7.86b) as functions of θ².
 struct CouplingCoefficients {
   double c1, c2, c3;
 };
