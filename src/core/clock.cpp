@@ -23,7 +23,7 @@ double RealClock::now() const {
 }
 
 void RealClock::wait_until(double time, const StopToken& stop) {
-  constexpr double kLongestNap = 0.05;  // s; bounds how late a stop request is seen
+  constexpr double kLongestNap = 0.05;  // s; the longest delay until a stop request is noticed
   while (!stop.stop_requested()) {
     const double left = (time - now()) / rate_;
     if (left <= 0.0) return;

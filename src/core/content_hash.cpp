@@ -51,7 +51,7 @@ void ContentHasher::mix_block(const unsigned char* block) {
 }
 
 ContentHasher& ContentHasher::bytes(const void* data, std::size_t size) {
-  if (size == 0) return *this;  // an empty vector's data() may be null, which memcpy must not be given
+  if (size == 0) return *this;  // data() of an empty vector may be null, and memcpy does not allow null
   const auto* from = static_cast<const unsigned char*>(data);
   const std::size_t waiting = size_ % sizeof tail_;
   size_ += size;

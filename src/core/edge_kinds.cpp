@@ -12,8 +12,8 @@
 namespace loopwise {
 namespace {
 
-/// Keys of one robot that are this far apart never follow each other: another label above the index, which is
-/// 2^48 less the length of a path, makes such steps, a path does not.
+/// Consecutive nodes of a robot have keys that differ by less than this step. A change of the label above the
+/// index changes the key by 2^48 minus at most the length of a path.
 constexpr Key kLabelStep = Key{1} << (kKeyLabelShift - 1);
 
 /// Quantile 0.9999 of chi-squared with the degrees of freedom of the graph's poses.
@@ -40,23 +40,24 @@ bool agree(const Edge& first, const Edge& second, double largest) {
   const Matrix6d& A = first.information;
   const Matrix6d B = second.from == first.from ? second.information : reversed(second).information;
   const Vector6d r = difference(first, second);
-  // The form below exceeds neither of these, which are all that repeated edges need.
+  // Both are upper bounds of the distance below. Repeated edges pass this cheaper test.
   if (std::min(r.dot(A * r), r.dot(B * r)) <= largest) return true;
-  // (A⁻¹ + B⁻¹)⁻¹ = A (A + B)⁺ B: either may be singular.
+  // (A⁻¹ + B⁻¹)⁻¹ = A (A + B)⁺ B holds for singular A or B as well.
   const Matrix6d both = A + B;
   return r.dot(A * both.completeOrthogonalDecomposition().solve(B * r)) <= largest;
 }
 
-/// Whether the noise explains how far the nodes' poses are from the measurement.
+/// Whether the noise explains the difference between the measurement and the nodes' poses.
 bool fits_poses(const PoseGraph& graph, const Edge& edge) {
   const Vector6d r =
       se3::log(edge.T_from_to.inverse() * graph.node(edge.from).pose.inverse() * graph.node(edge.to).pose);
   return r.dot(edge.information * r) <= largest_distance(graph);
 }
 
-/// Of edges between the same two nodes, the odometry: in the order of the file, but first those that fit the
-/// nodes' poses, which most programs chain along the odometry, each that agrees with all before it. To agree
-/// with one of them is not enough: a weak measurement agrees with any.
+/// Marks odometry among the edges between two nodes. Tries them in the order of the file, but first those
+/// that fit the nodes' poses, because most programs chain the poses along the odometry. An edge becomes
+/// odometry if it agrees with all odometry edges before it. Agreement with one of them is not enough: an edge
+/// of low information agrees with any other.
 void mark_chain(PoseGraph& graph, std::vector<std::size_t> edges, Problems& problems) {
   const auto edge = [&](std::size_t e) -> const Edge& { return graph.edges()[e]; };
   const double largest = largest_distance(graph);
@@ -80,7 +81,7 @@ void mark_chain(PoseGraph& graph, std::vector<std::size_t> edges, Problems& prob
   }
 }
 
-/// Places where odometry does not lead from a robot's node to its next, not even on a detour.
+/// Reports consecutive nodes of a robot that odometry does not connect, not even over other nodes.
 void check_chains(const PoseGraph& graph, const Robots& robots, Problems& problems) {
   DisjointSets chained(graph.nodes().size());
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
@@ -90,7 +91,8 @@ void check_chains(const PoseGraph& graph, const Robots& robots, Problems& proble
   for (std::size_t robot = 0; robot < paths.size(); ++robot) {
     for (std::size_t i = 1; i < paths[robot].size(); ++i) {
       const Key a = paths[robot][i - 1], b = paths[robot][i];
-      if (!chained.join(graph.index_of(a), graph.index_of(b))) continue;  // joined now: a gap is counted once
+      if (!chained.join(graph.index_of(a), graph.index_of(b)))
+        continue;  // join() closes the gap, so that each is counted once
       const std::string where = "robot " + robots[robot].name + ", between nodes " + between(a, b);
       if (b - a >= kLabelStep) {
         problems.add("robot whose keys have a jump of 2^47 or more",
@@ -102,7 +104,7 @@ void check_chains(const PoseGraph& graph, const Robots& robots, Problems& proble
   }
 }
 
-/// `joins(a, b)`: whether edges between these nodes are odometry, unless they contradict each other.
+/// `joins(a, b)`: whether edges between these nodes are odometry, provided that they agree with each other.
 template <class Joins>
 Problems classify(PoseGraph& graph, const Robots& robots, Joins&& joins) {
   std::map<std::pair<Key, Key>, std::vector<std::size_t>> chains;

@@ -9,7 +9,7 @@
 namespace loopwise {
 namespace {
 
-/// Longer names are no slips of a known one, and comparing takes time by their length.
+/// Longer names are not misspellings of a known one, and the comparison takes longer for them.
 constexpr std::size_t kLongestGuessed = 200;
 
 /// Levenshtein's distance.

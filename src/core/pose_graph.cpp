@@ -31,14 +31,14 @@ bool is_rigid(const Eigen::Isometry3d& pose) {
   return pose.matrix().allFinite() && se3::rotation_defect(pose.linear()) <= 1e-6;
 }
 
-/// A weight 1/sigma² must be a number as well.
+/// The weight 1/sigma² must be finite as well.
 void require_sigma(double sigma, const std::string& what) {
   if (!(sigma >= 1e-12 && sigma <= 1e12))
     throw InputError(what + ": sigma " + std::to_string(sigma) + " is not positive");
 }
 
-/// As it is kept: of a planar graph with values across the plane that no user chose, so that zeros there make
-/// no matrix singular.
+/// The information matrix that the graph stores. In a planar graph, fixed values replace those of z, roll and
+/// pitch, so that zeros there do not make a matrix singular.
 Matrix6d kept_information(const Matrix6d& stated, bool planar) {
   return planar ? planar::information(planar::block(stated)) : stated;
 }
@@ -48,7 +48,8 @@ Matrix6d kept_information(const Matrix6d& stated, bool planar) {
                    ": gravity says nothing about yaw, and the graph is planar");
 }
 
-/// For one more: without memory it throws, and push_back() does not any more. At least doubles what there is.
+/// Reserves space for one more value and at least doubles the capacity. Throws if memory is missing; the
+/// push_back() that follows cannot throw then.
 template <class Value>
 void make_room(std::vector<Value>& values) {
   if (values.size() == values.capacity()) values.reserve(2 * values.size() + 1);
@@ -76,7 +77,8 @@ void PoseGraph::require_information(const Matrix6d& information, const std::stri
   if (!planar::is_information(information)) {
     throw InputError(what + ": information ties z, roll or pitch to x, y or yaw, but the graph is planar");
   }
-  // Large values across the plane would hide errors within it.
+  // The stored values are checked as well: large stated values of z, roll or pitch would hide errors in the
+  // rest.
   require_sound(kept_information(information, true));
 }
 
@@ -85,14 +87,14 @@ const char* check_information(const Matrix6d& information) {
   const double scale = information.cwiseAbs().maxCoeff();
   if ((information - information.transpose()).cwiseAbs().maxCoeff() > 1e-9 * scale) return "not symmetric";
   if (scale == 0.0) return nullptr;
-  // Scaled to a unit diagonal, so that metres and radians of very different size are judged alike.
+  // Scaled to a unit diagonal, because values for metres and for radians differ by orders of magnitude.
   const Vector6d diagonal = information.diagonal();
   if (diagonal.minCoeff() < 0.0) return "indefinite";
   Vector6d d;
   for (int i = 0; i < 6; ++i)
     d[i] = diagonal[i] > 0.0 ? 1.0 / std::sqrt(diagonal[i]) : 1.0 / std::sqrt(scale);
   const Matrix6d scaled = d.asDiagonal() * information * d.asDiagonal();
-  if (!scaled.allFinite()) return "indefinite";  // an element is far beyond those of the diagonal
+  if (!scaled.allFinite()) return "indefinite";  // an element is far larger than the diagonal allows
   if (Eigen::LLT<Matrix6d>(scaled).info() == Eigen::Success) return nullptr;
   const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(scaled, Eigen::EigenvaluesOnly);
   return solver.eigenvalues().minCoeff() < -1e-9 * scaled.cwiseAbs().maxCoeff() ? "indefinite" : nullptr;

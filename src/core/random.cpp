@@ -36,7 +36,7 @@ double Rng::uniform() {
 }
 
 std::uint64_t Rng::below(std::uint64_t count) {
-  // Numbers under 2^64 mod count would make small results more likely; draw again.
+  // Numbers below 2^64 mod count would make small results more likely, so they are drawn again.
   const std::uint64_t reject = (std::uint64_t{0} - count) % count;
   std::uint64_t x = (*this)();
   while (x < reject) x = (*this)();

@@ -14,7 +14,7 @@ bool is_letter(char c) {
   return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
 }
 
-/// The robot whose nodes carry this character and this label below it.
+/// The robot whose keys have this character and this label below it.
 Robot robot_of_label(char character, unsigned char label, std::string name) {
   const Key first = make_key(character, Key{label} << kKeyLabelShift);
   return {std::move(name), first, first | ((Key{1} << kKeyLabelShift) - 1)};
@@ -50,7 +50,7 @@ Robots Robots::from_keys(const std::vector<Key>& keys) {
   }
   std::vector<Robot> robots;
   for (const auto& [character, of_character] : labels) {
-    // A character that is no letter gets its number as its name; so do plain integers: "0".
+    // A character that is not a letter is named by its number. Plain integer keys get the name "0".
     const bool letter = is_letter(character);
     const std::string name =
         letter ? std::string(1, character) : std::to_string(static_cast<unsigned char>(character));

@@ -15,8 +15,8 @@
 namespace loopwise {
 namespace {
 
-/// Work of one for_each. All but the calls of the body happens under one mutex, the pool's: tasks are coarse,
-/// so it costs nothing.
+/// One call of for_each(). The pool's mutex is held except during calls of the body. Tasks are coarse, so the
+/// lock costs little.
 struct Loop {
   Loop(std::size_t count_in, const std::function<void(std::size_t)>& body_in)
       : count(count_in), body(body_in) {}
@@ -24,7 +24,7 @@ struct Loop {
   [[nodiscard]] bool begun() const { return next == count; }
   [[nodiscard]] bool done() const { return begun() && running == 0; }
 
-  /// Takes part until nothing is left to begin.
+  /// Runs tasks until all have begun.
   void run(std::unique_lock<std::mutex>& lock) {
     ++running;
     while (!begun()) {
@@ -52,17 +52,17 @@ struct Loop {
   std::condition_variable idle;
   std::exception_ptr error;
   std::size_t error_index = 0;
-  Loop* following = nullptr;  // in the pool's list
+  Loop* following = nullptr;  // next loop in the pool's list
 };
 
 }  // namespace
 
-/// Threads of its own rather than a library's arena: how many of these work at once is one setting for the
-/// whole process, which belongs to the program that this library is part of.
+/// The pool has its own threads and uses no library's arena: the number of threads of such an arena is a
+/// setting of the whole process, which belongs to the calling program.
 struct ThreadPool::Impl {
   ~Impl() { end(); }
 
-  /// Starts threads up to this number. There are fewer if memory or threads run out.
+  /// Starts threads up to this number, or fewer if memory or threads run out.
   void start(std::size_t count) {
     try {
       workers.reserve(count);
@@ -80,7 +80,7 @@ struct ThreadPool::Impl {
     }
   }
 
-  /// The first loop with something left to begin, or none.
+  /// The first loop with tasks that have not begun, or null.
   [[nodiscard]] Loop* waiting() const {
     Loop* loop = first;
     while (loop != nullptr && loop->begun()) loop = loop->following;
@@ -110,7 +110,7 @@ struct ThreadPool::Impl {
   }
 
   int threads = 1;
-  std::mutex mutex;  // of all below, and of the loops
+  std::mutex mutex;  // guards the members below and all loops
   std::condition_variable some;
   std::vector<std::thread> workers;
   Loop* first = nullptr;

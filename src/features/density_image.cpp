@@ -11,7 +11,7 @@ namespace loopwise {
 namespace {
 
 int bit_count(std::uint64_t x) {
-  // In place of __builtin_popcountll, which is a call on processors without the instruction.
+  // Replaces __builtin_popcountll, which is a function call on processors without the instruction.
   x -= (x >> 1) & 0x5555555555555555ULL;
   x = (x & 0x3333333333333333ULL) + ((x >> 2) & 0x3333333333333333ULL);
   x = (x + (x >> 4)) & 0x0f0f0f0f0f0f0f0fULL;
@@ -28,7 +28,7 @@ Image blurred(const Image& image, float sigma) {
     kernel[i + reach] = std::exp(-0.5F * static_cast<float>(i * i) / (sigma * sigma));
   kernel /= kernel.sum();
   const Eigen::Index n = image.rows();
-  const auto along = [&](const Image& in) {  // columns, which lie in memory one after the other
+  const auto along = [&](const Image& in) {  // along columns, which are contiguous in memory
     Image out = Image::Zero(n, n);
     for (int i = -reach; i <= reach; ++i) {
       const Eigen::Index count = n - std::abs(i);
@@ -80,8 +80,8 @@ std::vector<Corner> corners(const Image& gx, const Image& gy, std::size_t most) 
   return found;
 }
 
-/// Direction from a corner to the centre of the mass around it (Rosin 1999), as ORB has it; nothing where
-/// the mass lies all around.
+/// Direction from a corner to the centroid of the intensity around it (Rosin 1999), as in ORB. Returns false
+/// if the centroid is at the corner.
 bool direction(const Image& image, const Corner& corner, float& angle) {
   constexpr int kReach = 12;  // cells
   constexpr float kLeastShare = 0.02F;
@@ -104,8 +104,8 @@ bool direction(const Image& image, const Corner& corner, float& angle) {
 constexpr int kBins = 4, kDirections = 8, kLength = kBins * kBins * kDirections;
 constexpr float kPi = 3.14159265F;
 
-/// Histograms of gradient directions around a corner in a frame that turns with it (Lowe 2004), less their
-/// mean.
+/// Histograms of gradient directions around a corner, minus their mean. The frame rotates with the corner's
+/// direction (Lowe 2004).
 Eigen::VectorXf surroundings(const Image& gx, const Image& gy, const Corner& corner, float angle) {
   constexpr float kBin = 7.0F;  // cells
   constexpr int kReach = 20;    // cells: the corner of the window
@@ -138,12 +138,13 @@ Eigen::VectorXf surroundings(const Image& gx, const Image& gy, const Corner& cor
   }
   const float norm = histogram.norm();
   if (!(norm > 0.0F)) return histogram;
-  histogram = (histogram / norm).cwiseMin(0.3F);  // no single wall decides
+  histogram = (histogram / norm).cwiseMin(0.3F);  // limits the influence of a single wall
   histogram.array() -= histogram.mean();
   return histogram;
 }
 
-/// Random hyperplanes: which side of each a vector lies on makes the bits (Charikar 2002).
+/// Random hyperplanes. Each bit of a feature states the side of one hyperplane on which its vector lies
+/// (Charikar 2002).
 const Eigen::MatrixXf& hyperplanes() {
   static const Eigen::MatrixXf planes = [] {
     Rng rng(0x706c616365ULL);
@@ -195,7 +196,7 @@ float ground_height(const std::vector<Eigen::Vector3f>& points) {
 }
 
 DensityImage density_image(const PointCloud& level, double cell_m, double range_m) {
-  constexpr int kBelow = 12, kLevels = 64;  // voxels of a column: as many lie below the ground, and in all
+  constexpr int kBelow = 12, kLevels = 64;  // voxels of a column below the ground, and in total
   DensityImage image;
   image.cell_m = static_cast<float>(cell_m);
   image.size = std::max(8, 2 * static_cast<int>(std::ceil(range_m / cell_m)));
@@ -225,10 +226,10 @@ int differing_bits(const PlaceFeature& a, const PlaceFeature& b) {
 }
 
 std::vector<PlaceFeature> place_features(const DensityImage& image, std::size_t most) {
-  constexpr int kHighest = 8;  // voxels; beyond, a column does not count more
+  constexpr int kHighest = 8;  // voxels; higher columns have the same density
   Image density(image.size, image.size);
   for (Eigen::Index i = 0; i < density.size(); ++i) {
-    // Ground alone is nothing.
+    // A column with ground alone has density zero.
     density.data()[i] =
         static_cast<float>(std::clamp(image.heights[static_cast<std::size_t>(i)] - 1, 0, kHighest)) /
         kHighest;

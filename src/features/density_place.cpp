@@ -43,8 +43,8 @@ struct DensityPlace final : PlaceDescriptor {
   float ground_m = 0.0F;
   float cell_m = 0.5F;
   int size = 0;
-  std::vector<std::uint64_t> seen;       // bit of each column: something was seen
-  std::vector<std::uint64_t> near_tall;  // a column that is tall, or one beside it
+  std::vector<std::uint64_t> seen;       // one bit per column: whether it holds points
+  std::vector<std::uint64_t> near_tall;  // columns that are tall or next to a tall one
   std::vector<Eigen::Vector2f> tall;     // middles of columns that are tall, some of them
   float chance = 0.0F;                   // share of the seen columns that are near tall ones
 
@@ -58,7 +58,7 @@ struct DensityPlace final : PlaceDescriptor {
 };
 
 constexpr std::uint8_t kTall = 3;          // voxels of a column that stands out from the ground
-constexpr std::size_t kTallColumns = 600;  // that are kept of a place
+constexpr std::size_t kTallColumns = 600;  // kept per place
 
 void fill_bits(DensityPlace& place, const DensityImage& image) {
   const auto count = image.heights.size();
@@ -97,9 +97,9 @@ void fill_bits(DensityPlace& place, const DensityImage& image) {
   place.chance = seen > 0 ? static_cast<float>(near) / static_cast<float>(seen) : 1.0F;
 }
 
-/// Of the tall columns of one place that lie where the other one saw something: the share that are near tall
-/// ones there, beyond what chance makes of it. The less the two have in common the less it counts, which
-/// prefers places that are nearer.
+/// Similarity of two places at a pose. Counts the tall columns of `from` that meet a seen column of `to`: the
+/// share of them that meets a tall column or its neighbour, above the share expected by chance. The factor
+/// for the share of columns in common prefers near places.
 double agreement(const DensityPlace& from, const DensityPlace& to, const Pose2& T_to_from) {
   std::size_t common = 0, hits = 0;
   const float half = 0.5F * static_cast<float>(to.size);
@@ -135,9 +135,9 @@ struct Hypothesis {
   Pose2 T_query_match;
 };
 
-constexpr float kNear_m = 2.0F, kTurned_rad = 0.35F;  // two features of one object
+constexpr float kNear_m = 2.0F, kTurned_rad = 0.35F;  // tolerances for two features of one object
 
-/// The pose on which most hits of a place agree, each of which gives one by itself.
+/// The pose that most hits of a place support. Each hit gives a pose of its own.
 Hypothesis consensus(const DensityPlace& query, const DensityPlace& match, const Hit* hits,
                      std::size_t count) {
   constexpr std::size_t kMost = 80;
@@ -165,7 +165,7 @@ Hypothesis consensus(const DensityPlace& query, const DensityPlace& match, const
   return best;
 }
 
-/// A pose after all features of the two places that fit it have been looked at.
+/// A pose that was refined with all matching features of the two places.
 struct Refined {
   Pose2 T_query_match;
   int inliers = 0;
@@ -263,7 +263,7 @@ class DensityPlaceDatabase final : public PlaceDatabase {
 
  private:
   static constexpr std::size_t kTables = 10, kHashBits = 16;
-  static constexpr std::size_t kCommon = 200;  // features in one bucket that say nothing any more
+  static constexpr std::size_t kCommon = 200;  // features; larger buckets are skipped as too common
 
   [[nodiscard]] static std::size_t hash(const PlaceFeature& feature, std::size_t table) {
     return (feature.bits[table / 4] >> (16 * (table % 4))) & 0xffffU;
@@ -325,7 +325,7 @@ class DensityPlaceDatabase final : public PlaceDatabase {
     return out;
   }
 
-  /// The most hits that agree on a yaw.
+  /// The largest number of hits that agree on a yaw.
   [[nodiscard]] int turned_alike(const DensityPlace& query, const Hit* hits, std::size_t count) const {
     constexpr int kYaws = 18;
     const DensityPlace& match = places_[hits->place];

@@ -12,7 +12,7 @@
 namespace loopwise {
 namespace {
 
-/// Normals of a file as unit vectors; those that are not finite or have no length become zero.
+/// Scales the normals of a file to unit length. Normals that are not finite or have zero length become zero.
 void normalize(std::vector<Eigen::Vector3f>& normals) {
   for (Eigen::Vector3f& normal : normals) {
     const float length = normal.norm();

@@ -13,7 +13,7 @@ namespace {
 
 constexpr std::size_t kMaxLeaf = 12;
 
-/// Keeps the nearest point under a bound.
+/// Keeps the nearest point within a bound.
 class NearestVisitor {
  public:
   explicit NearestVisitor(float sq_bound) { best_.sq_distance_m2 = sq_bound; }
@@ -139,8 +139,8 @@ KdTree::KdTree(const std::vector<Eigen::Vector3f>& points) : size_(points.size()
 template <class Visitor>
 void KdTree::search(const Eigen::Vector3f& query, Visitor& visitor) const {
   if (size_ == 0) return;
-  // Offsets from the query to a node's cell, by axis. Squared and added exactly as point distances are, so
-  // rounding never makes a cell look further away than a point in it.
+  // Offsets from the query to a node's cell, by axis. They are squared and added exactly as distances of
+  // points are, so that rounding never makes a cell appear farther away than a point in it.
   struct Pending {
     std::size_t node;
     float sq_distance;

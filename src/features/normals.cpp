@@ -8,8 +8,8 @@
 namespace loopwise {
 namespace {
 
-/// Second largest over largest eigenvalue below which neighbours count as one line: a thousandth of its
-/// extent.
+/// Neighbours count as one line if the second largest eigenvalue is below this share of the largest: its
+/// width is then less than a thousandth of its length.
 constexpr double kMinSpreadRatio = 1e-6;
 
 }  // namespace
@@ -23,7 +23,7 @@ std::vector<Eigen::Vector3f> estimate_normals(const std::vector<Eigen::Vector3f>
   for (std::size_t i = 0; i < points.size(); ++i) {
     tree.nearest(points[i], static_cast<std::size_t>(neighbours), found);
     if (found.size() < 3) continue;
-    // About the point itself: no cancellation however far away the cloud lies.
+    // Positions relative to the point itself keep their digits even if the cloud is far from the origin.
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
     Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
     for (const Neighbour& neighbour : found) {

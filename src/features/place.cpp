@@ -14,7 +14,7 @@ std::vector<PlaceMatch> PlaceDatabase::query(Key key, std::size_t k, const Place
 }
 
 Eigen::Matrix3d level_rotation(const Eigen::Isometry3d& T_world_body) {
-  // Twist about z and swing of the attitude: R = Rz(yaw) · level.
+  // Splits the rotation into a twist about z and a tilt: R = Rz(yaw) · level.
   const Eigen::Quaterniond q(T_world_body.linear());
   const double norm = std::hypot(q.w(), q.z());
   if (norm < 1e-9) return T_world_body.linear();  // upside down: yaw and tilt cannot be separated
@@ -39,7 +39,7 @@ PlaceMatch between_bodies(const PlaceMatch& match, const Eigen::Matrix3d& query_
   other.linear() = match_rotation;
   PlaceMatch out = match;
   out.T_query_match = se3::normalized(query.inverse() * match.T_query_match * other);
-  // A perturbation of the level frame, seen from the body's.
+  // Moves the perturbation from the level frame to the body frame.
   out.covariance = se3::covariance_of_inverse(other.inverse(), match.covariance);
   return out;
 }

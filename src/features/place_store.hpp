@@ -13,11 +13,11 @@
 
 namespace loopwise {
 
-/// The places of a database by number, in the order in which they were added, and by key.
+/// The places of a database, by key and by number. Numbers follow the order in which places were added.
 template <class Descriptor>
 class PlaceStore {
  public:
-  /// The descriptor as one of this kind. \throws InputError if it is of another kind
+  /// The descriptor as `Descriptor`. \throws InputError if it is of another kind
   [[nodiscard]] static const Descriptor& own(const PlaceDescriptor& place, std::string_view database) {
     const auto* mine = dynamic_cast<const Descriptor*>(&place);
     if (mine == nullptr) {
@@ -27,7 +27,7 @@ class PlaceStore {
     return *mine;
   }
 
-  /// \returns its number. \throws InputError if the key is there
+  /// \returns the number of the place. \throws InputError if the key is already present
   std::size_t add(Key key, std::shared_ptr<const PlaceDescriptor> place, std::string_view database) {
     if (!place) throw InputError("place " + key_name(key) + " has no descriptor");
     static_cast<void>(own(*place, database));
@@ -63,15 +63,15 @@ inline void keep_best(std::vector<PlaceMatch>& matches, std::size_t k) {
   if (matches.size() > k) matches.resize(k);
 }
 
-/// Covariance of a guess between level frames: these standard deviations along each horizontal axis, upwards,
-/// of the tilt and of the yaw.
+/// Covariance of a pose between level frames, from the standard deviations of each horizontal axis, the
+/// height, the tilt and the yaw.
 inline Matrix6d level_covariance(double horizontal_m, double height_m, double tilt_rad, double yaw_rad) {
   Vector6d sigma;
   sigma << horizontal_m, horizontal_m, height_m, tilt_rad, tilt_rad, yaw_rad;
   return sigma.cwiseAbs2().asDiagonal();
 }
 
-inline constexpr double kTiltSigma_rad = 0.05;  ///< Of odometry's vertical, between two places.
-inline constexpr double kHeightSigma_m = 1.0;   ///< Of a sensor above the ground that it has seen.
+inline constexpr double kTiltSigma_rad = 0.05;  ///< Error of odometry's vertical between two places.
+inline constexpr double kHeightSigma_m = 1.0;   ///< Error of a sensor's height above the ground.
 
 }  // namespace loopwise

@@ -22,10 +22,10 @@ struct ScanContext final : PlaceDescriptor {
   }
 };
 
-/// How alike two places are at the best shift of columns, and that shift.
+/// Similarity of two places at the best shift of columns, and that shift.
 struct Comparison {
   double similarity = 0.0;
-  int shift = 0;  // sector s of the one is s + shift of the other
+  int shift = 0;  // sector s of one place is sector s + shift of the other
 };
 
 Comparison compare(const ScanContext& a, const ScanContext& b) {

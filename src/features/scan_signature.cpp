@@ -20,7 +20,7 @@ constexpr float kShareCutOff = 0.02F;     // of the points, at each end of an ax
 
 constexpr float kFarthest_m = 1e4F;  // no lidar sees as far
 
-/// Every so many points, so that no more than kMostLookedAt are looked at.
+/// Every n-th point, with n such that at most kMostLookedAt remain.
 std::vector<Eigen::Vector3f> thinned(const PointCloud& cloud) {
   const std::size_t step = (cloud.size() + kMostLookedAt - 1) / kMostLookedAt;
   std::vector<Eigen::Vector3f> out;
@@ -95,12 +95,12 @@ ScanSignature::ScanSignature(const PointCloud& cloud) {
 
 double ScanSignature::share_of(const ScanSignature& other, const Eigen::Isometry3d& T_this_other) const {
   if (empty() || other.empty()) return 0.0;
-  // Into units of voxels from the grid's corner.
+  // Converts to voxels from the corner of the grid.
   const float per_m = 1.0F / voxel_m_;
   const Eigen::Matrix3f R = T_this_other.linear().cast<float>() * per_m;
   const Eigen::Vector3f t =
       (T_this_other.translation().cast<float>() - Eigen::Vector3f(low_[0], low_[1], low_[2])) * per_m;
-  // All places are computed for any number of points: one loop without branches.
+  // Computes all kPoints entries even if fewer are used, so that the loop has no branches.
   std::array<std::int32_t, kPoints> at;
   std::array<std::int32_t, kPoints> within;
   const auto& [px, py, pz] = other.drawn_;

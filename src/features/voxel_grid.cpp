@@ -20,7 +20,7 @@ struct Cell {
   }
 };
 
-/// Far beyond every map; keeps the conversion to an integer defined for coordinates as large as float allows.
+/// Farther than any map extends. The bound keeps the conversion to an integer defined for all finite floats.
 constexpr double kMaxCell = 2e9;
 
 Cell cell_of(const Eigen::Vector3f& point, double inverse_edge) {
@@ -36,7 +36,7 @@ std::uint64_t hash(const Cell& cell) {
   return mix64(word(cell.x) ^ mix64(word(cell.y) ^ (word(cell.z) << 32)));
 }
 
-/// Numbers cells in the order of their first appearance. Open addressing: no allocation a cell.
+/// Numbers cells in the order of their first appearance. Open addressing needs no allocation per cell.
 class CellTable {
  public:
   explicit CellTable(std::size_t max_cells) {
@@ -69,8 +69,9 @@ struct Sum {
   std::uint32_t count = 0;
 };
 
-/// What lies too far from the sensor. World coordinates have no sensor at zero: there the middle of the
-/// points stands for it. A scan that looks one way has its middle ahead of the sensor, but nowhere as far.
+/// Finds points that are too far from the sensor. A scan has the sensor at the origin. A cloud in world
+/// coordinates has its middle far from the origin, and the middle then stands for the sensor. The middle of a
+/// scan of one direction is ahead of the sensor, but never as far.
 class Range {
  public:
   Range(const PointCloud& cloud, double max_range_m) : max_m_(max_range_m) {
@@ -78,7 +79,7 @@ class Range {
     const Eigen::Vector3d middle = robust_centre(cloud.points);
     if (middle.norm() > std::max(kNoScanM, max_range_m)) sensor_ = middle;
   }
-  /// Points that are not finite are left to the downsampling.
+  /// False for points that are not finite, which the downsampling handles.
   [[nodiscard]] bool is_beyond(const Eigen::Vector3f& p) const {
     const double range = (p.cast<double>() - sensor_).norm();
     return std::isfinite(range) && range > max_m_;
@@ -89,7 +90,7 @@ class Range {
   Eigen::Vector3d sensor_ = Eigen::Vector3d::Zero();
 };
 
-/// The points that are wanted, with all that belongs to them.
+/// The points for which `wanted` is true, with their normals and intensities.
 template <class Wanted>
 PointCloud selected(const PointCloud& cloud, Wanted&& wanted) {
   PointCloud out;

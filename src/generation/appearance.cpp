@@ -23,7 +23,7 @@ std::unique_ptr<PlaceDatabase> made(PlaceKind kind) {
 
 }  // namespace
 
-/// Thinned scans, kept within a bound: submaps of neighbours share most of them.
+/// Downsampled scans, cached within a bound: submaps of neighbouring nodes share most of their scans.
 struct AppearanceGenerator::Scans {
   ScanLoader source;
   double voxel_m;

@@ -19,7 +19,7 @@ double radius_bound(const ProximityOptions& options) {
   return std::numeric_limits<double>::infinity();
 }
 
-/// The search radius of two nodes whose indices differ by `indices`.
+/// The search radius for two nodes whose indices differ by `indices`.
 double radius_after(const ProximityOptions& options, double indices) {
   const double most = radius_bound(options);
   return std::clamp(options.rate_m * indices, std::min(options.radius_min_m, most), most);
@@ -78,7 +78,7 @@ ProximityGenerator::ProximityGenerator(const ProximityOptions& options, Robots r
       path_(robots_.size()),
       left_out_(robots_.size()) {
   validate_proximity(options_);
-  // About a quarter of the largest radius: few cells to visit, few nodes visited without result.
+  // About a quarter of the largest radius: a search visits few cells and few nodes outside the radius.
   constexpr double kFewestMetres = 2.0, kMostMetres = 20.0;
   cell_m_ = std::clamp(0.25 * radius_bound(options_), kFewestMetres, kMostMetres);
 }
@@ -177,8 +177,8 @@ std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, K
 
 std::vector<LoopCandidate> ProximityGenerator::take_in(const PoseGraph& graph, Key key, double time_s) {
   const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
-  // The largest radius that any older node could get bounds the cells to visit. Within the robot the index
-  // gap may exceed the node's own index when nodes arrive out of order.
+  // The largest radius of any older node bounds the visited cells. Within one robot the index gap can exceed
+  // the node's own index if nodes arrive out of order.
   const std::uint64_t most = std::max(entry.index, highest_index_[entry.robot]);
   std::vector<LoopCandidate> candidates = near(entry, entries_.size(), most, time_s);
   highest_index_[entry.robot] = most;
@@ -188,7 +188,7 @@ std::vector<LoopCandidate> ProximityGenerator::take_in(const PoseGraph& graph, K
     number_of_[key] = number;
     path_[entry.robot][entry.index] = key;
     grid_[cell_of(entry.position)].push_back(number);
-  } catch (...) {  // as if it had not come
+  } catch (...) {  // restore the state before the node
     number_of_.erase(key);
     path_[entry.robot].erase(entry.index);
     entries_.pop_back();
@@ -227,7 +227,7 @@ std::vector<LoopCandidate> ProximityGenerator::on_moved(const PoseGraph& graph, 
     if (!first) range->second = {std::min(range->second.first, index), std::max(range->second.second, index)};
   }
   for (const auto& [robot, range] : moved) {
-    // Those between the nodes that take part before and after the moved ones.
+    // The candidates to take part now are between the nodes before and after the moved ones.
     const std::map<std::uint64_t, Key>& path = path_[robot];
     const auto before = path.lower_bound(range.first), after = path.upper_bound(range.second);
     const std::uint64_t begin = before == path.begin() ? 0 : std::prev(before)->first;

@@ -34,7 +34,7 @@ std::vector<LoopCandidate> RadioGenerator::on_drop(const PoseGraph& graph, const
   }
   Beacon beacon;
   beacon.drop = drop;
-  beacon.drop.robot = *robot;  // the node's owner decides
+  beacon.drop.robot = *robot;  // taken from the node's key, not from the record
   beacon.departed_index = robots_.node_index(drop.drop_key);
   const auto [found, fresh] = beacons_.emplace(drop.beacon, std::move(beacon));
   if (!fresh) {
@@ -43,7 +43,7 @@ std::vector<LoopCandidate> RadioGenerator::on_drop(const PoseGraph& graph, const
   }
   try {
     take_up(graph, waiting_at(drop.beacon), time_s);
-  } catch (...) {  // all that waited for it still does
+  } catch (...) {  // its passages are still waiting
     beacons_.erase(found);
     throw;
   }
@@ -127,7 +127,8 @@ void RadioGenerator::take_up(const PoseGraph& graph, std::vector<Passage> passag
   std::sort(known.begin(), known.end());
   known.erase(std::unique(known.begin(), known.end()), known.end());
   for (const auto& [stamp, passage] : known) pass(graph, beacons_.at(passage.second), passage.first, time_s);
-  // From here on nothing asks for memory: until all have passed, all can pass again.
+  // Passages stop waiting only here, after all calls of pass(). If one throws, the caller can repeat them
+  // all. Nothing below allocates.
   for (const auto& [stamp, passage] : known) {
     const auto waiting = waiting_.find(passage);
     if (waiting == waiting_.end()) continue;
@@ -161,7 +162,7 @@ void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, doubl
   if (current != beacon.current.end() && index <= beacon.fly_bys[current->second].last_index + max_gap) {
     own = current->second;
   } else {
-    // First: who has no memory for the next line has one too many.
+    // If the next line throws, an empty fly-by remains, which has no effect.
     beacon.fly_bys.push_back({robot, index, {}});
     beacon.current[robot] = own;
   }
@@ -191,7 +192,7 @@ void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, doubl
     if (f == own) continue;
     for (const Key other : beacon.fly_bys[f].nodes) propose(other);
   }
-  beacon.seen.insert(key);  // last: a pass that found no memory is not one
+  beacon.seen.insert(key);  // last, so that a pass that threw is repeated
 }
 
 }  // namespace loopwise

@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kDriftPath_m = 50.0;  // JoinOptions::drift_m is what odometry drifts over this path
 
-/// Mean variances of an odometry edge between two nodes; nothing if there is no such edge.
+/// Mean variances that the odometry edge between two nodes states; empty if there is no such edge.
 std::optional<Drift> stated(const PoseGraph& graph, std::size_t a, std::size_t b) {
   for (const std::size_t number : graph.edges_of(a)) {
     const Edge& edge = graph.edges()[number];
@@ -82,10 +82,10 @@ Drift ComponentPaths::between(std::size_t a, std::size_t b) const {
   if (x.path == y.path) {
     out.translation_m2 = std::abs(x.since_start.translation_m2 - y.since_start.translation_m2);
     out.rotation_rad2 = std::abs(x.since_start.rotation_rad2 - y.since_start.rotation_rad2);
-  } else {  // of a map, whose poses count as if odometry had led straight from one to the other
+  } else {  // two paths of one map: as if odometry led straight from one pose to the other
     out = {drift_m2_per_m_ * distance, drift_rad2_per_m_ * distance};
   }
-  // A rotation that builds up evenly moves the end by a third of its variance times the squared distance.
+  // Rotation error that builds up evenly adds a third of its variance times the squared distance.
   out.translation_m2 += out.rotation_rad2 * distance * distance / 3.0;
   return out;
 }

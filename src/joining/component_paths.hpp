@@ -33,7 +33,7 @@ struct Station {
   Key key = 0;
   std::size_t component = 0;
   std::size_t path = 0;      ///< Stretch of unbroken odometry, numbered over all components.
-  double path_length_m = 0;  ///< Since the beginning of the path.
+  double path_length_m = 0;  ///< From the beginning of the path.
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();  ///< In the component's frame.
   Drift since_start;                                       ///< Along the path.
 };
@@ -54,7 +54,7 @@ class ComponentPaths {
   [[nodiscard]] std::size_t of(Key key) const;
   [[nodiscard]] bool contains(Key key) const { return number_.count(key) != 0; }
 
-  /// How far the pose of b in the frame of a may be wrong; both are of one component.
+  /// Drift of the pose of b in the frame of a. Both belong to one component.
   [[nodiscard]] Drift between(std::size_t a, std::size_t b) const;
 
  private:

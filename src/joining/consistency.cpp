@@ -46,7 +46,8 @@ double ClosureSet::agreement(std::size_t i, const std::vector<std::size_t>& grou
 }
 
 std::vector<std::size_t> ClosureSet::largest_group(const std::vector<std::size_t>& among) const {
-  // As large_clique() of optimization/pcm.cpp: always the remaining closure that agrees with most.
+  // Greedy as large_clique() of optimization/pcm.cpp: adds the remaining closures in falling order of
+  // agreement.
   std::vector<std::size_t> order = among, degree(size(), 0);
   for (const std::size_t i : among) {
     for (const std::size_t j : among) degree[i] += agree(i, j) ? 1 : 0;

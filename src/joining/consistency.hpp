@@ -17,7 +17,7 @@ struct PairClosure {
   LoopClosure closure;  ///< T_from_to is the pose of a in b.
 };
 
-/// Closures between two components, and which of them agree. Grows closure by closure.
+/// Closures between two components and their pairwise agreement. Grows closure by closure.
 class ClosureSet {
  public:
   ClosureSet(const ComponentPaths& paths, double threshold) : paths_(paths), threshold_(threshold) {}
@@ -26,17 +26,17 @@ class ClosureSet {
   [[nodiscard]] std::size_t size() const { return closures_.size(); }
   [[nodiscard]] const PairClosure& operator[](std::size_t i) const { return closures_[i]; }
   [[nodiscard]] bool agree(std::size_t i, std::size_t j) const { return agrees_[i][j] != 0; }
-  /// Share of `group` that closure i agrees with; itself counts as agreeing.
+  /// Share of `group` that agrees with closure i. A closure agrees with itself.
   [[nodiscard]] double agreement(std::size_t i, const std::vector<std::size_t>& group) const;
-  /// A large group in which every two agree, of the closures `among`, ascending; by greedy search from every
-  /// closure.
+  /// A large group of closures that agree pairwise, found greedily from each closure of `among` (ascending).
   [[nodiscard]] std::vector<std::size_t> largest_group(const std::vector<std::size_t>& among) const;
-  /// How many of a group's closures have both ends more than `place_m` from those of the others counted.
+  /// Number of distinct places of a group: closures with both ends more than `place_m` from those counted
+  /// before.
   [[nodiscard]] std::size_t places(const std::vector<std::size_t>& group, double place_m) const;
-  /// Pose of b's component in that of a that the closure implies.
+  /// Pose of b's component in the frame of a's component that the closure implies.
   [[nodiscard]] Eigen::Isometry3d frame(std::size_t i) const;
-  /// Covariance, right perturbation at a's end of the middle closure, that a group leaves by the closures
-  /// alone, with odometry's drift between them.
+  /// Covariance of the pose between the components from a group's closures alone, with odometry's drift
+  /// between them. Right perturbation at a's end of the middle closure.
   [[nodiscard]] Matrix6d fused_covariance(const std::vector<std::size_t>& group) const;
 
  private:

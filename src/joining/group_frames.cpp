@@ -14,7 +14,7 @@
 namespace loopwise::joining {
 namespace {
 
-/// Relative pose of two stations of a component, as certain as drift between them leaves it.
+/// Relative pose of two stations of a component, with the uncertainty of the drift between them.
 Edge path_edge(const ComponentPaths& paths, std::size_t from, std::size_t to) {
   constexpr double kLeast_m2 = 1e-4, kLeast_rad2 = 1e-6;
   Drift drift = paths.between(from, to);
@@ -29,7 +29,7 @@ Edge path_edge(const ComponentPaths& paths, std::size_t from, std::size_t to) {
   return edge;
 }
 
-/// Closures of one place share errors that their covariances do not know.
+/// Adds errors that closures at one place share and that their covariances do not contain.
 Edge closure_edge(const LoopClosure& closure) {
   constexpr double kShared_m2 = 0.05 * 0.05, kShared_rad2 = 0.005 * 0.005;
   LoopClosure wider = closure;
@@ -43,7 +43,7 @@ Edge closure_edge(const LoopClosure& closure) {
   return edge;
 }
 
-/// Paths without closures. A map of several paths is as rigid as straight odometry between them.
+/// Graph of the paths without closures. Paths of one map are connected as by straight odometry between them.
 PoseGraph graph_of(const ComponentPaths& paths, const std::vector<std::size_t>& members) {
   PoseGraph graph;
   for (const std::size_t member : members) {
@@ -66,11 +66,11 @@ PoseGraph graph_of(const ComponentPaths& paths, const std::vector<std::size_t>& 
   return graph;
 }
 
-/// A pose in a component's own frame, and where it is.
+/// A pose in its component's own frame, and the same pose in the common frame.
 using Placed = std::pair<Eigen::Isometry3d, Eigen::Isometry3d>;
 
-/// The rigid move of a component that brings poses to their places, on average: drift along its path leaves
-/// no move that fits all of it.
+/// The rigid transform that moves poses of a component to their common frame on average. The optimisation
+/// bends the path, so no rigid transform fits all poses exactly.
 Eigen::Isometry3d mean_move(const std::vector<Placed>& ends) {
   Eigen::Matrix4d sum = Eigen::Matrix4d::Zero();
   Eigen::Vector3d from = Eigen::Vector3d::Zero(), to = Eigen::Vector3d::Zero();
@@ -89,8 +89,8 @@ Eigen::Isometry3d mean_move(const std::vector<Placed>& ends) {
   return move;
 }
 
-/// Frames of the members by the optimised relative poses of the closures that were kept, from the first
-/// member on: next comes always the one that most closures tie to those that have one.
+/// Frames of the members from the optimised relative poses of the kept closures. Starts with the first member
+/// and always adds the member with the most closures to the members added so far.
 std::vector<Eigen::Isometry3d> frames_of(const ComponentPaths& paths, const PoseGraph& graph,
                                          const std::vector<std::size_t>& members,
                                          const std::vector<std::size_t>& kept) {
@@ -133,7 +133,7 @@ GroupFrames optimize_group(const ComponentPaths& paths, const std::vector<std::s
       tie_of.push_back(t);
     }
   }
-  // Members stand each in their own frame: the graph's poses are no first estimate.
+  // Each member is in its own frame, so the graph's poses are not an initial estimate.
   OptimizerOptions optimizer;
   optimizer.initialization = Initialization::kOdometry;
   const GncResult result = optimize_gnc(graph, optimizer, {}, stop);

@@ -13,16 +13,16 @@
 
 namespace loopwise::joining {
 
-/// What the optimisation of one group came to.
+/// Result of the optimisation of one group.
 struct GroupFrames {
   std::vector<double> kept;               ///< For each tie, the share of its closures that were kept.
   std::vector<Eigen::Isometry3d> frames;  ///< One per member, in the frame of the first.
   std::vector<Matrix6d> covariances;      ///< Of each member's first key frame, see ComponentFrame.
 };
 
-/// Optimises the members' paths with the ties' closures, odometry as uncertain as the options allow for.
-/// \param members numbers of the components, of which the first stays where it is
-/// \param ties between them, which join all
+/// Optimises the members' paths with the closures of the ties. The options state the uncertainty of odometry.
+/// \param members numbers of the components; the first one stays fixed
+/// \param ties connect all members
 [[nodiscard]] GroupFrames optimize_group(const ComponentPaths& paths, const std::vector<std::size_t>& members,
                                          const std::vector<const Tie*>& ties, const StopToken& stop);
 

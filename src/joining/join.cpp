@@ -18,7 +18,7 @@ namespace {
 using joining::ComponentPaths;
 using joining::GroupFrames;
 
-/// Components by group, the first member of each the smallest number; the largest group by key frames first.
+/// Components by group: members ascend, and groups follow by falling number of key frames.
 std::vector<std::vector<std::size_t>> groups_of(const ComponentPaths& paths, const std::vector<Tie>& ties) {
   DisjointSets sets(paths.components());
   for (const Tie& tie : ties) {
@@ -32,7 +32,7 @@ std::vector<std::vector<std::size_t>> groups_of(const ComponentPaths& paths, con
   const auto size = [&](const std::vector<std::size_t>& members) {
     std::size_t nodes = 0;
     for (const std::size_t c : members) nodes += paths.end(c) - paths.begin(c);
-    return std::pair(members.size() > 1, nodes);  // those that stand alone come last
+    return std::pair(members.size() > 1, nodes);  // single components come last
   };
   std::stable_sort(groups.begin(), groups.end(),
                    [&](const auto& x, const auto& y) { return size(x) > size(y); });
@@ -48,8 +48,8 @@ std::vector<std::size_t> joined_ties(const std::vector<Tie>& ties, const std::ve
   return out;
 }
 
-/// Of the ties of a group, those that the joint optimisation contradicts, and such as have hardly more
-/// support than these: one of them is false, and it is not known which. \returns whether there were any
+/// Gives up ties of a group that the joint optimisation contradicts, and ties with little more support than
+/// these: one of them is false, and it is unknown which one. \returns whether there were any
 bool give_up_contradictions(std::vector<Tie>& ties, const std::vector<std::size_t>& numbers,
                             const GroupFrames& frames) {
   constexpr double kKept = 0.5, kByFar = 2.0;
@@ -75,7 +75,7 @@ bool give_up_contradictions(std::vector<Tie>& ties, const std::vector<std::size_
   return true;
 }
 
-/// The best tie of the component is said once, at the component that comes later.
+/// Text for a component that is not joined. If there is only one tie, only the later component describes it.
 std::string apart_text(const std::vector<JoinComponent>& components, const std::vector<Tie>& ties,
                        std::size_t component) {
   std::size_t computed = 0;
@@ -108,7 +108,7 @@ std::string joined_text(const std::vector<JoinComponent>& components, const std:
   return text;
 }
 
-/// Frames of all groups; ties that contradict each other are given up first.
+/// Computes the frames of all groups, after giving up ties that contradict each other.
 void set_frames(JoinResult& result, const ComponentPaths& paths, const StopToken& stop) {
   for (bool settled = false; !settled;) {
     settled = true;

@@ -50,7 +50,7 @@ std::vector<StationPair> ordered_pairs(const ComponentPaths& paths, std::size_t 
     return std::pair(paths[station].path,
                      static_cast<std::int64_t>(paths[station].path_length_m / options.place_m));
   };
-  // Neighbours look alike: the second-best pair of two places waits until each two had their best.
+  // Neighbouring key frames look alike, so the second-best pair of two places follows the best pairs of all.
   std::map<std::pair<std::pair<std::size_t, std::int64_t>, std::pair<std::size_t, std::int64_t>>, int> taken;
   std::vector<std::pair<int, StationPair>> ranked;
   for (const auto& [pair, similarity] : proposed(paths, a, b, proposals)) {

@@ -16,14 +16,14 @@
 namespace loopwise::joining {
 namespace {
 
-constexpr double kDegrees = 180.0 / 3.14159265358979323846;  // in a radian
-constexpr std::size_t kBatch = 64;                           // pairs between two looks at what they came to
-constexpr std::size_t kMostTested = 60;                      // pairs that confirm a frame
-constexpr std::size_t kLeastTested = 8;                      // fewer do not tell anything
-constexpr std::size_t kManyPlaces = 4;    // from fewer, twice the share of pairs has to confirm a frame
-constexpr double kAgrees = 0.8;           // share of a group that a closure of the same frame agrees with
-constexpr std::size_t kLeastGroup = 3;    // closures from which on a frame is worth a test
-constexpr double kSameHeading_rad = 0.6;  // a narrow field of view overlaps only so far
+constexpr double kDegrees = 180.0 / 3.14159265358979323846;  // per radian
+constexpr std::size_t kBatch = 64;        // pairs that are registered between two evaluations
+constexpr std::size_t kMostTested = 60;   // pairs at most that test a frame
+constexpr std::size_t kLeastTested = 8;   // fewer pairs are no evidence
+constexpr std::size_t kManyPlaces = 4;    // with fewer, twice the share of pairs must confirm a frame
+constexpr double kAgrees = 0.8;           // closures of one frame agree with more than this share
+constexpr std::size_t kLeastGroup = 3;    // smaller groups are not tested
+constexpr double kSameHeading_rad = 0.6;  // beyond, scans of a narrow field of view do not overlap
 
 std::string rounded(double value, int decimals) {
   std::ostringstream out;
@@ -77,11 +77,11 @@ void TieSearch::compute(const std::vector<StationPair>& pairs) {
   }
 }
 
-/// The key frame of a that the closure puts nearest to key frame b, or farthest away but within reach.
+/// The key frame of a that, according to a closure, is nearest to key frame b, or farthest but within reach.
 std::optional<StationPair> TieSearch::near_pair(std::size_t b, const PairClosure& by, double reach_m,
                                                 bool farthest) const {
   const ComponentPaths& paths = context_.paths;
-  // By the closure, whose surroundings odometry knows best.
+  // Chains through the closure, because odometry has the least drift near it.
   const Eigen::Isometry3d T_by = by.closure.T_from_to.inverse();
   const Eigen::Isometry3d T_a_b = paths[by.a].pose * T_by * paths[by.b].pose.inverse() * paths[b].pose;
   std::optional<StationPair> best;
@@ -99,7 +99,7 @@ std::optional<StationPair> TieSearch::near_pair(std::size_t b, const PairClosure
   return best;
 }
 
-/// The distance between the two ends that this share of a group's closures does not exceed.
+/// Quantile of the distance between the two ends of a group's closures.
 double TieSearch::distance_of(const std::vector<std::size_t>& group, double share) const {
   std::vector<double> distances;
   distances.reserve(group.size());
@@ -109,15 +109,15 @@ double TieSearch::distance_of(const std::vector<std::size_t>& group, double shar
   return distances[at];
 }
 
-/// One pair for each key frame of b: with the nearest key frame of a, or with one as far away as the
-/// registration may still reach.
+/// One pair for each key frame of b: with the nearest key frame of a, or with the farthest that the
+/// registration can still align.
 std::vector<StationPair> TieSearch::near_pairs(const std::vector<std::size_t>& group, bool farthest) const {
   const ComponentPaths& paths = context_.paths;
   const double reach_m = farthest ? 1.25 * distance_of(group, 0.8) + 1.0
                                   : std::max(context_.options.near_m, distance_of(group, 0.5));
   std::vector<StationPair> out;
   for (std::size_t b = paths.begin(b_); b < paths.end(b_); ++b) {
-    // From the nearest closures along the path on: the first that puts a key frame of a beside this one.
+    // Tries the nearest closures along the path first, until one puts a key frame of a near this one.
     std::vector<std::pair<double, std::size_t>> nearest;
     for (const std::size_t i : group) {
       const Station& at = paths[closures_[i].b];
@@ -154,8 +154,8 @@ void TieSearch::confirm(Hypothesis& hypothesis) {
   }
 }
 
-/// Closures that contradict a part of a group: where odometry is uncertain they may agree with the rest. All
-/// closures if it is empty.
+/// Closures that disagree with a part of a group; all closures if the group is empty. Where odometry is
+/// uncertain, such a closure may agree with the other part.
 std::vector<std::size_t> TieSearch::against(const std::vector<std::size_t>& group) const {
   std::vector<std::size_t> out;
   for (std::size_t i = 0; i < closures_.size(); ++i) {
@@ -164,13 +164,13 @@ std::vector<std::size_t> TieSearch::against(const std::vector<std::size_t>& grou
   return out;
 }
 
-/// The largest group of closures that contradict `best`, with what pairs that its frame puts close together
-/// add to it.
+/// The largest group of closures that contradict `best`, extended by registrations of pairs that its frame
+/// puts close together.
 Hypothesis TieSearch::grown(const std::vector<std::size_t>& best) {
   Hypothesis hypothesis;
   hypothesis.group = closures_.largest_group(against(best));
   if (hypothesis.group.size() < kLeastGroup) return hypothesis;
-  // Confirming pairs bring closures of their own, whose surroundings bring more.
+  // Pairs that confirm the frame add closures, and these put further pairs close together.
   constexpr int kRounds = 4;
   for (int round = 0; round < kRounds && !context_.stop.stop_requested(); ++round) {
     confirm(hypothesis);
@@ -268,7 +268,7 @@ Tie TieSearch::run(const std::vector<StationPair>& order) {
     judge(tie, best, rival);
     if (tie.joined) return tie;
   }
-  if (judged == 0) judge(tie, {}, {});  // no closure at all, or stopped before
+  if (judged == 0) judge(tie, {}, {});  // no closure, or stopped early
   tie.computed = outcomes_.size();
   tie.best_overlap = best_overlap_;
   return tie;

@@ -20,7 +20,7 @@
 
 namespace loopwise::joining {
 
-/// All that the searches share.
+/// Data that all searches share.
 struct SearchContext {
   const PoseGraph& graph;
   const Robots& robots;
@@ -42,7 +42,7 @@ using StationPair = std::pair<std::size_t, std::size_t>;
                                                      const std::vector<ProposedPair>& proposals,
                                                      const JoinOptions& options);
 
-/// Closures that agree on a frame, and how pairs bear it out that were chosen by the frame alone.
+/// Closures that agree on a frame, and the results of pairs that test this frame.
 struct Hypothesis {
   std::vector<std::size_t> group;  ///< Numbers in the closure set, ascending.
   std::size_t tested = 0;          ///< Pairs that the frame puts close together.
@@ -62,7 +62,7 @@ class TieSearch {
 
  private:
   struct Outcome {
-    bool counts = true;                  ///< False if circumstances, such as a missing scan, decided it.
+    bool counts = true;  ///< False if a circumstance, such as a missing scan, decided the result.
     std::optional<std::size_t> closure;  ///< Number in closures_, if verified.
   };
 
