@@ -14,7 +14,7 @@ namespace {
 
 std::shared_ptr<const PointCloud> finite_cloud(const std::vector<Eigen::Vector3d>& points, const char* name,
                                                std::size_t& dropped) {
-  constexpr double kCoarse_m = 16384.0;  // floats are 2 mm apart from there on
+  constexpr double kCoarse_m = 16384.0;  // floats beyond are at least 2 mm apart
   auto cloud = std::make_shared<PointCloud>();
   cloud->points.reserve(points.size());
   for (const Eigen::Vector3d& point : points) {

@@ -22,16 +22,15 @@ RegistrationResult failed_result(const LoopCandidate& candidate, const char* mes
   try {
     result.message = message;
   } catch (const std::bad_alloc&) {
-    result.message = "out of memory";  // short enough to need none
+    result.message = "out of memory";  // short enough to need no allocation
   }
   return result;
 }
 
 namespace {
 
-/// What a graph takes, whoever's registrar it is of: of the candidate that was asked for, whatever it made of
-/// its copy, and with a rotation again where one went through single precision. \throws InputError if it is
-/// none, or there is no such covariance
+/// Prepares the result of any registrar for a graph. Restores the requested candidate, and normalises a
+/// rotation that went through single precision. \throws InputError if the closure is not valid in a graph
 RegistrationResult fit_for_graph(RegistrationResult result, const LoopCandidate& candidate) {
   result.candidate = candidate;
   if ((result.reason == RejectionReason::kNone) != result.closure.has_value()) {
@@ -74,8 +73,8 @@ std::vector<std::optional<RegistrationResult>> compute_batch(
     const StopToken& stop, const ProgressCallback& progress,
     const std::function<void(const RegistrationResult&)>& on_result) {
   std::vector<std::optional<RegistrationResult>> results(tasks.size());
-  // Pairs with the same target run one after the other, so that it is at hand: a cache of any size then holds
-  // what the next pair needs. Results do not depend on the order.
+  // Pairs with the same target run consecutively, so that even a small cache holds the target of the next
+  // pair. Results do not depend on the order.
   std::vector<std::size_t> order(tasks.size());
   std::iota(order.begin(), order.end(), 0);
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {

@@ -16,7 +16,7 @@ namespace {
 /// Cosine of the angle within which two normals agree.
 constexpr float kAgreeing = 0.7F;
 
-/// max_sigma of each coordinate: with them as units a free direction has variance 1 or more.
+/// max_sigma of each coordinate. In these units, a free direction has variance 1 or more.
 Vector6d units(const ClosureTestOptions& options) {
   Vector6d out;
   out << Eigen::Vector3d::Constant(options.max_sigma_m), Eigen::Vector3d::Constant(options.max_sigma_rad);
@@ -37,7 +37,7 @@ Eigen::SelfAdjointEigenSolver<Matrix6d> scaled_information(const Matrix6d& hessi
 template <class Figure>
 std::string beyond(const char* what, Figure found, const char* relation, Figure bound, const char* unit) {
   std::ostringstream out;
-  out.exceptions(std::ios::badbit);  // no memory must not make half a message
+  out.exceptions(std::ios::badbit);  // a failed allocation throws instead of cutting the message
   out.precision(4);
   out << what << " " << found << unit << ", must be " << relation << " " << bound << unit;
   return out.str();

@@ -17,7 +17,7 @@ namespace {
 
 using CommonOnes = std::uint32_t (*)(const std::uint64_t* a, const std::uint64_t* b, std::size_t words);
 
-/// Ones in both of two rows. Those of a word by adding neighbours in parallel.
+/// Number of ones that two rows share. Counts the ones of a word by adding neighbouring bits in parallel.
 std::uint32_t common_ones_portable(const std::uint64_t* a, const std::uint64_t* b, std::size_t words) {
   std::uint32_t count = 0;
   for (std::size_t w = 0; w < words; ++w) {
@@ -31,7 +31,7 @@ std::uint32_t common_ones_portable(const std::uint64_t* a, const std::uint64_t* 
 }
 
 #if defined(__x86_64__) && defined(__GNUC__)
-/// The same with the instruction that nearly every x86-64 has, but not the oldest.
+/// The same with the instruction popcnt, which the oldest x86-64 processors do not have.
 __attribute__((target("popcnt"))) std::uint32_t common_ones_popcnt(const std::uint64_t* a,
                                                                    const std::uint64_t* b,
                                                                    std::size_t words) {
@@ -50,8 +50,8 @@ std::uint32_t common(const BitMatrix& bits, std::size_t i, std::size_t j) {
   return common_ones(bits.row(i), bits.row(j), bits.words());
 }
 
-/// Cosines of the angle between two normals may differ by this much for a compatible pair: 25 degrees
-/// about 90.
+/// Two matches are compatible if the cosines of the angle between their normals differ by at most this: 25
+/// degrees near a right angle.
 constexpr float kNormalTolerance = 0.45F;
 
 /// Matches by coordinate, so that they are compared with SIMD: source, target, source normal, target normal.
@@ -139,7 +139,8 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
       compatible.set(static_cast<std::size_t>(j), static_cast<std::size_t>(i));
     }
   }
-  // Σ over compatible j of how many matches are compatible with both i and j: triangles at i, twice.
+  // Twice the number of triangles at i: the sum over compatible j of the matches that are compatible with
+  // both.
   std::vector<std::uint64_t> triangles(n, 0);
   for (std::size_t i = 0; i < n; ++i) {
     for (std::size_t j = i + 1; j < n; ++j) {
@@ -170,7 +171,7 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
     std::sort(partners.begin(), partners.end(), [](const auto& a, const auto& b) {
       return a.first != b.first ? a.first > b.first : a.second < b.second;
     });
-    // The seed's best partners that are compatible with all taken before: a clique, greedily.
+    // Builds a clique greedily from the seed's best partners.
     std::vector<std::size_t> clique{seed};
     for (const auto& [shared, j] : partners) {
       if (shared == 0 || clique.size() == 20) break;

@@ -9,7 +9,7 @@
 
 namespace loopwise {
 
-/// A source point that may be a target point.
+/// A source point and the target point that it may correspond to.
 struct Match {
   Eigen::Vector3f source = Eigen::Vector3f::Zero();
   Eigen::Vector3f target = Eigen::Vector3f::Zero();
@@ -17,7 +17,7 @@ struct Match {
   Eigen::Vector3f target_normal = Eigen::Vector3f::Zero();
 };
 
-/// A pose that many matches agree on.
+/// A pose that many matches support.
 struct Hypothesis {
   Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
   std::size_t inliers = 0;
@@ -25,18 +25,18 @@ struct Hypothesis {
 
 using PoseFilter = std::function<bool(const Eigen::Isometry3d& T_target_source)>;
 
-/// What the matches agree on.
+/// The poses that the matches support.
 struct Consensus {
   std::vector<Hypothesis> hypotheses;  ///< Most inliers first.
-  std::size_t refused = 0;             ///< Poses that were not allowed.
+  std::size_t refused = 0;             ///< Number of poses that were not allowed.
 };
 
-/// Poses that sets of pairwise compatible matches agree on: at most `count`, all different and all `allowed`
-/// (may be empty: every pose is). Two matches are compatible if their source points lie as far apart as their
-/// target points, within `tolerance_m`, and their normals differ by the same angle. A match is judged by how
-/// many compatible matches it shares with its compatible matches (second-order compatibility: Chen et al.,
-/// SC2-PCR, CVPR 2022), which separates the few true matches from chance; the best judged ones each span a
-/// hypothesis. No random numbers. O(n²·n/64).
+/// Finds poses that sets of pairwise compatible matches support: at most `count`, all different and all
+/// `allowed` (an empty function allows every pose). Two matches are compatible if their source points have
+/// the same distance as their target points, within `tolerance_m`, and their normals differ by the same
+/// angle. A match ranks by the number of compatible matches that it shares with its compatible matches
+/// (second-order compatibility: Chen et al., SC2-PCR, CVPR 2022). This separates the few true matches from
+/// random ones. The matches of highest rank each give one hypothesis. No random numbers. O(n²·n/64).
 [[nodiscard]] Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m,
                                        std::size_t count, const PoseFilter& allowed = {});
 

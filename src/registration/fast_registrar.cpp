@@ -25,7 +25,7 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kDegree = kPi / 180.0;
-constexpr std::size_t kFewKeys = 200;  // of a scan, whatever the share
+constexpr std::size_t kFewKeys = 200;  // of a scan at least, for any share
 
 /// Key points of one side in the centre's frame.
 struct KeyPoints {
@@ -38,7 +38,7 @@ struct KeyPoints {
   }
 };
 
-/// Names a submap: equal for equal members in the same places alone.
+/// Name of a submap. Two submaps have the same name only if they have the same members at the same poses.
 std::string signature(const std::vector<SubmapMember>& members, std::size_t enough_points) {
   std::string out(reinterpret_cast<const char*>(&enough_points), sizeof enough_points);
   for (const SubmapMember& member : members) {
@@ -76,8 +76,7 @@ ScanKeyPoints describe(const ScanFeatures& scan, const FastRegistrarOptions& opt
   return keys;
 }
 
-/// The matches that describe each other best: first those that are mutual, then the others, most similar
-/// first.
+/// Matches of similar descriptors: mutual ones first, then the others, each by falling similarity.
 std::vector<Match> match(const KeyPoints& source, const KeyPoints& target, std::size_t max_matches) {
   std::vector<DescriptorMatch> found = match_descriptors(source.descriptors, target.descriptors);
   std::stable_sort(found.begin(), found.end(), [](const DescriptorMatch& a, const DescriptorMatch& b) {
@@ -93,9 +92,9 @@ std::vector<Match> match(const KeyPoints& source, const KeyPoints& target, std::
   return matches;
 }
 
-/// Drops matches that no allowed pose explains: one moves a point no further from where the guess has it than
-/// the bound on the translation and the arc of the bound on the rotation about the target's origin, and turns
-/// no normal further.
+/// Drops matches that no allowed pose explains. From its position at the guess, an allowed pose moves a point
+/// by at most the bound on the translation plus the arc of the bound on the rotation about the target's
+/// origin. It turns a normal by at most the bound on the rotation.
 void drop_impossible(std::vector<Match>& matches, const Eigen::Isometry3d& guess_target_source,
                      const FastRegistrarOptions& options) {
   constexpr double kNormalNoise = 20.0 * kDegree;
@@ -120,7 +119,7 @@ struct FastRegistrar::Impl {
   mutable BoundedCache<std::string, KeyPoints> keys;
   mutable BoundedCache<Key, ScanKeyPoints> scan_keys;
 
-  /// Null if a scan is missing: then `result` says which.
+  /// Null if a scan is missing; `result` then names the scan.
   [[nodiscard]] std::shared_ptr<const Side> side(const std::string& name,
                                                  const std::vector<SubmapMember>& members,
                                                  std::size_t enough_points,
@@ -190,7 +189,7 @@ void FastRegistrar::prepare(Key key) const {
 
 namespace {
 
-/// Of its key points: what lacks a member is another side.
+/// Name of a side's key points. A side without some members has a different name.
 std::string name_of(const Side& side, const std::string& whole) {
   if (!side.submap.incomplete()) return whole;
   std::vector<SubmapMember> members;
@@ -276,7 +275,7 @@ RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
   const Consensus consensus =
       find_consensus(matches, options.match_tolerance_m, static_cast<std::size_t>(options.hypotheses),
                      [&](const Eigen::Isometry3d& T) { return search.allowed(T); });
-  // A quarter of the points tells which hypotheses are worth all of them.
+  // A quarter of the points suffices to discard poor hypotheses.
   struct Scored {
     Eigen::Isometry3d T_target_source;
     double value;

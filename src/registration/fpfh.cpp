@@ -14,7 +14,7 @@ int bin(float unit_interval) {
   return std::clamp(static_cast<int>(unit_interval * static_cast<float>(kBins)), 0, kBins - 1);
 }
 
-/// Angle of (x, y) as a share of the turn, in [0, 1]; its error, under 1e-3 turns, is a hundredth of a bin.
+/// Angle of (x, y) as a share of a full turn, in [0, 1]. The error is below 1e-3 turns, a hundredth of a bin.
 float turn(float y, float x) {
   const float ax = std::abs(x), ay = std::abs(y);
   const float larger = std::max(ax, ay);
@@ -26,14 +26,13 @@ float turn(float y, float x) {
   return y < 0.0F ? 0.5F - a : 0.5F + a;
 }
 
-/// Eigen's cross() is not inlined here, and then bound to whatever copy another library of the program
-/// exports.
+/// Eigen's cross() is not inlined here, and the linker may bind it to a copy that another library exports.
 inline Eigen::Vector3f cross(const Eigen::Vector3f& a, const Eigen::Vector3f& b) {
   return {a.y() * b.z() - a.z() * b.y(), a.z() * b.x() - a.x() * b.z(), a.x() * b.y() - a.y() * b.x()};
 }
 
 /// Adds the pair's three angles to the histogram of its first point. The point whose normal is closer to the
-/// connecting line spans the frame, so the angles do not depend on the order of the two.
+/// connecting line defines the frame, so the angles do not depend on the order of the two.
 void add_pair(const Eigen::Vector3f& p, const Eigen::Vector3f& np, const Eigen::Vector3f& q,
               const Eigen::Vector3f& nq, float inverse_distance, float weight, Histogram& histogram) {
   Eigen::Vector3f d = (q - p) * inverse_distance;
@@ -95,7 +94,7 @@ Descriptors compute_fpfh(const PointCloud& cloud, const KdTree& tree, const std:
         simple_of[i] = static_cast<std::int32_t>(simple.size());
         simple.push_back(histogram);
       }
-      // A neighbour a quarter of the radius away weighs as much as the point itself.
+      // A neighbour at a quarter of the radius has the same weight as the point itself.
       const float weight = radius * radius / (16.0F * neighbour.sq_distance_m2 + 0.01F * radius * radius);
       sum += std::min(weight, 1.0F) * simple[static_cast<std::size_t>(simple_of[i])];
     }

@@ -14,11 +14,11 @@
 namespace loopwise {
 namespace {
 
-/// Variance of a surface element across its plane, in units of that along it.
+/// Variance of a surface element across its plane, relative to the variance along it.
 constexpr double kFlatness = 0.001;
 
-/// (C_target + R·C_source·Rᵀ)⁻¹·2·kFlatness: 1 across a plane that both share, near 0 along it. Normals may
-/// be zero: then that side is a ball.
+/// (C_target + R·C_source·Rᵀ)⁻¹·2·kFlatness: 1 across a plane that both share, near 0 along it. A zero normal
+/// gives its side an isotropic covariance.
 Eigen::Matrix3d weight(const Eigen::Vector3d& n, const Eigen::Vector3d& m) {
   Eigen::Matrix3d C = 2.0 * Eigen::Matrix3d::Identity();
   C.noalias() -= (1.0 - kFlatness) * (n * n.transpose());
@@ -44,7 +44,7 @@ GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_c
   GicpResult result;
   result.T_target_source = start;
 
-  // A point's last match bounds the search for its next one: the steps are small.
+  // Steps are small, so the last match of a point bounds the search for its next match.
   constexpr std::uint32_t kNone = ~std::uint32_t{0};
   std::vector<std::uint32_t> last(order.size(), kNone);
   for (const GicpPass& pass : passes) {
@@ -67,7 +67,7 @@ GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_c
         const Eigen::Vector3f query = moved.cast<float>();
         float bound = reach;
         if (last[k] != kNone) {
-          // Above the distance by more than its rounding, so that the point itself is found again.
+          // Exceeds the distance by more than the rounding error, so that the same point is found again.
           bound = std::min(bound, 1.0001F * (target.points[last[k]] - query).norm() + 1e-6F);
         }
         const std::optional<Neighbour> nearest = target_tree.nearest(query, bound);
@@ -94,7 +94,7 @@ GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_c
       if (matched < 6) return result;
       Matrix6d H;
       H << H_tt, H_tr, H_tr.transpose(), H_rr;
-      // Directions that nothing constrains stay where they are.
+      // Damping keeps directions without constraints where they are.
       H.diagonal().head<3>().array() += 1e-6 * H_tt.trace();
       H.diagonal().tail<3>().array() += 1e-6 * H_rr.trace();
       Vector6d b;
@@ -108,7 +108,7 @@ GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_c
       result.T_target_source = se3::normalized(next);
       const double relative = std::max(step.head<3>().norm() / pass.translation_step_m,
                                        step.tail<3>().norm() / pass.rotation_step_rad);
-      // Matches that flip to and fro at the reach's edge keep the steps from vanishing.
+      // Matches that appear and disappear at the edge of the reach prevent smaller steps.
       result.converged = relative < 5.0;
       if (relative < 1.0) break;
     }

@@ -79,7 +79,7 @@ std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
   Similarities similarity;
   for (std::size_t begin = 0; begin < source.size(); begin += kSources) {
     const std::size_t width = std::min(kSources, source.size() - begin);
-    // Four of a block of eight: their pairs stand side by side.
+    // Four descriptors of a block of eight. Their pairs of components are adjacent in memory.
     const std::int16_t* from = source.block(begin / kBlock) + 2 * (begin % kBlock);
     for (std::size_t pair = 0; pair < kPairs; ++pair) {
       for (std::size_t s = 0; s < kSources; ++s) {

@@ -9,10 +9,9 @@
 
 namespace loopwise {
 
-/// Descriptors as 16-bit integers, 2^14 for 1, in the order that the comparison of all with all reads them
-/// in: blocks of kBlock descriptors, within a block pairs of components, within a pair the block's
-/// descriptors. Integers make the comparison exact, whatever the order of its sums, and four times as fast as
-/// floats on every x86-64.
+/// Descriptors as 16-bit integers with 2^14 for 1, in the order in which the comparison of all pairs reads
+/// them: blocks of kBlock descriptors, within a block pairs of components, within a pair the block's
+/// descriptors. Sums of integers are exact in any order, and four times as fast as floats on every x86-64.
 class PackedDescriptors {
  public:
   static constexpr std::size_t kBlock = 8;
@@ -36,15 +35,15 @@ class PackedDescriptors {
   std::vector<std::int16_t> packed_;
 };
 
-/// A source descriptor and the target's most similar one.
+/// A source descriptor and the most similar target descriptor.
 struct DescriptorMatch {
   std::uint32_t source = 0;
   std::uint32_t target = 0;
   std::int32_t similarity = 0;  ///< Scalar product, 2^28 for equal ones.
-  bool mutual = false;          ///< The source's is also the most similar one to the target's.
+  bool mutual = false;          ///< The source descriptor is also the most similar one to the target's.
 };
 
-/// One match for each source descriptor, in their order; the first of equal ones. None if a side is empty.
+/// One match for each source descriptor, in their order; the first of equal ones. Empty if a side is empty.
 [[nodiscard]] std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
                                                              const PackedDescriptors& target);
 

@@ -64,7 +64,7 @@ ScanDescriptors compute_descriptors(const PointCloud& cloud, const PclRegistrarO
   fpfh.compute(signatures);
   for (std::size_t i = 0; i < signatures.size(); ++i) {
     const Descriptor descriptor = Eigen::Map<const Descriptor>(signatures[i].histogram);
-    // All zero: a point without neighbours, which looks like every other such point.
+    // The descriptor of a point without neighbours is zero, and equals that of every other such point.
     if (!descriptor.allFinite() || descriptor.isZero()) continue;
     out.indices.push_back(key_points[i]);
     out.descriptors.push_back(descriptor);
@@ -120,7 +120,7 @@ Eigen::Isometry3d initial_alignment(const KeyPoints& source, const KeyPoints& ta
     for (const Eigen::Vector3d& point : source.points) {
       const auto nearest = target_tree.nearest((T_to_from * point).cast<float>(), reach);
       error += nearest ? static_cast<double>(nearest->sq_distance_m2) : sq_truncation;
-      if (error >= least) return;  // terms are not negative: it cannot win any more
+      if (error >= least) return;  // terms are not negative, so the error stays too large
     }
     least = error;
     best = T_to_from;
@@ -156,14 +156,15 @@ Eigen::Isometry3d initial_alignment(const KeyPoints& source, const KeyPoints& ta
   return best;
 }
 
-/// Tells whether the end was reached by steps under epsilon; PCL calls a run that was cut off converged, too.
+/// Reports whether the steps fell below epsilon. PCL also reports convergence at the limit of iterations.
 class Gicp : public pcl::GeneralizedIterativeClosestPoint<pcl::PointXYZ, pcl::PointXYZ> {
  public:
   [[nodiscard]] bool settled() { return hasConverged() && nr_iterations_ < max_iterations_; }
   using Covariances = MatricesVector;
 };
 
-/// Points about `centre` and covariances of surface elements: flat across the normal, as GICP's paper has it.
+/// Points relative to `centre` and covariances of surface elements: flat across the normal, as in the GICP
+/// paper.
 std::pair<PclCloud::Ptr, pcl::shared_ptr<Gicp::Covariances>> surface_elements(const PointCloud& cloud,
                                                                               const Eigen::Vector3d& centre) {
   constexpr double kFlatness = 0.001;
@@ -186,7 +187,7 @@ struct Refinement {
 
 Refinement refine(const PointCloud& source, const PointCloud& target, const Eigen::Isometry3d& start_to_from,
                   const PclRegistrarOptions& options) {
-  // PCL works in float: about the middles its transform keeps its digits wherever the clouds lie.
+  // PCL works in float. Clouds about their middles keep the digits of the transform at any position.
   const Eigen::Vector3d source_centre = robust_centre(source.points),
                         target_centre = robust_centre(target.points);
   const auto [source_points, source_covariances] = surface_elements(source, source_centre);

@@ -26,7 +26,7 @@ float plane_distance(const PointCloud& cloud, const Neighbour& nearest, const Ei
   return std::abs(cloud.normals[nearest.index].dot(y - cloud.points[nearest.index]));
 }
 
-/// visit(place, normal) of the first `count` points of the order under T.
+/// Calls visit(position, normal) for the first `count` points of `source.order`, moved by T.
 template <class Visit>
 void for_each(const Side& source, std::size_t count, const Eigen::Isometry3d& T, Visit&& visit) {
   const PointCloud& from = source.submap.cloud();
@@ -69,15 +69,15 @@ double share_on_surface(const Side& source, std::size_t count, const Side& targe
 Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Side& target,
                                 const Eigen::Isometry3d& T_target_source, const Eigen::Matrix3d& axes,
                                 const ClosureTestOptions& options) {
-  // Far enough to find the surface that a point has left: where there is no point at all, as between the
-  // rings of a sparse scan, none was looked for, and nothing is decided.
+  // Far enough to find the surface that a point has left. Where the target has no point, as between the rings
+  // of a sparse scan, the point decides nothing.
   constexpr float kSeenM = 1.5F;
   constexpr float kAnywhere = 0.005F, kLeastWeight = 1e-3F;
   count = std::min(count, source.order.size());
   const auto within = static_cast<float>(options.plane_distance_m);
   const PointCloud& cloud = target.submap.cloud();
   const Eigen::Matrix3f directions = axes.cast<float>();
-  // From 1 on the surface to 0 at twice the distance that counts as on it: no point falls off at once.
+  // 1 on the surface, falling smoothly to 0 at twice the distance that counts as on the surface.
   const auto fit_to = [&](const Neighbour& nearest, const Eigen::Vector3f& y, const Eigen::Vector3f& n) {
     if (n.dot(cloud.normals[nearest.index]) < kAgreeing) return 0.0F;
     const float d = plane_distance(cloud, nearest, y) / (2.0F * within);
@@ -91,7 +91,7 @@ Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Sid
     if (fit == 0.0F) return;
     const Eigen::Vector3f& m = cloud.normals[nearest->index];
     for (Eigen::Index k = 0; k < 3; ++k) {
-      // Both normals must face along the axis: the noise of one alone does not count.
+      // Both normals must face along the axis, so that the noise of one of them does not count.
       const float cosines = std::max(0.0F, directions.col(k).dot(n) * directions.col(k).dot(m));
       const float weight = cosines * cosines;
       if (weight < kLeastWeight) continue;

@@ -13,35 +13,36 @@
 
 namespace loopwise {
 
-/// Share of the first `count` source points of the order near the target, each counting
-/// 1 − (distance / reach)². Normals must agree within 45°.
+/// Share of source points near the target, among the first `count` points of `source.order`. Each counts 1 −
+/// (distance / reach)². Normals must agree within 45°.
 [[nodiscard]] double near_share(const Side& source, std::size_t count, const Side& target,
                                 const Eigen::Isometry3d& T_target_source, float reach);
 
-/// Share of the first `count` source points of the order on the target's surfaces.
+/// Share of source points on the target's surfaces, among the first `count` points of `source.order`.
 [[nodiscard]] double share_on_surface(const Side& source, std::size_t count, const Side& target,
                                       const Eigen::Isometry3d& T_target_source,
                                       const ClosureTestOptions& options);
 
-/// Of the points that fix the translation along each column of `axes` (orthonormal, in the target's frame):
-/// the share that would lie on a surface as well if the source were a metre away along it, the larger one of
-/// both ways; points that would have no other within 1.5 m do not count. A point weighs the square of (its
-/// normal · axis)(the target's normal · axis), and half a percent of the points is taken to fit anywhere, so
-/// that an axis that no surface faces has 1. A smooth function of the points.
+/// For each column of `axes` (orthonormal, in the target's frame): how many of the points that constrain the
+/// translation along it fit as well after a move of one metre along it, as a share. The larger share of both
+/// directions counts. A point without target points within 1.5 m after the move does not count. The weight of
+/// a point is the square of (its normal · axis)(the target's normal · axis). Half a percent of the points
+/// counts as fitting anywhere, so that the share is 1 for an axis that no surface faces. A smooth function of
+/// the points.
 [[nodiscard]] Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Side& target,
                                               const Eigen::Isometry3d& T_target_source,
                                               const Eigen::Matrix3d& axes, const ClosureTestOptions& options);
 
-/// A direction of translation, in the target's frame, and the least deviation along it.
+/// A direction of translation, in the target's frame, and the least standard deviation along it.
 struct UndecidedAxis {
   Eigen::Vector3d axis = Eigen::Vector3d::UnitX();
   double sigma_m = 0.0;
 };
 
-/// A Hessian counts every point whose normal looks along a corridor, noise and repeated ribs as well. So the
-/// source is moved by a metre along each of the Hessian's three axes of translation. With the odds
-/// o = u/(1 − u) of an undecided share u and those of `free_share`, o₀, σ along the axis is at least
-/// max_sigma_m · o⁴/(o⁴ + o₀⁴).
+/// Lower bounds of σ along the Hessian's three axes of translation. In a corridor the Hessian is too certain,
+/// because it counts every point whose normal has a component along the corridor, including noise and
+/// repeated ribs. So the bounds come from undecided_share(). With the odds o = u/(1 − u) of an undecided
+/// share u, and the odds o₀ of `free_share`, σ along the axis is at least max_sigma_m · o⁴/(o⁴ + o₀⁴).
 [[nodiscard]] std::array<UndecidedAxis, 3> undecided_axes(const Side& source, std::size_t count,
                                                           const Side& target,
                                                           const Eigen::Isometry3d& T_target_source,

@@ -17,47 +17,48 @@ namespace {
 constexpr double kPi = 3.14159265358979323846;
 constexpr double kDegree = kPi / 180.0;
 
-// Scans from two places of a periodic hall share less at the true pose than at one that lays the two
-// sensors over each other: surfaces that one of them does not see count against a pose by little.
+// Weight of the share of points on surfaces. It is low, because in a periodic hall two scans share less at
+// the true pose than at a pose that puts one sensor at the other. Surfaces that only one scan sees hardly
+// count against a pose.
 constexpr double kShareWeight = 0.1;
 constexpr double kComparableShare = 0.35;
 constexpr int kSettlingPoints = 600;
 constexpr float kNearM =
-    1.0F;  // A start of a rival is off by half a cell of the votes or bin of the compass.
-constexpr double kAttractionM = 2.0, kAttractionRad = 15.0 * kDegree;  // Such starts lead to one pose.
+    1.0F;  // Rivals start off by up to half a cell of the votes or half a bin of the compass.
+constexpr double kAttractionM = 2.0, kAttractionRad = 15.0 * kDegree;  // Such starts converge to one pose.
 constexpr std::size_t kScoredRivals = 32, kTriedRivals = 12;
-// A deviation below the first is no free direction, one above the second is. Then places at the third are
-// tried, and what ends within the fourth has slid back.
+// A direction is fixed below the deviation kFixedM and free above kFreeM. For a free direction, poses at the
+// distance kMovedM are refined; those that end within kLeastM have converged back.
 constexpr double kFixedM = 0.2, kFreeM = 1.0, kMovedM = 2.0, kLeastM = 0.3;
 
-/// Whether a pose lies beyond the 0.999 quantile of a closure's χ² of six.
+/// Whether a pose is outside the 99.9 % region of a closure (χ² with six degrees of freedom).
 bool excluded(const Vector6d& offset, const Matrix6d& covariance) {
   constexpr double kChiSquare = 22.46;
   return offset.dot(covariance.ldlt().solve(offset)) > kChiSquare;
 }
 
-/// Whether a pose has this part of a closure's overlap.
+/// Whether the overlap of a pose reaches this part of the overlap that a closure needs.
 bool overlaps(const AlignmentFigures& figures, double part, const ClosureTestOptions& options) {
   return figures.overlap >= part * options.min_overlap * figures.expected_overlap &&
          figures.balanced_overlap >= part * options.min_balanced_overlap * figures.expected_overlap;
 }
 
-/// Whether a pose has the overlap of a closure, or nearly: what has less is a patch of ground or wall that
-/// fits nearly anywhere.
+/// Whether a pose nearly has the overlap of a closure. With less overlap, only a patch of ground or wall
+/// matches, and such a patch fits nearly anywhere.
 bool nearly_overlaps(const AlignmentFigures& figures, const ClosureTestOptions& options) {
   return overlaps(figures, 0.85, options);
 }
 
-/// Whether a pose that few points have settled may still pass the tests with all of them.
+/// Whether a pose that was refined with few points may still pass the tests with all points.
 bool may_pass(const AlignmentFigures& figures, const ClosureTestOptions& options) {
   constexpr double kSettlesBy = 0.5;
   return overlaps(figures, 0.55, options) &&
          (options.min_consistency == 0.0 || consistency(figures) >= options.min_consistency - kSettlesBy);
 }
 
-/// Whether an offset leads along a direction about which a closure says little: in translation and in
-/// rotation it is within eight deviations (periods are a hundred away), where the direction is known to two
-/// degrees.
+/// Whether an offset is along a direction that a closure hardly constrains. Translation and rotation must
+/// each be within eight standard deviations, with two degrees of uncertainty of the direction. The periods of
+/// a structure are about a hundred deviations away.
 bool along_free_direction(const Vector6d& offset, const Matrix6d& covariance) {
   constexpr double kDeviations = 8.0, kDirectionRad = 0.035;
   const auto within = [&](Eigen::Index part) {
@@ -89,7 +90,7 @@ PoseSearch::PoseSearch(const Side& source, const Side& target, const Registratio
   passes_.pop_back();
 }
 
-/// As the last test of a closure has it.
+/// The bounds of the last test of a closure, with a slack.
 bool PoseSearch::within_bounds(const Eigen::Isometry3d& T_target_source, double slack_m,
                                double slack_rad) const {
   if (!task_.guess_from_to) return true;
@@ -118,7 +119,7 @@ AlignmentFigures PoseSearch::figures_of(const Eigen::Isometry3d& T_target_source
   AlignmentFigures figures =
       measure_alignment(cloud, target_.submap.cloud(), target_.submap.tree(), T_target_source, tests);
   figures.expected_on_plane = expected_on_plane();
-  // Sparse scans of long range: fewer than half of the points have a neighbour.
+  // In sparse scans of long range, fewer than half of the points have a neighbour.
   figures.expected_overlap = std::min(1.0, 2.0 * target_.share.overlap);
   constexpr std::size_t kLookedAt = 1000;
   figures.contradiction = target_.range_image.contradiction(cloud, T_target_source, kLookedAt) +
@@ -141,7 +142,8 @@ void PoseSearch::add(const Pose& pose) {
   poses_.insert(std::find_if(poses_.begin(), poses_.end(), worse), pose);
 }
 
-/// A pose that few points refuse clearly is not settled with all of them.
+/// Judges a pose by the tests of a closure. If few points clearly reject it, the refinement with all points
+/// is skipped.
 PoseSearch::Judgement PoseSearch::judge(Pose& pose) const {
   Judgement out;
   out.result = result_;
@@ -164,7 +166,7 @@ PoseSearch::Judgement PoseSearch::judge(Pose& pose) const {
   return out;
 }
 
-/// From the closure to another pose, as its covariance has it.
+/// Offset from the closure to another pose, in the coordinates of the closure's covariance.
 Vector6d PoseSearch::Judgement::offset_to(const Eigen::Isometry3d& other_target_source) const {
   return se3::log(result.closure->T_from_to.inverse() * other_target_source.inverse());
 }
@@ -173,23 +175,23 @@ std::vector<GicpPass> PoseSearch::settle_pass() const {
   return {{options_.fine_reach_m, kSettlingPoints, 10, 2e-3, 2e-4}};
 }
 
-/// How well a pose fits, for the comparison of poses: min(1, consistency) + ln(share on surfaces) / 10.
-/// Settles the pose first: coarse passes may leave a degree.
+/// Fit of a pose for the comparison of poses: min(1, consistency) + ln(share on surfaces) / 10. Refines the
+/// pose first, because the coarse passes may leave an error of a degree.
 double PoseSearch::fit_of(Pose& pose) const {
   if (pose.fit) return *pose.fit;
   pose.T_target_source = gicp(pose.T_target_source, settle_pass()).T_target_source;
   ClosureTestOptions tests = options_.tests;
   tests.measured_points = kSettlingPoints;
-  tests.fitness_range_m = tests.overlap_distance_m;  // what lies further away does not enter
+  tests.fitness_range_m = tests.overlap_distance_m;  // points farther away do not count
   pose.share = share_of(pose.T_target_source, static_cast<std::size_t>(options_.score_points));
   pose.figures = figures_of(pose.T_target_source, tests);
-  // More than neighbours within a scan reach is no evidence.
+  // A consistency above 1 exceeds that of neighbours within a scan and is no further evidence.
   pose.fit = std::min(1.0, consistency(pose.figures)) + kShareWeight * std::log(std::max(1e-6, pose.share));
   return *pose.fit;
 }
 
-/// The pose that fits best among those whose share comes near the largest; one within the bounds about the
-/// guess if there is any.
+/// The pose with the best fit among those with a share near the largest one. Poses within the bounds about
+/// the guess precede all others.
 PoseSearch::Pose& PoseSearch::best_in_detail() {
   const auto inside = [&](const Pose& pose) { return within_bounds(pose.T_target_source, 0.0, 0.0); };
   Pose* best = &poses_.front();
@@ -197,21 +199,21 @@ PoseSearch::Pose& PoseSearch::best_in_detail() {
   for (Pose& other : poses_) {
     if (other.share < least) continue;
     if (!far_apart(other.T_target_source, best->T_target_source, source_.centre)) continue;
-    const double fit = fit_of(other), best_fit = fit_of(*best);  // settles both
+    const double fit = fit_of(other), best_fit = fit_of(*best);  // refines both
     const bool better = inside(other) == inside(*best) ? fit > best_fit : inside(other);
     if (better) best = &other;
   }
   return *best;
 }
 
-/// Whether the refinement may carry one pose to the other.
+/// Whether the refinement may move one pose to the other.
 bool PoseSearch::attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const {
   return (a * source_.centre - b * source_.centre).norm() < kAttractionM &&
          se3::rotation_angle(a.inverse() * b) < kAttractionRad;
 }
 
-/// Where rivals of a pose may be: starts at which enough points come near the target, most first, and no two
-/// that the refinement would carry to one pose.
+/// Starts for rivals of a pose: those with enough points near the target, most points first. Of starts that
+/// converge to one pose, only the first is kept.
 std::vector<Eigen::Isometry3d> PoseSearch::starts_of_rivals(const Eigen::Isometry3d& best) const {
   const auto near = [&](const Eigen::Isometry3d& T) {
     return near_share(source_, static_cast<std::size_t>(options_.score_points) / 4, target_, T, kNearM);
@@ -241,9 +243,9 @@ std::vector<Eigen::Isometry3d> PoseSearch::starts_of_rivals(const Eigen::Isometr
   return starts;
 }
 
-/// Adds rivals of a verified pose until one fits as well. Returns whether there was time for it.
+/// Adds rivals of a verified pose until one fits as well as the pose. Returns false if the time runs out.
 bool PoseSearch::add_rivals(Pose& best, const Judgement& found, const Deadline& deadline) {
-  // Most slide back to the pose itself, which few points show.
+  // Most rivals converge back to the pose itself, and few points suffice to find that out.
   const std::size_t few = static_cast<std::size_t>(options_.score_points) / 3;
   std::vector<GicpPass> quick = passes_;
   for (GicpPass& pass : quick) pass.points = std::min(pass.points, few);
@@ -265,7 +267,7 @@ bool PoseSearch::add_rivals(Pose& best, const Judgement& found, const Deadline& 
     }
     const double lead = fit_of(rival) - fit_of(best);
     add(rival);
-    // Along a free direction there may be many that fit; else one is enough.
+    // In a free direction many rivals may fit, and the covariance needs all of them. Otherwise one is enough.
     if (is_fixed && nearly_overlaps(rival.figures, options_.tests) &&
         std::abs(lead) < options_.ambiguous_margin && differs(rival, found))
       break;
@@ -273,7 +275,7 @@ bool PoseSearch::add_rivals(Pose& best, const Judgement& found, const Deadline& 
   return true;
 }
 
-/// Takes into the covariance what the points leave undecided.
+/// Widens the covariance along axes that the points leave undecided.
 void PoseSearch::widen(Judgement& found) const {
   Matrix6d& covariance = found.result.closure->covariance;
   for (const UndecidedAxis& undecided :
@@ -281,7 +283,8 @@ void PoseSearch::widen(Judgement& found) const {
                       found.T_target_source, found.figures, options_.free_share, options_.tests)) {
     widen_covariance(covariance, undecided.axis, undecided.sigma_m);
     if (undecided.sigma_m < kFreeM) continue;
-    // Where the points fit further along shows how well the direction is known and what turns with it.
+    // Refined poses further along the axis show how well the direction is known and which rotation is coupled
+    // to it.
     for (const double along_m : {-kMovedM, kMovedM}) {
       Eigen::Isometry3d moved = found.T_target_source;
       moved.pretranslate(along_m * undecided.axis);
@@ -292,7 +295,7 @@ void PoseSearch::widen(Judgement& found) const {
   covariance = (0.5 * (covariance + covariance.transpose())).eval();
 }
 
-/// Whether a pose is another answer than a closure that was found, one that the guess allows.
+/// Whether a pose that the guess allows is distinct from the closure that was found.
 bool PoseSearch::differs(const Pose& pose, const Judgement& found) const {
   const bool settled = pose.fit.has_value();
   return far_apart(pose.T_target_source, found.T_target_source, source_.centre) &&
@@ -309,7 +312,7 @@ bool PoseSearch::decide(const Deadline& deadline) {
     if (!add_rivals(*best, found, deadline)) return false;
     Pose& better = best_in_detail();
     if (&better != best && fit_of(better) > fit_of(*best) + options_.ambiguous_margin) {
-      // One that fits better and fails a test leaves the first where it is: then two poses fit.
+      // If the better pose fails a test, the first pose stays, and refuse_if_ambiguous() compares the two.
       Judgement other = judge(better);
       if (other.result.verified()) {
         widen(other);
@@ -324,15 +327,16 @@ bool PoseSearch::decide(const Deadline& deadline) {
 }
 
 void PoseSearch::refuse_if_ambiguous(Pose& best, Judgement& found) {
-  std::vector<Vector6d> offsets;  // of the poses that fit as well
+  std::vector<Vector6d> offsets;  // to the poses that fit as well
   for (Pose& other : poses_) {
     if (!differs(other, found) || fit_of(other) < fit_of(best) - options_.ambiguous_margin) continue;
     if (nearly_overlaps(other.figures, options_.tests) && differs(other, found))
-      offsets.push_back(found.offset_to(other.T_target_source));  // it has settled
+      offsets.push_back(found.offset_to(other.T_target_source));  // fit_of() has refined the pose
   }
   sort_falling(offsets, [](const Vector6d& offset) { return -offset.head<3>().norm(); });
   for (const Vector6d& offset : offsets) {
-    // The axis of a free direction is known to a degree or so: the covariance takes in the pose.
+    // The axis of a free direction is known only to about a degree, so the covariance is widened to contain
+    // the pose.
     Matrix6d& covariance = found.result.closure->covariance;
     if (along_free_direction(offset, covariance)) {
       covariance += offset * offset.transpose();

@@ -16,31 +16,32 @@
 
 namespace loopwise {
 
-/// Whether two poses of a cloud about `centre` are different answers, not one answer twice.
+/// Whether two poses of a cloud with the middle `centre` are distinct, and not one pose with different
+/// errors.
 [[nodiscard]] bool far_apart(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b,
                              const Eigen::Vector3d& centre);
 
-/// Poses T_target_source of one pair that are refined, compared and judged.
+/// Refines, compares and judges poses T_target_source of one pair.
 class PoseSearch {
  public:
-  /// All arguments must outlive it.
+  /// All arguments must outlive the object.
   PoseSearch(const Side& source, const Side& target, const RegistrationTask& task,
              const FastRegistrarOptions& options, RegistrationResult& result);
 
-  /// Whether the refinement of a start, which moves by its reach and 5 degrees at most, can end within the
-  /// bounds about the guess.
+  /// Whether the refinement of a start can end within the bounds about the guess. It moves a pose by at most
+  /// the coarse reach and 5 degrees.
   [[nodiscard]] bool allowed(const Eigen::Isometry3d& start) const {
     return within_bounds(start, options_.coarse_reach_m, kSlackRad);
   }
 
   [[nodiscard]] bool empty() const { return poses_.empty(); }
 
-  /// Refines a start from coarse to fine and keeps it. Returns its share on the target's surfaces, against
-  /// the value expected of a right one; 0 if it left the allowed region.
+  /// Refines a start from coarse to fine and keeps the pose. Returns the share of points on the target's
+  /// surfaces, relative to the share that is expected at a true pose; 0 if the pose left the allowed region.
   double refine(const Eigen::Isometry3d& start);
 
-  /// Judges the best pose. One that passes is compared with its rivals. Returns whether there was time for
-  /// that; if not, the result is of no use.
+  /// Judges the best pose, and compares it with its rivals if it passes. Returns false if the time ran out;
+  /// the result is then invalid.
   [[nodiscard]] bool decide(const Deadline& deadline);
 
  private:
@@ -48,12 +49,13 @@ class PoseSearch {
 
   struct Pose {
     Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
-    double share = 0.0;         // on surfaces, relative to the value expected of a right pose
+    double share = 0.0;         // on surfaces, relative to the share expected at a true pose
     std::optional<double> fit;  // see fit_of()
-    AlignmentFigures figures;   // with few points; known with the fit
+    AlignmentFigures figures;   // with few points; computed with `fit`
   };
   struct Judgement {
-    Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();  // settled
+    Eigen::Isometry3d T_target_source =
+        Eigen::Isometry3d::Identity();  // refined with all points, if it may pass
     AlignmentFigures figures;
     RegistrationResult result;
     [[nodiscard]] Vector6d offset_to(const Eigen::Isometry3d& other_target_source) const;

@@ -56,7 +56,7 @@ double RangeImage::contradiction(const PointCloud& cloud, const Eigen::Isometry3
     const Eigen::Vector3f p =
         (T_sensor_cloud * cloud.points[k * cloud.size() / looked_at].cast<double>()).cast<float>();
     const float range = p.norm();
-    if (!(range > kMarginM)) continue;  // the sensor itself stood here
+    if (!(range > kMarginM)) continue;  // too near to the sensor
     const std::size_t cell = cell_of(p, range);
     if (seen_[cell] == 0) continue;
     ++seen;

@@ -10,16 +10,16 @@
 
 namespace loopwise {
 
-/// How far a sensor at the origin saw in each direction, on a grid of 4° by 4°: the space before that was
-/// free. Each cell keeps the nearest point of its surroundings, three cells by three, so that the edges of
-/// what was seen do not count as free.
+/// The range that a sensor at the origin measured in each direction, on a grid of 4° by 4°. The space up to
+/// this range is free. Each cell keeps the nearest point of three by three cells, so that the space beside an
+/// edge does not count as free.
 class RangeImage {
  public:
   RangeImage() = default;
   explicit RangeImage(const PointCloud& cloud);
 
-  /// Share of the points, of those in directions that the sensor saw something in, that lie in free space by
-  /// more than 0.5 m and 5 % of the range. At most `count` points, evenly taken. 0 for a scan without points.
+  /// Share of points that are in free space by more than 0.5 m and 5 % of the range, among the points in
+  /// directions with a measurement. Uses at most `count` points, evenly sampled. 0 for a scan without points.
   [[nodiscard]] double contradiction(const PointCloud& cloud, const Eigen::Isometry3d& T_sensor_cloud,
                                      std::size_t count) const;
 

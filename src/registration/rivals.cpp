@@ -16,7 +16,7 @@ namespace loopwise {
 namespace {
 
 constexpr float kPi = 3.14159265358979F;
-constexpr std::size_t kPoints = 200;  // of each side: their pairs vote
+constexpr std::size_t kPoints = 200;  // of each side; their pairs vote
 constexpr int kBins = 120;            // of the compass, 3 degrees each
 
 /// Surface points about a common centre, with the vertical as z.
@@ -35,7 +35,8 @@ Elements draw(const Side& side, const Eigen::Isometry3d& T) {
   return out;
 }
 
-/// The mean normal of floors and ceilings: what faces up or down within 30 degrees of z. z if nothing does.
+/// The mean normal of floors and ceilings, which face up or down within 30 degrees of z; z if there are no
+/// such surfaces.
 Eigen::Vector3d vertical_of(const Side& side) {
   Eigen::Vector3f sum = Eigen::Vector3f::Zero();
   for (const std::uint32_t i : side.order) {
@@ -45,7 +46,7 @@ Eigen::Vector3d vertical_of(const Side& side) {
   return sum.isZero() ? Eigen::Vector3d::UnitZ() : sum.cast<double>().normalized();
 }
 
-/// How many steep surfaces face each direction of the compass, over three bins.
+/// Number of steep surfaces that face each direction of the compass, smoothed over three bins.
 using Compass = std::array<float, kBins>;
 
 Compass compass(const Elements& elements) {
@@ -66,8 +67,8 @@ struct Turn {
   float agreement = 0.0F;
 };
 
-/// Turns about the vertical, or half turns about a level axis, at which the surfaces of both sides face the
-/// same ways: the highest peaks of the correlation.
+/// Adds turns about the vertical, or half turns about a level axis, that align the surface directions of both
+/// sides: the highest peaks of the correlation.
 void add_turns(const Compass& source, const Compass& target, bool half_turns, std::size_t most,
                std::vector<Turn>& turns) {
   float own = 0.0F;  // at the found pose
@@ -84,7 +85,7 @@ void add_turns(const Compass& source, const Compass& target, bool half_turns, st
   for (std::size_t shift = 0; shift < kBins; ++shift) {
     const float here = correlation[shift];
     if (2.0F * here < own) continue;
-    if (shift == 0 && !half_turns) continue;  // the found pose's own, which is always looked at
+    if (shift == 0 && !half_turns) continue;  // the turn of the found pose, which is always used
     if (here < correlation[(shift + 1) % kBins] || here <= correlation[(shift + kBins - 1) % kBins]) continue;
     const float angle = 2.0F * kPi * static_cast<float>(shift) / kBins;
     Turn turn;
@@ -111,7 +112,7 @@ class Votes {
     Eigen::Vector3f t = Eigen::Vector3f::Zero();
     std::uint32_t count = 0;
   };
-  /// The fullest cubes of two by two by two cells, two cells or more apart. Empties the cells.
+  /// The cubes of two by two by two cells with the most votes, at least two cells apart. Empties the cells.
   [[nodiscard]] std::vector<Peak> take_peaks(std::size_t most) {
     // Sums over cubes, by adding the next cell along each axis in turn.
     Cells& sums = *cells_;

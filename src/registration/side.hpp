@@ -13,7 +13,7 @@
 
 namespace loopwise {
 
-/// What the registration needs of one side, apart from descriptors.
+/// Data of one side of a registration, without descriptors.
 struct Side {
   Submap submap;
   std::vector<std::uint32_t> order;  ///< Points with a normal, see draw_balanced.

@@ -9,8 +9,9 @@
 
 namespace loopwise {
 
-/// Sorts by falling `value(item)`; equal ones keep their order. Items may be of any alignment: the buffer of
-/// libstdc++'s std::stable_sort has that of malloc alone, too little for Eigen's types with -march=native.
+/// Sorts by falling `value(item)`; equal items keep their order. Items may have any alignment.
+/// std::stable_sort of libstdc++ has a buffer with the alignment of malloc, which is too little for Eigen's
+/// types with -march=native.
 template <class Item, class Value>
 void sort_falling(std::vector<Item>& items, const Value& value) {
   std::vector<std::size_t> order(items.size());

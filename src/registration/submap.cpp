@@ -23,7 +23,7 @@ std::optional<Submap> Submap::load(FeatureCache& cache, const std::vector<Submap
     const bool neighbour = !submap.parts_.empty();
     try {
       part.features = cache.get(member.key);
-    } catch (const Error& error) {  // who reads the scans counts it
+    } catch (const Error& error) {  // the reader of the scans counts the error
       if (!neighbour) return missing(member.key, error.what());
     }
     if (!part.features) {

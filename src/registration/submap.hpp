@@ -21,21 +21,21 @@ struct Part {
 /// One side of a registration: its scans, and their union in the centre's frame.
 class LOOPWISE_EXPORT Submap {
  public:
-  /// The features of the members, in order, until there are enough points (0: of all); or nothing if the
-  /// first, which is the node itself, is missing: then `result` says why. Others that cannot be read are left
-  /// out, see incomplete().
+  /// Loads the features of the members, in order, until there are `enough_points` points (0: all members).
+  /// Returns nothing if the first member, which is the node itself, is missing; `result` then has the reason.
+  /// Other members that cannot be read are left out, see incomplete().
   [[nodiscard]] static std::optional<Submap> load(FeatureCache& cache,
                                                   const std::vector<SubmapMember>& members,
                                                   std::size_t enough_points, RegistrationResult& result);
 
-  /// Whether a member that was asked for is left out.
+  /// Whether a requested member is left out.
   [[nodiscard]] bool incomplete() const { return incomplete_; }
   [[nodiscard]] const std::vector<Part>& parts() const { return parts_; }
   /// Points and normals of all parts, part by part, in the centre's frame.
   [[nodiscard]] const PointCloud& cloud() const {
     return union_ ? union_->cloud : parts_.front().features->cloud;
   }
-  /// Of all that it keeps alive.
+  /// Size of all data that the submap keeps alive.
   [[nodiscard]] std::size_t bytes() const {
     std::size_t sum = union_ ? union_->cloud.bytes() + union_->tree.bytes() : 0;
     for (const Part& part : parts_) sum += part.features->bytes();
@@ -51,7 +51,7 @@ class LOOPWISE_EXPORT Submap {
   bool incomplete_ = false;
   std::vector<Part> parts_;
   std::shared_ptr<const Union>
-      union_;  // null for a single part at the centre: the cached scan serves as it is
+      union_;  // null for a single part at the centre, whose cached scan is used directly
 };
 
 }  // namespace loopwise

@@ -19,7 +19,7 @@ const parameters::Lidar& model(LidarKind kind) {
   return kind == LidarKind::kVlp16 ? parameters::kVlp16 : parameters::kOs1_64;
 }
 
-/// The voxel of a point as one number: 21 bits an axis, enough for 2 km of 1 mm.
+/// The voxel of a point as one number with 21 bits per axis, enough for 2 km at 1 mm.
 std::uint64_t voxel_of(const Eigen::Vector3f& p, double leaf) {
   const auto part = [leaf](float x) {
     return static_cast<std::uint64_t>(static_cast<std::int64_t>(std::floor(static_cast<double>(x) / leaf)) +
@@ -38,7 +38,8 @@ std::vector<std::pair<std::uint64_t, std::uint32_t>> sorted_voxels(const PointCl
 }
 
 std::size_t count_voxels(const PointCloud& cloud, double leaf, std::vector<std::uint64_t>& table) {
-  // Open addressing; the key is never 0 because the offsets keep every part far from it.
+  // Open addressing with 0 for a free slot. No voxel has the number 0, because the offsets keep its parts far
+  // from 0.
   std::fill(table.begin(), table.end(), 0);
   const std::size_t mask = table.size() - 1;
   std::size_t count = 0;
@@ -89,7 +90,7 @@ Sweep sweep(const RayCaster& caster, const std::vector<Eigen::Vector3f>& directi
   result.rays = directions.size();
   result.cloud.points.reserve(directions.size());
   for (const Eigen::Vector3f& direction : directions) {
-    // Drawn for every ray, hit or not, so that one ray's fate does not move the numbers of the next.
+    // Drawn for every ray, hit or not, so that the random numbers of the next ray do not depend on this one.
     const double noise = rng.normal(), luck = rng.uniform();
     const Eigen::Vector3f ray = (R * direction).normalized();
     const std::optional<RayHit> hit = caster.cast(origin, ray, static_cast<float>(lidar.max_range_m));

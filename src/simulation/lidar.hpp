@@ -25,9 +25,9 @@ struct Sweep {
 [[nodiscard]] Sweep sweep(const RayCaster& caster, const std::vector<Eigen::Vector3f>& directions,
                           LidarKind kind, const Eigen::Isometry3d& T_world_sensor, std::uint64_t seed);
 
-/// LAMP's front end: voxel centroids, the voxel's size adapted to the number of points wanted, then at most
-/// `points` of them chosen at random. Which voxels stay depends on each voxel and the seed alone, so a return
-/// that falls elsewhere on another processor changes one point and not the choice.
+/// Thinning as in LAMP's front end: voxel centroids, with a voxel size adapted to the wanted number of
+/// points, then at most `points` of them at random. The choice of a voxel depends on the voxel and the seed
+/// alone. So a return that differs on another processor changes one point and not the whole choice.
 [[nodiscard]] PointCloud thin(const PointCloud& cloud, int points, std::uint64_t seed);
 
 }  // namespace loopwise::simulation_detail

@@ -18,8 +18,8 @@ std::vector<Eigen::Isometry3d> measure_odometry(const std::vector<Eigen::Isometr
   Rng rng(seed);
   double yaw_bias = platform.yaw_bias_rad_per_m * rng.normal();
   const double scale_bias = platform.scale_bias * rng.normal();
-  // Error of the estimated attitude against gravity, in the body frame: it wanders and is pulled back, so
-  // that the estimate never tumbles.
+  // Attitude error against gravity, in the body frame. Gravity pulls it back, so that the estimate never
+  // tumbles.
   Eigen::Vector2d tilt = Eigen::Vector2d::Zero();
   double burst_left = 0.0, burst_slip = 0.0, burst_yaw = 0.0;
 
@@ -31,7 +31,7 @@ std::vector<Eigen::Isometry3d> measure_odometry(const std::vector<Eigen::Isometr
     const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(0.5 * (scatter[k - 1] + scatter[k]));
     const double weakest = std::max(eigen.eigenvalues()[0], 1e-6);
     Eigen::Vector3d direction = eigen.eigenvectors().col(0);
-    // The sign of an eigenvector is a matter of rounding; forward it shall be.
+    // The sign of an eigenvector depends on rounding, so the direction is turned forward.
     if (direction.dot(motion.translation()) < 0.0) direction = -direction;
     const double factor = std::clamp(std::sqrt(parameters::kDegeneracyReference / weakest), 1.0,
                                      parameters::kDegeneracyMaxFactor);

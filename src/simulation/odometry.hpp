@@ -12,10 +12,11 @@
 
 namespace loopwise::simulation_detail {
 
-/// What lidar-inertial odometry measures between consecutive true poses: white noise, wandering biases of yaw
-/// and scale, roll and pitch held by gravity, errors that grow along the direction that the scan constrains
-/// least, and bursts where it constrains it badly. \param scatter mean of n·nᵀ of each pose's scan, body
-/// frame. \returns T_k_k+1, one fewer than poses.
+/// Simulates lidar-inertial odometry between consecutive true poses. Errors are white noise, a yaw bias that
+/// wanders, a scale bias, and roll and pitch errors that gravity limits. They grow along the direction that
+/// the scan constrains least, and bursts occur where the scan constrains it badly.
+/// \param scatter mean of n·nᵀ of each pose's scan, body frame
+/// \returns T_k_k+1, one fewer than poses
 [[nodiscard]] std::vector<Eigen::Isometry3d> measure_odometry(const std::vector<Eigen::Isometry3d>& truth,
                                                               const std::vector<Eigen::Matrix3d>& scatter,
                                                               const simulation_parameters::Platform& platform,

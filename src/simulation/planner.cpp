@@ -94,7 +94,7 @@ std::vector<std::vector<Leg>> plan_routes(const RouteGraph& routes, int robots, 
   Rng rng(seed);
   const Distances ways(routes);
   std::vector<State> team(static_cast<std::size_t>(robots));
-  // Most of the team is called back before its time is up.
+  // Most robots return to the gate before their time is up.
   for (State& robot : team) robot.comes_back = rng.uniform() < 0.7;
   std::vector<int> visits(routes.passages.size(), 0);
 
@@ -111,7 +111,7 @@ std::vector<std::vector<Leg>> plan_routes(const RouteGraph& routes, int robots, 
   };
 
   while (true) {
-    // The one that has driven least decides next, as if all drove at one speed.
+    // The robot with the shortest driven distance decides next, as if all robots had the same speed.
     State* robot = nullptr;
     for (State& r : team) {
       if (!r.done && (!robot || r.driven < robot->driven)) robot = &r;
@@ -124,10 +124,11 @@ std::vector<std::vector<Leg>> plan_routes(const RouteGraph& routes, int robots, 
     const double home = ways.between(robot->place, 0);
     if (robot->comes_back && robot->place != 0 && length_m - robot->driven < 1.15 * home + 5.0) {
       go_to(*robot, 0);
-      robot->comes_back = false;  // what is left is driven near the gate
+      robot->comes_back = false;  // the remaining distance is driven near the gate
       continue;
     }
-    // The nearest passage that nobody has been to, or is bound for, with some chance; away from the others.
+    // Chooses among the passages with the fewest visits: a near one, with some randomness, away from other
+    // robots.
     std::size_t best = routes.passages.size();
     std::size_t best_end = 0;
     double best_cost = std::numeric_limits<double>::infinity();
@@ -164,7 +165,7 @@ std::vector<Waypoint> drive(const RouteGraph& routes, const std::vector<Leg>& le
   Rng rng(seed);
   const double phase = rng.uniform(0.0, 1000.0);
 
-  // Dense way: centre line, then sideways, then rounded.
+  // Dense path: the centre line with offsets to the side, which is smoothed afterwards.
   std::vector<Dense> dense;
   double s = 0.0;
   for (const Leg& leg : legs) {
@@ -182,7 +183,7 @@ std::vector<Waypoint> drive(const RouteGraph& routes, const std::vector<Leg>& le
         Dense point;
         point.position = path[i - 1] + t * d;
         point.left = {-flat.y(), flat.x()};
-        // Sideways no further than both neighbours allow near the ends.
+        // The offset shrinks towards both ends of a passage, so that consecutive passages join.
         point.half_width = std::min(
             p.half_width_m, 0.15 + 0.5 * std::min(along + t * length, p.length_m - along - t * length));
         point.passage = leg.passage;

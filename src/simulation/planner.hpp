@@ -14,18 +14,18 @@
 
 namespace loopwise::simulation_detail {
 
-/// One passage driven along, from end to end.
+/// A passage that a robot drives from end to end.
 struct Leg {
   std::size_t passage;
   bool forward;
 };
 
-/// Routes from the gate of `robots` robots that explore together. Each goes on beyond `length_m`, so that
-/// whoever cuts it there has enough; most are back at the gate by then.
+/// Routes of `robots` robots that start at the gate and explore together. Each route is longer than
+/// `length_m`, so that the caller can cut it there. Most robots are back at the gate at that length.
 [[nodiscard]] std::vector<std::vector<Leg>> plan_routes(const RouteGraph& routes, int robots, double length_m,
                                                         std::uint64_t seed);
 
-/// A node's worth of driving.
+/// Pose, time and place of one node of a drive.
 struct Waypoint {
   Eigen::Isometry3d T_world_body;
   double time_s = 0.0;  ///< Since the robot's start.
@@ -33,22 +33,22 @@ struct Waypoint {
   double along_m = 0.0;  ///< From the passage's `from`.
 };
 
-/// Poses every `spacing_m` of the way, at most `count`: the sensor above the floor, heading along the way,
-/// the robot wandering sideways within the passage, tilted by slope and gait.
+/// Poses at every `spacing_m` of the route, at most `count`. The sensor is above the floor and heads along
+/// the route. The robot wanders sideways within the passage and tilts with slope and gait.
 [[nodiscard]] std::vector<Waypoint> drive(const RouteGraph& routes, const std::vector<Leg>& legs,
                                           const simulation_parameters::Platform& platform, double spacing_m,
                                           std::size_t count, std::uint64_t seed);
 
-/// Shortest ways over the graph. O(places²) memory.
+/// Shortest paths over the graph. O(places²) memory.
 class Distances {
  public:
   explicit Distances(const RouteGraph& routes);
   [[nodiscard]] double between(std::size_t a, std::size_t b) const { return distance_[a * count_ + b]; }
-  /// First passage on the shortest way from a to b. \pre a != b
+  /// First passage of the shortest path from a to b. \pre a != b
   [[nodiscard]] std::size_t first_passage(std::size_t a, std::size_t b) const {
     return first_[a * count_ + b];
   }
-  /// Between points on passages.
+  /// Length of the shortest path between two points on passages.
   [[nodiscard]] double between(const RouteGraph& routes, const Waypoint& a, const Waypoint& b) const;
 
  private:

@@ -46,7 +46,7 @@ Waypoint gate_waypoint(const RouteGraph& routes) {
   return w;
 }
 
-/// Walls between two points: each is entered once.
+/// Number of walls between two points. The ray enters and leaves each wall.
 int count_walls(const RayCaster& caster, const Eigen::Vector3d& from, const Eigen::Vector3d& to) {
   const Eigen::Vector3f direction = (to - from).normalized().cast<float>();
   Eigen::Vector3f origin = from.cast<float>();
@@ -56,7 +56,7 @@ int count_walls(const RayCaster& caster, const Eigen::Vector3d& from, const Eige
     const auto hit = caster.cast(origin, direction, left);
     if (!hit) break;
     ++surfaces;
-    // On behind the surface; things thinner than this count once.
+    // Continues behind the surface. A wall that is thinner than this step counts as one surface.
     const float on = hit->distance_m + 0.05F;
     if (on >= left) break;
     origin += on * direction;
@@ -131,7 +131,7 @@ std::vector<CommunicationGap> communication_gaps(const RouteGraph& routes, const
         out_since = -1.0;
       }
     }
-    // Whoever is out at the end of the drive is found a little later.
+    // A robot that is out of reach at the end of its drive is reached a little later.
     const double end = drive.time_s.back() + 30.0;
     if (out_since >= 0.0) windows.emplace_back(out_since, end);
     double t = drive.time_s.front();
@@ -186,7 +186,7 @@ std::vector<Heard> listen(const RayCaster& caster, WorldKind kind, const std::ve
       if (distance > parameters::kRadioRange) continue;
       Rng rng(combine_seeds(combine_seeds(seed, d), (static_cast<std::uint64_t>(robot) << 32) | node));
       Heard h{robot, node, d, {}, distance, count_walls(caster, there, here)};
-      // Shadowing belongs to the place: a robot that comes by again finds it again.
+      // Shadowing depends on the place alone, so a robot that returns measures the same shadowing.
       const double shadowing =
           parameters::kShadowingSigmaDb *
           gradient_noise(here / parameters::kShadowingLength, combine_seeds(seed, 7 + d));

@@ -12,7 +12,7 @@
 
 namespace loopwise::simulation_detail {
 
-/// A robot's nodes, and when each was made, s since the mission began.
+/// The nodes of a robot and their times, in s since the start of the mission.
 struct Drive {
   std::vector<Waypoint> waypoints;
   std::vector<double> time_s;
@@ -20,11 +20,11 @@ struct Drive {
 
 struct Drop {
   std::size_t robot;
-  std::size_t node;  ///< Among the robot's own.
+  std::size_t node;  ///< Number among the robot's nodes.
 };
 
-/// When robots leave beacons, in the order of time: where the way to the gate or the nearest beacon gets too
-/// long. Dropping takes time: later nodes of that robot are delayed.
+/// Beacon drops of all robots in the order of time. A robot drops a beacon where the paths to the gate and to
+/// all beacons are too long. A drop takes time, so it delays later nodes of that robot.
 [[nodiscard]] std::vector<Drop> drop_beacons(const RouteGraph& routes, const Distances& ways,
                                              std::vector<Drive>& team, std::uint64_t seed);
 
@@ -45,13 +45,13 @@ struct Heard {
   int walls;
 };
 
-/// What every robot hears after each beacon's drop, by robot, node and beacon. Readings that no receiver made
-/// are left out.
+/// Readings of each beacon by all robots after its drop, by robot, node and beacon. A reading that all
+/// receivers missed is left out.
 [[nodiscard]] std::vector<Heard> listen(const RayCaster& caster, WorldKind kind,
                                         const std::vector<Drive>& team, const std::vector<Drop>& drops,
                                         std::uint64_t seed, ThreadPool& pool);
 
-/// Where the beacon of a drop lies.
+/// Position of the beacon of a drop.
 [[nodiscard]] Eigen::Vector3d beacon_position(const std::vector<Drive>& team, const Drop& drop);
 
 }  // namespace loopwise::simulation_detail

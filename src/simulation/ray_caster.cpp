@@ -28,8 +28,8 @@ struct RayCaster::Impl {
 
 RayCaster::RayCaster(const TriangleMesh& mesh) {
   auto impl = std::make_unique<Impl>();
-  // One instruction set, which every x86-64 has, and below one thread to build: the same tree and the same
-  // arithmetic everywhere.
+  // SSE2 is available on every x86-64 processor, and one thread builds the scene below. So the tree and the
+  // arithmetic are the same on every machine.
   impl->device = rtcNewDevice("isa=sse2");
   if (!impl->device) {
     throw Error("Embree: no device, error " + std::to_string(static_cast<int>(rtcGetDeviceError(nullptr))));
@@ -54,7 +54,7 @@ RayCaster::RayCaster(const TriangleMesh& mesh) {
     rtcAttachGeometry(impl->scene, geometry);
     rtcReleaseGeometry(geometry);
   }
-  // Embree builds with oneTBB's threads unless it is kept in an arena of the calling thread alone.
+  // Embree builds with oneTBB's threads. This arena limits it to the calling thread.
   tbb::task_arena(1, 1).execute([&] { rtcCommitScene(impl->scene); });
   if (const RTCError error = rtcGetDeviceError(impl->device); error != RTC_ERROR_NONE) {
     throw Error("Embree: cannot build the scene, error " + std::to_string(static_cast<int>(error)));
@@ -87,7 +87,7 @@ std::optional<RayHit> RayCaster::cast(const Eigen::Vector3f& origin, const Eigen
   if (query.hit.geomID == RTC_INVALID_GEOMETRY_ID) return std::nullopt;
   Eigen::Vector3f normal(query.hit.Ng_x, query.hit.Ng_y, query.hit.Ng_z);
   const float length = normal.norm();
-  // A triangle without area has no normal of its own; the ray's will do.
+  // A triangle without area has no normal, so the direction against the ray replaces it.
   normal = length > 0.0F ? Eigen::Vector3f(normal / length) : Eigen::Vector3f(-direction);
   if (normal.dot(direction) > 0.0F) normal = -normal;
   return RayHit{query.ray.tfar, normal};

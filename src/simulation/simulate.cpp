@@ -33,7 +33,7 @@ namespace {
 namespace parameters = simulation_parameters;
 namespace sim = simulation_detail;
 
-/// Streams of random numbers, so that more of one thing leaves the others alone.
+/// Separate streams of random numbers: more draws from one stream do not change the others.
 enum Stream : std::uint64_t {
   kRoutes = 11,
   kDriving,
@@ -183,7 +183,7 @@ class Maker {
   std::unique_ptr<const RayCaster> caster_;
   std::vector<sim::Drive> team_;
   std::vector<Span> spans_;
-  std::vector<Key> keys_;  ///< Of all nodes, robot by robot, as the next two.
+  std::vector<Key> keys_;  ///< Of all nodes, robot by robot, as in the next two members.
   std::vector<Eigen::Isometry3d> truth_;
   std::vector<Eigen::Matrix3d> scatter_;
   std::vector<sim::Drop> drops_;
@@ -271,7 +271,7 @@ void Maker::cast_scans(ThreadPool& pool) {
         Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(s, Eigen::EigenvaluesOnly).eigenvalues()[0]);
   }
   if (!sink_) {
-    // The clouds live in the loader; the store itself keeps nothing.
+    // The loader holds the clouds, so the store caches nothing.
     mission().scans = std::make_shared<ScanStore>(
         keys_, [clouds](Key key) { return clouds->at(key); }, 0);
   }
@@ -290,7 +290,7 @@ PriorFactor Maker::first_prior(std::size_t robot, const Eigen::Isometry3d& truth
   return prior;
 }
 
-/// Nodes at the poses of drifting odometry, the edges that say so, and the prior of the first one.
+/// Adds nodes at the poses of the drifting odometry, the odometry edges, and the prior of the first node.
 void Maker::add_robot_graph(std::size_t r) {
   const auto [first, nodes] = spans_[r];
   const auto begin = static_cast<std::ptrdiff_t>(first), end = static_cast<std::ptrdiff_t>(first + nodes);
@@ -344,7 +344,7 @@ void Maker::hear_beacons(ThreadPool& pool) {
 void Maker::describe() {
   mission().name = enum_name(options().world) + "-" + std::to_string(seed_);
   SimulationOptions stated = options();
-  stated.threads = 0;  // how many threads made the mission is nowhere to be seen
+  stated.threads = 0;  // the mission does not depend on the number of threads
   Json provenance = Json::object();
   provenance["generator"] = "loopwise simulate";
   provenance["version"] = std::string(version());
@@ -376,7 +376,7 @@ SimulatedMission simulate_to_folder(const std::filesystem::path& folder, const S
     made.mission.path = folder;
     return made;
   } catch (...) {
-    // The folder was empty or absent before: nothing of others is lost.
+    // The folder was empty or absent before, so only files of this mission are removed.
     std::error_code ignored;
     if (existed) {
       for (const auto& entry : std::filesystem::directory_iterator(folder, ignored)) {

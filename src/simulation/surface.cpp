@@ -21,7 +21,7 @@ using simulation_parameters::Roughness;
 /// Measured over 2·10^5 points: the sum of the eight corners has a root mean square of 0.2704.
 constexpr double kNoiseRms = 0.2704;
 
-/// How much the ground may rise or fall over a shape and its surroundings, m.
+/// Bound on the change of the ground's height over a shape and its surroundings, m.
 constexpr double kGroundVaries = 2.0;
 
 double corner(std::int64_t x, std::int64_t y, std::int64_t z, std::uint64_t seed, const Eigen::Vector3d& d) {
@@ -83,7 +83,7 @@ struct Cell3 {
   bool operator<(const Cell3& other) const { return std::tie(x, y, z) < std::tie(other.x, other.y, other.z); }
 };
 
-/// Nearest void over the shapes; the relief is only worked out where the boundary is near.
+/// Distance to the nearest void of the shapes. The relief is computed only near the boundary.
 class Field {
  public:
   Field(const std::vector<Shape>& shapes, const std::vector<std::size_t>& chosen, const Ground& ground,
@@ -148,7 +148,7 @@ class TileSurface {
   TileSurface(const Cell3& tile, const Field& field, double cell) : tile_(tile), field_(field), cell_(cell) {}
 
   TriangleMesh extract() {
-    // Far from any boundary: nothing to extract.
+    // Far from any boundary there is nothing to extract.
     const double half_diagonal = 0.5 * std::sqrt(3.0) * (kSide - 1) * cell_;
     const double middle = field_.smooth(position(kTile / 2, kTile / 2, kTile / 2));
     if (std::abs(middle) > 1.6 * half_diagonal + 2.0) return {};
@@ -175,9 +175,10 @@ class TileSurface {
   const Field& field_;
   double cell_;
   std::vector<double> value_;
-  std::vector<std::int32_t> crossing_at_;  ///< By sample and axis, of the edge that begins there; or -1.
+  std::vector<std::int32_t>
+      crossing_at_;  ///< Of the edge that begins at a sample along an axis; -1 if it has no crossing.
   std::vector<Crossing> crossings_;
-  std::vector<std::int32_t> vertex_at_;  ///< By cell; or -1.
+  std::vector<std::int32_t> vertex_at_;  ///< Of each cell; -1 if it has no vertex.
   TriangleMesh mesh_;
 };
 
@@ -236,7 +237,8 @@ Crossing TileSurface::crossing(const Eigen::Vector3d& a, const Eigen::Vector3d& 
   return c;
 }
 
-/// The point of a cell that fits the planes at its crossings, drawn a little towards their mean.
+/// Vertex of a cell: the point that fits the planes at its crossings best, shifted a little towards the mean
+/// of the crossings.
 std::uint32_t TileSurface::vertex_of(int x, int y, int z) {
   std::int32_t& known = vertex_at_[sample_index(x, y, z)];
   if (known >= 0) return static_cast<std::uint32_t>(known);
@@ -335,7 +337,8 @@ double void_distance(const Shape& s, const Eigen::Vector3d& p, double relief, do
   const double u = (to - t * along).norm();
   const double v = p.z() - (s.grounded ? ground : s.a.z() + t * (s.b.z() - s.a.z()));
   if (s.kind == Shape::Kind::kTube) {
-    const double half_height = 0.6 * s.height;  // the centre lies above the floor, which cuts the ellipse
+    const double half_height =
+        0.6 * s.height;  // the centre is above the floor, and the floor cuts the ellipse
     const double y = (v - 0.4 * s.height) / half_height * s.half_width;
     const double shrink = std::min(1.0, half_height / s.half_width);
     return std::max((std::hypot(u, y) - s.half_width) * shrink + relief, -v + floor_relief);
@@ -347,13 +350,13 @@ double void_distance(const Shape& s, const Eigen::Vector3d& p, double relief, do
 
 TriangleMesh extract_surface(const std::vector<Shape>& shapes, const Ground& ground, double cell,
                              std::uint64_t seed, int threads, const StopToken& stop) {
-  // Each tile knows the shapes that can reach it. The margin is wide enough that neighbours who share samples
-  // agree.
+  // Collects for each tile the shapes that can reach it. The margin is wide enough that neighbouring tiles
+  // agree on the samples that they share.
   std::map<Cell3, std::vector<std::size_t>> near;
   const double side = kTile * cell;
   for (std::size_t i = 0; i < shapes.size(); ++i) {
     const Box3 box = bounds(shapes[i]);
-    // Ground that is not flat may leave the box of the ends by some metres.
+    // Uneven ground may leave the bounding box by some metres.
     const double margin = largest_relief(*shapes[i].roughness) + 4.0 * cell;
     const double lift = shapes[i].grounded ? kGroundVaries : 0.0;
     const auto tile_of = [&](double x) { return static_cast<std::int64_t>(std::floor(x / side)); };

@@ -19,7 +19,7 @@ namespace loopwise::simulation_detail {
 /// Smooth noise of mean 0 and root mean square 1, from gradients on the integer lattice (Perlin 1985, 2002).
 [[nodiscard]] double gradient_noise(const Eigen::Vector3d& p, std::uint64_t seed);
 
-/// One hole in the rock, standing on a floor.
+/// A void in the rock above a floor.
 struct Shape {
   enum class Kind {
     kPassage,  ///< Rounded ends in plan, straight walls, arched roof, from a to b.
@@ -41,9 +41,9 @@ struct Shape {
 /// Height of the ground at (x, y), m: slopes are gentle.
 using Ground = std::function<double(double, double)>;
 
-/// Distance to the boundary, negative in the void; exact in sign, its slope at most about 1.5.
-/// \param relief added to walls and roof, its `floor_share` to the floor.
-/// \param ground at the point, for shapes that follow it.
+/// Distance to the boundary, negative in the void. The sign is exact, and the slope is at most about 1.5.
+/// \param relief is added to walls and roof, and its `floor_share` to the floor
+/// \param ground height at the point, for shapes that follow the ground
 [[nodiscard]] double void_distance(const Shape& shape, const Eigen::Vector3d& p, double relief,
                                    double ground);
 

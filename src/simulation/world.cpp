@@ -16,7 +16,8 @@ namespace {
 
 void plan_urban(Builder& builder, double target) {
   const std::size_t gate = builder.place(0.0, 0.0);
-  // A block with its corridors and rooms holds about 75 m of ways; see passage_length_m() of what comes out.
+  // A block with its corridors and rooms has about 75 m of passages. passage_length_m() gives the actual
+  // length.
   const int floors = target > 150.0 ? 2 : 1;
   const double blocks = std::max(1.0, target / (75.0 * floors));
   const int rows = std::max(1, static_cast<int>(std::lround(std::sqrt(blocks * 0.8))));
@@ -47,7 +48,7 @@ void plan_finals(Builder& builder, double target) {
   builder.passage(hub, entries[0][0], entry_style(builder));
   furnish_entries(builder);
 
-  // Cave to the east: only rows from its entrance northwards, away from the building.
+  // Cave to the east. It grows only northwards from its entrance, away from the building.
   const auto cave = plan_cave(builder, {30.0, 2.0}, std::max(40.0, share), 0, 1000);
   Style s = entry_style(builder);
   builder.passage(hub, cave.at({0, 0}), s);

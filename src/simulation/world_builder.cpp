@@ -15,7 +15,7 @@ void add_box(TriangleMesh& mesh, const Eigen::Vector3d& floor, const Eigen::Vect
   for (int k = 0; k < 8; ++k) {
     Eigen::Vector3d p =
         floor + ((k & 1) != 0 ? u : Eigen::Vector3d(-u)) + ((k & 2) != 0 ? v : Eigen::Vector3d(-v));
-    p.z() += (k & 4) != 0 ? height : -0.3;  // feet reach into the rough floor
+    p.z() += (k & 4) != 0 ? height : -0.3;  // the base extends into the rough floor
     mesh.vertices.push_back(p.cast<float>());
   }
   add_quad(mesh, base + 4, base + 5, base + 7, base + 6);

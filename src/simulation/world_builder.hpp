@@ -30,7 +30,7 @@ inline double draw(Rng& rng, const parameters::Range& range) {
   return rng.uniform(range.low, range.high);
 }
 
-/// How a passage is cut.
+/// Size and shape of a passage.
 struct Style {
   Shape::Kind kind = Shape::Kind::kPassage;
   double half_width = 2.0;
@@ -44,13 +44,13 @@ struct Style {
   double clearance = 0.9;  ///< From a robot's centre to the walls, at least, m.
 };
 
-/// Collects holes, ways and things; things are set last, where no robot drives.
+/// Collects voids, routes and objects. Objects are added last, where no robot drives.
 class Builder {
  public:
   explicit Builder(std::uint64_t seed) : rng_(combine_seeds(seed, 1)), seed_(seed) {}
 
   Rng& rng() { return rng_; }
-  /// \param level_south_of the ground is level where y is smaller, for buildings.
+  /// \param level_south_of the ground is level for smaller y, where buildings are.
   void set_undulation(double amplitude_m, double level_south_of = -1e9) {
     undulation_m_ = amplitude_m;
     level_south_of_ = level_south_of;
@@ -62,7 +62,7 @@ class Builder {
     const auto noise = [&](double u, double v) {
       return gradient_noise(Eigen::Vector3d(u / 120.0, v / 120.0, 0.37), combine_seeds(seed_, 2));
     };
-    // No robot starts on a slope of the whole seam: the undulation fades in over the first 30 m.
+    // The undulation fades in over the first 30 m, so that robots start on level ground.
     const double fade =
         std::min(1.0, std::hypot(x, y) / 30.0) * std::clamp((y - level_south_of_) / 15.0, 0.0, 1.0);
     return undulation_m_ * fade * (noise(x, y) - noise(0.0, 0.0));
@@ -77,14 +77,14 @@ class Builder {
   }
   [[nodiscard]] const Eigen::Vector3d& at(std::size_t place) const { return routes_.places[place].position; }
 
-  /// Cuts a passage between two places that winds by the style's meander, and makes it a way.
+  /// Cuts a passage between two places and adds it to the routes. The passage winds by the style's meander.
   void passage(std::size_t from, std::size_t to, const Style& style);
 
-  /// The hole alone.
+  /// Cuts the void without a route.
   void cut(const std::vector<Eigen::Vector3d>& path, const Style& style);
   void add(const Shape& shape) { shapes_.push_back(shape); }
 
-  /// The way alone.
+  /// Adds the route without a void.
   void way(std::size_t from, std::size_t to, std::vector<Eigen::Vector3d> path, double half_width,
            bool corridor) {
     RouteGraph::Passage p{from, to, std::move(path), half_width, 0.0, corridor};
@@ -98,15 +98,15 @@ class Builder {
     return sum;
   }
 
-  /// A box on the floor, a post or drum, or a pipe; left out where robots drive.
+  /// Adds a box on the floor, unless robots drive there.
   void box(const Eigen::Vector3d& floor, double length, double width, double height, double yaw) {
     box(floor, length, width, height, yaw, 0.5 * std::hypot(length, width));
   }
-  /// \param reach how far it reaches towards the way.
+  /// \param reach extent towards the route, m
   void box(const Eigen::Vector3d& floor, double length, double width, double height, double yaw,
            double reach);
   void post(const Eigen::Vector3d& floor, double radius, double height);
-  /// Overhead or along a wall: never in the way.
+  /// Adds a pipe overhead or along a wall, where no robot drives.
   void pipe(const Eigen::Vector3d& a, const Eigen::Vector3d& b, double radius);
   void step(const Eigen::Vector3d& floor, const Eigen::Vector3d& u, const Eigen::Vector3d& v, double height);
 

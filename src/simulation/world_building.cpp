@@ -7,7 +7,7 @@
 namespace loopwise::simulation_detail {
 namespace {
 
-/// Between corridors: a hall, or rooms.
+/// An area between corridors: a hall, or rooms.
 struct Block {
   int i, j;  ///< Column and row.
   Eigen::Vector3d low, high;

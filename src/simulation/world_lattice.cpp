@@ -13,7 +13,7 @@ struct Lattice {
   int j_low, j_high;  ///< Rows that exist.
 };
 
-/// Grows ways over a jittered lattice from (0, 0) outwards until they are `target` metres long in sum.
+/// Grows passages over a jittered lattice outwards from (0, 0), until their total length is `target` metres.
 template <class MakeStyle>
 PlaceGrid grow_lattice(Builder& builder, const Lattice& lattice, double target, MakeStyle&& make_style) {
   Rng& rng = builder.rng();
@@ -22,7 +22,7 @@ PlaceGrid grow_lattice(Builder& builder, const Lattice& lattice, double target, 
   std::vector<std::pair<double, std::pair<int, int>>> order;
   for (int i = 0; i <= 2 * reach; ++i) {
     for (int j = std::max(-reach, lattice.j_low); j <= std::min(reach, lattice.j_high); ++j) {
-      // A column is about as easy to open as a row; chance makes the outline irregular.
+      // The factor lets columns open about as easily as rows. Chance makes the outline irregular.
       order.push_back({std::hypot(0.8 * i, j) * (1.0 + 0.35 * rng.uniform()), {i, j}});
     }
   }
@@ -42,7 +42,7 @@ PlaceGrid grow_lattice(Builder& builder, const Lattice& lattice, double target, 
   const double before = builder.passage_length();
   std::vector<std::pair<double, std::pair<int, int>>> waiting = order;
   while (builder.passage_length() - before < target && !waiting.empty()) {
-    // The first in order that touches what is open.
+    // Opens the first place in the order that is next to an open place.
     bool opened = false;
     for (std::size_t w = 0; w < waiting.size(); ++w) {
       const auto [i, j] = waiting[w].second;
@@ -101,7 +101,7 @@ void plan_mine(Builder& builder, double target) {
     for (std::size_t i = 1; i < p.path.size(); ++i) {
       const Eigen::Vector3d a = p.path[i - 1], d = p.path[i] - a;
       const Eigen::Vector3d left = Eigen::Vector3d(-d.y(), d.x(), 0.0).normalized();
-      // Rubble that fell from the ribs lies at their feet, now and then a machine stands aside.
+      // Rubble from the ribs lies at their foot, and sometimes a machine stands aside.
       if (rng.uniform() < d.norm() / m.rubble_spacing_m) {
         const double hand = rng.uniform() < 0.5 ? -1.0 : 1.0;
         const double size = rng.uniform(0.4, 1.6);

@@ -17,7 +17,7 @@ using PlaceGrid = std::map<std::pair<int, int>, std::size_t>;
 
 // ---- coal mine
 
-/// How an entry is cut; its sizes are drawn.
+/// Style of an entry with random sizes.
 [[nodiscard]] Style entry_style(Builder& builder);
 /// Distances along an entry at which cross-cuts leave it; the last is `length`.
 [[nodiscard]] std::vector<double> cross_cuts(Rng& rng, double length);
@@ -28,7 +28,7 @@ std::vector<std::size_t> parallel_entries(Builder& builder, const Eigen::Vector2
                                           std::vector<std::size_t> first, const std::vector<double>& cuts,
                                           std::size_t count,
                                           std::vector<std::vector<std::size_t>>* places = nullptr);
-/// Pipes, props and boxes along all passages that there are.
+/// Adds pipes, props and boxes along all existing passages.
 void furnish_entries(Builder& builder);
 /// A whole coal mine with passages of about `target` metres.
 void plan_tunnel(Builder& builder, double target);
@@ -42,8 +42,8 @@ PlaceGrid plan_cave(Builder& builder, const Eigen::Vector2d& origin, double targ
 
 // ---- power plant
 
-/// One building from its south-west corner on: corridors on a grid, rooms and halls between, `floors`
-/// storeys. \returns the corridor places of the ground floor
+/// Plans one building from its south-west corner: corridors on a grid with rooms and halls between them, on
+/// `floors` storeys. \returns the corridor places of the ground floor
 PlaceGrid plan_building(Builder& builder, const Eigen::Vector2d& corner, int columns, int rows, int floors);
 
 }  // namespace loopwise::simulation_detail

@@ -5,7 +5,7 @@
 namespace loopwise::simulation_detail {
 namespace {
 
-/// The entries go on for some metres beyond the last cross-cut: faces where the seam is worked.
+/// Extends the entries by some metres beyond the last cross-cut, to the faces where the seam is mined.
 void add_faces(Builder& builder, const std::vector<std::size_t>& ends, const Eigen::Vector2d& along) {
   for (const std::size_t end : ends) {
     const Eigen::Vector2d p =
@@ -110,7 +110,7 @@ void plan_tunnel(Builder& builder, double target) {
     furnish_entries(builder);
     return;
   }
-  // Spots on the mains where a pair of entries, a panel, leaves on either side.
+  // Places on the mains where a panel, which is a pair of entries, starts on either side.
   const auto spots = static_cast<std::size_t>(std::max(1L, std::lround(target / 750.0)));
   std::vector<double> cuts{0.0};
   std::vector<std::size_t> panel_at;
@@ -132,7 +132,7 @@ void plan_tunnel(Builder& builder, double target) {
   const double mean_length =
       std::max(40.0, left / (2.0 * static_cast<double>(spots)) / (2.0 + spacing / 40.0));
   for (const bool north : {true, false}) {
-    std::vector<std::size_t> neighbour;  // far ends of the panel before
+    std::vector<std::size_t> neighbour;  // far ends of the previous panel
     double neighbour_length = 0.0;
     for (const std::size_t spot : panel_at) {
       const std::size_t e = north ? 2 : 0;
