@@ -28,7 +28,7 @@ class Descriptor {
   Descriptor(const Descriptor&) = delete;
   Descriptor& operator=(const Descriptor&) = delete;
   [[nodiscard]] int get() const { return fd_; }
-  /// Errors of a full disk may show only here.
+  /// Some errors of a full disk appear only at close().
   [[nodiscard]] bool close() {
     const int result = ::close(fd_);
     fd_ = -1;
@@ -56,17 +56,18 @@ int write_all(int fd, std::string_view contents) {
   return 0;
 }
 
-/// \returns 0 or the system's error number. What has no disk (a pipe) has nothing to flush.
+/// \returns 0 or the system's error number. A file without a disk, such as a pipe, has nothing to flush.
 template <class System>
 int flush(int fd, const System& system) {
   while (system(fd) != 0) {
-    if (errno == EINVAL || errno == ENOTSUP) return 0;  // not EROFS: what a disk became that failed
+    if (errno == EINVAL || errno == ENOTSUP)
+      return 0;  // EROFS stays an error: a disk that fails becomes read-only
     if (errno != EINTR) return errno;
   }
   return 0;
 }
 
-/// Standard output or error, if it goes to this file; otherwise -1.
+/// Descriptor of the standard output or error if it writes to this file, otherwise -1.
 int stream_to(const struct stat& file) {
   for (const int fd : {STDOUT_FILENO, STDERR_FILENO}) {
     struct stat stream {};
@@ -75,7 +76,7 @@ int stream_to(const struct stat& file) {
   return -1;
 }
 
-/// Through a symbolic link, the file that it points to is replaced, not the link.
+/// Follows a symbolic link, so that the file is replaced and not the link.
 std::string resolved(const fs::path& path) {
   const std::unique_ptr<char, decltype(&std::free)> whole(::realpath(path.c_str(), nullptr), std::free);
   if (!whole && errno == ENOMEM) throw std::bad_alloc();
@@ -129,17 +130,18 @@ void write_file(const fs::path& path, std::string_view contents, Flush when) {
     if (const int error = write_all(stream, contents)) fail(path, error);
     return;
   }
-  // Names as text: libstdc++'s paths that are altered where there is no memory cannot be destroyed.
+  // Names are text, because a path of libstdc++ cannot be destroyed after an allocation failure during a
+  // change.
   const std::string target = exists ? resolved(path) : path.string();
   const std::size_t name = target.rfind('/') + 1;
-  // A folder keeps its names itself. One that may be written to but not read cannot be flushed.
+  // The folder keeps the names of files, so it is flushed as well. This needs permission to read the folder.
   const std::string folder = name > 0 ? target.substr(0, name) : ".";
   Descriptor names(when == Flush::kNow ? ::open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC) : -1);
   if (when == Flush::kNow && names.get() < 0 && errno != EACCES) fail(path, errno);
   std::string temporary;
   int fd = -1;
   for (unsigned attempt = 0; fd < 0; ++attempt) {
-    // A name may be 255 bytes long, this one as well.
+    // A file name has at most 255 bytes, so the original name is cut.
     temporary = target.substr(0, name) + "." + target.substr(name, 200) + "." + std::to_string(::getpid()) +
                 "-" + std::to_string(attempt) + ".tmp";
     fd = ::open(temporary.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
@@ -149,7 +151,7 @@ void write_file(const fs::path& path, std::string_view contents, Flush when) {
   Descriptor file(fd);
   int error = write_all(file.get(), contents);
   if (error == 0 && exists && ::fchmod(file.get(), status.st_mode & 07777) != 0) error = errno;
-  // The contents before the name, or a power loss would leave an empty file in place of the old one.
+  // The contents are flushed before the rename. Otherwise a power loss could leave an empty file.
   if (error == 0 && when == Flush::kNow) error = flush(file.get(), ::fsync);
   if (!file.close() && error == 0) error = errno;
   if (error == 0 && ::rename(temporary.c_str(), target.c_str()) != 0) error = errno;

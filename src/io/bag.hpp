@@ -26,7 +26,7 @@ namespace loopwise::bags {
 /// Whether this build reads bags of ROS 2.
 [[nodiscard]] bool rosbag2_available();
 
-/// What to tell a user of a build that does not.
+/// Message for the user of a build without bags of ROS 1.
 inline constexpr const char* kUnavailable =
     "this program was built without ROS bags (LOOPWISE_WITH_ROSBAG; Debian: librosbag-storage-dev)";
 
@@ -40,11 +40,11 @@ struct BagFile {
   std::string name;  ///< For errors and problems: the path, unless the file is a copy of something else.
 };
 
-/// How the bytes of messages are laid out.
+/// Encoding of the bytes of a message.
 enum class Encoding {
   kRos1,
   kCdr,    ///< Of ROS 2, see cdr.hpp.
-  kOther,  ///< Not read.
+  kOther,  ///< Any other, which is not read.
 };
 
 /// Messages of one type under one name in one bag.
@@ -52,26 +52,26 @@ struct Connection {
   std::size_t bag = 0;  ///< In the order given.
   std::string topic;
   std::string type;        ///< "pose_graph_msgs/KeyedScan"
-  std::string definition;  ///< What Schema reads; empty if it is not known.
+  std::string definition;  ///< Input of Schema; empty if it is not known.
   Encoding encoding = Encoding::kRos1;
-  std::string encoding_name;  ///< As the bag has it.
+  std::string encoding_name;  ///< As in the bag.
   std::size_t messages = 0;
 };
 
 struct Message {
   std::size_t connection = 0;
-  std::int64_t stamp_ns = 0;  ///< When it was recorded.
+  std::int64_t stamp_ns = 0;  ///< Time of the recording.
   std::string_view bytes;     ///< Valid during the call.
 };
 
-/// Several bags as one recording, of ROS 1 and ROS 2. Nothing is held in memory but their indexes.
+/// Several bags of ROS 1 and ROS 2 as one recording. Only their indexes are held in memory.
 class BagSet {
  public:
   using Wanted = std::function<bool(std::size_t connection)>;
-  /// Handed a message; returns whether fetch() will ask for it again.
+  /// Receives a message and returns whether to keep it for fetch().
   using Visitor = std::function<bool(const Message&)>;
 
-  /// Types whose messages for_each() may be asked for. Bags of ROS 2 are indexed for these alone.
+  /// Whether for_each() may be asked for messages of a type. Bags of ROS 2 are indexed only for these types.
   using Known = bool (*)(const std::string& type);
 
   /// Checks (see check_bag, Mcap, Db3) and opens the bags. \throws IoError; InputError; StoppedError
@@ -80,8 +80,8 @@ class BagSet {
 
   [[nodiscard]] const std::vector<Connection>& connections() const;
 
-  /// Messages of the wanted connections in the order of time; of one time, in an order that is always the
-  /// same. \returns how many of them fetch() knows. \throws InputError; StoppedError
+  /// Visits messages of the wanted connections in the order of time. Messages of one time have a fixed order.
+  /// \returns the number of messages that fetch() knows. \throws InputError; StoppedError
   std::size_t for_each(const Wanted& wanted, const Visitor& visit, const ProgressCallback& progress,
                        const StopToken& stop);
 
@@ -89,8 +89,8 @@ class BagSet {
     std::size_t connection = 0;
     std::string bytes;
   };
-  /// The n-th message that a visitor asked to keep, over all calls of for_each. Safe to call from several
-  /// threads, which wait for one another. Copies share the bags. \throws InputError
+  /// The n-th message that a visitor kept, counted over all calls of for_each(). Safe to call from several
+  /// threads, of which one reads at a time. Copies share the bags. \throws InputError
   [[nodiscard]] Kept fetch(std::size_t number) const;
 
  private:

@@ -27,7 +27,7 @@ enum Op : unsigned char {
   kConnection = 0x07,
 };
 
-/// Headers are short; only that of a connection, which holds a message definition, may be longer.
+/// Headers are short, except that of a connection, which contains a message definition.
 constexpr std::size_t kLargestHeader = std::size_t{16} << 20;
 constexpr std::size_t kIndexEntry = 12, kCountEntry = 8;
 
@@ -89,7 +89,7 @@ class Header {
 };
 
 struct Record {
-  std::uint64_t at = 0;  // its first byte, in the file
+  std::uint64_t at = 0;  // position of its first byte in the file
   Header header;
   std::uint64_t data_at = 0;
   std::size_t data_size = 0;
@@ -121,7 +121,7 @@ Stamp stamp_of(std::string_view bytes) {
 
 /// A message in its chunk.
 struct Message {
-  std::uint32_t offset = 0;  // of its record
+  std::uint32_t offset = 0;  // position of its record
   std::uint32_t connection = 0;
   Stamp stamp;
   bool indexed = false;
@@ -160,7 +160,7 @@ class Walk {
     throw InputError(name_ + ": byte " + std::to_string(at) + ": " + why);
   }
 
-  /// Calls and puts the place before what it complains about.
+  /// Calls a function and adds the position in the file to its errors.
   template <class Call>
   auto at_place(std::uint64_t at, Call&& call) const -> decltype(call()) {
     try {
@@ -194,8 +194,8 @@ class Walk {
                        ": it is cut short; 'rosbag reindex' makes an index of the remaining part");
     }
     if (index_at_ < record.end()) fail(record.at, "the index begins within the bag's header");
-    // Room for the header to be written anew, blank. Nothing is read from it, but a fault there may not be
-    // alone.
+    // This space is blank, so that the header can be rewritten. Nothing is read from it, but damage here
+    // suggests damage elsewhere.
     std::string room;
     file_.read(record.data_at, std::min(record.data_size, kLargestHeader), room);
     if (room.find_first_not_of(' ') != std::string::npos) {
@@ -205,7 +205,7 @@ class Walk {
     at_ = record.end();
   }
 
-  /// A record that lies before `end`.
+  /// The record at this position, which must end before `end`.
   [[nodiscard]] Record record_at(std::uint64_t at, std::uint64_t end) const {
     const auto room = [&](std::uint64_t from, std::uint64_t needed, const char* what) {
       if (from > end || needed > end - from) {
@@ -262,7 +262,7 @@ class Walk {
     }
   }
 
-  /// What is in a chunk: connections and messages.
+  /// Reads connections and messages of a chunk.
   void read_contents() {
     messages_.clear();
     starts_.clear();
@@ -314,8 +314,8 @@ class Walk {
       const std::string_view entry = std::string_view(bytes).substr(i * kIndexEntry, kIndexEntry);
       const Stamp stamp = stamp_of(entry);
       const auto start = starts_.find(load<std::uint32_t>(entry.substr(8)));
-      // Nor may it be the connection before the message: the library takes what follows for one without a
-      // look at where the chunk ends.
+      // An index may not point to the connection before a message either: the library then reads the next
+      // record as a message without a check for the end of the chunk.
       if (start == starts_.end()) {
         throw InputError("the index leads to byte " + std::to_string(load<std::uint32_t>(entry.substr(8))) +
                          " of the chunk, where no message is");

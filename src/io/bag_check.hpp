@@ -16,24 +16,24 @@
 
 namespace loopwise::bags {
 
-/// A chunk holds at most as much; recorders make chunks of less than a megabyte.
+/// Largest size of a chunk. Recorders make chunks of less than a megabyte.
 inline constexpr std::size_t kLargestChunk = std::size_t{1} << 30;
 
-/// Walks a bag of version 2.0 from its first byte to its last: every record lies within its chunk and the
-/// file, its header has the fields of its kind, chunks decompress to the size that they claim, and the index
-/// lists every message once, at its place, with its connection and time. Then nothing that the index says
-/// leads out of the file. Memory: one chunk, compressed and not. Progress is in megabytes.
+/// Checks a bag of version 2.0 from its first byte to its last. Every record is within its chunk and the
+/// file, and its header has the fields of its kind. Chunks decompress to their stated size. The index lists
+/// every message once, at its position, with its connection and time. So no entry of the index points outside
+/// the file. Memory: one chunk, compressed and decompressed. Progress is in megabytes.
 ///
-/// `name` stands for the file in errors. Counted: "message at time 0 left out" (reading leaves it out), "bag
-/// altered in a place that is not read" (room that is not blank, times of a chunk that are not its
-/// messages'). \throws IoError; InputError naming the byte and saying what to do about a bag that was never
-/// closed, is of an older version, or is encrypted; StoppedError
+/// `name` stands for the file in errors. Counts "message at time 0 left out" (the reader leaves it out) and
+/// "bag altered in a place that is not read" (space that is not blank, or times of a chunk that differ from
+/// those of its messages). \throws IoError; InputError naming the byte, with a remedy for a bag that was
+/// never closed, has an older version, or is encrypted; StoppedError
 void check_bag(const std::filesystem::path& file, const std::string& name, Problems& problems,
                const ProgressCallback& progress = {}, const StopToken& stop = {});
 
-/// The contents of a chunk of `size` bytes that is "none", "bz2" or "lz4". Memory grows with what comes out,
-/// not with the stated sizes. \throws InputError if the data are damaged, of another size, or of another
-/// kind.
+/// Decompresses a chunk to `size` bytes. `compression` is "none", "bz2" or "lz4". Memory grows with the
+/// output, not with the stated size. \throws InputError if the data are damaged, have another size, or are of
+/// another kind
 [[nodiscard]] std::string inflate_chunk(std::string_view compression, std::string_view data,
                                         std::size_t size);
 

@@ -29,13 +29,13 @@ std::string inflate_bz2(std::string_view data, std::size_t size) {
     bz_stream* stream;
     ~End() { BZ2_bzDecompressEnd(stream); }
   } const end{&stream};
-  // The library never writes to its input, it only lacks the word const.
+  // The library does not write to its input; its declaration only lacks const.
   stream.next_in = const_cast<char*>(data.data());
   stream.avail_in = static_cast<unsigned>(data.size());
   std::string out;
   while (true) {
     const std::size_t filled = out.size();
-    // Twice as much each time, and at last one byte more than there should be, which shows a wrong size.
+    // The space doubles, up to one byte more than `size`, so that a wrong size is detected.
     const std::size_t room = std::min(size + 1 - filled, std::max<std::size_t>(filled, 1 << 20));
     out.resize(filled + room);
     stream.next_out = out.data() + filled;
@@ -51,8 +51,8 @@ std::string inflate_bz2(std::string_view data, std::size_t size) {
   return out;
 }
 
-/// The decoder copies a block into a buffer of the size that the frame's header names without comparing the
-/// two, so the frame is walked here first.
+/// The decoder copies a block into a buffer of the size in the frame's header without a comparison of the
+/// two, so the frame is checked here first.
 void check_lz4_frame(std::string_view data) {
   constexpr std::size_t kHeader = 7, kSize = 4, kChecksum = 4;
   if (data.size() < kHeader + kSize + kChecksum) throw InputError(kDamaged);
@@ -73,7 +73,7 @@ void check_lz4_frame(std::string_view data) {
 
 std::string inflate_lz4(std::string_view data, std::size_t size) {
   check_lz4_frame(data);
-  // A byte of lz4 stands for at most 255.
+  // One byte of lz4 expands to at most 255 bytes.
   if (size / 255 > data.size()) throw InputError(kDamaged);
   std::string in(data), out(size, '\0');
   char none = 0;

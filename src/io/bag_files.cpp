@@ -18,7 +18,7 @@ namespace fs = std::filesystem;
 constexpr const char* kMetadata = "metadata.yaml";
 constexpr std::string_view kMetadataKey = "rosbag2_bagfile_information:";
 
-/// Without the ending of a file that zstd packed.
+/// The name without the ending of a file that is compressed with zstd.
 fs::path unpacked_name(const fs::path& file) {
   return file.extension() == ".zstd" || file.extension() == ".zst" ? file.parent_path() / file.stem() : file;
 }
@@ -35,7 +35,7 @@ std::string_view scalar(std::string_view text) {
   return quoted ? text.substr(1, text.size() - 2) : text;
 }
 
-/// Names of the files that metadata.yaml lists, without their folders, which old versions wrote.
+/// Names of the files that metadata.yaml lists, without the folders that old versions wrote.
 std::vector<std::string> listed_files(const fs::path& metadata) {
   const std::string contents = read_file(metadata);
   if (contents.find(kMetadataKey) == std::string::npos)
@@ -59,7 +59,7 @@ std::vector<std::string> listed_files(const fs::path& metadata) {
   return names;
 }
 
-/// The listed file, or its copy from before or after rosbag2 packed it.
+/// The listed file, or its compressed or decompressed copy.
 fs::path find_listed(const fs::path& folder, const std::string& name) {
   const fs::path plain = unpacked_name(folder / name);
   for (const fs::path& file : {folder / name, plain, fs::path(plain.string() + ".zstd")}) {

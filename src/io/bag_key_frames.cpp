@@ -21,7 +21,7 @@ std::string frame_name(std::string_view text) {
   return std::string(text.substr(std::min(text.find_first_not_of('/'), text.size())));
 }
 
-/// The transforms that never change, by the frame whose pose each is.
+/// Static transforms, by the child frame.
 class StaticTransforms {
  public:
   void add(const ros1::Value& message) {
@@ -34,7 +34,7 @@ class StaticTransforms {
     });
   }
 
-  /// T_a_b, if both hang on one frame.
+  /// T_a_b, if both frames have a common ancestor.
   [[nodiscard]] std::optional<Eigen::Isometry3d> between(const std::string& a, const std::string& b) const {
     const auto above_a = above(a), above_b = above(b);
     for (const auto& [frame, T_frame_a] : above_a) {
@@ -50,10 +50,10 @@ class StaticTransforms {
     std::string name;
     Eigen::Isometry3d T_parent_child;
   };
-  /// The frame and those that it hangs on, each with the frame's pose in it.
+  /// The frame and its ancestors, each with the frame's pose in it.
   [[nodiscard]] std::vector<std::pair<std::string, Eigen::Isometry3d>> above(std::string frame) const {
     std::vector<std::pair<std::string, Eigen::Isometry3d>> out{{frame, Eigen::Isometry3d::Identity()}};
-    constexpr std::size_t kDeepest = 32;  // a file may hang frames on each other in a circle
+    constexpr std::size_t kDeepest = 32;  // a file may contain a cycle of frames
     for (auto at = parents_.find(frame); at != parents_.end() && out.size() < kDeepest;
          at = parents_.find(out.back().first)) {
       out.emplace_back(at->second.name, at->second.T_parent_child * out.back().second);
@@ -64,18 +64,18 @@ class StaticTransforms {
   std::map<std::string, Parent> parents_;
 };
 
-/// Where the sweeps of a robot are read from.
+/// Source of the sweeps of a robot.
 struct SweepSource {
   std::string where;  // bag and topic of the clouds
   std::vector<std::size_t> kept;
   std::vector<Eigen::Isometry3d> T_body_world;  // of each sweep, if the clouds are in the frame of the map
 };
 
-/// A robot while its messages come.
+/// Data of a robot while its messages are read.
 struct Recorded {
   RobotStream stream;
   SweepSource source;
-  std::string world, body, sensor;  // frames of the first messages; empty if not said
+  std::string world, body, sensor;  // frames of the first messages; empty if not stated
 };
 
 void move_cloud(const Eigen::Isometry3d& T, PointCloud& cloud) {
@@ -213,7 +213,7 @@ class Reader {
                    work_.progress, work_.stop);
   }
 
-  /// Whether it is a sweep, which is to be found again.
+  /// Takes a message. Returns whether it is a sweep, which has to be fetched later.
   bool take(const Message& recorded) {
     const std::size_t i = recorded.connection;
     const Connection& connection = decoder_.connection(i);
@@ -263,7 +263,7 @@ class Reader {
     return true;
   }
 
-  /// Makes the odometry that of the sensor, or has the clouds moved into the frame of the body.
+  /// Brings odometry and clouds to one frame: converts the odometry to the sensor, or the clouds to the body.
   void settle_frames(Recorded& robot) {
     const std::string frames = robot.source.where + ": clouds in \"" + robot.sensor + "\", odometry of \"" +
                                robot.body + "\" in \"" + robot.world + "\"";
@@ -287,7 +287,7 @@ class Reader {
                   frames + ": no /tf_static says how they stand to each other");
   }
 
-  /// The pose at a stamp: between the poses around it, else the nearest.
+  /// The pose at a stamp, interpolated if there are poses before and after it, otherwise the nearest one.
   static Eigen::Isometry3d pose_near(const std::vector<StampedPose>& poses, std::int64_t stamp) {
     if (poses.empty()) return Eigen::Isometry3d::Identity();
     const auto after =

@@ -22,7 +22,7 @@ namespace fs = std::filesystem;
 using bags::BagSet;
 using lamp::MessageKind;
 
-/// Hands out the scans that an index pass has found.
+/// Reads the scans that an earlier pass has found.
 class BagScans {
  public:
   BagScans(BagSet bags, std::vector<fs::path> files) : bags_(std::move(bags)), files_(std::move(files)) {}
@@ -57,7 +57,7 @@ bool is_lamp(MessageKind kind) {
   return kind != MessageKind::kOther && kind != MessageKind::kOdometry;
 }
 
-/// Hands a message other than a scan to the gatherer.
+/// Passes a message other than a scan to the gatherer.
 void take(lamp::Gatherer& gatherer, const std::string& where, const bags::Connection& connection,
           const std::string& source, const ros1::Value& message, std::int64_t recorded_ns) {
   switch (lamp::message_kind(connection.type)) {
@@ -79,7 +79,7 @@ void take(lamp::Gatherer& gatherer, const std::string& where, const bags::Connec
   }
 }
 
-/// What is taken from a topic of LAMP's.
+/// How a message of LAMP's is used.
 const char* use_of(MessageKind kind) {
   switch (kind) {
     case MessageKind::kKeyedScan:
@@ -98,8 +98,8 @@ const char* use_of(MessageKind kind) {
   return "";
 }
 
-/// Connections that are taken from, with what for. Odometry of a recorder of LAMP's messages is the robot's
-/// own, other is the truth; of ROS 1 each bag counts alone.
+/// The used connections with their use. Odometry is the truth, unless its recorder has messages of LAMP's:
+/// then it is the robot's own and not used. Each bag of ROS 1 counts as a recorder.
 std::map<std::size_t, std::string> uses_of(const std::vector<bags::Connection>& connections,
                                            const bags::Recording& recording, const bags::Decoder& decoder,
                                            Problems& problems) {
@@ -128,14 +128,14 @@ std::map<std::size_t, std::string> uses_of(const std::vector<bags::Connection>& 
   return uses;
 }
 
-/// Whether the recording holds graphs of LAMP's; else key frames are made of it.
+/// Whether the recording contains graphs of LAMP's. Without them, key frames are made from it.
 bool has_graphs(const std::vector<bags::Connection>& connections, const bags::Recording& recording) {
   return std::any_of(connections.begin(), connections.end(), [&](const bags::Connection& connection) {
     return is_lamp(lamp::message_kind(connection.type)) && connection.bag < recording.own;
   });
 }
 
-/// Mission of graphs and keyed scans.
+/// Reads a mission from graphs and keyed scans.
 Mission read_graphs(const BagSet& bags, const bags::Recording& recording, const MissionOptions& options,
                     const parts::Work& work) {
   Mission mission;
@@ -146,7 +146,7 @@ Mission read_graphs(const BagSet& bags, const bags::Recording& recording, const 
   const auto uses = uses_of(connections, recording, decoder, problems);
   const auto scans = std::make_shared<BagScans>(bags, recording.files);
   std::size_t kept = 0;
-  /// Whether the scan is to be found again.
+  /// Returns whether the scan has to be fetched later.
   const auto take_scan = [&](const std::string& where, std::size_t connection, const ros1::Value& message) {
     const Key key = message.at("key").unsigned_integer();
     if (scans->has(key)) {
@@ -251,7 +251,7 @@ void read_bag_truth(Mission& mission, const std::vector<fs::path>& files, const 
 
 void unpack(const ZipArchive& archive, std::size_t number, const fs::path& to, const std::string& name,
             const StopToken& stop) {
-  // A small archive may claim any size, and a deflated one may even have it.
+  // A small archive may state any size, and may really expand to it.
   const std::uint64_t free = fs::space(to.parent_path()).available;
   if (archive.size(number) > free) {
     throw InputError(name + ": unpacked it takes " + std::to_string(archive.size(number)) +
@@ -294,7 +294,7 @@ Mission read_lamp_save(const fs::path& path, const MissionOptions& options, cons
   }
   BagSet bags({{bag_path, files.path(*graph)}}, bags::is_known_type, problems, work.progress, work.stop);
   const std::vector<bags::Connection>& connections = bags.connections();
-  // The whole graph each time: the last is the one that LAMP itself takes.
+  // Each message has the whole graph. The last one is used, as LAMP does.
   const std::size_t count = bags.for_each(
       [&](std::size_t i) { return lamp::message_kind(connections[i].type) == MessageKind::kPoseGraph; },
       [](const bags::Message&) { return true; }, work.progress, work.stop);

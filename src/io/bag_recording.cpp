@@ -21,7 +21,7 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kMostNamed = 20;  // topics in an error
 
-/// Collects files, each once: one that is given by name may be found beside another as well.
+/// Collects files, each once. A file that is given by name may also be found in a folder.
 class Collector {
  public:
   explicit Collector(Recording& recording) : recording_(recording) {}

@@ -16,7 +16,7 @@ std::int64_t nanoseconds(const ros::Time& time) {
   return static_cast<std::int64_t>(time.sec) * 1'000'000'000 + static_cast<std::int64_t>(time.nsec);
 }
 
-/// Calls the library, whose errors know no file.
+/// Calls the library and adds the file to its errors.
 template <class Call>
 auto call_library(const std::string& name, Call&& call) -> decltype(call()) {
   try {
@@ -50,7 +50,7 @@ class Rosbags : public Storage {
   }
 
   std::vector<Entry> index(const std::vector<bool>& wanted) override {
-    // A message tells its connection only by the address of the topic's name.
+    // Only the address of the topic's name in a message identifies the connection.
     std::map<const std::string*, std::uint32_t> topics;
     for (std::size_t i = 0; i < infos_.size(); ++i) {
       if (wanted[i]) topics[&infos_[i]->topic] = static_cast<std::uint32_t>(i);

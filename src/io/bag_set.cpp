@@ -20,11 +20,11 @@ struct Place {
 
 struct BagSet::State {
   std::vector<std::unique_ptr<Storage>> storages;
-  std::vector<std::size_t> begins;  // of each storage's connections among all
+  std::vector<std::size_t> begins;  // first connection of each storage among all connections
   std::vector<Connection> connections;
   std::vector<Place> kept;
   std::string name;
-  std::mutex mutex;  // a storage has one place in its file and one chunk in memory
+  std::mutex mutex;  // a storage has one read position and one chunk in memory
 
   void add(std::unique_ptr<Storage> storage) {
     begins.push_back(connections.size());

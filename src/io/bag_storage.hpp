@@ -12,18 +12,18 @@
 
 namespace loopwise::bags {
 
-/// Where a message lies in its storage.
+/// Position of a message in its storage.
 struct Entry {
   std::int64_t stamp_ns = 0;  ///< When it was recorded.
-  std::uint64_t place = 0;    ///< As the storage counts.
-  std::uint32_t offset = 0;   ///< From there.
+  std::uint64_t place = 0;    ///< In the units of the storage.
+  std::uint32_t offset = 0;   ///< From the place.
   std::uint32_t connection = 0;
 };
 
-/// A bag of ROS 2 may index so many messages of known types; these are more than a day of a hundred a second.
+/// Largest number of indexed messages in a bag of ROS 2: more than a day at a hundred messages per second.
 inline constexpr std::size_t kMostMessages = std::size_t{1} << 24;
 
-/// A chunk, or a message that is compressed by itself, holds at most as much.
+/// Largest size of a chunk, or of a message that is compressed individually.
 inline constexpr std::size_t kLargestPiece = std::size_t{1} << 28;
 
 /// One bag, or several that one library reads together.
@@ -41,10 +41,10 @@ class Storage {
   std::vector<Connection> connections_;
 };
 
-/// Those of `all` that are wanted, in the order of time.
+/// The wanted entries of `all`, in the order of time.
 [[nodiscard]] std::vector<Entry> sorted(const std::vector<Entry>& all, const std::vector<bool>& wanted);
 
-/// What opening a bag is given besides its file.
+/// Arguments for opening a bag, besides its file.
 struct Opening {
   BagSet::Known known;
   Problems& problems;
@@ -61,7 +61,7 @@ struct NumberedFile {
 /// Bags of ROS 1, read as one.
 [[nodiscard]] std::unique_ptr<Storage> open_rosbags(const std::vector<NumberedFile>& files,
                                                     const Opening& opening);
-/// A bag of ROS 2, of either form, or a whole file of one that is compressed.
+/// A bag of ROS 2 in MCAP or SQLite, which may be compressed as a whole.
 [[nodiscard]] std::unique_ptr<Storage> open_rosbag2(const NumberedFile& file, const Opening& opening);
 
 }  // namespace loopwise::bags

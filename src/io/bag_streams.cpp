@@ -30,7 +30,7 @@ Topics those(const Topics& topics, Is&& is) {
   return out;
 }
 
-/// Whether it is this topic, or one of this name in a robot's namespace.
+/// Whether the topic has the wanted name, with or without a robot's namespace.
 bool is_named(const StreamTopic& topic, const std::string& wanted) {
   const std::string tail = "/" + wanted.substr(std::min(wanted.find_first_not_of('/'), wanted.size()));
   const std::string name =
@@ -52,7 +52,7 @@ bool sounds_like_truth(const std::string& name) {
   return words.count("gt") + words.count("truth") + words.count("groundtruth") > 0;
 }
 
-/// Keeps only the named topics of those that `is` tells.
+/// Among the topics for which `is` is true, keeps only those with the wanted name.
 template <class Is>
 void keep_named(Topics& topics, const std::string& wanted, const char* option, Is&& is,
                 const std::string& name, const std::string& what_there_is) {
@@ -65,7 +65,7 @@ void keep_named(Topics& topics, const std::string& wanted, const char* option, I
   }
 }
 
-/// One of several, counted as a guess.
+/// The preferred topic. If there are several, the choice is counted as a guess.
 StreamTopic best_of(Topics topics, const std::string& robot, const char* kind, const char* option,
                     Problems& problems) {
   std::stable_sort(topics.begin(), topics.end(), [](const StreamTopic& a, const StreamTopic& b) {
@@ -81,7 +81,7 @@ StreamTopic best_of(Topics topics, const std::string& robot, const char* kind, c
   return topics.front();
 }
 
-/// Topics that make a robot if poses and clouds are among them.
+/// Topics of one namespace or recorder. It is a robot if poses and clouds are among them.
 struct Group {
   std::string name;
   Topics topics;
@@ -121,7 +121,7 @@ std::vector<Group> robots_among(const Topics& topics, const Recording& recording
       [&](const StreamTopic& topic) { return recording.names[topic.recorder]; });
   if (groups.size() == 1 && !only.empty()) groups.front().name = only;
   if (!groups.empty()) return groups;
-  // Poses and clouds may have been recorded apart.
+  // Poses and clouds may be in files of different recorders.
   const Group all{recording.names.front(), topics};
   return all.is_robot() ? std::vector<Group>{all} : groups;
 }

@@ -11,7 +11,7 @@
 
 namespace loopwise::bags {
 
-/// What the messages of a type give to key frames.
+/// Use of a type of messages for key frames.
 enum class StreamKind {
   kOther,
   kOdometry,    ///< nav_msgs/Odometry
@@ -27,10 +27,10 @@ struct StreamTopic {
   StreamKind kind = StreamKind::kOther;
   std::size_t recorder = 0;
   std::size_t messages = 0;
-  std::vector<std::size_t> connections;  ///< One a file.
+  std::vector<std::size_t> connections;  ///< One per file.
 };
 
-/// A robot and what it is read from.
+/// A robot and the topics that it is read from.
 struct RobotTopics {
   std::string name;
   StreamTopic poses;
@@ -42,11 +42,12 @@ struct ChosenTopics {
   std::vector<StreamTopic> truth;
 };
 
-/// Robots by the namespaces of topics, if at least two have poses and clouds; else by recorders. Of several
-/// topics of a kind that one is taken which the options name, else odometry before poses, the one with the
-/// most messages, the first by name; counted as "several topics of poses, one is taken" and "several topics
-/// of clouds, one is taken". Truth is what options.truth_topic names, else topics with "ground_truth" or "gt"
-/// in their names. \throws InputError if an option names no topic of its kind, or no robot has both
+/// Chooses the robots and their topics. Robots are the namespaces of topics if at least two of them have
+/// poses and clouds, otherwise the recorders. Of several topics of a kind, the options name one. Without an
+/// option, odometry precedes poses, then the topic with the most messages counts, then the first by name.
+/// Such a choice is counted as "several topics of poses, one is taken" or "several topics of clouds, one is
+/// taken". The truth is options.truth_topic, or else topics with "ground_truth" or "gt" in their names.
+/// \throws InputError if an option names no topic of its kind, or no robot has both
 [[nodiscard]] ChosenTopics choose_topics(const std::vector<StreamTopic>& topics, const Recording& recording,
                                          const MissionOptions& options, const std::string& name,
                                          const std::string& what_there_is, Problems& problems);

@@ -16,7 +16,7 @@ namespace {
 
 constexpr std::array<const char*, 7> kPose{"x", "y", "z", "qx", "qy", "qz", "qw"};
 
-/// The names of the first line that is not blank.
+/// Column names in the first line that is not blank.
 std::vector<std::string> header_of(std::string_view text, const std::string& source) {
   const std::size_t begin = std::min(text.find_first_not_of(" \t\r\n"), text.size());
   std::string_view line = text.substr(begin, text.find('\n', begin) - begin);

@@ -77,7 +77,7 @@ class CdrReader {
     const std::size_t place = out_.size();
     numbers(4, 1);
     const std::uint32_t size = length_at(place);
-    if (size == 0) return;  // some writers leave out the zero of an empty one
+    if (size == 0) return;  // some writers omit the final zero of an empty string
     if (size > left()) {
       fail("byte " + std::to_string(at_) + ": a string of " + std::to_string(size) + " bytes, " +
            std::to_string(left()) + " are left");
@@ -102,7 +102,7 @@ class CdrReader {
         numbers(4, 2 * count);
         return;
       case Primitive::kMessage:
-        // What takes no bytes has no end that the message could set.
+        // Elements without bytes are skipped: the size of the message does not bound their count.
         for (std::uint64_t i = 0; type.least > 0 && i < count; ++i) message(number);
         return;
       default:
@@ -122,7 +122,7 @@ class CdrReader {
         numbers(4, 1);
         count = length_at(place);
       }
-      // No element is shorter here than in ROS 1.
+      // No element is shorter in CDR than in ROS 1.
       const std::uint64_t least = schema_.types_[field.type].least;
       if (least > 0 && count > left() / least) {
         fail("field " + field.name + ": " + std::to_string(count) + " elements of at least " +
@@ -180,7 +180,7 @@ std::string definition_of(std::string_view own, std::initializer_list<std::strin
   return out;
 }
 
-/// The type of a field: without the bounds of ROS 2, times as ROS 1 has them.
+/// The type of a field without the bounds of ROS 2, and with the time types of ROS 1.
 std::string field_type(std::string_view word) {
   std::string array;
   if (const std::size_t bracket = word.find('['); bracket != std::string_view::npos) {

@@ -35,7 +35,7 @@ std::uint64_t count_value(std::string_view word, const text::Place& place) {
   return value;
 }
 
-/// One line of ascii values; "nan" and "inf" are values here, and their points are dropped later.
+/// Reads one line of ascii values. "nan" and "inf" are valid values; their points are dropped later.
 void read_ascii_point(const std::vector<Channel>& channel_of_word, std::string_view line,
                       const text::Place& place, double* channels) {
   std::size_t words = 0;
@@ -54,8 +54,8 @@ void read_ascii_point(const std::vector<Channel>& channel_of_word, std::string_v
   }
 }
 
-/// Call it once the data are known to hold a point: the counts of fields may be any, and so would be the
-/// memory.
+/// Call this only when the data are known to contain a point: the memory grows with the stated counts of
+/// fields, and a file may state any counts.
 std::vector<Channel> channels_by_word(const Layout& layout) {
   std::vector<Channel> out(layout.point_words, kChannels);
   const auto used = layout.used();
@@ -74,7 +74,7 @@ std::string truncated(const std::string& file, std::uint64_t points, std::size_t
          std::to_string(found) + ": the file is cut short or its header is wrong";
 }
 
-/// What a comment says of the points' origin, if it does: our own writers put it there.
+/// Reads the origin of the points from a comment, where our writers put it.
 void take_origin(std::string_view comment, const text::Place& place, std::optional<Eigen::Vector3d>& origin) {
   while (!comment.empty() && (comment.front() == '#' || comment.front() == ' ')) comment.remove_prefix(1);
   if (comment.substr(0, kOriginComment.size()) != kOriginComment) return;
@@ -484,7 +484,7 @@ CloudFile read_cloud(const fs::path& path, BinLayout bin_layout) {
 
 namespace {
 
-/// Empty for points that are where they are.
+/// Comment with the origin of the points; empty if it is zero.
 std::string origin_comment(const char* start, const PointCloud& cloud) {
   if (cloud.origin.isZero(0.0)) return {};
   std::string out = start + std::string(kOriginComment);

@@ -11,7 +11,7 @@
 namespace loopwise::points {
 namespace {
 
-/// Fewer points may be anything.
+/// Fewer points do not suffice to recognise a layout.
 constexpr std::size_t kFewestJudged = 20;
 constexpr std::size_t kMostJudged = 2000;
 constexpr double kMostUnlike = 0.05;  // share of the points
@@ -68,8 +68,9 @@ Layout layout_of(BinLayout name, const std::string& file) {
   return layout;
 }
 
-/// Whether a field may have the value. Bits of something else make numbers far too large or far too small,
-/// but so does a level beam of a simulated lidar: its sine is rounding, 1e-16 of the range.
+/// Whether a field may have the value. Misread bits give numbers that are far too large or far too small. A
+/// level beam of a simulated lidar also gives a small number: its sine is a rounding error, 1e-16 of the
+/// range.
 bool likely(const std::string& field, double value) {
   constexpr double kTiny = 1e-20, kFarthest_m = 1e7, kBrightest = 1e6, kRings = 1024.0;
   if (std::isnan(value)) return true;  // no echo
@@ -83,7 +84,7 @@ bool likely(const std::string& field, double value) {
 
 struct Look {
   double unlike = 0.0;  ///< Share of the points with a value that a field cannot have.
-  double step_m = 0.0;  ///< Median distance of successive points: the sweep of a beam is smooth.
+  double step_m = 0.0;  ///< Median distance of successive points, small for a true layout.
 };
 
 Look look_at(const Layout& layout, std::string_view contents) {
@@ -99,7 +100,7 @@ Look look_at(const Layout& layout, std::string_view contents) {
   std::size_t unlike = 0;
   std::vector<double> steps;
   for (std::size_t k = 0; k < judged; ++k) {
-    // At random: regular strides meet the same field of another layout each time.
+    // Random points: a regular stride would always meet the same field of another layout.
     const std::size_t point = judged == count ? k : static_cast<std::size_t>(mix64(k) % count);
     unlike += std::all_of(layout.fields.begin(), layout.fields.end(),
                           [&](const Field& field) { return likely(field.name, value(point, field)); })
@@ -120,7 +121,7 @@ Look look_at(const Layout& layout, std::string_view contents) {
   return look;
 }
 
-/// The layout that the bytes fit best, with the smoothest sweep; kAuto if they fit no layout.
+/// The layout that fits the bytes best and gives the smoothest sweep; kAuto if no layout fits.
 BinLayout best_fit(const std::string& file, std::string_view contents) {
   BinLayout best = BinLayout::kAuto;
   double least_m = std::numeric_limits<double>::infinity();
@@ -136,7 +137,7 @@ BinLayout best_fit(const std::string& file, std::string_view contents) {
   return best;
 }
 
-/// What to do about a file that does not fit xyzi.
+/// Remedy for a file that does not fit xyzi.
 std::string advice(const std::string& file, std::string_view contents) {
   const BinLayout best = best_fit(file, contents);
   if (best == BinLayout::kAuto) {

@@ -63,7 +63,7 @@ KeyTable parse_key_table(const std::string& name, const std::string& contents) {
     line = text::trim(line);
     if (line.empty()) continue;
     const text::Place place{name, lines.number()};
-    // The name of a file may hold commas.
+    // The name of a file may contain commas.
     const std::size_t first = line.find(','), last = line.rfind(',');
     if (first == std::string_view::npos || first == last) {
       place.fail(text::quoted(line) + " is no key, file and stamp in ns, separated by commas");

@@ -22,7 +22,7 @@ struct FileSource {
   std::vector<std::string> names;
   std::function<std::string(std::size_t)> read;  ///< Safe to call from several threads.
 
-  /// The n-th file, for people.
+  /// The n-th file, for messages.
   [[nodiscard]] std::string path(std::size_t number) const { return where + "/" + names[number]; }
   [[nodiscard]] std::optional<std::size_t> find(const std::string& name) const;
 };
@@ -38,7 +38,7 @@ struct KeyTable {
 /// \throws ParseError naming `name` and the line
 [[nodiscard]] KeyTable parse_key_table(const std::string& name, const std::string& contents);
 
-/// The clouds of a source by what their names say.
+/// Clouds of a source, assigned by their names.
 struct NamedClouds {
   std::map<Key, std::size_t> by_key;     ///< KEY.pcd, a12.pcd, or by the key table.
   std::map<Key, std::size_t> by_number;  ///< pc_N.pcd without a key table: by N.
@@ -48,9 +48,9 @@ struct NamedClouds {
 /// Counts "foreign file in scans" and "repeated scan".
 [[nodiscard]] NamedClouds name_clouds(const FileSource& files, const KeyTable& table, Problems& problems);
 
-/// Clouds by the keys of the key frames, which are in order: numbered ones go to the nodes by rank, those
-/// named by a small index to the nodes of the only robot. \throws InputError if there are not as many
-/// numbered clouds as nodes: nothing would tell which is whose
+/// Clouds by the keys of the key frames, which are in order. Numbered clouds belong to the nodes by rank.
+/// Clouds that are named by a small index belong to the nodes of the only robot. \throws InputError if the
+/// number of numbered clouds differs from the number of nodes: the assignment is unknown then
 [[nodiscard]] std::map<Key, std::size_t> clouds_of_nodes(const NamedClouds& clouds,
                                                          const std::vector<Key>& keys,
                                                          const FileSource& files);

@@ -10,13 +10,12 @@
 namespace loopwise::points {
 namespace {
 
-/// No coordinates on earth are larger but those of maps of the whole of it.
+/// Only maps of the whole earth have larger coordinates.
 constexpr double kMaxCoordinate_m = 1e7;
 constexpr float kNormalTolerance = 0.01f;
-/// From here on neighbouring floats are 2 mm apart or more.
+/// From this value on, neighbouring floats are at least 2 mm apart.
 constexpr double kCoarse_m = 16384.0;
-/// No lidar has the middle of its points this far away: such points are in other coordinates than the
-/// sensor's.
+/// The middle of a lidar scan is never this far from the sensor, so such points are in other coordinates.
 constexpr double kFarFromSensor_m = 300.0;
 
 template <class T>
@@ -135,7 +134,7 @@ void CloudBuilder::add(const double* channels) {
   }
 }
 
-/// A coordinate that a float holds exactly, where floats are coarse, went through a float.
+/// Floats are coarse at this distance. A coordinate that equals a float exactly was once stored as a float.
 void CloudBuilder::count_coarse(const Eigen::Vector3d& point, std::size_t number) {
   const double largest = point.cwiseAbs().maxCoeff();
   if (largest < kCoarse_m || point.cast<float>().cast<double>() != point) return;
@@ -145,7 +144,7 @@ void CloudBuilder::count_coarse(const Eigen::Vector3d& point, std::size_t number
   }
 }
 
-/// Towards the sensor, which stands where the coordinates are zero.
+/// Turns normals towards the sensor, which is at the origin of the coordinates.
 void CloudBuilder::turn_normals() {
   for (std::size_t i = 0; i < cloud_.normals.size(); ++i) {
     Eigen::Vector3f& normal = cloud_.normals[i];
@@ -158,7 +157,7 @@ CloudFile CloudBuilder::finish(const std::optional<Eigen::Vector3d>& stated_orig
     problems_.add(kind, name_ + ": point " + std::to_string(met.first), met.count);
     if (std::string_view(kind) == "unusable normals") cloud_.normals.clear();
   }
-  // A few far points among near ones are strays, which the stages leave out.
+  // A few far points among near ones are outliers, which later stages remove.
   if (2 * coarse_.count > points_.size()) {
     std::ostringstream example;
     example << name_ << ": point " << coarse_.first << ", in steps of " << coarse_step_m_ << " m";

@@ -24,23 +24,23 @@ enum class Scalar { kInt8, kInt16, kInt32, kInt64, kUint8, kUint16, kUint32, kUi
 [[nodiscard]] double load(Scalar scalar, const char* bytes, bool swap);
 [[nodiscard]] bool big_endian_host();
 
-/// What a cloud is made of, by the names that the formats use.
+/// Values of a point, by the names that the formats use.
 enum Channel { kX, kY, kZ, kNormalX, kNormalY, kNormalZ, kIntensity, kChannels };
 [[nodiscard]] std::optional<Channel> channel_of(std::string_view name);
 
-/// Takes points one by one, leaves out what cannot be used, and counts it. Points whose middle lies far from
-/// zero are held relative to an origin of their own.
+/// Receives points one by one. Leaves out and counts unusable ones. Points whose middle is far from zero are
+/// stored relative to an origin.
 class CloudBuilder {
  public:
-  /// `name`: of the file or message, for problems.
+  /// \param name of the file or message, for problems
   CloudBuilder(std::string name, bool has_normals, bool has_intensity)
       : name_(std::move(name)), has_normals_(has_normals), has_intensity_(has_intensity) {}
 
   void reserve(std::size_t count);
-  /// A value for each channel that the cloud has.
+  /// \param channels one value for each channel of the cloud
   void add(const double* channels);
   void add_problem(const std::string& kind, const std::string& example) { problems_.add(kind, example); }
-  /// `stated_origin`: what the file says its coordinates are relative to.
+  /// \param stated_origin origin of the coordinates according to the file
   [[nodiscard]] CloudFile finish(const std::optional<Eigen::Vector3d>& stated_origin = std::nullopt);
 
  private:
@@ -56,23 +56,23 @@ class CloudBuilder {
   bool has_normals_;
   bool has_intensity_;
   std::size_t count_ = 0;
-  std::vector<Eigen::Vector3d> points_;  // as they stand in the file
+  std::vector<Eigen::Vector3d> points_;  // as in the file
   PointCloud cloud_;
   Problems problems_;
   std::vector<std::pair<const char*, Met>> counted_;
   Met coarse_{0, 0};
-  double coarse_step_m_ = 0.0;  // of the first
+  double coarse_step_m_ = 0.0;  // of the first such point
 };
 
-/// A number that a point holds, and where.
+/// A number in the data of a point, and its position.
 struct Field {
   std::string name;
   Scalar scalar = Scalar::kFloat32;
-  std::size_t count = 1;   // values side by side
-  std::size_t offset = 0;  // in a point's bytes
+  std::size_t count = 1;   // number of adjacent values
+  std::size_t offset = 0;  // within the bytes of a point
 };
 
-/// Which fields fill which channels.
+/// The fields of a point, and the channels that they fill.
 struct Layout {
   std::vector<Field> fields;
   std::size_t point_size = 0;   // bytes
@@ -84,28 +84,29 @@ struct Layout {
   }
   [[nodiscard]] bool has_intensity() const { return field_of[kIntensity] >= 0; }
 
-  /// Puts the fields one after the other, then finds the channels. \throws InputError as find_channels()
+  /// Computes the offsets of consecutive fields, then finds the channels. \throws InputError as
+  /// find_channels()
   void pack(const std::string& name);
-  /// \throws InputError without x, y and z, or on a channel that is there twice
+  /// \throws InputError without x, y and z, or if a channel occurs twice
   void find_channels(const std::string& name);
 
-  /// Fields by channel, with the normals left out unless all three are there.
+  /// Fields by channel. Normals are left out unless all three components are present.
   [[nodiscard]] std::vector<std::pair<Channel, const Field*>> used() const;
 };
 
-/// `count` points of point_size bytes one after the other (interleaved), or all values of a field before
-/// those of the next.
+/// Reads `count` points. They are either interleaved, with point_size bytes each, or stored field by field.
 void read_binary(const Layout& layout, std::string_view data, std::size_t count, bool interleaved, bool swap,
                  CloudBuilder& builder);
 
-/// As read_cloud(), of a file that is in memory. Its name's extension says what it is.
+/// As read_cloud() for a file in memory. The extension of its name states the format.
 [[nodiscard]] CloudFile parse_cloud(const std::string& name, const std::string& contents,
                                     BinLayout bin_layout = BinLayout::kAuto);
 
-/// Points without a header. \throws InputError if they do not fit the layout, or with kAuto look unlike xyzi
+/// Reads points without a header. \throws InputError if they do not fit the layout, or with kAuto do not look
+/// like xyzi
 [[nodiscard]] CloudFile read_bin(const std::string& name, std::string_view contents, BinLayout bin_layout);
 
-/// What write_pcd() writes.
+/// The contents of a file of write_pcd().
 [[nodiscard]] std::string pcd_text(const PointCloud& cloud, PcdEncoding encoding);
 
 }  // namespace loopwise::points

@@ -28,7 +28,7 @@ namespace fs = std::filesystem;
 constexpr const char* kGraph = "result.g2o";
 constexpr const char* kClouds = "pcd";
 
-/// A folder of this process alone, in the one where the other shall be.
+/// Creates a folder of this process beside the target folder.
 fs::path new_folder_beside(const fs::path& folder) {
   parts::make_folder(folder.parent_path());
   for (int attempt = 0;; ++attempt) {
@@ -42,7 +42,7 @@ fs::path new_folder_beside(const fs::path& folder) {
   }
 }
 
-/// Removes what was written unless all went well.
+/// Removes written files unless keep() was called.
 class Target {
  public:
   explicit Target(const fs::path& folder) : Target(folder, fs::exists(folder)) {}
@@ -52,7 +52,7 @@ class Target {
     try {
       remove();
     } catch (const std::exception&) {
-      // No memory even for that: what stays has the mark of an unfinished one.
+      // If memory is missing even here, the remaining files keep the mark of an unfinished mission.
     }
   }
   Target(const Target&) = delete;
@@ -92,8 +92,8 @@ ConvertResult write_folder(const Mission& mission, const fs::path& folder, const
   return result;
 }
 
-/// The mission's keys as files without a list of robots can hold them: by character, landmarks under those
-/// that read_mission() takes for landmarks.
+/// The mission's keys for files without a list of robots. Robots differ by their characters, and landmarks
+/// have characters that read_mission() takes for landmarks.
 class FullKeys {
  public:
   FullKeys(const Mission& mission, Problems& left_out) : robots_(mission.robots) {
@@ -139,12 +139,12 @@ class FullKeys {
     return make_key(letters_[robot], key - robots_[robot].first);
   }
 
-  /// Whose the keys are to those who read the files.
+  /// The robots as a reader of the files understands the keys.
   [[nodiscard]] const Robots& robots() const { return read_; }
 
  private:
   void assign_letters() {
-    const std::string small = "abcdefghijklmnopqrstvwxyz";  // 'u' is that of radio anchors
+    const std::string small = "abcdefghijklmnopqrstvwxyz";  // without 'u', which radio anchors have
     const std::string capital = "ABCDEFGHIJKLMNOPQRSTUVWXYZ";
     std::size_t robots = 0, landmarks = 0;
     for (const Robot& robot : robots_.all()) {
@@ -196,7 +196,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
 
   PoseGraph graph, truth;
   graph.set_planar(mission.graph.planar());
-  // Truth of a 2D graph may have been surveyed in space.
+  // The truth of a 2D graph may be a survey in 3D.
   truth.set_planar(mission.graph.planar() &&
                    std::all_of(mission.ground_truth.begin(), mission.ground_truth.end(),
                                [](const auto& known) { return planar::is_pose(known.second); }));
@@ -242,7 +242,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   const parts::OdometryList odometry = parts::odometry_list(graph, keys.robots());
   if (!odometry.text.empty()) write_file(folder / parts::kOdometry, odometry.text);
   count_lost_kinds(odometry, mission.name, result.left_out);
-  flush_file_system(folder);  // the clouds, before the graph that stands for the whole
+  flush_file_system(folder);  // clouds first, because the graph marks the mission as complete
   write_g2o(folder / kGraph, graph);
   return result;
 }
@@ -264,7 +264,7 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
   leave_out("key left out", frames);
   if (format == MissionFormat::kKitti) leave_out("stamp left out", frames);
 
-  // Written beside the target and renamed, so that there are all files or none.
+  // Written beside the target and renamed, so that either all files exist or no file.
   const fs::path whole = fs::absolute(folder / "").lexically_normal().parent_path();
   const fs::path made = new_folder_beside(whole);
   Target unfinished(made, false);
@@ -303,7 +303,7 @@ ConvertResult write_trajectories(const Mission& mission, const fs::path& folder,
         if (const auto at = known.find(key); at != known.end())
           stamped.push_back({node->stamp_ns, at->second});
       }
-      // Rows alone tell KITTI poses apart: with gaps they would be another node's.
+      // KITTI poses have only their row as a name. With gaps, rows would belong to other nodes.
       if (format == MissionFormat::kKitti && !stamped.empty() && stamped.size() != poses.size()) {
         leave_out(incomplete, stamped.size());
       } else if (!stamped.empty()) {

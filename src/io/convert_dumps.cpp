@@ -38,7 +38,7 @@ std::vector<Key> frames_of_one_robot(const Mission& mission, const char* program
   return keys;
 }
 
-/// Counts what neither program has a place for.
+/// Counts parts of a mission that neither program can store.
 void count_left_out(const Mission& mission, std::size_t frames, Problems& left_out) {
   count_description(mission, left_out);
   const PoseGraph& graph = mission.graph;
@@ -97,7 +97,7 @@ ConvertResult write_hdl_graph_slam(const Mission& mission, const fs::path& folde
     node.key = i;
     graph.add_node(node);
   }
-  // Priors are edges from a fixed node that is no key frame.
+  // Priors are edges from a fixed node that is not a key frame.
   Node anchor;
   anchor.key = keys.size();
   const bool anchored = !mission.graph.priors().empty();

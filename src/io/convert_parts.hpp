@@ -19,10 +19,11 @@ namespace loopwise::parts {
 /// \throws IoError
 void make_folder(const std::filesystem::path& folder);
 
-/// Counts what only a mission folder holds of a mission: its frame, provenance, radio.
+/// Counts parts that only a mission folder can store: frame, provenance, radio.
 void count_description(const Mission& mission, Problems& left_out);
 
-/// Hands every scan to `write`, on as many threads as the options say. \returns how many could be read.
+/// Calls `write` for every scan, on as many threads as the options state. \returns the number of scans that
+/// could be read
 template <class Write>
 std::size_t write_scans(const Mission& mission, const std::vector<Key>& keys, const ConvertOptions& options,
                         Write&& write) {
@@ -36,7 +37,7 @@ std::size_t write_scans(const Mission& mission, const std::vector<Key>& keys, co
     try {
       cloud = mission.scans->load(keys[i]);
     } catch (const InputError&) {
-      // The store counts it among its problems.
+      // The store counts the error among its problems.
     }
     if (cloud) {
       write(keys[i], *cloud);
@@ -49,11 +50,11 @@ std::size_t write_scans(const Mission& mission, const std::vector<Key>& keys, co
   return written;
 }
 
-/// graph.g2o, special_nodes.csv, NUMBER/data and NUMBER/cloud.pcd. \throws InputError of several robots or a
-/// 2D graph
+/// Writes graph.g2o, special_nodes.csv, NUMBER/data and NUMBER/cloud.pcd. \throws InputError for several
+/// robots or a 2D graph
 [[nodiscard]] ConvertResult write_hdl_graph_slam(const Mission& mission, const std::filesystem::path& folder,
                                                  const ConvertOptions& options);
-/// pose.json and pcd/NUMBER.pcd. \throws InputError of several robots
+/// Writes pose.json and pcd/NUMBER.pcd. \throws InputError for several robots
 [[nodiscard]] ConvertResult write_hba(const Mission& mission, const std::filesystem::path& folder,
                                       const ConvertOptions& options);
 

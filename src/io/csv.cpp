@@ -12,13 +12,13 @@
 namespace loopwise {
 namespace {
 
-/// Blanks at the line's end may belong to a quoted value that continues in the next line.
+/// Trims only the front: blanks at the end may belong to a quoted value that continues in the next line.
 std::string_view without_blanks_before(std::string_view line) {
   while (!line.empty() && text::is_blank(line.front())) line.remove_prefix(1);
   return line;
 }
 
-/// Splits one record; a quoted value may run over several lines, which `lines` then hands out.
+/// Splits one record. A quoted value may continue over several lines, which are taken from `lines`.
 std::vector<std::string> split_record(std::string_view line, text::Lines& lines, const std::string& file) {
   const std::size_t first_line = lines.number();
   std::vector<std::string> values;
@@ -161,7 +161,7 @@ void CsvText::begin_row(std::size_t count) const {
 }
 
 void CsvText::add_text(std::string_view value) {
-  // A line with nothing in it would be a blank one, which readers skip.
+  // An empty value alone would give a blank line, which readers skip.
   const bool alone = value.empty() && columns_ == 1;
   const bool plain =
       !alone && value.find_first_of(",\"\n\r") == std::string_view::npos && text::trim(value) == value;

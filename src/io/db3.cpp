@@ -94,8 +94,8 @@ class Db3 : public Storage {
 
   std::string name_;
   sqlite::Database database_;
-  std::unique_ptr<Statement> message_;          // goes before its database
-  const Opening* opening_;                      // while it is opened
+  std::unique_ptr<Statement> message_;          // destroyed before its database
+  const Opening* opening_;                      // only while the file is opened
   std::map<std::int64_t, std::size_t> topics_;  // number in connections_
   std::vector<Entry> entries_;
 };

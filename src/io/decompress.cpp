@@ -37,13 +37,14 @@ struct ZstdStream {
   }
 };
 
-/// Calls `step(room, size)`, which fills so much room, says how much it filled and whether that was all.
+/// Calls `step(room, size)` until the data end. It fills at most `size` bytes and returns how many, and
+/// whether the data end.
 template <class Step>
 std::string grow(std::size_t most, Step&& step) {
   std::string out;
   while (true) {
     const std::size_t filled = out.size();
-    // Twice as much each time, and at last one byte more than there may be, which shows that it is too much.
+    // The space doubles, up to one byte more than `most`, so that too much data is detected.
     const std::size_t room = std::min(most + 1 - filled, std::max(filled, kStep));
     out.resize(filled + room);
     const auto [added, ended] = step(out.data() + filled, room);

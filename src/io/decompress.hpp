@@ -13,18 +13,18 @@
 
 namespace loopwise::bags {
 
-/// Whether it begins as zstd frames do.
+/// Whether the bytes begin as a zstd frame does.
 [[nodiscard]] bool is_zstd(std::string_view bytes);
 
-/// What whole frames of zstd hold. \throws InputError if they are damaged, cut short, need a window of more
-/// than 64 MiB, or hold more than `most` bytes
+/// Decompresses whole frames of zstd. \throws InputError if they are damaged, cut short, need a window of
+/// more than 64 MiB, or hold more than `most` bytes
 [[nodiscard]] std::string inflate_zstd(std::string_view data, std::size_t most);
 
-/// The same of one frame of lz4.
+/// The same for one frame of lz4.
 [[nodiscard]] std::string inflate_lz4(std::string_view data, std::size_t most);
 
-/// Unpacks a file of zstd frames. \throws InputError naming `name` if it is damaged, or becomes a thousand
-/// times as large or larger than the disk has room for; IoError; StoppedError
+/// Decompresses a file of zstd frames. \throws InputError naming `name` if it is damaged, expands more than a
+/// thousand times, or expands beyond the free space of the disk; IoError; StoppedError
 void inflate_zstd_file(const std::filesystem::path& from, const std::string& name,
                        const std::filesystem::path& to, const StopToken& stop);
 

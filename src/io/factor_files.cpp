@@ -13,7 +13,7 @@ namespace fs = std::filesystem;
 const std::vector<std::string> kRangeColumns = {"from", "to", "range_m", "sigma_m"};
 const std::vector<std::string> kGravityColumns = {"key", "x", "y", "z", "sigma_rad"};
 
-/// Hands every row to `add`; what the graph refuses is an error of that row.
+/// Calls `add` for every row. Errors of the graph become errors of the row.
 template <class Add>
 void add_rows(const CsvTable& table, Add&& add) {
   for (std::size_t row = 0; row < table.size(); ++row) {

@@ -77,7 +77,7 @@ bool is_number(std::string_view word) {
   return text::parse_double(word, value) == text::Number::kOk;
 }
 
-/// Of a text, by its first line that is neither blank nor a comment.
+/// Kind of a text, from its first line that is neither blank nor a comment.
 FileKind kind_of_text(std::string_view beginning) {
   text::Lines lines(beginning);
   for (std::string_view line; lines.next(line);) {
@@ -92,7 +92,7 @@ FileKind kind_of_text(std::string_view beginning) {
     bool numbers = is_number(first);
     for (std::string_view word; !(word = text::next_word(line)).empty(); ++words)
       numbers = numbers && is_number(word);
-    // A line that the beginning cuts short says nothing.
+    // A line that is cut off is not judged.
     if (!numbers || !(lines.ended() || beginning.size() < kKindBytes)) return FileKind::kUnknown;
     return words == 8 || words == 9 ? FileKind::kTum : words == 12 ? FileKind::kKitti : FileKind::kUnknown;
   }

@@ -11,9 +11,9 @@
 
 namespace loopwise {
 
-/// Kinds of files that people give in the place of others, by their first bytes.
+/// Kinds of files that users may give by mistake, recognised by their first bytes.
 enum class FileKind {
-  kUnknown,  ///< Perhaps the right one.
+  kUnknown,  ///< Possibly the expected kind.
   kEmpty,
   kGitLfsPointer,
   kGitAnnexPointer,
@@ -43,26 +43,26 @@ enum class FileKind {
   kKitti,
 };
 
-/// So many bytes from a file's beginning are enough.
+/// Number of bytes from the beginning of a file that suffice to recognise it.
 inline constexpr std::size_t kKindBytes = 4096;
 
-/// By the first kKindBytes, or all of a shorter file.
+/// \param beginning the first kKindBytes bytes, or all of a shorter file
 [[nodiscard]] FileKind file_kind(std::string_view beginning);
 
-/// Throws if the text is of a known kind that is neither unknown nor among these. `wanted` says what was
-/// expected, for example "a g2o file". \throws InputError naming what it is and what to do
+/// Throws if the text is of a known kind other than the accepted ones. `wanted` names the expected kind, for
+/// example "a g2o file". \throws InputError naming the found kind and the remedy
 void refuse_foreign(std::string_view text, const std::string& name, std::initializer_list<FileKind> accepted,
                     const std::string& wanted);
 
-/// The same of a file that is not read yet; other kinds of files than regular ones pass. \throws IoError too
+/// The same for a file that is not read yet. Accepts files that are not regular. \throws IoError as well
 void refuse_foreign_file(const std::filesystem::path& file, std::initializer_list<FileKind> accepted,
                          const std::string& wanted);
 
-/// The same for files of numbers without any mark of their own: only by marks of six bytes and more, which
-/// numbers hardly make up.
+/// The same for files of numbers, which have no mark of their own. Uses only marks of six bytes or more,
+/// which numbers hardly ever form.
 void refuse_foreign_numbers(std::string_view bytes, const std::string& name, const std::string& wanted);
 
-/// What a folder is that no mission is in, and what to do; empty if nothing is known of it. \throws IoError
+/// Describes a folder without a mission, with a remedy; empty if nothing is known about it. \throws IoError
 [[nodiscard]] std::string describe_foreign_folder(const std::filesystem::path& folder);
 
 }  // namespace loopwise

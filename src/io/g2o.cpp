@@ -34,10 +34,10 @@ constexpr std::size_t kFactorNumbers = 28;  // a pose and the upper triangle of 
 using PoseNumbers = std::array<double, kPoseNumbers>;
 using FactorNumbers = std::array<double, kFactorNumbers>;
 
-/// Poses and factors of SE(3), or of the plane. A file holds either.
+/// Tags and sizes of a file. It has poses and factors either of SE(3) or of the plane.
 struct Form {
   std::string_view vertex, edge, prior;
-  std::size_t pose_numbers, factor_numbers;  // of a factor: a pose and the upper triangle of its information
+  std::size_t pose_numbers, factor_numbers;  // a factor has a pose and the upper triangle of its information
 };
 constexpr Form kSpatial{"VERTEX_SE3:QUAT", "EDGE_SE3:QUAT", "EDGE_SE3_PRIOR", kPoseNumbers, kFactorNumbers};
 constexpr Form kPlanar{"VERTEX_SE2", "EDGE_SE2", "EDGE_PRIOR_SE2", 3, 9};
@@ -98,7 +98,7 @@ class Reader {
     for (const auto& [tag, met] : unknown_tags_) {
       out_.problems.add_altered("unknown tag " + tag, text::Place{file_, met.first_line}.str(), met.count);
     }
-    // Flaws of the odometry are counted by those who need it, and know the robots.
+    // Problems of the odometry are counted by the callers, which know the robots.
     static_cast<void>(classify_edges(out_.graph, Robots::from_keys(out_.graph.keys()), MissionOptions(),
                                      out_.without_information));
     return std::move(out_);
@@ -149,7 +149,7 @@ class Reader {
     return nullptr;
   }
 
-  /// Of the first line that has one.
+  /// The first line that has a form decides the form of the file.
   void require_form(std::string_view tag, const Form& form) {
     if (form_ == nullptr) {
       form_ = &form;
@@ -172,7 +172,8 @@ class Reader {
     edges_.push_back(edge);
   }
 
-  /// A last edge that lacks what all others have was cut, and its last number perhaps as well.
+  /// Refuses a last edge that has no information although all other edges have it: the line was cut off, and
+  /// perhaps within its last number.
   void refuse_cut_edge() {
     if (edges_.empty() || edges_.back().line != line_ || edges_.back().has_information) return;
     const bool others_have = std::all_of(edges_.begin(), edges_.end() - 1,
@@ -191,7 +192,7 @@ class Reader {
     if (const auto known = out_.graph.find(node.key)) {
       const VertexLine& first = vertices_[*known];
       if (first.numbers != vertex.numbers) {
-        // Some writers leave the characters of keys out, so that the ids of several robots collide.
+        // Some writers drop the characters of keys, so that ids of several robots are equal.
         const bool lost = key_character(node.key) == '\0';
         place().fail(
             "vertex " + std::to_string(node.key) + " has another pose in line " + std::to_string(first.line) +
@@ -235,7 +236,7 @@ class Reader {
     if (is_vertex && text::parse_id(text::next_word(line), key) == nullptr) other_vertices_.emplace(key, tag);
   }
 
-  /// Whether a factor of this node cannot be used because the node is a vertex of a kind that is not read.
+  /// Whether a factor is unusable because its node is a vertex of a kind that is not read.
   bool hangs_on_other_vertex(std::string_view tag, std::size_t line, Key key) {
     const auto other = other_vertices_.find(key);
     if (other == other_vertices_.end() || out_.graph.contains(key)) return false;
@@ -244,7 +245,7 @@ class Reader {
     return true;
   }
 
-  /// Whether a factor to this node was written before the node was.
+  /// Whether a factor in an unfinished file precedes its node, which was never written.
   bool hangs_on_missing_vertex(std::size_t line, Key key) {
     if (!unfinished_ || out_.graph.contains(key)) return false;
     out_.problems.add_altered("edge to a missing vertex left out",
@@ -252,7 +253,7 @@ class Reader {
     return true;
   }
 
-  /// Whether it moves nothing: place recognition finds the place where a robot stands as well.
+  /// Whether the edge joins a vertex to itself. Place recognition may find the current place of the robot.
   bool begins_where_it_ends(const EdgeLine& line) {
     if (line.from != line.to || !out_.graph.contains(line.from)) return false;
     out_.problems.add_altered("edge from a vertex to itself left out",
@@ -316,11 +317,11 @@ class Reader {
     if (sound.flaw == InformationFlaw::kRounded) out_.problems.add("rounded information", at);
     if (sound.flaw == InformationFlaw::kIndefinite) out_.problems.add_altered("indefinite information", at);
     if (!planar) return sound.matrix;
-    // The decomposition leaves rounding between the plane and the other coordinates.
+    // The decomposition leaves rounding errors between the plane and the other coordinates.
     return planar::information(planar::block(sound.matrix));
   }
 
-  /// Nothing depends on a factor of zero information: it would only seem to tie its nodes.
+  /// A factor of zero information has no effect, but would seem to connect its nodes.
   bool says_nothing(const Matrix6d& information, const char* what, std::size_t line) {
     if (!information.isZero(0.0)) return false;
     out_.problems.add_altered(std::string(what) + " of zero information left out",
@@ -349,7 +350,7 @@ class Reader {
     }
   }
 
-  /// With sensor offset O, r = Log(Z⁻¹TO) = Ad(O⁻¹)·Log((ZO⁻¹)⁻¹T): a prior of the body itself.
+  /// With sensor offset O, r = Log(Z⁻¹TO) = Ad(O⁻¹)·Log((ZO⁻¹)⁻¹T), which is a prior of the body itself.
   void fold_offset(const PriorLine& line, PriorFactor& prior) const {
     const auto offset = offsets_.find(line.parameter);
     if (offset == offsets_.end()) {
@@ -409,7 +410,7 @@ class Reader {
     return h;
   }
 
-  /// The graph's own complaints, with the line that caused them.
+  /// Adds the line to errors of the graph.
   template <class Call>
   void add(std::size_t line, Call&& call) const {
     try {
@@ -449,12 +450,12 @@ void append_triangle(std::string& out, const Matrix& m) {
   }
 }
 
-/// An angle near this one whose pose has the very rotation, of few digits if it can be.
+/// An angle near this one whose rotation matrix is exactly R, with few digits if possible.
 std::optional<double> angle_of(double angle, const Eigen::Matrix3d& R) {
   constexpr int kRounding = 4;  // atan2 may be off by as many of the last bits
   const auto fits = [&R](double value) { return planar::pose(0.0, 0.0, value).linear() == R; };
   char digits[40];
-  // What was written with up to 15 digits is printed with these, and not with zeros behind them.
+  // An angle that was written with up to 15 digits is printed with the same digits.
   for (int precision = 15; precision <= 17; ++precision) {
     const int length = std::snprintf(digits, sizeof digits, "%.*g", precision, angle);
     const std::string_view word(digits, static_cast<std::size_t>(length));
@@ -471,7 +472,8 @@ std::optional<double> angle_of(double angle, const Eigen::Matrix3d& R) {
   return std::nullopt;
 }
 
-/// What was read is written again. A rotation that no angle has exactly is written as that of its angle.
+/// Writes the heading in the digits that give the same rotation matrix. If no angle gives this matrix
+/// exactly, writes its heading.
 void append_heading(std::string& out, const Eigen::Isometry3d& T) {
   const double angle = planar::heading(T);
   auto same = angle_of(angle, T.linear());
@@ -482,7 +484,7 @@ void append_heading(std::string& out, const Eigen::Isometry3d& T) {
   text::append(out, same.value_or(angle));
 }
 
-/// Lines of a graph in the form that it has.
+/// Writes lines of a graph in 2D or 3D form.
 class Writer {
  public:
   explicit Writer(bool planar) : planar_(planar), form_(planar ? kPlanar : kSpatial) {}
@@ -557,7 +559,7 @@ G2oFile parse_unfinished_g2o(std::string_view text, const std::string& source) {
 }
 
 G2oFile read_g2o(const std::filesystem::path& path) {
-  // Before all of a large recording is read.
+  // Checked before a large recording is read as a whole.
   refuse_foreign_file(path, {FileKind::kG2o, FileKind::kEmpty}, kWanted);
   return parse_g2o(read_file(path), path.string());
 }

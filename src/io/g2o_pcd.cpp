@@ -17,11 +17,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Names that folders of clouds go by, the likeliest first.
+/// Usual names of folders of clouds, the most likely first.
 constexpr const char* kCloudFolders[] = {"pcd",    "pcds",        "scans",      "Scans",
                                          "clouds", "keyed_scans", "pose_graph", "point_clouds"};
 
-/// Folders and archives in which clouds may lie, in the order in which they are looked at.
+/// Folders and archives that may contain clouds, in the order of the search.
 struct Places {
   std::vector<fs::path> folders;
   std::vector<fs::path> archives;
@@ -65,7 +65,8 @@ Found clouds_of_key_frames(const KeyFrameFolders& key_frames) {
   return found;
 }
 
-/// The keys that the key frames of a team give its nodes. \throws InputError naming a node without one
+/// Keys of the nodes according to the key frames of a team. \throws InputError naming a node without a key
+/// frame
 const std::map<Key, Key>& keys_of_team(const KeyFrameFolders& key_frames, const PoseGraph& graph,
                                        const std::string& file) {
   for (const Node& node : graph.nodes()) {
@@ -77,7 +78,7 @@ const std::map<Key, Key>& keys_of_team(const KeyFrameFolders& key_frames, const 
   return key_frames.full;
 }
 
-/// The first place that holds clouds of nodes. A key table may lie there or in the folder itself.
+/// Clouds in the first place that has clouds of nodes. A key table may be in that place or in the folder.
 Found find_clouds(const fs::path& folder, Problems& problems) {
   const Places places = places_of(folder);
   const KeyTable own = key_table_of(files_of_folder(folder));
@@ -97,7 +98,7 @@ Found find_clouds(const fs::path& folder, Problems& problems) {
   }
   for (const fs::path& archive : places.archives) {
     if (!ZipArchive::available()) {
-      // Says why, and what to do.
+      // Throws an error with the reason and the remedy.
       static_cast<void>(ZipArchive(archive));
     }
     Found found = look(files_of_archive(archive));
@@ -108,7 +109,7 @@ Found find_clouds(const fs::path& folder, Problems& problems) {
   return none;
 }
 
-/// The keys that small ids of the graph stand for. \throws InputError if that is not certain
+/// Full keys for the small ids of a graph. \throws InputError if the assignment is uncertain
 std::map<Key, Key> full_keys(const PoseGraph& graph, const NamedClouds& clouds, const std::string& file,
                              const MissionOptions& options) {
   std::map<Key, Key> full;
@@ -179,8 +180,7 @@ PoseGraph renamed(const PoseGraph& graph, const std::map<Key, Key>& full) {
   return out;
 }
 
-/// Characters of what the robots saw. Of a team that uses the same characters for its robots, clouds or
-/// odometry tell.
+/// Characters of landmarks. A character belongs to a robot if clouds or odometry have it.
 std::set<char> landmark_characters(const PoseGraph& graph, const NamedClouds& clouds) {
   std::set<char> characters;
   for (const Node& node : graph.nodes()) {

@@ -10,12 +10,12 @@
 
 namespace loopwise {
 
-/// A g2o file with these priors in the place of the graph's own, which may have gone to another file.
+/// A g2o file with these priors instead of the graph's own, some of which may be in another file.
 [[nodiscard]] std::string g2o_text(const PoseGraph& graph, const std::vector<PriorFactor>& priors);
 
-/// As parse_g2o(), of a file whose program may have been stopped while it wrote: a last line without line
-/// end, of which a part of the last number may be missing, and edges to missing vertices are left out and
-/// counted, and there may be no vertex at all.
+/// As parse_g2o(), for a file whose program may have been stopped during writing. Leaves out and counts a
+/// last line without a line end, because its last number may be cut off, and edges to missing vertices. The
+/// file may have no vertex.
 [[nodiscard]] G2oFile parse_unfinished_g2o(std::string_view text, const std::string& source);
 
 }  // namespace loopwise

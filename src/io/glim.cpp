@@ -31,13 +31,13 @@ Eigen::Isometry3d read_matrix(text::Lines& lines, const std::string& name, const
   return rigid.pose;
 }
 
-/// Where odometry puts a frame's IMU.
+/// Pose of a frame's IMU according to odometry.
 Eigen::Isometry3d T_odom_imu(const GlimSubmap& submap, std::size_t frame) {
   return submap.T_odom_lidar[frame] * submap.T_lidar_imu;
 }
 
-/// From one submap's origin to the next one's: within both as their program laid their frames on each other,
-/// between them by odometry.
+/// Motion from the origin of one submap to that of the next. Within the submaps it follows the program's
+/// alignment of frames, and between them odometry.
 std::optional<Eigen::Isometry3d> step_between(const GlimSubmap& a, const GlimSubmap& b) {
   if (a.T_odom_lidar.empty() || b.T_odom_lidar.empty()) return std::nullopt;
   const Eigen::Isometry3d between = T_odom_imu(a, a.T_odom_lidar.size() - 1).inverse() * T_odom_imu(b, 0);
@@ -140,7 +140,7 @@ Mission read_glim(const fs::path& folder, const MissionOptions& options) {
     frames.poses.push_back(submap.T_world_origin);
     if (!submaps.empty()) frames.steps.push_back(step_between(submaps.back(), submap));
     all_stamps = all_stamps && !submap.stamps_ns.empty();
-    // The origin of a submap is its frame in the middle.
+    // The origin of a submap is at its middle frame.
     if (all_stamps) frames.stamps_ns.push_back(submap.stamps_ns[submap.stamps_ns.size() / 2]);
     if (const auto points = points_of(own)) {
       if (frames.layout != BinLayout::kAuto && frames.layout != points->second) {

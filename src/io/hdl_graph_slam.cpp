@@ -25,7 +25,8 @@ std::int64_t parse_stamp(std::string_view line, const text::Place& place) {
   return seconds * kSecond + nanoseconds;
 }
 
-/// Words of `data` that the graph has too, those whose factors are not read, and what poses may hold.
+/// Known words of `data`. The first list has words that the graph repeats and words within poses; the second
+/// has words of factors that are not read.
 constexpr std::string_view kUsed[] = {
     "estimate",     "odom",           "accum_distance",  "nan",      "inf",          "readable_id",
     "odom_counter", "first_keyframe", "static_keyframe", "uuid_str", "slam_uuid_str"};
@@ -38,7 +39,7 @@ bool is_number(const std::string& name) {
          std::all_of(name.begin(), name.end(), [](unsigned char c) { return std::isdigit(c); });
 }
 
-/// What `anchor_node ID` says, -1 for nothing.
+/// Ids in lines `anchor_node ID`; -1 stands for no node.
 std::optional<std::set<Key>> read_anchors(const fs::path& file) {
   if (!fs::is_regular_file(file)) return std::nullopt;
   const std::string name = file.string(), contents = read_file(file);
@@ -54,7 +55,7 @@ std::optional<std::set<Key>> read_anchors(const fs::path& file) {
   return anchors;
 }
 
-/// The prior that an edge to a fixed node makes of its other end, with the same residual up to its frame.
+/// Converts an edge to a fixed node to a prior of its other end. The residual is the same up to its frame.
 PriorFactor prior_of(const Edge& edge, bool fixed_is_from, const Eigen::Isometry3d& fixed) {
   if (fixed_is_from) return {edge.to, se3::normalized(fixed * edge.T_from_to), edge.information};
   // r = Log(Z⁻¹T⁻¹F) = −Ad(Z⁻¹)·Log((FZ⁻¹)⁻¹T)
@@ -127,7 +128,7 @@ bool is_mrg_slam(const fs::path& folder) {
 
 namespace {
 
-/// Gives the nodes of each robot its character, and indices by their stamps.
+/// Gives the nodes of each robot its character, and indices in the order of their stamps.
 void name_nodes(const std::map<std::string, std::vector<std::pair<std::int64_t, Key>>>& by_robot,
                 const std::string& where, KeyFrameFolders& found) {
   constexpr std::size_t kLetters = 26;

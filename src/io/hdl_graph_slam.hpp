@@ -13,15 +13,15 @@
 
 namespace loopwise {
 
-/// What the file `data` of a key frame says.
+/// Contents of the file `data` of a key frame.
 struct KeyFrameData {
   std::optional<Key> id;                 ///< Of its node.
   std::optional<std::int64_t> stamp_ns;  ///< Of its scan.
-  std::string robot;                     ///< Its name, as mrg_slam writes it; else empty.
+  std::string robot;                     ///< Name that mrg_slam writes; otherwise empty.
 };
-/// Lines `stamp SECONDS NANOSECONDS`, `id NODE` (mrg_slam: `g2o_id NODE`), `robot_name NAME`, and poses that
-/// the graph has too. What else it holds is counted by its word. \throws ParseError naming `name` and the
-/// line
+/// Parses lines `stamp SECONDS NANOSECONDS`, `id NODE` (mrg_slam: `g2o_id NODE`), `robot_name NAME`, and
+/// poses, which the graph also has. Other lines are counted by their first word. \throws ParseError naming
+/// `name` and the line
 [[nodiscard]] KeyFrameData parse_key_frame_data(const std::string& name, std::string_view contents,
                                                 Problems& problems);
 
@@ -31,8 +31,8 @@ struct KeyFrameFolders {
   FileSource files;                   ///< NUMBER/cloud.pcd of each.
   std::map<Key, std::size_t> clouds;  ///< Number of the file; a key frame may lack it.
   parts::Stamps stamps;               ///< A key frame may lack it.
-  /// What special_nodes.csv says is the node that holds the first; old versions of the program do not write
-  /// it.
+  /// The anchor of the first node according to special_nodes.csv. Old versions of the program do not write
+  /// the file.
   std::optional<std::set<Key>> anchors;
   std::map<Key, Key> full;    ///< mrg_slam: key of each node, with the character of its robot.
   std::vector<Robot> robots;  ///< mrg_slam: by their names.
@@ -45,14 +45,14 @@ struct KeyFrameFolders {
 
 /// Whether mrg_slam saved the folder: g2o/graph.g2o and keyframes/.
 [[nodiscard]] bool is_mrg_slam(const std::filesystem::path& folder);
-/// Key frames in keyframes/NUMBER.txt and NUMBER.pcd, of a team of robots: in the order of their names they
-/// get the characters a, b, …, and each one's nodes the indices 0, 1, … by their stamps. \throws as
-/// find_key_frame_folders(); InputError if there is no key frame, or more robots than letters
+/// Key frames of a team of robots in keyframes/NUMBER.txt and NUMBER.pcd. Robots get the characters a, b, …
+/// in the order of their names, and their nodes get the indices 0, 1, … in the order of their stamps. \throws
+/// as find_key_frame_folders(); InputError if there is no key frame, or more robots than letters
 [[nodiscard]] KeyFrameFolders find_team_key_frames(const std::filesystem::path& folder, Problems& problems);
 
-/// The graph without the fixed node that hdl_graph_slam ties its first node to: that of special_nodes.csv,
-/// without it those that are fixed and no key frames, which is counted as a guess. What ties others to it
-/// becomes priors of the others, of the same cost; counted.
+/// The graph without the fixed node to which hdl_graph_slam ties its first node. special_nodes.csv names the
+/// fixed node. Without this file, fixed nodes that are no key frames are taken, which is counted as a guess.
+/// Edges to the fixed node become priors of the same cost, which is counted.
 [[nodiscard]] G2oFile without_anchors(G2oFile graph, const KeyFrameFolders& key_frames,
                                       const std::string& name);
 

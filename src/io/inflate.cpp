@@ -35,7 +35,7 @@ class Bits {
     held_ -= count;
     return out;
   }
-  /// Drops what is left of a byte.
+  /// Skips the rest of a byte.
   void align() {
     bits_ = 0;
     held_ = 0;
@@ -53,7 +53,7 @@ class Bits {
   int held_ = 0;
 };
 
-/// A prefix code by the lengths of its words, decoded bit by bit.
+/// A prefix code that is defined by the lengths of its words. Decodes bit by bit.
 class PrefixCode {
  public:
   PrefixCode(const std::uint8_t* lengths, std::size_t count) {
@@ -116,7 +116,7 @@ class Inflater {
     bits_.align();
     return std::move(out_);
   }
-  /// The four bytes behind the blocks.
+  /// The four bytes after the blocks.
   std::uint32_t checksum() {
     std::uint32_t sum = 0;
     for (const char c : bits_.bytes(4)) sum = sum << 8 | static_cast<unsigned char>(c);
@@ -217,7 +217,7 @@ class Inflater {
 
 std::uint32_t adler32(std::string_view data) {
   constexpr std::uint32_t kPrime = 65521;
-  constexpr std::size_t kSteps = 5552;  // as many as 32 bits hold without a remainder
+  constexpr std::size_t kSteps = 5552;  // the most steps before the sums exceed 32 bits
   std::uint32_t a = 1, b = 0;
   for (std::size_t at = 0; at < data.size(); at += kSteps) {
     for (const char c : data.substr(at, kSteps)) {

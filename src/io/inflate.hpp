@@ -9,7 +9,7 @@
 
 namespace loopwise {
 
-/// What the stream holds. Memory grows with what comes out, not with what is claimed.
+/// Decompresses the stream. Memory grows with the output, not with the stated size.
 /// \throws InputError if it is damaged or cut short, needs a preset dictionary, or holds more than `most`
 /// bytes
 [[nodiscard]] std::string inflate_zlib(std::string_view data, std::size_t most);

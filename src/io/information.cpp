@@ -23,7 +23,7 @@ Matrix6d with_eigenvalues(const Matrix6d& V, const Vector6d& eigenvalues) {
   return 0.5 * (product + product.transpose());
 }
 
-/// Square roots of the diagonal, of the largest element where there is nothing.
+/// Square roots of the diagonal. Elements that are zero are replaced by the largest element.
 Vector6d scale_of(const Matrix6d& information) {
   const double largest = information.diagonal().maxCoeff();
   return information.diagonal().unaryExpr(
@@ -63,7 +63,7 @@ SoundInformation nearest_information(const Matrix6d& information) {
       return {clipped_with_unit_diagonal(information), InformationFlaw::kRounded};
   }
   SoundInformation nearest{clipped_as_it_stands(information), InformationFlaw::kIndefinite};
-  // What the decomposition rounds may be large beside the smallest elements of the diagonal.
+  // Rounding of the decomposition may be large relative to the smallest elements of the diagonal.
   if (check_information(nearest.matrix) != nullptr)
     nearest.matrix = clipped_with_unit_diagonal(nearest.matrix);
   return nearest;

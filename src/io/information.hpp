@@ -10,21 +10,22 @@ namespace loopwise {
 /// How far a symmetric matrix is from being an information matrix.
 enum class InformationFlaw {
   kSound,       ///< It is semi-definite.
-  kRounded,     ///< Indefinite by no more than six printed digits explain.
-  kIndefinite,  ///< Indefinite beyond that, or of a negative diagonal.
+  kRounded,     ///< Indefinite by no more than the rounding to six digits.
+  kIndefinite,  ///< Indefinite beyond that, or with a negative diagonal.
 };
 
-/// A matrix that check_information() accepts, and what it took to get there.
+/// A matrix that check_information() accepts, and the flaw that was repaired.
 struct SoundInformation {
   Matrix6d matrix;
   InformationFlaw flaw = InformationFlaw::kSound;
 };
 
-/// The symmetric, finite matrix with its negative eigenvalues raised to 0, which is the nearest semi-definite
-/// one; of a rounded matrix those of its form with a unit diagonal, in which metres and radians count alike.
+/// The nearest semi-definite matrix of a symmetric, finite one: negative eigenvalues are raised to 0. For a
+/// rounded matrix these are the eigenvalues after scaling to a unit diagonal, so that metres and radians
+/// count alike.
 [[nodiscard]] SoundInformation nearest_information(const Matrix6d& information);
 
-/// Ad(T)ᵀ Ω Ad(T), without the indefiniteness that rounding leaves in information of low rank.
+/// Ad(T)ᵀ Ω Ad(T). Repairs the indefiniteness that rounding causes in information of low rank.
 [[nodiscard]] Matrix6d moved_information(const Matrix6d& information, const Eigen::Isometry3d& T);
 
 }  // namespace loopwise

@@ -31,21 +31,22 @@ std::string first_line(const std::string& contents) {
   return {};
 }
 
-/// Where the frame of a source lies in the common one.
+/// Pose of a source's frame in the common frame.
 struct SourceFrame {
   Eigen::Isometry3d T_common_source = Eigen::Isometry3d::Identity();
-  /// Of the first key frame there: x y z roll pitch yaw. Absent: its priors are as certain as they say.
+  /// Sigmas of the source's first key frame: x y z roll pitch yaw. If absent, the source's priors are
+  /// unchanged.
   std::optional<std::array<double, 6>> sigmas;
 };
 
-/// A header that files of frames may have.
+/// A possible header of a file of frames.
 struct FrameColumns {
   std::vector<std::string> names;
-  bool yaw_alone;  ///< Else a quaternion.
+  bool yaw_alone;  ///< Otherwise a quaternion.
   bool sigmas;
 };
 
-/// The header of those that the first line of a file names; the plain one if it is like no other.
+/// The known header that the first line of a file has; the plain one if no header matches.
 const FrameColumns& frame_columns(const std::string& header) {
   static const std::vector<FrameColumns> kKnown = {
       {{"source", "x", "y", "z", "qx", "qy", "qz", "qw"}, false, false},
@@ -64,7 +65,7 @@ const FrameColumns& frame_columns(const std::string& header) {
   return kKnown.front();
 }
 
-/// A row from its second column on.
+/// Reads the frame in a row from its second column.
 SourceFrame frame_of_row(const CsvTable& table, std::size_t row, const FrameColumns& columns,
                          const text::Place& place, const MissionOptions& options) {
   std::vector<double> values;
@@ -141,7 +142,8 @@ std::vector<SourceFrame> read_frames(const MissionOptions& options, const std::v
   return out;
 }
 
-/// As programs begin that know no other frame than their own; gravity may have turned it.
+/// Whether a mission begins at the origin, as in programs that use only their own frame. Gravity may have
+/// rotated its first pose.
 bool begins_at_origin(const Mission& mission) {
   constexpr double kNear_m = 0.5;
   const std::vector<Key> first = first_nodes(mission.graph, mission.robots);
@@ -159,7 +161,7 @@ class Joiner {
     if (!options.frames.empty()) frames_ = read_frames(options, sources_);
     joined_.start_ns = missions.front().start_ns;
     for (const Mission& mission : missions) joined_.start_ns = std::min(joined_.start_ns, mission.start_ns);
-    // Where one alone begins there, poses stand apart as a common frame has them.
+    // If only one mission begins at the origin, the poses differ as in a common frame.
     at_origin_ = std::count_if(missions.begin(), missions.end(), begins_at_origin);
   }
 
@@ -167,10 +169,11 @@ class Joiner {
     for (std::size_t source = 0; source < missions_.size(); ++source) add(source);
     joined_.robots = robots_of(joined_.graph, options_, Robots(std::move(robots_)));
     joined_.graph = with_stamps(joined_.graph, stamps_, priors_);
-    // Else each source knows the kinds of its edges, and has counted the flaws of its odometry.
+    // Without these options, the sources have already classified their edges and counted problems of the
+    // odometry.
     if (!options_.odometry.empty() || !options_.robots.empty())
       joined_.problems.add(classify_edges(joined_.graph, joined_.robots, options_));
-    // The options may have divided the keys in another way.
+    // The options may have assigned the keys to other robots.
     for (BeaconDrop& drop : joined_.beacons) drop.robot = joined_.robots.of(drop.drop_key);
     for (CommunicationGap& gap : joined_.gaps)
       gap.robot = joined_.robots.of(make_key(static_cast<char>('a' + gap.robot), 0));
@@ -206,7 +209,7 @@ class Joiner {
   std::map<Key, ScanStore::Part> scans_;
   std::vector<std::size_t> source_of_letter_;
 
-  // Of the source that is being added.
+  // State of the source that is being added.
   std::map<std::size_t, std::size_t> letter_of_robot_;
   std::map<Key, Key> landmarks_;
   const Mission* source_ = nullptr;
@@ -220,7 +223,7 @@ std::string Joiner::unique_name(const std::string& wanted) {
   return name;
 }
 
-/// A letter for each robot, and the capital one of the first for landmarks.
+/// Assigns a letter to each robot, and the capital letter of the source's first robot to its landmarks.
 void Joiner::name_robots(std::size_t source) {
   const Mission& mission = missions_[source];
   const std::vector<Key> firsts = first_nodes(mission.graph, mission.robots);
@@ -242,7 +245,7 @@ void Joiner::name_robots(std::size_t source) {
         firsts.size() == 1 ? whole : unique_name(whole + "_" + mission.robots[robot].name);
     robots_.push_back(robot_of_character(static_cast<char>('a' + letter), name));
   }
-  // Each source has seen its own landmarks: the same key in another is another.
+  // Each source has its own landmarks: the same key in another source is another landmark.
   for (const Node& node : mission.graph.nodes()) {
     if (mission.robots.is_landmark(node.key)) landmarks_.emplace(node.key, 0);
   }
@@ -264,7 +267,7 @@ Key Joiner::renamed(Key key) const {
 }
 
 std::int64_t Joiner::shifted(const Mission& mission, std::int64_t stamp_ns) const {
-  // The shift goes back, by up to twice the largest stamp there is.
+  // The shift is negative or zero, and can reach twice the largest stamp.
   const std::int64_t shift = options_.start_together ? joined_.start_ns - mission.start_ns : 0;
   const bool far = stamp_ns < std::numeric_limits<std::int64_t>::min() - shift;
   if (far || !stamp_in_range(stamp_ns + shift)) {
@@ -310,7 +313,7 @@ void Joiner::add_graph(const Mission& mission, const SourceFrame& frame) {
     range.to = renamed(range.to);
     joined_.graph.add_range(range);
   }
-  // Felt in the body frame, and down is down in every frame.
+  // Gravity is measured in the body frame, and all frames agree on the direction down.
   for (GravityFactor gravity : mission.graph.gravities()) {
     gravity.key = renamed(gravity.key);
     joined_.graph.add_gravity(gravity);

@@ -18,8 +18,7 @@
 namespace loopwise {
 namespace {
 
-/// Values are copied, compared and written by functions that call themselves: beyond this the stack might not
-/// do.
+/// Values are copied, compared and written recursively, so deeper values could overflow the stack.
 constexpr int kDeepest = 200;
 
 std::size_t line_of(std::string_view text, std::size_t byte) {
@@ -27,7 +26,8 @@ std::size_t line_of(std::string_view text, std::size_t byte) {
   return 1 + static_cast<std::size_t>(std::count(text.begin(), end, '\n'));
 }
 
-/// Without the library's own prefix "[json.exception.parse_error.101] parse error at line 3, column 7: ".
+/// The error without the library's prefix "[json.exception.parse_error.101] parse error at line 3, column 7:
+/// ".
 std::string reason(const std::string& what) {
   const std::size_t column = what.find("column ");
   const std::size_t colon = what.find(": ", column == std::string::npos ? 0 : column);
@@ -68,7 +68,7 @@ bool special_number(std::string_view word, double& value) {
 }  // namespace
 
 Json parse_json(std::string_view text, const std::string& name) {
-  // The parser keeps the last of two equal keys; a configuration that says two things is a mistake.
+  // The parser keeps the last of two equal keys. A configuration with two values for one key is a mistake.
   std::vector<std::set<std::string>> open;
   std::string repeated;
   const auto watch = [&](int depth, Json::parse_event_t event, Json& value) {
@@ -90,7 +90,7 @@ Json parse_json(std::string_view text, const std::string& name) {
   } catch (const Json::parse_error& error) {
     throw ParseError(name, line_of(text, error.byte == 0 ? 0 : error.byte - 1), reason(error.what()));
   } catch (const Json::out_of_range& error) {
-    // A number that no double holds. The library says which, but not where: "... parsing '1e999'".
+    // A number beyond the range of double. The library names it without its position: "... parsing '1e999'".
     const std::string what = error.what();
     const std::size_t begin = what.find('\''), end = what.rfind('\'');
     const std::string_view number =
@@ -136,7 +136,7 @@ std::int64_t json_to_int64(const Json& value, const std::string& name, std::int6
 }
 
 std::uint64_t json_to_uint64(const Json& value, const std::string& name, std::uint64_t max) {
-  // A number that was parsed is unsigned unless negative; one that was set by a program may be signed.
+  // A parsed number is unsigned unless it is negative. A number from a program may be signed.
   const bool fits =
       value.is_number_unsigned() || (value.is_number_integer() && value.get<std::int64_t>() >= 0);
   if (!fits || value.get<std::uint64_t>() > max)

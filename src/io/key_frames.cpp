@@ -18,12 +18,12 @@ namespace loopwise {
 namespace {
 
 constexpr std::size_t kLetters = 26;
-constexpr double kLeastGap_s = 1.0;     // robots that send key poses only have steps of about a second
+constexpr double kLeastGap_s = 1.0;     // robots that send only key poses have steps of about a second
 constexpr double kUsualGaps = 10.0;     // times the usual interval
-constexpr double kLongestStep_s = 1.0;  // in which a motion is taken to be even
+constexpr double kLongestStep_s = 1.0;  // poses are not interpolated over longer steps
 constexpr double kSameTime_s = 0.001;
 constexpr double kNever_s = 1e12;
-constexpr double kLeastJump_m = 1.0;  // stamps of a millisecond make any step fast
+constexpr double kLeastJump_m = 1.0;  // with stamps in milliseconds, short steps seem fast
 constexpr double kLargestSpeed_mps = 50.0;
 constexpr double kAtOrigin_m = 0.5;
 constexpr float kFarthest_m = 1e7f;  // as read_cloud()
@@ -36,7 +36,7 @@ std::string at(const std::string& source, std::int64_t stamp_ns) {
   return source + ": at " + std::to_string(seconds(0, stamp_ns)) + " s";
 }
 
-/// A sweep at a stamp, with its pose once that is known.
+/// A sweep at a stamp, with its pose when that is known.
 struct Sweep {
   std::size_t number = 0;
   std::int64_t stamp_ns = 0;
@@ -50,7 +50,7 @@ std::int64_t stamp_of(const Sweep& sweep) {
   return sweep.stamp_ns;
 }
 
-/// By stamp, each stamp once.
+/// Sorts by stamp, and keeps one entry per stamp.
 template <class T>
 std::vector<T> in_order(std::vector<T> all, const std::string& what, const std::string& source,
                         Problems& problems) {
@@ -108,14 +108,14 @@ typename std::vector<T>::const_iterator first_at(const std::vector<T>& all, std:
                           [](const T& entry, std::int64_t stamp) { return stamp_of(entry) < stamp; });
 }
 
-/// A pose of the odometry, and how far from the stamp that was asked for it was taken.
+/// A pose of the odometry, and its distance in time from the requested stamp.
 struct TimedPose {
   Eigen::Isometry3d pose;
   double off_s = 0.0;
 };
 
-/// The pose at a stamp, if the odometry has one within so many seconds: between its neighbours where they are
-/// close enough for that.
+/// The pose at a stamp, if the odometry has a pose within `max_difference_s`. Interpolates between the
+/// neighbours if they are close enough in time.
 std::optional<TimedPose> pose_at(const std::vector<StampedPose>& odometry, std::int64_t stamp_ns,
                                  double max_difference_s) {
   const auto after = first_at(odometry, stamp_ns);
@@ -140,7 +140,7 @@ bool has_sweep_near(const std::vector<Sweep>& sweeps, std::int64_t stamp_ns, dou
          (after != sweeps.begin() && seconds(std::prev(after)->stamp_ns, stamp_ns) <= max_difference_s);
 }
 
-/// Counts gaps in the data during which the sensor continued.
+/// Counts gaps in the data during which the sensor moved.
 template <class T>
 void count_gaps(const std::vector<T>& all, const char* kind, const std::string& source,
                 const MissionOptions& options, Problems& problems) {
@@ -217,7 +217,7 @@ bool is_far(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const Missio
          se3::so3_log(T.linear()).norm() >= options.keyframe_angle_rad;
 }
 
-/// Hands each sweep to the key frame that is nearest in time.
+/// Assigns each sweep to the key frame that is nearest in time.
 void make_submaps(std::vector<SelectedKeyFrame>& key_frames, const std::vector<Sweep>& sweeps,
                   const std::string& source, const MissionOptions& options, Problems& problems) {
   std::vector<std::vector<const Sweep*>> owned(key_frames.size());
@@ -246,7 +246,8 @@ void make_submaps(std::vector<SelectedKeyFrame>& key_frames, const std::vector<S
   }
 }
 
-/// Appends a sweep to a cloud in another frame. Normals and intensities stay where all sweeps have them.
+/// Appends a sweep to a cloud in another frame. Normals and intensities are kept only if all sweeps have
+/// them.
 void append_moved(const PointCloud& sweep, const Eigen::Isometry3d& T, PointCloud& cloud) {
   const Eigen::Isometry3f T_float = T.cast<float>();
   const bool first = cloud.empty();
@@ -272,7 +273,7 @@ CloudFile read_scan(const SweepReader& read, std::size_t stream, const SelectedK
   for (const SubmapSweep& part : frame.submap) {
     try {
       CloudFile sweep = read(stream, part.sweep);
-      if (!sweep.cloud.origin.isZero(0.0)) return sweep;  // refused as every scan in world coordinates
+      if (!sweep.cloud.origin.isZero(0.0)) return sweep;  // refused later, as all scans in world coordinates
       if (!sweep.cloud.empty()) append_moved(sweep.cloud, part.T_key_sweep, scan.cloud);
       scan.problems.add(sweep.problems);
     } catch (const std::bad_alloc&) {
@@ -290,19 +291,19 @@ CloudFile read_scan(const SweepReader& read, std::size_t stream, const SelectedK
   return scan;
 }
 
-/// Where the scan of a node comes from.
+/// Source of the scan of a node.
 struct Source {
   std::size_t stream = 0;
   SelectedKeyFrame frame;
 };
 
-/// What the streams become, as far as they have been added.
+/// Parts of the mission from the streams added so far.
 struct Parts {
   PoseGraph graph;
   parts::Stamps stamps;
   std::vector<Robot> robots;
   std::map<Key, Source> sources;
-  std::vector<std::string> at_origin;  // robots that begin there
+  std::vector<std::string> at_origin;  // robots that begin at the origin
 };
 
 void add_stream(const RobotStream& stream, std::size_t number, bool alone, const MissionOptions& options,

@@ -19,7 +19,7 @@ KeyPairs parse_key_pairs(const std::string& contents, const std::string& name) {
     std::istringstream words(line);
     std::string from, to, more;
     if (!(words >> from)) {
-      if (words.bad()) throw std::bad_alloc();  // streams swallow it
+      if (words.bad()) throw std::bad_alloc();  // streams hide allocation failures
       continue;
     }
     if (!(words >> to) || (words >> more)) {

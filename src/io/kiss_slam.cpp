@@ -14,7 +14,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// The program gives every edge the identity, which weighs nothing.
+/// The program writes the identity as the information of every edge, which is not a measured value.
 void mark_without_information(G2oFile& file, const std::string& name) {
   std::vector<std::size_t> bare;
   for (std::size_t e = 0; e < file.graph.edges().size(); ++e) {
@@ -27,10 +27,10 @@ void mark_without_information(G2oFile& file, const std::string& name) {
   file.without_information.insert(file.without_information.end(), bare.begin(), bare.end());
 }
 
-constexpr double kFar_m = 300.0;  // as far as clouds may lie from their sensor
+constexpr double kFar_m = 300.0;  // largest distance of a cloud from its sensor
 
-/// A cloud of the world in the frame of its node. \throws InputError naming the file if it does not lie about
-/// it
+/// Moves a cloud from world coordinates to the frame of its node. \throws InputError naming the file if the
+/// cloud is not around the node
 CloudFile moved_to_node(CloudFile file, const Eigen::Isometry3d& T_world_node, const std::string& name) {
   PointCloud& cloud = file.cloud;
   const Eigen::Isometry3d T = T_world_node.inverse();

@@ -26,15 +26,15 @@ enum EdgeType : std::int64_t {
   kUwbBetween = 6,
 };
 
-/// No rotation is further off than half a turn: that of an artifact, of which only the place is known, comes
-/// with a sigma of 1e5 rad, next to which the solver would take it for open.
+/// A rotation is wrong by at most half a turn, so a larger sigma adds nothing. Artifacts, of which only the
+/// position is known, have a sigma of 1e5 rad. With it, the solver would take the rotation for unconstrained.
 constexpr double kLargestRotationSigma = 100.0;
-/// Odometry knows rotations, rad, at least as well as lengths, m: a sigma that is this much larger is
-/// misplaced.
+/// Odometry measures rotations in rad at least as precisely as lengths in m. A sigma of rotation that is
+/// larger by this factor suggests the other order.
 constexpr double kSwapped = 4.0;
-/// Of a covariance with unit diagonal; below, its inverse is noise.
+/// Smallest eigenvalue of a covariance with unit diagonal. Below it, the inverse is noise.
 constexpr double kLeastEigenvalue = 1e-10;
-/// Hostnames with it are the robots' own radios.
+/// Hostnames that contain it belong to the robots' own radios.
 constexpr const char* kRobotRadio = "scom-";
 
 bool same(const SeenFactor& a, const SeenFactor& b) {
@@ -54,7 +54,7 @@ bool same(const SeenGravity& a, const SeenGravity& b) {
          same(a.direction.z(), b.direction.z()) && same(a.sigma_rad, b.sigma_rad);
 }
 
-/// Adds a factor unless it came before; if it had other numbers then, that is counted.
+/// Adds a factor unless it was added before. A repeated factor with other numbers is counted.
 template <class Known, class Seen>
 void add_once(Known& known, std::vector<Seen>& list, Seen seen, const typename Known::key_type& which,
               Problems& problems) {
@@ -76,7 +76,7 @@ std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& p, const ros1::Value
   const Eigen::Vector3d t(p.at("x").number(), p.at("y").number(), p.at("z").number());
   Eigen::Quaterniond r(q.at("w").number(), q.at("x").number(), q.at("y").number(), q.at("z").number());
   const double norm = r.norm();
-  // Unset poses are all zero; a quaternion that is off by more than a tenth is no rounding.
+  // Unset poses are all zero. A norm that differs from 1 by more than a tenth is not a rounding error.
   if (!t.allFinite() || !(std::abs(norm - 1.0) <= 0.1)) return std::nullopt;
   Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
   T.linear() = r.normalized().toRotationMatrix();
@@ -187,7 +187,7 @@ std::optional<Matrix6d> Gatherer::information(const SeenFactor& seen, bool trans
   if (covariance == Matrix6d(variances.asDiagonal())) {
     return finite(variances.cwiseInverse().asDiagonal());
   }
-  // Inverted with a unit diagonal, so that metres and radians of very different size count alike.
+  // Inverted with a unit diagonal, because values for metres and for radians differ by orders of magnitude.
   const Vector6d scale = variances.cwiseSqrt().cwiseInverse();
   const Matrix6d scaled = scale.asDiagonal() * covariance * scale.asDiagonal();
   const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(scaled, Eigen::EigenvaluesOnly);
@@ -210,7 +210,7 @@ void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
   if (type == kImu) {
     const ros1::Value p = edge.at("pose").at("position");
     const std::vector<double> numbers = edge.at("covariance").numbers();
-    // The first of the covariances is the sigma itself.
+    // The first element of the covariance is the sigma itself.
     add_once(known_, graph_.gravities,
              SeenGravity{seen.to,
                          {p.at("x").number(), p.at("y").number(), p.at("z").number()},
@@ -250,7 +250,7 @@ void Gatherer::add_factor(const std::string& where, const ros1::Value& edge) {
   }
   std::copy(numbers.begin(), numbers.end(), seen.covariance.begin());
   SeenFactor* const first = is_new ? nullptr : &(*list)[known->second];
-  // What the optimiser sends round has no poses; a graph that is sent again is the same each time.
+  // Edges from the optimiser have no poses. A graph that is sent again has the same numbers.
   if (first != nullptr && !seen.pose) return;
   if (first != nullptr && first->pose) {
     if (!same(*first, seen)) problems_.add_altered("repeated edge with other numbers", seen.where);
@@ -283,7 +283,7 @@ void Gatherer::add_radio(const ros1::Value& message, std::int64_t recorded_ns) {
       const std::string label(node.at("node_label").text());
       if (label.rfind(kRobotRadio, 0) == 0) reading.robot = label.substr(std::string(kRobotRadio).size());
     }
-    if (reading.robot.empty()) return;  // a beacon, which hears robots but is none
+    if (reading.robot.empty()) return;  // a beacon, not a robot
     node.at("neighbors").for_each([&](const ros1::Value& neighbor) {
       reading.beacon = std::string(neighbor.at("neighbor_node_label").text());
       if (reading.beacon.empty() || reading.beacon.find(kRobotRadio) != std::string::npos) return;

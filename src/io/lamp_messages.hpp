@@ -27,20 +27,20 @@ enum class MessageKind {
 };
 [[nodiscard]] MessageKind message_kind(const std::string& type);
 
-/// The pose of a position and an orientation; nothing if it is not finite or was never set.
+/// The pose of a position and an orientation; empty if it is not finite or was never set.
 [[nodiscard]] std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& position,
                                                        const ros1::Value& orientation);
 [[nodiscard]] std::optional<Eigen::Isometry3d> pose_of(const ros1::Value& pose);
-/// The same of nav_msgs/Odometry, geometry_msgs/PoseStamped or geometry_msgs/PoseWithCovarianceStamped.
+/// The same for nav_msgs/Odometry, geometry_msgs/PoseStamped or geometry_msgs/PoseWithCovarianceStamped.
 [[nodiscard]] std::optional<Eigen::Isometry3d> pose_of_message(const ros1::Value& message);
 
 /// The stamp of a message's header, or `otherwise` if that is 0.
 [[nodiscard]] std::int64_t stamp_of(const ros1::Value& message, std::int64_t otherwise);
 
-/// A node as the first message that has a usable pose shows it.
+/// A node as in the first message with a usable pose of it.
 struct SeenNode {
   std::optional<Eigen::Isometry3d> pose;
-  std::int64_t stamp_ns = 0;  ///< Of the node; of the record where no message gave one.
+  std::int64_t stamp_ns = 0;  ///< Of the node, or of the recording if no message has one.
   bool has_stamp = false;
   std::string where;
 };
@@ -49,9 +49,9 @@ struct SeenNode {
 struct SeenFactor {
   Key from = 0;
   Key to = 0;
-  std::optional<Eigen::Isometry3d> pose;  ///< T_from_to, or of a prior the pose itself. Nothing if unset.
-  std::array<double, 36> covariance{};    ///< As the message has it.
-  std::optional<Matrix6d> information;    ///< Nothing if that is all zero, or cannot be inverted.
+  std::optional<Eigen::Isometry3d> pose;  ///< T_from_to, or the pose of a prior. Empty if not set.
+  std::array<double, 36> covariance{};    ///< As in the message.
+  std::optional<Matrix6d> information;    ///< Empty if that is all zero, or cannot be inverted.
   std::string where;
 };
 
@@ -59,14 +59,14 @@ struct SeenRange {
   Key from = 0;
   Key to = 0;
   double range_m = 0.0;
-  double sigma_m = 0.0;  ///< 0 if the message says nothing of it.
+  double sigma_m = 0.0;  ///< 0 if the message does not state it.
   std::string where;
 };
 
 struct SeenGravity {
   Key key = 0;
   Eigen::Vector3d direction = Eigen::Vector3d::Zero();  ///< Body frame.
-  double sigma_rad = 0.0;                               ///< 0 if the message says nothing of it.
+  double sigma_rad = 0.0;                               ///< 0 if the message does not state it.
   std::string where;
 };
 
@@ -82,13 +82,13 @@ struct SeenGraph {
   std::vector<SeenGravity> gravities;
 };
 
-/// Whether LAMP gives such keys to what robots saw.
+/// Whether LAMP gives such keys to landmarks.
 [[nodiscard]] bool is_landmark(Key key);
 
-/// The first word of a topic, which names its robot; empty if it has one word alone.
+/// The first word of a topic, which names its robot; empty if the topic has only one word.
 [[nodiscard]] std::string first_word(const std::string& topic);
 
-/// Gathers messages in any order: a scan may come before its node, and repeated messages count once.
+/// Collects messages in any order. A scan may come before its node, and repeated messages count once.
 class Gatherer {
  public:
   Gatherer(const MissionOptions& options, Problems& problems);
@@ -98,11 +98,11 @@ class Gatherer {
                  const ros1::Value& message);
   void add_beacons(const ros1::Value& message, std::int64_t recorded_ns);
   void add_radio(const ros1::Value& message, std::int64_t recorded_ns);
-  /// A true pose; `source` is the topic, else the name of the bag, whose beginning names the robot.
+  /// Adds a true pose. `source` is the topic and the name of the bag, which may begin with the robot's name.
   void add_truth(const std::vector<std::string>& source, const ros1::Value& message,
                  std::int64_t recorded_ns);
 
-  /// Stamps for nodes whose messages had none.
+  /// Sets stamps of nodes whose messages had no stamp.
   void use_stamps(const parts::Stamps& stamps);
 
   [[nodiscard]] const SeenGraph& graph() const { return graph_; }
@@ -110,14 +110,14 @@ class Gatherer {
   /// Fills robots, graph, radio, beacons and ground truth of the mission. \throws InputError if there is no
   /// node
   void finish(Mission& mission, const std::string& name) const;
-  /// Gives the true poses to the nodes of a mission from elsewhere.
+  /// Assigns the true poses to the nodes of a mission from another source.
   void add_truth_to(Mission& mission) const;
 
  private:
-  /// The landmarks that factors hold in place.
+  /// The landmarks that factors constrain.
   struct Landmarks {
     std::map<Key, Eigen::Isometry3d> poses;
-    std::vector<Key> by_ranges;  ///< By nothing else: these need a prior.
+    std::vector<Key> by_ranges;  ///< Constrained only by ranges; these need a prior.
   };
   struct Drop {
     std::string beacon;
@@ -155,7 +155,7 @@ class Gatherer {
   SeenGraph graph_;
   /// Type, from, to -> number in its list of graph_.
   std::map<std::tuple<std::int64_t, Key, Key>, std::size_t> known_;
-  std::map<std::string, std::set<char>> characters_;  ///< First word of a topic -> whose nodes it had.
+  std::map<std::string, std::set<char>> characters_;  ///< First word of a topic -> characters of its nodes.
   std::map<std::string, Drop> drops_;
   std::vector<Reading> readings_;
   std::vector<Truth> truths_;

@@ -12,16 +12,17 @@
 namespace loopwise::lamp {
 namespace {
 
-/// Where a covariance says nothing.
+/// Defaults where a covariance is not stated.
 constexpr double kSightingSigmas[] = {0.5, 0.5, 0.5, 100.0, 100.0, 100.0};
 constexpr double kRangeSigma = 0.5;
 constexpr double kGravitySigma = 0.1;
-/// Spheres round two nodes meet in a circle: with fewer ranges, nothing tells where an anchor is.
+/// Ranges from two nodes leave a circle of positions, so fewer ranges do not determine an anchor.
 constexpr std::size_t kLeastRanges = 3;
-/// Of a prior where an anchor was first put: next to ranges it only says on which side of the path it is.
+/// Sigmas of a prior at the first estimate of an anchor. Beside ranges, the prior only decides on which side
+/// of the path the anchor is.
 constexpr double kAnchorSigmas[] = {10.0, 10.0, 10.0, 1.0, 1.0, 1.0};
 
-/// A sigma that is absent, 0, is supplied; others must give a weight.
+/// A sigma of 0 is absent and gets a default. Other values must give a finite weight.
 bool usable_sigma(double sigma) {
   return sigma == 0.0 || (sigma >= 1e-12 && sigma <= 1e12);
 }
@@ -33,8 +34,8 @@ bool usable(const SeenRange& seen) {
 
 }  // namespace
 
-/// Topics begin with the robot's name. The base station's tell of all robots, and of one that is alone a
-/// robot's own topic knows better.
+/// Names of robots by their characters, from the first words of topics. Topics of the base station usually
+/// have nodes of several robots. If they have only one robot, the robot's own topic takes precedence.
 std::map<char, std::string> Gatherer::robot_names() const {
   std::map<char, std::vector<std::string>> candidates;
   for (const auto& [name, characters] : characters_) {
@@ -124,7 +125,7 @@ Gatherer::Landmarks Gatherer::held_landmarks(const PoseGraph& key_frames) const 
     const Eigen::Isometry3d pose = first_pose(key).value_or(se3::normalized(sighted));
     return pose.matrix().allFinite() && held.poses.emplace(key, pose).second;
   };
-  // A landmark may be seen from one that is itself seen from a key frame.
+  // A landmark may be seen from another landmark that a key frame sees.
   const auto spread = [&] {
     for (bool changed = true; changed;) {
       changed = false;
@@ -192,7 +193,7 @@ void Gatherer::add_gravity(PoseGraph& graph) const {
     } else if (!std::isfinite(length) || !(length > 0.0) || !usable_sigma(seen.sigma_rad)) {
       problems_.add_altered("unusable gravity factor", seen.where);
     } else if ((graph.node(seen.key).pose.linear() * seen.direction).z() > 0.0) {
-      // Some take for gravity what an accelerometer at rest shows, which points up.
+      // Some programs write the reading of an accelerometer at rest, which points up.
       problems_.add_altered("gravity factor that points up left out", seen.where);
     } else {
       if (seen.sigma_rad == 0.0) problems_.add_altered("covariance absent", seen.where);
@@ -208,7 +209,7 @@ void Gatherer::add_gravity(PoseGraph& graph) const {
 parts::Stamps Gatherer::stamps_of(const PoseGraph& graph, const Robots& robots) const {
   parts::Stamps stamps;
   for (const Key key : parts::key_frames(graph, robots)) {
-    // By the options' robots, what we hold for a landmark may be a key frame.
+    // A node that is a landmark in the messages may be a key frame according to the options.
     const auto node = graph_.nodes.find(key), landmark = graph_.landmarks.find(key);
     if (node != graph_.nodes.end()) {
       stamps[key] = node->second.stamp_ns;
@@ -216,7 +217,7 @@ parts::Stamps Gatherer::stamps_of(const PoseGraph& graph, const Robots& robots) 
       stamps[key] = landmark->second.stamp_ns;
     }
   }
-  // A landmark comes with the first node that saw it, or later.
+  // The stamp of a landmark is not before the first node that saw it.
   for (const auto& [key, stamp] : parts::first_sightings(graph, robots, stamps)) {
     const auto seen = graph_.landmarks.find(key);
     const bool given = seen != graph_.landmarks.end() && seen->second.has_stamp;
@@ -297,7 +298,7 @@ void Gatherer::add_radio_to(Mission& mission) const {
     paths[mission.robots.of(node.key)].emplace_back(node.stamp_ns, node.key);
   }
   for (auto& path : paths) std::sort(path.begin(), path.end());
-  // A robot passes a node once: of several readings there, the one nearest in time counts.
+  // A robot passes a node once, so the reading nearest in time is used.
   struct Nearest {
     std::int64_t distance_ns;
     const Reading* reading;
@@ -336,7 +337,7 @@ std::optional<std::size_t> Gatherer::robot_of_truth(const Robots& robots, const 
     if (const auto robot = robot_named(robots, first_word(source))) return robot;
     for (std::size_t r = 0; r < robots.size(); ++r) {
       if (robots[r].landmarks) continue;
-      // "husky3_odom.bag"
+      // For example, source "husky3_odom.bag" for the robot "husky3".
       const std::string& name = robots[r].name;
       const bool begins =
           name.size() > 1 && source.rfind(name, 0) == 0 &&
@@ -356,7 +357,7 @@ void Gatherer::add_truth_to(Mission& mission) const {
   for (const Node& node : mission.graph.nodes()) {
     if (!mission.robots.is_landmark(node.key)) own.insert(mission.robots.of(node.key));
   }
-  // A topic may go on in another bag.
+  // A topic may continue in another bag.
   std::set<std::string> topics;
   for (const Truth& truth : truths_) topics.insert(truth.source.front());
   struct Path {
@@ -367,7 +368,7 @@ void Gatherer::add_truth_to(Mission& mission) const {
   std::vector<Path> paths;
   for (const Truth& truth : truths_) {
     std::optional<std::size_t> robot = robot_of_truth(mission.robots, truth);
-    // Without any name, one truth is that of the only robot.
+    // Without any name, a single truth belongs to the only robot.
     const bool nameless = names.empty() || first_word(truth.source.front()).empty();
     if (!robot && nameless && own.size() == 1 && topics.size() == 1) robot = *own.begin();
     if (!robot) {

@@ -41,7 +41,7 @@ bool lzf_decompress(std::string_view in, std::string& out) {
     if (read == in.size()) return false;
     const std::size_t distance = ((control & 31) << 8) + byte(in, read++) + 1;
     if (distance > written || length > out.size() - written) return false;
-    // Byte by byte where source and target overlap: that repeats the pattern, as intended.
+    // If source and target overlap, copying byte by byte repeats the pattern, as intended.
     if (distance >= length) {
       std::memcpy(&out[written], &out[written - distance], length);
     } else {
@@ -55,10 +55,10 @@ bool lzf_decompress(std::string_view in, std::string& out) {
 std::string lzf_compress(std::string_view in) {
   constexpr std::uint32_t kNone = ~std::uint32_t{0};
   std::vector<std::uint32_t> last(std::size_t{1} << kHashBits,
-                                  kNone);  // where a hash of three bytes was seen last
+                                  kNone);  // last position of each hash of three bytes
   std::string out;
   out.reserve(in.size() + in.size() / kMaxLiterals + 1);
-  std::size_t literals = 0;  // start of what has not been written yet
+  std::size_t literals = 0;  // start of the bytes that are not written yet
   const auto flush = [&](std::size_t end) {
     while (literals < end) {
       const std::size_t count = std::min(end - literals, kMaxLiterals);

@@ -15,10 +15,10 @@ namespace loopwise {
 /// size.
 [[nodiscard]] bool lzf_decompress(std::string_view in, std::string& out);
 
-/// Never longer than 33/32 of the input plus one.
+/// Compresses the input. The output has at most 33/32 of its size plus one byte.
 [[nodiscard]] std::string lzf_compress(std::string_view in);
 
-/// The most bytes that compressed data of this size can hold: three bytes stand for up to 264.
+/// The largest output of compressed data of this size: three bytes expand to at most 264.
 [[nodiscard]] constexpr std::size_t lzf_largest_output(std::size_t compressed) {
   return compressed * 88;
 }

@@ -30,7 +30,7 @@ constexpr std::size_t kMessageHead = 22;                       // channel, seque
 constexpr std::size_t kLargestRecord = std::size_t{16} << 20;  // of schemas and channels
 constexpr std::uint32_t kNoChunk = std::numeric_limits<std::uint32_t>::max();
 
-/// Takes little-endian numbers and texts off the front of a record.
+/// Reads little-endian numbers and texts from the front of a record.
 class Fields {
  public:
   explicit Fields(std::string_view bytes) : rest_(bytes) {}
@@ -59,7 +59,7 @@ class Fields {
   std::string_view rest_;
 };
 
-/// CRC-32 as zip and PNG have it.
+/// CRC-32 as in zip and PNG.
 std::uint32_t crc32(std::string_view bytes) {
   static const std::array<std::uint32_t, 256> table = [] {
     std::array<std::uint32_t, 256> out{};
@@ -145,14 +145,14 @@ class Mcap : public Storage {
                  "remaining part");
   }
 
-  /// The message in a record, which was found whole when the file was opened.
+  /// The message in a record. The record was found complete when the file was opened.
   static std::string contents_of(std::string_view record) {
     Fields fields(record);
     static_cast<void>(fields.bytes(kMessageHead));
     return std::string(fields.bytes(fields.left()));
   }
 
-  /// Length of the record's contents, which lie before `end`.
+  /// Length of the record's contents, which must end before `end`.
   std::size_t record_size(std::uint64_t at, std::uint64_t end, unsigned char& op) const {
     if (at > end || end - at < kRecordHead) cut_short(at, "the file ends without a closing record");
     std::string head;
@@ -201,7 +201,7 @@ class Mcap : public Storage {
     if (file_.size() - at > kMagic.size()) fail(at + kMagic.size(), "there is more behind the closing mark");
   }
 
-  /// A record of the file.
+  /// Processes a record of the file.
   void take(unsigned char op, std::uint64_t at, std::size_t size) {
     std::string bytes;
     switch (op) {
@@ -225,7 +225,7 @@ class Mcap : public Storage {
         file_.read(at + kRecordHead, size, bytes);
         take_description(op, bytes);
         return;
-      default:  // attachments, indexes and what later versions bring
+      default:  // attachments, indexes and records of later versions
         return;
     }
   }
@@ -278,13 +278,13 @@ class Mcap : public Storage {
     entries_.push_back(entry);
   }
 
-  /// Brings the chunk at this place into memory. \throws InputError without a place
+  /// Loads the chunk at this position. \throws InputError without a position
   void load_chunk(std::uint64_t at) {
     if (chunk_at_ == at) return;
     chunk_at_.reset();
     const std::string bytes = record(at, file_.size());
     Fields fields(bytes);
-    static_cast<void>(fields.bytes(16));  // the times of its messages, which are seen anyway
+    static_cast<void>(fields.bytes(16));  // the times of its messages, which each message has as well
     const auto size = fields.number<std::uint64_t>();
     const auto crc = fields.number<std::uint32_t>();
     const std::string compression = fields.text();
@@ -325,8 +325,8 @@ class Mcap : public Storage {
   std::map<std::uint16_t, std::size_t> channels_;  // number in connections_
   std::vector<Entry> entries_;
   std::uint64_t seen_ = 0;
-  std::optional<std::uint64_t> expected_;  // messages, as the summary says
-  std::optional<std::uint64_t> chunk_at_;  // whose contents are in chunk_
+  std::optional<std::uint64_t> expected_;  // number of messages according to the summary
+  std::optional<std::uint64_t> chunk_at_;  // position of the chunk whose contents are in chunk_
   std::string chunk_;
 };
 

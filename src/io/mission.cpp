@@ -123,7 +123,7 @@ OdometryList odometry_list(const PoseGraph& graph, const Robots& robots) {
   for (const Edge& edge : graph.edges()) {
     if (!is_sighting(edge) && is_odometry(edge)) pairs.insert(std::minmax(edge.from, edge.to));
   }
-  if (pairs.empty()) {  // of a graph that was never classified
+  if (pairs.empty()) {  // the graph was never classified
     list.lost = others();
     return list;
   }
@@ -191,7 +191,7 @@ std::map<Key, fs::path> find_scans(const fs::path& folder,
   for (fs::directory_iterator entry(folder, error), end; !error && entry != end; entry.increment(error)) {
     if (entry->path().filename().string().front() == '.') continue;
     std::error_code unknown;
-    if (entry->is_other(unknown)) {  // a pipe would be waited for
+    if (entry->is_other(unknown)) {  // reading a pipe would block
       problems.add("foreign file in scans", entry->path().string());
     } else {
       files.insert(entry->path());
@@ -322,7 +322,7 @@ Problems classify_edges(PoseGraph& graph, const Robots& robots, const MissionOpt
 }
 
 Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& options) {
-  static constexpr double kLargest = 1e12;  // beyond it the information vanishes, and the edge with it
+  static constexpr double kLargest = 1e12;  // beyond, the information and thus the edge vanish
   const double length = T.translation().stableNorm();
   const auto sigma = [length](double least, double per_m) {
     return std::min(kLargest, std::max(least, per_m * length));
@@ -335,20 +335,19 @@ Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& 
 
 namespace {
 
-/// The folder that a path stands for: of a mission.json, and in the data set's own folder that of the best
-/// form of its data.
+/// The folder of a mission. The folder of a data set stands for the most complete form of its data.
 fs::path resolved(const fs::path& path) {
   if (path.filename() == "mission.json" || path.filename() == "metadata.yaml")
     return path.has_parent_path() ? path.parent_path() : fs::path(".");
   if (!fs::is_directory(path) || has_file(path, "mission.json")) return path;
-  // Bags hold more than what was made of them: stamps, priors, the first estimates.
+  // Bags contain more than files that were made from them: stamps, priors, first estimates.
   const bool has_g2o = fs::is_directory(path / "g2o_pcd");
   const bool has_bags = fs::is_directory(path / "rosbag") && bags::has_bags(path / "rosbag");
   if (has_bags && (bags::available() || bags::rosbag2_available() || !has_g2o)) return path / "rosbag";
   return has_g2o ? path / "g2o_pcd" : path;
 }
 
-/// By how it begins; by its ending first, since other files may be large or pipes.
+/// Recognises the file by its beginning. Tests the ending first, because other files may be large or pipes.
 bool is_open3d_file(const fs::path& path) {
   if (path.extension() != ".json" || !fs::is_regular_file(path)) return false;
   std::ifstream in(path, std::ios::binary);
@@ -364,7 +363,7 @@ bool is_sqlite_file(const fs::path& path) {
 
 bool is_bag_file(const fs::path& path) {
   if (path.filename() == "metadata.yaml") return bags::is_rosbag2_folder(resolved(path));
-  // Packed by zstd, anything may be in it: its name must say so.
+  // A file that is compressed with zstd may contain anything, so its name decides.
   const bool is_packed = bags::is_bag_name(path) && parts::begins_with(path, "\x28\xb5\x2f\xfd");
   return is_packed || parts::begins_with(path, "#ROSBAG") || parts::begins_with(path, "\x89MCAP0\r\n") ||
          is_sqlite_file(path);
@@ -410,13 +409,13 @@ MissionKind mission_kind(const fs::path& path) {
   if (const auto saved = parts::saved_map_kind(folder)) return *saved;
   if (is_mrg_slam(folder)) return MissionKind::kG2oPcd;
   const fs::path graph = parts::g2o_of_folder(folder);
-  // A session's graph is empty until its program ends.
+  // The graph of a session is empty until its program ends.
   const bool is_begun = graph.filename() == "singlesession_posegraph.g2o" && fs::is_empty(graph);
   if (!graph.empty() && !is_begun) return MissionKind::kG2oPcd;
   if (bags::has_bags(folder)) return MissionKind::kBags;
   if (parts::is_kitti_sequence(folder)) return MissionKind::kKitti;
   if (!parts::stamped_clouds_of(folder).empty()) return MissionKind::kStampedClouds;
-  // Last: other programs may keep a database beside their own files.
+  // Tested last, because other programs may keep a database beside their own files.
   if (!parts::rtabmap_databases(folder).empty()) return MissionKind::kRtabmap;
   const std::string what = describe_foreign_folder(folder);
   if (!what.empty()) throw InputError(folder.string() + ": no mission, it " + what);
@@ -431,7 +430,7 @@ MissionKind mission_kind(const fs::path& path) {
 
 namespace {
 
-/// Names come from files, folders and topics of any encoding; summaries, tables and pictures are UTF-8.
+/// Names come from files, folders and topics in any encoding. Summaries, tables and pictures need UTF-8.
 Mission with_legible_names(Mission mission) {
   const auto to_utf8 = [&](std::string& name) {
     if (text::is_utf8(name)) return false;
@@ -547,7 +546,7 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   }
   if (one_recording) return finished(parts::read_bags(bag_paths, options, {progress, stop}), options);
   MissionOptions of_one = options;
-  of_one.robots.clear();  // the joined mission's, not those of its parts
+  of_one.robots.clear();  // they are robots of the joined mission, not of its parts
   of_one.odometry.clear();
   of_one.scan_cache_mb /= static_cast<double>(paths.size());
   std::vector<Mission> missions;

@@ -32,7 +32,7 @@ const std::vector<std::string> kPriorColumns = {"key", "x",  "y",  "z",  "qx",  
 const std::vector<std::string> kRadioColumns = {"key", "beacon", "transmit_dbm", "receiver", "receive_dbm"};
 const std::vector<std::string> kBeaconColumns = {"beacon", "robot", "drop_key", "stamp_ns"};
 
-/// Where the parts of a mission lie in its folder.
+/// Paths of the parts of a mission within its folder.
 struct Files {
   fs::path graph = "graph.g2o";
   fs::path stamps = "stamps.csv";
@@ -278,7 +278,7 @@ std::vector<PriorFactor> read_priors(const fs::path& file, const PoseGraph& grap
     if (graph.planar() && !planar::is_pose(prior.pose))
       place.fail("the pose has z, roll or pitch, but the graph is 2D");
     for (std::size_t i = 7; i < 13; ++i) {
-      // Beyond these, the information overflows or vanishes.
+      // Beyond these bounds, the information overflows or vanishes.
       if (!(values[i] >= 1e-12 && values[i] <= 1e12))
         table.fail(row, i + 1, "a sigma must lie in [1e-12, 1e12]");
     }
@@ -335,7 +335,7 @@ std::optional<Key> key_of_name(const std::string& stem) {
   }
 }
 
-/// The six sigmas of a prior without correlations; nothing if there are some, or none is finite.
+/// The six sigmas of a prior; empty if it has correlations or if a sigma cannot be written.
 std::optional<Vector6d> sigmas_of(const Matrix6d& information) {
   const Vector6d diagonal = information.diagonal();
   if (information != Matrix6d(diagonal.asDiagonal())) return std::nullopt;
@@ -352,8 +352,8 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   const Description description(folder / "mission.json");
   const Files files = description.files();
   const auto present = [&](const fs::path& file) {
-    std::error_code unknown;  // parts::exists() tells it
-    // A pipe would be waited for, a device read without end.
+    std::error_code unknown;  // parts::exists() reports it
+    // Reading a pipe could block, and a device may never end.
     if (fs::is_other(folder / file, unknown)) throw InputError((folder / file).string() + ": is no file");
     return parts::exists(folder / file);
   };
@@ -504,9 +504,9 @@ void MissionWriter::finish(const Mission& mission) const {
   };
   write_poses(files.ground_truth, mission.ground_truth);
   write_poses(files.reference, mission.reference);
-  flush_file_system(folder_);  // the scans, before the file that says that the mission is whole
+  flush_file_system(folder_);  // scans first, because mission.json marks the mission as complete
   write_file(folder_ / "mission.json", json_text(json, 2) + "\n");
-  std::error_code ignored;  // with mission.json the mark means nothing any more
+  std::error_code ignored;  // the mark has no effect beside mission.json
   fs::remove(folder_ / parts::kUnfinished, ignored);
 }
 

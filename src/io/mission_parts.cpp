@@ -83,7 +83,7 @@ void complete_priors(const PoseGraph& graph, const Robots& robots, const Mission
   for (const Key key : firsts) {
     if (tied.count(robots.of(key)) != 0) continue;
     priors.push_back(default_prior(graph, key, options));
-    // The frame of a robot that is alone is its own.
+    // The frame of a single robot is its own, so no guess is involved.
     if (firsts.size() > 1) problems.add("no prior given", name + ": node " + key_name(key) + " gets one");
   }
 }
@@ -97,7 +97,7 @@ void complete_stamps(const PoseGraph& graph, const Robots& robots, const Mission
       if (stamps.count(keys[i]) != 0) known.push_back(i);
     }
     const auto at = [&](std::size_t i) { return static_cast<double>(stamps.at(keys[i])); };
-    std::size_t next = 0;  // in known: the first after i
+    std::size_t next = 0;  // the first entry of `known` after i
     std::vector<std::pair<Key, double>> made;
     for (std::size_t i = 0; i < keys.size(); ++i) {
       if (next < known.size() && known[next] == i) {
@@ -209,7 +209,7 @@ TruthFiles find_truth(const fs::path& folder) {
         if (!fs::is_regular_file(file)) continue;
         if (file.extension() == ".g2o") graphs.push_back(file);
       }
-      Problems unused;  // problems of a folder of the truth are not the mission's
+      Problems unused;  // problems of the truth's folder do not concern the mission
       for (const bags::Parts& files : bags::bags_of_folder(own, unused))
         truth.bags.insert(truth.bags.end(), files.begin(), files.end());
       if (fs::is_regular_file(own / "result.g2o")) {
@@ -243,7 +243,7 @@ void set_scans(Mission& mission, const std::vector<Key>& keys, ScanStore::CloudS
 
 namespace {
 
-/// By least squares of the positions, or by the first pose where these are too few.
+/// Aligns the truth by least squares of the positions, or by the first pose if there are too few.
 void align_truth(Mission& mission) {
   const auto count = static_cast<Eigen::Index>(mission.ground_truth.size());
   Eigen::Matrix3Xd truth(3, count), nodes(3, count);

@@ -36,7 +36,7 @@ std::vector<double> numbers_of(const Json& object, const char* key, std::size_t 
   return values;
 }
 
-/// A 4×4 matrix, which stands column by column.
+/// A 4×4 matrix in column-major order.
 Eigen::Isometry3d pose_of(const Json& object, const char* key, const std::string& where, Problems& problems) {
   const std::vector<double> v = numbers_of(object, key, 16, where);
   double rows[12];
@@ -55,7 +55,7 @@ std::uint64_t id_of(const Json& edge, const char* key, std::size_t nodes, const 
   return found->get<std::uint64_t>();
 }
 
-/// Rotation stands first, and it perturbs the source's points where the target sees them: on the left.
+/// Open3D puts the rotation first, and perturbs the source's points in the target's frame: on the left.
 Matrix6d information_of(const Json& edge, const Eigen::Isometry3d& T_target_source, const std::string& where,
                         Problems& problems) {
   const std::vector<double> v = numbers_of(edge, "information", 36, where);
@@ -81,7 +81,7 @@ void add_edge(const Json& json, const std::string& where, PoseGraph& graph, Prob
   graph.add_edge({target, source, T, information_of(json, T, where, problems)});
 }
 
-/// The number that a name ends with.
+/// The number at the end of a name.
 std::optional<Key> last_number(const std::string& stem) {
   std::size_t begin = stem.size();
   while (begin > 0 && std::isdigit(static_cast<unsigned char>(stem[begin - 1])) != 0) --begin;

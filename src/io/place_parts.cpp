@@ -13,7 +13,7 @@
 namespace loopwise {
 namespace {
 
-/// Which part each node of a mission is of.
+/// Maps each node of a mission to its part.
 class PartOfNode {
  public:
   PartOfNode(const Mission& mission, const std::vector<MissionPart>& parts) : robots_(mission.robots) {
@@ -34,7 +34,7 @@ class PartOfNode {
     for (const RangeFactor& range : mission.graph.ranges()) tie(range.from, range.to);
   }
 
-  /// Nothing if it is of none.
+  /// Empty if the node belongs to no part.
   [[nodiscard]] std::optional<std::size_t> operator()(Key key) const {
     if (robots_.is_landmark(key)) {
       const auto found = part_of_landmark_.find(key);

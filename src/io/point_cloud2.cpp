@@ -66,9 +66,9 @@ Cloud parse(const std::string& name, const Value& message) {
   }
   cloud.layout.find_channels(name);
 
-  // All are 32-bit numbers, so that no product overflows.
+  // All factors are 32-bit numbers, so that no product overflows.
   const std::uint64_t row = std::uint64_t{cloud.width} * cloud.layout.point_size;
-  if (cloud.height == 1) cloud.row_step = row;  // the step means nothing, and some leave it at 0
+  if (cloud.height == 1) cloud.row_step = row;  // the step has no meaning, and some drivers leave it at 0
   if (cloud.row_step < row) {
     throw InputError(name + ": rows of " + std::to_string(cloud.width) + " points of " +
                      std::to_string(cloud.layout.point_size) + " bytes do not fit into a row_step of " +

@@ -11,11 +11,11 @@
 
 namespace loopwise::ros1 {
 
-/// Throws what read_point_cloud2() would without looking at the points.
+/// Throws the errors of read_point_cloud2() without a look at the points.
 void check_point_cloud2(const std::string& name, const Value& message);
 
-/// The points by the message's own offsets, types, strides and byte order. Flaws are counted as read_cloud()
-/// does. \throws InputError naming `name` if there is no x, y and z, or a size does not fit the data.
+/// Reads the points by the offsets, types, strides and byte order of the message. Counts problems as
+/// read_cloud(). \throws InputError naming `name` if x, y or z is missing, or a size does not fit the data
 [[nodiscard]] CloudFile read_point_cloud2(const std::string& name, const Value& message);
 
 }  // namespace loopwise::ros1

@@ -36,7 +36,7 @@ class RawFile {
   RawFile& operator=(const RawFile&) = delete;
 
   [[nodiscard]] std::uint64_t size() const { return size_; }
-  /// The caller has made sure that so much is there.
+  /// The caller ensures that the file has these bytes.
   void read(std::uint64_t at, std::size_t count, std::string& out) const {
     out.resize(count);
     for (std::size_t done = 0; done < count;) {

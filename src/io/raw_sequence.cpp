@@ -28,7 +28,8 @@ bool is_number(std::string_view word) {
          std::all_of(word.begin(), word.end(), [](unsigned char c) { return std::isdigit(c); });
 }
 
-/// ns of a whole number that counts seconds or parts of them since 1970, by its digits (years 1973 to 2286).
+/// Converts a whole number of s, ms, µs or ns since 1970 to ns. Its digits show the unit (years 1973 to
+/// 2286).
 std::optional<std::int64_t> ns_of_digits(std::string_view digits) {
   std::int64_t value = 0;
   if (!is_number(digits) || digits[0] == '0' || !text::parse_int64(digits, value)) return std::nullopt;
@@ -58,7 +59,7 @@ Trajectory with_form(const fs::path& file, TrajectoryFormat form, Problems& prob
   return poses;
 }
 
-/// Words of the first line that is neither blank nor a comment nor made of names.
+/// Number of words in the first line that is not blank, a comment or a header of names.
 std::size_t columns_of(const fs::path& file) {
   std::string contents = read_file(file);
   std::replace(contents.begin(), contents.end(), ',', ' ');
@@ -77,7 +78,7 @@ std::size_t columns_of(const fs::path& file) {
   return 0;
 }
 
-/// The sweeps of a folder by what their names say.
+/// Sweeps of a folder, by a value in their names.
 template <class Value>
 std::vector<std::pair<Value, fs::path>> named_clouds(
     const fs::path& folder, const std::function<std::optional<Value>(const std::string&)>& value_of,
@@ -149,13 +150,13 @@ std::vector<std::int64_t> read_times(const fs::path& file) {
   return stamps;
 }
 
-/// Poses of the lidar in the frame of its first pose's world, from those of the camera.
+/// Converts poses of the camera to poses of the lidar, and their world frame likewise.
 void to_lidar(const Eigen::Isometry3d& T_camera_lidar, std::vector<StampedPose>& poses) {
   for (StampedPose& pose : poses)
     pose.pose = se3::normalized(T_camera_lidar.inverse() * pose.pose * T_camera_lidar);
 }
 
-/// Poses with stamps: of TUM their own, of rows those of times.txt.
+/// Poses with stamps. Poses of TUM have their own, and rows have those of times.txt.
 std::vector<StampedPose> stamped(const Trajectory& poses, const std::vector<std::int64_t>& times,
                                  const std::string& file, Problems& problems) {
   std::vector<StampedPose> out;
@@ -172,7 +173,7 @@ std::vector<StampedPose> stamped(const Trajectory& poses, const std::vector<std:
   return out;
 }
 
-/// A lidar on a car moves along its x axis. Poses of another sensor than they are taken for do not.
+/// Counts poses that seem to be of another sensor: a lidar on a car moves along its x axis.
 void check_forward(const std::vector<StampedPose>& poses, bool calibrated, const std::string& file,
                    Problems& problems) {
   Eigen::Vector3d moved = Eigen::Vector3d::Zero();
@@ -206,7 +207,7 @@ KittiPoses kitti_poses(const fs::path& folder, const MissionOptions& options) {
   return {own, {}};
 }
 
-/// The poses of a file as those of the lidar.
+/// Reads the poses of a file as poses of the lidar.
 std::vector<StampedPose> lidar_poses(const fs::path& file, const std::vector<std::int64_t>& times,
                                      const std::optional<Eigen::Isometry3d>& T_camera_lidar,
                                      Problems& problems) {
@@ -220,7 +221,7 @@ std::vector<StampedPose> lidar_poses(const fs::path& file, const std::vector<std
   return poses;
 }
 
-/// True poses of the nodes, which have the stamps of sweeps as the rows have.
+/// Sets the true poses of the nodes by stamp: nodes have the stamps of sweeps, and so do the rows.
 void set_truth_of_rows(Mission& mission, const std::vector<StampedPose>& truth, const fs::path& file) {
   std::map<std::int64_t, Eigen::Isometry3d> by_stamp;
   for (const StampedPose& pose : truth) by_stamp.emplace(pose.stamp_ns, pose.pose);
@@ -363,7 +364,7 @@ Trajectory parse_stamped_poses(const std::string& contents, const std::string& n
 
 namespace {
 
-/// The file with the poses of clouds named by stamps.
+/// The file with the poses for clouds that are named by stamps.
 fs::path poses_of_clouds(const fs::path& folder, const fs::path& clouds, const MissionOptions& options) {
   if (!options.poses.empty()) return options.poses;
   std::vector<fs::path> found;

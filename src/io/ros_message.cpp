@@ -13,9 +13,10 @@
 namespace loopwise::ros1 {
 namespace {
 
-/// No message is larger than a chunk of a bag can be; beyond this sizes are nonsense and sums might overflow.
+/// No message is larger, because no chunk of a bag is. Larger sizes are invalid, and sums of them could
+/// overflow.
 constexpr std::uint64_t kLargest = std::uint64_t{1} << 40;
-/// Types within types. Those of ROS are less than ten deep.
+/// Largest depth of types within types. Types of ROS are less than ten deep.
 constexpr int kDeepest = 100;
 
 struct Name {
@@ -170,8 +171,8 @@ void Schema::measure(std::size_t number, int depth) {
     }
     least += bytes;
     if (least > kLargest) fail("type " + types_[number].name + " is too large");
-    // None of something has a fixed size too: what may take no bytes at all always has, so that no count of
-    // such elements is ever walked.
+    // An array of zero elements has a fixed size, too. So every type without bytes has a fixed size, and its
+    // elements are never visited one by one.
     fixed = fixed && (!field.array ? type.size.has_value() : field.count && (type.size || *field.count == 0));
   }
   types_[number].least = least;
@@ -325,7 +326,7 @@ std::size_t Value::size() const {
 }
 
 Value Value::first() const {
-  static_cast<void>(size());  // it is an array
+  static_cast<void>(size());  // throws unless it is an array
   return {*schema_, type_, bytes_.substr(array_->count ? 0 : 4)};
 }
 

@@ -29,15 +29,15 @@ enum class Primitive {
   kString,
   kTime,
   kDuration,
-  kMessage,  ///< Not one: made of fields.
+  kMessage,  ///< Not primitive, but made of fields.
 };
 
-/// All types that a message is made of.
+/// All types that occur in a message.
 class Schema {
  public:
-  /// Reads a message definition: fields and constants (which are passed over), then the same of each type
-  /// that is used, after a line of '=' and "MSG: package/Type". \throws InputError naming the type and the
-  /// line of a text that is none, of a type that is missing, or of one that holds itself
+  /// Parses a message definition: fields and constants (which are skipped), then the same for each used type
+  /// after a line of '=' and "MSG: package/Type". \throws InputError naming the type and the line for an
+  /// invalid text, a missing type, or a type that contains itself
   Schema(const std::string& type, const std::string& definition);
 
   [[nodiscard]] const std::string& type() const { return types_.front().name; }
@@ -57,7 +57,7 @@ class Schema {
     std::string name;
     Primitive primitive = Primitive::kMessage;
     std::vector<Field> fields;
-    std::optional<std::uint64_t> size;  // bytes, if they are always as many
+    std::optional<std::uint64_t> size;  // bytes, if constant
     std::uint64_t least = 0;            // bytes
     enum class Measured { kNo, kNow, kYes } measured = Measured::kNo;
   };
@@ -70,15 +70,15 @@ class Schema {
   std::vector<Type> types_;  // the message's own first
 };
 
-/// A message, a field of one, or an array: a place in the message's bytes. It refers to the schema and the
-/// bytes, which must outlive it. Every step is held against the end of the bytes.
+/// A message, a field or an array, as a position in the bytes of a message. It refers to the schema and the
+/// bytes, which must outlive it. Each access is checked against the end of the bytes.
 class Value {
  public:
   /// The whole message. \throws InputError if the bytes are not exactly one message of the type.
   Value(const Schema& schema, std::string_view bytes);
 
   [[nodiscard]] bool has(std::string_view field) const;
-  /// A field of a message. \throws InputError if it has none of the name.
+  /// A field of a message. \throws InputError if there is no field of this name
   [[nodiscard]] Value at(std::string_view field) const;
 
   /// \throws InputError unless it is a number (or bool)
@@ -91,7 +91,7 @@ class Value {
   /// \throws InputError unless it is a time
   [[nodiscard]] std::int64_t time_ns() const;
 
-  /// Elements of an array. \throws InputError unless it is one, here and below
+  /// Number of elements of an array. \throws InputError unless it is an array; also in the functions below
   [[nodiscard]] std::size_t size() const;
   template <class Call>
   void for_each(Call&& call) const {

@@ -21,7 +21,7 @@ std::unique_ptr<Storage> open_plain(const NumberedFile& file, const Opening& ope
                    ": is no bag of ROS 2: expected MCAP or SQLite (.db3), or one of them packed by zstd");
 }
 
-/// A bag that lies in a temporary file.
+/// A bag that is decompressed to a temporary file.
 class Unpacked : public Storage {
  public:
   Unpacked(const NumberedFile& file, const Opening& opening) {
@@ -33,7 +33,7 @@ class Unpacked : public Storage {
   std::string read(const Entry& entry) override { return storage_->read(entry); }
 
  private:
-  TemporaryFile copy_;  // goes last
+  TemporaryFile copy_;  // destroyed last
   std::unique_ptr<Storage> storage_;
 };
 

@@ -83,7 +83,7 @@ Matrix unpacked_matrix(std::string_view blob) {
   return out;
 }
 
-/// How a scan is stored beside its points.
+/// Description of the points of a stored scan.
 struct ScanInfo {
   int format = 0;  // LaserScan::Format; 0 if the version did not store it
   Eigen::Isometry3d T_body_lidar = Eigen::Isometry3d::Identity();
@@ -173,7 +173,7 @@ struct StoredNode {
   Eigen::Isometry3d odometry;
 };
 
-/// The tables but the scans themselves.
+/// Reads all tables except the scans.
 class Reader {
  public:
   Reader(const fs::path& file, const MissionOptions& options, const Work& work)
@@ -230,7 +230,7 @@ class Reader {
     return name_ + ": " + std::to_string(from) + " to " + std::to_string(to);
   }
 
-  /// Both nodes of a link keep it; the later one is the inverse.
+  /// Both nodes of a link store it; the later one stores the inverse.
   void read_links() {
     std::set<std::pair<std::int64_t, std::int64_t>> seen;
     Statement rows(database_.handle(),
@@ -260,11 +260,12 @@ class Reader {
     }
   }
 
-  /// Of zeros where it cannot be used, which graph_of() replaces.
+  /// The information of a link, or zero if it is unusable; graph_of() replaces zero.
   Matrix6d information_of(std::string_view blob, std::int64_t from, std::int64_t to) {
     Matrix6d information = Matrix6d::Zero();
     if (blob.size() != sizeof(double) * 36) return information;
-    std::memcpy(information.data(), blob.data(), blob.size());  // symmetric: its order of storage is all one
+    std::memcpy(information.data(), blob.data(),
+                blob.size());  // symmetric, so the order of storage does not matter
     information = (0.5 * information + 0.5 * information.transpose()).eval();  // no overflow
     if (!information.allFinite()) return Matrix6d::Zero();
     const SoundInformation sound = nearest_information(information);
@@ -303,7 +304,7 @@ class Reader {
     if (nodes_.empty()) throw InputError("holds no node with odometry and a link");
   }
 
-  /// Those of the map that the program had when it ended.
+  /// Reads the optimised poses of the map that the program had when it ended.
   void read_optimized() {
     Statement rows(database_.handle(), "SELECT opt_ids, opt_poses FROM Admin");
     if (!rows.next() || rows.bytes(0).empty() || rows.bytes(1).empty()) return;
@@ -343,7 +344,7 @@ class Reader {
     }
   }
 
-  /// Runs of nodes of one map: odometry begins anew with each.
+  /// Each run of nodes of one map is a robot, because odometry restarts with each run.
   [[nodiscard]] Robots maps_as_robots(const std::string& name) const {
     std::vector<Robot> robots;
     std::map<std::int64_t, std::size_t> runs;  // by map
@@ -361,12 +362,12 @@ class Reader {
     return Robots(std::move(robots));
   }
 
-  /// Nodes stand where odometry takes them from the first of their robot, which stands where the program put
-  /// it.
+  /// Poses follow odometry from the first node of each robot. That node has the program's optimised pose, if
+  /// there is one.
   PoseGraph graph_of(const Robots& robots) {
     std::map<std::pair<Key, Key>, Eigen::Isometry3d> steps;
     for (const Edge& link : links_) {
-      // A closure between two nodes in a row is not the step of odometry between them.
+      // A closure between consecutive nodes is not their odometry step.
       if (neighbours_.count(
               std::minmax(static_cast<std::int64_t>(link.from), static_cast<std::int64_t>(link.to))) == 0)
         continue;
@@ -404,7 +405,7 @@ class Reader {
     return graph;
   }
 
-  /// Where the program put the first node of a robot, by its first node that the last map still has.
+  /// Optimised pose of the first node of a robot, chained from its first node that the last map has.
   [[nodiscard]] std::optional<Eigen::Isometry3d> placed_start(const Robots& robots, std::size_t first) const {
     const std::size_t robot = robots.of(nodes_[first].key);
     for (std::size_t i = first; i < nodes_.size() && robots.of(nodes_[i].key) == robot; ++i) {
@@ -423,7 +424,7 @@ class Reader {
                               name_ + ": " + std::to_string(link.from) + " to " + std::to_string(link.to));
         continue;
       }
-      // The identity stands for a covariance that nobody stated.
+      // The identity stands for a covariance that is not stated.
       const bool stated =
           !link.information.isZero() && !link.information.isApprox(Matrix6d::Identity(), 1e-9);
       if (!stated) {
@@ -462,7 +463,7 @@ bool is_rtabmap_database(const fs::path& file) {
     sqlite::Database database(file, file.string(), {});
     return database.has_table("Node") && database.has_table("Link") && database.has_table("Admin");
   } catch (const InputError&) {
-    return false;  // cut short or damaged: the reader of its kind says so
+    return false;  // cut short or damaged, which the reader of its kind reports
   }
 }
 

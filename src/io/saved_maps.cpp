@@ -32,7 +32,7 @@ std::string beginning_of(const fs::path& file) {
   return text;
 }
 
-/// HBA calls it JSON, but it holds seven numbers a line.
+/// The file of HBA is named JSON, but contains seven numbers per line.
 bool is_hba(const fs::path& folder) {
   if (!has_file(folder, "pose.json") || !fs::is_directory(folder / "pcd")) return false;
   const std::string text = beginning_of(folder / "pose.json");
@@ -58,7 +58,7 @@ bool has_open3d(const fs::path& folder) {
   });
 }
 
-/// "000012" is 12.
+/// The number in a name: 12 for "000012".
 std::optional<Key> number_of(const std::string& stem) {
   Key number = 0;
   const bool digits =
@@ -67,7 +67,7 @@ std::optional<Key> number_of(const std::string& stem) {
   return number;
 }
 
-/// Rows are frames 0, 1, ….
+/// Numbers of the frames: 0, 1, ….
 std::vector<Key> rows(std::size_t count) {
   std::vector<Key> numbers;
   for (std::size_t i = 0; i < count; ++i) numbers.push_back(i);
@@ -113,7 +113,7 @@ Mission read_hba(const fs::path& folder, const MissionOptions& options) {
     if (found != 7) {
       place.fail("a pose of HBA needs 7 values (x y z qw qx qy qz), found " + std::to_string(found));
     }
-    const double ordered[] = {v[0], v[1], v[2], v[4], v[5], v[6], v[3]};  // the scalar stands first
+    const double ordered[] = {v[0], v[1], v[2], v[4], v[5], v[6], v[3]};  // the scalar is first
     const text::Pose pose = text::pose_of(ordered, place);
     if (!pose.was_unit) problems.add_altered("non-unit quaternion", place.str());
     frames.poses.push_back(pose.pose);
@@ -124,7 +124,7 @@ Mission read_hba(const fs::path& folder, const MissionOptions& options) {
   return mission_of_frames(frames, MissionKind::kHba, folder, options, std::move(problems));
 }
 
-/// The steps of frames, made of their poses where the program kept none.
+/// Steps between frames, computed from their poses where the program did not store them.
 std::vector<Eigen::Isometry3d> complete_steps(const SavedFrames& frames, Problems& problems) {
   std::vector<Eigen::Isometry3d> steps;
   for (std::size_t i = 0; i + 1 < frames.poses.size(); ++i) {

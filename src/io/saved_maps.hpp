@@ -27,25 +27,25 @@ namespace loopwise::parts {
 /// Frames of one robot with poses that the program optimised.
 struct SavedFrames {
   std::filesystem::path source;          ///< File of the poses, for problems.
-  std::vector<Key> numbers;              ///< What the program calls each frame, ascending; its key.
+  std::vector<Key> numbers;              ///< The program's number of each frame, ascending; its key.
   std::vector<Eigen::Isometry3d> poses;  ///< T_world_frame.
   std::vector<std::int64_t> stamps_ns;   ///< Of each frame; empty if not known.
-  /// Odometry from each frame to the next; nothing where the program kept none: then it is that of the poses.
+  /// Odometry from each frame to the next; computed from the poses where it is empty.
   std::vector<std::optional<Eigen::Isometry3d>> steps;
   std::map<Key, std::filesystem::path> clouds;  ///< By number.
   BinLayout layout = BinLayout::kAuto;          ///< Of clouds without a header.
 };
-/// The mission of them: nodes stand where odometry takes them from the first pose, the optimised poses are
-/// the reference. Counts "odometry taken from the optimised poses" where steps are missing.
+/// Makes the mission. Poses of nodes follow odometry from the first pose, and the optimised poses are the
+/// reference. Counts "odometry taken from the optimised poses" for missing steps.
 [[nodiscard]] Mission mission_of_frames(const SavedFrames& frames, MissionKind kind,
                                         const std::filesystem::path& folder, const MissionOptions& options,
                                         Problems problems);
 
-/// Clouds of a folder by the number that is their whole name. Counts foreign files.
+/// Clouds of a folder whose whole name is a number, by this number. Counts foreign files.
 [[nodiscard]] std::map<Key, std::filesystem::path> numbered_clouds(const std::filesystem::path& folder,
                                                                    Problems& problems);
 
-/// A submap as GLIM describes it in data.txt.
+/// A submap according to GLIM's data.txt.
 struct GlimSubmap {
   Eigen::Isometry3d T_world_origin = Eigen::Isometry3d::Identity();  ///< Optimised.
   Eigen::Isometry3d T_origin_first = Eigen::Isometry3d::Identity();  ///< Its first frame, of the IMU.
@@ -57,21 +57,21 @@ struct GlimSubmap {
 /// \throws ParseError naming `name` and the line
 [[nodiscard]] GlimSubmap parse_glim_submap(std::string_view contents, const std::string& name,
                                            Problems& problems);
-/// graph.txt, NUMBER/data.txt and NUMBER/points_compact.bin: submaps are the nodes.
+/// Reads graph.txt, NUMBER/data.txt and NUMBER/points_compact.bin. Submaps are the nodes.
 [[nodiscard]] Mission read_glim(const std::filesystem::path& folder, const MissionOptions& options);
 
-/// alidarState.txt and NUMBER.pcd of one session, or edge.txt and a folder for each session.
+/// Reads alidarState.txt and NUMBER.pcd of one session, or edge.txt and a folder for each session.
 [[nodiscard]] Mission read_voxel_slam(const std::filesystem::path& folder, const MissionOptions& options);
 
-/// local_map_graph.g2o and plys/NUMBER.ply, which are in world coordinates.
+/// Reads local_map_graph.g2o and plys/NUMBER.ply, which are in world coordinates.
 [[nodiscard]] Mission read_kiss_slam(const std::filesystem::path& folder, const MissionOptions& options);
 
-/// A pose graph as Open3D writes it, the file or a folder with it and clouds whose names end with the number
-/// of their node.
+/// Reads a pose graph of Open3D: the file, or a folder with the file and clouds whose names end with the
+/// number of their node.
 [[nodiscard]] Mission read_open3d(const std::filesystem::path& path, const MissionOptions& options);
-/// Its graph. \throws ParseError or InputError naming `name` and the node or edge
+/// Parses the graph. \throws ParseError or InputError naming `name` and the node or edge
 [[nodiscard]] PoseGraph parse_open3d(std::string_view contents, const std::string& name, Problems& problems);
-/// Whether a text begins as such a file does.
+/// Whether a text begins like a pose graph of Open3D.
 [[nodiscard]] bool looks_like_open3d(std::string_view beginning);
 
 }  // namespace loopwise::parts

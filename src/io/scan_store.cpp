@@ -33,18 +33,19 @@ std::string far_from_sensor(Key key, const std::filesystem::path& file, const Ei
 struct ScanStore::State {
   enum class Stage { kNotRead, kBeingRead, kKept, kFailed };
   struct Entry {
-    std::filesystem::path file;  // empty if scans come from elsewhere
-    Part part;                   // of another store, which then does all the rest
+    std::filesystem::path file;  // empty if a loader provides the scans
+    Part part;                   // scan of another store, which then loads and caches it
     Stage stage = Stage::kNotRead;
     std::shared_ptr<const PointCloud> cloud;
     std::size_t bytes = 0;
     std::list<Key>::iterator recency;  // valid while kept
     std::string failure;
-    bool counted = false;  // its problems have been noted: it may be read again after it was let go
+    bool counted = false;  // its problems are counted; a scan may be read several times
     Problems problems;
   };
 
-  /// While a scan is being read. However that ends, whoever waits for the scan must not wait for ever.
+  /// Marks a scan as being read. The destructor wakes all threads that wait for the scan, even after an
+  /// error.
   struct Reading {
     State& state;
     Entry& entry;
@@ -103,7 +104,7 @@ struct ScanStore::State {
         cloud = std::make_shared<const PointCloud>(std::move(loaded.cloud));
       }
       place.push_front(key);
-    } catch (const std::bad_alloc&) {  // says nothing about the file: the next who asks may have more luck
+    } catch (const std::bad_alloc&) {  // not a fault of the file, so a later call tries again
       throw;
     } catch (const InputError& error) {
       failure = error.what();
@@ -126,7 +127,8 @@ struct ScanStore::State {
     return cloud;
   }
 
-  /// `place` is an element for the list of recency, made when there was memory for it.
+  /// `place` is an element for the list of recency. The caller allocates it, so that this function cannot
+  /// fail.
   void keep(Entry& entry, const std::shared_ptr<const PointCloud>& cloud, std::list<Key>& place) {
     entry.stage = Stage::kNotRead;
     const std::size_t size = cloud->bytes();

@@ -25,8 +25,8 @@ struct Step {
   Matrix6d information;
 };
 
-/// The text without a last line that has no line end: its program was stopped in the middle of it, perhaps
-/// within the last number. A line alone is kept, of a file of one pose by hand.
+/// The text without a last line that has no line end: the program was stopped while it wrote that line,
+/// perhaps within the last number. A single line is kept, because users may write a file of one pose by hand.
 std::string whole_lines(std::string contents, const std::string& name, Problems& problems) {
   const std::size_t last = contents.rfind('\n') + 1;
   std::string_view line = std::string_view(contents).substr(last);
@@ -41,7 +41,8 @@ bool is_blank_file(const std::string& contents) {
   return std::all_of(contents.begin(), contents.end(), [](char c) { return c == '\n' || text::is_blank(c); });
 }
 
-/// Nothing if the file is missing, or empty as a program leaves it that is stopped while it replaces it.
+/// Empty if the file is missing or blank. A program that is stopped while it replaces the file leaves a blank
+/// one.
 std::optional<Poses> read_poses(const fs::path& file, Problems& problems) {
   if (!fs::is_regular_file(file)) return std::nullopt;
   const std::string contents = whole_lines(read_file(file), file.string(), problems);
@@ -77,7 +78,7 @@ std::vector<std::int64_t> read_times(const fs::path& file, Problems& problems) {
   return stamps;
 }
 
-/// Whether files of so many rows may be of one session that was stopped while it was saved.
+/// Whether files with these numbers of rows may belong to one session that was stopped during saving.
 bool may_belong_together(std::size_t a, std::size_t b) {
   return 2 * std::min(a, b) >= std::max(a, b);
 }
@@ -109,14 +110,14 @@ std::optional<PoseGraph> read_graph(const fs::path& file, std::size_t rows, cons
     return std::nullopt;
   }
   MissionOptions by_neighbours = options;
-  by_neighbours.odometry.clear();  // that of the mission, which has other edges
-  // Its flaws are counted where its steps are taken.
+  by_neighbours.odometry.clear();  // the option is for the mission, which has other edges
+  // Problems are counted where the steps of the graph are used.
   static_cast<void>(classify_edges(session.graph, Robots({{"0", 0, keys.size() - 1}}), by_neighbours,
                                    session.without_information));
   return std::move(session.graph);
 }
 
-/// The odometry (i, i+1) that the graph holds, written in either direction, the first of each.
+/// Odometry steps (i, i+1) of the graph, in either direction. Of repeated steps, the first is used.
 std::vector<std::optional<Step>> steps_of_graph(const PoseGraph& graph, std::size_t rows,
                                                 const std::string& file, Problems& problems) {
   std::vector<std::optional<Step>> steps(rows - 1);
@@ -127,20 +128,20 @@ std::vector<std::optional<Step>> steps_of_graph(const PoseGraph& graph, std::siz
     if (edge.to != edge.from + 1) {
       problems.add("closure of the session's own graph left out", where);
     } else if (edge.to >= rows) {
-      continue;  // of a row that is left out
+      continue;  // the row is left out
     } else if (edge.kind != EdgeKind::kOdometry) {
       problems.add_altered("edge that contradicts the session's odometry left out", where);
     } else if (steps[edge.from]) {
       problems.add_altered("repeated odometry of the session's graph left out", where);
     } else {
-      // Its way to the other end may have left it indefinite by rounding.
+      // Reversing the edge may have made its information indefinite by rounding.
       steps[edge.from] = Step{edge.T_from_to, nearest_information(edge.information).matrix};
     }
   }
   return steps;
 }
 
-/// What the files of a session hold, each as far as it goes.
+/// Contents of the files of a session, which may have different lengths.
 struct SessionFiles {
   std::optional<Poses> optimized;
   std::optional<Poses> odometry;
@@ -167,10 +168,10 @@ SessionFiles read_files(const fs::path& folder, const MissionOptions& options, P
   return session;
 }
 
-/// How many rows the files of a session have: a program that is stopped leaves them one or a few apart.
+/// Numbers of rows in the files of a session. They differ by a few rows if the program was stopped.
 struct Rows {
-  std::size_t common;  ///< That all files have.
-  std::size_t most;    ///< That any has.
+  std::size_t common;  ///< Rows that all files have.
+  std::size_t most;    ///< Rows of the longest file.
 };
 Rows count_rows(const SessionFiles& session, const fs::path& folder, Problems& problems) {
   std::vector<std::pair<std::string, std::size_t>> files;
@@ -224,8 +225,8 @@ std::vector<Step> odometry_steps(const SessionFiles& session, std::size_t rows, 
   return steps;
 }
 
-/// Nodes stand where odometry takes them from the first pose, where the optimised poses put it if there are
-/// any.
+/// A graph of nodes with poses that follow odometry from `first`, which is the first optimised pose if there
+/// is one.
 PoseGraph chained(const Eigen::Isometry3d& first, const std::vector<Step>& steps, const std::string& name) {
   PoseGraph graph;
   Node node;
@@ -244,7 +245,7 @@ PoseGraph chained(const Eigen::Isometry3d& first, const std::vector<Step>& steps
   return graph;
 }
 
-/// "000012" is row 12.
+/// The row in a name: 12 for "000012".
 std::optional<Key> row_of(const std::string& stem) {
   Key row = 0;
   const bool digits =
@@ -253,7 +254,7 @@ std::optional<Key> row_of(const std::string& stem) {
   return row;
 }
 
-/// Scans by row. Some programs count them from 1: then the last has the number of rows that were saved.
+/// Scans by row. If a program counts from 1, the last number equals the number of saved rows.
 std::map<Key, fs::path> scans_by_row(std::map<Key, fs::path> scans, std::size_t saved_rows,
                                      Problems& problems) {
   if (scans.empty() || scans.begin()->first != 1) return scans;

@@ -13,11 +13,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Steps of SQLite's virtual machine between looks at whether to stop.
+/// Steps of SQLite's virtual machine between two checks for a stop request.
 constexpr int kStepsBetweenLooks = 100'000;
 
-/// A path as SQLite's URI, by which a file can be opened without locks and without its folder being written
-/// to.
+/// A path as a URI of SQLite that opens the file without locks and without writing to its folder.
 std::string immutable_uri(const fs::path& path) {
   constexpr char kDigits[] = "0123456789ABCDEF";
   std::string out = "file:";
@@ -70,7 +69,7 @@ void Statement::check(int result) const {
 
 Database::Database(const fs::path& path, const std::string& name, const StopToken& stop)
     : name_(name), stop_(stop) {
-  // A journal beside the file holds rows that the file lacks, and needs locks to be read.
+  // A journal beside the file has rows that the file lacks, and reading it needs locks.
   const bool has_journal = parts::exists(path.string() + "-wal") || parts::exists(path.string() + "-journal");
   if (!has_journal) check_size(path);
   sqlite3* made = nullptr;
@@ -86,7 +85,7 @@ Database::Database(const fs::path& path, const std::string& name, const StopToke
   sqlite3_db_config(made, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
 }
 
-/// SQLite reads a file whose last page is cut off.
+/// SQLite accepts a file whose last page is cut off, so the size is checked here.
 void Database::check_size(const fs::path& path) const {
   const RawFile file(path);
   constexpr std::size_t kHeader = 100;
@@ -99,7 +98,8 @@ void Database::check_size(const fs::path& path) const {
     return value;
   };
   const std::uint64_t page = number(16, 2) == 1 ? 65536 : number(16, 2), pages = number(28, 4);
-  const bool counts_pages = number(24, 4) == number(92, 4);  // else a version before 3.7 wrote last
+  const bool counts_pages =
+      number(24, 4) == number(92, 4);  // otherwise the last writer was a version before 3.7
   if (counts_pages && pages * page > file.size()) {
     throw InputError(name_ + ": the database is cut short: it should have " + std::to_string(pages * page) +
                      " bytes, the file has " + std::to_string(file.size()) +

@@ -17,7 +17,7 @@
 
 namespace loopwise::sqlite {
 
-/// A statement that is prepared once.
+/// A prepared statement.
 class Statement {
  public:
   /// \throws InputError with SQLite's message
@@ -26,10 +26,10 @@ class Statement {
   Statement(const Statement&) = delete;
   Statement& operator=(const Statement&) = delete;
 
-  /// Sets the only parameter and starts anew.
+  /// Sets the only parameter and restarts the statement.
   void bind(std::int64_t value);
   void reset() { sqlite3_reset(statement_); }
-  /// False at the end.
+  /// Advances to the next row. False at the end.
   bool next();
   /// \throws InputError naming `what` if it is no whole number
   [[nodiscard]] std::int64_t integer(int column, const char* what) const;
@@ -48,13 +48,13 @@ class Statement {
   sqlite3_stmt* statement_ = nullptr;
 };
 
-/// A database, without locks and without writing to its folder unless a journal lies beside it.
+/// A database that is opened without locks and without writing to its folder, unless it has a journal.
 class Database {
  public:
-  /// `name`: for errors. \throws InputError if the file is cut short or no database; IoError
+  /// \param name of the file, for errors. \throws InputError if the file is cut short or no database; IoError
   Database(const std::filesystem::path& path, const std::string& name, const StopToken& stop);
 
-  /// Calls `work()`, whose errors get the name of the file. \throws StoppedError
+  /// Calls `work()` and adds the name of the file to its errors. \throws StoppedError
   template <class Work>
   void checked(Work&& work) {
     watch(true);
@@ -69,7 +69,8 @@ class Database {
   }
   /// SQLite's own quick check. \throws InputError without the name of the file
   void check_pages();
-  /// Of real tables: views and virtual tables would run what the file says.
+  /// Whether a real table has this name. Views and virtual tables are excluded, because they run code of the
+  /// file.
   [[nodiscard]] bool has_table(const std::string& table);
   [[nodiscard]] sqlite3* handle() const { return database_.get(); }
 

@@ -16,7 +16,7 @@
 
 namespace loopwise {
 
-/// A temporary copy under a name of our own.
+/// A temporary copy with a unique name.
 class TemporaryFile {
  public:
   TemporaryFile() {

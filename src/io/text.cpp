@@ -27,7 +27,7 @@ std::string quoted(std::string_view text) {
 
 namespace {
 
-/// Of the character at the front, which is not empty; 0 if it is no UTF-8.
+/// Size in bytes of the first UTF-8 character of a text that is not empty; 0 if it is not UTF-8.
 std::size_t character_size(std::string_view text) {
   const auto byte = [&](std::size_t i) { return i < text.size() ? static_cast<unsigned char>(text[i]) : 0u; };
   const auto within = [&](std::size_t i, unsigned least, unsigned most) {
@@ -37,7 +37,7 @@ std::size_t character_size(std::string_view text) {
   const unsigned first = byte(0);
   if (first < 0x80) return 1;
   if (within(0, 0xC2, 0xDF)) return follows(1) ? 2 : 0;
-  // Neither longer than need be, nor half of a pair, nor beyond the last character.
+  // Excludes overlong forms, surrogates, and values beyond the last character.
   if (within(0, 0xE0, 0xEF)) {
     return within(1, first == 0xE0 ? 0xA0 : 0x80, first == 0xED ? 0x9F : 0xBF) && follows(2) ? 3 : 0;
   }
@@ -91,8 +91,7 @@ bool Lines::next(std::string_view& line) {
 
 namespace {
 
-/// Whether a number that is out of a double's range is too small for it: by the power of ten of its first
-/// digit.
+/// Whether a number out of a double's range is too small, judged by the power of ten of its first digit.
 bool is_tiny(std::string_view word) {
   constexpr std::int64_t kFar = std::int64_t{1} << 40;
   const std::size_t mark = std::min(word.find_first_of("eE"), word.size());
@@ -120,7 +119,7 @@ Number parse_double(std::string_view word, double& value) {
   const auto [end, error] = std::from_chars(word.data(), last, value);
   if (end != last || error == std::errc::invalid_argument) return Number::kNotANumber;
   if (error == std::errc::result_out_of_range) {
-    // Too large or too small: from_chars does not say which.
+    // from_chars does not state whether the number is too large or too small.
     if (!is_tiny(word)) return Number::kNotFinite;
     value = 0.0;
   }
@@ -150,14 +149,15 @@ std::optional<std::int64_t> parse_seconds_ns(std::string_view word) {
   std::string_view digits = word;
   if (negative || word[0] == '+') digits.remove_prefix(1);
   if (digits.find_first_not_of("0123456789.") != std::string_view::npos) {
-    // An exponent. Programs print stamps of 1e18 ns so: shift the decimal point instead of multiplying.
+    // Programs print stamps of 1e18 ns with an exponent. Shifting the decimal point is exact; a product is
+    // not.
     const std::size_t mark = digits.find_first_of("eE");
     std::int64_t exponent = 0;
     std::string_view tail = digits.substr(mark + 1);
     if (!tail.empty() && tail[0] == '+') tail.remove_prefix(1);
     const auto parsed = std::from_chars(tail.data(), tail.data() + tail.size(), exponent);
     std::string plain(digits.substr(0, mark));
-    // The number is finite and not large, so with so far a shift it is zero to the nanosecond.
+    // The number is finite and not large, so after such a shift it is zero to the nanosecond.
     const auto far = static_cast<std::int64_t>(400 + plain.size());
     if (parsed.ec != std::errc() || exponent > far || exponent < -far) return 0;
     std::size_t point = plain.find('.');
@@ -211,7 +211,8 @@ std::size_t read_numbers(std::string_view& line, double* values, std::size_t cap
 
 Pose pose_of(const double* v, const Place& place) {
   Eigen::Quaterniond q(v[6], v[3], v[4], v[5]);
-  // By the largest element first: the squares of 1e200 and of 1e-200 leave the range of a double.
+  // Divided by the largest element first, because the squares of 1e200 and of 1e-200 leave the range of a
+  // double.
   const double largest = q.coeffs().cwiseAbs().maxCoeff();
   if (largest < 1e-9) place.fail("zero quaternion");
   q.coeffs() /= largest;

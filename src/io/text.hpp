@@ -24,23 +24,23 @@ namespace loopwise::text {
 /// readable.
 [[nodiscard]] std::string quoted(std::string_view text);
 
-/// Whether it is whole characters in UTF-8.
+/// Whether the text is valid UTF-8.
 [[nodiscard]] bool is_utf8(std::string_view text);
 
-/// The text as UTF-8: each byte that is none becomes '%' and two digits, as in an address. What JSON and XML
-/// cannot hold would otherwise become the same replacement for all.
+/// The text as UTF-8. Each invalid byte becomes '%' and two digits, as in an address. JSON and XML would
+/// replace all invalid texts by the same character.
 [[nodiscard]] std::string legible(std::string_view text);
 
-/// Hands out the lines of a text, numbered from 1; a byte order mark is skipped.
+/// Iterates over the lines of a text, numbered from 1. Skips a byte order mark.
 class Lines {
  public:
   explicit Lines(std::string_view all);
-  /// False at the end.
+  /// Gets the next line. False at the end.
   [[nodiscard]] bool next(std::string_view& line);
   [[nodiscard]] std::size_t number() const { return number_; }
-  /// Whether the last line handed out had a line end.
+  /// Whether the last line had a line end.
   [[nodiscard]] bool ended() const { return ended_; }
-  /// What has not been handed out yet.
+  /// The text after the last line.
   [[nodiscard]] std::string_view rest() const { return rest_; }
 
  private:
@@ -49,7 +49,7 @@ class Lines {
   bool ended_ = true;
 };
 
-/// Takes the next word off the front of the line; empty at its end or before a comment ('#').
+/// Takes the next word from the front of the line; empty at its end or before a comment ('#').
 [[nodiscard]] inline std::string_view next_word(std::string_view& line) {
   std::size_t begin = 0;
   while (begin < line.size() && is_blank(line[begin])) ++begin;
@@ -67,15 +67,15 @@ class Lines {
 enum class Number { kOk, kNotANumber, kNotFinite };
 [[nodiscard]] Number parse_double(std::string_view word, double& value);
 
-/// Why the word is not an id of 64 bits, or null if it is.
+/// The reason why the word is not an id of 64 bits, or null if it is one.
 [[nodiscard]] const char* parse_id(std::string_view word, std::uint64_t& value);
 [[nodiscard]] bool parse_int64(std::string_view word, std::int64_t& value);
 
-/// Decimal seconds as nanoseconds, exactly where the digits go no further: a double would lose the last 100
-/// ns. Nothing if the word is no number or beyond ±9.2e9 s.
+/// Converts decimal seconds to nanoseconds, exactly for up to nine decimals: a double would lose the last
+/// 100 ns. Empty if the word is no number or beyond ±9.2e9 s.
 [[nodiscard]] std::optional<std::int64_t> parse_seconds_ns(std::string_view word);
 
-/// Place in a file, for errors.
+/// Position in a file, for errors.
 struct Place {
   const std::string& file;
   std::size_t line;
@@ -85,8 +85,8 @@ struct Place {
   [[noreturn]] void fail(const std::string& why) const;
 };
 
-/// Reads up to `capacity` numbers off the line. \returns how many words the line held, which may be more.
-/// \throws ParseError on a word that is no finite number.
+/// Reads up to `capacity` numbers from the line. \returns the number of words in the line, which may be
+/// larger. \throws ParseError on a word that is no finite number
 [[nodiscard]] std::size_t read_numbers(std::string_view& line, double* values, std::size_t capacity,
                                        const Place& place);
 

@@ -24,10 +24,10 @@ constexpr const char* kWanted = "a trajectory in TUM's or KITTI's form or a g2o 
 constexpr std::initializer_list<FileKind> kTrajectories = {FileKind::kTum, FileKind::kKitti, FileKind::kG2o,
                                                            FileKind::kEmpty};
 constexpr std::size_t kTumNumbers = 8;
-constexpr std::size_t kTumWithId = 9;  // RTAB-Map writes the id of the node behind the pose
+constexpr std::size_t kTumWithId = 9;  // RTAB-Map writes the id of the node after the pose
 constexpr std::size_t kKittiNumbers = 12;
 
-/// The form of the first line that is neither blank nor a comment.
+/// Format of the first line that is neither blank nor a comment.
 TrajectoryFormat recognise(const std::string& file, std::string_view contents) {
   text::Lines lines(contents);
   for (std::string_view line; lines.next(line);) {
@@ -89,7 +89,7 @@ std::vector<std::size_t> by_stamp(const std::vector<std::int64_t>& stamps) {
   return order;
 }
 
-/// Sorts poses by their stamps and counts faults of the stamps. `lines`: of each pose.
+/// Sorts poses by their stamps and counts problems of the stamps. `lines` has the line of each pose.
 void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& lines, Trajectory& out) {
   constexpr std::int64_t kSecond = 1'000'000'000;
   const std::vector<std::int64_t> read = out.stamps_ns;
@@ -164,7 +164,7 @@ IndexPairs pair_by_key(const Trajectory& estimate, const Trajectory& truth) {
 /// A pose of either trajectory on their common time line.
 struct Moment {
   std::int64_t stamp;
-  std::size_t rank;  ///< Among the poses of its trajectory with this stamp: these are paired in their order.
+  std::size_t rank;  ///< Among poses of equal stamp in its trajectory, which are paired in order.
   bool of_truth;
   std::size_t row;
 };
@@ -186,8 +186,8 @@ std::vector<Moment> time_line(const Trajectory& estimate, const Trajectory& trut
   return line;
 }
 
-/// Pairs within the tolerance, closest first; each pose is used once. The closest remaining pair always
-/// follow each other on the time line, so that there is no need to list all pairs within the tolerance.
+/// Pairs poses within the tolerance, closest first; each pose is used once. The closest remaining poses are
+/// always adjacent on the time line, so not all pairs within the tolerance have to be listed.
 IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, double tolerance_s) {
   struct Choice {
     std::uint64_t gap_ns;
@@ -204,13 +204,13 @@ IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, do
   std::priority_queue<Choice, std::vector<Choice>, std::greater<>> choices;
   const auto consider = [&](std::size_t left, std::size_t right) {
     const Moment &a = line[left], &b = line[right];
-    // No stamps are too far apart for the larger minus the smaller.
+    // Unsigned, because the difference of two stamps may exceed the signed range.
     const std::uint64_t gap = static_cast<std::uint64_t>(b.stamp) - static_cast<std::uint64_t>(a.stamp);
     if (a.of_truth == b.of_truth || gap > tolerance_ns) return;
     choices.push({gap, a.of_truth ? b.row : a.row, a.of_truth ? a.row : b.row, left, right});
   };
   for (std::size_t i = 0; i < line.size(); ++i) {
-    before[i] = i - 1;  // of the first, beyond the end as well
+    before[i] = i - 1;  // for the first, the value wraps beyond the end
     after[i] = i + 1;
     if (i > 0) consider(i - 1, i);
   }
@@ -235,7 +235,7 @@ std::string span(const Trajectory& trajectory) {
   return seconds(*first) + " to " + seconds(*last) + " s";
 }
 
-/// What names a pose in messages.
+/// Name of a pose in messages.
 std::string name_of(const Trajectory& trajectory, std::size_t i, bool by_stamp) {
   return by_stamp ? "stamp " + seconds(trajectory.stamps_ns[i]) : key_name(trajectory.keys[i]);
 }

@@ -18,7 +18,7 @@ struct Session {
   std::vector<fs::path> clouds;  // of each sweep
 };
 
-/// Lines begin with stamp, position and quaternion; velocity, biases, gravity and variances follow.
+/// Each line has a stamp, position and quaternion, followed by velocity, biases, gravity and variances.
 Session read_voxel_session(const fs::path& folder, Problems& problems) {
   Session session;
   session.stream.name = name_of(folder);

@@ -23,18 +23,19 @@ class ZipArchive {
   /// \throws IoError; InputError if it is no archive, is damaged, or this build reads none.
   explicit ZipArchive(const std::filesystem::path& file);
 
-  /// Of the files, as they stand in the archive, in its order. Folders are left out.
+  /// Names of the files as in the archive, in its order. Folders are left out.
   [[nodiscard]] const std::vector<std::string>& names() const;
 
-  /// The contents of the n-th file, held against its checksum. Memory grows with what comes out, not with
-  /// what the archive claims. Safe to call from several threads, which wait for one another; copies share the
-  /// archive. \throws InputError naming archive and file if it is damaged, encrypted or larger than 1 GiB
+  /// The contents of the n-th file, checked against its checksum. Memory grows with the output, not with the
+  /// size that the archive states. Safe to call from several threads, of which one reads at a time; copies
+  /// share the archive. \throws InputError naming archive and file if it is damaged, encrypted or larger than
+  /// 1 GiB
   [[nodiscard]] std::string read(std::size_t number) const;
 
-  /// Bytes of the n-th file, as the archive says; reading it gives no more.
+  /// Size in bytes of the n-th file according to the archive; read() gives no more bytes.
   [[nodiscard]] std::uint64_t size(std::size_t number) const;
 
-  /// The same as read(), handed out piece by piece and without bound.
+  /// The same as read(), in pieces and without the bound on the size.
   void read(std::size_t number, const std::function<void(std::string_view)>& piece) const;
 
  private:
