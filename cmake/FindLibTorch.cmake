@@ -1,5 +1,5 @@
 # Finds libtorch's headers and libraries for the CPU: target LibTorch::LibTorch. The package's own CMake files are not
-# used: Debian's ask for what its packages do not bring, and all that is needed here is two folders and three libraries.
+# used, because those of Debian ask for files that its packages lack. Two folders and three libraries suffice here.
 # CMAKE_PREFIX_PATH may name an unpacked libtorch.
 find_path(LIBTORCH_INCLUDE_DIR torch/csrc/api/include/torch/torch.h)
 find_library(LIBTORCH_LIBRARY torch)

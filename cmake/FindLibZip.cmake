@@ -1,5 +1,5 @@
-# Finds libzip: target LibZip::LibZip. The package's own CMake files ask for its command-line tools too, which Debian
-# has in other packages.
+# Finds libzip: target LibZip::LibZip. The package's own CMake files also ask for its command-line tools, which are in
+# other packages of Debian.
 find_path(LibZip_INCLUDE_DIR zip.h)
 find_library(LibZip_LIBRARY zip)
 include(FindPackageHandleStandardArgs)

@@ -1,4 +1,4 @@
-# Finds what bags of ROS 2 are made of: SQLite, zstd and lz4, as target Rosbag2Libraries::Rosbag2Libraries.
+# Finds the libraries for bags of ROS 2: SQLite, zstd and lz4, as target Rosbag2Libraries::Rosbag2Libraries.
 set(_rosbag2_variables)
 foreach(_rosbag2_pair sqlite3.h:sqlite3 zstd.h:zstd lz4frame.h:lz4)
   string(REPLACE ":" ";" _rosbag2_pair ${_rosbag2_pair})

@@ -1,11 +1,11 @@
-# Finds the library that reads ROS 1 bags, and what its headers include: target RosbagStorage::RosbagStorage.
-# The package's own CMake files are not used: through pluginlib they bring ament, which runs the first python3 of the
-# path and ends the configuration where that one lacks its modules, even if asked quietly.
+# Finds the library that reads ROS 1 bags and the includes of its headers: target RosbagStorage::RosbagStorage. The
+# package's own CMake files are not used: through pluginlib they bring ament, which runs the first python3 of the path.
+# If that lacks a module, ament stops the configuration, even with QUIET.
 set(_rosbag_variables)
 foreach(_rosbag_header rosbag/bag.h ros/time.h roslz4/lz4s.h console_bridge/console.h pluginlib/class_loader.hpp
                        class_loader/class_loader.hpp boost/format.hpp bzlib.h)
   string(MAKE_C_IDENTIFIER "RosbagStorage_${_rosbag_header}_INCLUDE_DIR" _rosbag_variable)
-  # Debian puts some of them into folders of their own.
+  # Debian has separate folders for some of them.
   get_filename_component(_rosbag_folder ${_rosbag_header} DIRECTORY)
   find_path(${_rosbag_variable} ${_rosbag_header} PATH_SUFFIXES ${_rosbag_folder})
   list(APPEND _rosbag_variables ${_rosbag_variable})
@@ -17,7 +17,7 @@ foreach(_rosbag_name rosbag_storage roscpp_serialization rostime cpp_common rosl
   list(APPEND _rosbag_variables RosbagStorage_${_rosbag_name}_LIBRARY)
   list(APPEND _rosbag_libraries RosbagStorage_${_rosbag_name}_LIBRARY)
 endforeach()
-# Included by pluginlib's newer versions alone.
+# Only newer versions of pluginlib include it.
 set(_rosbag_optional)
 foreach(_rosbag_name rcutils rcpputils ament_index_cpp)
   find_path(RosbagStorage_${_rosbag_name}_INCLUDE_DIR NAMES ${_rosbag_name}/visibility_control.h

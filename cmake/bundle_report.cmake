@@ -1,8 +1,8 @@
-# Run by the build: bundles WEB into OUT/report_template.cpp with NPM and NODE. Where that fails, MODE=ON fails the
-# build; MODE=AUTO warns and takes ABSENT, with which `loopwise report` says that it has no page.
+# Run by the build: bundles WEB into OUT/report_template.cpp with NPM and NODE. If that fails, MODE=ON fails the build;
+# MODE=AUTO warns and uses ABSENT, with which `loopwise report` states that it has no page.
 
 function(give_up what output)
-  # npm says much; the line that names the error is what helps.
+  # npm prints much; only the line with the error helps.
   string(REGEX MATCH "[^\n]*Error: [^\n]*" why "${output}")
   if(NOT why)
     string(SUBSTRING "${output}" 0 400 why)
@@ -18,7 +18,7 @@ function(give_up what output)
   file(TOUCH ${OUT}/report_template.cpp)
 endfunction()
 
-# npm works beside its package.json: on a copy, so that the source tree stays as it is.
+# npm writes beside its package.json, so it runs on a copy and leaves the source tree unchanged.
 set(work ${OUT}/work)
 file(REMOVE_RECURSE ${work}/src)
 file(COPY ${WEB}/package.json ${WEB}/package-lock.json ${WEB}/.npmrc ${WEB}/build.mjs ${WEB}/src DESTINATION ${work})

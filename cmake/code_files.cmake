@@ -1,5 +1,5 @@
-# Sets `result` to the files under ROOT that the code of these components is compiled from. MODE may be
-# CONFIGURE_DEPENDS, where a project is configured.
+# Sets `result` to the files under ROOT that are compiled into these components. MODE may be CONFIGURE_DEPENDS in the
+# configuration of a project.
 function(loopwise_code_files result root mode)
   set(all "")
   foreach(component IN LISTS ARGN)

@@ -1,5 +1,5 @@
-# Run at build time: writes the header OUTPUT with hashes of the library's sources under ROOT. What was computed by one
-# version of the code is then never taken for another's.
+# Run at build time: writes the header OUTPUT with hashes of the library's sources under ROOT, so that stored results of
+# one version of the code are never used by another version.
 
 include(${CMAKE_CURRENT_LIST_DIR}/code_files.cmake)
 
@@ -17,6 +17,6 @@ function(hash_components result)
 endfunction()
 
 hash_components(registration core features registration)
-# Finished runs of studies hold figures that evaluation makes.
+# Finished runs of studies contain figures from evaluation.
 hash_components(replay core features registration joining io generation optimization prioritization engine online replay evaluation)
 file(WRITE ${OUTPUT} "#define LOOPWISE_REGISTRATION_CODE \"${registration}\"\n#define LOOPWISE_REPLAY_CODE \"${replay}\"\n")

@@ -7,7 +7,7 @@ set(LOOPWISE_WITH_ROSBAG2 AUTO CACHE STRING
 set(LOOPWISE_WITH_ZIP AUTO CACHE STRING "Read zip archives (needs libzip): ON, OFF, or AUTO: if it is found")
 set_property(CACHE LOOPWISE_WITH_ROSBAG LOOPWISE_WITH_ROSBAG2 LOOPWISE_WITH_ZIP PROPERTY STRINGS AUTO ON OFF)
 
-# Sets `result` to whether the option is on and the package is found; ON and not found is an error.
+# Sets `result` to whether the option is on and the package is found. ON without the package is an error.
 function(loopwise_find_optional option package hint result)
   set(${result} FALSE PARENT_SCOPE)
   if(NOT ${option} STREQUAL "AUTO" AND NOT ${option})

@@ -1,4 +1,4 @@
-# Debian packages by CPack, see scripts/package: the shared libraries, what developers need besides, and the programs.
+# Debian packages by CPack, see scripts/package: the shared libraries, the files for developers, and the programs.
 set(CPACK_GENERATOR DEB)
 set(CPACK_PACKAGE_NAME loopwise)
 set(CPACK_PACKAGE_VENDOR "the Loopwise authors")
@@ -9,7 +9,7 @@ set(CPACK_STRIP_FILES ON)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_COMPONENTS_GROUPING IGNORE)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
-# A snapshot sorts below its release: 0.1.0~dev
+# A snapshot sorts before its release: 0.1.0~dev
 set(LOOPWISE_PACKAGE_SUFFIX "" CACHE STRING "Put behind the version of packages, for example ~dev20260801")
 string(APPEND CPACK_PACKAGE_VERSION "${LOOPWISE_PACKAGE_SUFFIX}")
 set(CPACK_DEBIAN_PACKAGE_CONTROL_STRICT_PERMISSION ON)
@@ -35,7 +35,7 @@ keeps the map consistent.")
 
 set(CPACK_DEBIAN_LOOPWISE_DEVELOPMENT_PACKAGE_NAME libloopwise-dev)
 set(CPACK_DEBIAN_LOOPWISE_DEVELOPMENT_PACKAGE_SECTION libdevel)
-# What public headers include; static libraries also need what they were built from.
+# Includes of public headers. Static libraries also need the libraries that they were built with.
 set(depends "libeigen3-dev, nlohmann-json3-dev (>= 3.9)")
 if(BUILD_SHARED_LIBS)
   string(PREPEND depends "libloopwise${so_version} (= ${CPACK_PACKAGE_VERSION}), ")
@@ -64,13 +64,13 @@ Replays recorded missions of teams of robots, finds their loop closures in the o
 pose graphs robustly, aligns scans, and judges and shows the results. With manual pages, completion for shells,
 weights of networks and a sample mission.")
 
-# The programs are linked to libraries of this very build, which no installed package holds.
+# The programs are linked to libraries of this build, which no installed package contains.
 get_property(names GLOBAL PROPERTY LOOPWISE_COMPONENTS)
 foreach(library IN LISTS names)
   list(APPEND CPACK_DEBIAN_PACKAGE_SHLIBDEPS_PRIVATE_DIRS ${PROJECT_BINARY_DIR}/src/${library})
 endforeach()
 
-# Each package says whose the code is and under which terms; so does the source that was compiled in from headers of others.
+# Each package states authors and licence of its code, also for code from headers of other projects.
 if(LOOPWISE_WITH_GPL)
   set(LOOPWISE_BINARIES_LICENSE "BSD-3-Clause and GPL-2+")
   set(LOOPWISE_BINARIES_NOTE
@@ -90,7 +90,7 @@ string(STRIP "${license}" license)
 string(REPLACE "\n" "\n " LOOPWISE_LICENSE_TEXT " ${license}")
 configure_file(${PROJECT_SOURCE_DIR}/cmake/debian_copyright.in ${PROJECT_BINARY_DIR}/debian/copyright @ONLY)
 
-# Headers whose code is in the binaries, with the notices that their Debian packages carry.
+# Headers whose code is in the binaries, with the notices in their Debian packages.
 set(notices "Notices of the libraries whose headers were compiled into these binaries.\n")
 foreach(package libeigen3-dev nlohmann-json3-dev libcli11-dev libtbb-dev libpcl-dev libflann-dev)
   if(EXISTS /usr/share/doc/${package}/copyright)
@@ -101,7 +101,7 @@ endforeach()
 file(CONFIGURE OUTPUT ${PROJECT_BINARY_DIR}/debian/NOTICES CONTENT "@notices@" @ONLY)
 
 function(install_documents component package)
-  # Of packages alone: other installations have the sources' LICENSE.
+  # Only in packages: other installations have the LICENSE of the sources.
   install(FILES ${PROJECT_BINARY_DIR}/debian/copyright ${PROJECT_BINARY_DIR}/debian/NOTICES
                 ${PROJECT_SOURCE_DIR}/CHANGELOG.md ${ARGN}
           DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${component} EXCLUDE_FROM_ALL)
@@ -109,7 +109,7 @@ endfunction()
 install_documents(loopwise_development libloopwise-dev)
 install_documents(loopwise_tools loopwise ${PROJECT_SOURCE_DIR}/web/THIRD_PARTY.md)
 if(BUILD_SHARED_LIBS)
-  # The page of reports is part of a library.
+  # A library contains the page of reports.
   install_documents(loopwise_runtime libloopwise${so_version} ${PROJECT_SOURCE_DIR}/web/THIRD_PARTY.md)
 endif()
 include(CPack)

@@ -28,9 +28,9 @@ function(loopwise_report_source result)
   set(web ${PROJECT_SOURCE_DIR}/web)
   set(folder ${PROJECT_BINARY_DIR}/web)
   set(output ${folder}/report_template.cpp)
-  # GLOB: the page's sources are few and flat, and a new one is imported by one that changes.
+  # GLOB suffices: a new source of the page is imported by another one, which changes.
   file(GLOB sources CONFIGURE_DEPENDS ${web}/src/*)
-  # A change of the option alone must bundle again.
+  # If only the option changes, the page has to be bundled again.
   file(CONFIGURE OUTPUT ${folder}/mode.txt CONTENT "${mode}\n")
   add_custom_command(
     OUTPUT ${output}

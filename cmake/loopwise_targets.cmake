@@ -1,4 +1,4 @@
-# How a Loopwise component is declared, compiled, exported and found again. One component per folder of src/.
+# Functions that declare, compile, export and find a Loopwise component. One component per folder of src/.
 
 set(LOOPWISE_CMAKE_DIR ${CMAKE_INSTALL_LIBDIR}/cmake/loopwise)
 set_property(GLOBAL PROPERTY LOOPWISE_COMPONENTS "")
@@ -8,13 +8,13 @@ if(LOOPWISE_BUILD_FUZZERS)
     message(FATAL_ERROR "LOOPWISE_BUILD_FUZZERS needs clang, whose libFuzzer drives the targets; the compiler is "
       "${CMAKE_CXX_COMPILER_ID}. Use scripts/fuzz, or configure anew with -DCMAKE_CXX_COMPILER=clang++")
   endif()
-  # The targets add the fuzzer itself. What casts of numbers beyond an integer's range give is not defined, and no part of
+  # The targets add the fuzzer itself. A cast beyond the range of an integer is undefined, but not part of the check
   # `undefined`.
   set(LOOPWISE_SANITIZE address,undefined,float-cast-overflow,fuzzer-no-link)
   add_compile_definitions(_GLIBCXX_ASSERTIONS)
 endif()
 
-# Flags of this build alone: linked as $<BUILD_INTERFACE:...>, so that they are never exported.
+# Flags of this build, linked as $<BUILD_INTERFACE:...> so that they are never exported.
 add_library(loopwise_build_flags INTERFACE)
 target_compile_options(loopwise_build_flags INTERFACE -Wall -Wextra -Wshadow -Wconversion)
 if(LOOPWISE_WARNINGS_AS_ERRORS)
@@ -23,11 +23,11 @@ endif()
 if(LOOPWISE_SANITIZE)
   target_compile_options(loopwise_build_flags INTERFACE -fsanitize=${LOOPWISE_SANITIZE} -fno-omit-frame-pointer -g)
   target_link_options(loopwise_build_flags INTERFACE -fsanitize=${LOOPWISE_SANITIZE})
-  # Instrumented code confuses this analysis of gcc's: it warns of the standard library itself.
+  # In instrumented code, this analysis of gcc has false warnings about the standard library.
   target_compile_options(loopwise_build_flags INTERFACE $<$<CXX_COMPILER_ID:GNU>:-Wno-maybe-uninitialized>)
   if(LOOPWISE_SANITIZE MATCHES "address")
-    # Under this sanitizer Eigen would align memory by hand, but the libraries that we share matrices with (PCL) were
-    # built without: malloc is aligned well enough in either case, so all may use it.
+    # With this sanitizer, Eigen would align memory by hand. PCL, with which matrices are shared, is
+    # built without it. The alignment of malloc suffices in both cases, so all code uses malloc.
     target_compile_definitions(loopwise_build_flags INTERFACE EIGEN_MALLOC_ALREADY_ALIGNED=1)
   endif()
   if(LOOPWISE_SANITIZE MATCHES "undefined")
@@ -38,13 +38,13 @@ if(LOOPWISE_SANITIZE)
   endif()
 endif()
 
-# The components that read what comes from outside.
+# Components that read input from outside.
 set(LOOPWISE_READERS "^(core|io|engine|online|replay|evaluation|distributed|training|study)$")
 set(LOOPWISE_READER_FLAGS "")
 if(LOOPWISE_HARDENING AND NOT LOOPWISE_SANITIZE)
   include(CheckCXXCompilerFlag)
   include(CheckLinkerFlag)
-  # Sizes known to the compiler are checked where the C library copies or formats; it needs optimisation.
+  # Checks sizes that the compiler knows in functions of the C library that copy or format. Needs optimisation.
   target_compile_options(loopwise_build_flags INTERFACE
     "$<$<CONFIG:Release,RelWithDebInfo,MinSizeRel>:-U_FORTIFY_SOURCE;-D_FORTIFY_SOURCE=2>")
   foreach(flag -fstack-clash-protection -fcf-protection -mbranch-protection=standard)
@@ -54,8 +54,8 @@ if(LOOPWISE_HARDENING AND NOT LOOPWISE_SANITIZE)
       target_compile_options(loopwise_build_flags INTERFACE ${flag})
     endif()
   endforeach()
-  # Guards of the stack are for code that reads. Nearly every function of the others holds a small matrix there, and
-  # would pay for one.
+  # Only readers have stack protection. Nearly all functions of other components have a small matrix on the stack, and
+  # the protection would slow them down.
   check_cxx_compiler_flag(-fstack-protector-strong LOOPWISE_COMPILER_PROTECTS_STACK)
   if(LOOPWISE_COMPILER_PROTECTS_STACK)
     set(LOOPWISE_READER_FLAGS -fstack-protector-strong)
@@ -68,7 +68,7 @@ if(LOOPWISE_HARDENING AND NOT LOOPWISE_SANITIZE)
   endif()
 endif()
 
-# Shared libraries show what public headers declare (LOOPWISE_EXPORT) and nothing of the libraries that are compiled in.
+# Shared libraries export the symbols of public headers (LOOPWISE_EXPORT), and no symbols of libraries compiled in.
 set(LOOPWISE_VERSION_SCRIPT "")
 if(BUILD_SHARED_LIBS)
   include(CheckLinkerFlag)
@@ -78,13 +78,13 @@ if(BUILD_SHARED_LIBS)
     set(LOOPWISE_VERSION_SCRIPT ${script})
   endif()
   if(NOT DEFINED CMAKE_INSTALL_RPATH)
-    # Programs and libraries find the libraries beside which they were installed, wherever that is.
+    # Programs and libraries find the libraries of their own installation in any folder.
     file(RELATIVE_PATH to_libraries /${CMAKE_INSTALL_BINDIR} /${CMAKE_INSTALL_LIBDIR})
     set(CMAKE_INSTALL_RPATH "$ORIGIN;$ORIGIN/${to_libraries}")
   endif()
 endif()
 
-# For the programs: what their own sources are compiled with, and how they are loaded.
+# Compile and link flags of the programs.
 function(loopwise_harden_program target)
   target_compile_options(${target} PRIVATE ${LOOPWISE_READER_FLAGS})
   if(LOOPWISE_HARDENING)
@@ -96,7 +96,7 @@ endfunction()
 #   [PUBLIC targets...]    Loopwise components and libraries that its headers need
 #   [PRIVATE targets...]   libraries that only its sources need
 #   [PACKAGES call...]     find_dependency argument lists that a user of the installed component needs, one string each
-#   [STATIC_PACKAGES call...]     the same, needed only to link a static component
+#   [STATIC_PACKAGES call...]     the same, needed only for linking a static component
 #   [MODULES name...]      for pkg-config: modules that its headers need
 function(loopwise_add_component name)
   set(lists SOURCES PUBLIC PRIVATE PACKAGES STATIC_PACKAGES MODULES)
@@ -106,7 +106,7 @@ function(loopwise_add_component name)
   add_library(loopwise::${name} ALIAS ${target})
   # Compatible within one minor version before 1.0, see docs/building.md.
   if(LOOPWISE_BUILD_FUZZERS)
-    # What reads nothing is built fast and uninstrumented: fuzzers then count the edges of readers alone.
+    # Other components are not instrumented, so fuzzers are faster and count only the edges of readers.
     set(plain ${ARG_SOURCES})
     if(name MATCHES "${LOOPWISE_READERS}")
       set(plain)
@@ -147,7 +147,7 @@ function(loopwise_add_component name)
             COMPONENT loopwise_development FILES_MATCHING PATTERN "*.hpp")
   endif()
 
-  # What the package configuration needs to bring the component back: its packages, then its Loopwise parts.
+  # Dependencies for the package configuration: packages first, then components of Loopwise.
   set(parts)
   foreach(dependency IN LISTS ARG_PUBLIC ARG_PRIVATE)
     if(dependency MATCHES "^loopwise::(.+)$")
@@ -168,7 +168,7 @@ endfunction()
 function(loopwise_linked_files result library)
   set(found)
   if(NOT TARGET "${library}")
-    if(NOT library MATCHES "^\\$<")  # of this build alone
+    if(NOT library MATCHES "^\\$<")  # only in this build
       set(found ${library})
     endif()
     set(${result} ${found} PARENT_SCOPE)
@@ -189,8 +189,8 @@ function(loopwise_linked_files result library)
   set(${result} ${found} PARENT_SCOPE)
 endfunction()
 
-# Installs loopwise-NAME.pc. What is private is asked for by `pkg-config --static`, which static libraries need; shared
-# ones know for themselves, and pkg-config would ask for the development files of it even so.
+# Installs loopwise-NAME.pc. Private dependencies are for static libraries, with `pkg-config --static`. Shared libraries
+# record theirs, and pkg-config would ask for development files of private ones in any case.
 function(loopwise_add_pkg_config name public private modules)
   set(PC_NAME loopwise-${name})
   set(PC_DESCRIPTION "${PROJECT_DESCRIPTION}: ${name}")
@@ -237,13 +237,13 @@ function(loopwise_add_pkg_config name public private modules)
   loopwise_install_pkg_config()
 endfunction()
 
-# From the caller's PC_* variables.
+# Uses the caller's PC_* variables.
 function(loopwise_install_pkg_config)
   set(folder ${CMAKE_INSTALL_LIBDIR}/pkgconfig)
   if(IS_ABSOLUTE "${folder}")
     set(PC_PREFIX ${CMAKE_INSTALL_PREFIX})
   else()
-    # Right wherever the tree is installed, or moved to.
+    # Valid in any folder to which the tree is installed or moved.
     file(RELATIVE_PATH up /${folder} /)
     string(REGEX REPLACE "/$" "" up "${up}")
     set(PC_PREFIX "\${pcfiledir}/${up}")
@@ -263,8 +263,8 @@ function(loopwise_install_pkg_config)
   install(FILES ${PROJECT_BINARY_DIR}/pkgconfig/${PC_NAME}.pc DESTINATION ${folder} COMPONENT loopwise_development)
 endfunction()
 
-# Installs loopwiseConfig.cmake: find_package(loopwise CONFIG COMPONENTS optimization) brings one component and
-# what it stands on; without COMPONENTS all that were built, and loopwise::loopwise. loopwise.pc is all of them too.
+# Installs loopwiseConfig.cmake: find_package(loopwise CONFIG COMPONENTS optimization) finds one component and its
+# dependencies; without COMPONENTS it finds all built ones and loopwise::loopwise. loopwise.pc also has all of them.
 function(loopwise_install_package)
   include(CMakePackageConfigHelpers)
   get_property(components GLOBAL PROPERTY LOOPWISE_COMPONENTS)

@@ -1,4 +1,4 @@
-# Sourced by the other scripts: sets `root`, enters it (`called_from` is where it was), and builds the way all do.
+# Sourced by the other scripts: sets `root`, enters it (`called_from` is the former folder), and has the common build steps.
 # shellcheck shell=bash
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)
 # shellcheck disable=SC2034
@@ -14,7 +14,7 @@ parallel_jobs() {
   echo $((processors < memory_gb ? processors : memory_gb))
 }
 
-# configure PRESET [cmake arguments...]: into build/PRESET, compiling through ccache where there is one.
+# configure PRESET [cmake arguments...]: into build/PRESET, with ccache if it is installed.
 configure() {
   local preset=$1
   shift
@@ -23,7 +23,7 @@ configure() {
   cmake --preset "$preset" "${launcher[@]}" "$@"
 }
 
-# The version of project() in CMakeLists.txt, the one place where it stands.
+# The version of project() in CMakeLists.txt, the only place that states it.
 project_version() {
   sed -n 's/^project(loopwise VERSION \([0-9.]*\).*/\1/p' "$root/CMakeLists.txt"
 }

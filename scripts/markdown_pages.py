@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The Markdown pages of the repository: which there are, their headings with anchors, and their links."""
+"""The Markdown pages of the repository: their paths, their headings with anchors, and their links."""
 import pathlib
 import re
 

@@ -33,12 +33,11 @@ using RowMatrix6d = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
 using Doubles = py::array_t<double, py::array::c_style | py::array::forcecast>;
 using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
 
-/// An array of doubles of this shape. \throws InputError naming `what`, the shape that it needs and that
-/// found
+/// An array of doubles of this shape. \throws InputError naming `what`, the needed shape and the shape found
 [[nodiscard]] Doubles array_from(const py::object& value, std::initializer_list<py::ssize_t> shape,
                                  const std::string& what);
 
-/// A (4, 4) array. \throws InputError naming `what` on another shape, or unless its last row is 0 0 0 1.
+/// A (4, 4) array. \throws InputError naming `what` if the shape differs or the last row is not 0 0 0 1.
 [[nodiscard]] Eigen::Isometry3d pose_from(const RowMatrix4d& matrix, const std::string& what);
 [[nodiscard]] Eigen::Isometry3d pose_from(const py::object& matrix, const std::string& what);
 [[nodiscard]] inline RowMatrix4d matrix_from(const Eigen::Isometry3d& pose) {
@@ -53,9 +52,9 @@ using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
 /// (n,) of unsigned 64-bit keys
 [[nodiscard]] py::array keys_array(const std::vector<Key>& keys);
 
-/// A key as people write it ("a12") or as a number. \throws InputError
+/// A key as a name ("a12") or as a number. \throws InputError
 [[nodiscard]] Key key_from(const py::object& value);
-/// Robots, their text, or None for those that the keys of the graph name. \throws InputError
+/// Robots, or their text. None stands for the robots that the keys of the graph name. \throws InputError
 [[nodiscard]] Robots robots_from(const py::object& value, const PoseGraph& graph);
 
 /// (n, 3) points, and optionally (n, 3) normals and (n,) intensities. \throws InputError on another shape or
@@ -64,14 +63,14 @@ using Floats = py::array_t<float, py::array::c_style | py::array::forcecast>;
                                     const py::object& intensities);
 [[nodiscard]] py::array points_array(const std::vector<Eigen::Vector3f>& points);
 
-/// Lines as to_string(Problem) makes them.
+/// One line per problem, see to_string(Problem).
 [[nodiscard]] std::vector<std::string> problem_lines(const Problems& problems);
 
 /// A Config from a dictionary of sections, a JSON text or a Config; None gives the defaults. \throws
 /// OptionError
 [[nodiscard]] Config config_from(const py::object& value);
-/// Applies a dictionary to a Config: options of the first of these sections, or {section: options} of any of
-/// them. \throws OptionError, also for another section
+/// Applies a dictionary to a Config. It has options of the first of these sections, or {section: options} of
+/// any of them. \throws OptionError, also for another section
 void apply_sections(Config& config, std::initializer_list<const char*> sections, const py::object& values);
 
 void bind_core(py::module_& module);

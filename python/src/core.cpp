@@ -153,7 +153,7 @@ void bind_core(py::module_& module) {
           py::arg("key"), "Number of a node: its row in poses and covariances.")
       .def_property(
           "planar", &PoseGraph::planar, [](PoseGraph& graph, bool planar) { graph.set_planar(planar); },
-          "Whether the graph is one of the plane z = 0; then what leaves the plane is an error.")
+          "Whether the graph is in the plane z = 0. Values that leave the plane are then an error.")
       .def_property_readonly("keys", [](const PoseGraph& graph) { return keys_array(graph.keys()); })
       .def_property(
           "poses", [](const PoseGraph& graph) { return poses_array(graph.poses()); },

@@ -74,7 +74,7 @@ void bind_io(py::module_& module) {
           "ground_truth", [](const Mission& mission) { return poses_dict(mission.ground_truth); },
           "key: (4, 4); empty if not known")
       .def_readonly("truth_is_aligned", &Mission::truth_is_aligned,
-                    "set_truth() found the truth in another frame: only aligned errors mean something.")
+                    "set_truth() found the truth in another frame, so only aligned errors are meaningful.")
       .def_property_readonly(
           "reference", [](const Mission& mission) { return poses_dict(mission.reference); },
           "key: (4, 4), of another program, such as a session's own optimised poses: not the truth")
@@ -105,9 +105,8 @@ void bind_io(py::module_& module) {
         return read_mission(path, config.mission);
       },
       py::arg("path"), py::arg("options") = py::none(),
-      "Reads whatever `loopwise info` knows: a mission folder, a session folder, a g2o file. Options are "
-      "those of the "
-      "section \"mission\" of a configuration.");
+      "Reads any mission that `loopwise info` reads, for example a mission folder, a session folder or a g2o "
+      "file. Options are those of the section \"mission\" of a configuration.");
   module.def(
       "set_truth",
       [](Mission& mission, const std::vector<std::string>& files, const py::object& options) {
@@ -116,9 +115,8 @@ void bind_io(py::module_& module) {
         set_truth(mission, files, config.mission);
       },
       py::arg("mission"), py::arg("files"), py::arg("options") = py::none(),
-      "Makes the poses of TUM, KITTI or g2o files, each a path or \"ROBOT=PATH\", the ground truth. Options "
-      "are "
-      "those that the mission was read with.");
+      "Sets the ground truth from TUM, KITTI or g2o files, each given as a path or \"ROBOT=PATH\". Options "
+      "are those that the mission was read with.");
   module.def(
       "write_mission",
       [](const std::filesystem::path& folder, const Mission& mission) {

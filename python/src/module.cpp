@@ -136,7 +136,7 @@ void require_rows(std::size_t rows, std::size_t points, const char* what) {
 PointCloud cloud_from(const Floats& points, const py::object& normals, const py::object& intensities) {
   PointCloud cloud;
   cloud.points = vectors_from(points, "points");
-  constexpr double kCoarse_m = 16384.0;  // floats are 2 mm apart from there on
+  constexpr double kCoarse_m = 16384.0;  // floats beyond are at least 2 mm apart
   if (robust_centre(cloud.points).norm() > kCoarse_m) {
     throw InputError(
         "points are in world coordinates, where a float loses digits: subtract an origin from them "
@@ -223,7 +223,7 @@ PYBIND11_MODULE(_loopwise, module) {
   py::register_exception<loopwise::UnknownKeyError>(module, "UnknownKeyError", input.ptr());
   py::register_exception<loopwise::OptionError>(module, "OptionError", base.ptr());
   py::register_exception<loopwise::IoError>(module, "IoError", base.ptr());
-  // A value of the wrong type, also one that a function of the user's has returned.
+  // Raised for a value of the wrong type, also for one from a function of the user.
   static const py::object input_error = input;
   py::register_exception_translator([](std::exception_ptr failure) {
     try {

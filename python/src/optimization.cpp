@@ -41,7 +41,7 @@ void bind_optimization(py::module_& module) {
       .def_readonly("components", &OptimizationResult::components)
       .def_property_readonly(
           "held", [](const OptimizationResult& r) { return keys_array(r.held); },
-          "nodes that hold a component without a prior")
+          "nodes that are fixed in components without a prior")
       .def_readonly("seconds", &OptimizationResult::seconds);
   py::class_<GncResult>(module, "GncResult")
       .def_readonly("optimization", &GncResult::optimization)
@@ -66,7 +66,7 @@ void bind_optimization(py::module_& module) {
             for (const OdometryScale& odometry : r.odometry_scales) scales[odometry.first] = odometry.scale;
             return scales;
           },
-          "of chains whose odometry is worse than stated: first node, and true deviations by stated ones");
+          "for chains whose odometry is worse than stated: first node, and ratio of true to stated sigmas");
   py::class_<Marginals>(module, "Marginals")
       .def_property_readonly(
           "covariances", [](const Marginals& m) { return matrices_array(m.covariances); },
@@ -102,7 +102,8 @@ void bind_optimization(py::module_& module) {
       "optimize",
       [](const PoseGraph& graph, const py::object& options) {
         Config config;
-        config.replay.back_end.optimization = OptimizerOptions();  // those of C++, not of a replay
+        config.replay.back_end.optimization =
+            OptimizerOptions();  // the defaults of C++, not those of a replay
         apply_sections(config, {"optimization"}, options);
         const py::gil_scoped_release release;
         return optimize(graph, config.replay.back_end.optimization);
@@ -122,7 +123,8 @@ void bind_optimization(py::module_& module) {
         return optimize_gnc(graph, config.replay.back_end.optimization, config.replay.back_end.gnc);
       },
       py::arg("graph"), py::arg("options") = py::none(), py::arg("gnc") = py::none(),
-      "Robust: finds out which loop closures are false. `options` are those of the section \"optimization\", "
+      "Robust optimisation that detects false loop closures. `options` are those of the section "
+      "\"optimization\", "
       "`gnc` those of \"gnc\"; or `options` holds both sections, as a configuration does.");
   module.def(
       "certify",
@@ -131,9 +133,8 @@ void bind_optimization(py::module_& module) {
         return certify(graph);
       },
       py::arg("graph"),
-      "Whether the graph's poses are globally optimal, seen through the isotropic chordal cost. Set the "
-      "poses "
-      "of an optimisation first: graph.poses = result.poses.");
+      "Certifies whether the graph's poses are globally optimal, by the isotropic chordal cost. Set the "
+      "poses of an optimisation first: graph.poses = result.poses.");
   module.def(
       "marginals",
       [](const PoseGraph& graph) {
@@ -145,9 +146,8 @@ void bind_optimization(py::module_& module) {
         return result;
       },
       py::arg("graph"),
-      "Marginal covariances of all poses: zero for the first node of a component without a prior, which "
-      "holds "
-      "it, and NaN for nodes without any factor. The traces leave both out.");
+      "Marginal covariances of all poses. They are zero for the first node of a component without a prior, "
+      "which is fixed, and NaN for nodes without any factor. The traces leave both out.");
 }
 
 }  // namespace loopwise::python

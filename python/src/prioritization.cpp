@@ -12,7 +12,7 @@
 namespace loopwise::python {
 namespace {
 
-/// The prioritisers of a method as one, for use without an engine.
+/// All prioritisers of a method as one, for use without an engine.
 class QueuePrioritizer final : public Prioritizer, public OfOneRun {
  public:
   QueuePrioritizer(std::string name, RoundRobinQueue queue)
@@ -67,12 +67,11 @@ void bind_prioritization(py::module_& module) {
 
   py::class_<Prioritizer, PythonPrioritizer, std::shared_ptr<Prioritizer>>(
       module, "Prioritizer",
-      "Orders pending candidates. Derive from it for a method of your own: name, add, remove, take and size "
-      "must be there, the on_* functions and improve may. One object serves one run.")
+      "Orders pending candidates. Derive from it for your own method: name, add, remove, take and size are "
+      "required, the on_* functions and improve are optional. One object serves one run.")
       .def(py::init<>())
       .def("name", [](const Prioritizer& p) { return std::string(p.name()); })
-      .def("add", &Prioritizer::add, py::arg("candidates"),
-           "New candidates; returns those it will never hand out.")
+      .def("add", &Prioritizer::add, py::arg("candidates"), "Adds candidates; returns those that it refuses.")
       .def("remove", &Prioritizer::remove, py::arg("ids"))
       .def("on_graph", &Prioritizer::on_graph, py::arg("graph"))
       .def(
@@ -138,7 +137,7 @@ void bind_prioritization(py::module_& module) {
         return py::array_t<double>(static_cast<py::ssize_t>(gains.size()), gains.data());
       },
       py::arg("graph"), py::arg("candidates"), py::arg("closure_model") = py::none(),
-      "What each candidate's closure alone would take from the trace of the covariances, m^2.");
+      "Decrease of the trace of the covariances by each candidate's closure alone, m^2.");
 }
 
 }  // namespace loopwise::python

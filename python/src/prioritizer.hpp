@@ -12,10 +12,10 @@
 
 namespace loopwise::python {
 
-/// A prioritiser keeps the state of a run, so that another run needs another object.
+/// A prioritiser keeps the state of one run, so each run needs a new object.
 class OfOneRun {
  public:
-  /// \throws InputError if a run has begun with it, or if it is in the list of a run already
+  /// \throws InputError if a run has used the object, or if it occurs twice in the list of a run
   void require_unused(std::string_view name, bool first_in_list) const {
     if (!used_ && first_in_list) return;
     throw InputError("prioritizer \"" + std::string(name) +
@@ -27,7 +27,7 @@ class OfOneRun {
   bool used_ = false;
 };
 
-/// A prioritiser written in Python: each call takes the interpreter's lock by itself.
+/// A prioritiser written in Python. Each call acquires the interpreter's lock.
 class PythonPrioritizer final : public Prioritizer, public OfOneRun {
  public:
   using Prioritizer::Prioritizer;
@@ -54,7 +54,7 @@ class PythonPrioritizer final : public Prioritizer, public OfOneRun {
   void on_graph(const PoseGraph& graph) override {
     const py::gil_scoped_acquire acquire;
     const py::function own = py::get_override(static_cast<const Prioritizer*>(this), "on_graph");
-    if (own) own(&graph);  // by pointer: what is handed by reference would be copied
+    if (own) own(&graph);  // by pointer, because pybind11 copies a reference
   }
   void on_scan(const KeyedScan& scan) override {
     const py::gil_scoped_acquire acquire;
@@ -83,7 +83,7 @@ class PythonPrioritizer final : public Prioritizer, public OfOneRun {
   mutable std::string name_;
 };
 
-/// Hands a Python object to the library, which owns prioritisers alone: calls go on to the object.
+/// Forwards calls to a Python object. The library takes ownership of this wrapper, and not of the object.
 class SharedPrioritizer final : public Prioritizer {
  public:
   explicit SharedPrioritizer(std::shared_ptr<Prioritizer> inner) : inner_(std::move(inner)) {}

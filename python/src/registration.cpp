@@ -8,7 +8,7 @@
 namespace loopwise::python {
 namespace {
 
-/// The points of an (n, 3) array, not copied.
+/// The points of an (n, 3) array without a copy.
 Eigen::Map<const Eigen::Matrix3Xd> columns_of(const Doubles& array, const char* what) {
   if (array.ndim() != 2 || array.shape(1) != 3) {
     throw InputError(std::string(what) + " must be an array of shape (n, 3)");

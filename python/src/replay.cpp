@@ -9,7 +9,7 @@
 namespace loopwise::python {
 namespace {
 
-/// A run and what is needed to judge and write it.
+/// A run with the data for its evaluation and its files.
 struct PythonRun {
   std::shared_ptr<const Mission> mission;
   Config config;
@@ -42,7 +42,7 @@ PythonRun run_replay(const std::shared_ptr<Mission>& mission, const py::object& 
   StopSource stop;
   ReplayHooks hooks;
   hooks.stop = stop.token();
-  // Also where Ctrl-C is noticed: Python handles signals between its own instructions alone.
+  // The callback also handles Ctrl-C, because Python handles signals only between its own instructions.
   std::exception_ptr interrupted;
   hooks.progress = [&](const Progress& p) {
     const py::gil_scoped_acquire acquire;
@@ -133,7 +133,7 @@ void bind_replay(py::module_& module) {
                                                       evaluate_run(*run.mission, run.result));
             return py::module_::import("json").attr("loads")(json);
           },
-          "What summary.json holds: candidates, closures, ate_m, ...")
+          "Contents of summary.json: candidates, closures, ate_m, ...")
       .def_property_readonly("problems",
                              [](const PythonRun& run) { return problem_lines(run.result.problems); })
       .def(
@@ -152,14 +152,14 @@ void bind_replay(py::module_& module) {
             write_run_folder(folder, *run.mission, run.config.replay, result,
                              evaluate_run(*run.mission, result), run.history, map.cloud);
           },
-          py::arg("folder"), py::arg("map_voxel_m") = 0.5, "Writes what `loopwise replay` does.");
+          py::arg("folder"), py::arg("map_voxel_m") = 0.5, "Writes the files of `loopwise replay`.");
 
   module.def(
       "replay", &run_replay, py::arg("mission"), py::arg("method") = py::none(),
       py::arg("config") = py::none(), py::arg("prioritizers") = py::none(), py::arg("threads") = 0,
       py::arg("progress") = py::none(),
-      "Replays a mission on a virtual clock. `prioritizers`, a list of new objects, take the place of the "
-      "method's. `progress(stage, done, total, detail)` is called repeatedly. A study is a loop over "
+      "Replays a mission on a virtual clock. `prioritizers`, a list of new objects, replace those of the "
+      "method. `progress(stage, done, total, detail)` is called repeatedly. A study is a loop over "
       "missions, methods and seeds.");
 }
 
