@@ -7,7 +7,7 @@
 
 namespace loopwise {
 
-/// A square matrix of bits, rows of whole words: a relation of n things, one bit a pair.
+/// A square matrix of bits with rows of whole words. It stores a relation of n items with one bit per pair.
 class BitMatrix {
  public:
   /// All bits are 0.
@@ -19,9 +19,9 @@ class BitMatrix {
   [[nodiscard]] bool get(std::size_t i, std::size_t j) const {
     return (bits_[i * words_ + j / 64] >> (j % 64)) & 1U;
   }
-  /// Row i: words() words, column 0 in the lowest bit of the first.
+  /// Row i as words() words. Column 0 is the lowest bit of the first word.
   [[nodiscard]] const std::uint64_t* row(std::size_t i) const { return bits_.data() + i * words_; }
-  /// Words of a row.
+  /// Number of words per row.
   [[nodiscard]] std::size_t words() const { return words_; }
 
  private:

@@ -16,7 +16,7 @@ namespace loopwise {
 struct ClosureDecision {
   Key from = 0;           ///< One of the nodes.
   Key to = 0;             ///< The other.
-  bool accepted = false;  ///< True: they are known inliers (Edge::trusted). False: they are removed.
+  bool accepted = false;  ///< True: the closures are known inliers (Edge::trusted). False: they are removed.
 };
 
 /// The effect of decisions on a graph.
@@ -27,7 +27,7 @@ struct AppliedDecisions {
 };
 
 /// Removes rejected closures from the graph and trusts the accepted ones. The other edges keep their order.
-/// Of several decisions on one pair the last counts. Odometry and landmarks are never changed.
+/// If a pair has several decisions, the last one counts. Odometry and landmarks are never changed.
 LOOPWISE_EXPORT AppliedDecisions apply_decisions(PoseGraph& graph,
                                                  const std::vector<ClosureDecision>& decisions);
 

@@ -24,7 +24,7 @@ struct ContentHash {
   }
   /// Whether they identify different contents.
   friend bool operator!=(const ContentHash& a, const ContentHash& b) { return !(a == b); }
-  /// An order for sorted containers; it means nothing else.
+  /// An order for sorted containers, without further meaning.
   friend bool operator<(const ContentHash& a, const ContentHash& b) {
     return std::tie(a.high, a.low) < std::tie(b.high, b.low);
   }
@@ -33,8 +33,8 @@ struct ContentHash {
 /// 32 hexadecimal digits.
 [[nodiscard]] LOOPWISE_EXPORT std::string to_string(const ContentHash& hash);
 
-/// MurmurHash3 (x64, 128 bits, seed 0; Appleby 2011) of all its input, in pieces of any size. The borders of
-/// the pieces do not count: put a length before items of variable length, as text() does.
+/// MurmurHash3 (x64, 128 bits, seed 0; Appleby 2011) of all input, in pieces of any size. The hash does not
+/// depend on the division into pieces. So add a length before items of variable length, as text() does.
 class LOOPWISE_EXPORT ContentHasher {
  public:
   /// Adds `size` bytes of memory.
@@ -43,7 +43,7 @@ class LOOPWISE_EXPORT ContentHasher {
   ContentHasher& text(std::string_view value);
   /// Adds the number's eight bytes in memory order.
   ContentHasher& integer(std::uint64_t value) { return bytes(&value, sizeof value); }
-  /// By its bits: 0.0 and −0.0 are two numbers.
+  /// Adds the bits of a number: 0.0 and −0.0 differ.
   ContentHasher& number(double value) { return bytes(&value, sizeof value); }
 
   /// The hash of the input so far; more may follow.
@@ -54,7 +54,7 @@ class LOOPWISE_EXPORT ContentHasher {
 
   std::uint64_t high_ = 0, low_ = 0;
   std::uint64_t size_ = 0;
-  unsigned char tail_[16] = {};  // size_ % 16 bytes wait here
+  unsigned char tail_[16] = {};  // the last size_ % 16 bytes, which are not hashed yet
 };
 
 }  // namespace loopwise

@@ -9,16 +9,16 @@
 
 namespace loopwise {
 
-/// Sets of the numbers 0 to n − 1 that grow together: union-find with path halving (Tarjan & van Leeuwen
-/// 1984). The smallest number identifies a set.
+/// Disjoint sets of the numbers 0 to n − 1 that can be joined: union-find with path halving (Tarjan & van
+/// Leeuwen 1984). The smallest number identifies a set.
 class DisjointSets {
  public:
-  /// Each of n numbers is a set of its own.
+  /// Each of n numbers is initially a set of its own.
   explicit DisjointSets(std::size_t n) : parent_(n) {
     std::iota(parent_.begin(), parent_.end(), std::uint32_t{0});
   }
 
-  /// One more number, which is a set of its own.
+  /// Adds one more number as a set of its own.
   void add() { parent_.push_back(static_cast<std::uint32_t>(parent_.size())); }
 
   /// The smallest number of the set that holds i.

@@ -19,7 +19,7 @@ struct LOOPWISE_EXPORT OptionError : Error {
   using Error::Error;
 };
 
-/// Input that breaks its format or its invariants: a file, or data handed to the library.
+/// Input that breaks its format or its invariants: a file, or data from the calling program.
 struct LOOPWISE_EXPORT InputError : Error {
   using Error::Error;
 };

@@ -11,9 +11,9 @@
 
 namespace loopwise {
 
-/// Values by number, for ascending numbers such as those of candidates. Blocks of neighbouring numbers need a
-/// fraction of the time and memory of a tree or a hash table. Any numbers work. Iteration is in ascending
-/// order.
+/// Values by number, for ascending numbers such as those of candidates. Numbers are stored in blocks, which
+/// need much less time and memory than a tree or a hash table. All numbers are allowed. Iteration is in
+/// ascending order.
 template <class T>
 class IdTable {
  public:
@@ -33,7 +33,7 @@ class IdTable {
     Block* block = block_of(id);
     return block != nullptr && block->held[id % kBlock] ? &block->values[id % kBlock] : nullptr;
   }
-  /// See above.
+  /// The same for a constant table.
   [[nodiscard]] const T* find(std::uint64_t id) const {
     const auto block = blocks_.find(id / kBlock);
     return block != blocks_.end() && block->second->held[id % kBlock] ? &block->second->values[id % kBlock]
@@ -77,7 +77,7 @@ class IdTable {
     size_ = 0;
   }
 
-  /// Calls visitor(id, value) in ascending order while it returns true.
+  /// Calls visitor(id, value) in ascending order until it returns false.
   template <class Visitor>
   void visit(Visitor&& visitor) const {
     for (const auto& [number, block] : blocks_) {
@@ -111,7 +111,7 @@ class IdTable {
   }
 
   std::map<std::uint64_t, std::unique_ptr<Block>> blocks_;
-  std::pair<std::uint64_t, Block*> last_{0, nullptr};  // most changes are near the one before
+  std::pair<std::uint64_t, Block*> last_{0, nullptr};  // last used block: most changes are near it
   std::size_t size_ = 0;
 };
 

@@ -9,15 +9,15 @@
 
 namespace loopwise {
 
-/// Node id. The top 8 bits hold a robot character, the low 56 bits the index of the node: the layout of
-/// gtsam::Symbol, so files of GTSAM and LAMP read unchanged. Plain integers (character 0) are valid keys. If
-/// both the top 8 bits and the 8 below them are ASCII letters, the key is a gtsam::LabeledSymbol: a
-/// character, a label that identifies the robot, as in Swarm-SLAM, and an index of 48 bits. The index of a
-/// Symbol must exceed 1.8e16 to look like one. Keys exceed 2^53: never store one in a double.
+/// Node id. The top 8 bits hold a robot character, the low 56 bits the index of the node. This is the layout
+/// of gtsam::Symbol, so files of GTSAM and LAMP can be read unchanged. Plain integers (character 0) are valid
+/// keys. If both the top 8 bits and the next 8 bits are ASCII letters, the key is a gtsam::LabeledSymbol: a
+/// character, a label that identifies the robot, as in Swarm-SLAM, and an index of 48 bits. A Symbol looks
+/// like one only if its index exceeds 1.8e16. Keys exceed 2^53: never store one in a double.
 using Key = std::uint64_t;
 
 inline constexpr int kKeyIndexBits = 56;  ///< Low bits of a key that hold the index.
-inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;  ///< These bits, all set.
+inline constexpr Key kKeyIndexMask = (Key{1} << kKeyIndexBits) - 1;  ///< Mask of the index.
 
 /// Key of node `index` of the robot with this character; character 0 gives the plain integer.
 [[nodiscard]] constexpr Key make_key(char character, std::uint64_t index) {
@@ -38,12 +38,12 @@ inline constexpr int kKeyLabelShift = 48;  ///< Low bits of a labelled key that 
 /// The label of a gtsam::LabeledSymbol, a letter; 0 if the key has no label.
 [[nodiscard]] LOOPWISE_EXPORT char key_label(Key key);
 
-/// For people: "a12" if the character is a letter, "gB12" if the key has a label as well, otherwise the plain
-/// number. Files hold the number.
+/// Name of a key for messages: "a12" if the character is a letter, "gB12" if the key also has a label,
+/// otherwise the plain number. Files contain the number.
 [[nodiscard]] LOOPWISE_EXPORT std::string key_name(Key key);
 
-/// Reads a decimal number of up to 64 bits, or a letter or two followed by an index ("a12", "gB12").
-/// \throws InputError naming the text if it is neither.
+/// Reads a decimal number of up to 64 bits, or one or two letters followed by an index ("a12", "gB12").
+/// \throws InputError naming the text if it has another form.
 [[nodiscard]] LOOPWISE_EXPORT Key parse_key(std::string_view text);
 
 }  // namespace loopwise

@@ -28,7 +28,7 @@ struct PointCloud {
   [[nodiscard]] bool empty() const { return points.empty(); }
   /// Whether every point has a normal.
   [[nodiscard]] bool has_normals() const { return !points.empty() && normals.size() == points.size(); }
-  /// Memory that the points hold, for bounded caches.
+  /// Memory of the points, for bounded caches.
   [[nodiscard]] std::size_t bytes() const {
     return sizeof(*this) + points.capacity() * sizeof(points[0]) + normals.capacity() * sizeof(points[0]) +
            intensities.capacity() * sizeof(float);
@@ -37,8 +37,8 @@ struct PointCloud {
 
 /// The cloud of a key frame. Cheap to copy: the points are shared and never change.
 struct KeyedScan {
-  Key key = 0;                ///< The node.
-  std::int64_t stamp_ns = 0;  ///< When the sweep was taken, ns since the epoch of the recording.
+  Key key = 0;                              ///< The node.
+  std::int64_t stamp_ns = 0;                ///< Time of the sweep, ns since the epoch of the recording.
   std::shared_ptr<const PointCloud> cloud;  ///< In the body frame of the node; null if it was not stored.
 };
 

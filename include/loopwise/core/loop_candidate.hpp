@@ -12,7 +12,7 @@ namespace loopwise {
 /// Number of a candidate within a run, from 0 in the order of generation.
 using CandidateId = std::uint64_t;
 
-/// Who proposed a candidate.
+/// Origin of a candidate.
 enum class CandidateSource {
   kProximity,   ///< ProximityGenerator
   kRadio,       ///< RadioGenerator
@@ -28,16 +28,15 @@ enum class CandidateSource {
 
 struct Recognition;
 
-/// A hypothesis that two nodes saw the same place. Finding the transform is the costly part; a place
-/// recognition may bring a guess.
-/// (a, b) and (b, a) are one candidate.
+/// A hypothesis that two nodes saw the same place. Most of the cost is in finding the transform; a place
+/// recognition may provide a guess. (a, b) and (b, a) are one candidate.
 struct LoopCandidate {
   CandidateId id = 0;                                    ///< Assigned by the candidate pool.
   Key from = 0;                                          ///< The newer node.
   Key to = 0;                                            ///< The older node.
-  CandidateSource source = CandidateSource::kProximity;  ///< Who proposed it.
+  CandidateSource source = CandidateSource::kProximity;  ///< Origin of the candidate.
   double time_s = 0.0;                                   ///< Mission time of its generation.
-  double distance_m = 0.0;  ///< Between the two nodes, by the estimate at that time.
+  double distance_m = 0.0;  ///< Distance of the two nodes in the estimate at that time.
   /// Result of a place recognition, see core/recognition.hpp; null: no result.
   std::shared_ptr<const Recognition> recognition;
 };

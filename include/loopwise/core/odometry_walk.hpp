@@ -12,8 +12,8 @@
 
 namespace loopwise {
 
-/// Walks away from a node along the odometry edges within its robot, towards higher or lower keys. Places of
-/// the nodes are those of the odometry, never the estimate's: a later optimisation does not change them.
+/// Walks from a node along the odometry edges of its robot, towards higher or lower keys. Poses follow from
+/// odometry and not from the estimate, so a later optimisation does not change them.
 class LOOPWISE_EXPORT OdometryWalk {
  public:
   /// A node on the way.
@@ -23,14 +23,15 @@ class LOOPWISE_EXPORT OdometryWalk {
     Eigen::Isometry3d T_start_here = Eigen::Isometry3d::Identity();
   };
 
-  /// \param graph must outlive the walk, and not change
-  /// \param robots likewise
-  /// \param start where the walk begins. \throws UnknownKeyError if the graph lacks it
+  /// \param graph must outlive the walk and not change
+  /// \param robots must outlive the walk and not change
+  /// \param start first node of the walk. \throws UnknownKeyError if it is not in the graph
   /// \param forward towards higher keys
   OdometryWalk(const PoseGraph& graph, const Robots& robots, Key start, bool forward)
       : graph_(graph), robots_(robots), forward_(forward), at_(Place{graph.index_of(start)}) {}
 
-  /// The next node, of neighbours by odometry the one with the nearest key; nothing where the chain ends.
+  /// The next node: among the neighbours by odometry, the one with the nearest key. Empty at the end of the
+  /// chain.
   [[nodiscard]] std::optional<Place> next();
 
  private:

@@ -26,13 +26,13 @@
 
 namespace loopwise {
 
-/// Range that a number must lie in; for a vector each of its elements. Ignored for text, bool and enums.
+/// Allowed range of a number, or of each element of a vector. Ignored for text, bool and enums.
 struct Bounds {
   double min = -std::numeric_limits<double>::infinity();  ///< Least value.
   double max = std::numeric_limits<double>::infinity();   ///< Largest value; it is allowed.
   bool open_min = false;                                  ///< min itself is not allowed.
 
-  /// Whether the value is allowed; NaN never is.
+  /// Whether the value is allowed; NaN is never allowed.
   [[nodiscard]] bool contains(double value) const {
     return (open_min ? value > min : value >= min) && value <= max;  // false for NaN
   }
@@ -70,8 +70,8 @@ struct Bounds {
   return out.str();
 }
 
-/// Enumerators with their words in files and on the command line. An enum used in options overloads
-/// `enum_names(E)` in its own namespace to return such a list.
+/// Enumerators with their words in files and on the command line. An enum of the options needs an overload of
+/// `enum_names(E)` in its own namespace that returns such a list.
 template <class E>
 using EnumNames = std::vector<std::pair<E, std::string_view>>;
 
@@ -130,8 +130,8 @@ void validate(const Options& options) {
   Options::visit(options, detail::BoundsVisitor{});
 }
 
-/// Checks a struct of several sections, which a static member template `visit_sections(self, visitor)` hands
-/// to visitor(name, section). \throws OptionError naming "section.field" of the first bad field.
+/// Checks a struct of several sections. Its static member template `visit_sections(self, visitor)` calls
+/// visitor(name, section) for each. \throws OptionError naming "section.field" of the first bad field.
 template <class Sections>
 void validate_sections(const Sections& sections) {
   Sections::visit_sections(sections, [](std::string_view name, const auto& section) {

@@ -63,9 +63,9 @@ inline constexpr int kAcross[3] = {2, 3, 4};
   return out;
 }
 
-/// Information over x, y and the rotation about z as that of a pose of SE(3). z gets the average information
-/// of x and y, rotations about x and y that of the rotation about z: values of the same size, on which no
-/// result depends.
+/// Converts information on x, y and the rotation about z to that of a pose of SE(3). z gets the mean
+/// information of x and y, and rotations about x and y get that of the rotation about z. No result depends on
+/// these values; they only have a similar size.
 [[nodiscard]] inline Matrix6d information(const Eigen::Matrix3d& m) {
   Matrix6d out = Matrix6d::Zero();
   for (int i = 0; i < 3; ++i) {

@@ -24,10 +24,10 @@ namespace loopwise {
 /// A key frame: pose of the body in the common frame, p_world = pose · p_body.
 struct Node {
   Key key = 0;  ///< Unique in its graph.
-  /// T_world_body, the present estimate; translation in metres.
+  /// T_world_body, the current estimate; translation in metres.
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
   std::int64_t stamp_ns = 0;  ///< Of its scan, ns since the epoch of the recording.
-  /// Marginal covariance, right perturbation [translation, rotation], when the back end computed it.
+  /// Marginal covariance, right perturbation [translation, rotation], if the back end computed it.
   std::optional<Matrix6d> covariance;
 };
 
@@ -48,7 +48,7 @@ struct RangeFactor {
   double sigma_m = 1.0;  ///< Standard deviation.
 };
 
-/// The direction of gravity as an accelerometer at rest measures it. With R the node's rotation
+/// The direction of gravity, measured by an accelerometer at rest. With R the node's rotation
 /// r = (R · direction − reference) / sigma_rad, cost ½ ‖r‖²; ‖R · direction − reference‖ = 2 sin(θ/2) for an
 /// angle θ between the two. Carries no information on yaw and position.
 struct GravityFactor {
@@ -87,22 +87,22 @@ struct Edge {
   double weight = 1.0;   ///< Of the last robust optimisation, in [0, 1].
 };
 
-/// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, every
-/// factor's nodes exist, poses and information are finite, information is symmetric and not indefinite. Nodes
-/// and edges are numbered in the order of arrival; the numbers are what solvers work with.
+/// Poses and the measurements between them. Grows cheaply and keeps its invariants: keys are unique, the
+/// nodes of every factor exist, poses and information are finite, information is symmetric and not
+/// indefinite. Nodes and edges are numbered in the order of arrival, and solvers use these numbers.
 ///
-/// A planar graph lies in the plane z = 0, as for robots on wheels with 2D lidars: z, roll and pitch of poses
+/// A planar graph is in the plane z = 0, as for robots on wheels with 2D lidars: z, roll and pitch of poses
 /// and measurements are 0, covariances are zero there, and tests of chi-squared use three degrees of freedom.
 /// Only information on x, y and the rotation about z counts (see planar::information()).
 class LOOPWISE_EXPORT PoseGraph {
  public:
-  /// Declares the graph planar, or no longer planar. From then on a pose with z, roll or pitch, information
+  /// Declares the graph planar or not planar. In a planar graph, a pose with z, roll or pitch, information
   /// that couples these to the plane, and gravity are errors. \throws InputError naming the part of the graph
   /// outside the plane.
   void set_planar(bool planar = true);
   /// Whether the graph is planar.
   [[nodiscard]] bool planar() const { return planar_; }
-  /// Of a relative pose: 3 in a planar graph, else 6.
+  /// Degrees of freedom of a relative pose: 3 in a planar graph, otherwise 6.
   [[nodiscard]] int degrees_of_freedom() const { return planar_ ? 3 : 6; }
 
   /// \returns its number. \throws InputError on a repeated key or a pose that is not finite.
@@ -117,8 +117,8 @@ class LOOPWISE_EXPORT PoseGraph {
   /// Makes both directions unit vectors. \throws UnknownKeyError; InputError on a direction of length 0 or a
   /// sigma that is not positive.
   std::size_t add_gravity(const GravityFactor& gravity);
-  /// The edge of a verified closure: information is the inverse of its covariance. \throws UnknownKeyError;
-  /// InputError on bad numbers or a covariance that is not positive definite.
+  /// Adds the edge of a verified closure. Its information is the inverse of the closure's covariance. \throws
+  /// UnknownKeyError; InputError on bad numbers or a covariance that is not positive definite.
   std::size_t add_closure(const LoopClosure& closure);
   /// Removes the edges for which `drop(edge)` is true; the others keep their order. \returns the number of
   /// removed edges.
@@ -141,11 +141,11 @@ class LOOPWISE_EXPORT PoseGraph {
   /// \throws UnknownKeyError
   [[nodiscard]] const Node& node(Key key) const { return nodes_[index_of(key)]; }
 
-  /// In order of arrival, which is their number.
+  /// In the order of arrival, which defines their numbers.
   [[nodiscard]] const std::vector<Node>& nodes() const { return nodes_; }
   /// In order of arrival.
   [[nodiscard]] const std::vector<PriorFactor>& priors() const { return priors_; }
-  /// In order of arrival, which is their number.
+  /// In the order of arrival, which defines their numbers.
   [[nodiscard]] const std::vector<Edge>& edges() const { return edges_; }
   /// In order of arrival.
   [[nodiscard]] const std::vector<RangeFactor>& ranges() const { return ranges_; }
@@ -182,7 +182,8 @@ class LOOPWISE_EXPORT PoseGraph {
   void set_covariance(std::size_t node, const std::optional<Matrix6d>& covariance);
   /// \throws InputError if there is no such edge or the weight is outside [0, 1].
   void set_weight(std::size_t edge, double weight);
-  /// Makes an edge a known inlier, or one that may be rejected. \throws InputError without such an edge.
+  /// Sets whether an edge is a known inlier, which robust optimisation keeps. \throws InputError without such
+  /// an edge.
   void set_trusted(std::size_t edge, bool trusted);
   /// \throws InputError if there is no such edge, or on bad numbers (see check_information).
   void set_information(std::size_t edge, const Matrix6d& information);
@@ -212,19 +213,19 @@ class LOOPWISE_EXPORT PoseGraph {
 /// component, from 0 in node order.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::size_t> connected_components(const PoseGraph& graph);
 
-/// Keys of each robot's nodes in the order of its path, which is that of the keys. Landmarks have no path,
-/// and nodes that no robot owns are left out.
+/// Keys of each robot's nodes in ascending order, which is the order of its path. Landmarks and nodes without
+/// a robot are left out.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::vector<Key>> robot_paths(const PoseGraph& graph,
                                                                         const Robots& robots);
 
-/// Consecutive nodes on their robot's path: no node of the robot is between them, for any gap of their keys
-/// below 2^47.
+/// Pairs of consecutive nodes on a robot's path. No node of the robot is between them, and their keys differ
+/// by less than 2^47.
 class LOOPWISE_EXPORT Neighbours {
  public:
-  /// Of the nodes that the graph has now.
+  /// Uses the current nodes of the graph.
   Neighbours(const PoseGraph& graph, const Robots& robots);
 
-  /// Whether one of the two follows the other.
+  /// Whether the two nodes are consecutive.
   [[nodiscard]] bool operator()(Key a, Key b) const;
 
  private:
@@ -234,23 +235,23 @@ class LOOPWISE_EXPORT Neighbours {
 /// The inverse measurement, with its information.
 [[nodiscard]] LOOPWISE_EXPORT Edge reversed(const Edge& edge);
 
-/// Pairs of keys, each in any order.
+/// Pairs of keys. The order within a pair does not matter.
 using KeyPairs = std::set<std::pair<Key, Key>>;
 
-/// Sets the kind of every edge. Edges between neighbours of one robot, in either direction, are odometry;
-/// edges to a landmark are sightings, and all others loop closures. If several edges join the same
+/// Sets the kind of every edge. Edges between neighbours of one robot, in either direction, are odometry.
+/// Edges to a landmark are sightings, and all others are loop closures. If several edges join the same
 /// neighbours, those that contradict the odometry (beyond quantile 0.9999 of chi-squared) become loop
-/// closures, which robust optimisation may reject. Edges that fit the nodes' poses come first, then the
-/// others in their order; an edge is odometry if it agrees with all odometry before it. \returns flaws: "edge
-/// that contradicts odometry taken for a loop closure", "odometry chain broken", "robot whose keys have a
-/// jump of 2^47 or more", with the place of the first.
+/// closures, which robust optimisation may reject. Edges that fit the nodes' poses are tried first, then the
+/// others in their order. An edge is odometry if it agrees with all odometry edges before it. \returns
+/// problems with the place of the first: "edge that contradicts odometry taken for a loop closure", "odometry
+/// chain broken", "robot whose keys have a jump of 2^47 or more".
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots);
-/// The same with the odometry given by these pairs. \throws InputError naming a pair without an edge or with
-/// a landmark.
+/// The same, with odometry defined by these pairs. \throws InputError naming a pair without an edge or with a
+/// landmark.
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& odometry);
 
-/// Why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null if it can.
-/// Positive semi-definite matrices pass, with a tolerance of 1e-9 of the largest element.
+/// The reason why an information matrix cannot be used ("not finite", "not symmetric", "indefinite"), or null
+/// if it can be used. Positive semi-definite matrices pass, with a tolerance of 1e-9 of the largest element.
 [[nodiscard]] LOOPWISE_EXPORT const char* check_information(const Matrix6d& information);
 
 }  // namespace loopwise

@@ -9,7 +9,7 @@
 
 namespace loopwise {
 
-/// One kind of tolerable flaw in the input, its count, and the place of the first.
+/// A kind of tolerable flaw in the input, with its count and the place of the first one.
 struct Problem {
   std::string kind;       ///< Short and stable, for example "non-unit quaternion".
   std::string example;    ///< The first occurrence, with file and line or key.
@@ -17,10 +17,10 @@ struct Problem {
   bool altered = false;   ///< The result differs from the file, see Problems::add_altered().
 };
 
-/// Counted warnings of a reader. The library prints nothing and drops nothing silently.
+/// Counts warnings of a reader, so that the library drops nothing silently. The library prints nothing.
 class LOOPWISE_EXPORT Problems {
  public:
-  /// Counts a flaw of this kind; the example stays that of the first.
+  /// Counts a flaw of this kind. The first example is kept.
   void add(const std::string& kind, const std::string& example, std::size_t count = 1);
   /// Counts a flaw for which a measurement was repaired, guessed or left out.
   void add_altered(const std::string& kind, const std::string& example, std::size_t count = 1);
@@ -38,7 +38,7 @@ class LOOPWISE_EXPORT Problems {
   std::vector<Problem> all_;
 };
 
-/// One line a problem: "non-unit quaternion (3 times, first: run.g2o:41)".
+/// One line per problem: "non-unit quaternion (3 times, first: run.g2o:41)".
 [[nodiscard]] LOOPWISE_EXPORT std::string to_string(const Problem& problem);
 
 /// Refuses measurements that were repaired, guessed or left out. \throws InputError naming the first problem

@@ -25,7 +25,7 @@ struct BeaconDrop {
   std::string beacon;         ///< Name of the beacon.
   std::size_t robot = 0;      ///< Number of the robot that dropped it.
   Key drop_key = 0;           ///< The node of the drop.
-  std::int64_t stamp_ns = 0;  ///< When it was dropped, ns.
+  std::int64_t stamp_ns = 0;  ///< Time of the drop, ns.
 };
 
 }  // namespace loopwise

@@ -26,13 +26,14 @@ namespace loopwise {
   return mix64(mix64(a) ^ (b + 0x632be59bd9b4e019ULL));
 }
 
-/// Seed of a pair's computation: a function of (seed, from, to) alone, never of the order of the work.
+/// Seed for the computation of a pair. It is a function of (seed, from, to) and does not depend on the order
+/// of the work.
 [[nodiscard]] constexpr std::uint64_t pair_seed(std::uint64_t seed, Key from, Key to) {
   return combine_seeds(combine_seeds(seed, from), to);
 }
 
-/// xoshiro256** (Blackman, Vigna 2018), seeded through SplitMix64, with distributions of its own.
-/// Satisfies UniformRandomBitGenerator. Cheap to copy; not shared between threads.
+/// xoshiro256** (Blackman, Vigna 2018), seeded through SplitMix64, with its own distributions. Satisfies
+/// UniformRandomBitGenerator. Cheap to copy. Do not share one between threads.
 class LOOPWISE_EXPORT Rng {
  public:
   using result_type = std::uint64_t;  ///< 64 random bits.

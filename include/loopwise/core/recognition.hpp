@@ -13,7 +13,7 @@
 
 namespace loopwise {
 
-/// Result of a place recognition for a candidate. Shared by its copies, immutable.
+/// Result of a place recognition for a candidate. Immutable, and shared by copies of the candidate.
 struct Recognition {
   /// Similarity of the two places, in [0, 1]; NaN if unknown.
   double similarity = std::numeric_limits<double>::quiet_NaN();

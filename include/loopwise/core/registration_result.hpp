@@ -15,7 +15,7 @@
 
 namespace loopwise {
 
-/// A computed candidate that passed all tests of the computation: *verified*.
+/// A computed candidate that passed all tests of the registration: *verified*.
 struct LoopClosure {
   Key from = 0;  ///< The newer node, as of the candidate.
   Key to = 0;    ///< The older node.
@@ -26,27 +26,27 @@ struct LoopClosure {
   Matrix6d covariance = Matrix6d::Identity();
 };
 
-/// Why a computed candidate is not a closure. closures.csv and summary.json hold its enum_name().
+/// Why a computed candidate is not a closure. closures.csv and summary.json have its enum_name().
 enum class RejectionReason {
-  kNone,                ///< Not rejected.
-  kMissingScan,         ///< A node without a scan, or one whose file cannot be read.
-  kTooFewPoints,        ///< A scan or its key points are too few to align.
-  kFewMatches,          ///< Too few feature correspondences or inliers.
-  kSacFitness,          ///< Feature-based stage: mean squared distance above the bound.
-  kGicpFitness,         ///< Refinement: mean squared distance above the bound.
-  kLowOverlap,          ///< Too small a share of the source lies on the target.
-  kInconsistent,        ///< The surfaces do not match in detail, or one scan lies in what the other saw free.
-  kAmbiguous,           ///< Another pose, far away, fits as well.
-  kDegenerate,          ///< The scans leave too many directions of the relative pose free.
-  kTransformThreshold,  ///< Moved too far from the graph's relative pose.
+  kNone,          ///< Not rejected.
+  kMissingScan,   ///< A node without a scan, or one whose file cannot be read.
+  kTooFewPoints,  ///< A scan or its key points are too few to align.
+  kFewMatches,    ///< Too few feature correspondences or inliers.
+  kSacFitness,    ///< Feature-based stage: mean squared distance above the bound.
+  kGicpFitness,   ///< Refinement: mean squared distance above the bound.
+  kLowOverlap,    ///< Too few points of the source are on the target.
+  kInconsistent,  ///< The surfaces do not match in detail, or one scan has points in free space of the other.
+  kAmbiguous,     ///< Another pose, far away, fits as well.
+  kDegenerate,    ///< The scans leave too many directions of the relative pose free.
+  kTransformThreshold,  ///< The pose is too far from the graph's relative pose.
   kNotConverged,        ///< Refinement did not converge, or gave numbers that are not finite.
   kFailed,              ///< The registrar threw; see the message.
   kTimeLimit,           ///< It took longer than RegistrationTask::time_limit_s.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<RejectionReason> enum_names(RejectionReason);
 
-/// Whether the reason concerns this attempt, not the pair: an unreadable file, an exception, a machine that
-/// was too slow. Such a result is not stored for other runs, and a resumed run tries the pair again.
+/// Whether the reason concerns this attempt and not the pair: an unreadable file, an exception, or a machine
+/// that was too slow. Such a result is not stored for other runs, and a resumed run tries the pair again.
 [[nodiscard]] inline bool depends_on_circumstances(RejectionReason reason) {
   return reason == RejectionReason::kMissingScan || reason == RejectionReason::kFailed ||
          reason == RejectionReason::kTimeLimit;
@@ -56,10 +56,10 @@ enum class RejectionReason {
 struct RegistrationResult {
   LoopCandidate candidate;                          ///< The computed candidate.
   RejectionReason reason = RejectionReason::kNone;  ///< kNone if it was verified.
-  std::string message;                 ///< For people: figures against bounds. Empty if verified.
+  std::string message;                 ///< For users: figures and their bounds. Empty if verified.
   std::optional<LoopClosure> closure;  ///< Present exactly if reason is kNone.
 
-  /// Last transform reached, T_from_to; also of a rejected candidate, if one was found.
+  /// The last transform, T_from_to, also for a rejected candidate; empty if no transform was found.
   std::optional<Eigen::Isometry3d> T_from_to;
   /// Mean squared nearest-neighbour distance after the feature-based stage, m². NaN if it did not run.
   double sac_fitness_m2 = std::numeric_limits<double>::quiet_NaN();
@@ -73,7 +73,7 @@ struct RegistrationResult {
   double refine_s = 0.0;    ///< Of refinement and tests, s.
   /// A neighbour's scan could not be read: a submap lacks it.
   bool incomplete = false;
-  /// hash_of() its task, if a replay has recorded it; 0: unknown.
+  /// hash_of() the task, if a replay has recorded it; 0: unknown.
   std::uint64_t task_hash = 0;
 
   /// Whether it passed all tests of the computation.
@@ -82,7 +82,8 @@ struct RegistrationResult {
   [[nodiscard]] double seconds() const { return features_s + global_s + refine_s; }
 };
 
-/// depends_on_circumstances() of its reason, or a neighbour's scan could not be read.
+/// Whether the result depends on circumstances: by its reason, or because a neighbour's scan could not be
+/// read.
 [[nodiscard]] inline bool depends_on_circumstances(const RegistrationResult& result) {
   return result.incomplete || depends_on_circumstances(result.reason);
 }

@@ -13,20 +13,20 @@
 
 namespace loopwise {
 
-/// A robot of the team and the range of keys that are its nodes, both ends included.
+/// A robot of the team with the range of keys of its nodes.
 struct Robot {
   std::string name;  ///< Unique in the team, not empty.
   Key first = 0;     ///< Least key of its nodes.
-  Key last = 0;      ///< Largest key of its nodes; it belongs to the range.
-  /// Its nodes are landmarks (artifacts, radio anchors) that robots saw, not key frames: they take part in
+  Key last = 0;      ///< Largest key of its nodes; part of the range.
+  /// The nodes are landmarks (artifacts, radio anchors) that robots saw, not key frames. They take part in
   /// the optimisation, have no scans and no odometry, and are never candidates.
   bool landmarks = false;
 };
 
-/// The robot whose nodes carry this character.
+/// The robot whose keys have this character.
 [[nodiscard]] LOOPWISE_EXPORT Robot robot_of_character(char character, std::string name);
 
-/// Which key belongs to which robot. Robots are numbered from 0 in the order of their key ranges.
+/// Assigns keys to robots. Robots are numbered from 0 in the order of their key ranges.
 class LOOPWISE_EXPORT Robots {
  public:
   Robots() = default;
@@ -34,8 +34,8 @@ class LOOPWISE_EXPORT Robots {
   /// \throws InputError on an empty or repeated name, a range with last < first, or overlapping ranges.
   explicit Robots(std::vector<Robot> robots);
 
-  /// One robot per character found, named after it; all plain integers together form the robot "0". If the
-  /// keys of a character carry labels, see Key, each of its labels is a robot: "gA", "gB".
+  /// One robot per character, named after it. All plain integers together form the robot "0". If the keys of
+  /// a character have labels, see Key, each of its labels is a robot: "gA", "gB".
   [[nodiscard]] static Robots from_keys(const std::vector<Key>& keys);
 
   /// Number of robots.
@@ -53,7 +53,8 @@ class LOOPWISE_EXPORT Robots {
   /// \throws UnknownKeyError if no robot owns the key.
   [[nodiscard]] std::size_t of(Key key) const;
 
-  /// Index of the node among its robot's own, from 0. \throws UnknownKeyError if no robot owns the key.
+  /// Index of the node among the nodes of its robot, from 0. \throws UnknownKeyError if no robot owns the
+  /// key.
   [[nodiscard]] std::uint64_t node_index(Key key) const;
 
   /// True if the key's owner is a group of landmarks.

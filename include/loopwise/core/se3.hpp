@@ -15,7 +15,7 @@
 namespace loopwise {
 
 using Vector6d = Eigen::Matrix<double, 6, 1>;  ///< A tangent vector [translation, rotation], m and rad.
-using Matrix6d = Eigen::Matrix<double, 6, 6>;  ///< A covariance or information over it.
+using Matrix6d = Eigen::Matrix<double, 6, 6>;  ///< A covariance or information of a tangent vector.
 
 namespace se3 {
 
@@ -28,7 +28,7 @@ namespace se3 {
 
 namespace detail {
 
-/// Below this squared angle (rad²) the coefficients that cancel come from their Taylor series.
+/// Below this squared angle (rad²), Taylor series replace the closed forms, which lose digits.
 inline constexpr double kSeriesBelow = 1e-2;
 
 /// Coefficients of the powers of [φ]× in Exp and in the left Jacobian, θ = |φ|.
@@ -69,7 +69,7 @@ struct ExpCoefficients {
 /// Left Jacobian of SO(3): Exp(φ + δ) ≈ Exp(J_l δ) Exp(φ).
 [[nodiscard]] LOOPWISE_EXPORT Eigen::Matrix3d so3_left_jacobian(const Eigen::Vector3d& phi);
 
-/// Its inverse. Finite for angles of less than 2π.
+/// Inverse left Jacobian of SO(3). Finite for angles of less than 2π.
 [[nodiscard]] LOOPWISE_EXPORT Eigen::Matrix3d so3_left_jacobian_inverse(const Eigen::Vector3d& phi);
 
 /// Rigid motion of the tangent vector [ρ, φ]: rotation Exp(φ), translation J_l(φ)·ρ.
@@ -84,7 +84,7 @@ struct ExpCoefficients {
 /// Left Jacobian: Exp(ξ + δ) ≈ Exp(J_l(ξ) δ)·Exp(ξ).
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d left_jacobian(const Vector6d& xi);
 
-/// Its inverse. Finite for rotations of less than 2π.
+/// Inverse left Jacobian. Finite for rotations of less than 2π.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d left_jacobian_inverse(const Vector6d& xi);
 
 /// Right Jacobian: Exp(ξ + δ) ≈ Exp(ξ)·Exp(J_r(ξ) δ).
@@ -93,7 +93,8 @@ struct ExpCoefficients {
 /// Inverse right Jacobian: Log(Exp(ξ)·Exp(δ)) ≈ ξ + J_r⁻¹(ξ) δ. Finite for rotations of less than 2π.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d right_jacobian_inverse(const Vector6d& xi);
 
-/// The same matrix with tangent order [rotation, translation], as GTSAM and LAMP hold it; its own inverse.
+/// The same matrix in the tangent order [rotation, translation] of GTSAM and LAMP. The function is its own
+/// inverse.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d swap_tangent_order(const Matrix6d& m);
 
 /// Covariance of T⁻¹ when `covariance` is that of T (both right perturbations): Ad(T)·Σ·Ad(T)ᵀ.

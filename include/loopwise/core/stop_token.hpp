@@ -6,7 +6,7 @@
 
 namespace loopwise {
 
-/// Asks long work to end early. Copies share the request; a default token can never be stopped.
+/// Receives the request to end long work early. Copies share the request; a default token is never stopped.
 class StopToken {
  public:
   StopToken() = default;
@@ -19,11 +19,11 @@ class StopToken {
   std::shared_ptr<const std::atomic<bool>> flag_;
 };
 
-/// The side that makes the request. request_stop() is lock-free: a signal handler may call it.
+/// Makes the request. request_stop() is lock-free, so a signal handler may call it.
 class StopSource {
  public:
   StopSource() : flag_(std::make_shared<std::atomic<bool>>(false)) {}
-  /// Asks all holders of a token to end early; cannot be undone.
+  /// Asks the holders of all tokens to end early. Cannot be undone.
   void request_stop() const noexcept { flag_->store(true, std::memory_order_relaxed); }
   /// Whether the request was made.
   [[nodiscard]] bool stop_requested() const { return flag_->load(std::memory_order_relaxed); }

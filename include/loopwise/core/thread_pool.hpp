@@ -13,11 +13,11 @@ namespace loopwise {
 /// \throws OptionError on a negative number
 [[nodiscard]] LOOPWISE_EXPORT int resolve_threads(int threads);
 
-/// Threads for coarse tasks. Work is never split further inside a task, and the result of a task must not
-/// depend on its thread: the number of threads then changes only the run time.
+/// Threads for coarse tasks. A task is never split further, and its result must not depend on its thread. So
+/// the number of threads changes only the run time.
 class LOOPWISE_EXPORT ThreadPool {
  public:
-  /// `threads` as resolve_threads() takes it. With 1 all work runs in the calling thread.
+  /// \param threads see resolve_threads(). With 1, all work runs in the calling thread.
   explicit ThreadPool(int threads = 0);
   ~ThreadPool();
   ThreadPool(const ThreadPool&) = delete;
@@ -25,11 +25,11 @@ class LOOPWISE_EXPORT ThreadPool {
 
   /// Number of threads that work at once.
   [[nodiscard]] int num_threads() const;
-  /// Takes effect from the next for_each; must not be called while one runs.
+  /// Takes effect from the next for_each(). Must not be called during a for_each().
   void resize(int threads);
 
-  /// Calls body(i) once for every i in [0, count), in any order and on any thread, and returns when all are
-  /// done; calls from several threads share the workers and may wait for each other. If calls throw, the
+  /// Calls body(i) once for every i in [0, count), in any order and on any thread, and returns when all calls
+  /// are done. Calls from several threads share the workers and may wait for each other. If calls throw, the
   /// exception of the lowest index is rethrown after the others have finished.
   void for_each(std::size_t count, const std::function<void(std::size_t)>& body);
 

@@ -9,12 +9,11 @@
 
 namespace loopwise {
 
-/// Whether a launcher (mpirun, srun) has started this process as one of several: reads only the environment,
-/// without starting MPI.
+/// Whether a launcher (mpirun, srun) has started this process as one of several. Reads only the environment
+/// and does not start MPI.
 [[nodiscard]] LOOPWISE_EXPORT bool started_by_mpi();
 
-/// This process as a rank of an MPI job, from construction to destruction. At most one in the life of a
-/// process.
+/// This process as a rank of an MPI job, from construction to destruction. A process can have only one.
 class LOOPWISE_EXPORT MpiSession {
  public:
   /// \throws Error if MPI cannot be started, or does not support serialised calls from several threads
@@ -28,7 +27,7 @@ class LOOPWISE_EXPORT MpiSession {
 
   /// Messages to the other ranks; lives as long as the session.
   [[nodiscard]] Transport& transport() { return *transport_; }
-  /// Of this rank, for messages to people.
+  /// Host of this rank, for messages to users.
   [[nodiscard]] const std::string& host() const { return host_; }
 
  private:

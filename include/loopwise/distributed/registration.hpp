@@ -24,13 +24,13 @@ namespace loopwise {
 [[nodiscard]] LOOPWISE_EXPORT std::string replay_greeting(const Mission& mission,
                                                           const ReplayOptions& options);
 
-/// Computes batches over all ranks, for MissionReplay in place of its own threads. Results equal those of one
-/// machine. Pairs go to the rank that had their target last. `local_workers` threads compute here, on rank 0.
+/// Computes batches over all ranks, for MissionReplay instead of its own threads. Results equal those of one
+/// machine. A pair goes to the rank that had its target last. `local_workers` threads compute on rank 0.
 [[nodiscard]] LOOPWISE_EXPORT BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
                                                                 std::shared_ptr<const Registrar> registrar,
                                                                 int local_workers);
 
-/// Every other rank of a replay: computes tasks until rank 0 ends it.
+/// Runs every other rank of a replay: computes tasks until rank 0 ends it.
 LOOPWISE_EXPORT void serve_registrations(Transport& transport, std::string_view greeting,
                                          const Registrar& registrar);
 

@@ -11,7 +11,8 @@
 
 namespace loopwise {
 
-/// A message between two ranks. Bytes have the sender's order: all ranks must have one architecture.
+/// A message between two ranks. Bytes are in the sender's order, so all ranks must have the same
+/// architecture.
 struct Message {
   int from = 0;       ///< Rank of the sender.
   int tag = 0;        ///< Its kind.
@@ -23,13 +24,13 @@ struct Message {
 class LOOPWISE_EXPORT Transport {
  public:
   virtual ~Transport() = default;
-  /// Of this process, from 0.
+  /// Rank of this process, from 0.
   [[nodiscard]] virtual int rank() const = 0;
   /// Number of ranks.
   [[nodiscard]] virtual int size() const = 0;
-  /// Returns soon; the message may still be on its way. \throws Error if the rank cannot be reached any more
+  /// Returns soon; the message may arrive later. \throws Error if the rank cannot be reached any more
   virtual void send(int to, int tag, std::string_view bytes) = 0;
-  /// The next message, or empty if no message has arrived: never waits. \throws Error
+  /// The next message, or empty if no message has arrived. Never waits. \throws Error
   [[nodiscard]] virtual std::optional<Message> receive() = 0;
 };
 

@@ -70,7 +70,7 @@ class LOOPWISE_EXPORT WorkServer {
   void run(const std::vector<Work>& work, int local_workers, const std::function<void(std::size_t)>& here,
            const std::function<void(int, std::size_t, std::string_view)>& there, const StopToken& stop = {});
 
-  /// Since the start, over all calls of run().
+  /// Statistics since the start, over all calls of run().
   [[nodiscard]] const WorkStatistics& statistics() const { return statistics_; }
 
  private:
@@ -87,7 +87,7 @@ class LOOPWISE_EXPORT WorkServer {
 LOOPWISE_EXPORT void serve_work(Transport& transport, std::string_view greeting,
                                 const std::function<std::string(std::string_view request)>& answer);
 
-/// Reports to rank 0 why this rank cannot take part. Possible before the greeting.
+/// Reports to rank 0 why this rank cannot take part. May be called before the greeting.
 LOOPWISE_EXPORT void report_failure(Transport& transport, std::string_view why);
 
 }  // namespace loopwise

@@ -30,7 +30,7 @@ namespace loopwise {
 ///
 ///     generated = pruned + expired + waiting + pending + in_flight + computed
 struct CandidateAccounting {
-  std::size_t generated = 0;  ///< Distinct pairs proposed; forgotten pairs count again.
+  std::size_t generated = 0;  ///< Distinct proposed pairs; forgotten pairs count again.
   std::size_t pruned = 0;     ///< Refused by every prioritiser.
   std::size_t expired = 0;    ///< Too old, beyond the pool's bound, or without a scan in time.
   std::size_t waiting = 0;    ///< A node's scan is still missing.
@@ -46,7 +46,7 @@ struct CandidateAccounting {
   }
 };
 
-/// When candidates expire, and which come last.
+/// Expiry of candidates, and which candidates come last.
 struct CandidatePoolOptions {
   double max_age_s = 0.0;
   double max_wait_s = 600.0;
@@ -67,17 +67,17 @@ struct CandidatePoolOptions {
   }
 };
 
-/// Owns the candidates of a run from their generation to their result: numbers them, stores those with
+/// Owns the candidates of a run from their generation to their result. Numbers them, stores those with
 /// missing scans, feeds the queue and keeps the account. Not thread-safe.
 ///
 /// Exceptions of a prioritiser are passed on. The candidates that were being added to it are then pruned.
 class LOOPWISE_EXPORT CandidatePool {
  public:
-  /// `robots` are needed for `redundant_m`. \throws OptionError, also if they are missing for it.
+  /// `redundant_m` needs `robots`. \throws OptionError, also if they are missing for it.
   CandidatePool(const CandidatePoolOptions& options, RoundRobinQueue queue, Robots robots = {});
 
-  /// Numbers and stores new pairs. (a, b) and (b, a) are one pair; known pairs that were not forgotten are
-  /// ignored, except for the recognition of a pair that was not handed out yet. A time before that of an
+  /// Numbers and stores new pairs. (a, b) and (b, a) are one pair. Known pairs are ignored unless they were
+  /// forgotten, but a pair that was not handed out yet takes over the recognition. A time before that of an
   /// earlier candidate counts as that time. \returns the number of new pairs.
   std::size_t add(const std::vector<LoopCandidate>& candidates);
 
@@ -102,15 +102,15 @@ class LOOPWISE_EXPORT CandidatePool {
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count);
   /// \throws InputError if the result's candidate is not in flight.
   void complete(const RegistrationResult& result);
-  /// The graph has a closure between two nodes: candidates near it are redundant from now on.
+  /// Reports that the graph has a closure between two nodes: candidates near it are redundant from now on.
   void closure_added(Key from, Key to) { closed_.insert(std::minmax(from, to)); }
-  /// The graph no longer has a closure between two nodes.
+  /// Reports that the graph no longer has a closure between two nodes.
   void closure_removed(Key from, Key to) { closed_.erase(std::minmax(from, to)); }
-  /// Candidates in flight that will not be computed become pending again.
+  /// Makes candidates in flight pending again because they will not be computed.
   void give_back(const std::vector<LoopCandidate>& candidates);
 
-  /// Forgets computed candidates whose outcome is obsolete because one of their nodes has moved: the pairs
-  /// may be proposed again.
+  /// Forgets computed candidates whose outcome is obsolete because one of their nodes has moved. The pairs
+  /// may then be proposed again.
   void forget(const std::vector<std::pair<Key, Key>>& pairs);
 
   /// Mission time at which the oldest pending candidate was generated, if one exists.
@@ -129,7 +129,7 @@ class LOOPWISE_EXPORT CandidatePool {
     std::size_t operator()(const std::pair<Key, Key>& pair) const;
   };
 
-  /// The two ends, the one of the lower robot first; nothing if a position is unknown.
+  /// Positions of the two ends, that of the lower robot first; empty if a position is unknown.
   struct Place {
     std::pair<std::size_t, std::size_t> robots;
     Eigen::Vector3d first, second;
@@ -153,7 +153,7 @@ class LOOPWISE_EXPORT CandidatePool {
   std::unordered_map<Key, std::vector<CandidateId>> waiting_for_;  // missing scan -> candidates, in order
   IdTable<LoopCandidate> pending_;
   IdTable<LoopCandidate> in_flight_;
-  std::unordered_map<Key, Eigen::Vector3d> positions_;  // by the last estimate; kept for redundant_m alone
+  std::unordered_map<Key, Eigen::Vector3d> positions_;  // in the last estimate; stored only for redundant_m
   std::set<std::pair<Key, Key>> closed_;                // pairs with a closure
   std::deque<LoopCandidate> redundant_;                 // pending, but in no prioritiser any more
   std::map<std::string, std::size_t> pruned_reasons_;

@@ -80,9 +80,9 @@ struct EngineOptions {
                                                     const LoopCandidate& candidate);
 
 /// Makes all decisions of a mission: poses of nodes, candidates and their order, times of optimisation, and
-/// the use of results and estimates. It takes events and returns effects. It uses neither threads, clocks nor
-/// files: a driver gives the time and executes the effects. The same events give the same effects, to the
-/// bit.
+/// the use of results and estimates. It takes events and returns effects, and uses neither threads, clocks
+/// nor files. A driver provides the time and executes the effects. The same events give the same effects, to
+/// the bit.
 ///
 /// Duties of a driver: after each event, send event::Settle if wants_estimate() and neither optimizing() nor
 /// computing(), and event::Choose if wants_batch(); send event::Tick about once a second. Answer an
@@ -90,11 +90,11 @@ struct EngineOptions {
 /// effect::Optimize by one event::Optimized of the same graph. No batch is chosen while another is computed.
 ///
 /// Not thread-safe. An invalid event throws and changes nothing. An exception of a prioritiser gives an
-/// effect::Problem. std::bad_alloc is passed on: the engine then must not get further events, but stays
-/// readable, and the failed event may be in the graph in part.
+/// effect::Problem. std::bad_alloc is passed on. After it, the engine must not get further events, but it
+/// stays readable; the graph may contain a part of the failed event.
 class LOOPWISE_EXPORT Engine {
  public:
-  /// `queue` holds the prioritisers; without prioritisers no candidate is proposed. \throws OptionError
+  /// `queue` has the prioritisers. Without prioritisers no candidate is proposed. \throws OptionError
   Engine(const Robots& robots, const EngineOptions& options, RoundRobinQueue queue);
   ~Engine();
   Engine(Engine&&) noexcept;
@@ -120,7 +120,7 @@ class LOOPWISE_EXPORT Engine {
 
   /// All nodes, factors and verified closures, at the last estimate.
   [[nodiscard]] const PoseGraph& graph() const;
-  /// Poses by odometry and full priors (those that fix position and rotation) alone, in the order of
+  /// Poses from odometry and full priors only (those that fix position and rotation), in the order of
   /// graph().nodes().
   [[nodiscard]] const std::vector<Eigen::Isometry3d>& odometry() const;
   /// The candidates and their states.

@@ -42,17 +42,17 @@ struct KeyFrame {
   std::vector<BetweenFactor> closures;   ///< Loop closures from the front end.
   std::vector<BetweenFactor> landmarks;  ///< Sightings of landmarks, which are nodes too.
   std::vector<PriorFactor> priors;  ///< Usually for a robot's first node: its alignment to the common frame.
-  std::vector<RangeFactor> ranges;  ///< From or to it; the other node may follow.
-  std::vector<GravityFactor> gravities;     ///< At it.
+  std::vector<RangeFactor> ranges;  ///< From or to the node; the other node may follow.
+  std::vector<GravityFactor> gravities;     ///< At the node.
   std::shared_ptr<const PointCloud> cloud;  ///< Null: the scan follows later or is missing.
 };
 
 /// Factors of present or future nodes.
 struct Factors {
   std::vector<BetweenFactor> odometry;   ///< From a robot's node to its next.
-  std::vector<BetweenFactor> closures;   ///< Loop closures from elsewhere.
+  std::vector<BetweenFactor> closures;   ///< Loop closures from other sources.
   std::vector<BetweenFactor> landmarks;  ///< Sightings of landmarks.
-  std::vector<PriorFactor> priors;       ///< Of the pose or of the position alone.
+  std::vector<PriorFactor> priors;       ///< Of the pose, or of the position only.
   std::vector<RangeFactor> ranges;       ///< Measured distances.
   std::vector<GravityFactor> gravities;  ///< Measured directions of gravity.
 };
@@ -75,9 +75,9 @@ struct Estimate {
 };
 
 /// Events of Engine::handle(). Further events are KeyFrame, Factors, BeaconDrop, RegistrationResult,
-/// ExternalEstimate and ClosureDecision. A ClosureDecision holds for the closures of the graph and for later
-/// ones, including those of the front end; the last one on a pair counts. A rejected pair is not proposed any
-/// more.
+/// ExternalEstimate and ClosureDecision. A ClosureDecision applies to the closures of the graph and to later
+/// ones, including those of the front end; the last one on a pair counts. A rejected pair is not proposed
+/// again.
 namespace event {
 
 /// The cloud of a present or future node.
@@ -110,7 +110,7 @@ struct Tick {};
 struct Improve {
   std::size_t count = 0;  ///< Size of the next batch.
   StopToken stop;         ///< Ends it early.
-  /// Bound by prioritiser, in the order of their turns; missing ones are not bound.
+  /// Bound for each prioritiser, in the order of their turns. A missing entry means no bound.
   std::vector<std::uint64_t> max_evaluations;
 };
 /// The computation is free: the next batch of up to `count` candidates.
@@ -133,7 +133,7 @@ using Event =
                  RegistrationResult, event::BatchDone, event::Optimized, ExternalEstimate, ClosureDecision,
                  event::Tick, event::Improve, event::Choose, event::Settle, event::NoMoreScans>;
 
-/// An event that an engine has handled. Valid during the call only. Another engine with the same events,
+/// An event that an engine has handled. Valid only during the call. Another engine with the same events,
 /// times and scan data reaches the same graph and closures, to the bit.
 struct HandledEvent {
   const Event& event;  ///< `max_evaluations` of an event::Improve holds the used evaluations.
@@ -152,7 +152,7 @@ LOOPWISE_EXPORT void check_event(const Event& event, const Robots& robots);
 /// Effects of Engine::handle(), in the order of their occurrence.
 namespace effect {
 
-/// Tasks for registration. The answers are a RegistrationResult each, then event::BatchDone.
+/// Tasks for registration. The answers are one RegistrationResult per task, then event::BatchDone.
 struct Compute {
   std::vector<RegistrationTask> tasks;  ///< In the order of the batch.
 };

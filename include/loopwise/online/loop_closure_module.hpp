@@ -41,7 +41,7 @@ namespace loopwise {
 /// All options of a module.
 struct ModuleOptions {
   EngineOptions engine;                  ///< Decisions.
-  AppearanceOptions appearance;          ///< Candidates by what places look like.
+  AppearanceOptions appearance;          ///< Candidates by appearance.
   PrioritizationOptions prioritization;  ///< Order of the candidates.
   FeatureOptions features;               ///< Preparation of scans.
   FastRegistrarOptions registration;     ///< Computation of candidates.
@@ -76,37 +76,38 @@ struct ModuleOptions {
   }
 };
 
-/// Called from the engine's thread of the module, one at a time, in the order of events. Data shared with the
-/// stack's threads need a lock. Keep callbacks short: the module waits for them. They may call every function
-/// of the module except wait(), finish() and stop(), which throw there, and the destructor. Exceptions are
-/// reported as problems, except std::bad_alloc, which ends the module. Any may be empty.
+/// Called from the engine's thread of the module, one at a time, in the order of events. Data that the
+/// program's threads share need a lock. Keep callbacks short, because the module waits for them. They may
+/// call every function of the module except the destructor and wait(), finish() and stop(), which throw
+/// there. Exceptions are reported as problems, except std::bad_alloc, which ends the module. Any callback may
+/// be empty.
 struct ModuleCallbacks {
   /// A verified closure, not yet optimised.
   std::function<void(const LoopClosure& closure)> on_closure;
-  /// Every computed candidate. A pair comes again, with another id, after one of its nodes was moved, see
+  /// Every computed candidate. A pair is computed again, with another id, if one of its nodes was moved, see
   /// KeyFrame.
   std::function<void(const RegistrationResult& result)> on_result;
   /// A new estimate.
   std::function<void(const std::shared_ptr<const Estimate>& estimate)> on_estimate;
-  /// Something was left out or has failed, and why.
+  /// Something was left out or has failed; the text has the reason.
   std::function<void(const std::string& problem)> on_problem;
 };
 
 /// User-defined parts; empty parts are made from the options.
 struct ModuleParts {
   /// Reads the scan of a node on demand; the module then stores no clouds. Each scan must still be announced,
-  /// by KeyFrame::cloud or add_scan(): candidates of a node without an announced scan are not computed.
-  /// Empty: the module stores the clouds in memory.
+  /// by KeyFrame::cloud or add_scan(), because candidates of a node without an announced scan are not
+  /// computed. Empty: the module stores the clouds in memory.
   ScanLoader scans;
   /// Makes the registrar that computes the candidates. The registrar must be thread-safe. It gets the clouds
   /// from `scans`, and may use it until the module ends. It may call the same functions as callbacks.
   std::function<std::shared_ptr<const Registrar>(const ScanLoader& scans)> registrar;
-  /// Order the candidates; several take turns. They run in the engine's thread and may call the same
-  /// functions as callbacks. An exception is reported as a problem that names prioritiser and function;
+  /// Order the candidates. Several prioritisers take turns. They run in the engine's thread and may call the
+  /// same functions as callbacks. An exception is reported as a problem that names prioritiser and function;
   /// candidates that were being added then count as pruned ("prioritizer_failed").
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;
-  /// Finds places that look alike, in place of the database that AppearanceOptions::descriptor names; must be
-  /// empty. Place recognition is then on, also without AppearanceOptions::enabled.
+  /// Finds places of similar appearance, instead of the database that AppearanceOptions::descriptor names. It
+  /// must not contain places yet. Place recognition is then on, even without AppearanceOptions::enabled.
   std::unique_ptr<PlaceDatabase> places;
   /// Measures the waiting time of candidates, factors and scans; now() must be thread-safe. Null: seconds
   /// since the construction of the module, by the steady clock.
@@ -115,7 +116,7 @@ struct ModuleParts {
   std::function<void(const HandledEvent& handled)> on_event;
 };
 
-/// Load of each stage. Counts are since the start.
+/// Load of each stage. Counts are since the start of the module.
 struct ModuleStatistics {
   std::size_t events_waiting = 0;   ///< Accepted from producers, not yet handled.
   std::size_t events = 0;           ///< Handled.
@@ -130,7 +131,7 @@ struct ModuleStatistics {
   std::size_t overdue_now = 0;    ///< ... and those of them without a result so far, each on a thread.
   double computing_s = 0.0;       ///< Wall time with a batch in computation, ...
   double idle_s = 0.0;            ///< ... and without, since the start.
-  double oldest_pending_s = 0.0;  ///< Age of the oldest pending candidate by the module's clock, s.
+  double oldest_pending_s = 0.0;  ///< Age of the oldest pending candidate on the module's clock, s.
   double optimizing_s = 0.0;      ///< Wall time of the estimates.
   std::size_t problems = 0;       ///< Number of problems, with or without a callback.
   std::vector<std::string> last_problems;  ///< The last 20 of them, oldest first.
@@ -160,70 +161,70 @@ class LOOPWISE_EXPORT LoopClosureModule {
  public:
   /// \param robots all robots, including later ones; keys of others are refused
   /// \param options of the module; those of a replay have other defaults, see module_options()
-  /// \param callbacks that receive closures and estimates
+  /// \param callbacks receive closures and estimates
   /// \param parts user-defined parts
-  /// \throws OptionError, naming "section.field"; InputError if `parts.registrar` returns null; its
-  /// exceptions
+  /// \throws OptionError, naming "section.field"; InputError if `parts.registrar` returns null; exceptions of
+  /// `parts.registrar`
   explicit LoopClosureModule(const Robots& robots, const ModuleOptions& options = {},
                              ModuleCallbacks callbacks = {}, ModuleParts parts = {});
-  /// Like stop(). Must not run in a callback, prioritiser, registrar or scan loader of the module: it would
+  /// Like stop(). Must not run in a callback, prioritiser, registrar or scan loader of the module: that would
   /// end the program.
   ~LoopClosureModule();
   LoopClosureModule(const LoopClosureModule&) = delete;
   LoopClosureModule& operator=(const LoopClosureModule&) = delete;
 
-  /// Each add_* function \returns false if the module was stopped: the input was then not accepted.
+  /// Each add_* function \returns false if the module was stopped. The input was then not accepted.
 
   /// \throws InputError on a repeated key, numbers that are not finite or bad information; UnknownKeyError if
   /// no robot owns the key.
   [[nodiscard]] bool add_key_frame(const KeyFrame& frame);
-  /// The cloud of a node, before or after the node itself. \throws InputError if the node already has a cloud
+  /// The cloud of a node, which may come before the node. \throws InputError if the node already has a cloud
   /// or a point is not finite; UnknownKeyError if no robot owns the key.
   [[nodiscard]] bool add_scan(Key key, const std::shared_ptr<const PointCloud>& cloud);
   /// Factors of present or future nodes. \throws InputError like PoseGraph; UnknownKeyError if no robot owns
   /// a key.
   [[nodiscard]] bool add_factors(const Factors& factors);
-  /// Received powers, all of one node and beacon together, in any order with nodes and drops. They propose
-  /// candidates with any method: do not add them if radio is not wanted. Readings of unknown nodes or beacons
-  /// wait within RadioOptions' bound. \throws UnknownKeyError if no robot owns a key.
+  /// Received powers. Add all readings of one node and beacon together, in any order with nodes and drops.
+  /// They propose candidates with any method, so do not add them if radio is not wanted. Readings of unknown
+  /// nodes or beacons wait within RadioOptions' bound. \throws UnknownKeyError if no robot owns a key.
   [[nodiscard]] bool add_radio(const std::vector<RadioReading>& readings);
   /// \throws UnknownKeyError if no robot owns the drop's node.
   [[nodiscard]] bool add_beacon_drop(const BeaconDrop& drop);
-  /// Candidates of the stack's place recognition. The module sets ids; the order of the two keys does not
+  /// Candidates of an external place recognition. The module sets ids; the order of the two keys does not
   /// matter. Candidates wait for missing nodes, see CandidatePoolOptions::max_wait_s. \throws InputError if a
   /// candidate joins a node with itself; UnknownKeyError if no robot owns a key.
   [[nodiscard]] bool add_candidates(const std::vector<LoopCandidate>& candidates);
-  /// Poses of the stack's back end. Unknown keys are ignored. Weights of closures stay 1: report rejected
-  /// ones by remove_closure(). Nodes without a pose move with the nearest earlier node with a pose on their
-  /// robot's path. Rounded rotations are orthonormalised. \throws InputError if the internal back end is on,
-  /// a number is not finite, or a pose is not a rigid transform to 1e-3.
+  /// Poses of an external back end. Unknown keys are ignored. Weights of closures stay 1: report rejected
+  /// ones by remove_closure(). Nodes without a pose move with the nearest earlier node of their robot's path
+  /// that has a pose. Rounded rotations are orthonormalised. \throws InputError if the internal back end is
+  /// on, a number is not finite, or a pose is not a rigid transform to 1e-3.
   [[nodiscard]] bool set_estimate(const ExternalEstimate& estimate);
-  /// A person's decision on the closures between two nodes, including later ones and those of the front end.
-  /// Rejected closures are removed, and the pair is not proposed any more; if it is pending, it is computed
-  /// and its closure ignored. Accepted closures are known inliers: robust optimisation keeps them. The last
-  /// decision on a pair counts, but a removed closure does not return. The nodes may come later.
+  /// A user's decision on the closures between two nodes, including later ones and those of the front end.
+  /// Rejected closures are removed, and the pair is not proposed again; if it is pending, it is computed and
+  /// its closure ignored. Accepted closures are known inliers, which robust optimisation keeps. The last
+  /// decision on a pair counts, but a removed closure does not return. The nodes may be added later.
   [[nodiscard]] bool decide(const ClosureDecision& decision);
   /// decide() with a rejection.
   [[nodiscard]] bool remove_closure(Key from, Key to);
 
   /// Waits until nothing more happens without new input: all input is handled, and the estimate is up to
-  /// date, except for reported problems. It does not wait for candidates with missing scans or that a
-  /// prioritiser holds back. \returns false if the module was stopped. \throws Error in a callback,
-  /// prioritiser, registrar or scan loader of the module, which would wait for itself.
+  /// date, except for reported problems. It does not wait for candidates with missing scans, or for those
+  /// that a prioritiser holds back. \returns false if the module was stopped. \throws Error in a callback,
+  /// prioritiser, registrar or scan loader of the module, because it would wait for itself.
   [[nodiscard]] bool wait();
 
-  /// Like stop(), but with a last estimate if closures have come since the previous one, or if that one
-  /// continued an earlier one (GncOptions::warm_start): the last estimate starts from scratch. To compute all
-  /// pending candidates, call wait() before it. \throws Error like wait().
+  /// Like stop(), but computes a last estimate from scratch if closures have come since the previous one, or
+  /// if the previous one continued an earlier one (GncOptions::warm_start). To compute all pending
+  /// candidates, call wait() first. \throws Error like wait().
   void finish();
-  /// Ends all work soon and joins the threads. Running registrations complete, without a limit of time (a
-  /// thread cannot be stopped from outside: see RegistrationTask::time_limit_s), and pending candidates
-  /// remain pending in the account. May be called more than once. \throws Error like wait().
+  /// Ends all work soon and joins the threads. Running registrations complete, without a limit of time: a
+  /// thread cannot be stopped from outside, see RegistrationTask::time_limit_s. Pending candidates remain
+  /// pending in the account. May be called more than once. \throws Error like wait().
   void stop();
 
   /// The last estimate; null before the first.
   [[nodiscard]] std::shared_ptr<const Estimate> estimate() const;
-  /// The present graph: all nodes, factors and verified closures with their last weights.
+  /// The current graph: all nodes, factors and verified closures with their last weights.
   [[nodiscard]] PoseGraph graph() const;
   /// Load of each stage, now and since the start.
   [[nodiscard]] ModuleStatistics statistics() const;

@@ -27,8 +27,8 @@ namespace loopwise {
 
 /// How align() reads the points of a cloud. Supported: containers with size() and operator[] whose elements
 /// have x, y, z (pcl::PointCloud, std::vector of a struct) or are Eigen vectors of three or four coordinates;
-/// Eigen matrices with one point per column (three rows); loopwise::PointCloud. For a type of your own,
-/// specialise it with the same two functions.
+/// Eigen matrices with one point per column (three rows); loopwise::PointCloud. For your own type, specialise
+/// it with the same two functions.
 template <class Cloud, class = void>
 struct PointCloudTraits {
   /// Number of points.
@@ -83,8 +83,8 @@ struct PointCloudTraits<PointCloud> {
 
 /// Options of align().
 struct AlignOptions {
-  /// Initial T_target_source. It is tried first, and a result further from it than
-  /// FastRegistrarOptions::tests allows (20 m, 50 degrees) is rejected. Empty: no guess.
+  /// Initial T_target_source, which is tried first. A result farther from it than FastRegistrarOptions::tests
+  /// allows (20 m, 50 degrees) is rejected. Empty: no guess.
   std::optional<Eigen::Isometry3d> guess;
   FeatureOptions features;            ///< Downsampling and normals; points beyond max_range_m are left out.
   FastRegistrarOptions registration;  ///< Registration and its tests.
@@ -94,8 +94,8 @@ struct AlignOptions {
 /// The result of align().
 struct AlignResult {
   bool success = false;                             ///< The alignment has passed all tests.
-  RejectionReason reason = RejectionReason::kNone;  ///< kNone if successful; else enum_name() gives a word.
-  std::string message;  ///< For people: figures against bounds. Empty if successful.
+  RejectionReason reason = RejectionReason::kNone;  ///< kNone if successful; otherwise see enum_name().
+  std::string message;  ///< For users: figures and their bounds. Empty if successful.
   /// Maps points of the source to the frame of the target: p_target = T_target_source · p_source. NaN unless
   /// successful.
   Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
@@ -110,7 +110,7 @@ struct AlignResult {
   std::size_t dropped_source_points = 0;  ///< The same for the source.
 };
 
-/// align() of points in double precision. \throws OptionError; InputError as align()
+/// align() for points in double precision. \throws OptionError; InputError as align()
 [[nodiscard]] LOOPWISE_EXPORT AlignResult align_points(const std::vector<Eigen::Vector3d>& target,
                                                        const std::vector<Eigen::Vector3d>& source,
                                                        const AlignOptions& options = {});
@@ -129,11 +129,11 @@ template <class Cloud>
 /// Aligns two lidar scans of one place, in metres, by the FastRegistrar. Points that are not finite are
 /// dropped and counted. Clouds that cannot be aligned give a result with a reason, not an exception.
 /// Deterministic; safe to call from several threads.
-/// \param target the cloud that stays
-/// \param source the cloud that is moved
+/// \param target the fixed cloud
+/// \param source the cloud to align with the target
 /// \param options initial guess, preparation of the clouds, registration
 /// \throws OptionError; InputError if the guess is not a rigid transform, or if most points of a cloud are
-/// more than 16 km from its origin: then subtract an offset, because a float loses digits
+/// more than 16 km from its origin. In that case subtract an offset, because floats lose digits
 template <class Target, class Source>
 [[nodiscard]] AlignResult align(const Target& target, const Source& source,
                                 const AlignOptions& options = {}) {

@@ -13,8 +13,8 @@
 
 namespace loopwise {
 
-/// A result of RejectionReason::kFailed. Never throws: without memory for the message, it reports the
-/// allocation failure instead.
+/// A result of RejectionReason::kFailed. Never throws. If memory is missing for the message, the message
+/// reports the allocation failure.
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult failed_result(const LoopCandidate& candidate,
                                                                const char* message);
 
@@ -23,9 +23,10 @@ namespace loopwise {
 [[nodiscard]] LOOPWISE_EXPORT RegistrationResult compute_or_fail(const Registrar& registrar,
                                                                  const RegistrationTask& task);
 
-/// Computes tasks on the pool, one task a thread. Results have the order of the tasks and do not depend on
-/// the number of threads. After a stop request no further task starts; tasks that did not start have no
-/// result. `on_result` gets each result at once: in any order, one at a time, from any thread of the pool.
+/// Computes tasks on the pool, one task per thread at a time. Results have the order of the tasks and do not
+/// depend on the number of threads. After a stop request no further task starts, and tasks that did not start
+/// have no result. `on_result` gets each result at once: in any order, one at a time, from any thread of the
+/// pool.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::optional<RegistrationResult>> compute_batch(
     const Registrar& registrar, const std::vector<RegistrationTask>& tasks, ThreadPool& pool,
     const StopToken& stop = {}, const ProgressCallback& progress = {},

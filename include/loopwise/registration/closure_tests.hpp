@@ -92,15 +92,15 @@ struct AlignmentFigures {
   /// Mean squared distance to the target of all source points, see fitness_range_m.
   double fitness_m2 = 0.0;
   double overlap = 0.0;  ///< Share of source points with a target point within overlap_distance_m.
-  /// The same with agreeing normals (within 45°), as a mean over directions of the source's surfaces;
-  /// directions with less than 5 % of the points count in proportion.
+  /// The overlap by points with agreeing normals (within 45°), as a mean over directions of the source's
+  /// surfaces. Directions with less than 5 % of the points count in proportion.
   double balanced_overlap = 0.0;
-  double on_plane = 0.0;           ///< Share of these within plane_distance_m.
+  double on_plane = 0.0;           ///< Share of these points within plane_distance_m.
   double expected_on_plane = 1.0;  ///< The share among neighbours within the clouds, see surface_share().
   double expected_overlap = 1.0;   ///< Overlap of neighbours within the target, see surface_share().
-  /// Share of points in space that the other scan saw free, source and target added; 0 if not measured.
+  /// Share of points in free space of the other scan, summed over source and target; 0 if not measured.
   double contradiction = 0.0;
-  double plane_rmse_m = 0.0;     ///< Over overlapping points whose normals agree, along the target's.
+  double plane_rmse_m = 0.0;  ///< Over overlapping points with agreeing normals, along the target's normals.
   std::size_t plane_points = 0;  ///< Number of these points.
   /// Gauss-Newton Hessian of ½ Σ (point-to-plane distance)² over T_from_to's right perturbation
   /// [translation, rotation]: with y = T_to_from·p and the target's normal n, J = −nᵀG, G = [I, −[y]×].
@@ -111,19 +111,19 @@ struct AlignmentFigures {
 };
 
 /// Measures source points against a target with normals under T_to_from (source to target). One
-/// nearest-neighbour search a point.
+/// nearest-neighbour search per point.
 [[nodiscard]] LOOPWISE_EXPORT AlignmentFigures measure_alignment(const PointCloud& source,
                                                                  const PointCloud& target,
                                                                  const KdTree& target_tree,
                                                                  const Eigen::Isometry3d& T_to_from,
                                                                  const ClosureTestOptions& options);
 
-/// Figures that a right alignment can reach, from neighbours within a cloud.
+/// Figures of a correct alignment, estimated from neighbours within a cloud.
 struct SurfaceShare {
   /// Share of points with a neighbour within overlap_distance_m: low for sparse scans of long range. At least
   /// 0.05.
   double overlap = 1.0;
-  /// Share of the neighbours with agreeing normals that lie within plane_distance_m of each other's plane:
+  /// Share of the neighbours with agreeing normals that are within plane_distance_m of each other's plane:
   /// low for leaves and rubble. 1 without such neighbours.
   double on_plane = 1.0;
 };
@@ -131,12 +131,12 @@ struct SurfaceShare {
 [[nodiscard]] LOOPWISE_EXPORT SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree,
                                                          const ClosureTestOptions& options);
 
-/// Fit of an alignment in detail, at most 1: on_plane/expected_on_plane − 5·contradiction. Look-alike
-/// corridors overlap, but differ in roughness and openings.
+/// Fit of an alignment in detail, at most 1: on_plane/expected_on_plane − 5·contradiction. Similar corridors
+/// overlap, but differ in roughness and openings.
 [[nodiscard]] LOOPWISE_EXPORT double consistency(const AlignmentFigures& figures);
 
-/// Number of the six directions that the points do not constrain: their standard deviation would exceed
-/// max_sigma.
+/// Number of the six directions that the points do not constrain: without a bound, their standard deviation
+/// exceeds max_sigma.
 [[nodiscard]] LOOPWISE_EXPORT int free_directions(const AlignmentFigures& figures,
                                                   const ClosureTestOptions& options);
 

@@ -34,8 +34,8 @@ struct FastRegistrarOptions {
   double max_descriptor_mb = 256.0;
   ClosureTestOptions tests = default_tests();  ///< Fields of the same section.
 
-  /// The bounds differ from the reference: consistency decides, so scans may extend further beyond each
-  /// other.
+  /// These bounds differ from those of the reference. Consistency is decisive here, so scans may extend
+  /// further beyond each other.
   [[nodiscard]] static ClosureTestOptions default_tests() {
     ClosureTestOptions tests;
     tests.max_fitness_m2 = 2.2;
@@ -88,12 +88,13 @@ struct FastRegistrarOptions {
   }
 };
 
-/// Registration at an order of magnitude less cost than the reference, without random draws: the graph's
-/// guess first, if it exists; else mutual FPFH matches, consensus by second-order compatibility, and a
-/// comparison on the scans of the hypotheses that the guess allows. The best are refined by generalized ICP
-/// (Gauss-Newton, from coarse to fine) and compared in detail. A pose that passes the tests is compared with
-/// rivals from symmetries and periods of the place; the pair is ambiguous if one fits as well. Pairs without
-/// overlap are rejected early. Thread-safe; data of a scan or a submap are computed once.
+/// Registration at less than a tenth of the cost of the reference, without random draws. It first tries the
+/// graph's guess, if it exists. Otherwise it uses mutual FPFH matches, consensus by second-order
+/// compatibility, and a comparison on the scans of the hypotheses that the guess allows. The best hypotheses
+/// are refined by generalized ICP (Gauss-Newton, from coarse to fine) and compared in detail. A pose that
+/// passes the tests is compared with rivals from symmetries and periods of the place; the pair is ambiguous
+/// if one fits as well. Pairs without overlap are rejected early. Thread-safe; data of a scan or a submap are
+/// computed once.
 class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.

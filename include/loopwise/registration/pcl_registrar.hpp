@@ -55,12 +55,12 @@ struct PclRegistrarOptions {
   }
 };
 
-/// The reference: PCL's features and GICP under LAMP's procedure (design of the paper, §III-E). Feature-based
-/// stage: sample consensus initial alignment (Rusu et al., ICRA 2009) over FPFH with its own random numbers,
-/// where PCL uses the process's rand(); a hypothesis is abandoned when its error exceeds the best.
-/// Refinement: pcl::GeneralizedIterativeClosestPoint with covariances from the normals. Thread-safe;
-/// descriptors are computed once a scan. Checks prevent PCL's console messages for invalid input; its
-/// verbosity is unchanged.
+/// The reference: PCL's features and GICP in LAMP's procedure (design of the paper, §III-E). The
+/// feature-based stage is sample consensus initial alignment (Rusu et al., ICRA 2009) over FPFH. It has its
+/// own random numbers, while PCL uses the process's rand(), and abandons a hypothesis whose error exceeds the
+/// best. The refinement is pcl::GeneralizedIterativeClosestPoint with covariances from the normals.
+/// Thread-safe; descriptors are computed once per scan. Checks prevent PCL's console messages for invalid
+/// input; its verbosity is unchanged.
 class LOOPWISE_EXPORT PclRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.

@@ -22,24 +22,24 @@ struct SubmapMember {
   Eigen::Isometry3d T_center_member = Eigen::Isometry3d::Identity();
 };
 
-/// All input of the computation of one candidate, besides the scans.
+/// All input for the computation of one candidate, except the scans.
 struct RegistrationTask {
   LoopCandidate candidate;  ///< Both ends.
   /// T_from_to by the graph: maps points of `to` (target) to `from` (source). It is tried first, and results
-  /// must be close to it; absent: no guess.
+  /// must be near it; absent: no guess.
   std::optional<Eigen::Isometry3d> guess_from_to;
   std::vector<SubmapMember> source;  ///< Centre: candidate.from, at least {from, identity}.
   std::vector<SubmapMember> target;  ///< Centre: candidate.to, e.g. with its neighbours along the odometry.
-  /// A submap takes its members nearest to the centre first, until it has this many downsampled points:
-  /// neighbours help sparse scans, but bring the odometry's error into dense ones. 0: all members.
+  /// A submap takes its members nearest to the centre first, until it has this many downsampled points.
+  /// Neighbours help sparse scans, but bring errors of the odometry into dense ones. 0: all members.
   std::size_t enough_points = 0;
-  std::uint64_t seed = 0;  ///< Of all random draws.
+  std::uint64_t seed = 0;  ///< Seed of all random numbers.
   /// Limit of wall time, s, after which the result is RejectionReason::kTimeLimit; 0: no limit.
   double time_limit_s = 0.0;
 };
 
 /// The task of two scans without submaps and guess: source `from`, target `to`. The result's T_from_to is the
-/// pose of the target in the frame of the source, T_source_target, as in an edge of the graph; its covariance
+/// pose of the target in the frame of the source, T_source_target, as in an edge of the graph. Its covariance
 /// belongs to that transform, and guess_from_to has the same direction. align() has the opposite direction,
 /// T_target_source.
 [[nodiscard]] inline RegistrationTask pair_task(Key from, Key to, std::uint64_t seed) {
@@ -52,9 +52,10 @@ struct RegistrationTask {
   return task;
 }
 
-/// Turns a candidate into a closure or a stated rejection. Thread-safe, no hidden state: the result depends
-/// on the task and its scans alone, wall times apart. With RegistrationTask::time_limit_s it checks the time
-/// between its stages, so that it ends soon after the limit.
+/// Computes a candidate: the result is a closure or a rejection with a reason. Thread-safe and without hidden
+/// state: the result depends only on the task and its scans, except for wall times. With
+/// RegistrationTask::time_limit_s it checks the time between its stages, so that it ends soon after the
+/// limit.
 class LOOPWISE_EXPORT Registrar {
  public:
   virtual ~Registrar() = default;

@@ -38,19 +38,19 @@ struct TaskOptions {
   }
 };
 
-/// The task of a candidate in the graph's present state. The chain of odometry edges within the node's robot
-/// gives the neighbours and their poses, not the estimate: a later optimisation never changes a submap. The
-/// candidate's other end is never a neighbour: its pose there would come from odometry, not from a
-/// measurement. If the chain ends, or a neighbour has no scan by `has_scan` (empty: all have scans), it is
-/// left out; the chain continues past a missing scan. The seed is pair_seed(seed, from, to). \throws
-/// UnknownKeyError if the graph lacks a node of the candidate.
+/// The task of a candidate in the current graph. Neighbours and their poses come from the chain of odometry
+/// edges of the node's robot and not from the estimate, so a later optimisation never changes a submap. The
+/// candidate's other end is never a neighbour, because its pose there would come from odometry instead of a
+/// measurement. A neighbour beyond the end of the chain, or without a scan by `has_scan` (empty: all have
+/// scans), is left out; the chain continues past a missing scan. The seed is pair_seed(seed, from, to).
+/// \throws UnknownKeyError if the graph lacks a node of the candidate.
 [[nodiscard]] LOOPWISE_EXPORT RegistrationTask make_task(const PoseGraph& graph, const Robots& robots,
                                                          const LoopCandidate& candidate,
                                                          const TaskOptions& options, std::uint64_t seed,
                                                          const std::function<bool(Key)>& has_scan = {});
 
-/// Hash of the pair, guess, submaps and seed of a task. Options, contents of scans and the time limit are not
-/// part of it.
+/// Hash of the pair, guess, submaps and seed of a task. It does not include options, contents of scans and
+/// the time limit.
 [[nodiscard]] LOOPWISE_EXPORT ContentHash hash_of(const RegistrationTask& task);
 
 }  // namespace loopwise

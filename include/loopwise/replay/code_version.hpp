@@ -7,10 +7,10 @@
 
 namespace loopwise {
 
-/// Changes whenever the code that computes registrations does, or the compiler that it was built with.
+/// Changes with the code that computes registrations, and with its compiler.
 [[nodiscard]] LOOPWISE_EXPORT std::string registration_code_version();
 
-/// The same of all that a replay's outcome depends on.
+/// The same for all code that affects the outcome of a replay.
 [[nodiscard]] LOOPWISE_EXPORT std::string replay_code_version();
 
 }  // namespace loopwise

@@ -16,7 +16,7 @@ namespace loopwise {
 /// Contents of a configuration file: an object of sections, {"generation": {"rate_m": 0.3}, ...}.
 struct Config {
   MissionOptions mission;  ///< Reading of missions.
-  JoinOptions joining;     ///< Of sources without a common frame.
+  JoinOptions joining;     ///< Joining of sources without a common frame.
   ReplayOptions replay;    ///< All later stages.
 
   /// Calls visitor(name, section) for each section.
@@ -43,13 +43,13 @@ LOOPWISE_EXPORT void parse_config(std::string_view json, const std::string& sour
 /// Sets one field, as `--set generation.rate_m=0.3` does. \throws OptionError
 LOOPWISE_EXPORT void set_config_option(const std::string& assignment, Config& config);
 
-/// The whole configuration as indented JSON that read_config() takes.
+/// The whole configuration as indented JSON for read_config().
 [[nodiscard]] LOOPWISE_EXPORT std::string config_json(const Config& config);
 
 /// options_key() with the section "mission".
 [[nodiscard]] LOOPWISE_EXPORT std::string config_key(const Config& config);
 
-/// One option for people: "generation.rate_m", its value, bounds and meaning.
+/// Description of one option: "generation.rate_m", its value, bounds and meaning.
 struct ConfigEntry {
   std::string name;    ///< "section.field"
   std::string type;    ///< As OptionDescription::type.
@@ -57,7 +57,7 @@ struct ConfigEntry {
   std::string bounds;  ///< As OptionDescription::bounds.
   std::string doc;     ///< Meaning and unit.
 };
-/// Every option with its present value, by section.
+/// Every option with its current value, by section.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<ConfigEntry> describe_config(const Config& config);
 
 }  // namespace loopwise

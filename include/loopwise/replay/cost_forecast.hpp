@@ -32,19 +32,22 @@ struct CostForecast {
   [[nodiscard]] bool all_in_time(int threads) const { return all_s(threads) <= mission_s; }
 };
 
-/// Before a run: candidates by proximity along the mission's odometry, as the options of the engine thin
-/// them, and a random sample of them computed on one thread. Odometry drifts, so a run with closures
-/// generates slightly different candidates; candidates by radio are not counted. \param mission with its
-/// scans \param options of the run \param sample candidates to compute \param stop ends the measuring early;
-/// the forecast is then of the registrations that were done \throws OptionError; InputError
+/// Forecast before a run. Uses candidates by proximity along the mission's odometry, thinned by the options
+/// of the engine, and computes a random sample of them on one thread. Odometry drifts, so a run with closures
+/// generates slightly different candidates. Candidates by radio are not counted.
+/// \param mission with its scans
+/// \param options of the run
+/// \param sample number of candidates to compute
+/// \param stop ends the measurement early; the forecast then uses the registrations done so far
+/// \throws OptionError; InputError
 [[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
                                                          std::size_t sample, const StopToken& stop = {});
 
-/// After a run: its candidates with scans, and its registrations; those from a store count with the stored
-/// time. The mean includes the preparation of scans during these registrations.
+/// Forecast after a run, from its candidates with scans and its registrations. Registrations from a store
+/// count with the stored time. The mean includes the preparation of scans during these registrations.
 [[nodiscard]] LOOPWISE_EXPORT CostForecast forecast_cost(const ReplayResult& result);
 
-/// A sentence for people: "12 500 candidates: 1.9 min on 2 threads, …". Empty if nothing was measured.
+/// A sentence for users: "12 500 candidates: 1.9 min on 2 threads, …". Empty if nothing was measured.
 [[nodiscard]] LOOPWISE_EXPORT std::string forecast_text(const CostForecast& forecast, int threads);
 
 }  // namespace loopwise

@@ -13,15 +13,15 @@
 
 namespace loopwise {
 
-/// The options of a module that works like a replay with these options, with the registrar `fast`.
-/// `options.cost` is not used.
+/// Options of a module that works like a replay with these options, with the registrar `fast`. `options.cost`
+/// is not used.
 /// \param options of the replay
-/// \param threads that compute registrations; 0: one per processor
+/// \param threads number of threads that compute registrations; 0: one per processor
 [[nodiscard]] LOOPWISE_EXPORT ModuleOptions module_options(const ReplayOptions& options, int threads = 0);
 
 /// Replays a recorded mission on a real clock: the online LoopClosureModule gets key frames, beacons and
 /// radio readings at the times of arrival_times(), and works on `threads` threads. Registrations take their
-/// time on this machine: `options.cost` is not used, and unlike MissionReplay's the outcome depends on the
+/// time on this machine, so `options.cost` is not used, and unlike MissionReplay the outcome depends on the
 /// machine. ReplayHooks::event records a run for repetition.
 ///
 /// Ends with the last key frame; with ReplayOptions::after_mission when no candidate is pending; soon after a

@@ -14,7 +14,7 @@
 
 namespace loopwise {
 
-/// Mission time of the computation on the virtual clock.
+/// Durations of computations on the virtual clock, in mission time.
 struct CostModel {
   std::int64_t workers = 10;
   double registration_time_s = 1.3;
@@ -44,7 +44,7 @@ struct CostModel {
 /// All options of a replay.
 struct ReplayOptions {
   EngineOptions engine;                  ///< Decisions.
-  AppearanceOptions appearance;          ///< Candidates by what places look like.
+  AppearanceOptions appearance;          ///< Candidates by appearance.
   PrioritizationOptions prioritization;  ///< Order of candidates.
   RegistrationOptions registration;      ///< Computation of candidates.
   BackEndOptions back_end;               ///< Estimates.
@@ -76,8 +76,7 @@ struct ReplayOptions {
           "File of closures that a person has accepted or rejected (decisions.csv); empty: no decisions.");
   }
 
-  /// Calls visitor(name, section) for each part that has fields of its own, as core/options.hpp does for
-  /// fields.
+  /// Calls visitor(name, section) for each part with its own fields, see core/options.hpp.
   template <class Self, class Visitor>
   static void visit_sections(Self& self, Visitor&& visitor) {
     EngineOptions::visit_sections(self.engine, visitor);
@@ -96,11 +95,11 @@ struct ReplayOptions {
 /// Checks every field. \throws OptionError naming "section.field"
 LOOPWISE_EXPORT void validate_replay(const ReplayOptions& options);
 
-/// The options as indented JSON, an object of sections as read_config() takes it.
+/// The options as indented JSON: an object of sections for read_config().
 [[nodiscard]] LOOPWISE_EXPORT std::string options_json(const ReplayOptions& options);
 
-/// A text of all options on which results depend: options_json(), and hashes of the contents of the files
-/// that they name, since a path may get other contents. Unreadable files have their own value.
+/// A text of all options that affect results: options_json(), and hashes of the contents of the files that
+/// they name, because the contents of a path may change. Unreadable files have a value of their own.
 [[nodiscard]] LOOPWISE_EXPORT std::string options_key(const ReplayOptions& options);
 
 }  // namespace loopwise

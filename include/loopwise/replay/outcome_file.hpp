@@ -15,39 +15,38 @@ namespace loopwise {
 
 /// Contents of a file of outcomes.
 struct KeptOutcomes {
-  KnownOutcomes known;  ///< Those that count this time.
-  std::string lines;    ///< Theirs.
-  /// Lines with zeros in them: parts that had not reached the disk when power was lost.
+  KnownOutcomes known;  ///< Outcomes that this run can use.
+  std::string lines;    ///< The lines of these outcomes.
+  /// Number of lines with zeros: parts that were not on the disk when power was lost.
   std::size_t lost = 0;
 };
 
-/// Reads such a file. `fingerprint`: of the run that goes on, without line breaks; the file's first line is
-/// that of its own. A last line that was cut short is left out, as are outcomes that depend on circumstances,
-/// which may differ this time. \throws OptionError if it is another run's, saying in what they differ;
-/// ParseError naming `name` and the line
+/// Reads a file of outcomes. `fingerprint` is that of the resumed run, without line breaks; the first line of
+/// the file has its own. A last line that was cut short is left out, and so are outcomes that depend on
+/// circumstances, which may differ now. \throws OptionError naming the difference if the file is of another
+/// run; ParseError naming `name` and the line
 [[nodiscard]] LOOPWISE_EXPORT KeptOutcomes parse_outcomes(const std::string& contents,
                                                           const std::string& fingerprint,
                                                           const std::string& name);
 
-/// Closes a file that grew line by line; returns when the disk has it. \throws IoError
+/// Closes a file that was written line by line, and returns when it is on the disk. \throws IoError
 LOOPWISE_EXPORT void finish_log(std::ofstream& log, const std::filesystem::path& path);
 
-/// The file of a run under way, a line for each outcome as soon as it is computed.
+/// The file of outcomes of a running replay. Each outcome is written as a line when it is computed.
 class LOOPWISE_EXPORT OutcomeFile {
  public:
-  /// Begins the file, or takes over what is in it if it is to be resumed. \throws IoError; as
-  /// parse_outcomes()
+  /// Starts the file, or reads its contents if the run is resumed. \throws IoError; as parse_outcomes()
   OutcomeFile(std::filesystem::path path, const std::string& fingerprint, bool resume);
 
-  /// Outcomes that it held at first.
+  /// Outcomes that were in the file at the start.
   [[nodiscard]] const KnownOutcomes& known() const { return kept_.known; }
   /// As KeptOutcomes::lost.
   [[nodiscard]] std::size_t lost() const { return kept_.lost; }
 
-  /// Writes a line. \throws IoError
+  /// Writes an outcome as a line. \throws IoError
   void add(const RegistrationResult& result);
 
-  /// No more is added, and the disk has all. \throws IoError
+  /// Ends the file after the last outcome, and returns when it is on the disk. \throws IoError
   void finish() { finish_log(out_, path_); }
 
  private:

@@ -46,7 +46,7 @@ struct OutcomeStoreStatistics {
   std::size_t damaged_bytes = 0;
   std::size_t hits = 0;      ///< Requests with a stored outcome.
   std::size_t computed = 0;  ///< Requests without a stored outcome.
-  std::string problem;       ///< Why no outcome is stored any more (a full disk); empty without an error.
+  std::string problem;       ///< Why outcomes are not stored any more (a full disk); empty without an error.
 };
 
 /// A folder of outcomes under the hash of all their input.
@@ -63,7 +63,7 @@ class LOOPWISE_EXPORT OutcomeStore {
   OutcomeStore(const OutcomeStore&) = delete;
   OutcomeStore& operator=(const OutcomeStore&) = delete;
 
-  /// The outcome stored under `key`, or else that of `compute`, which is then stored unless it
+  /// The outcome stored under `key`, or else the result of `compute`. The latter is stored unless it
   /// depends_on_circumstances(). Concurrent requests for one key compute it once. \throws exceptions of
   /// `compute`; nothing is then stored.
   [[nodiscard]] RegistrationResult get(const ContentHash& key, const LoopCandidate& candidate,
@@ -76,7 +76,7 @@ class LOOPWISE_EXPORT OutcomeStore {
   class File;
   struct Place {
     std::shared_ptr<const File> file;
-    std::uint64_t offset = 0;  ///< Of the payload.
+    std::uint64_t offset = 0;  ///< Position of the payload.
     std::uint32_t size = 0;
   };
 
@@ -99,8 +99,8 @@ class LOOPWISE_EXPORT OutcomeStore {
   OutcomeStoreStatistics statistics_;
 };
 
-/// A registrar that uses the stored outcomes. Its results equal those of the wrapped registrar, wall times
-/// aside: a stored outcome has the times of its computation.
+/// A registrar that uses the stored outcomes. Its results equal those of the wrapped registrar, except for
+/// wall times: a stored outcome has the times of its computation.
 class LOOPWISE_EXPORT StoredRegistrar final : public Registrar {
  public:
   /// `context` holds all input besides tasks and scans, see registration_context().

@@ -18,7 +18,7 @@ namespace loopwise {
 
 class OutcomeStore;
 
-/// Which implementation computes the candidates.
+/// Implementation that computes the candidates.
 enum class RegistrarKind {
   kFast,  ///< FastRegistrar
   kPcl,   ///< PclRegistrar, the reference
@@ -27,12 +27,12 @@ enum class RegistrarKind {
   return {{RegistrarKind::kFast, "fast"}, {RegistrarKind::kPcl, "pcl"}};
 }
 
-/// How scans are prepared and pairs of them registered.
+/// Preparation of scans and registration of pairs.
 struct RegistrationOptions {
   RegistrarKind registrar = RegistrarKind::kFast;
   FeatureOptions features;    ///< Voxels, normals, cache.
-  FastRegistrarOptions fast;  ///< Of the registrar `fast`.
-  PclRegistrarOptions pcl;    ///< Of the registrar `pcl`, the reference.
+  FastRegistrarOptions fast;  ///< Options of the registrar `fast`.
+  PclRegistrarOptions pcl;    ///< Options of the registrar `pcl`, the reference.
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
@@ -42,8 +42,8 @@ struct RegistrationOptions {
 
 /// A registrar with its features.
 struct Registration {
-  std::shared_ptr<FeatureCache> features;      ///< Of the scans; also serve the observability score.
-  std::shared_ptr<const Registrar> registrar;  ///< Over these features. Thread-safe.
+  std::shared_ptr<FeatureCache> features;      ///< Features of scans; also for the observability score.
+  std::shared_ptr<const Registrar> registrar;  ///< Uses these features. Thread-safe.
 };
 
 /// \param options of features and registrar

@@ -32,8 +32,8 @@
 namespace loopwise {
 
 /// Known outcomes by (from, to), which a replay uses instead of computing them. If the task_hash differs from
-/// that of the present task, the outcome is computed again, because earlier closures change the guess; 0
-/// matches every task.
+/// that of the current task, the outcome is computed again, because earlier closures change the guess. A
+/// task_hash of 0 matches every task.
 using KnownOutcomes = std::map<std::pair<Key, Key>, RegistrationResult>;
 
 /// A computed candidate, its time, and its weight in the back end.
@@ -43,7 +43,7 @@ struct ComputedCandidate {
   double weight = 0.0;          ///< Last weight of the robust optimisation; 0 if rejected.
 };
 
-/// A run at one moment of mission time. The references are valid during the call only.
+/// A run at one moment of mission time. The references are valid only during the call.
 struct ReplayMoment {
   /// The last event of the run.
   enum class Kind {
@@ -53,33 +53,33 @@ struct ReplayMoment {
     kEnd,         ///< The run is over.
   };
   Kind kind = Kind::kKeyFrame;                     ///< The last event.
-  double mission_time_s = 0.0;                     ///< When.
+  double mission_time_s = 0.0;                     ///< Mission time of the event.
   const PoseGraph& graph;                          ///< The arrived nodes, at the last estimate.
   const std::vector<Eigen::Isometry3d>& odometry;  ///< In the order of graph.nodes().
   const std::vector<ComputedCandidate>& computed;  ///< In the order of their results.
   const CandidateAccounting& accounting;           ///< State of every candidate.
 };
 
-/// Computes the tasks of a batch outside of this process, like compute_batch(): results in the order of the
-/// tasks, no result for tasks that did not start before a stop request, and `on_result` called for each, one
-/// at a time.
+/// Computes the tasks of a batch outside of this process, like compute_batch(). Results have the order of the
+/// tasks. Tasks that did not start before a stop request have no result. `on_result` is called for each
+/// result, one at a time.
 using BatchComputer = std::function<std::vector<std::optional<RegistrationResult>>(
     const std::vector<RegistrationTask>& tasks, const StopToken& stop, const ProgressCallback& progress,
     const std::function<void(const RegistrationResult&)>& on_result)>;
 
 /// Callbacks of a running replay. Any may be empty.
 struct ReplayHooks {
-  /// Gets one line of JSON, without its line end, per event: in the order of mission time, the same in every
-  /// run.
+  /// Gets one line of JSON, without its line end, per event: in the order of mission time, and the same in
+  /// every run.
   std::function<void(const std::string& line)> journal;
   using OutcomeSink = std::function<void(const RegistrationResult& result)>;  ///< See `outcome`.
   /// Gets every registration when it is computed, in any order, one at a time from any thread.
   OutcomeSink outcome;
-  /// Gets the run after key frames and batches, in the order of mission time, the same in every run.
+  /// Gets the run after key frames and batches, in the order of mission time, and the same in every run.
   std::function<void(const ReplayMoment& moment)> moment;
   ProgressCallback progress;  ///< Gets the progress of the run.
   StopToken stop;             ///< Ends the run early; it then returns the results so far.
-  /// If set, computes the registrations in place of the registrar and the threads.
+  /// If set, computes the registrations instead of the registrar and the threads.
   BatchComputer compute;
   /// For a replay on a real clock: called with each event that the engine has handled, like
   /// ModuleParts::on_event. A TraceWriter records them.
@@ -90,20 +90,21 @@ struct ReplayHooks {
 struct ReplayResult {
   PoseGraph graph;  ///< Last estimate: priors, odometry, verified closures with weights.
   std::vector<Eigen::Isometry3d>
-      odometry;  ///< By odometry and full priors alone, in the order of graph.nodes().
+      odometry;  ///< From odometry and full priors only, in the order of graph.nodes().
   std::vector<ComputedCandidate> computed;  ///< In the order of their results.
-  CandidateAccounting accounting;  ///< After a run on the virtual clock no candidate waits or is in flight.
+  CandidateAccounting
+      accounting;  ///< After a run on the virtual clock, no candidate is waiting or in flight.
   std::map<std::string, std::size_t> pruned;                    ///< By reason.
   std::map<std::string, std::size_t> expired;                   ///< By reason.
   std::vector<std::pair<std::string, std::size_t>> handed_out;  ///< By prioritiser.
   /// For prioritisers with probabilities: predictions and outcomes, by name.
   std::vector<std::pair<std::string, Calibration>> calibration;
-  double mission_time_s = 0.0;              ///< When the run ended.
-  double mission_end_s = 0.0;               ///< When the last key frame arrives.
+  double mission_time_s = 0.0;              ///< Time at which the run ended.
+  double mission_end_s = 0.0;               ///< Time at which the last key frame arrives.
   std::size_t batches = 0;                  ///< Handed to the computation.
   std::size_t optimizations = 0;            ///< Estimates of the back end.
   std::size_t continued_optimizations = 0;  ///< Estimates that continued the previous one.
-  bool interrupted = false;                 ///< A stop was requested: the result holds the data until then.
+  bool interrupted = false;                 ///< A stop was requested; the result has the data until then.
   Problems problems;                        ///< Flaws of the mission in this run.
   double registration_s = 0.0;              ///< Wall time by stage. For reports only.
   double optimization_s = 0.0;              ///< Of the back end.
@@ -153,9 +154,9 @@ class LOOPWISE_EXPORT MissionReplay {
 [[nodiscard]] LOOPWISE_EXPORT ReplayResult replay(const Mission& mission, const ReplayOptions& options = {},
                                                   const ReplayHooks& hooks = {}, int threads = 0);
 
-/// The initial edges of a replay: the odometry of the mission with the noise `options.odometry_noise_*` (a
-/// random walk whose steps depend on (seed, from, to) alone), its information lowered accordingly; then the
-/// sightings of landmarks. Closures in the mission's files are left out.
+/// The initial edges of a replay. First the odometry of the mission with the noise `options.odometry_noise_*`
+/// (a random walk whose steps depend only on (seed, from, to)) and correspondingly lower information, then
+/// the sightings of landmarks. Closures in the mission's files are left out.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<Edge> replay_edges(const Mission& mission,
                                                              const ReplayOptions& options);
 

@@ -12,8 +12,8 @@
 
 namespace loopwise {
 
-/// A result, exact to the bit, without the candidate, which the receiver knows. Numbers have the byte order
-/// of this machine.
+/// A result as bytes, exact to the bit, without the candidate, which the receiver knows. Numbers have the
+/// byte order of this machine.
 [[nodiscard]] LOOPWISE_EXPORT std::string pack_result(const RegistrationResult& result);
 
 /// The result of pack_result() for this candidate. \throws InputError on invalid bytes

@@ -20,7 +20,7 @@ namespace loopwise {
 /// Makes the lines of a trace. Call add() from ModuleParts::on_event:
 ///
 ///     TraceWriter trace(robots, options, [&](const std::string& line) {
-///       file << line << std::endl;  // at once: a crash is what it is kept for
+///       file << line << std::endl;  // flushed, because traces are for the time after a crash
 ///       if (!file) throw IoError("run.trace", "cannot be written");
 ///     });
 ///     parts.on_event = [&](const HandledEvent& handled) { trace.add(handled); };
@@ -34,8 +34,8 @@ class LOOPWISE_EXPORT TraceWriter {
   /// \param line gets each line, without its end
   TraceWriter(const Robots& robots, const ModuleOptions& options,
               std::function<void(const std::string& line)> line);
-  /// Writes a line. \throws exceptions of `line`, and InputError on a name that is not UTF-8; the trace has
-  /// then ended, and every further event is refused with an InputError
+  /// Writes a line. \throws exceptions of `line`; InputError on a name that is not UTF-8. The trace has then
+  /// ended, and every further event is refused with an InputError
   void add(const HandledEvent& handled);
 
  private:
@@ -45,7 +45,7 @@ class LOOPWISE_EXPORT TraceWriter {
 
 /// The header of a trace.
 struct TraceHeader {
-  Robots robots;          ///< Of the module.
+  Robots robots;          ///< Robots of the module.
   ModuleOptions options;  ///< Decisions, order and estimates; the other parts have their defaults.
   std::string code;       ///< Version of the code that recorded it.
 };
@@ -53,7 +53,7 @@ struct TraceHeader {
 /// An event of a trace.
 struct TraceEvent {
   Event event;         ///< Clouds are empty; an event::Optimized has no result, see estimate_hash.
-  double now_s = 0.0;  ///< By the module's clock.
+  double now_s = 0.0;  ///< Time on the module's clock, s.
   std::optional<double> observability;     ///< As HandledEvent::observability.
   std::optional<ScanSignature> signature;  ///< As HandledEvent::signature.
   std::string estimate_hash;  ///< Hash of the poses and weights of an estimate; empty for other events.
@@ -65,8 +65,8 @@ struct TraceEvent {
 [[nodiscard]] LOOPWISE_EXPORT TraceEvent parse_trace_event(const std::string& line);
 
 /// Gives the events of a trace to an engine, which reaches the same graph, closures and estimates. Estimates
-/// are computed again; one that differs from the recorded one is a problem of the result, as is another
-/// version of the code. Of the hooks, `moment`, `progress` and `stop` are used.
+/// are computed again. An estimate that differs from the recorded one is a problem of the result, and so is
+/// another version of the code. Of the hooks, `moment`, `progress` and `stop` are used.
 /// \param file trace of a TraceWriter; a truncated last line is left out and reported
 /// \param hooks to watch the run, or to stop it
 /// \param prioritizers of the module, if they differ from those of its method

@@ -42,24 +42,25 @@ struct JudgeOptions {
 /// A network under evaluation.
 struct Judged {
   std::string name;                               ///< In the tables.
-  std::shared_ptr<const GraphNetwork> paper;      ///< Of the paper's kind; else null.
-  std::shared_ptr<const EffectNetwork> loopwise;  ///< Of Loopwise's own kind; else null.
+  std::shared_ptr<const GraphNetwork> paper;      ///< A network of the paper's kind; otherwise null.
+  std::shared_ptr<const EffectNetwork> loopwise;  ///< A network of Loopwise's own kind; otherwise null.
   GnnFeatures features = GnnFeatures::kWorld;     ///< Input features for a network of the paper's kind.
 };
-/// Reads a weights file; "FILE:lamp" feeds it as LAMP does. Named after the file. \throws IoError, InputError
+/// Reads a weights file. "FILE:lamp" gives the network the inputs of LAMP. The name is that of the file.
+/// \throws IoError, InputError
 [[nodiscard]] LOOPWISE_EXPORT Judged read_judged(const std::string& argument);
 
 /// One method on one graph with one B.
 struct Judgement {
-  std::string mission;       ///< Whose graph it is.
+  std::string mission;       ///< Mission of the graph.
   std::string group;         ///< As MissionRecord::group.
   std::string method;        ///< A network's name, or that of another method.
   bool other_size = false;   ///< As MissionRecord::other_size.
   std::size_t stage = 0;     ///< Place in stages().
   std::size_t nodes = 0;     ///< Of the graph.
   std::size_t set_size = 0;  ///< B.
-  /// Median |log(ê / e)| over (a): the relative error of the trace. NaN if the method gives no prediction, as
-  /// for the following figures.
+  /// Median |log(ê / e)| over (a): the relative error of the trace. NaN if the method gives no prediction;
+  /// this also holds for the following figures.
   double log_error = 0.0;
   double spearman_mixed = 0.0;  ///< (a) Random sets of 0 to B closures.
   double spearman_fixed = 0.0;  ///< (b) Random sets of B closures.
@@ -67,7 +68,8 @@ struct Judgement {
   double chosen = 0.0;          ///< Exact e / e(PG) of the chosen set.
 };
 
-/// Ranks correlated, ties by their mean rank. NaN of fewer than 3 pairs or if either is constant.
+/// Spearman's rank correlation; ties have their mean rank. NaN for fewer than 3 pairs or if either is
+/// constant.
 [[nodiscard]] LOOPWISE_EXPORT double spearman(const std::vector<double>& a, const std::vector<double>& b);
 
 /// All methods on the stages of a mission: each network; `additive`, the sum of the exact gains of the single
@@ -78,10 +80,10 @@ struct Judgement {
                                                            const JudgeOptions& options,
                                                            const StopToken& stop = {});
 
-/// Medians by set size, over the missions of training sizes and of other sizes.
+/// Medians by set size, over the missions of training sizes and over those of other sizes.
 struct JudgementTables {
   std::string json;      ///< A list of rows, with quartiles.
-  std::string markdown;  ///< The same for people.
+  std::string markdown;  ///< The same as a table.
 };
 /// Makes tables of evaluations.
 [[nodiscard]] LOOPWISE_EXPORT JudgementTables summarize(const std::vector<Judgement>& judgements);

@@ -31,8 +31,8 @@ struct PlainTensor {
 /// Arrays by their names.
 using Tensors = std::map<std::string, PlainTensor>;
 
-/// Writes the JSON that GraphNetwork or EffectNetwork reads; numbers read back to the same single-precision
-/// values. `meta` becomes `__meta__`, with `kind` put first.
+/// Writes the JSON that GraphNetwork or EffectNetwork reads. Reading gives the same single-precision values.
+/// `meta` becomes `__meta__`, with `kind` as its first entry.
 LOOPWISE_EXPORT void write_weights(const std::filesystem::path& path, NetworkKind kind,
                                    const Tensors& tensors, const std::string& meta_json);
 
