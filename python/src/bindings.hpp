@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the sources of the Python module share: conversions between the library's types and NumPy's.
+/// Conversions between the library's types and NumPy's, for all sources of the Python module.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// The one place that decides which edges of a graph are odometry.
+// The only place that decides which edges of a graph are odometry.
 #include <algorithm>
 #include <map>
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// Bags of ROS 1 and ROS 2 as connections and messages. Each form is a Storage (bag_storage.hpp): ROS 1 bags
-/// are in bag_rosbag.cpp, those of ROS 2 in mcap.cpp and db3.cpp; what stands in for them in a build without
-/// is in bag_absent.cpp and rosbag2_absent.cpp. Private to io.
+/// are in bag_rosbag.cpp, those of ROS 2 in mcap.cpp and db3.cpp. bag_absent.cpp and rosbag2_absent.cpp
+/// replace them in a build without bags. Private to io.
 #pragma once
 
 #include <cstddef>

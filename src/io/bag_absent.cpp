@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Stands in for bag_rosbag.cpp in a build without ROS 1 bags.
+// Replaces bag_rosbag.cpp in a build without ROS 1 bags.
 #include <loopwise/core/error.hpp>
 
 #include "bag_storage.hpp"

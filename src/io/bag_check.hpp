@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Looks over the records of a ROS 1 bag before the library that reads them gets to see it: that library
-/// takes lengths and places in a file as they stand. Private to io.
+/// Checks the records of a ROS 1 bag before the library reads them, because the library trusts lengths and
+/// positions in a file. Private to io.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Which files are bags, and which of a folder's files are a recording. Private to io.
+/// Recognises bags, and the files of a folder that form a recording. Private to io.
 #pragma once
 
 #include <filesystem>

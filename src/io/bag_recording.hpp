@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the readers of bags share: which files belong together, and their messages by the definitions.
+/// Common parts of the readers of bags: files that belong together, and messages by their definitions.
 /// Private to io.
 #pragma once
 

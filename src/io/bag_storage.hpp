@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What a form of bag has to offer so that BagSet reads it. Private to io.
+/// Interface of a form of bag, for BagSet. Private to io.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Which topics of a bag are the odometry, the clouds and the truth of which robot. Private to io.
+/// Assigns topics of a bag to robots, as their odometry, clouds and truth. Private to io.
 #pragma once
 
 #include <optional>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// ROS 2 messages as ROS 1 messages. Both hold the same fields in the same order; ROS 2 writes them as CDR,
-/// where numbers are aligned, of either byte order, and strings end with a zero. One reader of messages
+/// ROS 2 messages as ROS 1 messages. Both have the same fields in the same order. ROS 2 writes them as CDR,
+/// with aligned numbers of either byte order and a zero at the end of strings. So one reader of messages
 /// serves both. Private to io.
 #pragma once
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Points as files and messages hold them: fields of any number type at any place. Private to io.
+/// Points in files and messages: fields of any number type at any position. Private to io.
 #pragma once
 
 #include <cmath>

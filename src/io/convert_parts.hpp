@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the writers of the different forms share, and those of other programs' forms. Private to io.
+/// Common parts of the writers of all forms, and the writers for other programs. Private to io.
 #pragma once
 
 #include <atomic>

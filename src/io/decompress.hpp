@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// zstd and lz4 as recordings of ROS 2 have them. Memory grows with the output, not with the stated size.
-/// Private to io.
+/// Decompression of zstd and lz4 for recordings of ROS 2. Memory grows with the output, not with the stated
+/// size. Private to io.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Factors that g2o has no line for.
+// Files of factors that g2o has no line for.
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/csv.hpp>
 

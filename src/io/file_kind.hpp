@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What a file or folder of another kind is, so that a reader that cannot use it says so. Private to io.
+/// Recognises files and folders of other kinds, so that a reader can name them in its error. Private to io.
 #pragma once
 
 #include <cstddef>

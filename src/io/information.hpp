@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Information matrices as files hold them: rounded, or not semi-definite at all. Private to io.
+/// Repairs information matrices of files, which are rounded or not semi-definite. Private to io.
 #pragma once
 
 #include <loopwise/core/se3.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Lists of edges by their ends, as the option odometry takes them. Private to io.
+/// Lists of edges by their ends, for the option odometry. Private to io.
 #pragma once
 
 #include <string>

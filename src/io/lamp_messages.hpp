@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the messages of LAMP and the data sets recorded with it say of a mission. Private to io.
+/// Gathers a mission from messages of LAMP and of data sets that were recorded with it. Private to io.
 #pragma once
 
 #include <array>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What was gathered of a recording as a mission.
+// Makes a mission of the gathered messages of a recording.
 #include <algorithm>
 #include <cmath>
 
@@ -353,7 +353,7 @@ void Gatherer::add_truth_to(Mission& mission) const {
   const double tolerance_s = std::min(options_.truth_max_time_difference_s, 1e9);
   const auto tolerance_ns = static_cast<std::int64_t>(std::llround(tolerance_s * 1e9));
   const auto names = robot_names();
-  std::set<std::size_t> own;  // robots proper
+  std::set<std::size_t> own;  // robots, without landmarks
   for (const Node& node : mission.graph.nodes()) {
     if (!mission.robots.is_landmark(node.key)) own.insert(mission.robots.of(node.key));
   }

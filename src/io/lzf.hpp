@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The LZF coding of PCD's binary_compressed data: a byte below 32 announces that many literals plus one;
-/// else its top three bits are a copy's length minus two (7: one more byte to add) and the low five with the
-/// next byte its distance minus one. Private to io.
+/// The LZF coding of PCD's binary_compressed data. A byte below 32 is followed by that many literals plus
+/// one. Any other byte starts a copy: its top three bits are the length minus two (7: the next byte is
+/// added), and its low five bits with the next byte are the distance minus one. Private to io.
 #pragma once
 
 #include <cstddef>

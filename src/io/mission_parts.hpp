@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the readers of the different kinds of mission share. Private to io.
+/// Common parts of the readers of all kinds of missions. Private to io.
 #pragma once
 
 #include <filesystem>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// sensor_msgs/PointCloud2, wherever its fields stand. Private to io.
+/// Reads sensor_msgs/PointCloud2 with fields at any position. Private to io.
 #pragma once
 
 #include <string>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// A file of bytes that is read from any place. Private to io.
+/// A file of bytes that can be read from any position. Private to io.
 #pragma once
 
 #include <fcntl.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Folders of sweeps as data sets have them, with the poses of the sensor in a file. Private to io.
+/// Reads folders of sweeps of data sets, with the poses of the sensor in a file. Private to io.
 #pragma once
 
 #include <cstdint>

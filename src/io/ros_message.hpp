@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// ROS 1 messages by the text that defines them: a bag carries it with every topic, so no field is ever taken
-/// from an assumed place. Private to io.
+/// ROS 1 messages, read by the text that defines them. A bag has this text for every topic, so no position of
+/// a field is assumed. Private to io.
 #pragma once
 
 #include <cstddef>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Stands in for the readers of ROS 2 bags in a build without.
+// Replaces the readers of ROS 2 bags in a build without ROS 2 bags.
 #include <loopwise/core/error.hpp>
 
 #include "bag_storage.hpp"

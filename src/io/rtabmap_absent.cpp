@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Stands in for the reader of RTAB-Map's databases in a build without SQLite.
+// Replaces the reader of RTAB-Map's databases in a build without SQLite.
 #include <loopwise/core/error.hpp>
 
 #include "bag_storage.hpp"

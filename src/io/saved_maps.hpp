@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What other SLAM programs save: key frames or submaps, with their poses. Private to io.
+/// Reads key frames or submaps of other SLAM programs, with their poses. Private to io.
 #pragma once
 
 #include <cstdint>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// SQLite databases that other programs wrote, opened for reading alone. Private to io.
+/// SQLite databases of other programs, opened only for reading. Private to io.
 #pragma once
 
 #include <sqlite3.h>

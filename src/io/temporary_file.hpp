@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// A file that is removed with the object that made it. Private to io.
+/// A file that the destructor of its object removes. Private to io.
 #pragma once
 
 #include <unistd.h>

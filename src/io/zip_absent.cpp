@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Stands in for zip_archive.cpp in a build without zip archives.
+// Replaces zip_archive.cpp in a build without zip archives.
 #include <loopwise/core/error.hpp>
 
 #include "zip_archive.hpp"

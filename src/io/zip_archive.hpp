@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Zip archives, read in place: the names inside are names and never become paths. zip_absent.cpp stands in
-/// for zip_archive.cpp in a build without. Private to io.
+/// Zip archives, read without unpacking. Names in an archive never become paths. zip_absent.cpp replaces
+/// zip_archive.cpp in a build without zip archives. Private to io.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Paths of the components and how far odometry may have drifted along them. Private to joining.
+/// Paths of the components, and the possible drift of odometry along them. Private to joining.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Which closures between two components agree over both odometries. Private to joining.
+/// Consistency of closures between two components, given the odometry of both. Private to joining.
 #pragma once
 
 #include <cstddef>

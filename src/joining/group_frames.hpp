@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Frames of components that ties join, by robust optimisation over all their paths. Private to joining.
+/// Frames of components that are joined by ties, from robust optimisation over all their paths. Private to
+/// joining.
 #pragma once
 
 #include <cstddef>

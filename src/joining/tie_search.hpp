@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The search for closures between two components, and the judgement of what was found. Private to joining.
+/// Searches closures between two components and decides whether they join the components. Private to joining.
 #pragma once
 
 #include <cstddef>
@@ -46,7 +46,7 @@ using StationPair = std::pair<std::size_t, std::size_t>;
 struct Hypothesis {
   std::vector<std::size_t> group;  ///< Numbers in the closure set, ascending.
   std::size_t tested = 0;          ///< Pairs that the frame puts close together.
-  std::size_t confirmed = 0;       ///< Of these, those whose registration agrees with the frame.
+  std::size_t confirmed = 0;       ///< Pairs among them whose registration agrees with the frame.
 
   [[nodiscard]] double share() const {
     return tested == 0 ? 0.0 : static_cast<double>(confirmed) / static_cast<double>(tested);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Where the robots drive: an exploring team over the route graph, then poses along the way.
+/// Drives of the robots: routes of an exploring team over the route graph, then poses along the routes.
 #pragma once
 
 #include <cstdint>

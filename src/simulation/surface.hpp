@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Rock with holes: the void is a union of shapes, its rough boundary becomes triangles.
+/// Rock with voids: the void is a union of shapes, and triangles represent its rough boundary.
 #pragma once
 
 #include <cstdint>

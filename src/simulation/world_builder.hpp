@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What worlds are built with: passages, rooms and things, from which the surface and the ways follow.
+/// Builds worlds from passages, rooms and objects. The surface and the routes follow from these.
 #pragma once
 
 #include <algorithm>

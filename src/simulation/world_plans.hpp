@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The parts that worlds are made of: where passages and rooms lie.
+/// Plans of the worlds: positions of passages and rooms.
 #pragma once
 
 #include <cstddef>

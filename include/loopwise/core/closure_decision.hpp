@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Loop closures that a person has looked at.
+/// Decisions of a user on loop closures.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Poses in the plane z = 0 as poses of SE(3): of [translation, rotation] they have x, y and the rotation
+/// Poses in the plane z = 0 as poses of SE(3). Of [translation, rotation] they have x, y and the rotation
 /// about z. Products, inverses, Exp and Log of planar poses are planar to the last bit.
 #pragma once
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Random numbers that are equal on all systems: the standard library fixes its engines, but not its
-/// distributions.
+/// Random numbers that are equal on all systems. The standard library defines its engines exactly, but not
+/// its distributions.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// outcomes.jsonl of a run: what a killed one leaves to the one that resumes it. See docs/formats.md.
+/// outcomes.jsonl, the outcomes of a run for its continuation after an interruption. See docs/formats.md.
 #pragma once
 
 #include <cstddef>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
 /// Stores outcomes of registrations on disk. A registration is by far the most expensive step of a run, and
-/// its outcome depends on its task and scans alone: a stored outcome serves every method, budget and rerun
+/// its outcome depends only on its task and scans. So a stored outcome serves every method, budget and rerun
 /// with the same task.
 #pragma once
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Missions whose robots or sessions have no common frame yet: read, joined and put in their places.
+/// Reads and joins missions whose robots or sessions have no common frame yet.
 #pragma once
 
 #include <cstddef>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Features and the registrar over them, made together from one configuration.
+/// Features and the registrar that uses them, made from one configuration.
 #pragma once
 
 #include <memory>

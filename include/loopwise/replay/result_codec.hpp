@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Results of registrations as bytes: what the outcome store keeps and ranks of a job send each other. As
-/// lines of JSON they are written by outcome_line().
+/// Results of registrations as bytes, for the outcome store and for messages between the ranks of a job.
+/// outcome_line() writes them as lines of JSON.
 #pragma once
 
 #include <string>
