@@ -94,7 +94,7 @@ const char* check_information(const Matrix6d& information) {
   for (int i = 0; i < 6; ++i)
     d[i] = diagonal[i] > 0.0 ? 1.0 / std::sqrt(diagonal[i]) : 1.0 / std::sqrt(scale);
   const Matrix6d scaled = d.asDiagonal() * information * d.asDiagonal();
-  if (!scaled.allFinite()) return "indefinite";  // an element is far larger than the diagonal allows
+  if (!scaled.allFinite()) return "indefinite";  // an element is far too large for the diagonal
   if (Eigen::LLT<Matrix6d>(scaled).info() == Eigen::Success) return nullptr;
   const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(scaled, Eigen::EigenvaluesOnly);
   return solver.eigenvalues().minCoeff() < -1e-9 * scaled.cwiseAbs().maxCoeff() ? "indefinite" : nullptr;

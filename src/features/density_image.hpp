@@ -43,7 +43,7 @@ struct PlaceFeature {
   std::array<std::uint64_t, kWords> bits{};  ///< Similar surroundings differ in few bits.
 };
 
-/// In how many bits two features differ.
+/// Number of bits in which two features differ.
 [[nodiscard]] int differing_bits(const PlaceFeature& a, const PlaceFeature& b);
 
 /// The most pronounced corners and poles of an image, strongest first. Features that resemble another one of

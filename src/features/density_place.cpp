@@ -45,7 +45,7 @@ struct DensityPlace final : PlaceDescriptor {
   int size = 0;
   std::vector<std::uint64_t> seen;       // one bit per column: whether it holds points
   std::vector<std::uint64_t> near_tall;  // columns that are tall or next to a tall one
-  std::vector<Eigen::Vector2f> tall;     // middles of columns that are tall, some of them
+  std::vector<Eigen::Vector2f> tall;     // middles of at most kTallColumns tall columns
   float chance = 0.0F;                   // share of the seen columns that are near tall ones
 
   [[nodiscard]] std::size_t bytes() const override {
@@ -57,7 +57,7 @@ struct DensityPlace final : PlaceDescriptor {
   }
 };
 
-constexpr std::uint8_t kTall = 3;          // voxels of a column that stands out from the ground
+constexpr std::uint8_t kTall = 3;          // voxels of a tall column
 constexpr std::size_t kTallColumns = 600;  // kept per place
 
 void fill_bits(DensityPlace& place, const DensityImage& image) {
@@ -365,8 +365,9 @@ class DensityPlaceDatabase final : public PlaceDatabase {
 
   DensityPlaceOptions options_;
   PlaceStore<DensityPlace> places_;
-  std::array<std::vector<std::vector<std::uint32_t>>, kTables> tables_;  // features by some of their bits
-  std::vector<std::array<std::uint64_t, PlaceFeature::kWords>> bits_;    // of all features
+  std::array<std::vector<std::vector<std::uint32_t>>, kTables>
+      tables_;  // features by the value of some of their bits
+  std::vector<std::array<std::uint64_t, PlaceFeature::kWords>> bits_;  // of all features
   std::vector<std::uint32_t> place_of_;
   std::vector<std::size_t> first_feature_;  // of each place
 };

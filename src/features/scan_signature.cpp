@@ -32,7 +32,7 @@ std::vector<Eigen::Vector3f> thinned(const PointCloud& cloud) {
   return out;
 }
 
-/// Where the middle of the points lies along an axis.
+/// Bounds of the middle part of the points along an axis.
 std::pair<float, float> middle(const std::vector<Eigen::Vector3f>& points, Eigen::Index axis) {
   constexpr std::size_t kFew = 512;
   const std::size_t step = (points.size() + kFew - 1) / kFew;

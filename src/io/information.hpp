@@ -7,7 +7,7 @@
 
 namespace loopwise {
 
-/// How far a symmetric matrix is from being an information matrix.
+/// How far a symmetric matrix is from an information matrix.
 enum class InformationFlaw {
   kSound,       ///< It is semi-definite.
   kRounded,     ///< Indefinite by no more than the rounding to six digits.

@@ -161,7 +161,8 @@ class Joiner {
     if (!options.frames.empty()) frames_ = read_frames(options, sources_);
     joined_.start_ns = missions.front().start_ns;
     for (const Mission& mission : missions) joined_.start_ns = std::min(joined_.start_ns, mission.start_ns);
-    // If only one mission begins at the origin, the poses differ as in a common frame.
+    // Problems of the frame are reported only if several missions begin at the origin; otherwise a common
+    // frame is likely.
     at_origin_ = std::count_if(missions.begin(), missions.end(), begins_at_origin);
   }
 

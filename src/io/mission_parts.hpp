@@ -34,8 +34,8 @@ inline constexpr const char* kGravity = "gravity.csv";
 /// Stamps must be within ±4.6e18 ns (the year 2115), so that differences never overflow.
 [[nodiscard]] bool stamp_in_range(std::int64_t stamp_ns);
 
-/// The robots of the options, with the landmarks of `otherwise`; without such an option, `otherwise`. \throws
-/// InputError naming a node without a robot; OptionError
+/// The robots of the options with the landmarks of `otherwise`, or `otherwise` if the options have no robots.
+/// \throws InputError naming a node without a robot; OptionError
 [[nodiscard]] Robots robots_of(const PoseGraph& graph, const MissionOptions& options,
                                const Robots& otherwise);
 

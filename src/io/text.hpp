@@ -20,8 +20,8 @@ namespace loopwise::text {
 /// The text without blanks at its ends.
 [[nodiscard]] std::string_view trim(std::string_view text);
 
-/// At most 40 characters in quotes, unprintable ones as '?', so that an error about a binary file stays
-/// readable.
+/// At most 40 characters in quotes. Unprintable characters become '?', so that an error about a binary file
+/// is readable.
 [[nodiscard]] std::string quoted(std::string_view text);
 
 /// Whether the text is valid UTF-8.
@@ -94,15 +94,15 @@ struct Pose {
   Eigen::Isometry3d pose;
   bool was_unit;  ///< The quaternion's norm was 1 to within 1e-3.
 };
-/// From x y z qx qy qz qw. \throws ParseError on a zero quaternion.
+/// Converts x y z qx qy qz qw. \throws ParseError on a zero quaternion.
 [[nodiscard]] Pose pose_of(const double* values, const Place& place);
 
 struct Rigid {
   Eigen::Isometry3d pose;
   bool was_rotation;  ///< The 3×3 part was orthonormal to within 1e-3.
 };
-/// From a row-major 3×4 matrix, moved to the nearest rotation. \throws ParseError if it is off by more than
-/// 0.1.
+/// Converts a row-major 3×4 matrix and replaces its 3×3 part by the nearest rotation. \throws ParseError if
+/// the part differs from a rotation by more than 0.1.
 [[nodiscard]] Rigid rigid_of(const double* values, const Place& place);
 
 /// The shortest digits that read back to the same bits.

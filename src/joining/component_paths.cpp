@@ -12,7 +12,7 @@
 namespace loopwise::joining {
 namespace {
 
-constexpr double kDriftPath_m = 50.0;  // JoinOptions::drift_m is what odometry drifts over this path
+constexpr double kDriftPath_m = 50.0;  // JoinOptions::drift_m is the drift of odometry over this path
 
 /// Mean variances that the odometry edge between two nodes states; empty if there is no such edge.
 std::optional<Drift> stated(const PoseGraph& graph, std::size_t a, std::size_t b) {

@@ -58,7 +58,7 @@ struct ScanKeyPoints {
   }
 };
 
-/// Points that have a descriptor, among those drawn.
+/// Describes the drawn points. Points without a descriptor are left out.
 ScanKeyPoints describe(const ScanFeatures& scan, const FastRegistrarOptions& options) {
   const auto share = static_cast<std::size_t>(options.key_share * static_cast<double>(scan.cloud.size()));
   const auto drawn = draw_balanced(

@@ -13,7 +13,7 @@ namespace loopwise {
 namespace {
 
 constexpr std::size_t kBlock = PackedDescriptors::kBlock, kPairs = PackedDescriptors::kPairs;
-constexpr std::size_t kSources = 4;  // compared at a time: a target block is loaded once for all of them
+constexpr std::size_t kSources = 4;  // sources compared at a time, for which a target block is loaded once
 
 using Similarities = std::array<std::array<std::int32_t, kBlock>, kSources>;
 

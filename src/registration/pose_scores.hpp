@@ -23,12 +23,12 @@ namespace loopwise {
                                       const Eigen::Isometry3d& T_target_source,
                                       const ClosureTestOptions& options);
 
-/// For each column of `axes` (orthonormal, in the target's frame): how many of the points that constrain the
-/// translation along it fit as well after a move of one metre along it, as a share. The larger share of both
-/// directions counts. A point without target points within 1.5 m after the move does not count. The weight of
-/// a point is the square of (its normal · axis)(the target's normal · axis). Half a percent of the points
-/// counts as fitting anywhere, so that the share is 1 for an axis that no surface faces. A smooth function of
-/// the points.
+/// For each column of `axes` (orthonormal, in the target's frame), the share of points that fit as well after
+/// a move of one metre along the axis. Only points that constrain the translation along the axis count: the
+/// weight of a point is the square of (its normal · axis)(the target's normal · axis). The result is the
+/// larger share of both directions. A point without target points within 1.5 m after the move does not count.
+/// Half a percent of the points counts as fitting anywhere, so that the share is 1 for an axis that no
+/// surface faces. A smooth function of the points.
 [[nodiscard]] Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Side& target,
                                               const Eigen::Isometry3d& T_target_source,
                                               const Eigen::Matrix3d& axes, const ClosureTestOptions& options);

@@ -17,7 +17,7 @@ namespace {
 
 constexpr double kStep = 0.1;           ///< Of the dense way, m.
 constexpr double kSmooth = 1.2;         ///< Half the window that rounds the corners, m.
-constexpr double kWanderLength = 25.0;  ///< Over which a robot changes sides, m.
+constexpr double kWanderLength = 25.0;  ///< Path length over which a robot changes sides, m.
 constexpr double kWanderShare = 0.45;   ///< Of the free half width, 1 sigma.
 
 double rounded(double x, double quantum) {

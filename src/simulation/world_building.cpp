@@ -140,7 +140,7 @@ void Building::furnish_hall(const Eigen::Vector3d& low, double sx, double sy, do
   furnish_room(low, sx, sy);
 }
 
-/// From the door in the wall to the corridor behind it, on the side `north` of the block.
+/// Connects the door in the wall with the corridor behind it, on the side `north` of the block.
 void Building::open_door(const Block& block, double x, bool north, double width, std::size_t room,
                          const Eigen::Vector3d& inside) {
   const double z = block.low.z();

@@ -21,8 +21,9 @@ using PlaceGrid = std::map<std::pair<int, int>, std::size_t>;
 [[nodiscard]] Style entry_style(Builder& builder);
 /// Distances along an entry at which cross-cuts leave it; the last is `length`.
 [[nodiscard]] std::vector<double> cross_cuts(Rng& rng, double length);
-/// Parallel entries along `along` from `start`, `across` apart, joined by cross-cuts. `first` holds the
-/// places where the entries begin (made if empty). \returns the places at the ends.
+/// Adds parallel entries in the direction `along` from `start`, at the distance `across`, joined by
+/// cross-cuts. `first` has the places where the entries begin, and gets them if it is empty. \returns the
+/// places at the ends
 std::vector<std::size_t> parallel_entries(Builder& builder, const Eigen::Vector2d& start,
                                           const Eigen::Vector2d& along, const Eigen::Vector2d& across,
                                           std::vector<std::size_t> first, const std::vector<double>& cuts,
