@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The few BLAS routines that work on dense panels, column-major.
+/// BLAS routines for dense column-major panels.
 #pragma once
 
 #include <cstddef>

@@ -36,13 +36,14 @@ struct OpenBlas {
   const bool found = set_threads != nullptr && get_threads != nullptr;
 };
 
-// The setting that this guards belongs to the process, so its bookkeeping has to as well.
+// The setting is one per process, so its bookkeeping is too.
 OpenBlas& open_blas() {
   static OpenBlas instance;
   return instance;
 }
 
-/// An OpenBLAS made with OpenMP sets the calling thread's number as well, which is not its to set.
+/// An OpenBLAS built with OpenMP also changes the calling thread's number of OpenMP threads; this restores
+/// it.
 void set_threads_of(const OpenBlas& blas, int count) {
   const OpenMp& omp = open_mp();
   const int own = omp.found ? omp.get_threads() : 0;
@@ -61,9 +62,9 @@ SingleThreadedBlas::SingleThreadedBlas() {
       if (blas.saved_threads != 1) set_threads_of(blas, 1);
     }
   }
-  // CHOLMOD asks for a number of threads at its loops, which only the levels overrule. A thread that finds
-  // none leaves them alone, here and at the end: before GCC 11 libgomp has one number of levels for the whole
-  // process, and those that changed it restore it.
+  // CHOLMOD sets a number of threads at each of its loops; only the number of active levels overrides it. A
+  // thread that finds 0 levels does not set them, here and in the destructor: before GCC 11 libgomp has one
+  // number of levels for the whole process, and the thread that changed it restores it.
   const OpenMp& omp = open_mp();
   if (!omp.found) return;
   levels_ = omp.get_levels();

@@ -5,12 +5,12 @@
 
 namespace loopwise::detail {
 
-/// Keeps OpenBLAS and the OpenMP loops of CHOLMOD to the calling thread while such an object lives: the sums
-/// of a multi-threaded BLAS depend on its number of threads, and its spinning workers fight a pool for the
-/// processors. OpenMP's settings belong to each thread: every object restores those of its own, and is to be
-/// destroyed by the thread that made it. OpenBLAS has one setting for the process, which the last object
-/// restores; other users of OpenBLAS see it meanwhile. Nothing happens with another BLAS. Exported for
-/// loopwise-train: there must be one count of such objects in a process.
+/// Keeps OpenBLAS and the OpenMP loops of CHOLMOD to the calling thread while an object of this class exists.
+/// The sums of a multi-threaded BLAS depend on its number of threads, and its spinning workers compete with a
+/// thread pool for the processors. OpenMP's settings belong to each thread: every object restores those of
+/// its thread, so the thread that made it must destroy it. OpenBLAS has one setting for the process, which
+/// the last object restores; until then other users of OpenBLAS are restricted too. With another BLAS only
+/// OpenMP is affected. Exported for loopwise-train, because a process must have one count of these objects.
 class LOOPWISE_EXPORT SingleThreadedBlas {
  public:
   SingleThreadedBlas();

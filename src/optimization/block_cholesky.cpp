@@ -17,8 +17,8 @@
 namespace loopwise::detail {
 namespace {
 
-/// For other than 6×6 blocks: above this ratio of operations to non-zeros the dense panels of the supernodal
-/// factorisation pay.
+/// For blocks that are not 6×6: the supernodal factorisation, with its dense panels, is faster above this
+/// ratio of operations to non-zeros.
 constexpr double kSupernodalFlopsPerNonzero = 40.0;
 
 }  // namespace
@@ -50,7 +50,7 @@ struct BlockCholesky::Cholmod {
     if (factor != nullptr) cholmod_free_factor(&factor, &common);
   }
 
-  /// CHOLMOD reports through a status; warnings (> 0) are read where they matter.
+  /// CHOLMOD reports through a status; callers read warnings (> 0) where they matter.
   void check(const char* what) const {
     if (common.status >= CHOLMOD_OK) return;
     if (common.status == CHOLMOD_OUT_OF_MEMORY) throw std::bad_alloc();
@@ -74,7 +74,7 @@ bool is_permutation(const std::vector<int>& p) {
   return true;
 }
 
-/// A pattern or matrix of our own memory as CHOLMOD sees it.
+/// Presents a pattern or matrix in our memory as a CHOLMOD matrix.
 cholmod_sparse view(std::size_t n, std::vector<int>& start, std::vector<int>& rows, double* values,
                     int stype) {
   cholmod_sparse a{};
@@ -92,7 +92,7 @@ cholmod_sparse view(std::size_t n, std::vector<int>& start, std::vector<int>& ro
   return a;
 }
 
-/// Lexicographically, by two passes of counting: numbers are small and pairs many.
+/// Sorts lexicographically by two passes of counting sort: the numbers are small and the pairs are many.
 void sort_pairs(std::vector<BlockCholesky::Pair>& pairs, std::size_t n) {
   std::vector<BlockCholesky::Pair> sorted(pairs.size());
   std::vector<std::size_t> next(n + 1);
@@ -143,7 +143,7 @@ void BlockCholesky::order(const std::vector<Pair>& upper) {
     std::vector<int> first(n), level(n);
     if (method == CHOLMOD_METIS) {
       cholmod_metis(&graph, nullptr, 0, 0, o.permutation.data(), &c.common);
-      // METIS gives up without a word when a signal to terminate reaches the process meanwhile.
+      // METIS stops without an error if a signal to terminate reaches the process meanwhile.
       if (c.common.status != CHOLMOD_OK || !is_permutation(o.permutation)) {
         o.flops = std::numeric_limits<double>::infinity();
         return o;
@@ -159,7 +159,7 @@ void BlockCholesky::order(const std::vector<Pair>& upper) {
     return o;
   };
   Ordering best = evaluate(CHOLMOD_AMD);
-  // Nested dissection costs more to find than it saves unless the factorisation is long.
+  // Computing a nested dissection costs more than it saves, unless the factorisation is long.
   const double b = block_;
   if (best.flops * b * b * b > 2e9) {
     Ordering other = evaluate(CHOLMOD_METIS);
@@ -199,7 +199,7 @@ void BlockCholesky::choose() {
 }
 
 BlockPattern BlockCholesky::pattern(const std::vector<Pair>& upper, bool lower) const {
-  // Going through the rows in order leaves every column sorted.
+  // Visiting the rows in order leaves every column sorted.
   const std::size_t n = variables_;
   const auto transpose = [n](const BlockPattern& rows) {
     BlockPattern columns;
@@ -213,7 +213,7 @@ BlockPattern BlockCholesky::pattern(const std::vector<Pair>& upper, bool lower) 
     }
     return columns;
   };
-  BlockPattern unsorted;  // by row of the triangle wanted
+  BlockPattern unsorted;  // by row of the requested triangle
   unsorted.start.assign(n + 1, 0);
   unsorted.rows.resize(upper.size());
   const auto row_and_column = [&](const Pair& p) {
@@ -237,7 +237,7 @@ void BlockCholesky::lay_out(const BlockPattern& columns, bool lower) {
     throw Error("the graph has too many edges for one factorisation");
   }
   values_.assign(columns.rows.size() * block * block, 0.0);
-  // CHOLMOD wants scalar columns, the fronts one block after the other.
+  // CHOLMOD needs scalar columns; the fronts need one block after the other.
   const bool blocks = chosen_ == Factorization::kMultifrontal;
   const auto slot = [&](std::uint32_t row, std::uint32_t column) {
     const auto begin = columns.rows.begin() + static_cast<std::ptrdiff_t>(columns.start[column]);
@@ -313,7 +313,7 @@ void BlockCholesky::analyze(std::size_t variables, const std::vector<Pair>& pair
 }
 
 void BlockCholesky::make_symbolic_factor() {
-  // What cholmod_analyze would find out for the scalar matrix follows from the graph of blocks, six times
+  // The results of cholmod_analyze for the scalar matrix follow from the graph of blocks, which is six times
   // smaller.
   Cholmod& c = *cholmod_;
   const std::size_t n = variables_ * static_cast<std::size_t>(block_);
@@ -332,8 +332,8 @@ void BlockCholesky::make_symbolic_factor() {
     const bool last = (i + 1) % static_cast<std::size_t>(block_) == 0;
     parent[i] = !last ? static_cast<int>(i + 1) : block_parent_[v] < 0 ? -1 : block_ * block_parent_[v];
   }
-  // The supernodal analysis wants the pattern's upper triangle; of a block it needs no more than one column's
-  // rows to know them all, but it asks for every column.
+  // The supernodal analysis reads the upper triangle of the pattern. All columns of a block have the same
+  // rows, so it needs the rows of one column only, but it expects an entry for every column.
   std::vector<int> start(n + 1, 0), rows(row_index_.size());
   const std::size_t block = static_cast<std::size_t>(block_);
   for (std::size_t v = 0; v < variables_; ++v) {
@@ -539,7 +539,8 @@ Panels BlockCholesky::panels() const {
     out.values.assign(x, x + f.xsize);
     return out;
   }
-  // Simplicial L·D·Lᵀ (or L·Lᵀ): columns that continue their left neighbour's pattern share a panel.
+  // Simplicial L·D·Lᵀ (or L·Lᵀ): a column shares a panel with its left neighbour if it continues that
+  // column's pattern.
   const auto* p = static_cast<const int*>(f.p);
   const auto* nz = static_cast<const int*>(f.nz);
   const auto* rows = static_cast<const int*>(f.i);

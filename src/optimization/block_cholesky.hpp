@@ -16,14 +16,14 @@
 
 namespace loopwise::detail {
 
-/// A symmetric positive definite matrix of square blocks and its Cholesky factor, by our own fronts or by
-/// CHOLMOD. The fill-reducing ordering is CHOLMOD's, made on the graph of blocks; the matrix is stored in
-/// that order, so that either takes it as it is.
+/// A symmetric positive definite matrix of square blocks and its Cholesky factor, computed by our own fronts
+/// or by CHOLMOD. CHOLMOD computes the fill-reducing ordering on the graph of blocks. The matrix is stored in
+/// that order, so that both can use it directly.
 class BlockCholesky {
  public:
   using Pair = std::pair<std::uint32_t, std::uint32_t>;
 
-  /// Place of a block among the values: element (r, c) at offset + c·stride + r, or transposed.
+  /// Position of a block among the values: element (r, c) at offset + c·stride + r, or transposed.
   struct Slot {
     std::size_t offset = 0;
     std::uint32_t stride = 0;
@@ -35,8 +35,8 @@ class BlockCholesky {
   BlockCholesky(const BlockCholesky&) = delete;
   BlockCholesky& operator=(const BlockCholesky&) = delete;
 
-  /// Orders and analyses a matrix of `variables` blocks a side with off-diagonal blocks where `pairs` say;
-  /// pairs may repeat, in either direction. \throws Error if the factor would be too large.
+  /// Orders and analyses a matrix with `variables` block rows and with off-diagonal blocks at `pairs`; pairs
+  /// may repeat, in either direction. \throws Error if the factor would be too large.
   void analyze(std::size_t variables, const std::vector<Pair>& pairs);
 
   [[nodiscard]] std::size_t variables() const { return variables_; }
@@ -56,27 +56,27 @@ class BlockCholesky {
   [[nodiscard]] Eigen::VectorXd diagonal() const;
   void set_diagonal(const Eigen::VectorXd& diagonal);
 
-  /// False if the matrix turned out not to be positive definite. A simplicial factor of an indefinite one may
-  /// exist: ask for the smallest pivot before trusting it.
+  /// \returns false if the matrix is not positive definite. A simplicial factor of an indefinite matrix may
+  /// exist: check smallest_pivot() before using it.
   /// \param pool for the fronts, or null; it never changes the result
   [[nodiscard]] bool factorize(ThreadPool* pool = nullptr);
-  /// After factorize(): smallest pivot in relation to the matrix's diagonal, in (0, 1], and its variable. 0
-  /// if it failed.
+  /// After factorize(): smallest ratio of a pivot to the matrix's diagonal element, in (0, 1], and its
+  /// variable. The ratio is 0 if the factorisation failed.
   [[nodiscard]] std::pair<double, std::size_t> smallest_pivot() const;
-  /// Solves in place; one column a right-hand side, in the order of the variables.
+  /// Solves in place for one right-hand side, in the order of the variables.
   void solve(Eigen::VectorXd& x) const;
   void solve(Eigen::MatrixXd& x) const;
-  /// bᵀH⁻¹b. Cheaper than by solve(), the more of b is zero.
+  /// bᵀH⁻¹b. Cheaper than solve() if b is sparse.
   [[nodiscard]] Eigen::MatrixXd inverse_between(const Eigen::MatrixXd& b) const;
 
-  /// What was chosen; never kAutomatic.
+  /// The factorisation in use; never kAutomatic.
   [[nodiscard]] Factorization factorization() const { return chosen_; }
   [[nodiscard]] double factor_nonzeros() const { return factor_nonzeros_; }
   [[nodiscard]] double factor_flops() const { return factor_flops_; }
   [[nodiscard]] double log_determinant() const;
-  /// L as panels, rows and columns in elimination order.
+  /// L as panels; rows and columns are in elimination order.
   [[nodiscard]] Panels panels() const;
-  /// The same without a copy where that is possible; factorize() again before any further use of the factor.
+  /// The same, without a copy where possible. Call factorize() again before any other use of the factor.
   [[nodiscard]] Panels take_panels();
   /// The fronts of the analysis. \pre factorization() is kMultifrontal, and there are variables
   [[nodiscard]] FrontShape front_shape() const { return fronts_->front_shape(); }
@@ -85,7 +85,7 @@ class BlockCholesky {
   struct Cholmod;
   void order(const std::vector<Pair>& upper);
   void choose();
-  /// Of the pairs: the lower or the upper triangle's block columns in elimination order.
+  /// Pattern of the pairs: block columns of the lower or the upper triangle, in elimination order.
   [[nodiscard]] BlockPattern pattern(const std::vector<Pair>& upper, bool lower) const;
   void lay_out(const BlockPattern& columns, bool lower);
   void lay_out_scalars(const BlockPattern& columns);
@@ -104,7 +104,7 @@ class BlockCholesky {
   std::vector<std::uint32_t> pair_columns_;
   std::vector<Slot> diagonal_slots_;
   std::vector<double> values_;
-  std::vector<int> column_start_;  // scalar columns of the matrix, as CHOLMOD wants them
+  std::vector<int> column_start_;  // scalar columns of the matrix, in CHOLMOD's layout
   std::vector<int> row_index_;
   std::vector<int> block_parent_, block_count_;  // elimination tree and column counts of L, by position
   std::unique_ptr<Cholmod> cholmod_;

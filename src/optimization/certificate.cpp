@@ -35,11 +35,11 @@ using detail::ChordalProblem;
 using detail::ChordalTerm;
 using detail::LiftedPoses;
 
-/// The part of a graph that hangs together. Pose 0 of its problem is held: the frame of its priors if there
-/// are several, otherwise its prior's node or its first.
+/// A connected component of a graph. Pose 0 of its problem is fixed: it is the frame of the priors if there
+/// are several, otherwise the node of the only prior, or the first node.
 struct Component {
-  std::vector<std::size_t> nodes;          // of poses 0, 1, …, or of 1, 2, … behind the frame of priors
-  std::vector<std::size_t> priors;         // that take part
+  std::vector<std::size_t> nodes;  // of poses 0, 1, …, or of 1, 2, … if pose 0 is the frame of the priors
+  std::vector<std::size_t> priors;         // if there are several
   std::vector<std::size_t> edges;          // of non-zero weight
   std::optional<Eigen::Isometry3d> frame;  // of the priors
   std::size_t first_pose() const { return frame ? 1 : 0; }
@@ -62,7 +62,7 @@ std::vector<Component> components_of(const PoseGraph& graph) {
     if (c.priors.size() > 1) {
       c.frame = graph.priors()[c.priors.front()].pose;
     } else if (c.priors.size() == 1) {
-      // Satisfied without cost by moving the whole component: it only says which node is held.
+      // Moving the whole component satisfies a single prior without cost: it only selects the fixed node.
       const std::size_t node = graph.index_of(graph.priors()[c.priors.front()].key);
       std::swap(*std::find(c.nodes.begin(), c.nodes.end(), node), c.nodes.front());
       c.priors.clear();
@@ -72,8 +72,8 @@ std::vector<Component> components_of(const PoseGraph& graph) {
   return out;
 }
 
-/// n / tr(Ω⁻¹) of n coordinates: what an isotropic information with the same mean variance has. 0 if some
-/// direction has no information; `lost` says whether another one had.
+/// n / tr(Ω⁻¹) for n coordinates: the isotropic information with the same mean variance. 0 if some direction
+/// has no information; `lost` is then set if another direction has some.
 template <int n>
 double isotropic(const Eigen::Matrix<double, n, n>& information, bool& lost) {
   constexpr double kSingular = 1e-12;
@@ -84,7 +84,7 @@ double isotropic(const Eigen::Matrix<double, n, n>& information, bool& lost) {
   return 0.0;
 }
 
-/// Terms of a graph's factors; of a planar graph by the information within the plane.
+/// Terms of a graph's factors. A planar graph counts the information within the plane.
 class Terms {
  public:
   explicit Terms(bool planar) : planar_(planar) {}
@@ -132,7 +132,8 @@ ChordalProblem problem_of(const PoseGraph& graph, const Component& c, std::size_
   return ChordalProblem(c.nodes.size() + c.first_pose(), terms.take());
 }
 
-/// Frame in which a component's poses are computed: near them, for the digits of those far from the origin.
+/// Frame in which a component's poses are computed. It is near them, so that poses far from the origin keep
+/// their digits.
 Eigen::Isometry3d frame_of(const PoseGraph& graph, const Component& c) {
   return c.frame ? *c.frame : se3::normalized(graph.nodes()[c.nodes.front()].pose);
 }
@@ -148,8 +149,8 @@ LiftedPoses lifted_poses(const PoseGraph& graph, const Component& c) {
   return X;
 }
 
-/// The same poses with pose 0 at the identity; of a planar graph without what rounding, or the search for
-/// lower poses, left outside the plane.
+/// The same poses with pose 0 at the identity. Poses of a planar graph are projected to the plane: rounding,
+/// or the search for lower poses, may have moved them out of it.
 LiftedPoses local_poses(const LiftedPoses& X, bool planar) {
   const auto pose = [&](Eigen::Index at) {
     Eigen::Isometry3d T = Eigen::Isometry3d::Identity();
@@ -165,7 +166,7 @@ LiftedPoses local_poses(const LiftedPoses& X, bool planar) {
   return out;
 }
 
-/// Writes a component's poses, with pose 0 where the frame is.
+/// Writes a component's poses, with pose 0 at the frame.
 void place(const PoseGraph& graph, const Component& c, const LiftedPoses& X,
            std::vector<Eigen::Isometry3d>& poses) {
   const Eigen::Isometry3d frame = frame_of(graph, c);
@@ -177,8 +178,8 @@ void place(const PoseGraph& graph, const Component& c, const LiftedPoses& X,
   }
 }
 
-/// What is said of the poses that are handed out: of a planar graph the flattened ones, whose cost may be
-/// another.
+/// Projects the poses of a planar graph to the plane and updates the outcome, because the projected poses may
+/// have another cost.
 void bring_to_plane(const ChordalProblem& problem, const CertificateOptions& options,
                     detail::DualOutcome& outcome) {
   outcome.critical.X = local_poses(outcome.critical.X, true);
@@ -187,7 +188,7 @@ void bring_to_plane(const ChordalProblem& problem, const CertificateOptions& opt
   outcome.best_cost = problem.cost(outcome.best);
   if (outcome.status == CertificateStatus::kImprovable &&
       outcome.best_cost >= (1.0 - options.relative_gap) * outcome.critical.cost) {
-    outcome.status = CertificateStatus::kUndecided;  // they were lower in space alone
+    outcome.status = CertificateStatus::kUndecided;  // they had a lower cost only outside the plane
     outcome.relaxation_solved = false;
   }
   if (outcome.status != CertificateStatus::kImprovable) {
@@ -197,7 +198,7 @@ void bring_to_plane(const ChordalProblem& problem, const CertificateOptions& opt
   outcome.lower_bound = std::min(outcome.lower_bound, outcome.best_cost);
 }
 
-/// Sums over components of what a Certificate says.
+/// Accumulates the certificate over components.
 class Summary {
  public:
   explicit Summary(const PoseGraph& graph) : graph_(graph) {
@@ -212,7 +213,7 @@ class Summary {
     const LiftedPoses start = lifted_poses(graph_, c);
     detail::DualOutcome outcome = detail::certify_component(problem, start, options, stop);
     if (graph_.planar()) bring_to_plane(problem, options, outcome);
-    // What is left out of F may decide which poses are optimal.
+    // The parts that are left out of F may decide which poses are optimal.
     if (reduced > 0 && outcome.status == CertificateStatus::kCertified)
       outcome.status = CertificateStatus::kUndecided;
     out_.reduced_factors += reduced;
@@ -247,7 +248,7 @@ class Summary {
   }
 
  private:
-  /// A lower cost outweighs a doubt: it is certain.
+  /// Order of severity. kImprovable comes last: a lower cost is certain, kUndecided is only a doubt.
   static int rank(CertificateStatus status) {
     return status == CertificateStatus::kCertified ? 0 : status == CertificateStatus::kUndecided ? 1 : 2;
   }
@@ -286,7 +287,7 @@ class Summary {
     return text + reduced;
   }
 
-  /// Why no more is known.
+  /// The reason why the status is undecided.
   [[nodiscard]] const char* reason() const {
     if (!converged_) return "; the descent did not converge";
     if (lost_in_rounding_)
@@ -298,12 +299,12 @@ class Summary {
   const PoseGraph& graph_;
   Certificate out_;
   std::size_t nodes_ = 0;
-  bool negligible_ = true;  // of all components
+  bool negligible_ = true;  // true if all components are
   bool lost_in_rounding_ = false;
   bool converged_ = true;
 };
 
-/// ½ Σ w rᵀΩr of residuals that are rounding: 1e-12 of the lengths that they are the difference of.
+/// ½ Σ w rᵀΩr of residuals caused by rounding: 1e-12 of the lengths whose difference they are.
 double rounding_cost(const PoseGraph& graph) {
   constexpr double kSquared = 1e-24;
   double sum = 0.0;
@@ -352,7 +353,7 @@ Certificate certify(const PoseGraph& graph, const CertificateOptions& options, c
 
 CertifiedEstimate optimize_certified(const PoseGraph& graph, const OptimizerOptions& optimizer,
                                      const CertificateOptions& options, const StopToken& stop) {
-  // Costs of one minimum differ by what the optimiser's tolerances leave.
+  // Two costs of one minimum differ by the optimiser's tolerances.
   constexpr double kLower = 1e-8, kSame = 1e-6;
   constexpr int kMostImprovements = 3;
   const double zero = rounding_cost(graph);
@@ -375,7 +376,7 @@ CertifiedEstimate optimize_certified(const PoseGraph& graph, const OptimizerOpti
     current.set_poses(result.poses);
     out.optimization = std::move(result);
     out.certificate = certify(current, options, stop);
-    out.same_minimum = false;  // that was said of the poses before
+    out.same_minimum = false;  // it was tested for the former poses
   }
   out.poses = current.poses();
   return out;

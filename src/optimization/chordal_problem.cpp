@@ -18,7 +18,7 @@ constexpr int kMaxRank = 6;
 /// Vectors of a pose's 4p entries as columns, one for each of its 4p − 6 degrees of freedom.
 using Basis = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 4 * kMaxRank, 4 * kMaxRank - 6>;
 
-/// Tangent directions at a pose: R[e_k]×, directions out of the span of R, and the translation.
+/// Tangent directions at a pose: R[e_k]×, directions orthogonal to the span of R, and the translation.
 Basis tangent_basis(const Eigen::Ref<const Eigen::MatrixXd>& pose) {
   const Eigen::Index p = pose.rows();
   Basis basis = Basis::Zero(4 * p, 4 * p - 6);
@@ -55,7 +55,7 @@ class NewtonSystem {
     damping_.resize(static_cast<Eigen::Index>(hessian_.variables()) * width_);
   }
 
-  /// At X with X Q = G.
+  /// Computes the system at X, with G = X Q.
   void linearize(const LiftedPoses& X, const LiftedPoses& G) {
     const Eigen::Index p = X.rows();
     for (std::size_t i = 0; i < basis_.size(); ++i) {
@@ -74,7 +74,7 @@ class NewtonSystem {
         [&](std::size_t i, const Eigen::Matrix4d& block) {
           if (i == 0) return;
           add(hessian_.diagonal_slot(i - 1), between(i, i, block, p));
-          // No term may see the rotation, as of a point landmark, or the place.
+          // Possibly no term depends on the rotation (a point landmark) or on the position.
           const double turn = problem_.scale()[i], shift = block(3, 3);
           damping_.segment(row(i), width_ - p).setConstant(turn > 0.0 ? turn : 1.0);
           damping_.segment(row(i + 1) - p, p).setConstant(shift > 0.0 ? shift : 1.0);
@@ -231,9 +231,9 @@ void orthonormalize(LiftedPoses& X) {
 }
 
 CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_steps, const StopToken& stop) {
-  // Keeps directions that no term sees, such as the rotation of a point landmark, from being singular.
+  // Avoids a singular matrix if no term depends on a direction, such as the rotation of a point landmark.
   constexpr double kLeastDamping = 1e-12, kFirstDamping = 1e-6, kMostDamping = 1e6;
-  // Below this share of the cost a decrease is lost in rounding, and the gradient is what has to fall.
+  // A decrease below this share of the cost is lost in rounding; the descent then compares gradients.
   constexpr double kVisible = 1e-11;
   CriticalPoint out;
   NewtonSystem system(problem, X.rows());
@@ -242,7 +242,7 @@ CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_step
   system.linearize(X, G);
   double gradient = system.gradient().lpNorm<Eigen::Infinity>();
   double damping = kLeastDamping;
-  bool raised = false;  // since the last step: less damping is not worth a trial at once
+  bool raised = false;  // since the last step; smaller damping is then not tried at once
   const auto raise = [&] {
     raised = true;
     damping = std::max(10.0 * damping, kFirstDamping);

@@ -36,16 +36,17 @@ class ChordalProblem {
   [[nodiscard]] const std::vector<ChordalTerm>& terms() const { return terms_; }
   /// The pairs (from, to) of all terms.
   [[nodiscard]] std::vector<BlockCholesky::Pair> pairs() const;
-  /// Mean of the rotation's diagonal of Q, by pose.
+  /// Mean of the rotational part of Q's diagonal, by pose.
   [[nodiscard]] const std::vector<double>& scale() const { return scale_; }
-  /// Diagonal of Q at the place, by pose: the sum of its terms' τ.
+  /// Translational element of Q's diagonal, by pose: the sum of its terms' τ.
   [[nodiscard]] double place_weight(std::size_t pose) const { return diagonal_[pose](3, 3); }
-  /// Numbers of the parts that terms of τ > 0 join, by pose, from 0: no term sees a common shift of a part.
+  /// Part of each pose, numbered from 0. Terms with τ > 0 join poses to parts; no term depends on a common
+  /// translation of a part.
   [[nodiscard]] const std::vector<std::uint32_t>& parts() const { return parts_; }
 
   [[nodiscard]] double cost(const LiftedPoses& X) const;
-  /// Whether every residual is zero up to rounding: below 1e-10 of the lengths that it is the difference of,
-  /// however much or little information it counts by.
+  /// Whether every residual is zero up to rounding, i.e. below 1e-10 of the lengths whose difference it is.
+  /// Its information does not matter.
   [[nodiscard]] bool negligible(const LiftedPoses& X) const;
   /// X Q
   [[nodiscard]] LiftedPoses gradient(const LiftedPoses& X) const;
@@ -53,8 +54,8 @@ class ChordalProblem {
   [[nodiscard]] std::vector<Eigen::Matrix3d> multipliers(const LiftedPoses& X,
                                                          const LiftedPoses& gradient) const;
 
-  /// Blocks of S = Q − Λ: `diagonal(i, block)` for each pose, then `between(k, block)` for each term k, whose
-  /// block stands at (from, to).
+  /// Visits the blocks of S = Q − Λ: `diagonal(i, block)` for each pose, then `between(k, block)` for each
+  /// term k, whose block is at (from, to).
   template <class Diagonal, class Between>
   void dual_blocks(const std::vector<Eigen::Matrix3d>& multipliers, Diagonal&& diagonal,
                    Between&& between) const {
@@ -79,7 +80,7 @@ class ChordalProblem {
   std::vector<std::uint32_t> parts_;
 };
 
-/// Where a descent ended.
+/// The result of a descent.
 struct CriticalPoint {
   LiftedPoses X;
   double cost = 0.0;
@@ -88,12 +89,12 @@ struct CriticalPoint {
   bool converged = false;  ///< The gradient is zero up to rounding.
 };
 
-/// Damped Newton steps on the product of Stiefel manifolds and places, pose 0 held, until the gradient no
-/// longer falls. The cost does not rise. \throws Error if a factor would be too large
+/// Damped Newton steps on the product of Stiefel manifolds and positions, with pose 0 fixed, until the
+/// gradient no longer falls. The cost does not rise. \throws Error if a factor would be too large
 [[nodiscard]] CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_steps,
                                     const StopToken& stop);
 
-/// Nearest p×3 matrix with orthonormal columns to each rotation.
+/// Replaces each p×3 rotation by the nearest matrix with orthonormal columns.
 void orthonormalize(LiftedPoses& X);
 
 }  // namespace loopwise::detail

@@ -15,11 +15,12 @@
 namespace loopwise::detail {
 namespace {
 
-/// Steps of odometry at both ends together within which a closure is near another.
+/// Two closures are near each other if their ends are at most this many steps of odometry apart, summed over
+/// both ends.
 constexpr std::uint32_t kNearSteps = 12;
-/// Neighbours that are tried for a closure, nearest first.
+/// Bound on the neighbours that are tested for a closure, nearest first.
 constexpr std::size_t kMostTried = 12;
-/// Closures that are looked at to either side: many may end at one place.
+/// Bound on the closures that are examined in each direction: many closures may end at one place.
 constexpr std::size_t kMostSeen = 2000;
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
@@ -95,7 +96,7 @@ class Confirmation {
     }
   }
 
-  /// Whether the way A B C over the other closure predicts this one's measurement.
+  /// Whether the path A B C across the other closure predicts this closure's measurement.
   [[nodiscard]] bool agree(std::size_t e, const Seen& other) const {
     const auto [from, to] = graph_.ends(e);
     const Edge& edge = graph_.edges()[e];

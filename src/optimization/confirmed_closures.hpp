@@ -9,11 +9,12 @@
 
 namespace loopwise::detail {
 
-/// Closures that a closure near them confirms: one whose ends are a few steps of odometry from theirs, with a
-/// measurement that the short way over it (odometry, the other closure, odometry) predicts within the noise.
-/// A false closure between random places has none, however uncertain odometry is over the whole way between
-/// its ends; false closures that agree in groups have. By edge.
-/// \param wanted closures to look at, by edge; all may confirm them \param c2 threshold of d² = rᵀS⁻¹r
+/// Finds closures that a nearby closure confirms: the ends of both are a few steps of odometry apart, and the
+/// short path across the other closure (odometry, closure, odometry) predicts the measurement within the
+/// noise. This test does not depend on the uncertainty of odometry over the whole path between the ends. A
+/// false closure between random places has no such neighbour; false closures that agree in groups have one.
+/// One value per edge.
+/// \param wanted closures to test, by edge; all closures may confirm them \param c2 threshold of d² = rᵀS⁻¹r
 [[nodiscard]] std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryForest& forest,
                                                    const std::vector<char>& wanted, double c2);
 

@@ -13,7 +13,7 @@
 namespace loopwise::detail {
 namespace {
 
-/// Rounding of a factorisation in relation to the diagonal: some tens of units in the last place.
+/// Rounding error of a factorisation relative to the diagonal: tens of units in the last place.
 constexpr double kRounding = 1e-14, kPlaceRounding = 1e-14;
 
 }  // namespace
@@ -38,7 +38,8 @@ void DualMatrix::set(const LiftedPoses& X) {
   }
 }
 
-/// The pose of each part that is nearest to the middle: what rounding takes grows with the distance from it.
+/// Holds the pose of each part that is nearest to its middle: the rounding error grows with the distance from
+/// it.
 void DualMatrix::hold_places(const LiftedPoses& X) {
   const std::vector<std::uint32_t>& parts = problem_.parts();
   const std::size_t count = *std::max_element(parts.begin(), parts.end()) + std::size_t{1};
@@ -84,7 +85,8 @@ bool DualMatrix::positive_with(double shift) {
         add(cholesky_.diagonal_slot(i), block);
       },
       [&](std::size_t k, const Eigen::Matrix4d& block) { add(cholesky_.pair_slot(k), block); });
-  // A common shift of all places costs nothing: holding one of them at 0 leaves the minimum as it is.
+  // A common translation of all positions costs nothing, so holding one of them at 0 does not change the
+  // minimum.
   Eigen::VectorXd diagonal = cholesky_.diagonal();
   for (const std::size_t pose : held_) {
     double& place = diagonal[4 * static_cast<Eigen::Index>(pose) + 3];
@@ -112,7 +114,7 @@ DualMatrix::Eigenpair DualMatrix::smallest_eigenpair(double shift) const {
   for (Eigen::Index i = 0; i < n; ++i) v[i] = rng.normal();
   rotations_alone(v);
   const int most = static_cast<int>(std::min<Eigen::Index>(kMaxVectors, n / 4 * 3));
-  Eigen::MatrixXd basis(n, std::min(most, 16));  // grows: few vectors are needed where the graph is large
+  Eigen::MatrixXd basis(n, std::min(most, 16));  // grows: large graphs need few vectors
   Eigen::VectorXd alpha(most), beta(most);
   Eigenpair out;
   basis.col(0) = v.normalized();
@@ -120,7 +122,7 @@ DualMatrix::Eigenpair DualMatrix::smallest_eigenpair(double shift) const {
     Eigen::VectorXd w = solve(basis.col(k));
     rotations_alone(w);
     alpha[k] = w.dot(basis.col(k));
-    // Twice: once leaves the vectors as far from orthogonal as the eigenvalues are close.
+    // Twice: after one pass, vectors of close eigenvalues are not orthogonal enough.
     for (int twice = 0; twice < 2; ++twice)
       w -= basis.leftCols(k + 1) * (basis.leftCols(k + 1).transpose() * w);
     beta[k] = w.norm();

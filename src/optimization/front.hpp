@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// One front of a multifrontal factorisation: w columns that share their rows as a dense panel `l` of w + m
-/// rows, and the m×m matrix `u` that it hands to its parent. All counts of scalars are multiples of six.
+/// One front of a multifrontal factorisation: w columns with the same rows, as a dense panel `l` of w + m
+/// rows, and the m×m update matrix `u` for the parent front. All counts of scalars are multiples of six.
 #pragma once
 
 #include <algorithm>
@@ -14,13 +14,13 @@
 
 namespace loopwise::detail {
 
-/// From this many operations on, BLAS updates a front faster than the kernels.
+/// BLAS updates a front faster than the kernels if it takes at least this many operations.
 inline constexpr double kBlasFlops = 1e7;
-/// Columns that the kernels eliminate before BLAS updates the rest of a wide panel.
+/// In a wide panel the kernels eliminate this many columns, then BLAS updates the rest.
 inline constexpr int kStripe = 96;
 
-/// Cholesky factor of the first w columns of a front, which has h rows. \returns the columns done, w unless a
-/// pivot is not positive.
+/// Cholesky factor of the first w columns of a front, which has h rows. \returns the number of eliminated
+/// columns: w unless a pivot is not positive.
 inline int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l) {
   for (int stripe = 0; stripe < w; stripe += kStripe) {
     const int end = std::min(w, stripe + kStripe);
@@ -38,7 +38,7 @@ inline int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l
   return w;
 }
 
-/// U −= R·Rᵀ, or U = −R·Rᵀ if `overwrite`, of which the lower triangle counts; R is m×w.
+/// U −= R·Rᵀ, or U = −R·Rᵀ if `overwrite`, in the lower triangle; R is m×w.
 inline void subtract_product(const FrontKernels& kernel, int m, int w, const double* r, int ldr, double* u,
                              bool overwrite) {
   if (static_cast<double>(m) * m * w > kBlasFlops) {
@@ -51,7 +51,7 @@ inline void subtract_product(const FrontKernels& kernel, int m, int w, const dou
   }
 }
 
-/// Adds what a child hands up to the front of its parent.
+/// Adds a child's update matrix to the front of its parent.
 /// \param relative the child's `count` block rows as block rows of the parent, ascending
 /// \param columns block columns of the parent's panel
 /// \param m the parent's scalar rows below its panel
@@ -59,12 +59,12 @@ inline void add_update(const std::uint32_t* relative, std::size_t count, const d
                        std::uint32_t columns, std::size_t m, double* l, double* u) {
   const std::size_t h = 6 * std::size_t{columns} + m, ld = 6 * count;
   for (std::size_t j = 0; j < count; ++j) {
-    // The front is split: columns of the panel are in l, all others in u, which leaves out the panel's rows.
+    // The front is split: the panel's columns are in l, all others in u, which has no rows for the panel.
     const bool in_panel = relative[j] < columns;
     const std::uint32_t skipped = in_panel ? 0 : columns;
     const std::size_t stride = in_panel ? h : m;
     double* column = (in_panel ? l : u) + 6 * std::size_t{relative[j] - skipped} * stride;
-    // Rows that stay neighbours are added in one go.
+    // Adds consecutive rows together.
     for (std::size_t i = j; i < count;) {
       std::size_t end = i + 1;
       while (end < count && relative[end] == relative[end - 1] + 1) ++end;
@@ -79,8 +79,8 @@ inline void add_update(const std::uint32_t* relative, std::size_t count, const d
   }
 }
 
-/// One front's part of x := L⁻¹x.
-/// \param rows block rows of the m rows below, \param top its columns' part of x
+/// The part of one front in x := L⁻¹x.
+/// \param rows block rows of the m rows below, \param top the part of x for the front's columns
 inline void solve_front_lower(const FrontKernels& kernel, int w, int m, const double* l,
                               const std::uint32_t* rows, double* top, double* x,
                               std::vector<double>& gathered) {
@@ -104,7 +104,7 @@ inline void solve_front_lower(const FrontKernels& kernel, int w, int m, const do
   }
 }
 
-/// One front's part of x := L⁻ᵀx; parameters as of solve_front_lower().
+/// The part of one front in x := L⁻ᵀx; parameters as of solve_front_lower().
 inline void solve_front_upper(const FrontKernels& kernel, int w, int m, const double* l,
                               const std::uint32_t* rows, double* top, const double* x,
                               std::vector<double>& gathered) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Dense work on fronts whose rows and columns come in sixes: far below the size from which a call of BLAS
-/// pays. Matrices are column-major. The widest instructions of the processor are chosen when first asked for.
+/// Dense kernels for fronts whose rows and columns come in sixes: they are too small for calls of BLAS to pay
+/// off. Matrices are column-major. The first call chooses the widest instructions of the processor.
 #pragma once
 
 namespace loopwise::detail {
@@ -20,7 +20,7 @@ struct FrontKernels {
 };
 
 [[nodiscard]] const FrontKernels& front_kernels();
-/// Those that run on any processor of the family.
+/// The kernels that run on any processor of the family.
 [[nodiscard]] const FrontKernels& front_kernels_baseline();
 
 }  // namespace loopwise::detail

@@ -27,8 +27,8 @@ EnumNames<RobustKernel> enum_names(RobustKernel) {
 
 namespace {
 
-/// log Γ(n/2), by Γ(x + 1) = x Γ(x) from 1 or Γ(½) = √π. std::lgamma() writes to a variable that all threads
-/// share.
+/// log Γ(n/2), by Γ(x + 1) = x Γ(x) from Γ(1) = 1 or Γ(½) = √π. std::lgamma() is not used: it writes to a
+/// variable that all threads share.
 double log_gamma_of_half(int n) {
   constexpr double kHalfLogPi = 0.57236494292470008707;
   double sum = n % 2 == 0 ? 0.0 : kHalfLogPi;
@@ -89,22 +89,23 @@ double chi_squared_quantile(double probability, int degrees_of_freedom) {
 namespace detail {
 namespace {
 
-/// Costs that differ by less than this share are equal: the earlier start is taken.
+/// Costs that differ by less than this share are equal; the result of the earlier start is then kept.
 constexpr double kEqual = 1e-9;
 
-/// Closures that others confirm start a solution of their own if they are this share of those that odometry
-/// does not rule out, and the solution stands alone if it keeps all but this share of them.
+/// The confirmed closures start a solution of their own if they are at least kFewestConfirmed of the closures
+/// that odometry does not rule out. The other starts follow if this solution loses more than
+/// kMostConfirmedLost of them.
 constexpr double kFewestConfirmed = 1.0 / 3.0;
 constexpr double kMostConfirmedLost = 0.01;
-/// A solution with closures that odometry as stated rules out may give up this share of those kept without
-/// them. Closures that agree with each other and not with the others, as of two floors of one plan, would
+/// A start with closures that the stated odometry rules out may lose this share of the closures kept without
+/// them. Closures that agree with each other but not with the others, as from two floors of one plan, would
 /// replace more.
 constexpr double kMostGivenUp = 0.03;
 
-/// Rounds of estimating odometry's uncertainty and solving with it; each lets more closures in, which then
-/// show more.
+/// Bound on rounds that estimate odometry's uncertainty and solve with it. Each round admits more closures,
+/// which give a better estimate.
 constexpr int kScaleRounds = 4;
-/// Variance factors that differ by less are the same.
+/// Variance factors whose ratio is below this count as equal.
 constexpr double kSameVariance = 1.1;
 
 bool differ(const OdometryVariances& a, const OdometryVariances& b) {
@@ -117,7 +118,7 @@ bool differ(const OdometryVariances& a, const OdometryVariances& b) {
   return beyond(a, b) || beyond(b, a);
 }
 
-/// A result and what it is the components of.
+/// A result with its poses, the odometry variances used, and the components of the graph.
 struct Solution {
   std::vector<Pose> poses;
   OdometryVariances odometry_variances;
@@ -136,7 +137,8 @@ class Starts {
         d2_(innovations(given.graph, given.forest)),
         gross_(find_gross_outliers(given.graph, d2_, given.gnc.innovation_probability)) {}
 
-  /// From the last result. \returns whether nothing calls for the other starts
+  /// Starts from the last result. \returns false if the result is in doubt, so that the other starts are
+  /// needed
   bool from_last(const WarmStart& warm) {
     const OdometryVariances variances = allowed(warm.odometry_variances);
     Scaled scaled(*this, variances);
@@ -163,8 +165,9 @@ class Starts {
     return !in_doubt;
   }
 
-  /// From the chordal estimate of the closures that others confirm. \returns whether the solution is beyond
-  /// doubt: it keeps them, they are many, and what it leaves out contradicts it
+  /// Starts from the chordal estimate of the confirmed closures. \returns whether the solution is beyond
+  /// doubt: the confirmed closures are many, it keeps almost all of them, and it contradicts every closure
+  /// that it excludes
   bool from_confirmed() {
     std::vector<char> allowed(gross_.aside.size());
     for (std::size_t k = 0; k < allowed.size(); ++k) {
@@ -191,7 +194,7 @@ class Starts {
 
   void from_first_estimate() { take(solved_from(gross_, given_.start, GncStart::kFirstEstimate)); }
 
-  /// From the chordal estimate of the closures that odometry does not rule out.
+  /// Starts from the chordal estimate of the closures that odometry does not rule out.
   void from_chordal() {
     std::vector<char> chosen(gross_.aside.size());
     for (std::size_t k = 0; k < chosen.size(); ++k) chosen[k] = gross_.aside[k] != 0 ? 0 : 1;
@@ -202,12 +205,12 @@ class Starts {
     take(std::move(out));
   }
 
-  /// Goes on from the best solution with odometry as uncertain as its closures show it to be, and lets in
-  /// what agrees with them then: closures that stated odometry contradicts although they are right. Those
-  /// that the innovation test rules out return only by growth, as everywhere. What the stated information has
-  /// left out cannot speak for itself, so that is done from two sides: from odometry as stated, and from
-  /// odometry that is uncertain throughout, which the closures then take back. The side that keeps more
-  /// closures counts.
+  /// Continues from the best solution with odometry as uncertain as its closures show it to be, and admits
+  /// closures that then agree: true closures that the stated odometry contradicts. Closures that the
+  /// innovation test rules out return only through grow(). Excluded closures do not contribute to the
+  /// estimate of the variance factors, so there are two attempts: one starts with the stated odometry, the
+  /// other with doubted odometry, which the closures may confirm again. The attempt that keeps more closures
+  /// is kept.
   void rescale_odometry() {
     if (best_->result.outliers == 0) {
       refine(true);
@@ -219,7 +222,7 @@ class Starts {
     best_ = std::move(stated);
     OdometryVariances doubted;
     for (std::size_t k = 0; k < problem_.edges(); ++k) {
-      // Of deviations the geometric mean of those stated and the largest allowed.
+      // As a standard deviation this is the geometric mean of the stated value and the largest allowed one.
       if (given_.graph.edges()[k].kind == EdgeKind::kOdometry)
         doubted[chains_[given_.graph.ends(k).from]] = given_.gnc.odometry_margin;
     }
@@ -232,8 +235,8 @@ class Starts {
     }
   }
 
-  /// From the first estimate again, with the closures that odometry allows if it is as uncertain as the best
-  /// solution has it; if that takes it as stated, as uncertain as it may be.
+  /// Starts from the first estimate again, with the closures that odometry allows if it is as uncertain as in
+  /// the best solution. If that solution takes odometry as stated, the largest allowed uncertainty is used.
   void from_doubted_odometry() {
     const OdometryVariances variances = best_->odometry_variances;
     const double probability = given_.gnc.innovation_probability;
@@ -260,9 +263,9 @@ class Starts {
     if (best_->result.start == GncStart::kDoubtedOdometry) refine(true);
   }
 
-  /// Solves from the best solution with the variance factors that it shows, until it shows those it has.
-  /// \param keep_unmeasured of chains that it says nothing of
-  /// \returns false if there are no covariances that would show any, or it was stopped
+  /// Estimates variance factors at the best solution and solves again with them, until they no longer change.
+  /// \param keep_unmeasured whether chains without redundant measurements keep their factors
+  /// \returns false if the covariances for the estimate do not exist, or the optimisation was stopped
   bool refine(bool keep_unmeasured) {
     for (int round = 0; round < kScaleRounds; ++round) {
       std::optional<OdometryVariances> variances = estimated_odometry_variances(
@@ -275,8 +278,8 @@ class Starts {
     return true;
   }
 
-  /// Replaces the best solution by its continuation with these variance factors.
-  /// \returns false if that was stopped: the best solution stays
+  /// Continues the best solution with these variance factors and replaces it by the result.
+  /// \returns false if the optimisation was stopped: the best solution then stays
   bool solve_with(OdometryVariances variances) {
     Scaled scaled(*this, variances);
     PoseProblem& problem = scaled.problem();
@@ -298,30 +301,30 @@ class Starts {
 
   [[nodiscard]] bool has_solution() const { return best_.has_value(); }
   [[nodiscard]] bool leaves_closures_out() const { return best_->result.outliers > 0; }
-  /// Of those that odometry rules out.
+  /// Whether the best solution excludes closures that the stated odometry rules out.
   [[nodiscard]] bool leaves_out_what_odometry_rules_out() const {
     for (std::size_t k = 0; k < gross_.aside.size(); ++k) {
       if (gross_.aside[k] != 0 && best_->result.weights[k] <= kKept) return true;
     }
     return false;
   }
-  /// By the best solution.
+  /// Number of confirmed closures that the best solution excludes.
   [[nodiscard]] std::size_t left_out_confirmed() const {
     PoseProblem problem = problem_;
     std::copy(best_->result.weights.begin(), best_->result.weights.end(), problem.weight.begin());
     return left_out_confirmed(problem);
   }
-  /// What there is does not count; that it was made does.
+  /// Discards the best solution; its iterations still count.
   void forget() {
     if (best_) spend(best_->result);
     best_.reset();
   }
-  /// Says in the best result how uncertain its odometry is.
+  /// Writes the odometry scales and weights to the best result.
   void report_odometry() {
     GncResult& result = best_->result;
     OdometryVariances& variances = best_->odometry_variances;
     for (auto entry = variances.begin(); entry != variances.end();) {
-      // A chain that has become part of another has its factor.
+      // A chain that was joined to another chain uses that chain's factor.
       entry = chains_[entry->first] == entry->first ? std::next(entry) : variances.erase(entry);
     }
     for (const auto& [chain, variance] : variances) {
@@ -334,7 +337,7 @@ class Starts {
     }
   }
 
-  /// With what all starts took.
+  /// The best solution, with the iterations of all starts.
   [[nodiscard]] Solution best() && {
     GncResult& result = best_->result;
     result.outer_iterations += spent_.outer_iterations;
@@ -347,7 +350,7 @@ class Starts {
   [[nodiscard]] double largest_variance() const {
     return given_.gnc.odometry_margin * given_.gnc.odometry_margin;
   }
-  /// As far as the options allow them.
+  /// Limits variance factors to the options' odometry_margin.
   [[nodiscard]] OdometryVariances allowed(OdometryVariances variances) const {
     if (!given_.gnc.second_start || given_.gnc.odometry_margin <= 1.0) return {};
     for (auto& [chain, variance] : variances) variance = std::min(variance, largest_variance());
@@ -394,8 +397,8 @@ class Starts {
     return confirmed_closures(given_.graph, given_.forest, wanted, gross_.scale * c2);
   }
 
-  /// Closures that others confirm, and that the weights leave out all the same: they may be right and the
-  /// odometry worse than it says, or be false in a group.
+  /// Number of confirmed closures with weights near 0. They may be true, with odometry worse than stated, or
+  /// a consistent group of false closures.
   [[nodiscard]] std::size_t left_out_confirmed(const PoseProblem& problem) const {
     std::vector<char> left_out(problem.edges());
     for (std::size_t k = 0; k < left_out.size(); ++k) left_out[k] = problem.weight[k] <= kKept ? 1 : 0;
@@ -415,7 +418,7 @@ class Starts {
     return out;
   }
 
-  /// Keeps the better. What is left counts as spent.
+  /// Keeps the solution of the lower truncated cost. The iterations of the other one still count.
   void take(Solution&& other) {
     other.freedom = equations_.freedom();
     const bool stopped = other.result.optimization.termination == Termination::kStopped;
@@ -441,10 +444,10 @@ class Starts {
   const std::vector<double> d2_;             // innovations, by edge
   const GrossOutliers gross_;
   std::optional<Solution> best_;
-  GncResult spent_;  // by solutions that are not the best: counts alone
+  GncResult spent_;  // counts of solutions that are not the best
 };
 
-/// With all weights 1.
+/// Cost with all weights 1.
 double plain_cost(PoseProblem problem, const std::vector<Pose>& poses, ThreadPool& pool) {
   std::fill(problem.weight.begin(), problem.weight.end(), 1.0);
   std::vector<Vector6d> residuals;
@@ -492,9 +495,9 @@ Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEqua
   bool fresh = false;
   const bool enough = warm != nullptr && !warm->due && starts.from_last(*warm);
   if (!enough && (!starts.has_solution() || !stop.stop_requested())) {
-    // The last result is not compared with the others by cost: what false closures that agree with each other
-    // have bent costs less, the more of them were taken in, and the test on odometry has no say in it any
-    // more.
+    // Costs do not decide between the last result and the other starts. False closures that agree with each
+    // other may have bent the last result; it costs less with each of them, and the test against odometry no
+    // longer excludes them.
     starts.forget();
     solve_from_all(given, starts);
     fresh = true;

@@ -10,20 +10,21 @@
 
 namespace loopwise::detail {
 
-/// An earlier result of a graph that has grown since.
+/// An earlier result of a graph that has grown since then.
 struct WarmStart {
-  std::vector<Pose> poses;  ///< Of all nodes and the fixed one: the earlier ones, and new ones chained on
-  std::vector<char> known;  ///< By edge: whether it was there
-  std::vector<char> kept;   ///< By edge: whether it was there and kept
-  std::size_t left_out_confirmed = 0;  ///< Closures left out that others confirm, by the last fresh solution
+  std::vector<Pose> poses;  ///< Of all nodes and the fixed one; new nodes are chained to the earlier ones
+  std::vector<char> known;  ///< By edge: whether it existed then
+  std::vector<char> kept;   ///< By edge: whether it was kept then
+  std::size_t left_out_confirmed = 0;    ///< Confirmed closures that the last fresh solution excluded
   OdometryVariances odometry_variances;  ///< Of the last fresh solution
-  bool due = false;  ///< A solution from scratch is due, and the last result not continued
+  bool due = false;                      ///< Whether a solution from scratch is due instead
 };
 
-/// Robust optimisation from `poses`, which end at the result; fills all of it but poses, components, held,
-/// seconds. \param warm where to start first, or null
-/// \param left_out_confirmed for the next WarmStart, filled by a fresh solution; null: not wanted
-/// \param variances of odometry, as the result has it
+/// Robust optimisation from `poses`, which are replaced by the result. Fills all fields of the result except
+/// poses, components, held and seconds.
+/// \param warm the earlier result to start from first, or null
+/// \param left_out_confirmed set by a fresh solution, for the next WarmStart; or null
+/// \param variances receives the variance factors of odometry in the result
 /// \returns the components of the result and the nodes that hold them.
 /// \throws InputError if the cost of the first estimate is not finite
 Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEquations& equations,
@@ -31,9 +32,9 @@ Freedom solve_gnc(const PoseGraph& graph, const PoseProblem& problem, NormalEqua
                   const GncOptions& gnc, ThreadPool& pool, const StopToken& stop, GncResult& result,
                   std::size_t* left_out_confirmed, OdometryVariances& variances);
 
-constexpr double kKept = 0.5;  ///< A closure of more weight counts as kept
+constexpr double kKept = 0.5;  ///< Closures of a larger weight count as kept
 
-/// Whether a kernel is that of truncated least squares.
+/// Whether the kernel is truncated least squares.
 [[nodiscard]] inline bool truncates(RobustKernel kernel) {
   return kernel == RobustKernel::kGncTls || kernel == RobustKernel::kTls;
 }

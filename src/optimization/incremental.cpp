@@ -21,9 +21,9 @@ using detail::Pose;
 
 namespace {
 
-/// A step that promises more than this share of what the one before did is a sign of slow descent.
+/// Descent is slow if a step promises more than this share of the step before.
 constexpr double kFastDescent = 0.1;
-/// Of the share from which factors are linearised anew, then.
+/// Slow descent multiplies the threshold of relinearisation by this factor.
 constexpr double kTightening = 0.1;
 
 }  // namespace
@@ -33,16 +33,16 @@ struct IncrementalOptimizer::Impl {
   OptimizerOptions optimization;
   IncrementalOptions options;
   ThreadPool pool;
-  NumberSet moved;                     // nodes whose poses `problem.graph` does not have yet
-  std::vector<double> x;               // the step, six values a position; zero between solutions
-  std::vector<std::uint32_t> visited;  // positions that the step was found for
+  NumberSet moved;                     // nodes whose new poses are not yet in `problem.graph`
+  std::vector<double> x;               // the step, six values per position; zero between solutions
+  std::vector<std::uint32_t> visited;  // positions for which the step was computed
 
   Impl(const OptimizerOptions& of_whole, const IncrementalOptions& of_updates)
       : optimization(of_whole), options(of_updates), pool(of_whole.threads) {}
 
   struct Step {
-    double promise = 0.0;  ///< By how much the linear model lowers the cost
-    double largest = 0.0;  ///< Element, in units of the deviation that a node's own factors leave it
+    double promise = 0.0;  ///< Predicted decrease of the cost
+    double largest = 0.0;  ///< Largest element, relative to the deviation by the node's own factors
   };
   Step solve();
   double move(std::vector<Pose>& before);
@@ -58,7 +58,7 @@ struct IncrementalOptimizer::Impl {
   }
 };
 
-/// The step for the open nodes, in `x`.
+/// Computes the step of the open nodes in `x`.
 IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve() {
   detail::IncrementalCholesky& cholesky = problem.cholesky();
   const std::vector<std::uint32_t>& open = problem.open().numbers();
@@ -83,7 +83,7 @@ IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve() {
   return step;
 }
 
-/// Moves the visited nodes by `x`, which is zero afterwards. \returns what the cost has changed by
+/// Moves the visited nodes by `x` and sets `x` to zero. \returns the change of the cost
 double IncrementalOptimizer::Impl::move(std::vector<Pose>& before) {
   before.clear();
   problem.clear_changed();
@@ -105,7 +105,7 @@ void IncrementalOptimizer::Impl::move_back(const std::vector<Pose>& before, doub
   problem.evaluate_back(cost, pool);
 }
 
-/// After the last step: what it left to do lies at the border of the visited nodes.
+/// After the last step: nodes at the border of the visited ones stay open.
 void IncrementalOptimizer::Impl::close() {
   NumberSet been;
   been.grow(problem.poses.size());
@@ -135,15 +135,16 @@ void IncrementalOptimizer::Impl::from_scratch(Initialization initialization, con
   problem.reorder();
   problem.open().clear();
   for (std::uint32_t i = 0; i < problem.poses.size() && !solution.converged; ++i) problem.open().insert(i);
-  // Where this fails, so does the next update, which is then made from scratch too.
+  // If this fails, the next update fails too and is also made from scratch.
   static_cast<void>(problem.factorize());
   result.from_scratch = result.reordered = true;
   result.iterations += solution.iterations;
   result.converged = solution.converged;
 }
 
-/// Quasi-Newton: exact gradient, a Hessian of poses near by. A step that does not lower the cost is taken
-/// back and tried with the Hessian of the present poses; if that fails too the damped optimiser takes over.
+/// Quasi-Newton: the gradient is exact, the Hessian belongs to nearby poses. A step that does not lower the
+/// cost is undone and repeated with the Hessian at the present poses. If that fails too, the damped optimiser
+/// takes over.
 void IncrementalOptimizer::Impl::descend(const StopToken& stop, IncrementalResult& result) {
   std::vector<Pose> before;
   double share = options.relinearization, promise = std::numeric_limits<double>::infinity();
@@ -162,7 +163,7 @@ void IncrementalOptimizer::Impl::descend(const StopToken& stop, IncrementalResul
     ++result.iterations;
     result.moved += visited.size();
     for (const std::uint32_t p : visited) moved.insert(problem.cholesky().variable_at(p));
-    // Where the steps shrink slowly the Hessian is of poses that are too far away.
+    // If the steps shrink slowly, the Hessian belongs to poses that are too far away.
     share = step.promise > kFastDescent * promise ? kTightening * std::min(share, options.relinearization)
                                                   : options.relinearization;
     promise = step.promise;

@@ -10,7 +10,7 @@
 namespace loopwise::detail {
 namespace {
 
-/// Block columns of a front of appended variables: they are dense among each other.
+/// Width of a front of appended variables, in block columns: they are dense among each other.
 constexpr std::uint32_t kAppendedWidth = 16;
 
 }  // namespace
@@ -91,8 +91,8 @@ void IncrementalCholesky::insert(std::uint32_t a, std::uint32_t b) {
   add_row(owner_[column], row);
 }
 
-/// A front that gains a row hands it to its parent, which then gains it too. Where the row comes before the
-/// parent's columns its front becomes the parent, and gains all rows of the child.
+/// A front that gains a row passes it to its parent, which then gains it too. If the row comes before the
+/// parent's columns, the row's front becomes the parent and gains all rows of the child.
 void IncrementalCholesky::add_row(std::uint32_t s, std::uint32_t position) {
   std::vector<std::uint32_t> gained{position}, merged;
   while (true) {
@@ -120,7 +120,7 @@ void IncrementalCholesky::add_row(std::uint32_t s, std::uint32_t position) {
 }
 
 std::vector<std::uint32_t> IncrementalCholesky::changed_fronts() {
-  for (std::size_t i = 0; i < changed_.size();) {  // which grows meanwhile
+  for (std::size_t i = 0; i < changed_.size();) {  // grows in the loop
     const int parent = fronts_[changed_[i++]].parent;
     if (parent >= 0) mark(static_cast<std::uint32_t>(parent));
   }

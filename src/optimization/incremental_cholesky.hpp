@@ -11,29 +11,30 @@
 
 namespace loopwise::detail {
 
-/// The Cholesky factor of a growing matrix of 6×6 blocks. Blocks may change, come between variables that are
-/// there, or come with new variables, which are last in the order of elimination. refactorize() makes the
-/// fronts of changed columns again, and those above them in the elimination tree. Every front keeps what it
-/// hands to its parent, which takes several times the memory of the factor.
+/// The Cholesky factor of a growing matrix of 6×6 blocks. Blocks may change, appear between existing
+/// variables, or come with new variables, which are last in the order of elimination. refactorize() computes
+/// the fronts of changed columns again, and all fronts above them in the elimination tree. Every front keeps
+/// its update matrix for the parent, so the memory is several times that of the factor.
 class IncrementalCholesky {
  public:
-  /// Orders a matrix with these off-diagonal blocks anew; pairs may repeat, in either direction.
+  /// Computes a new ordering of a matrix with these off-diagonal blocks; pairs may repeat, in either
+  /// direction.
   void analyze(std::size_t variables, const std::vector<BlockCholesky::Pair>& pairs);
   /// Adds a variable.
   void append();
-  /// Adds an off-diagonal block; one that is there already only counts as changed.
+  /// Adds an off-diagonal block. A block that already exists is only marked as changed.
   void insert(std::uint32_t a, std::uint32_t b);
-  /// The variable's diagonal block has changed, or a block below it.
+  /// Marks the variable's diagonal block, or a block below it, as changed.
   void touch(std::uint32_t variable);
 
   [[nodiscard]] std::size_t variables() const { return position_.size(); }
-  /// Place of a variable in the order of elimination.
+  /// Position of a variable in the order of elimination.
   [[nodiscard]] std::uint32_t position(std::uint32_t variable) const { return position_[variable]; }
   [[nodiscard]] std::uint32_t variable_at(std::uint32_t position) const { return variable_at_[position]; }
 
   /// \param load called as load(variable, add) for every changed column: calls add(row, block) for the
   ///        variable's diagonal block, and for the blocks whose row comes later in the order
-  /// \returns false if the matrix is not positive definite; analyze() again then
+  /// \returns false if the matrix is not positive definite; call analyze() again then
   template <class Load>
   [[nodiscard]] bool refactorize(Load&& load) {
     for (const std::uint32_t s : changed_fronts()) {
@@ -48,10 +49,11 @@ class IncrementalCholesky {
   }
 
   /// Solves for a right-hand side with few non-zero blocks.
-  /// \param nonzero positions of the blocks of x that are not zero
-  /// \param tolerance what lies below a part of the solution that is smaller is taken as zero
-  /// \param x six values a position: the right-hand side, then the solution
-  /// \param visited the positions that the solution was found for
+  /// \param nonzero positions of the non-zero blocks of x
+  /// \param tolerance the solution is not continued down the elimination tree where its elements, times
+  ///        firmness(), are below this
+  /// \param x six values per position: the right-hand side, then the solution
+  /// \param visited the positions for which the solution was computed
   void solve(const std::vector<std::uint32_t>& nonzero, double tolerance, std::vector<double>& x,
              std::vector<std::uint32_t>& visited);
 
@@ -60,7 +62,7 @@ class IncrementalCholesky {
     return firmness_[6 * std::size_t{position} + static_cast<std::size_t>(k)];
   }
 
-  /// Operations of one factorisation of everything.
+  /// Operations of one complete factorisation.
   [[nodiscard]] double flops() const;
   /// Operations of all calls of refactorize() since analyze().
   [[nodiscard]] double flops_spent() const { return flops_spent_; }
@@ -68,7 +70,7 @@ class IncrementalCholesky {
  private:
   struct Front {
     std::uint32_t first = 0, end = 0;     ///< Positions of its columns
-    int parent = -1;                      ///< The front that holds the first row below
+    int parent = -1;                      ///< Front that contains the first row below
     std::vector<std::uint32_t> rows;      ///< Positions below its columns, ascending
     std::vector<std::uint32_t> children;  ///< Fronts
     std::vector<double> l, u;
@@ -89,13 +91,13 @@ class IncrementalCholesky {
   std::vector<std::uint32_t> position_, variable_at_;
   std::vector<Front> fronts_;
   std::vector<std::uint32_t> owner_;         ///< By position: its front
-  std::vector<std::uint32_t> changed_;       ///< Fronts to make again, but for those above
-  std::vector<std::uint32_t> index_;         ///< By position: block row in the front at work
+  std::vector<std::uint32_t> changed_;       ///< Fronts to factorise again, without those above them
+  std::vector<std::uint32_t> index_;         ///< By position: block row in the current front
   std::vector<std::uint32_t> relative_;      ///< Workspace
   std::vector<double> diagonal_, gathered_;  ///< Workspace
   std::vector<char> on_path_;                ///< Workspace, by front
-  std::size_t first_appended_ = 0;           ///< Front; those before are of the analysis
-  std::vector<double> firmness_;             ///< Six values a position: square roots of the matrix's diagonal
+  std::size_t first_appended_ = 0;           ///< Front; the fronts before it are from the analysis
+  std::vector<double> firmness_;  ///< Six values per position: square roots of the matrix's diagonal
   double flops_spent_ = 0.0;
 };
 

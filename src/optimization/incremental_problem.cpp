@@ -10,13 +10,13 @@
 namespace loopwise::detail {
 namespace {
 
-/// What a new order of elimination costs, in factorisations of everything: it is due when updates have cost
-/// that much more than factorisations by a new order would have.
+/// Cost of a new order of elimination, in complete factorisations. A new order is due when the updates have
+/// cost this much more than complete factorisations would have.
 constexpr double kFactorizationsPerOrder = 8.0;
-/// Shares of a graph that may arrive at once without a new order.
+/// Shares of a graph that may be added at once without a new order.
 constexpr double kMostNewNodes = 0.1;
 constexpr double kMostNewFactors = 0.1;
-/// Added to the diagonal of the Hessian where a node is held: no step moves it then.
+/// Added to the diagonal of the Hessian at a held node, so that no step moves it.
 constexpr double kHeld = 1e30;
 
 Pose inverse_of(const Pose& pose) {
@@ -30,13 +30,14 @@ Pose pose_of(const Node& node) {
   return out;
 }
 
-/// How much a relative pose has changed: rad, or share of its length (at least 1 m).
+/// How much a relative pose has changed: the angle in rad or the share of its length (at least 1 m),
+/// whichever is larger.
 double change(const Pose& before, const Pose& now) {
   const double angle = (before.R - now.R).norm() / std::sqrt(2.0);  // 2 sin(θ/2)
   return std::max(angle, (before.t - now.t).norm() / std::max(1.0, before.t.norm()));
 }
 
-/// A range depends on nothing but T_to⁻¹ T_from.
+/// A range depends only on T_to⁻¹ T_from.
 LinearizedRange linearize_range(const RangeFactor& range, const Pose& e) {
   return linearize(range, isometry(e), Eigen::Isometry3d::Identity());
 }
@@ -66,7 +67,7 @@ std::uint32_t IncrementalProblem::add_factor(Kind kind, std::size_t index, std::
   return k;
 }
 
-/// What has come to `graph` since the last call.
+/// Adds the nodes and factors that `graph` has gained since the last call.
 void IncrementalProblem::know_additions() {
   for (std::size_t i = poses.size(); i < graph.nodes().size(); ++i) {
     poses.push_back(pose_of(graph.nodes()[i]));
@@ -99,7 +100,7 @@ void IncrementalProblem::know_edge(std::size_t edge) {
   waiting_.push_back(edge_factor_.back());
 }
 
-/// T_to⁻¹ T_from, on which all that a factor says depends; of gravity the pose of its node.
+/// T_to⁻¹ T_from, which determines residual and derivatives; for gravity the pose of its node.
 Pose IncrementalProblem::relative_pose(const Factor& f) const {
   if (f.kind == Kind::kGravity) return poses[f.to];
   return f.from == kFixed ? inverse_of(poses[f.to]) : between(poses[f.to], poses[f.from]);
@@ -114,7 +115,7 @@ IncrementalProblem::Measurement IncrementalProblem::measurement(const Factor& f)
   return {prior.pose, prior.information};
 }
 
-/// Blocks of the Hessian at a relative pose.
+/// Blocks of the Hessian of a factor at a relative pose.
 Contribution IncrementalProblem::contribution(const Factor& f, const Pose& e) const {
   Contribution out;
   if (f.kind == Kind::kRange) {
@@ -133,7 +134,7 @@ Contribution IncrementalProblem::contribution(const Factor& f, const Pose& e) co
   return out;
 }
 
-/// At a relative pose.
+/// Gradient and cost of a factor at a relative pose.
 void IncrementalProblem::evaluate(const Factor& f, const Pose& e, FactorGradient& gradient,
                                   double& cost) const {
   if (f.kind == Kind::kRange) {
@@ -152,7 +153,7 @@ void IncrementalProblem::evaluate(const Factor& f, const Pose& e, FactorGradient
   }
 }
 
-/// Puts a factor's gradient and cost into the sums.
+/// Adds a factor's gradient and cost to the sums.
 void IncrementalProblem::add_to_sums(const Factor& f) {
   gradients_[f.to] += f.gradient.to;
   if (f.from != kFixed) gradients_[f.from] += f.gradient.from;
@@ -174,7 +175,7 @@ void IncrementalProblem::sum_cost() {
   }
 }
 
-/// Adds a factor's part to the Hessian (sign 1), or takes it out (-1).
+/// Adds a factor's part to the Hessian (sign 1) or removes it (−1).
 void IncrementalProblem::add_to_hessian(Factor& f, double sign) {
   const Contribution c = contribution(f, f.linear);
   diagonals_[f.to] += sign * c.to_to;
@@ -205,7 +206,8 @@ void IncrementalProblem::deactivate(std::uint32_t k) {
   Factor& f = factors_[k];
   add_to_hessian(f, -1.0);
   active_[k] = 0;
-  // Not by subtraction: beside a false closure all else is rounding.
+  // Summed again instead of subtracted: the rounding error of a false closure's gradient may exceed the other
+  // gradients.
   sum_gradient(f.to);
   if (f.from != kFixed) sum_gradient(f.from);
   reopen(f);
@@ -222,7 +224,7 @@ bool IncrementalProblem::absorb() {
     reorder();
     return true;
   }
-  // What does not come to its end leaves no factor that could be used.
+  // If this is interrupted, the Cholesky factor cannot be used.
   sound_ = false;
   const auto first = static_cast<std::uint32_t>(absorbed_nodes_);
   for (; absorbed_nodes_ < poses.size(); ++absorbed_nodes_) {
@@ -319,7 +321,7 @@ bool IncrementalProblem::factorize() {
   return sound_;
 }
 
-/// One node is enough to hold a component.
+/// Joins the components of an edge's ends. One held node is enough for a component.
 void IncrementalProblem::join(const Factor& f) {
   const std::uint32_t a = components_.root(f.from), b = components_.root(f.to);
   if (!components_.join(a, b)) return;
@@ -354,7 +356,7 @@ void IncrementalProblem::find_components() {
   }
 }
 
-/// \param first nodes before are held already
+/// \param first nodes before this one are already held
 void IncrementalProblem::hold_components(std::uint32_t first) {
   for (std::uint32_t i = first; i < poses.size(); ++i) {
     if (components_.root(i) == i && has_prior_[i] == 0 && held_at_[i] == kFixed) hold(i);
@@ -403,7 +405,7 @@ double IncrementalProblem::evaluate_changed(ThreadPool& pool) {
         drift_[numbers[i]] = change(f.linear, now);
       }
     });
-    // Summed in the order of the factors: the number of threads does not change the result.
+    // Summed in the order of the factors, so that the number of threads does not change the result.
     for (std::size_t i = begin; i < end; ++i) {
       Factor& f = factors_[numbers[i]];
       const Evaluation& e = evaluations[i - begin];

@@ -14,7 +14,7 @@
 
 namespace loopwise::detail {
 
-/// Numbers, each at most once, in the order in which they came.
+/// A set of numbers in the order of their insertion.
 class NumberSet {
  public:
   void grow(std::size_t count) { in_.resize(count, 0); }
@@ -27,7 +27,7 @@ class NumberSet {
     for (const std::uint32_t number : numbers_) in_[number] = 0;
     numbers_.clear();
   }
-  /// Makes the order ascending.
+  /// Sorts the numbers in ascending order.
   void sort();
   [[nodiscard]] bool contains(std::uint32_t number) const { return in_[number] != 0; }
   [[nodiscard]] const std::vector<std::uint32_t>& numbers() const { return numbers_; }
@@ -37,23 +37,23 @@ class NumberSet {
   std::vector<std::uint32_t> numbers_;
 };
 
-/// A pose graph with the gradient at its poses and a factorised Hessian, both kept up to date as factors come
-/// and go and poses move. The Hessian's parts belong to poses near by: every factor has its own.
+/// A pose graph with the gradient at its poses and a factorised Hessian. Both are kept up to date while
+/// factors are added or removed and poses move. Each factor is linearised at poses of its own, near the
+/// present ones.
 class IncrementalProblem {
  public:
-  PoseGraph graph;          ///< Its poses are behind `poses` during an update
+  PoseGraph graph;          ///< Its poses are older than `poses` during an update
   std::vector<Pose> poses;  ///< By node
 
-  /// The edge's weight in `graph` is another; it takes effect with absorb().
+  /// Records that the edge's weight in `graph` has changed; absorb() applies it.
   void weight_changed(std::size_t edge) { reweighted_.push_back(edge); }
 
-  /// Nodes that are in the Hessian.
+  /// Number of nodes in the Hessian.
   [[nodiscard]] std::size_t absorbed_nodes() const { return absorbed_nodes_; }
-  /// Takes in what has been added to `graph` or weighted since the last call: into the order of elimination
-  /// as it is, or with a new one where that is needed or worth what it costs. \returns whether it is a new
-  /// one
+  /// Applies additions to `graph` and changes of weights since the last call. It keeps the order of
+  /// elimination, or computes a new one if that is necessary or cheaper. \returns whether the order is new
   bool absorb();
-  /// Takes everything in with a new order of elimination, linearised at the poses.
+  /// Applies all changes with a new order of elimination, linearised at the present poses.
   void reorder();
   /// \returns false if the Hessian is not positive definite
   [[nodiscard]] bool factorize();
@@ -66,18 +66,18 @@ class IncrementalProblem {
   /// Nodes whose gradient has changed since the set was cleared.
   [[nodiscard]] NumberSet& open() { return open_; }
 
-  /// Begins a choice of factors that are all empty of.
+  /// Empties the set of changed factors.
   void clear_changed() { changed_.clear(); }
-  /// The active factors at a node are among those whose relative pose has changed.
+  /// Adds the active factors of a node to the set of changed factors.
   void change_at(std::uint32_t node);
-  /// Brings cost and gradient of the changed factors up to date. \returns what the cost has changed by
+  /// Updates cost and gradient of the changed factors. \returns the change of the cost
   double evaluate_changed(ThreadPool& pool);
-  /// The same where the poses are back where the cost was `cost`, free of what rounding has left behind.
+  /// The same after a step was undone, where the cost was `cost`; removes the rounding errors of both moves.
   void evaluate_back(double cost, ThreadPool& pool);
-  /// Linearises the changed factors anew whose relative pose has changed by more than a share of itself.
-  /// \returns how many
+  /// Linearises those changed factors again whose relative pose has changed by more than `share` (rad, or
+  /// share of the length). \returns their number
   std::size_t relinearize(double share);
-  /// Makes the nodes of the changed factors open: of all, or of those that do not lie wholly within a set.
+  /// Makes the nodes of the changed factors open, except for factors with both ends in `within`.
   void reopen_changed(const NumberSet* within = nullptr);
 
  private:
@@ -86,12 +86,12 @@ class IncrementalProblem {
   struct Factor {
     Kind kind;
     std::uint32_t index;                ///< In the graph's list of its kind
-    std::uint32_t from, to;             ///< Nodes; `from` is kFixed where there is one
-    double weight = 1.0;                ///< Of an edge, as far as it has been taken in
+    std::uint32_t from, to;             ///< Nodes; `from` is kFixed if the factor has only one
+    double weight = 1.0;                ///< Of an edge, as of the last absorb() or reorder()
     double cost = 0.0;                  ///< At the poses
     FactorGradient gradient{};          ///< At the poses
-    Pose linear{};                      ///< relative_pose() that its part of the Hessian belongs to
-    Matrix6d cross = Matrix6d::Zero();  ///< Of that part: rows of `to`, columns of `from`
+    Pose linear{};                      ///< relative_pose() at its linearisation
+    Matrix6d cross = Matrix6d::Zero();  ///< Block of the Hessian: rows of `to`, columns of `from`
   };
   struct Measurement {
     const Eigen::Isometry3d& Z;
@@ -127,11 +127,11 @@ class IncrementalProblem {
   void release(std::uint32_t root);
 
   std::vector<Factor> factors_;
-  std::vector<char> active_;   // by factor: it takes part
-  std::vector<double> drift_;  // by factor: share by which its relative pose differs from Factor::linear
-  std::vector<std::uint32_t> edge_factor_;              // by edge
+  std::vector<char> active_;                // by factor
+  std::vector<double> drift_;               // by factor: change of its relative pose since Factor::linear
+  std::vector<std::uint32_t> edge_factor_;  // by edge
   std::vector<std::vector<std::uint32_t>> factors_of_;  // by node
-  std::vector<std::uint32_t> waiting_;                  // factors that are new or of another weight
+  std::vector<std::uint32_t> waiting_;                  // factors that are new or have a new weight
   std::vector<std::size_t> reweighted_;                 // edges
   std::size_t known_priors_ = 0, known_ranges_ = 0, known_gravities_ = 0;
   std::size_t absorbed_nodes_ = 0;
@@ -140,7 +140,7 @@ class IncrementalProblem {
   std::vector<char> has_prior_;         // by component's root
   std::vector<std::uint32_t> held_at_;  // by component's root without a prior: the node that holds it
   std::vector<char> held_;              // by node
-  bool came_apart_ = false;             // an edge has left: components may have
+  bool came_apart_ = false;             // an edge was removed, so components may have separated
 
   IncrementalCholesky cholesky_;
   std::vector<Matrix6d> diagonals_;  // by node: its block of the Hessian
@@ -149,8 +149,8 @@ class IncrementalProblem {
   NumberSet open_;                   // nodes
   bool sound_ = true;                // the last factorisation succeeded
   NumberSet changed_;                // factors
-  double flops_when_ordered_ = 0.0;  // of a factorisation of everything
-  double excess_ = 0.0;              // operations of factorisations beyond that
+  double flops_when_ordered_ = 0.0;  // of one complete factorisation
+  double excess_ = 0.0;              // operations of factorisations in excess of complete ones
 };
 
 }  // namespace loopwise::detail

@@ -15,11 +15,11 @@ namespace loopwise {
 namespace detail {
 namespace {
 
-/// Chained from the nodes that are known, then from priors, then from the first remaining node.
+/// Chains poses along edges from the known nodes, then from priors, then from the first remaining node.
 std::vector<Eigen::Isometry3d> chain(const PoseGraph& graph, std::vector<Eigen::Isometry3d> poses,
                                      std::vector<char> known) {
   std::deque<std::size_t> fresh;
-  // Closures wait until the odometry from all known nodes has been followed.
+  // Closures are followed only after the odometry from all known nodes.
   std::deque<std::pair<std::size_t, std::size_t>> closures;  // edge, known end
   const auto place = [&](std::size_t node, const Eigen::Isometry3d& pose) {
     poses[node] = se3::normalized(pose);
@@ -79,9 +79,9 @@ Eigen::Matrix3d nearest_rotation(const Eigen::Matrix3d& m) {
   return u * svd.matrixV().transpose();
 }
 
-/// The chordal relaxation (Martinec and Pajdla, CVPR 2007; Carlone et al., ICRA 2015, §IV-B). With y_i the
-/// three columns of R_iᵀ stacked, every edge asks for y_to = Zᵀ y_from: one linear system of 3×3 blocks with
-/// three right-hand sides, whose solutions are then projected on SO(3). A second system gives the
+/// The chordal relaxation (Martinec and Pajdla, CVPR 2007; Carlone et al., ICRA 2015, §IV-B). Let y_i be the
+/// stacked columns of R_iᵀ; every edge requires y_to = Zᵀ y_from. This is one linear system of 3×3 blocks
+/// with three right-hand sides; its solutions are projected on SO(3). A second linear system gives the
 /// translations.
 class Chordal {
  public:
@@ -220,14 +220,15 @@ std::vector<Pose> first_estimate(Initialization kind, const PoseGraph& graph, co
     if (graph.planar()) std::transform(poses.begin(), poses.end(), poses.begin(), planar::flattened);
     return problem.poses_of(poses);
   }
-  return chained();  // information without a rotational or translational part: no linear system
+  return chained();  // without information on rotation or translation there is no linear system
 }
 
 std::vector<FirstEstimate> ranked_estimates(const PoseGraph& graph, const PoseProblem& problem,
                                             const OptimizerOptions& options, bool chordal,
                                             const std::function<double(const std::vector<Pose>&)>& cost,
                                             int& factorizations) {
-  // Noise alone costs half its degrees of freedom; from a few times as much every step leads downhill.
+  // Noise alone costs half of the redundant degrees of freedom. From a few times this cost, descent reaches
+  // the minimum.
   constexpr double kGoodStart = 4.0;
   const double redundant = graph.degrees_of_freedom() *
                            (static_cast<double>(problem.factors()) - static_cast<double>(problem.nodes()));

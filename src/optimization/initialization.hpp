@@ -12,7 +12,7 @@
 
 namespace loopwise::detail {
 
-/// The first estimate of this kind; adds the factorisations that it took. \pre `kind` is not kAuto
+/// Computes the first estimate of this kind and counts its factorisations. \pre `kind` is not kAuto
 [[nodiscard]] std::vector<Pose> first_estimate(Initialization kind, const PoseGraph& graph,
                                                const PoseProblem& problem, const OptimizerOptions& options,
                                                int& factorizations);
@@ -23,13 +23,13 @@ struct FirstEstimate {
   std::vector<Pose> poses;
   double cost = 0.0;
 };
-/// What kAuto starts from: the cheapest first. The graph's own poses alone where they cost little more than
-/// noise does. \param cost of poses \param chordal whether the chordal estimate is one of them
+/// The candidates of kAuto, in ascending order of cost. If the graph's own poses cost little more than noise,
+/// they are the only candidate. \param cost of poses \param chordal whether to include the chordal estimate
 [[nodiscard]] std::vector<FirstEstimate> ranked_estimates(
     const PoseGraph& graph, const PoseProblem& problem, const OptimizerOptions& options, bool chordal,
     const std::function<double(const std::vector<Pose>&)>& cost, int& factorizations);
 
-/// Poses of all nodes where some are known: the others are chained on as Initialization::kOdometry does.
+/// Completes known poses: the other nodes are chained to them as by Initialization::kOdometry.
 [[nodiscard]] std::vector<Eigen::Isometry3d> extended(const PoseGraph& graph,
                                                       std::vector<Eigen::Isometry3d> poses,
                                                       std::vector<char> known);

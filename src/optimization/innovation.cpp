@@ -23,7 +23,7 @@ double steps(std::uint32_t a, std::uint32_t b) {
   return std::abs(static_cast<double>(a) - b);
 }
 
-/// Mean over the directions in which poses of the graph are free.
+/// Mean variance over the free directions of the graph's poses.
 double mean_variance(const PoseGraph& graph, const Matrix6d& m) {
   return (graph.planar() ? planar::trace(m) : m.trace()) / graph.degrees_of_freedom();
 }
@@ -79,9 +79,9 @@ void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {
   });
 }
 
-/// Nearest in steps of odometry at both ends, among those that are surer than the limit and not farther than
-/// the ends themselves are. Where none around is sure enough the search ends after a while: far ones say
-/// little.
+/// The kept closure with the fewest steps of odometry at both ends. It must have a lower variance than the
+/// limit, and fewer steps than the direct path between the ends. The search is bounded, because distant
+/// closures give little information.
 const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from, std::size_t to,
                                                                 double variance_limit) const {
   constexpr int kMostSeen = 10000;  // to either side
@@ -93,7 +93,7 @@ const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from
   const Kept* best = nullptr;
   double fewest = root == other_root ? steps(place, other_place) : std::numeric_limits<double>::infinity();
   int seen = 0;
-  // \returns whether one farther on may be nearer still.
+  // \returns whether the next one may be nearer.
   const auto consider = [&](const Kept& k) {
     if (k.root != root || k.other_root != other_root || ++seen > kMostSeen) return false;
     const double at_this_end = steps(k.place, place);
@@ -110,8 +110,8 @@ const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from
   return best;
 }
 
-/// T_from_to = A B C: along odometry, across the kept closure, along odometry; every error is carried to the
-/// right of the product. \pre the closures join the same trees, as nearest() sees to
+/// T_from_to = A B C: along odometry, across the kept closure, along odometry. Every error is transformed to
+/// the right of the product. \pre the closures join the same trees, as nearest() ensures
 Matrix6d NeighbourInnovations::covariance_across(const Kept& kept, std::size_t from, std::size_t to) const {
   const Edge& edge = graph_.edges()[kept.edge];
   auto [near_from, near_to] = graph_.ends(kept.edge);
@@ -141,7 +141,7 @@ NeighbourInnovations::Innovation NeighbourInnovations::operator()(std::size_t e,
   const double variance = mean_variance(graph_, information * across);
   if (!(variance < mean_variance(graph_, information * direct))) return {};
   const double d2 = squared_innovation(information, across, residual);
-  // Far from the origin a difference of covariances may have lost its digits.
+  // Far from the origin, rounding may make a difference of covariances invalid.
   return d2 >= 0.0 && variance >= 0.0 ? Innovation{d2, variance} : Innovation{};
 }
 

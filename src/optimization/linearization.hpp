@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Residual and derivatives of a relative pose, in the order in which they cost least: the innermost work of
-/// optimisation, in line.
+/// Residuals and derivatives of relative poses with few operations, inline: they are the innermost loop of
+/// the optimisation.
 #pragma once
 
 #include <cmath>
@@ -52,7 +52,7 @@ inline Vector6d log_of_product(const Pose& z, const Pose& e) {
   return r;
 }
 
-/// What one factor adds to the system: blocks of H and of g.
+/// Contribution of one factor to the linear system: blocks of H and of g.
 struct Contribution {
   Matrix6d to_to, to_from, from_from;
   Vector6d g_to, g_from;
@@ -70,7 +70,7 @@ struct CouplingCoefficients {
 
 inline CouplingCoefficients coupling_coefficients(double t2) {
   if (t2 < 1.0) {
-    // Σ (−θ²)ᵏ/(2k+3)!, Σ (−θ²)ᵏ/(2k+4)!, Σ (k+1)(−θ²)ᵏ/(2k+5)!: the first left out is below 1e-17.
+    // Σ (−θ²)ᵏ/(2k+3)!, Σ (−θ²)ᵏ/(2k+4)!, Σ (k+1)(−θ²)ᵏ/(2k+5)!: the first omitted term is below 1e-17.
     static constexpr double k1[] = {
         1.0 / 6,        1.0 / 120,        1.0 / 5040,          1.0 / 362880,
         1.0 / 39916800, 1.0 / 6227020800, 1.0 / 1307674368000, 1.0 / 355687428096000};
@@ -112,9 +112,9 @@ inline InverseJacobian inverse_right_jacobian(const Eigen::Vector3d& rho, const 
   return j;
 }
 
-/// With J_to = J_r⁻¹(r) =: [a b; 0 a] and J_from = −J_to Ad(E), E = T_to⁻¹ T_from, all blocks follow from
-/// A = J_toᵀ wΩ J_to and B = A Ad(E), taken apart into 3×3 products because half of every factor is zero or
-/// repeated.
+/// With J_to = J_r⁻¹(r) =: [a b; 0 a] and J_from = −J_to Ad(E), E = T_to⁻¹ T_from, all blocks follow from A =
+/// J_toᵀ wΩ J_to and B = A Ad(E). They are computed from 3×3 products, because half of the blocks of every
+/// factor are zero or repeated.
 inline void linearize_factor(const Vector6d& r, const Pose& e, const Matrix6d& information, double weight,
                              bool both, Contribution& out) {
   const Eigen::Vector3d rho = r.head<3>(), phi = r.tail<3>();
@@ -159,12 +159,12 @@ inline void linearize_factor(const Vector6d& r, const Pose& e, const Matrix6d& i
   out.g_from.tail<3>() = -(tR.transpose() * g_t + R.transpose() * g_r);
 }
 
-/// Gradient of one factor by the poses of its two ends.
+/// Gradient of one factor with respect to the poses of its two ends.
 struct FactorGradient {
   Vector6d to = Vector6d::Zero(), from = Vector6d::Zero();
 };
 
-/// The gradient that linearize_factor() gives, without the blocks of the Hessian.
+/// The gradient of linearize_factor(), without the blocks of the Hessian.
 inline FactorGradient factor_gradient(const Vector6d& r, const Pose& e, const Matrix6d& information,
                                       double weight) {
   const InverseJacobian j = inverse_right_jacobian(r.head<3>(), r.tail<3>());
@@ -177,13 +177,13 @@ inline FactorGradient factor_gradient(const Vector6d& r, const Pose& e, const Ma
   return out;
 }
 
-/// T ⊕ xi, the rotation kept orthogonal.
+/// T ⊕ xi; the rotation stays orthogonal.
 template <class Vector>
 Pose moved_by(const Pose& pose, const Eigen::MatrixBase<Vector>& xi) {
   const Eigen::Vector3d phi = xi.template tail<3>();
   Pose out;
   out.t = pose.t + pose.R * (se3::so3_left_jacobian(phi) * xi.template head<3>());
-  // One step of Newton's iteration for the polar factor keeps rounding from building up.
+  // One step of Newton's iteration for the polar factor prevents an accumulation of rounding errors.
   const Eigen::Matrix3d R = pose.R * se3::so3_exp(phi);
   out.R = 1.5 * R - 0.5 * R * (R.transpose() * R);
   return out;

@@ -19,7 +19,7 @@ namespace loopwise {
 namespace {
 
 constexpr std::uint32_t kHeld = detail::Freedom::kFixed;
-/// From so many on, one selected inversion costs less than columns of the inverse.
+/// From this number of pairs on, one selected inversion costs less than columns of the inverse.
 constexpr std::size_t kManyPairs = 32;
 
 void add_traces(Marginals& m) {
@@ -30,7 +30,7 @@ void add_traces(Marginals& m) {
   }
 }
 
-/// A with AᵀA = the matrix, for one that may be semi-definite.
+/// A with AᵀA = m; m may be semi-definite.
 Matrix6d square_root(const Matrix6d& m) {
   const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(m);
   return solver.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal() * solver.eigenvectors().transpose();
@@ -68,7 +68,7 @@ struct HessianFactor::Impl {
     return found->second;
   }
 
-  /// Solves with the factor. Of a planar graph z, roll and pitch are known exactly.
+  /// Solves with the factor. In a planar graph z, roll and pitch are known exactly.
   template <class Solve>
   void solve_with(Solve&& solve, Eigen::MatrixXd& x) const {
     solve(panels, x);
@@ -107,10 +107,11 @@ struct HessianFactor::Impl {
   }
 
   using Pairs = std::vector<std::pair<std::size_t, std::size_t>>;
-  /// The joint covariances of some pairs by the columns of their nodes, a bounded number at a time.
+  /// Joint covariances of the pairs `some`, from the columns of their nodes, a bounded number of columns at a
+  /// time.
   void joint_by_columns(const Pairs& pairs, const std::vector<std::size_t>& some,
                         std::vector<Matrix12d>& out) const;
-  /// Those of the pairs whose blocks are in the factor. \returns the others
+  /// Joint covariances of the pairs whose blocks are in the factor. \returns the other pairs
   [[nodiscard]] std::vector<std::size_t> joint_by_selection(const Pairs& pairs,
                                                             std::vector<Matrix12d>& out) const;
 };
@@ -118,7 +119,7 @@ struct HessianFactor::Impl {
 void HessianFactor::Impl::joint_by_columns(const Pairs& pairs, const std::vector<std::size_t>& some,
                                            std::vector<Matrix12d>& out) const {
   constexpr std::size_t kNodesAtATime = 64;
-  std::map<std::size_t, std::vector<std::size_t>> by_node;  // node: pairs that it is in
+  std::map<std::size_t, std::vector<std::size_t>> by_node;  // node: its pairs
   for (const std::size_t k : some) {
     by_node[pairs[k].first].push_back(k);
     if (pairs[k].second != pairs[k].first) by_node[pairs[k].second].push_back(k);
@@ -154,7 +155,7 @@ std::vector<std::size_t> HessianFactor::Impl::joint_by_selection(const Pairs& pa
   std::vector<std::pair<Eigen::Index, std::size_t>> wanted;  // first column of the block, pair
   for (std::size_t k = 0; k < pairs.size(); ++k) {
     const auto [a, b] = pairs[k];
-    // Others have no blocks but diagonal ones.
+    // Pairs with a held node, and pairs of one node, need only diagonal blocks.
     if (a != b && !held(a) && !held(b)) wanted.emplace_back(std::min(row(a), row(b)), k);
   }
   std::sort(wanted.begin(), wanted.end());
@@ -376,7 +377,8 @@ Marginals HessianFactor::marginals_with(const std::vector<Edge>& edges, const Ma
         rows[e].J_to * rows_at(nodes[static_cast<std::size_t>(rows[e].to / 6)]);
   }
   const Eigen::LLT<Eigen::MatrixXd> factor(0.5 * (S + S.transpose()));
-  const Eigen::MatrixXd G = factor.matrixL().solve(SJt.transpose());  // Gᵀ G is what the covariance loses
+  const Eigen::MatrixXd G =
+      factor.matrixL().solve(SJt.transpose());  // Gᵀ G is subtracted from the covariance
   Marginals out = base;
   for (std::size_t node = 0; node < out.covariances.size(); ++node) {
     if (m.held(node)) continue;

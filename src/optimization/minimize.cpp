@@ -10,19 +10,19 @@
 namespace loopwise::detail {
 namespace {
 
-/// Damping that the first refused step brings in, and the bound beyond which steps are too short to matter.
+/// Damping after the first refused step, and the bound beyond which steps are too short to matter.
 constexpr double kFirstDamping = 1e-4;
 constexpr double kLargestDamping = 1e12;
-/// Damping this small leaves the step a Gauss-Newton one.
+/// Damping below this is replaced by 0: a Gauss-Newton step.
 constexpr double kSmallestDamping = 1e-9;
 
-/// Steps that promise less than this share of the cost may use the factor of the step before, as long as each
-/// promises less than this share of its predecessor.
+/// A step may reuse the factor of the previous step if its predicted decrease is below kReuseBelow of the
+/// cost, and below kReuseContraction of the previous step's predicted decrease.
 constexpr double kReuseBelow = 1e-2;
 constexpr double kReuseContraction = 0.25;
 
-/// A step that lowers the cost by less than this share of its promise is tried again, shorter; not below a
-/// fraction.
+/// A step is tried again with a shorter length if it lowers the cost by less than kPoorDecrease of the
+/// prediction. The length is at least kShortestFraction of the step.
 constexpr double kPoorDecrease = 0.4;
 constexpr double kShortestFraction = 0.05;
 
@@ -32,7 +32,7 @@ double largest(const Eigen::VectorXd& v) {
 
 std::string describe(Termination termination, const OptimizationResult& r) {
   std::ostringstream out;
-  out.exceptions(std::ios::badbit);  // no memory must not make half a message
+  out.exceptions(std::ios::badbit);  // an allocation failure throws instead of leaving half a message
   switch (termination) {
     case Termination::kConverged:
       out << "converged";
@@ -79,7 +79,7 @@ class Minimizer {
   }
 
  private:
-  /// Whether a step that promises this much is one to end with.
+  /// Whether the step with this prediction is the last one: it is below the tolerances.
   [[nodiscard]] bool small(const IterationRecord& record) const {
     if (record.damping == 0.0 && record.step <= options_.step_tolerance) return true;
     return record.predicted <= options_.cost_tolerance * cost_ &&
@@ -137,8 +137,9 @@ class Minimizer {
     }
   }
 
-  /// Near the minimum the last factor is as good as a new one and far cheaper: steps with it as long as each
-  /// is a fraction of the one before. \returns true if that led to convergence.
+  /// Near the minimum the last factor is nearly exact, and using it again costs far less than a new one.
+  /// Takes steps with it as long as their predicted decrease contracts. \returns true if this led to
+  /// convergence.
   bool reuse_factor(int& iteration) {
     double last_predicted = std::numeric_limits<double>::infinity();
     while (iteration + 1 < options_.max_iterations && !stop_.stop_requested()) {
@@ -177,11 +178,12 @@ class Minimizer {
   bool factorize() {
     const double damping = control_.damping;
     added_ = damping * diagonal_;
-    // A direction that no factor touches has a zero diagonal: any positive value holds it in place.
+    // A direction without a factor has a zero diagonal; any positive value keeps it in place.
     if (damping > 0.0) added_ = added_.cwiseMax(damping * std::max(1e-12 * diagonal_.maxCoeff(), 1e-300));
     hessian_.set_diagonal(diagonal_ + added_);
     ++result_.factorizations;
-    // A damped matrix may be as good as singular; an undamped one would give a step along an open direction.
+    // A damped matrix may be nearly singular. An undamped one must not be: it would give a step along an
+    // undetermined direction.
     const double least = damping > 0.0 ? std::numeric_limits<double>::min() : kSingularPivot;
     const bool sound = hessian_.factorize(&pool_) && hessian_.smallest_pivot().first >= least;
     if (!sound && damping < kFirstDamping) result_.underdetermined = true;
@@ -194,7 +196,7 @@ class Minimizer {
     return step;
   }
 
-  /// Moves there if that lowers the cost.
+  /// Takes the step if it lowers the cost.
   void try_step(const Eigen::VectorXd& step, IterationRecord& record) {
     std::vector<Pose> trial = equations_.moved(poses_, step);
     const double cost = problem_.cost(trial, pool_, trial_residuals_);
@@ -209,8 +211,9 @@ class Minimizer {
     cost_ = cost;
   }
 
-  /// The step went past the lowest point on its way: a parabola through the cost, its slope and the cost at
-  /// the step's end says where that is. One more evaluation instead of another factorisation.
+  /// The step passed the minimum along its direction. A parabola through the cost, its slope and the cost at
+  /// the end of the step predicts that minimum. This takes one more evaluation instead of another
+  /// factorisation.
   void try_shorter(const Eigen::VectorXd& step, IterationRecord& record) {
     if (!std::isfinite(record.cost)) return;
     const double slope = equations_.gradient().dot(step);  // negative
@@ -256,8 +259,8 @@ class Minimizer {
 
   double cost_ = 0.0;
   double growth_ = 2.0;
-  bool gradient_is_current_ = false;  // that of the equations is the one at poses_
-  std::vector<Pose> start_;           // of the step accepted last
+  bool gradient_is_current_ = false;  // whether the gradient in the equations is that at poses_
+  std::vector<Pose> start_;           // of the last accepted step
   std::vector<Vector6d> residuals_, trial_residuals_;
   Eigen::VectorXd diagonal_, added_;
 };

@@ -9,15 +9,16 @@
 namespace loopwise::detail {
 namespace {
 
-/// Merging a panel with its last child adds zeros to L but saves a front. Allowed share of zeros by width.
+/// Merging a panel with its last child adds zeros to L but saves a front. The allowed share of zeros depends
+/// on the width.
 bool worth_merging(std::size_t block_columns, double zeros, double entries) {
   const double share = zeros / entries;
   return block_columns <= 2 ? share < 0.4 : block_columns <= 8 ? share < 0.2 : share < 0.05;
 }
 
-/// Below so many operations threads are not worth waking.
+/// Below this number of operations, threads cost more than they save.
 constexpr double kLeastParallelFlops = 5e7;
-/// Work is handed to threads in pieces of at most this part of the whole.
+/// A thread gets subtrees of at most one part in kSubtreesOfWork of the work.
 constexpr double kSubtreesOfWork = 16.0;
 
 }  // namespace
@@ -75,7 +76,7 @@ void MultifrontalCholesky::make_panels(const std::vector<int>& parent, const std
 void MultifrontalCholesky::make_rows(const BlockPattern& pattern) {
   const std::size_t n = first_.back();
   std::vector<std::uint32_t> seen(n, UINT32_MAX), index(n, 0);
-  std::vector<std::size_t> waiting;  // panels whose parent is to come
+  std::vector<std::size_t> waiting;  // panels whose parent has not been visited
   std::size_t top = 0;
   places_.resize(pattern.rows.size());
   row_start_.push_back(0);
@@ -142,12 +143,12 @@ void MultifrontalCholesky::load_panel(std::size_t s, const double* values, doubl
   }
 }
 
-/// Memory for the updates of one run, and the updates that wait for their parents.
+/// Stack memory of one run, and the updates that its later panels will use.
 struct MultifrontalCholesky::Run {
   struct Update {
     std::size_t panel;
     const double* u;
-    std::size_t size;  ///< On this run's stack; 0: another run's
+    std::size_t size;  ///< On this run's stack; 0 if on another run's stack
   };
   double* stack;
   std::size_t top = 0;
@@ -155,7 +156,7 @@ struct MultifrontalCholesky::Run {
   std::size_t broken_at = 0;  ///< Block column
 };
 
-/// Panels begin … end − 1, whose children are among them or among the updates that wait.
+/// Factorises panels begin … end − 1; their children are among them or among the waiting updates.
 bool MultifrontalCholesky::factorize_range(std::size_t begin, std::size_t end, const double* values,
                                            Run& run) {
   const FrontKernels& kernel = front_kernels();
@@ -213,7 +214,8 @@ bool MultifrontalCholesky::factorize(const double* values, ThreadPool* pool) {
       sound[k] = factorize_range(subtrees[k].begin, subtrees[k].end, values, runs[k]) ? 1 : 0;
     });
   }
-  // Fronts add their children in the same order in any case: the number of threads does not change a bit.
+  // Fronts add their children in a fixed order, so the result is the same to the bit for any number of
+  // threads.
   std::size_t at = 0;
   for (std::size_t k = 0; k < subtrees.size(); ++k) {
     if (!factorize_range(at, subtrees[k].begin, values, top)) return broken(top);
@@ -232,7 +234,7 @@ bool MultifrontalCholesky::broken(const Run& run) {
   return false;
 }
 
-/// Disjoint subtrees that are each a small part of the work; in order.
+/// Disjoint subtrees, each a small part of the work, in order.
 std::vector<MultifrontalCholesky::Subtree> MultifrontalCholesky::independent_subtrees() const {
   std::vector<double> flops(size());
   std::vector<std::size_t> first(size());
@@ -261,7 +263,7 @@ std::vector<MultifrontalCholesky::Subtree> MultifrontalCholesky::independent_sub
   return out;
 }
 
-/// What factorize_range() puts on its stack.
+/// The largest size of factorize_range()'s stack.
 std::size_t MultifrontalCholesky::stack_size(std::size_t begin, std::size_t end) const {
   std::vector<std::size_t> waiting;
   std::size_t top = 0, most = 0;

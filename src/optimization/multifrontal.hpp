@@ -18,7 +18,7 @@ struct BlockPattern {
   std::vector<std::uint32_t> rows;
 };
 
-/// Which block columns make a front, and which block rows lie below them.
+/// The block columns of each front, and the block rows below them.
 struct FrontShape {
   std::vector<std::uint32_t> first;    ///< Block column, by front; one more at the end.
   std::vector<int> parent;             ///< Front, -1 for a root
@@ -26,10 +26,10 @@ struct FrontShape {
   std::vector<std::uint32_t> rows;
 };
 
-/// Cholesky factorisation of a symmetric matrix of 6×6 blocks by fronts (Duff and Reid, 1983): the columns of
-/// L that share their rows are one dense panel, and what they take from later columns is handed to the parent
-/// in the elimination tree as a dense matrix. Columns are in postorder. Pose graphs have hundreds of small
-/// fronts, for which the kernels here are made; BLAS does the large ones.
+/// Cholesky factorisation of a symmetric matrix of 6×6 blocks by fronts (Duff and Reid, 1983). Columns of L
+/// with the same rows are one dense panel; their update of later columns is a dense matrix that the parent in
+/// the elimination tree adds. Columns are in postorder. Pose graphs have hundreds of small fronts, for which
+/// the kernels here are made; BLAS computes the large ones.
 class MultifrontalCholesky {
  public:
   /// \param parent of each block column in the elimination tree, -1 for a root
@@ -37,23 +37,24 @@ class MultifrontalCholesky {
   MultifrontalCholesky(const BlockPattern& pattern, const std::vector<int>& parent,
                        const std::vector<int>& count);
 
-  /// \param values the blocks of the pattern one after the other, 36 values each, column-major; of a diagonal
-  ///        block the lower triangle counts.
+  /// \param values the blocks of the pattern one after the other, 36 values each, column-major; only the
+  /// lower
+  ///        triangle of diagonal blocks is used.
   /// \param pool for independent subtrees of the elimination tree, or null; it never changes the result
   /// \returns false if the matrix is not positive definite.
   [[nodiscard]] bool factorize(const double* values, ThreadPool* pool = nullptr);
-  /// Block column at which the last factorisation broke off; the number of columns if it did not.
+  /// Block column at which the last factorisation failed; the number of columns if it succeeded.
   [[nodiscard]] std::size_t broken_at() const { return broken_at_; }
 
   /// Solves L·Lᵀ·x = y in place.
   void solve(double* x) const;
-  /// x := L⁻¹x. Fronts above which x is zero cost nothing.
+  /// x := L⁻¹x. Fronts whose part of x is zero are skipped.
   void solve_lower(double* x) const;
   /// Squares of the diagonal of L. \pre factorize() was successful
   [[nodiscard]] std::vector<double> pivots() const;
   [[nodiscard]] Panels panels() const;
   [[nodiscard]] FrontShape front_shape() const { return {first_, parent_, row_start_, rows_}; }
-  /// The same without a copy; the next factorisation starts afresh.
+  /// The same without a copy; the next factorisation allocates again.
   [[nodiscard]] Panels take_panels();
 
  private:
@@ -64,13 +65,13 @@ class MultifrontalCholesky {
   [[nodiscard]] int below(std::size_t s) const {
     return 6 * static_cast<int>(row_start_[s + 1] - row_start_[s]);
   }
-  /// Doubles in what a panel hands to its parent.
+  /// Number of doubles in a panel's update for its parent.
   [[nodiscard]] std::size_t update_size(std::size_t s) const {
     const auto m = static_cast<std::size_t>(below(s));
     return m * m;
   }
   struct Run;
-  /// Panels begin … end − 1, all below the last of them in the tree.
+  /// Panels begin … end − 1, the last of which is the root of the subtree.
   struct Subtree {
     std::size_t begin, end, stack_size;
   };
@@ -97,7 +98,7 @@ class MultifrontalCholesky {
   std::vector<Place> places_;  // of the matrix's blocks
   std::size_t stack_size_ = 0;
   std::size_t broken_at_ = 0;
-  std::unique_ptr<double[]> stack_;  // updates that wait for their parents
+  std::unique_ptr<double[]> stack_;  // waiting updates
   std::vector<double> values_;
 };
 

@@ -67,7 +67,7 @@ void OdometryForest::grow(const PoseGraph& graph, std::uint32_t from, const std:
       const auto step = covariance_of(edge.information);
       if (!step) continue;
       poses_[next] = se3::normalized(poses_[node] * (forward ? edge.T_from_to : edge.T_from_to.inverse()));
-      // The measurement's error sits on the right of its `to` end.
+      // The error of the measurement is on the right of the pose of its `to` end.
       const Matrix6d ad = se3::adjoint(forward ? poses_[next] : poses_[node]);
       covariance_[next] = covariance_[node] + ad * *step * ad.transpose();
       parent_[next] = node;

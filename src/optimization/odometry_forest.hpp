@@ -13,22 +13,22 @@ namespace loopwise::detail {
 /// Ω⁻¹, or nothing if Ω is singular.
 [[nodiscard]] std::optional<Matrix6d> covariance_of(const Matrix6d& information);
 
-/// Trees of known inliers (odometry, trusted edges) with the poses chained along them and their covariance.
-/// Roots are the nodes with priors, then the first remaining node. The error of a pose is written on
-/// its left, T = Exp(η) T̄: so the errors of steps add up along a path, and those of the path between two
-/// nodes are what the two do not share from the root on. First order in the noise.
+/// Trees of known inliers (odometry, trusted edges), with poses chained along them and their covariances.
+/// Roots are the nodes with priors, then the first remaining node. The error of a pose is on its left, T =
+/// Exp(η) T̄, so that the errors of steps add up along a path. The error between two nodes is the sum over
+/// the steps that only one of their paths from the root contains. First order in the noise.
 class OdometryForest {
  public:
   explicit OdometryForest(const PoseGraph& graph);
-  /// Trees of other edges: those of `in_tree` (by edge), by fewest edges from the root.
+  /// Trees of the edges in `in_tree` (by edge), with the fewest edges from the root.
   OdometryForest(const PoseGraph& graph, const std::vector<char>& in_tree);
 
   [[nodiscard]] const Eigen::Isometry3d& pose(std::size_t node) const { return poses_[node]; }
   [[nodiscard]] std::uint32_t root(std::size_t node) const { return root_[node]; }
   /// Covariance of η_b − η_a; nothing if neither a tree nor priors on both join the nodes.
   [[nodiscard]] std::optional<Matrix6d> between(std::size_t a, std::size_t b) const;
-  /// Place in a tour of the trees: down a chain it counts the steps, elsewhere two nodes of a tree are no
-  /// farther apart than their places.
+  /// Position in an Euler tour of the trees. Down a chain, the difference of two positions is the number of
+  /// steps; in general the number of steps between two nodes of a tree is at most this difference.
   [[nodiscard]] std::uint32_t place(std::size_t node) const { return first_visit_[node]; }
 
  private:
@@ -41,9 +41,9 @@ class OdometryForest {
 
   std::vector<std::uint32_t> parent_, root_, depth_;
   std::vector<Eigen::Isometry3d> poses_;
-  std::vector<Matrix6d> covariance_;  // of η since the root, the root's prior included
+  std::vector<Matrix6d> covariance_;  // of η relative to the root, including the root's prior
   std::vector<char> anchored_;        // by root
-  // A tour of the trees and, over it, the highest node of every stretch whose length is a power of two.
+  // The Euler tour, and the highest node of each of its ranges whose length is a power of two.
   std::vector<std::uint32_t> first_visit_;
   std::vector<std::vector<std::uint32_t>> highest_;
 };

@@ -15,7 +15,7 @@
 namespace loopwise::detail {
 namespace {
 
-/// Odometry is not taken for worse than stated unless chance alone is this unlikely to make it look so.
+/// Odometry counts as worse than stated only if its residuals exceed this quantile of chance.
 constexpr double kSignificance = 0.999;
 
 double of_chain(const OdometryVariances& variances, std::uint32_t chain) {
@@ -29,7 +29,7 @@ struct Sums {
   double redundancy = 0.0;  ///< d − tr(Ω J Σ Jᵀ)
 };
 
-/// Whether chance would hardly make a sum of squares as large as this.
+/// Whether the sum of squares exceeds the quantile kSignificance.
 bool is_significant(double squares, double redundancy) {
   const int degrees = static_cast<int>(std::floor(redundancy));
   if (degrees < 1) return false;

@@ -11,12 +11,12 @@
 
 namespace loopwise::detail {
 
-/// Of every node the first node of its chain, which is what edges of kind odometry join. It stays the same
-/// while a graph grows, unless new odometry joins two chains.
+/// The chain of every node, named by its first node. Edges of kind odometry join the nodes of a chain. The
+/// name does not change while a graph grows, unless new odometry joins two chains.
 [[nodiscard]] std::vector<std::uint32_t> odometry_chains(const PoseGraph& graph);
 
-/// Variance factors of odometry by the first node of its chain: how many times its true covariance is the
-/// stated one. A chain that is not there has 1.
+/// Variance factors of odometry by the first node of its chain: the ratio of true to stated covariance. A
+/// missing chain has 1.
 using OdometryVariances = std::map<std::uint32_t, double>;
 
 /// The graph with the information of its odometry divided by the variance factors.
@@ -24,12 +24,13 @@ using OdometryVariances = std::map<std::uint32_t, double>;
                                                 const std::vector<std::uint32_t>& chains,
                                                 const OdometryVariances& variances);
 
-/// Estimates variance factors at the minimum that a graph has with other ones, by the redundancy of the
-/// chains (variance component estimation, Förstner 1979): s² = Σ rᵀΩr / Σ (d − tr(Ω J Σ Jᵀ)) over a chain's
-/// edges, with d degrees of freedom each. Edges of singular information are left out. Chains that their
-/// stated information explains have 1, as have those that nothing else measures, and none has less, or more
-/// than `largest`. \param graph as stated \param variances of the minimum \param weights by edge, of the
-/// minimum \returns nothing where the factors leave a pose open: there are no covariances
+/// Estimates variance factors from the redundancy of the chains (variance component estimation, Förstner
+/// 1979): s² = Σ rᵀΩr / Σ (d − tr(Ω J Σ Jᵀ)) over a chain's edges, each with d degrees of freedom. Edges of
+/// singular information are not used. The factor is 1 for chains that agree with their stated information and
+/// for chains that nothing else measures. It is at least 1 and at most `largest`.
+/// \param graph as stated \param poses, weights the minimum, found with these `variances`
+/// \param keep_unmeasured whether chains that nothing else measures keep their factor in `variances`
+/// \returns nothing if the factors leave a pose undetermined, so that covariances do not exist
 [[nodiscard]] std::optional<OdometryVariances> estimated_odometry_variances(
     const PoseGraph& graph, const std::vector<std::uint32_t>& chains,
     const std::vector<Eigen::Isometry3d>& poses, const std::vector<double>& weights,

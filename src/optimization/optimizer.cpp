@@ -40,14 +40,14 @@ EnumNames<Termination> enum_names(Termination) {
 
 namespace {
 
-/// What a robust result is continued from.
+/// A robust result from which a later optimisation may continue.
 struct LastResult {
   detail::PoseProblem problem;
   std::vector<Key> keys;  // by node
   std::vector<Eigen::Isometry3d> poses;
   std::vector<char> kept;           // by edge
-  std::size_t closures_when_fresh;  // when all starts were tried last
-  std::size_t left_out_confirmed;   // then
+  std::size_t closures_when_fresh;  // at the last optimisation from all starts
+  std::size_t left_out_confirmed;   // at that time
   detail::OdometryVariances odometry_variances;
 };
 
@@ -71,7 +71,7 @@ bool continues(const PoseGraph& graph, const detail::PoseProblem& problem, const
   return true;
 }
 
-/// The last result carried on to a graph that continues it; nothing if the graph does not.
+/// Extends the last result to a graph that continues it; nothing if the graph does not.
 std::optional<detail::WarmStart> warm_start(const PoseGraph& graph, const detail::PoseProblem& problem,
                                             const std::optional<LastResult>& last, double growth) {
   if (!last || !continues(graph, problem, *last)) return std::nullopt;
@@ -110,8 +110,8 @@ struct PoseGraphOptimizer::Impl {
     return problem.cost(poses, pool, residuals);
   }
 
-  /// From the cheapest first estimate; where that does not converge also from the next, and the lower cost
-  /// wins. \returns the poses
+  /// Minimises from the first estimate of the lowest cost; if that does not converge, also from the next one.
+  /// The lower cost is kept. \returns the poses
   std::vector<detail::Pose> minimize_from_best(const PoseGraph& graph, const detail::PoseProblem& problem,
                                                const StopToken& stop, OptimizationResult& result) {
     int iterations = 0, factorizations = 0;
@@ -160,7 +160,7 @@ std::size_t PoseGraphOptimizer::analyses() const {
 
 namespace {
 
-/// What the result says about the graph as a whole.
+/// Sets the fields of the result that describe the graph as a whole.
 void describe_graph(const PoseGraph& graph, const detail::Freedom& freedom, OptimizationResult& result) {
   const auto component = connected_components(graph);
   for (const std::size_t c : component) result.components = std::max(result.components, c + 1);
@@ -202,7 +202,8 @@ GncResult PoseGraphOptimizer::optimize_gnc(const PoseGraph& graph, const GncOpti
   Initialization from = impl_->options.initialization;
   std::vector<detail::Pose> poses;
   if (from == Initialization::kAuto) {
-    // Not the chordal estimate: what false closures do to it, second_start sees to.
+    // The chordal estimate is not a candidate, because false closures distort it; second_start uses it
+    // separately.
     const double c2 = chi_squared_quantile(options.inlier_probability, graph.degrees_of_freedom());
     auto estimates = detail::ranked_estimates(
         graph, problem, impl_->options, false,

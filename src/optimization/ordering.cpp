@@ -14,7 +14,7 @@
 namespace loopwise {
 namespace {
 
-/// Starts and finishes CHOLMOD's workspace.
+/// Starts and finishes CHOLMOD.
 struct Workspace {
   cholmod_common common{};
   Workspace() {

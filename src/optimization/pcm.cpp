@@ -18,13 +18,13 @@
 namespace loopwise {
 namespace {
 
-/// A closure with its ends put in order, so that two of a group compare end by end.
+/// A closure with its ends in a fixed order, so that two closures of a group compare end by end.
 struct Candidate {
   std::size_t edge;
   std::size_t from, to;
   Eigen::Isometry3d Z;  // T_from_to
-  Matrix6d covariance;  // of Z, on its right
-  Matrix6d reversed;    // of Z⁻¹, on its right
+  Matrix6d covariance;  // of Z, with the error on its right
+  Matrix6d reversed;    // of Z⁻¹, with the error on its right
 };
 
 Matrix6d carried(const Eigen::Isometry3d& T, const Matrix6d& covariance) {
@@ -32,23 +32,23 @@ Matrix6d carried(const Eigen::Isometry3d& T, const Matrix6d& covariance) {
   return ad * covariance * ad.transpose();
 }
 
-/// d² of the loop Z_a (T_ja⁻¹ T_jb) Z_b⁻¹ (T_ib⁻¹ T_ia), which is the identity but for noise.
+/// d² of the loop Z_a (T_ja⁻¹ T_jb) Z_b⁻¹ (T_ib⁻¹ T_ia), which is the identity without noise.
 double loop_error(const detail::OdometryForest& forest, const Candidate& a, const Candidate& b) {
   const auto there = forest.between(a.to, b.to), back = forest.between(b.from, a.from);
   const Eigen::Isometry3d last = forest.pose(b.from).inverse() * forest.pose(a.from);
   const Eigen::Isometry3d from_b = b.Z.inverse() * last;
   const Eigen::Isometry3d from_path = forest.pose(a.to).inverse() * forest.pose(b.to) * from_b;
   const Vector6d r = se3::log(a.Z * from_path);
-  // Every factor's error is carried to the right end of the loop.
+  // The error of every factor is transformed to the right end of the loop.
   const Matrix6d S = carried(from_path.inverse(), a.covariance) +
                      carried(from_b.inverse() * forest.pose(b.to).inverse(), *there) +
                      carried(last.inverse(), b.reversed) + carried(forest.pose(a.from).inverse(), *back);
   return r.dot(S.ldlt().solve(r));
 }
 
-/// A large clique: grown from every vertex in turn, always by the remaining vertex of highest degree
-/// (Pattabiraman et al., WAW 2013). Vertices come in descending order of degree, so that one is the lowest
-/// bit that is left.
+/// A large clique: it is grown from every vertex in turn, always by the remaining vertex of highest degree
+/// (Pattabiraman et al., WAW 2013). Vertices are in descending order of degree, so this vertex is the lowest
+/// remaining bit.
 std::vector<std::size_t> large_clique(const BitMatrix& agrees, const std::vector<std::size_t>& degree) {
   std::vector<std::size_t> best, clique;
   std::vector<std::uint64_t> left(agrees.words());

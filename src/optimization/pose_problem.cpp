@@ -16,9 +16,9 @@ namespace {
 using Eigen::Matrix3d;
 using Eigen::Vector3d;
 
-/// Factors of one task. Sums run over tasks in order, so their size is part of the result.
+/// Factors per task. The order of summation depends on this, so it affects the result.
 constexpr std::size_t kFactorsPerTask = 256;
-/// Tasks whose linearisations are held at a time.
+/// Number of tasks whose linearisations are in memory at the same time.
 constexpr std::size_t kTasksPerWave = 64;
 
 void add_block(double* values, const BlockCholesky::Slot& slot, const Matrix6d& m) {
@@ -71,7 +71,8 @@ PoseProblem::PoseProblem(const PoseGraph& graph)
 std::vector<Pose> PoseProblem::poses_of(const std::vector<Eigen::Isometry3d>& poses) const {
   std::vector<Pose> out(nodes_ + 1);
   for (std::size_t i = 0; i < nodes_; ++i) {
-    // Files round: normalisation makes R orthogonal. Orthogonal matrices pass unchanged.
+    // Rotations from files are rounded; normalisation makes R orthogonal and leaves orthogonal matrices
+    // unchanged.
     const Matrix3d R = poses[i].linear();
     const bool orthogonal = (R.transpose() * R - Matrix3d::Identity()).cwiseAbs().maxCoeff() < 1e-14;
     out[i].R = orthogonal ? R : Eigen::Quaterniond(R).normalized().toRotationMatrix();
@@ -127,7 +128,7 @@ double PoseProblem::cost(const std::vector<Pose>& poses, ThreadPool& pool,
 
 Freedom find_freedom(const PoseProblem& problem) {
   const std::size_t n = problem.nodes();
-  DisjointSets joined(n);  // by active factors; the fixed node stays apart
+  DisjointSets joined(n);  // by active factors; the fixed node is not included
   std::vector<char> touched(n, 0), anchored(n, 0);
   for (std::size_t k = 0; k < problem.factors(); ++k) {
     if (problem.weight[k] <= 0.0) continue;
@@ -179,10 +180,10 @@ void NormalEquations::set_structure(const PoseProblem& problem) {
   const bool same = analysed_ && pairs == pairs_ && freedom.nodes.size() == cholesky_.variables();
   freedom_ = std::move(freedom);
   if (same) return;
-  analysed_ = false;  // where memory ends half way, the next call begins anew
+  analysed_ = false;  // if an allocation fails below, the next call starts again
   pairs_ = std::move(pairs);
   cholesky_.analyze(freedom_.nodes.size(), pairs_);
-  // Not by resizing: Eigen gives the former memory back first, and holds on to it where there is no other.
+  // Not by resize(): Eigen frees the old memory first and keeps its pointer if the new allocation fails.
   gradient_ = Eigen::VectorXd(Eigen::VectorXd::Zero(static_cast<Eigen::Index>(6 * freedom_.nodes.size())));
   analysed_ = true;
   ++analyses_;
@@ -211,7 +212,7 @@ void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Po
                          variable[problem.from(k)] != Freedom::kFixed, buffer[i - begin]);
       }
     });
-    // Every owner adds to columns of its own, in the order of the factors: the sums are those of one thread.
+    // Every owner adds to its own columns in the order of the factors, so the sums equal those of one thread.
     pool.for_each(owners, [&](std::size_t owner) {
       const auto first = static_cast<std::uint32_t>(std::uint64_t{variables} * owner / owners);
       const auto last = static_cast<std::uint32_t>(std::uint64_t{variables} * (owner + 1) / owners);
@@ -238,8 +239,8 @@ void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Po
   if (problem.planar()) pin_to_plane();
 }
 
-/// Nothing ties z, roll and pitch to the plane, so that the other rows of H are the two-dimensional ones, and
-/// its determinant and pivots those of the two-dimensional H.
+/// Sets the rows of z, roll and pitch to the identity. Nothing couples them to the plane, so the other rows
+/// of H, its determinant and its pivots are those of the two-dimensional problem.
 void NormalEquations::pin_to_plane() {
   double* values = cholesky_.values().data();
   const auto set = [&](const BlockCholesky::Slot& slot, bool diagonal) {

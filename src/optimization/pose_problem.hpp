@@ -16,9 +16,9 @@
 
 namespace loopwise::detail {
 
-/// A pose graph laid out for solving. Factor k is edge k of the graph, then come the priors: a prior is an
-/// edge from a last, fixed node at the origin. A factor of weight 0 does not take part. Ranges and gravity,
-/// the auxiliary factors, are few and are kept apart: they are not among factors().
+/// A pose graph in the layout for solving. Factor k is edge k of the graph; the priors follow as edges from a
+/// last, fixed node at the origin. A factor of weight 0 is not used. Ranges and gravity, the auxiliary
+/// factors, are few; they are stored separately and are not among factors().
 class PoseProblem {
  public:
   explicit PoseProblem(const PoseGraph& graph);
@@ -30,13 +30,13 @@ class PoseProblem {
   [[nodiscard]] std::uint32_t from(std::size_t k) const { return from_[k]; }
   [[nodiscard]] std::uint32_t to(std::size_t k) const { return to_[k]; }
   [[nodiscard]] const Matrix6d& information(std::size_t k) const { return information_[k]; }
-  /// A range between two node numbers.
+  /// A range between two nodes.
   struct Ranging {
     std::uint32_t from;
     std::uint32_t to;
     RangeFactor factor;
   };
-  /// Gravity at a node number.
+  /// Gravity at a node.
   struct Levelling {
     std::uint32_t node;
     GravityFactor factor;
@@ -57,7 +57,7 @@ class PoseProblem {
   [[nodiscard]] double squared_residual(std::size_t k, const std::vector<Pose>& poses) const;
   /// ½ Σ ‖r‖² over the auxiliary factors.
   [[nodiscard]] double auxiliary_cost(const std::vector<Pose>& poses) const;
-  /// ½ Σ w rᵀΩr and auxiliary_cost(), summed in an order that does not depend on the threads; keeps the
+  /// ½ Σ w rᵀΩr plus auxiliary_cost(), summed in an order that does not depend on the threads. Stores the
   /// residuals of the active factors.
   double cost(const std::vector<Pose>& poses, ThreadPool& pool, std::vector<Vector6d>& residuals) const;
 
@@ -72,29 +72,29 @@ class PoseProblem {
   std::vector<Levelling> gravities_;
 };
 
-/// Which nodes of a problem move, given its weights.
+/// The nodes of a problem that can move, given its weights.
 struct Freedom {
   static constexpr std::uint32_t kFixed = UINT32_MAX;
   std::vector<std::uint32_t> variable;  ///< By node, the fixed one included; kFixed if it does not move.
   std::vector<std::uint32_t> nodes;     ///< By variable.
-  /// By node: the smallest node of its component by active factors; kFixed for a node without any.
+  /// By node: the smallest node of its component by active factors; kFixed for a node without active factors.
   std::vector<std::uint32_t> component;
   std::vector<std::size_t> held;  ///< Nodes that hold a component without a prior, ascending.
 };
 [[nodiscard]] Freedom find_freedom(const PoseProblem& problem);
 
-/// The Gauss-Newton system of a problem for one set of active factors. Outlives the problem: the symbolic
-/// analysis serves every problem of the same structure.
+/// The Gauss-Newton system of a problem for one set of active factors. It may outlive the problem: its
+/// symbolic analysis is valid for every problem of the same structure.
 class NormalEquations {
  public:
   explicit NormalEquations(Factorization factorization) : cholesky_(6, factorization) {}
 
-  /// Takes the factors of non-zero weight as the structure; a new symbolic analysis if it is another than
-  /// before.
+  /// Sets the structure to the factors of non-zero weight. Makes a new symbolic analysis if the structure has
+  /// changed.
   void set_structure(const PoseProblem& problem);
-  /// H = Σ w JᵀΩJ and g = Σ w JᵀΩr over the free nodes, at poses with these residuals (PoseProblem::cost).
-  /// Of a planar problem H is the identity over z, roll and pitch, where g is 0: solutions stay in the plane.
-  /// \pre set_structure(problem)
+  /// H = Σ w JᵀΩJ and g = Σ w JᵀΩr over the free nodes, at poses with these residuals (PoseProblem::cost). In
+  /// a planar problem the rows of z, roll and pitch are the identity in H and 0 in g, so that solutions stay
+  /// in the plane. \pre set_structure(problem)
   void linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
                  const std::vector<Vector6d>& residuals, ThreadPool& pool);
   /// g alone.
@@ -119,9 +119,10 @@ class NormalEquations {
   std::vector<std::uint32_t> active_;   // factors with a free end, of non-zero weight
   std::vector<std::uint32_t> pair_of_;  // by active factor: its pair in the analysis, or kFixed
   std::vector<BlockCholesky::Pair> pairs_;
-  std::size_t first_range_pair_ = 0;  // pairs of ranges with two free ends come last, in their order
+  std::size_t first_range_pair_ =
+      0;  // pairs of ranges with two free ends come last, in the order of the ranges
   Eigen::VectorXd gradient_;
-  bool analysed_ = false;  // pairs_, wholly
+  bool analysed_ = false;  // pairs_ are analysed completely
   std::size_t analyses_ = 0;
 };
 

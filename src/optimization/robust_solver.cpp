@@ -11,18 +11,19 @@
 
 namespace loopwise::detail {
 
-/// The threshold assumes that information is honest. Where it is pessimistic by far
-/// (parking-garage: by 10⁶), true closures are far below the threshold and false ones may be, too; so the
-/// noise is first measured on the lower quartile of d², which half of the closures being false does not
-/// spoil, and the threshold follows it down, with a margin for heavy tails. It never follows it up. Closures
-/// that repeat the odometry to within rounding (made from it, or registered from the same scans) say nothing
-/// of the noise and are not counted: a quarter of them would take the threshold to 0, and all others with it.
+/// The threshold assumes that the stated information is correct. If it is far too pessimistic
+/// (parking-garage: by 10⁶), true closures are far below the threshold, and false ones may be too. So the
+/// noise is first measured at the lower quartile of d², which remains valid if up to half of the closures are
+/// false. The threshold is lowered with the noise, with a margin for heavy tails, and never raised. Closures
+/// that repeat the odometry up to rounding (computed from it, or registered from the same scans) are not
+/// counted, because they contain no information on the noise: if a quarter of the closures were such, the
+/// threshold would be 0 and exclude all others.
 GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2, double probability,
                                   double odometry_margin) {
   constexpr double kMargin = 25.0;
   constexpr std::size_t kFewest = 8;
-  // Less is no noise: by information pessimistic by 10⁶ one true closure in 50 000 has so little. The scale
-  // is therefore 7e-7 at least.
+  // Smaller values are not noise: with information that is pessimistic by 10⁶, one true closure in 50 000 has
+  // a smaller d². The scale is therefore at least 7e-7.
   constexpr double kLeast = 1e-7;
   GrossOutliers gross{std::vector<char>(graph.edges().size(), 0)};
   if (probability >= 1.0) return gross;
@@ -44,18 +45,19 @@ GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<doub
 
 namespace {
 
-/// Beyond this multiple of c² a residual is as good as infinite: graduation starts no farther out.
+/// Residuals beyond this multiple of c² are treated as infinite: graduation starts no farther out.
 constexpr double kFarthestStart = 1e6;
-/// Rounds of plain truncated least squares at the end; each lowers the truncated cost, so two or three do.
+/// Bound on rounds of truncated least squares at the end. Each round lowers the truncated cost, so two or
+/// three are enough.
 constexpr int kTruncatedRounds = 20;
-/// Times that closures are let in again to see whether that lowers the truncated cost.
+/// Bound on attempts to re-admit closures, each of which must lower the truncated cost.
 constexpr int kGrowthAttempts = 30;
 constexpr double kLeastGain = 1e-9;
-/// Closures for which the covariance of the whole solution is asked: six half solutions by the factor for
-/// each.
+/// Bound on the closures that are tested with the covariance of the whole solution. Each costs six half
+/// solutions with the factor.
 constexpr std::size_t kMostExact = 256;
 
-/// Whether the poses of two nodes depend on each other: one component, or both held by priors.
+/// Whether the poses of two nodes depend on each other: they are in one component, or priors hold both.
 bool tied(const Freedom& freedom, std::size_t a, std::size_t b) {
   const auto is_anchored = [&](std::size_t node) {
     const std::uint32_t component = freedom.component[node];
@@ -137,13 +139,13 @@ void RobustSolver::evaluate() {
   for (std::size_t i = 0; i < closures_.size(); ++i) r2_[i] = problem_.squared_residual(closures_[i], poses_);
 }
 
-/// Out of the question for now; it comes back when the estimate makes it fit.
+/// Whether the closure is excluded for now; it returns when the estimate agrees with it.
 bool RobustSolver::set_aside(std::size_t i) const {
   return gross_.aside[closures_[i]] != 0 && r2_[i] > c2_;
 }
 
-/// Sets the closures' weights; one within the tolerance of 0 leaves the structure. \returns the largest
-/// change.
+/// Sets the weights of the closures. A weight within the tolerance of 0 becomes 0, so that the closure leaves
+/// the sparsity structure. \returns the largest change.
 template <class Weight>
 double RobustSolver::set_weights(Weight&& weight) {
   double change = 0.0;
@@ -169,7 +171,7 @@ void RobustSolver::descend(StepControl& control) {
   evaluate();
 }
 
-/// To the minimum for the weights as they are.
+/// Descends to the minimum for the present weights.
 void RobustSolver::descend_fully() {
   StepControl control;
   control.damping = options_.initial_damping;
@@ -177,14 +179,14 @@ void RobustSolver::descend_fully() {
   bring_back();
 }
 
-/// Asked to end, and so with work left undone, whatever the last descent came to.
+/// Whether a stop was requested, so that the result is incomplete even if the last descent converged.
 bool RobustSolver::stopped() {
   stopped_ = stopped_ || stop_.stop_requested();
   return stopped_;
 }
 
-/// Yang et al. 2020, §IV, from the residuals of the first estimate rather than of a solution with all
-/// closures in: that solution is what false closures spoil, and it costs an almost dense factorisation.
+/// Yang et al. 2020, §IV, but from the residuals of the first estimate instead of a solution with all
+/// closures. False closures would distort that solution, and it requires an almost dense factorisation.
 void RobustSolver::graduate() {
   double largest = 0.0;
   for (std::size_t i = 0; i < r2_.size(); ++i) {
@@ -211,8 +213,8 @@ void RobustSolver::graduate() {
   }
 }
 
-/// Full weight within the threshold, none beyond, the minimum for these weights, until they reproduce
-/// themselves.
+/// Alternates between weights (1 within the threshold, 0 beyond it) and the minimum for them, until the
+/// weights no longer change.
 void RobustSolver::truncate(bool at_minimum) {
   for (int round = 0; round < kTruncatedRounds && !stopped(); ++round) {
     const double change = set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
@@ -222,10 +224,10 @@ void RobustSolver::truncate(bool at_minimum) {
   }
 }
 
-/// Lets closures in that were put aside but agree with the kept ones around them: those with d² ≤ c², by
-/// the noise as measured. To let one in costs at least ½d² to first order, to leave it out ½c²: the others
-/// are not worth a try, and these stay if the truncated cost is the lower for it. Inliers thus spread from
-/// where odometry was sure of them to where it no longer is.
+/// Re-admits excluded closures that agree with the kept ones around them, i.e. with d² ≤ c² by the measured
+/// noise. To first order, to admit a closure costs at least ½d², and to exclude it costs ½c²; so closures
+/// with d² > c² are not tried. The admitted closures stay if the truncated cost is lower. Inliers thus spread
+/// from regions where odometry confirms them to regions where its uncertainty is too large.
 void RobustSolver::grow(const std::vector<char>& may_grow) {
   if (!gnc_.growth) return;
   std::vector<char> tried(closures_.size(), 0);
@@ -245,11 +247,11 @@ void RobustSolver::grow(const std::vector<char>& may_grow) {
     if (!better) break;
     for (const std::size_t i : agreeing) tried[i] = 1;
   }
-  if (stale) descend_fully();  // so that equations, cost and gradient are those of the weights
+  if (stale) descend_fully();  // updates equations, cost and gradient to the weights
 }
 
-/// The minimum with these closures too. If its truncated cost is not lower, poses and weights are as before,
-/// and the equations are stale.
+/// Tries the minimum with these closures too. If its truncated cost is not lower, restores poses and weights;
+/// the equations are then out of date. \returns whether the cost is lower
 bool RobustSolver::let_in(const std::vector<std::size_t>& closures) {
   const std::vector<Pose> poses = poses_;
   const std::vector<double> weights = problem_.weight;
@@ -264,7 +266,8 @@ bool RobustSolver::let_in(const std::vector<std::size_t>& closures) {
   return false;
 }
 
-/// By closure; those of which the kept ones are surest come first, and no more than are kept.
+/// Excluded closures to try, at most as many as are kept. The ones with the lowest variance across a kept
+/// closure come first.
 std::vector<std::size_t> RobustSolver::agreeing_with_kept(const std::vector<char>& tried) {
   std::vector<std::size_t> kept, left_out;
   for (std::size_t i = 0; i < closures_.size(); ++i) {
@@ -321,7 +324,8 @@ std::vector<std::size_t> RobustSolver::unexplained(const std::vector<char>& amon
   return out;
 }
 
-/// Finds out which of these closures the covariance of the whole solution contradicts, unless they are many.
+/// Tests which of these closures contradict the covariance of the whole solution. Tests nothing if there are
+/// too many.
 void RobustSolver::test_by_all(const std::vector<std::size_t>& edges) {
   if (edges.size() > kMostExact || stopped()) return;
   std::vector<std::size_t> open;
@@ -343,14 +347,14 @@ void RobustSolver::test_by_all(const std::vector<std::size_t>& edges) {
           relative_adjoint(poses_[to], poses_[from]).transpose();
     }
     const Matrix6d P = equations_.hessian().inverse_between(ends);
-    // One between components that nothing ties to each other may have any pose.
+    // A closure between independent components cannot contradict anything.
     by_all_[k] =
         tied(freedom, from, to) &&
         squared_innovation(problem_.information(k), P, problem_.residual(k, poses_)) > gross_.scale * c2_;
   }
 }
 
-/// \returns whether the factor of the poses and weights as they are exists
+/// Factorises at the present poses and weights. \returns false if the factor does not exist
 bool RobustSolver::factorize_here() {
   std::vector<Vector6d> residuals;
   problem_.cost(poses_, pool_, residuals);
@@ -362,13 +366,13 @@ bool RobustSolver::factorize_here() {
          equations_.hessian().smallest_pivot().first >= kSingularPivot;
 }
 
-/// As test_by_all() found.
+/// The result of test_by_all().
 bool RobustSolver::contradicted_by_all(std::size_t edge) const {
   const auto found = by_all_.find(edge);
   return found != by_all_.end() && found->second;
 }
 
-/// Of the known inliers and these closures.
+/// The forest over the known inliers and these closures.
 OdometryForest RobustSolver::forest_of(std::vector<char> closures) const {
   for (std::size_t k = 0; k < closures.size(); ++k) {
     if (known_inlier(graph_.edges()[k])) closures[k] = 1;
@@ -400,12 +404,12 @@ void RobustSolver::reweight() {
   }
   StepControl last;
   if (!stopped()) descend(last);
-  equations_.set_structure(problem_);  // also where a stop came before the first descent
+  equations_.set_structure(problem_);  // needed if a stop came before the first descent
   bring_back();
 }
 
-/// A component that lost its last tie to a prior may have been moved before it did: its held node goes back
-/// to the first estimate and takes the component along, at no cost.
+/// A component may have moved before it lost its last connection to a prior. Moves the whole component, at no
+/// cost, so that its held node is again at the first estimate.
 void RobustSolver::bring_back() {
   const Freedom& freedom = equations_.freedom();
   for (const std::size_t held : freedom.held) {
@@ -420,7 +424,7 @@ void RobustSolver::bring_back() {
       poses_[i].t = R * poses_[i].t + t;
     }
   }
-  // So does a node that lost its last factor altogether.
+  // A node without any remaining factor also returns to the first estimate.
   for (std::size_t i = 0; i < problem_.nodes(); ++i) {
     if (freedom.component[i] == Freedom::kFixed) poses_[i] = start_[i];
   }
@@ -429,7 +433,7 @@ void RobustSolver::bring_back() {
 
 void RobustSolver::report(GncResult& result) {
   total_.factorizations += result.optimization.factorizations;  // of the first estimate
-  equations_.set_structure(problem_);  // whose components the caller asks for, also where nothing was solved
+  equations_.set_structure(problem_);  // the caller reads its components, even if nothing was solved
   if (stopped_ || total_.termination == Termination::kStopped) set_termination(Termination::kStopped, total_);
   result.optimization = std::move(total_);
   result.outer_iterations = outer_;

@@ -14,47 +14,47 @@
 
 namespace loopwise::detail {
 
-/// What the known inliers alone rule out.
+/// The closures that the known inliers alone rule out.
 struct GrossOutliers {
   std::vector<char> aside;  ///< By edge
-  double scale = 1.0;       ///< Of the noise against what information says, squared; at most 1
+  double scale = 1.0;       ///< Variance of the noise relative to the stated one; at most 1
 };
 
-/// Finds the closures to put aside before anything is factorised, by the innovations d² (innovation.hpp).
-/// \param odometry_margin how many times its stated deviations odometry's may be
+/// Finds the closures to exclude before any factorisation, from the innovations d² (innovation.hpp).
+/// \param odometry_margin assumed ratio of true to stated standard deviation of odometry
 [[nodiscard]] GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2,
                                                 double probability, double odometry_margin = 1.0);
 
-/// Everything that starts of one robust problem share.
+/// Input that all starts of one robust problem share.
 struct RobustProblem {
   const PoseGraph& graph;
   const OdometryForest& forest;
-  const std::vector<Pose>& start;  ///< Where what nothing holds stays
+  const std::vector<Pose>& start;  ///< First estimate; it also fixes components without a prior
   const OptimizerOptions& options;
   const GncOptions& gnc;
   ThreadPool& pool;
   const StopToken& stop;
 };
 
-/// Robust optimisation from one start. Leaves the result in `poses`, the weights in `problem` and the
-/// components in `equations`.
+/// Robust optimisation from one start. Writes the result to `poses`, the weights to `problem` and the
+/// components to `equations`.
 class RobustSolver {
  public:
   /// \throws InputError if the cost of the poses is not finite
   RobustSolver(const RobustProblem& given, const GrossOutliers& gross, PoseProblem& problem,
                NormalEquations& equations, std::vector<Pose>& poses);
 
-  /// By the kernel of the options, from the poses as they are.
+  /// Solves with the kernel of the options from the present poses.
   void solve(GncResult& result);
-  /// By truncated least squares from the minimum of a choice of closures (by edge), which stay if they fit
-  /// there. Growth tries only closures of `may_grow` (by edge); empty: all.
+  /// Starts truncated least squares from the minimum with the chosen closures (by edge); they stay if they
+  /// fit there. Growth tries only closures in `may_grow` (by edge); empty: all.
   void solve_from(const std::vector<char>& chosen, const std::vector<char>& may_grow, GncResult& result);
 
-  /// Of a problem that has grown: the closures kept before, and the new ones that neither odometry
-  /// nor the poses and what they rest on contradict. All by edge.
+  /// For a problem that has grown: the formerly kept closures, and those new closures that contradict neither
+  /// the odometry nor the poses and the closures they rest on. All by edge.
   [[nodiscard]] std::vector<char> plausible(const std::vector<char>& known,
                                             const std::vector<char>& kept) const;
-  /// Closures (edges) of some that the result leaves out although what it rests on does not contradict them.
+  /// Those closures (edges) among some that the result excludes although they do not contradict it.
   [[nodiscard]] std::vector<std::size_t> unexplained(const std::vector<char>& among);
 
  private:
@@ -94,14 +94,14 @@ class RobustSolver {
   const GrossOutliers& gross_;
   NeighbourInnovations neighbours_;
   const double c2_;
-  std::vector<std::size_t> closures_;             // factors in doubt
+  std::vector<std::size_t> closures_;             // edges that are not known inliers
   std::vector<double> r2_;                        // by closure
-  std::unordered_map<std::size_t, bool> by_all_;  // edges that test_by_all() has looked at, at these poses
+  std::unordered_map<std::size_t, bool> by_all_;  // results of test_by_all() by edge, at the present poses
   OptimizationResult total_;
   int outer_ = 0;
   bool stopped_ = false;
-  /// Growth tries no closure that the covariance of the kept ones contradicts: others cost more than they
-  /// bring. Where odometry is worse than it says they may still be right, which the other starts find out.
+  /// Growth does not try closures that contradict the covariance of the kept ones: they raise the truncated
+  /// cost. They may still be true if odometry is worse than stated; the other starts test this.
   bool trusts_information_ = false;
 };
 

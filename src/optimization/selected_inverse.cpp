@@ -19,7 +19,8 @@ std::vector<int> owners(const Panels& panels) {
   return owner;
 }
 
-/// Z over all rows of a panel: what its children need, whose rows are among its rows.
+/// Z = (L Lᵀ)⁻¹ over all rows of a panel. The panel's children need it, because their rows are among its
+/// rows.
 struct Front {
   std::size_t panel;
   std::size_t first_of_subtree;
@@ -41,12 +42,13 @@ std::vector<std::size_t> first_of_subtrees(const Panels& panels) {
   return subtree;
 }
 
-/// Fronts of one panel after the other, from the last one on.
+/// Computes the fronts of the panels one by one, from the last to the first.
 class Fronts {
  public:
   explicit Fronts(const Panels& panels) : panels_(panels) {}
 
-  /// Z of a panel, of all rows and columns of its front; `parent` is the front above, unless it has none.
+  /// Computes Z over all rows and columns of a panel's front; `parent` is the front above, or null for a
+  /// root.
   void compute(std::size_t s, const Front* parent, std::vector<double>& z) {
     const int width = panels_.columns(s), height = panels_.height(s), below = height - width;
     const auto h = static_cast<std::size_t>(height), w = static_cast<std::size_t>(width);
@@ -75,7 +77,7 @@ class Fronts {
   }
 
  private:
-  /// Z_RR out of the parent's front.
+  /// Copies Z_RR from the parent's front.
   void take_from_parent(std::size_t s, const Front& parent, std::vector<double>& z) {
     const auto h = static_cast<std::size_t>(panels_.height(s)),
                w = static_cast<std::size_t>(panels_.columns(s));
@@ -107,8 +109,8 @@ Eigen::MatrixXd selected_inverse(const Panels& panels, int block,
   const SingleThreadedBlas guard;
   const auto n = static_cast<Eigen::Index>(panels.first.empty() ? 0 : panels.first.back());
   Eigen::MatrixXd out(block, n);
-  // Panels are in postorder, so going backwards a front is needed until the panels of its subtree, which
-  // precede it, are done.
+  // Panels are in postorder and are visited backwards, so a front is needed until all panels of its subtree,
+  // which precede it, are done.
   const std::vector<std::size_t> subtree = first_of_subtrees(panels);
   Fronts fronts(panels);
   std::vector<Front> stack;
@@ -123,7 +125,7 @@ Eigen::MatrixXd selected_inverse(const Panels& panels, int block,
     z.swap(spare);
     fronts.compute(s, stack.empty() ? nullptr : &stack.back(), z);
     if (visit) visit(s, z.data());
-    // A panel never splits a block: its columns continue each other's pattern.
+    // A panel never splits a block: all columns of a block have the same pattern.
     for (int column = 0; column < width; column += block) {
       out.middleCols(panels.first[s] + column, block) =
           Eigen::Map<const Eigen::MatrixXd, 0, Eigen::OuterStride<>>(

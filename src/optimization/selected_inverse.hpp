@@ -12,8 +12,8 @@ namespace loopwise::detail {
 
 /// Diagonal blocks of (L Lᵀ)⁻¹, side by side in elimination order: block × (block · number of blocks).
 /// Takahashi's recursion over panels, from the last column to the first (Erisman and Tinney, CACM 1975).
-/// \param visit called for every panel with its columns of the inverse: of all rows of the panel, column by
-///        column, `height(panel)` apart
+/// \param visit called for every panel with its columns of the inverse over all rows of the panel, column by
+///        column, with a stride of `height(panel)`
 [[nodiscard]] Eigen::MatrixXd selected_inverse(
     const Panels& panels, int block,
     const std::function<void(std::size_t panel, const double* z)>& visit = {});

@@ -16,14 +16,14 @@ namespace {
 /// The dual certificate at a critical point of any rank.
 struct DualTest {
   bool certified = false;
-  bool negligible = false;         // the cost, so that nothing is left to prove
-  bool lost_in_rounding = false;   // rounding takes more of the bound than the gap that is asked for
+  bool negligible = false;         // the cost is zero up to rounding, so nothing has to be proved
+  bool lost_in_rounding = false;   // the rounding error of the bound is larger than the requested gap
   double lower_bound = 0.0;        // of the cost
   double tolerance = 0.0;          // of the eigenvalue
-  DualMatrix::Eigenpair negative;  // where it is not certified
+  DualMatrix::Eigenpair negative;  // if not certified
 };
 
-/// The eigenvalue below −shift, and the bound that a factor proves.
+/// Computes the eigenvalue below −shift, and a lower bound on the cost that a Cholesky factor proves.
 void find_negative(DualMatrix& dual, double shift, double first, const std::function<double(double)>& bound,
                    const StopToken& stop, DualTest& out) {
   double larger = std::max({10.0 * shift, first, 1e-16 * dual.spectral_bound()});
@@ -33,7 +33,7 @@ void find_negative(DualMatrix& dual, double shift, double first, const std::func
   }
   out.negative = dual.smallest_eigenpair(larger);
   out.lower_bound = bound(larger);
-  // A Ritz value lies above the eigenvalue, so it proves nothing: a factor does.
+  // A Ritz value is an upper bound on the eigenvalue and proves nothing, so a factor has to prove the bound.
   const double closer = -1.001 * out.negative.value;
   if (closer > shift && closer < larger && dual.positive_with(closer)) out.lower_bound = bound(closer);
   out.lost_in_rounding = -out.negative.value <= std::max(shift, dual.largest_rounding());
@@ -52,7 +52,7 @@ DualTest test(DualMatrix& dual, const ChordalProblem& problem, const LiftedPoses
     const double proven = 0.5 * (dual.trace_of_multipliers() - dimension * shift - dual.rounding());
     return std::min(cost, std::max(0.0, proven));
   };
-  // The gap is shared by the shift and by rounding; a little is left for the sums themselves.
+  // The shift and rounding share the gap; 0.1 % remains for the rounding of the sums.
   const double gap = 2.0 * options.relative_gap * cost;
   out.lost_in_rounding = dual.rounding() > 0.5 * gap;
   const double shift = std::max(0.999 * gap - dual.rounding(), 0.5 * gap) / dimension;
@@ -62,12 +62,13 @@ DualTest test(DualMatrix& dual, const ChordalProblem& problem, const LiftedPoses
     return out;
   }
   out.lower_bound = bound(shift);
-  // The factor proves a bound for any multipliers; it is only good if X is critical and rounding is small.
+  // The factor proves a bound for any multipliers, but the bound is close only if X is critical and rounding
+  // is small.
   out.certified = cost - out.lower_bound <= options.relative_gap * cost;
   return out;
 }
 
-/// X with one more row, along the eigenvector as far as that lowers the cost.
+/// X with one more row, moved along the eigenvector by the length with the lowest cost found.
 LiftedPoses lifted_along(const ChordalProblem& problem, const LiftedPoses& X, const Eigen::VectorXd& v) {
   LiftedPoses base = LiftedPoses::Zero(X.rows() + 1, X.cols());
   base.topRows(X.rows()) = X;
@@ -91,7 +92,7 @@ LiftedPoses lifted_along(const ChordalProblem& problem, const LiftedPoses& X, co
   return best;
 }
 
-/// Poses near a point of higher rank: its three strongest directions, each rotation brought to SO(3).
+/// Poses near a point of higher rank: its three strongest directions, with each rotation projected to SO(3).
 LiftedPoses rounded(const LiftedPoses& Y) {
   Eigen::MatrixXd rotations(Y.rows(), Y.cols() / 4 * 3);
   for (Eigen::Index i = 0; i < Y.cols() / 4; ++i) rotations.middleCols<3>(3 * i) = Y.middleCols<3>(4 * i);
@@ -112,8 +113,8 @@ LiftedPoses rounded(const LiftedPoses& Y) {
   return X;
 }
 
-/// Minimises the poses next to a point of higher rank and takes them if they cost less. \returns whether they
-/// are certified, which ends the search
+/// Minimises from the poses near a point of higher rank and keeps them if they cost less. \returns whether
+/// they are certified, which ends the search
 bool round_back(DualMatrix& dual, const ChordalProblem& problem, const LiftedPoses& X,
                 const CertificateOptions& options, const StopToken& stop, DualOutcome& out) {
   CriticalPoint back = descend(problem, rounded(X), options.max_steps, stop);
@@ -127,7 +128,7 @@ bool round_back(DualMatrix& dual, const ChordalProblem& problem, const LiftedPos
   return at_poses.certified;
 }
 
-/// From a critical point that is not certified: the lowest poses found and the best bound.
+/// Searches from a critical point that is not certified for poses of lower cost and for a better bound.
 void climb(DualMatrix& dual, const ChordalProblem& problem, DualTest current,
            const CertificateOptions& options, const StopToken& stop, DualOutcome& out) {
   LiftedPoses X = out.critical.X;
@@ -138,7 +139,7 @@ void climb(DualMatrix& dual, const ChordalProblem& problem, DualTest current,
     out.steps += point.steps;
     out.rank = rank;
     X = std::move(point.X);
-    // Poses are cheap to come back to, and are often optimal long before the relaxation is solved.
+    // To return to poses is cheap, and they are often optimal long before the relaxation is solved.
     out.relaxation_solved = round_back(dual, problem, X, options, stop, out);
     if (out.relaxation_solved) break;
     current = test(dual, problem, X, point.cost, options, stop);
@@ -168,7 +169,7 @@ DualOutcome certify_component(const ChordalProblem& problem, const LiftedPoses& 
     return out;
   }
   out.min_eigenvalue = first.negative.value;
-  // A direction that may be rounding alone leads nowhere.
+  // A direction that may be caused by rounding is of no use.
   if (!first.lost_in_rounding) climb(dual, problem, std::move(first), options, stop, out);
   return out;
 }

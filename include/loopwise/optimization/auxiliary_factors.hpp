@@ -9,26 +9,27 @@
 
 namespace loopwise {
 
-/// A range at two poses: whitened residual r (without unit) and its derivatives by T ⊕ [translation,
-/// rotation].
+/// A linearised range: whitened residual r (without unit) and its derivatives with respect to
+/// T ⊕ [translation, rotation] of both poses.
 struct LinearizedRange {
   double r = 0.0;                      ///< Whitened.
-  Eigen::Matrix<double, 1, 6> J_from;  ///< By the pose of `from`.
-  Eigen::Matrix<double, 1, 6> J_to;    ///< By the pose of `to`.
+  Eigen::Matrix<double, 1, 6> J_from;  ///< With respect to the pose of `from`.
+  Eigen::Matrix<double, 1, 6> J_to;    ///< With respect to the pose of `to`.
 };
 
-/// Where the two nodes coincide the direction of the range is not defined: both Jacobians are zero there.
+/// Linearises a range. If the two nodes coincide, the direction of the range is undefined and both Jacobians
+/// are zero.
 [[nodiscard]] LOOPWISE_EXPORT LinearizedRange linearize(const RangeFactor& range,
                                                         const Eigen::Isometry3d& T_w_from,
                                                         const Eigen::Isometry3d& T_w_to);
 
-/// Gravity at a pose: whitened residual and its derivative.
+/// A linearised gravity factor: whitened residual and its derivative.
 struct LinearizedGravity {
   Eigen::Vector3d r = Eigen::Vector3d::Zero();  ///< Whitened.
-  Eigen::Matrix<double, 3, 6> J;                ///< By the node's pose.
+  Eigen::Matrix<double, 3, 6> J;                ///< With respect to the node's pose.
 };
 
-/// At the pose of its node.
+/// Linearises a gravity factor at the pose of its node.
 [[nodiscard]] LOOPWISE_EXPORT LinearizedGravity linearize(const GravityFactor& gravity,
                                                           const Eigen::Isometry3d& T_w_node);
 

@@ -7,7 +7,7 @@
 namespace loopwise {
 
 /// Options of a back end that estimates one graph repeatedly as it grows. It starts from the last result, and
-/// at times also from odometry: a false closure may have bent the last result, and then seems to fit it.
+/// at times also from odometry, because a false closure that has bent the last result seems to fit it.
 struct BackEndOptions {
   OptimizerOptions optimization = from_odometry();  ///< Minimisation.
   GncOptions gnc = from_last_result();              ///< Robust weights.

@@ -24,7 +24,7 @@ enum class RobustKernel {
 enum class GncStart {
   kFirstEstimate,    ///< The estimate of OptimizerOptions::initialization, graduated.
   kConfirmed,        ///< The chordal estimate of the closures that others near them confirm.
-  kDoubtedOdometry,  ///< As kFirstEstimate, with closures that odometry of reduced weight allows.
+  kDoubtedOdometry,  ///< As kFirstEstimate, plus closures that odometry of reduced weight allows.
   kChordal,          ///< The chordal estimate of the closures that odometry does not rule out.
   kLastResult,       ///< The last result of the PoseGraphOptimizer.
 };
@@ -115,8 +115,8 @@ struct GncResult {
 /// Optimisation that detects false loop closures. Odometry, priors and trusted edges are known inliers; every
 /// other edge gets a weight in [0, 1] from its residual. The weights of the graph's edges are not used. If
 /// the first solution is in doubt, odometry that the closures show to be worse than stated gets a lower
-/// weight, chain by chain, see GncOptions::odometry_margin. A closure whose weight has vanished leaves the
-/// sparsity structure, and returns when the estimate makes it fit again. The result is that of the start with
+/// weight, chain by chain, see GncOptions::odometry_margin. A closure of weight 0 leaves the sparsity
+/// structure, and returns if the estimate agrees with it again. The result is that of the start with
 /// the lowest truncated cost (GncOptions::second_start). If all closures are false, the result is that of
 /// odometry, and each separate component keeps the pose of its first node. \throws OptionError, InputError as
 /// optimize() does.

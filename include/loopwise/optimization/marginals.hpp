@@ -28,8 +28,8 @@ struct Marginals {
 
 /// Covariances at the graph's poses with the edges' weights, i.e. the diagonal blocks of the inverse
 /// Gauss-Newton Hessian. A component without a prior is anchored at its first node (covariance zero there):
-/// its covariances are relative to that node. Nodes without any factor keep their pose, count as known too,
-/// and have covariance zero: it says nothing about their uncertainty. \throws InputError naming a node if the
+/// its covariances are relative to that node. Nodes without any factor also have covariance zero, although
+/// their uncertainty is unknown. \throws InputError naming a node if the
 /// factors do not determine its pose.
 [[nodiscard]] LOOPWISE_EXPORT Marginals marginals(const PoseGraph& graph,
                                                   const OptimizerOptions& options = {});
@@ -65,7 +65,7 @@ class LOOPWISE_EXPORT HessianFactor {
   [[nodiscard]] std::vector<Matrix12d> joint(
       const std::vector<std::pair<std::size_t, std::size_t>>& pairs) const;
 
-  /// The marginals after adding these edges (ends known to the graph, r ignored, linearised at the graph's
+  /// The marginals after adding these edges (between nodes of the graph, r ignored, linearised at the graph's
   /// poses): a low-rank update of `base`, without another factorisation. Efficient for few edges.
   [[nodiscard]] Marginals marginals_with(const std::vector<Edge>& edges, const Marginals& base) const;
 

@@ -27,7 +27,7 @@ enum class Initialization {
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<Initialization> enum_names(Initialization);
 
-/// Which sparse Cholesky factorisation.
+/// The sparse Cholesky factorisation.
 enum class Factorization {
   kAutomatic,     ///< The fastest for the size.
   kMultifrontal,  ///< Loopwise's own, for the small dense blocks of pose graphs.
@@ -41,7 +41,7 @@ enum class Termination {
   kConverged,      ///< The predicted decrease of the next step is below the tolerances.
   kNothingToDo,    ///< No factor acts on any free pose.
   kMaxIterations,  ///< The bound on iterations was reached; the poses are the best found.
-  kNoProgress,     ///< No step lowers the cost, for any length; the poses are the best found.
+  kNoProgress,     ///< No step of any length lowers the cost; the poses are the best found.
   kStopped,        ///< A stop was requested; the poses are the best found.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<Termination> enum_names(Termination);
@@ -152,7 +152,7 @@ class LOOPWISE_EXPORT PoseGraphOptimizer {
   /// As the free function optimize().
   [[nodiscard]] OptimizationResult optimize(const PoseGraph& graph, const StopToken& stop = {});
   /// As the free function optimize_gnc(). With GncOptions::warm_start a graph that has only grown since the
-  /// last call (its first nodes and edges are those of then) starts from that result. \throws OptionError
+  /// last call (its first nodes and edges are unchanged) starts from that result. \throws OptionError
   [[nodiscard]] GncResult optimize_gnc(const PoseGraph& graph, const GncOptions& options,
                                        const StopToken& stop = {});
 
