@@ -88,7 +88,7 @@ class MpiTransport final : public Transport {
 }  // namespace
 
 bool started_by_mpi() {
-  // Open MPI's mpirun, MPICH's and others' process managers, and Slurm's srun with either interface.
+  // Open MPI's mpirun, the process managers of MPICH and others, and both interfaces of Slurm's srun.
   for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE", "PMIX_RANK", "PMI_RANK"}) {
     if (std::getenv(name) != nullptr) return true;
   }
@@ -114,7 +114,7 @@ MpiSession::~MpiSession() {
 
 void MpiSession::abort(int status) {
   MPI_Abort(MPI_COMM_WORLD, status);
-  std::abort();  // MPI_Abort() does not return, which its declaration does not say
+  std::abort();  // MPI_Abort() does not return, but its declaration does not say so
 }
 
 }  // namespace loopwise

@@ -93,7 +93,8 @@ BatchComputer distributed_batches(std::shared_ptr<WorkServer> server,
       [server = std::move(server), registrar = std::move(registrar), local_workers](
           const std::vector<RegistrationTask>& tasks, const StopToken& stop, const ProgressCallback& progress,
           const std::function<void(const RegistrationResult&)>& on_result) {
-        // By target, then source: pairs that share scans go to one rank one after the other.
+        // Sorted by target, then source, so that one rank computes pairs with common scans one after the
+        // other.
         std::vector<std::size_t> order(tasks.size());
         std::iota(order.begin(), order.end(), std::size_t{0});
         std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {

@@ -3,7 +3,7 @@
 
 namespace loopwise::detail {
 
-/// What a message of a WorkServer and those it serves is.
+/// Kinds of messages between a WorkServer and the ranks that it serves.
 enum Tag : int {
   kGreeting = 1,  ///< The first word of a rank.
   kFailure,       ///< Why a rank cannot go on, for people.

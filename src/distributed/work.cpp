@@ -26,8 +26,8 @@ using detail::kFailure;
 using detail::kGreeting;
 using detail::kRequest;
 
-/// Rests between looks for messages: short at first, then longer. A thread that waits must leave its
-/// processor to those that compute, and MPI's own waiting does not.
+/// Sleeps between polls for messages, at first briefly, then longer. A waiting thread must leave its
+/// processor to the computing threads, and MPI's blocking calls do not.
 class Patience {
  public:
   void reset() { next_ = kShortest; }
@@ -58,7 +58,7 @@ std::size_t take_number(std::string_view& bytes, int from) {
   return static_cast<std::size_t>(n);
 }
 
-/// Without the zeros of std::to_string().
+/// Unlike std::to_string(), prints no trailing zeros.
 std::string seconds_text(double seconds) {
   char text[32];
   std::snprintf(text, sizeof text, "%g s", seconds);
@@ -71,12 +71,13 @@ std::string seconds_text(double seconds) {
 
 }  // namespace
 
-/// One call of run(): who has which piece.
+/// One call of run(): assigns the pieces of work to ranks.
 class WorkServer::Round {
  public:
   Round(WorkServer& server, const std::vector<Work>& work, bool here)
       : server_(server), work_(work), queues_(static_cast<std::size_t>(server.transport_.size())) {
-    // Affinities in order of first appearance: to their last rank, new ones to the shortest queue.
+    // Affinities in order of first appearance: each goes to the rank that last had it, a new one to the
+    // shortest queue.
     std::map<std::uint64_t, std::vector<std::size_t>> groups;
     std::vector<std::uint64_t> order;
     for (std::size_t i = 0; i < work.size(); ++i) {
@@ -101,7 +102,7 @@ class WorkServer::Round {
     left_ = work.size();
   }
 
-  /// The next piece for a rank: of its own, or else the last of the longest queue.
+  /// The next piece for a rank: the first of its own queue, or else the last of the longest queue.
   std::optional<std::size_t> next(int rank) {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (left_ == 0 || closed_) return std::nullopt;
@@ -118,7 +119,7 @@ class WorkServer::Round {
     return i;
   }
 
-  /// Nothing more is begun.
+  /// No more pieces are begun after this.
   void close() {
     const std::lock_guard<std::mutex> lock(mutex_);
     closed_ = true;
@@ -159,7 +160,7 @@ WorkServer::WorkServer(Transport& transport, std::string_view greeting, const Wo
     }
     patience.reset();
     silent.erase(message->from);
-    if (failure) continue;  // but hear all: who has spoken waits for an end
+    if (failure) continue;  // all ranks are heard first: each that has sent a message waits for kEnd
     try {
       if (message->tag == kFailure) throw_failure(*message);
       if (message->tag != kGreeting || message->bytes != greeting) {
@@ -180,7 +181,7 @@ WorkServer::~WorkServer() {
   for (int rank = 1; rank < transport_.size(); ++rank) {
     try {
       transport_.send(rank, kEnd, {});
-    } catch (const Error&) {  // it has gone already
+    } catch (const Error&) {  // the rank has already ended
     }
   }
 }
@@ -242,7 +243,8 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
         while (const std::optional<Message> message = transport_.receive()) {
           any = true;
           take(*message);
-          if (stop.stop_requested()) round.close();  // here too: answers may come faster than they are taken
+          if (stop.stop_requested())
+            round.close();  // also here: answers may arrive faster than this loop reads them
           give(message->from);
         }
         if (any) {
@@ -251,7 +253,7 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
         }
         {
           const std::lock_guard<std::mutex> lock(mutex);
-          if (failure) return;  // of this rank's own work: no need to wait for the others
+          if (failure) return;  // this rank's own work failed, so the others are not waited for
         }
         for (std::size_t rank = 1; rank < ranks; ++rank) {
           if (!owed[rank].empty() && watch.seconds() - heard[rank] > options_.time_limit_s) {
@@ -285,7 +287,7 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
   try {
     if (transport_.size() > 1) all.emplace_back(serve);
     for (int t = 1; t < local_workers; ++t) all.emplace_back(compute);
-  } catch (...) {  // the system has no more threads: those that there are end, and then it is said
+  } catch (...) {  // the system has no more threads: the existing ones end, and the error is thrown below
     fail();
   }
   if (local_workers > 0) compute();

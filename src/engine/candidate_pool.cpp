@@ -12,7 +12,7 @@
 namespace loopwise {
 namespace {
 
-/// Candidates of more than this age: the first, as ids and times count up together.
+/// Candidates older than this age. They come first, because ids and times ascend together.
 std::vector<CandidateId> older_than(const IdTable<LoopCandidate>& candidates, double now_s, double age_s) {
   std::vector<CandidateId> old;
   candidates.visit([&](CandidateId id, const LoopCandidate& candidate) {
@@ -85,7 +85,7 @@ void CandidatePool::take_recognition(CandidateId id, LoopCandidate from) {
     *put_off = candidate;
     return;
   }
-  queue_.remove({id});  // what a prioritiser knows of it is out of date
+  queue_.remove({id});  // the prioritisers' copies have no recognition
   enqueue({candidate});
 }
 
@@ -94,14 +94,14 @@ void CandidatePool::on_scan(const KeyedScan& scan) {
   std::exception_ptr failure;
   try {
     queue_.on_scan(scan);
-  } catch (...) {  // it is here all the same
+  } catch (...) {  // the scan has arrived even if a prioritiser fails
     failure = std::current_exception();
   }
   std::vector<LoopCandidate> ready;
   if (const auto list = waiting_for_.find(scan.key); list != waiting_for_.end()) {
     for (const CandidateId id : list->second) {
       const LoopCandidate* waiting = waiting_.find(id);
-      if (waiting == nullptr) continue;  // expired meanwhile
+      if (waiting == nullptr) continue;  // it has expired
       if (scans_.count(waiting->from) == 0 || scans_.count(waiting->to) == 0) continue;
       ready.push_back(*waiting);
       pending_.set(id, *waiting);
@@ -121,14 +121,15 @@ void CandidatePool::enqueue(const std::vector<LoopCandidate>& pending) {
   try {
     refused = queue_.add(pending);
   } catch (...) {
-    // Nobody knows who holds them: all must let go, or they would be pending for ever.
+    // It is unknown which prioritisers hold the candidates. All must drop them, otherwise they would stay
+    // pending for ever.
     prune(pending, "prioritizer_failed");
     try {
       std::vector<CandidateId> ids;
       ids.reserve(pending.size());
       for (const LoopCandidate& candidate : pending) ids.push_back(candidate.id);
       queue_.remove(ids);
-    } catch (...) {  // the first failure says more
+    } catch (...) {  // the first failure is the one to report
     }
     throw;
   }
@@ -157,7 +158,7 @@ void CandidatePool::drop_pending(const std::vector<CandidateId>& ids, std::strin
 }
 
 void CandidatePool::expire(double now_s) {
-  // Ids and times count up together: those that are due come first.
+  // Ids and times ascend together, so the candidates that are due come first.
   if (options_.max_wait_s > 0.0) {
     const std::vector<CandidateId> old = older_than(waiting_, now_s, options_.max_wait_s);
     for (const CandidateId id : old) waiting_.erase(id);
@@ -238,7 +239,7 @@ std::vector<LoopCandidate> CandidatePool::take(std::size_t count) {
         }
       }
     }
-  } catch (...) {  // those taken before it failed are offered again
+  } catch (...) {  // candidates taken before the failure become available again
     batch.insert(batch.end(), redundant_.begin() + static_cast<std::ptrdiff_t>(redundant_before),
                  redundant_.end());
     redundant_.resize(redundant_before);
@@ -288,7 +289,7 @@ void CandidatePool::forget(const std::vector<std::pair<Key, Key>>& pairs) {
 std::optional<double> CandidatePool::oldest_pending_s() const {
   std::optional<double> oldest;
   pending_.visit([&oldest](CandidateId, const LoopCandidate& candidate) {
-    oldest = candidate.time_s;  // ids count up in the order of generation
+    oldest = candidate.time_s;  // ids ascend in the order of generation
     return false;
   });
   return oldest;

@@ -30,7 +30,7 @@ void Engine::Impl::on(event::Choose& event) {
   std::vector<LoopCandidate> batch;
   guarded([&] { batch = pool_.take(event.count); });
   if (batch.empty()) {
-    may_choose_ = false;  // all are held back until something changes
+    may_choose_ = false;  // the prioritisers hold back all candidates until something changes
     return;
   }
   computing_ = true;
@@ -40,7 +40,7 @@ void Engine::Impl::on(event::Choose& event) {
     in_computation_.emplace(candidate.id, candidate);
     try {
       tasks.push_back(task_of(candidate));
-    } catch (const Error& error) {  // one of a node that has not come
+    } catch (const Error& error) {  // a node of the candidate has not arrived
       failed.push_back(failed_result(candidate, error.what()));
     }
   }
@@ -68,7 +68,7 @@ void Engine::Impl::on(RegistrationResult& result) {
   if (begun == in_computation_.end()) {
     throw InputError("registration " + pair_name(result.candidate) + " has a result but was not begun");
   }
-  result.candidate = begun->second;  // a registrar may not have filled it in
+  result.candidate = begun->second;  // a registrar may leave it empty
   in_computation_.erase(begun);
   const bool moved_meanwhile = moved_meanwhile_.erase(id) != 0;
   guarded([&] { pool_.complete(result); });

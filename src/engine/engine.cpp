@@ -71,7 +71,7 @@ void Engine::Impl::on(KeyFrame& frame) {
   waiting_factors_.erase(node.key);
   add_factors(waited);
 
-  // Radio's first, so that a pair that both propose counts as radio's.
+  // Radio comes first, so that a pair that both propose counts as proposed by radio.
   std::vector<LoopCandidate> candidates = radio_.on_node(graph_, node.key, now_s_);
   if (options_.use_proximity && prioritizes_) {
     const std::vector<LoopCandidate> near = generator_.on_node(graph_, node.key, now_s_);
@@ -169,7 +169,7 @@ void Engine::Impl::propose(std::vector<LoopCandidate> candidates) {
 }
 
 bool kept_by_thinning(const EngineOptions& options, const LoopCandidate& candidate) {
-  constexpr std::uint64_t kStream = 0x7468696e;  // apart from the registrations' seeds
+  constexpr std::uint64_t kStream = 0x7468696e;  // a random stream that the seeds of registrations do not use
   const auto [low, high] = pair_of(candidate.from, candidate.to);
   return pair_seed(combine_seeds(options.seed, kStream), low, high) %
              static_cast<std::uint64_t>(options.thin) ==

@@ -24,7 +24,7 @@ namespace loopwise {
 
 using KeyPair = std::pair<Key, Key>;
 
-/// The same for (a, b) and (b, a).
+/// The pair in ascending order, so that (a, b) and (b, a) are equal.
 [[nodiscard]] inline KeyPair pair_of(Key a, Key b) {
   return std::minmax(a, b);
 }
@@ -33,12 +33,12 @@ using KeyPair = std::pair<Key, Key>;
   return key_name(candidate.from) + " - " + key_name(candidate.to);
 }
 
-/// Whether two poses are the same but for rounding.
+/// Whether two poses are equal up to rounding.
 [[nodiscard]] bool fits(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b);
-/// Whether the pose is at the prior, in the directions that the prior knows.
+/// Whether the pose agrees with the prior, in the directions for which the prior has information.
 [[nodiscard]] bool fits(const PriorFactor& prior, const Eigen::Isometry3d& pose);
 
-/// The state of an Engine, and what it does with each event. Defined in engine.cpp (nodes, factors, scans,
+/// The state of an Engine and its handlers of events. Defined in engine.cpp (nodes, factors, scans,
 /// candidates), moves.cpp, computation.cpp and estimates.cpp.
 class Engine::Impl {
  public:
@@ -65,8 +65,9 @@ class Engine::Impl {
   double now_s_ = 0.0;
   bool wants_estimate_ = false, optimizing_ = false, computing_ = false;
   bool last_wanted_ = false;
-  bool estimate_continues_ = false;  // the last one was not made from all starts
-  std::multimap<Key, std::pair<double, Factor>> waiting_factors_;  // by a missing node; since when
+  bool estimate_continues_ = false;  // the last estimate did not use all starts
+  std::multimap<Key, std::pair<double, Factor>>
+      waiting_factors_;  // by a missing node: time of arrival, factor
   std::size_t factors_dropped_ = 0;
   std::unordered_map<CandidateId, LoopCandidate> in_computation_;
   std::vector<std::uint64_t> evaluations_;
@@ -77,7 +78,7 @@ class Engine::Impl {
   void emit(Effect&& effect);
   void problem(std::string topic, std::string detail, std::exception_ptr cause = nullptr);
 
-  /// Calls code of a prioritiser, whose failure must not stop the rest.
+  /// Calls code of a prioritiser. Its failure is reported as a problem and does not stop the engine.
   template <class Function>
   void guarded(Function&& function) {
     try {
@@ -85,13 +86,13 @@ class Engine::Impl {
     } catch (const std::bad_alloc&) {
       throw;
     } catch (const std::exception& error) {
-      // The queue names prioritiser and function; the cause is what the prioritiser threw.
+      // The queue's error names prioritiser and function; its cause is the exception of the prioritiser.
       const auto* nested = dynamic_cast<const std::nested_exception*>(&error);
       problem("prioritisation", error.what(), nested ? nested->nested_ptr() : std::current_exception());
     }
   }
 
-  /// The graph as it is, shared until it changes.
+  /// The present graph, shared until it changes.
   std::shared_ptr<const Estimate> snapshot();
   PoseGraph& change_graph();
 
@@ -107,14 +108,15 @@ class Engine::Impl {
 
   void move(const std::optional<Placement::Move>& asked);
 
-  /// A group is about to move: rejections between it and other nodes say nothing any more, nor will those
-  /// that are being computed.
+  /// Called before a group moves: rejections between it and other nodes are no longer valid, including those
+  /// of registrations in progress.
   void forget_outcomes(const std::vector<Key>& group, const Eigen::Isometry3d& correction);
 
-  /// A rejection holds as long as its nodes lie so to each other.
+  /// Remembers a rejection; it is valid as long as the relative pose of its nodes does not change.
   void keep_rejected(const LoopCandidate& candidate, bool moved_meanwhile);
 
-  /// Proposes what moved nodes are near to now, and again what others than the generator proposed.
+  /// Proposes the new neighbours of moved nodes, and again forgotten candidates that did not come from the
+  /// generator.
   void propose_moved();
 
   // ---- scans and candidates
@@ -133,7 +135,7 @@ class Engine::Impl {
 
   void on(event::Tick&);
 
-  /// The prioritisers learn of new nodes and moved poses before they choose.
+  /// Informs the prioritisers of new nodes and moved poses before they choose.
   void announce_graph();
   void on(event::Improve& event);
   void on(event::Choose& event);
@@ -142,7 +144,7 @@ class Engine::Impl {
   void take(const LoopClosure& closure);
   void on(event::BatchDone& event);
   void on(ClosureDecision& decision);
-  /// What a person has said of a pair.
+  /// A person's decision on a pair.
   enum class Word { kNone, kAccepted, kRejected };
   [[nodiscard]] Word word_on(Key a, Key b) const;
 
@@ -152,31 +154,31 @@ class Engine::Impl {
   void start_estimate(bool last = false);
   void on(event::Optimized& event);
 
-  /// Whether factors that came while the estimate was made contradict it.
+  /// Whether the estimate contradicts factors that arrived while it was computed.
   [[nodiscard]] bool is_torn(const std::vector<Eigen::Isometry3d>& estimated,
                              std::size_t edges_estimated) const;
   void on(ExternalEstimate& estimate);
 
-  /// Sets the poses of the named nodes; the others of a robot move with the nearest named one before them.
+  /// Sets the poses of the named nodes. Every other node of a robot moves with the last named node before it.
   void move_nodes(const std::unordered_map<Key, Eigen::Isometry3d>& named);
   void publish();
 
   std::vector<Effect> effects_;
-  std::shared_ptr<const Estimate> snapshot_;  // of graph_ as it is; null after a change
+  std::shared_ptr<const Estimate> snapshot_;  // of the present graph_; null after a change
   std::uint64_t revision_ = 0;
-  bool graph_is_new_ = false;  // to the prioritisers
-  bool may_choose_ = false;    // something has changed since the prioritisers held everything back
+  bool graph_is_new_ = false;  // the prioritisers have not seen the present graph
+  bool may_choose_ = false;    // something has changed since the prioritisers held back all candidates
   std::multimap<double, Key> factor_ages_;                                  // of waiting_factors_
   std::unordered_set<Key> scans_;                                           // announced
   std::unordered_map<Key, std::shared_ptr<const PointCloud>> early_scans_;  // before their nodes
   std::map<KeyPair, bool> decided_;                                         // true: accepted
-  std::unordered_set<Key> closed_;           // nodes with a closure, perhaps taken out since
-  std::vector<Key> moved_;                   // since their neighbours were proposed
-  std::unordered_set<Key> moved_since_job_;  // of the back end
-  bool removed_since_job_ = false;           // closures
-  // Rejected candidates of nodes that may still move against each other, by each of the two.
+  std::unordered_set<Key> closed_;           // nodes that have or had a closure
+  std::vector<Key> moved_;                   // since the last proposal of their neighbours
+  std::unordered_set<Key> moved_since_job_;  // since the last job of the back end began
+  bool removed_since_job_ = false;           // whether closures were removed since then
+  // Rejected candidates whose nodes may still move relative to each other, by each of the two nodes.
   std::unordered_map<Key, std::vector<LoopCandidate>> rejected_apart_;
-  std::vector<LoopCandidate> forgotten_;             // rejections that say nothing any more
+  std::vector<LoopCandidate> forgotten_;             // rejections that are no longer valid
   std::unordered_set<CandidateId> moved_meanwhile_;  // of in_computation_
 };
 

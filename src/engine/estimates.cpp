@@ -42,7 +42,7 @@ void Engine::Impl::on(event::Optimized& event) {
   optimizing_ = false;
   if (!event.failure.empty()) problem("the back end failed", event.failure);
   const bool nothing = event.stopped || !event.failure.empty();
-  // One made with edges that were taken out since is not worth keeping: the next is already wanted.
+  // The estimate used edges that were removed since then; the next estimate is already requested.
   if (nothing || removed_since_job_) return;
   estimate_continues_ = !event.gnc.fresh;
   const std::vector<Eigen::Isometry3d>& poses = event.gnc.optimization.poses;
@@ -53,7 +53,7 @@ void Engine::Impl::on(event::Optimized& event) {
   } else {
     std::unordered_map<Key, Eigen::Isometry3d> named;
     for (std::size_t i = 0; i < poses.size(); ++i) {
-      // A node that odometry or a prior has moved since goes along with the nodes that it was tied to.
+      // A node that odometry or a prior moved meanwhile moves with the nodes that it was joined to.
       const Key key = graph.nodes()[i].key;
       if (moved_since_job_.count(key) == 0) named.emplace(key, poses[i]);
     }
@@ -67,7 +67,7 @@ bool Engine::Impl::is_torn(const std::vector<Eigen::Isometry3d>& estimated,
                            std::size_t edges_estimated) const {
   if (moved_since_job_.empty()) return false;
   const auto placed = [this](Key key) { return moved_since_job_.count(key) != 0; };
-  // Odometry alone says no more than where its group lay before.
+  // Odometry alone only repeats the former pose of its group.
   for (std::size_t e = 0; e < edges_estimated; ++e) {
     const Edge& edge = graph_.edges()[e];
     if (edge.kind == EdgeKind::kOdometry) continue;

@@ -12,8 +12,8 @@ namespace loopwise {
 /// Any factor of a pose graph.
 using Factor = std::variant<Edge, PriorFactor, RangeFactor, GravityFactor>;
 
-/// Of a KeyFrame or of Factors. Priors before edges, so that a path is placed before it is tied; gravity
-/// before ranges.
+/// The factors of a KeyFrame or of Factors. Priors come before edges, so that they place a path before it is
+/// joined to others; gravity comes before ranges.
 template <class Source>
 [[nodiscard]] std::vector<Factor> factors_of(const Source& source) {
   std::vector<Factor> factors(source.priors.begin(), source.priors.end());
@@ -51,7 +51,7 @@ inline void add_factor(PoseGraph& graph, const Factor& factor) {
   std::visit(Add{graph}, factor);
 }
 
-/// \throws what a graph that has the factor's nodes would
+/// \throws the exception of a graph that has the factor's nodes
 inline void check_factor(const Factor& factor) {
   PoseGraph scratch;
   for (const Key key : keys_of(factor)) {

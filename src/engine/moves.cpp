@@ -11,7 +11,7 @@ namespace loopwise {
 void Engine::Impl::move(const std::optional<Placement::Move>& asked) {
   if (!asked) return;
   const auto& [group, anchor, pose] = *asked;
-  // Also where nothing moves: an estimate that is under way does not know that it is held there.
+  // Also if no pose changes: the group is now fixed, which an estimate in progress does not know.
   moved_since_job_.insert(group.begin(), group.end());
   const Eigen::Isometry3d correction = pose * graph_.node(anchor).pose.inverse();
   if ((correction.matrix() - Eigen::Matrix4d::Identity()).cwiseAbs().maxCoeff() < 1e-9) return;
@@ -22,13 +22,13 @@ void Engine::Impl::move(const std::optional<Placement::Move>& asked) {
     graph.set_pose(key, key == anchor ? pose : se3::normalized(correction * graph.node(key).pose));
   }
   graph_is_new_ = may_choose_ = true;
-  // Closures that tie the group to others say now that it lies elsewhere.
+  // Closures between the group and others now contradict its pose.
   if (std::any_of(group.begin(), group.end(), [this](Key key) { return closed_.count(key) != 0; }))
     wants_estimate_ = true;
 }
 
 void Engine::Impl::forget_outcomes(const std::vector<Key>& group, const Eigen::Isometry3d& correction) {
-  constexpr double kSame_m = 0.01, kSame_rad = 0.002;  // to a registration
+  constexpr double kSame_m = 0.01, kSame_rad = 0.002;  // changes below this do not matter to a registration
   const bool turns = se3::rotation_angle(correction) > kSame_rad;
   const std::unordered_set<Key> moving(group.begin(), group.end());
   const auto parted = [&](const LoopCandidate& c) {

@@ -11,7 +11,7 @@
 namespace loopwise {
 
 bool Placement::is_full(const PriorFactor& prior) {
-  // A standard deviation of a full turn says nothing of a rotation.
+  // With a standard deviation of a full turn, a prior has no information on the rotation.
   constexpr double kLeastRotation = 0.025;  // 1 / (2 pi)^2, rad^-2
   using Solver = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>;
   const Eigen::Matrix3d translation = prior.information.topLeftCorner<3, 3>();
@@ -86,7 +86,7 @@ std::optional<Placement::Move> Placement::tie(const PoseGraph& graph, const Edge
     return std::pair(groups_.at(group).place, groups_.at(group).nodes.size());
   };
   const bool second_moves = rank(b) <= rank(a);
-  if (!second_moves) std::swap(a, b);  // b comes to a
+  if (!second_moves) std::swap(a, b);  // b moves to a
   std::optional<Move> move;
   if (groups_.at(b).place != Place::kFixed) {
     const Key stays = second_moves ? edge.from : edge.to;
@@ -96,7 +96,8 @@ std::optional<Placement::Move> Placement::tie(const PoseGraph& graph, const Edge
     move_odometry(graph, *move, se3::normalized(odometry_[graph.index_of(stays)] * T));
   }
   const Place place = groups_.at(a).place;
-  if (groups_.at(a).nodes.size() < groups_.at(b).nodes.size()) std::swap(a, b);  // renames the fewer
+  if (groups_.at(a).nodes.size() < groups_.at(b).nodes.size())
+    std::swap(a, b);  // the smaller group is renamed
   Group& into = groups_.at(a);
   for (const Key key : groups_.at(b).nodes) group_of_[key] = a;
   into.nodes.insert(into.nodes.end(), groups_.at(b).nodes.begin(), groups_.at(b).nodes.end());

@@ -16,14 +16,14 @@
 
 namespace loopwise {
 
-/// Where nodes lie before any estimate: odometry and full priors place them, whichever comes first. Nodes
-/// that odometry has tied together form a group, which moves as one until its place is known. This is the
-/// one place that decides it.
+/// Poses of nodes before any estimate: odometry and full priors determine them, in order of arrival. Nodes
+/// that odometry joins form a group, which moves as a whole until its place is fixed.
 class Placement {
  public:
   explicit Placement(Robots robots) : robots_(std::move(robots)) {}
 
-  /// A prior that says nothing of the rotation (as of GNSS) or of the position cannot place a path.
+  /// Whether the prior can place a path: it must have information on rotation and position (GNSS has no
+  /// rotation).
   [[nodiscard]] static bool is_full(const PriorFactor& prior);
 
   /// Factors that are known when a node arrives.
@@ -31,41 +31,42 @@ class Placement {
     std::vector<const Edge*> edges;
     std::vector<const PriorFactor*> priors;
   };
-  /// Takes in a node that the graph does not have yet. \returns its pose
+  /// Adds a node that is not yet in the graph. \returns its pose
   [[nodiscard]] Eigen::Isometry3d add(const PoseGraph& graph, const Node& node, const Known& known);
 
-  /// Nodes that have to move as one, so that `anchor` lies at `pose`.
+  /// A group that has to move as a whole, so that `anchor` gets the pose `pose`.
   struct Move {
     std::vector<Key> group;
     Key anchor = 0;
     Eigen::Isometry3d pose;
   };
-  /// Odometry between two nodes of the graph. Of two groups the one that knows less of its place moves, of
-  /// two alike the smaller; groups that are both fixed stay.
+  /// Joins the groups of two nodes of the graph by odometry. The group whose place is less certain moves; if
+  /// both are equally certain, the smaller one. Two fixed groups stay.
   [[nodiscard]] std::optional<Move> tie(const PoseGraph& graph, const Edge& edge);
-  /// A prior of a node of the graph. \returns the group that it fixes, if that was not fixed before
+  /// Applies a prior of a node of the graph. \returns the group that the prior fixes, unless it was already
+  /// fixed
   [[nodiscard]] std::optional<Move> settle(const PoseGraph& graph, const PriorFactor& prior);
-  /// The node's place is known from an estimate.
+  /// Marks the place of the node's group as fixed by an estimate.
   void fix(Key key) { groups_.at(group_of_.at(key)).place = Place::kFixed; }
 
-  /// Whether one of the two may still move without the other.
+  /// Whether one of the two nodes may still move without the other.
   [[nodiscard]] bool apart(Key first, Key second) const;
 
   /// Poses by odometry and full priors alone, in the order of the graph's nodes.
   [[nodiscard]] const std::vector<Eigen::Isometry3d>& odometry() const { return odometry_; }
 
  private:
-  /// How well the place of a group is known.
+  /// The source of a group's place, in ascending order of certainty.
   enum class Place {
-    kGiven,  ///< By the front end alone.
-    kFirst,  ///< With its robot's first node, which defines the robot's frame.
-    kFixed,  ///< By a full prior or an estimate.
+    kGiven,  ///< The front end's pose.
+    kFirst,  ///< It contains its robot's first node, which defines the robot's frame.
+    kFixed,  ///< A full prior or an estimate.
   };
   struct Group {
     Place place = Place::kGiven;
     std::vector<Key> nodes;
   };
-  /// The neighbour that places a new node, and the step from it.
+  /// The neighbour from which a new node is placed, and the relative pose.
   struct Step {
     std::size_t node;
     Eigen::Isometry3d T;

@@ -25,7 +25,7 @@ bool EngineThread::post(Event event) {
   work_.begin();
   bool taken = false;
   try {
-    // Callbacks and prioritisers run in the thread that would make room.
+    // Callbacks and prioritisers run in this thread, so they must not wait for it to make room.
     if (is_own_thread()) {
       taken = inbox_.post_now(std::move(event));
     } else {
@@ -60,11 +60,11 @@ void EngineThread::give_up() {
   inbox_.close(/*abandon=*/true);
   no_more_batches_.request_stop();
   interrupt_improvement();
-  work_.stop();  // something is lost: callers of wait() must not learn that all is done
+  work_.stop();  // messages may be lost, so wait() must not report that all is done
 }
 
 PoseGraph EngineThread::graph() const {
-  if (is_own_thread()) return engine_->graph();  // which may hold the mutex now
+  if (is_own_thread()) return engine_->graph();  // this thread may hold the mutex
   const std::lock_guard<std::mutex> lock(graph_mutex_);
   return engine_->graph();
 }
@@ -84,7 +84,8 @@ void EngineThread::run() {
   id_ = std::this_thread::get_id();
   try {
     handle_messages();
-    // The estimates on the way may continue each other. This has no effect if the last one does not.
+    // Intermediate estimates may continue each other; the last one is made from scratch. No effect if it
+    // already is.
     if (!out_of_memory_) feed(event::Settle{true});
     handle_messages();
     statistics_.publish(*engine_, events_);
@@ -92,10 +93,10 @@ void EngineThread::run() {
     out_of_memory_ = true;
   }
   if (out_of_memory_) end_without_memory();
-  id_ = std::thread::id();  // a later thread of the host may get the same
+  id_ = std::thread::id();  // a later thread of the process may get the same id
 }
 
-/// Until the inbox is closed and no worker has anything to answer.
+/// Returns when the inbox is closed and no answer of a worker is pending.
 void EngineThread::handle_messages() {
   while (auto message = next_message()) {
     if (auto* event = std::get_if<Event>(&*message)) {
@@ -111,9 +112,9 @@ void EngineThread::handle_messages() {
   }
 }
 
-/// While a batch is computed, the next set is improved. Events from outside wait meanwhile, so that a
-/// prepared set is handed out before they make it old: until the set cannot be improved further, the
-/// computation runs dry, or the inbox is half full.
+/// While a batch is computed, the next set is improved. Events from outside wait during this time; otherwise
+/// they would invalidate the prepared set before it is used. They wait until the set cannot be improved
+/// further, the batch is done, or the inbox is half full.
 std::optional<EngineThread::Message> EngineThread::next_message() {
   while (engine_->computing() && !improved_ && engine_->pool().accounting().pending > 0 &&
          (improving_ ? !half_full() : inbox_.size() == 0) && !no_more_batches_.stop_requested()) {
@@ -140,7 +141,7 @@ void EngineThread::improve() {
 
 namespace {
 
-/// The node whose frame or scan an event brings.
+/// The node of an event with a key frame or scan.
 std::optional<Key> new_node(const Event& event) {
   if (const auto* frame = std::get_if<KeyFrame>(&event)) return frame->node.key;
   if (const auto* scan = std::get_if<event::Scan>(&event)) return scan->scan.key;
@@ -149,7 +150,7 @@ std::optional<Key> new_node(const Event& event) {
 
 }  // namespace
 
-/// The one way into the engine.
+/// Passes an event to the engine. All events take this path.
 void EngineThread::feed(Event event) {
   Event record = settings_.on_event ? event : Event();
   const std::optional<Key> node = settings_.recognise ? new_node(event) : std::nullopt;
@@ -159,7 +160,7 @@ void EngineThread::feed(Event event) {
   std::vector<Effect> effects;
   try {
     std::unique_lock<std::mutex> lock(graph_mutex_, std::defer_lock);
-    // These two may take long, and leave the graph alone.
+    // These two may take long and do not change the graph.
     const bool chooses =
         std::holds_alternative<event::Choose>(event) || std::holds_alternative<event::Improve>(event);
     if (!chooses) lock.lock();
@@ -192,7 +193,7 @@ void EngineThread::recognise(Key key) {
   if (!alike.candidates.empty()) feed(std::move(alike));
 }
 
-/// After each event: starts what there is reason for.
+/// After each event: requests an estimate or a batch if the engine needs one.
 void EngineThread::keep_busy() {
   constexpr double kTick_s = 1.0;
   if (settings_.clock->now() >= last_tick_s_ + kTick_s) {
@@ -223,12 +224,12 @@ void EngineThread::carry_out(effect::EstimateReady& ready) {
   reporter_.estimate(ready.estimate);
 }
 
-/// The graph and the account stay readable.
+/// Ends the module; graph and statistics stay readable.
 void EngineThread::end_without_memory() {
   give_up();
   try {
     reporter_.problem("out of memory: the module has stopped");
-  } catch (const std::bad_alloc&) {  // not even for that
+  } catch (const std::bad_alloc&) {  // no memory for the report either
   }
 }
 

@@ -22,19 +22,19 @@
 
 namespace loopwise {
 
-/// The thread of a module that runs the engine: feeds it, improves the next set while a batch is computed,
-/// and carries out effects.
+/// The thread of a module that runs the engine. It passes events to it, improves the next set while a batch
+/// is computed, and executes effects.
 class EngineThread {
  public:
   struct Settings {
     std::size_t batch = 1;     ///< Candidates handed out at a time.
-    std::size_t capacity = 1;  ///< Events that wait before producers are held up.
+    std::size_t capacity = 1;  ///< Waiting events from which on producers block.
     std::shared_ptr<const Clock> clock;
     std::function<void(const HandledEvent&)> on_event;  ///< May be empty.
-    /// Proposes what looks like a node whose frame or scan has come; may be empty.
+    /// Proposes candidates that look like a node with a new frame or scan; may be empty.
     std::function<std::vector<LoopCandidate>(const PoseGraph&, Key, double now_s)> recognise;
   };
-  /// What the other threads of the module do. Must not wait.
+  /// Starts work in the other threads of the module. Must not block.
   struct Workers {
     std::function<void(std::vector<RegistrationTask>)> compute;  ///< Answer: event::BatchDone.
     std::function<void(effect::Optimize)> optimize;              ///< Answer: event::Optimized.
@@ -47,36 +47,36 @@ class EngineThread {
         reporter_(reporter),
         inbox_(settings_.capacity) {}
 
-  /// Begins. \throws std::system_error if the system has no more threads
+  /// Starts the thread. \throws std::system_error if the system has no more threads
   void start(Engine engine, Workers workers);
-  /// Handles the waiting events, begins no more batches, and ends once those under way are done and the last
-  /// estimate is one from scratch. To be called once started.
+  /// Handles the waiting events and starts no more batches. Returns when those in progress are done and the
+  /// last estimate is from scratch. \pre start() was called
   void end();
 
   /// Whether the caller runs in this thread, as callbacks and prioritisers do.
   [[nodiscard]] bool is_own_thread() const { return std::this_thread::get_id() == id_; }
 
-  /// An event from outside: waits while the inbox is full, unless called from this thread itself, where
-  /// callbacks and prioritisers run. \returns false, with the event not taken, after the end
+  /// Posts an event from outside. Blocks while the inbox is full, unless called from this thread (by
+  /// callbacks or prioritisers). \returns false, without using the event, after the end
   [[nodiscard]] bool post(Event event);
-  /// An event from a worker, or a problem that it has met: never waits. Without memory, the thread ends.
+  /// Posts an event or a problem from a worker; never blocks. If an allocation fails, the thread ends.
   void post_inside(std::variant<Event, effect::Problem> message);
 
-  /// A worker has no memory to go on with: the thread ends.
+  /// Ends the thread because of an allocation failure in a worker.
   void give_up();
 
-  /// An eigenvalue that a prioritiser has asked for while an event is handled.
+  /// Records an eigenvalue that a prioritiser requests while an event is handled.
   void note_observability(double eigenvalue) { observability_ = eigenvalue; }
   void note_signature(const ScanSignature& signature) { signature_ = signature; }
 
   [[nodiscard]] std::size_t waiting() const { return inbox_.size(); }
   [[nodiscard]] PoseGraph graph() const;
   [[nodiscard]] std::shared_ptr<const Estimate> estimate() const;
-  /// Requested at the end.
+  /// Its stop is requested at the end.
   [[nodiscard]] StopToken no_more_batches() const { return no_more_batches_.token(); }
 
  private:
-  /// Events, and problems that other threads have met.
+  /// Events, and problems of other threads.
   using Message = std::variant<Event, effect::Problem>;
 
   void run();
@@ -108,14 +108,14 @@ class EngineThread {
   std::mutex improvement_mutex_;
   StopSource improvement_;
 
-  // Of this thread alone, but for the graph, which others read with the mutex held.
-  std::optional<double> observability_;  // of the scan that the last event brought
+  // Only this thread uses these, except for the graph, which others read with the mutex held.
+  std::optional<double> observability_;  // of the scan in the current event
   std::optional<ScanSignature> signature_;
-  mutable std::mutex graph_mutex_;  // taken by this thread to write, and by others to read
+  mutable std::mutex graph_mutex_;  // this thread holds it to write, others hold it to read
   std::optional<Engine> engine_;
   std::shared_ptr<const Estimate> estimate_;
-  bool improving_ = false;  // the next set is being prepared ...
-  bool improved_ = false;   // ... and is as good as it can be
+  bool improving_ = false;  // the next set is being prepared
+  bool improved_ = false;   // the next set cannot be improved further
   double last_tick_s_ = 0.0;
   std::size_t events_ = 0;  // handled
 

@@ -13,26 +13,26 @@
 
 namespace loopwise {
 
-/// Which nodes and scans the producers have handed over, and their clouds. Thread-safe.
+/// Records the nodes and scans that producers have added, and stores the clouds. Thread-safe.
 class Intake {
  public:
-  /// Keeps clouds only if `scans` is empty.
+  /// Stores clouds only if `scans` is empty.
   explicit Intake(ScanLoader scans) : scans_(std::move(scans)) {}
 
-  /// \throws InputError if the node or its scan has come before; then nothing is taken
+  /// \throws InputError if the node or its scan was added before; nothing is stored then
   void add_node(Key key, const std::shared_ptr<const PointCloud>& cloud) {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (nodes_.count(key) != 0) throw InputError("node " + key_name(key) + " was added before");
     if (cloud) keep(key, cloud);
     nodes_.insert(key);
   }
-  /// \throws InputError if the node has a scan
+  /// \throws InputError if the node already has a scan
   void add_scan(Key key, const std::shared_ptr<const PointCloud>& cloud) {
     const std::lock_guard<std::mutex> lock(mutex_);
     keep(key, cloud);
   }
 
-  /// The cloud of a node; null if it has not come.
+  /// The cloud of a node; null if it has not arrived.
   [[nodiscard]] std::shared_ptr<const PointCloud> load(Key key) const {
     if (scans_) return scans_(key);
     const std::lock_guard<std::mutex> lock(mutex_);

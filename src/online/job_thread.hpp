@@ -9,7 +9,7 @@
 
 namespace loopwise {
 
-/// Does one job after the other in a thread of its own.
+/// Executes jobs one after the other in its own thread.
 template <class Job>
 class JobThread {
  public:
@@ -23,7 +23,7 @@ class JobThread {
   JobThread& operator=(const JobThread&) = delete;
 
   void post(Job job) { jobs_.post_inside(std::move(job)); }
-  /// Ends the thread, after the jobs that it has.
+  /// Ends the thread after the posted jobs.
   void stop() {
     jobs_.close();
     if (thread_.joinable()) thread_.join();

@@ -64,7 +64,7 @@ class LoopClosureModule::Impl {
     return engine_thread_.post(std::move(event));
   }
 
-  /// Any other event from outside.
+  /// Adds any other event from outside.
   bool add(Event event) { return engine_thread_.post(checked(std::move(event))); }
 
   bool set_estimate(const ExternalEstimate& estimate) {
@@ -80,7 +80,7 @@ class LoopClosureModule::Impl {
 
   void stop() {
     refuse_own_threads("stop");
-    stop_source_.request_stop();  // ends a last estimate as well
+    stop_source_.request_stop();  // also ends a last estimate
     end();
   }
 
@@ -99,7 +99,7 @@ class LoopClosureModule::Impl {
   }
 
  private:
-  /// These calls wait for the module's threads, which must not wait for themselves.
+  /// Throws if one of the module's own threads makes this call, which would wait for that thread.
   void refuse_own_threads(const char* call) {
     if (!engine_thread_.is_own_thread() && !crew_.is_own_thread()) return;
     throw Error(std::string(call) +
@@ -166,7 +166,7 @@ class LoopClosureModule::Impl {
     return event;
   }
 
-  // ---- the threads beside the engine's
+  // ---- the threads other than the engine's
 
   void compute(std::vector<RegistrationTask>&& tasks) {
     try {
@@ -184,7 +184,7 @@ class LoopClosureModule::Impl {
       engine_thread_.post_inside(Event(std::move(result)));
     };
     hooks.overdue = [this](const LoopCandidate& candidate, double seconds) {
-      work_.begin();  // wait() waits for it, a batch does not
+      work_.begin();  // wait() waits for this registration, a batch does not
       statistics_.registration_overdue();
       engine_thread_.post_inside(effect::Problem{
           "registration overdue",
@@ -224,7 +224,7 @@ class LoopClosureModule::Impl {
   Intake intake_;
   std::shared_ptr<FeatureCache> features_;
   std::shared_ptr<const Registrar> registrar_;
-  std::optional<PoseGraphOptimizer> optimizer_;  // of the back end's thread alone
+  std::optional<PoseGraphOptimizer> optimizer_;  // only the back end's thread uses it
 
   StatisticsBoard statistics_;
   Reporter reporter_;
@@ -232,8 +232,8 @@ class LoopClosureModule::Impl {
   StopSource stop_source_;  // of the back end
   std::mutex stop_mutex_;
   bool ended_ = false;
-  std::unique_ptr<AppearanceGenerator> appearance_;  // of the engine's thread alone; null: not wanted
-  // The threads. Those that come later use those before them.
+  std::unique_ptr<AppearanceGenerator> appearance_;  // only the engine's thread uses it; null if not enabled
+  // The threads. Each may use those declared before it.
   EngineThread engine_thread_;
   RegistrationCrew crew_;
   JobThread<std::vector<RegistrationTask>> computation_;

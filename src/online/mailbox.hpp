@@ -10,14 +10,14 @@
 
 namespace loopwise {
 
-/// Messages for one thread. Producers wait while the mailbox is full. Stages that the thread itself waits for
-/// do not, or they would wait for each other, and their messages come first.
+/// Messages for one thread. Producers block while the mailbox is full. Internal stages, for which the thread
+/// itself may wait, never block, because both would wait for each other; their messages come first.
 template <class Message>
 class Mailbox {
  public:
   explicit Mailbox(std::size_t capacity) : capacity_(capacity) {}
 
-  /// Waits for room. \returns false, with the message not taken, once closed
+  /// Blocks until there is room. \returns false, without taking the message, if closed
   template <class OnFull>
   bool post(Message&& message, OnFull&& on_full) {
     std::unique_lock<std::mutex> lock(mutex_);
@@ -28,20 +28,21 @@ class Mailbox {
     return push(std::move(message));
   }
 
-  /// Never waits. \returns false, with the message not taken, once closed
+  /// Never blocks. \returns false, without taking the message, if closed
   bool post_now(Message&& message) {
     const std::lock_guard<std::mutex> lock(mutex_);
     return push(std::move(message));
   }
 
-  /// From a stage inside: never waits for room, and is taken even when closed.
+  /// For an internal stage: never blocks, and works after close() too.
   void post_inside(Message message) {
     const std::lock_guard<std::mutex> lock(mutex_);
     inner_.push_back(std::move(message));
     some_.notify_one();
   }
 
-  /// The next message, waiting for one; none once closed, empty, and no more expected from inside.
+  /// Blocks until there is a message and returns it. \returns nothing if the mailbox is closed and empty, and
+  /// no message of an internal stage is expected
   std::optional<Message> next(bool expect_inside) {
     std::unique_lock<std::mutex> lock(mutex_);
     some_.wait(lock, [&] {
@@ -50,13 +51,13 @@ class Mailbox {
     return pop();
   }
 
-  /// The next message from inside, if there is one.
+  /// The next message of an internal stage, if there is one.
   std::optional<Message> try_next_inside() {
     const std::lock_guard<std::mutex> lock(mutex_);
     return inner_.empty() ? std::nullopt : pop();
   }
 
-  /// Takes no more from producers. With `abandon`, messages from inside are not waited for either.
+  /// Takes no more messages of producers. With `abandon`, next() does not wait for internal stages either.
   void close(bool abandon = false) {
     const std::lock_guard<std::mutex> lock(mutex_);
     closed_ = true;
@@ -69,7 +70,7 @@ class Mailbox {
     const std::lock_guard<std::mutex> lock(mutex_);
     return outer_.size() + inner_.size();
   }
-  /// Whether a message from inside waits.
+  /// Whether there is a message of an internal stage.
   [[nodiscard]] bool inside_waits() const {
     const std::lock_guard<std::mutex> lock(mutex_);
     return !inner_.empty();

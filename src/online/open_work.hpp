@@ -7,8 +7,8 @@
 
 namespace loopwise {
 
-/// Counts messages that are not handled and jobs that are not done. At zero nothing more happens until
-/// somebody adds something.
+/// Counts unhandled messages and unfinished jobs. At zero nothing more happens until a producer adds
+/// something.
 class OpenWork {
  public:
   void begin() {
@@ -19,13 +19,13 @@ class OpenWork {
     const std::lock_guard<std::mutex> lock(mutex_);
     if (--count_ == 0) done_.notify_all();
   }
-  /// Ends all waiting, now and later.
+  /// Ends all present and later waits.
   void stop() {
     const std::lock_guard<std::mutex> lock(mutex_);
     stopped_ = true;
     done_.notify_all();
   }
-  /// Waits for zero. \returns false once stopped
+  /// Waits for zero. \returns false after stop()
   [[nodiscard]] bool wait() {
     std::unique_lock<std::mutex> lock(mutex_);
     done_.wait(lock, [this] { return count_ == 0 || stopped_; });

@@ -14,7 +14,7 @@
 namespace loopwise {
 namespace {
 
-/// A clock could not hold the end of any pause.
+/// The clock's type cannot represent the end of an arbitrarily long pause.
 constexpr double kLongestPause_s = 3600.0;
 
 }  // namespace
@@ -117,29 +117,30 @@ void RegistrationCrew::replace_hanging() {
   try {
     Worker& worker = ended == workers_.end() ? workers_.emplace_back() : *ended;
     worker.ended = true;
-    if (worker.thread.joinable()) worker.thread.join();  // it has let go of the mutex, and does no more
-    worker.id = std::thread::id();                       // a later thread may get the same
+    if (worker.thread.joinable())
+      worker.thread.join();         // the thread has released the mutex and is about to end
+    worker.id = std::thread::id();  // a later thread may get the same id
     start(worker);
     worker.ended = worker.overdue = false;
     ++spares_;
   } catch (const std::exception&) {
-    // No memory or no threads: it is tried again when the next one is overdue or comes back.
+    // No memory or no threads: the next attempt follows when another registration is overdue or returns.
   }
 }
 
 void RegistrationCrew::pause(std::unique_lock<std::mutex>& lock, double seconds) {
   const auto length = std::chrono::duration<double>(seconds);
 #ifdef __SANITIZE_THREAD__
-  // The thread sanitizer of gcc 12 does not know waits on the steady clock.
+  // The thread sanitizer of GCC 12 does not support waits on the steady clock.
   changed_.wait_until(lock, std::chrono::system_clock::now() +
                                 std::chrono::duration_cast<std::chrono::system_clock::duration>(length));
 #else
-  changed_.wait_for(lock, length);  // by the steady clock: the system's may be set
+  changed_.wait_for(lock, length);  // on the steady clock, because the system clock may be set
 #endif
 }
 
 std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> tasks, const StopToken& stop) {
-  // Pairs with the same target one after the other, as compute_batch() has them.
+  // Pairs with the same target follow each other, as in compute_batch().
   std::sort(tasks.begin(), tasks.end(), [](const RegistrationTask& a, const RegistrationTask& b) {
     return std::tie(a.candidate.to, a.candidate.from) < std::tie(b.candidate.to, b.candidate.from);
   });
@@ -151,7 +152,7 @@ std::vector<LoopCandidate> RegistrationCrew::run(std::vector<RegistrationTask> t
   stop_ = stop;
   tasks_ = std::move(queue);
   some_.notify_all();
-  replace_hanging();  // those of an earlier batch
+  replace_hanging();  // threads may hang in registrations of an earlier batch
   while (!finished()) {
     if (overdue_after_s_ <= 0.0) {
       changed_.wait(lock);

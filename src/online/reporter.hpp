@@ -12,7 +12,7 @@
 
 namespace loopwise {
 
-/// Calls the callbacks of a module. What they throw becomes a problem. For the engine's thread alone.
+/// Calls the callbacks of a module; their exceptions become problems. Only the engine's thread uses it.
 class Reporter {
  public:
   Reporter(ModuleCallbacks callbacks, StatisticsBoard& statistics)
@@ -24,13 +24,13 @@ class Reporter {
     call("on_estimate", callbacks_.on_estimate, estimate);
   }
 
-  /// Counts the problem, and keeps it for the statistics.
+  /// Counts the problem and stores it for the statistics.
   void problem(const std::string& text) {
     statistics_.problem(text);
     if (!callbacks_.on_problem) return;
     try {
       callbacks_.on_problem(text);
-    } catch (...) {  // nobody is left to report to
+    } catch (...) {  // there is no other channel for the report
     }
   }
 

@@ -10,14 +10,14 @@
 
 namespace loopwise {
 
-/// The statistics of a module, written by all its threads and read by anyone.
+/// The statistics of a module. All its threads write them, any thread may read them.
 class StatisticsBoard {
  public:
   [[nodiscard]] ModuleStatistics read() const;
-  /// The engine's part, after `events` events.
+  /// Updates the engine's part after `events` events.
   void publish(const Engine& engine, std::size_t events);
   void batch_begins();
-  /// No time is counted after this.
+  /// Stops counting time.
   void end();
   void problem(const std::string& text);
   void registration_overdue();
@@ -35,7 +35,7 @@ class StatisticsBoard {
     const std::lock_guard<std::mutex> lock(mutex_);
     ++(statistics_.*field);
   }
-  /// The time since the last call counts as it was until now. With the mutex held.
+  /// Counts the time since the last call as busy or idle, and changes the state. \pre the mutex is held
   void set_busy(bool busy);
 
   mutable std::mutex mutex_;

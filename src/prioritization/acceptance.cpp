@@ -22,7 +22,8 @@ Eigen::Map<const Vector> as_vector(const AcceptanceModel::Terms& terms) {
   return Eigen::Map<const Vector>(terms.data());
 }
 
-/// What a recognised place adds to the logit. Right guesses have similarities of 0.3 to 0.6: 1.2 to 2.4.
+/// Term of a recognised place in the logit. Correct guesses have similarities of 0.3 to 0.6, i.e. terms of
+/// 1.2 to 2.4.
 double recognised(const CandidateEvidence& evidence) {
   constexpr double kWeight = 4.0;
   return kWeight * evidence.similarity;
@@ -93,8 +94,9 @@ double AcceptanceModel::probability(const CandidateEvidence& evidence) const {
 }
 
 void AcceptanceModel::fit(const std::vector<std::pair<CandidateEvidence, bool>>& results) {
-  // Newton's method on the log posterior, which is concave, from where the last fit ended; a step that would
-  // lower it is halved. The prior's information is that of strength_ results of chance ½ at a term of 1.
+  // Newton's method on the log posterior, which is concave, from the result of the last fit. A step that
+  // would lower it is halved. The information of the prior equals that of strength_ results with probability
+  // ½ and a term of 1.
   constexpr int kSteps = 20, kHalvings = 30;
   std::vector<Terms> x;
   x.reserve(results.size());

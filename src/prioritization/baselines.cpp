@@ -6,7 +6,8 @@
 namespace loopwise {
 
 std::vector<Refusal> ArrivalPrioritizer::add(const std::vector<LoopCandidate>& candidates) {
-  for (const LoopCandidate& candidate : candidates) ranked_.insert(candidate, 0.0);  // equal scores go by id
+  for (const LoopCandidate& candidate : candidates)
+    ranked_.insert(candidate, 0.0);  // equal scores are ordered by id
   return {};
 }
 

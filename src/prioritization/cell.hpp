@@ -11,8 +11,8 @@
 
 namespace loopwise::detail {
 
-/// The cube of this edge length that a position lies in, as a hash of its three numbers. Beyond ±2⁶² cubes,
-/// beyond the range of the integers, is the last cube; NaN counts as 0.
+/// The cube that contains a position, with this edge length, as a hash of its three indices. Indices beyond
+/// ±2⁶² are clamped to that range, and NaN counts as index 0.
 inline std::uint64_t cell_of(const Eigen::Vector3d& position, double cell_m) {
   constexpr double kLast = 4611686018427387904.0;  // 2⁶²
   std::uint64_t hash = 0;

@@ -20,9 +20,9 @@ namespace {
 
 using Eigen::Index;
 
-/// Variances below this, m², are those of nodes that are held in place.
+/// Variances below this (m²) belong to nodes with a fixed pose.
 constexpr double kHeldVariance = 1e-14;
-/// Candidates worked on by one task of the pool.
+/// Candidates per task of the pool.
 constexpr std::size_t kChunk = 64;
 
 Eigen::Matrix3d world_covariance(const Node& node, const Matrix6d& covariance) {
@@ -31,7 +31,7 @@ Eigen::Matrix3d world_covariance(const Node& node, const Matrix6d& covariance) {
   return R * covariance.topLeftCorner<3, 3>() * R.transpose();
 }
 
-/// Nodes that odometry joins, in the order of their keys.
+/// Chains of nodes joined by odometry, in the order of their keys.
 struct Chains {
   std::vector<std::uint32_t> chain;     // by node
   std::vector<std::uint32_t> position;  // by node, within its chain

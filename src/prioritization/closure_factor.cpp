@@ -14,16 +14,17 @@
 namespace loopwise::detail {
 namespace {
 
-/// A pivot smaller than this share of the matrix's diagonal is rounding: the pose is not determined.
+/// A pivot below this share of the matrix's diagonal is a rounding error: the pose is undetermined.
 constexpr double kSingularPivot = 1e-14;
-/// The order of elimination is made anew when the set's factor costs this much more than at the last time.
+/// A new order of elimination is computed when the factorisation costs this many times as much as after the
+/// last one.
 constexpr double kReorderGrowth = 1.25;
 constexpr std::size_t kBlock = 36;
 
 using Block = Eigen::Map<Matrix6d>;
 using ConstBlock = Eigen::Map<const Matrix6d>;
 
-/// C −= A·Bᵀ, all 6×6 by columns.
+/// C −= A·Bᵀ; all matrices are 6×6 and column-major.
 inline void subtract_abt(const double* __restrict a, const double* __restrict b, double* __restrict c) {
   for (int j = 0; j < 6; ++j) {
     double sum[6];
@@ -36,7 +37,8 @@ inline void subtract_abt(const double* __restrict a, const double* __restrict b,
   }
 }
 
-/// Lower Cholesky factor of the block in place (zeros above), and its inverse. False if it is not positive.
+/// Lower Cholesky factor of the block in place (zeros above), and its inverse. \returns false if the block is
+/// not positive definite.
 bool factorize_block(double* l, double* inverse) {
   for (int j = 0; j < 6; ++j) {
     const double original = l[7 * j];
@@ -159,8 +161,8 @@ void ClosureFactor::analyze(const std::vector<const ClosureTerm*>& closures, boo
     position_.resize(n);
     for (std::size_t k = 0; k < n; ++k) position_[order_[k]] = static_cast<std::uint32_t>(k);
   }
-  // Patterns of the columns of H below the diagonal, then of L: a column of L is that of H joined with those
-  // of its children in the elimination tree.
+  // Patterns of the columns of H below the diagonal, then of L. The pattern of a column of L is that of H
+  // joined with those of its children in the elimination tree.
   columns_.resize(n);
   below_.resize(n);
   for (std::size_t k = 0; k < n; ++k) {
@@ -238,8 +240,8 @@ void ClosureFactor::factorize(const std::vector<const ClosureTerm*>& closures, c
   }
 
   const ClosureKernels& kernels = closure_kernels();
-  // Left-looking: a column takes the updates of all columns to its left that reach it, kept in lists by the
-  // row that each reaches next.
+  // Left-looking: every column receives the updates of the columns to its left that reach it. Lists by row
+  // hold the columns that reach this row next.
   head_.assign(n, UINT32_MAX);
   next_.resize(n);
   cursor_.resize(n);
@@ -287,7 +289,7 @@ void ClosureFactor::closure_columns(const ClosureTerm* const* closures, std::vec
   constexpr std::size_t kRows = 6 * Width;
   const std::size_t n = variables_;
   x.assign(kRows * n, 0.0);
-  // Forward substitution touches the columns on the way from the closures' nodes to the root.
+  // Forward substitution only changes the columns on the paths from the closures' nodes to the root.
   std::vector<std::uint32_t> path;
   for (int c = 0; c < Width / 6; ++c) {
     if (closures[c] == nullptr) continue;

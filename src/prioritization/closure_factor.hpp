@@ -15,8 +15,8 @@
 
 namespace loopwise::detail {
 
-/// A hypothetical closure: a between factor whose measurement is the estimate, so that its residual is zero
-/// and J_to = I, J_from = −Ad(T_to⁻¹ T_from). Adds `scale`·JᵀΩJ to the Hessian.
+/// A hypothetical closure: a between factor whose measurement is the present estimate. Its residual is
+/// therefore zero, J_to = I and J_from = −Ad(T_to⁻¹ T_from). It adds `scale`·JᵀΩJ to the Hessian.
 struct ClosureTerm {
   std::uint32_t from = 0;
   std::uint32_t to = 0;
@@ -24,13 +24,14 @@ struct ClosureTerm {
   Matrix6d adjoint;  ///< Ad(T_to⁻¹ T_from)
 };
 
-/// Parts of a pose graph that are joined by edges, and which of them stand on a prior.
+/// Connected components of a pose graph, and which of them have a prior.
 struct GraphComponents {
   explicit GraphComponents(const PoseGraph& graph);
   std::vector<std::uint32_t> component;  ///< By node.
   std::vector<bool> anchored;            ///< By component: a prior acts in it.
 
-  /// The closure joins two parts of which at least one floats: it ties them, and there is no trace to lower.
+  /// Whether the closure joins two components of which at least one has no prior. It then connects them, and
+  /// the trace it would reduce is not defined.
   [[nodiscard]] bool connecting(std::size_t from, std::size_t to) const {
     const std::uint32_t a = component[from], b = component[to];
     return a != b && !(anchored[a] && anchored[b]);
@@ -38,25 +39,26 @@ struct GraphComponents {
 };
 
 /// The Gauss-Newton Hessian of a pose graph plus a changing set of closures, as a block-sparse Cholesky
-/// factor of 6×6 blocks. Every factorisation starts from the graph's own blocks, so nothing drifts. A
-/// component without a prior is held at its first node, nodes without factors are held too.
+/// factor of 6×6 blocks. Every factorisation starts from the graph's own blocks, so errors do not accumulate.
+/// A component without a prior is held at its first node; nodes without factors are held too.
 class ClosureFactor {
  public:
-  /// Takes the edges' weights as they are. \throws InputError if the graph's numbers are not finite.
+  /// Uses the present weights of the edges. \throws InputError if the graph's numbers are not finite.
   explicit ClosureFactor(const PoseGraph& graph);
 
-  /// Factorises with these closures, each weighing `information`. \throws InputError naming a node if the
-  /// factors do not determine its pose.
+  /// Factorises with these closures, each with the information matrix `information`. \throws InputError
+  /// naming a node if the factors do not determine its pose.
   void factorize(const std::vector<const ClosureTerm*>& closures, const Matrix6d& information);
 
   [[nodiscard]] std::size_t free_nodes() const { return variables_; }
   [[nodiscard]] bool held(std::size_t node) const { return variable_[node] == kHeld; }
   [[nodiscard]] std::size_t blocks() const { return rows_.size(); }
 
-  // Columns of Σ and the like are held as row-major 6×Width blocks, one for each free node in elimination
-  // order.
+  // Columns of Σ and similar matrices are stored as row-major 6×Width blocks, one for each free node in
+  // elimination order.
 
-  /// Σ·Jᵀ of closures side by side, 6 columns each. Width = 6 times their number; columns of a null are zero.
+  /// Σ·Jᵀ of several closures side by side, 6 columns each. Width is 6 times their number; the columns of a
+  /// null pointer are zero.
   template <int Width>
   void closure_columns(const ClosureTerm* const* closures, std::vector<double>& x) const;
   /// x = Σ·x.
@@ -66,17 +68,18 @@ class ClosureFactor {
   template <int Width>
   void solve_root(std::vector<double>& x) const;
 
-  /// The rows of a node, or null if it is held.
+  /// The block of a node in x, or null if the node is held.
   [[nodiscard]] const double* rows_of(const std::vector<double>& x, std::size_t node, int width) const {
     if (held(node)) return nullptr;
     return x.data() +
            static_cast<std::size_t>(position_[variable_[node]]) * 6 * static_cast<std::size_t>(width);
   }
-  /// J·x of a closure, 6×Width row-major, of columns x.
+  /// J·x of a closure as a 6×Width row-major matrix.
   template <int Width>
   void apply(const ClosureTerm& closure, const std::vector<double>& x, double* out) const;
 
-  /// Trace of Σ over all free nodes: of the translations and of everything. By selected inversion.
+  /// Traces of Σ over all free nodes: of the translations, and of all coordinates. Computed by selected
+  /// inversion.
   struct Traces {
     double translation = 0.0;
     double full = 0.0;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The work of a block-sparse Cholesky factor and of substitution with it, many columns at a time. The widest
-/// registers of the processor are chosen when first asked for; they round as the others do, so that results
-/// are the same bits.
+/// Kernels of a block-sparse Cholesky factor and of substitution with it, for many columns at a time. The
+/// first call chooses the widest registers of the processor. All variants round equally, so the results are
+/// the same to the bit.
 #pragma once
 
 #include <cstddef>
@@ -21,14 +21,14 @@ struct BlockColumns {
 
 /// Right-hand sides are row-major 6×width blocks, one for each block column; width is 6, 12, 16 or 24.
 struct ClosureKernels {
-  /// C −= A·B, A 6×6 by columns, B and C 6×width by rows.
+  /// C −= A·B; A is 6×6 and column-major, B and C are 6×width and row-major.
   void (*subtract)(const double* a, const double* b, int width, double* c);
-  /// Takes a finished column's share from the column that is next: for each of its blocks L_ij from `first`
-  /// on, the block at place[i] −= L_ij·L_kjᵀ, L_kj the first of them.
+  /// Subtracts the update by a finished column from the next column. With L_kj the block at `first`, every
+  /// block L_ij from `first` on changes the block at place[i]: −= L_ij·L_kjᵀ.
   void (*update)(const std::uint32_t* rows, const std::uint32_t* place, std::size_t first, std::size_t last,
                  double* values);
-  /// X = L⁻¹X. X is zero but in the columns of `path`, ascending, which holds with each the rows below it;
-  /// null: all.
+  /// X = L⁻¹X. X may be non-zero only in the columns of `path`, which is ascending and contains the rows
+  /// below each of its columns; null: all columns.
   void (*forward)(const BlockColumns& l, const std::uint32_t* path, std::size_t path_size, int width,
                   double* x);
   /// X = L⁻ᵀX.
@@ -36,7 +36,7 @@ struct ClosureKernels {
 };
 
 [[nodiscard]] const ClosureKernels& closure_kernels();
-/// Those that run on any processor of the family.
+/// The kernels that run on any processor of the family.
 [[nodiscard]] const ClosureKernels& closure_kernels_baseline();
 
 }  // namespace loopwise::detail

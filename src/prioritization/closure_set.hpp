@@ -24,7 +24,8 @@ class ClosureTerms {
 
   [[nodiscard]] std::size_t size() const { return terms_.size(); }
   [[nodiscard]] const ClosureTerm& operator[](std::size_t candidate) const { return terms_[candidate]; }
-  /// Joins parts of the graph of which one floats, or can never be accepted: does not take part in H.
+  /// Whether the candidate does not contribute to H: it connects components (see
+  /// GraphComponents::connecting()), or its acceptance is impossible.
   [[nodiscard]] bool inert(std::size_t candidate) const {
     return connecting_[candidate] || terms_[candidate].scale <= 0.0;
   }
@@ -35,23 +36,23 @@ class ClosureTerms {
   std::vector<bool> connecting_;
 };
 
-/// A model's information and the matrix that whitens its residuals, W: WᵀW = information. \throws InputError
-/// unless the covariance is finite, symmetric and positive definite.
+/// The information matrix of a model, and the matrix W that whitens residuals: WᵀW = information. \throws
+/// InputError unless the covariance is finite, symmetric and positive definite.
 struct Whitening {
   explicit Whitening(const Matrix6d& covariance);
   Matrix6d information;
   Matrix6d root;
 };
 
-/// Diagonal blocks of JΣJᵀ and JΣPᵀPΣJᵀ of one candidate, whitened: its own covariance is I.
+/// Diagonal blocks of JΣJᵀ and JΣPᵀPΣJᵀ of one candidate, whitened so that its own covariance is I.
 struct GainBlocks {
   Matrix6d S = Matrix6d::Zero();
   Matrix6d M = Matrix6d::Zero();
-  /// Loss of trace when the closure is added.
+  /// Decrease of the trace if the closure is added.
   [[nodiscard]] double gain() const;
 };
 
-/// A graph, candidates, and the factor of H with the current set of them.
+/// A graph, its candidates, and the factor of H with the current set of candidates.
 class ClosureSet {
  public:
   ClosureSet(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
@@ -63,7 +64,7 @@ class ClosureSet {
 
   /// The factor with the current set.
   [[nodiscard]] const ClosureFactor& factor();
-  /// The factor with other closures than the current set; the next factor() makes its own again.
+  /// The factor with other closures than the current set; the next factor() restores that of the current set.
   [[nodiscard]] const ClosureFactor& factor_with(const std::vector<std::size_t>& members);
   void changed() { fresh_ = false; }
   [[nodiscard]] std::size_t factorizations() const { return factorizations_; }
@@ -79,7 +80,7 @@ class ClosureSet {
   std::size_t factorizations_ = 0;
 };
 
-/// XᵀPᵀPX of row-major columns of a given width: sums over the counted rows of all free nodes.
+/// XᵀPᵀPX of row-major columns with a given width: sums over the counted rows of all free nodes.
 template <int Width>
 [[nodiscard]] Eigen::Matrix<double, Width, Width, Eigen::RowMajor> counted_gram(const std::vector<double>& x,
                                                                                 TraceKind kind);

@@ -24,20 +24,21 @@ using Matrix12d = Eigen::Matrix<double, 12, 12>;
 template <int Width>
 using Rows = Eigen::Matrix<double, 6, Width, Eigen::RowMajor>;
 
-/// Up to this many candidates the blocks of all pairs are held: a move then costs less than the solves that
-/// its evaluations would need (measured, docs/prioritization.md).
+/// Up to this number of candidates, the blocks of all pairs are stored: updating them after a move then costs
+/// less than the solves for the evaluations (measured, docs/prioritization.md).
 constexpr std::size_t kDenseUpTo = 256;
 /// Moves between two exact evaluations of the running value.
 constexpr std::size_t kValueRefresh = 32;
-/// I − S of a closure in the set is what rounding leaves of two nearly equal terms; below this the closure is
-/// taken out by a factorisation instead.
+/// I − S of a closure in the set is the difference of nearly equal matrices. If a pivot is below this,
+/// rounding dominates it, and the closure is removed by a new factorisation instead.
 constexpr double kLostPivot = 1e-9;
-/// Candidates whose columns are solved for at a time where all of them are: L is read once for them.
+/// Candidates whose columns are solved for together if all columns are needed: L is then read once for the
+/// group.
 constexpr std::size_t kGroup = 4;
-/// Candidates worked on by one task of the pool.
+/// Candidates per task of the pool.
 constexpr std::size_t kChunk = 64;
 
-/// tr((I − S)⁻¹ M), or nothing if rounding has eaten I − S. `removal` receives (I − S)⁻¹ as a factor.
+/// tr((I − S)⁻¹ M), or nothing if rounding dominates I − S. `removal` receives the factor of I − S.
 std::optional<double> loss(const Matrix6d& S, const Matrix6d& M, Eigen::LLT<Matrix6d>& removal) {
   removal.compute(Matrix6d::Identity() - S);
   if (removal.info() != Eigen::Success) return std::nullopt;
@@ -45,7 +46,7 @@ std::optional<double> loss(const Matrix6d& S, const Matrix6d& M, Eigen::LLT<Matr
   return removal.solve(M).trace();
 }
 
-/// Blocks of one candidate with the factor given, whitened.
+/// Whitened blocks of one candidate, from the given factor.
 GainBlocks blocks_of(const ClosureSet& closures, const ClosureFactor& factor, std::size_t candidate,
                      TraceKind kind, std::vector<double>& x) {
   const ClosureTerm* term = &closures.terms[candidate];
@@ -84,9 +85,9 @@ struct CovarianceObjective::Impl {
   };
   std::optional<Change> last_swap;  // evaluated for the current set
 
-  // Columns: blocks of every candidate under the current set, during a greedy choice.
+  // Column mode: blocks of every candidate for the current set, during a greedy choice.
   std::vector<GainBlocks> tracked;
-  // Dense: S and M of all pairs, lower triangles valid.
+  // Dense mode: S and M of all pairs, only the lower triangles are valid.
   Eigen::MatrixXd S, M;
   std::size_t dense_moves = 0;
   bool dense_fresh = false;
@@ -141,12 +142,12 @@ struct CovarianceObjective::Impl {
     return lost - blocks_of(closures, without, in, options.trace, x).gain();
   }
 
-  /// The first of the two leaves, the second enters.
+  /// Change of the trace if the first of two candidates leaves and the second one enters.
   [[nodiscard]] static std::optional<double> swap_of_blocks(const Matrix12d& s, const Matrix12d& m) {
     Eigen::LLT<Matrix6d> removal;
     const auto lost = loss(s.topLeftCorner<6, 6>(), m.topLeftCorner<6, 6>(), removal);
     if (!lost) return std::nullopt;
-    // Without the first, Σ grows by ΣJᵀ(I − S)⁻¹JΣ.
+    // Removing the first one increases Σ by ΣJᵀ(I − S)⁻¹JΣ.
     const Matrix6d s_ba = s.bottomLeftCorner<6, 6>(), m_ba = m.bottomLeftCorner<6, 6>();
     const Matrix6d f = removal.solve(s_ba.transpose()).transpose();  // s_ba (I − S)⁻¹
     GainBlocks in;
@@ -170,13 +171,14 @@ struct CovarianceObjective::Impl {
     });
   }
 
-  /// Adds `in` by columns; keeps the tracked blocks up to date.
+  /// Adds `in` by columns and updates the tracked blocks.
   void add_by_columns(std::size_t in) {
     const ClosureFactor& factor = closures.factor();
     const GainBlocks own = blocks_of(closures, factor, in, options.trace, x);  // leaves the columns in x
     const double gain = own.gain();
     if (!tracked.empty()) {
-      // Updated blocks must agree with fresh ones; if they have drifted, all are computed again.
+      // Updated blocks must agree with fresh ones. If their errors have accumulated, all blocks are computed
+      // again.
       if (std::abs(tracked[in].gain() - gain) > 1e-6 * std::abs(gain)) {
         tracked.clear();
       } else {
@@ -187,8 +189,8 @@ struct CovarianceObjective::Impl {
     moved(-gain);
   }
 
-  /// With T whitening the columns X = ΣJᵀ so that Σ loses X Xᵀ, and Z = ΣPᵀPX − ½ X (XᵀPᵀPX): S loses
-  /// (JX)(JX)ᵀ, M loses (JX)(JZ)ᵀ + (JZ)(JX)ᵀ.
+  /// Let T whiten the columns X = ΣJᵀ such that Σ decreases by X Xᵀ, and Z = ΣPᵀPX − ½ X (XᵀPᵀPX). Then S
+  /// decreases by (JX)(JX)ᵀ, and M by (JX)(JZ)ᵀ + (JZ)(JX)ᵀ.
   void update_tracked(const ClosureFactor& factor, std::size_t in, const GainBlocks& own) {
     const Eigen::LLT<Matrix6d> cholesky(Matrix6d::Identity() + own.S);
     const Matrix6d Q = cholesky.matrixL().solve(Matrix6d::Identity());
@@ -270,7 +272,7 @@ struct CovarianceObjective::Impl {
     dense_moves = 0;
   }
 
-  /// Block (a, b) of a matrix whose lower triangle holds.
+  /// Block (a, b) of a symmetric matrix of which only the lower triangle is valid.
   [[nodiscard]] static Matrix6d held(const Eigen::MatrixXd& m, std::size_t a, std::size_t b) {
     const auto i = 6 * static_cast<Eigen::Index>(a), j = 6 * static_cast<Eigen::Index>(b);
     if (a > b) return m.block<6, 6>(i, j);
@@ -284,7 +286,7 @@ struct CovarianceObjective::Impl {
     return out;
   }
 
-  /// The 6·k columns of the full matrix that belong to some candidates.
+  /// The 6·k columns of the full matrix for these candidates.
   [[nodiscard]] Eigen::MatrixXd held_columns(const Eigen::MatrixXd& m,
                                              const std::vector<std::size_t>& which) const {
     Eigen::MatrixXd out(m.rows(), 6 * static_cast<Eigen::Index>(which.size()));
@@ -297,7 +299,7 @@ struct CovarianceObjective::Impl {
     return out;
   }
 
-  /// Closures enter (+1) or leave (−1): rank-6k update of S, rank-12k of M.
+  /// Updates the blocks when closures enter (+1) or leave (−1): rank 6k for S, rank 12k for M.
   void update_dense(const std::vector<std::size_t>& which, const std::vector<double>& signs) {
     if (++dense_moves >= static_cast<std::size_t>(options.dense_refresh)) dense_fresh = false;
     if (!dense_fresh) return;
@@ -327,7 +329,7 @@ CovarianceObjective::CovarianceObjective(const PoseGraph& graph, const std::vect
                                          const ClosureModelOptions& options, const ClosureModel& model) {
   validate(options);
   impl_ = std::make_unique<Impl>(graph, candidates, options, model);
-  (void)impl_->closures.factor();  // a graph that determines no covariance is refused here
+  (void)impl_->closures.factor();  // throws if the graph does not determine a covariance
 }
 
 CovarianceObjective::~CovarianceObjective() = default;

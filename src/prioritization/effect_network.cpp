@@ -14,13 +14,14 @@ namespace {
 using Eigen::ArrayXXd;
 using Eigen::Index;
 
-/// Channels that are not learned: the information of independent closures, and nearly their largest.
+/// Number of channels that are not learned: one adds up the information of independent closures, the other
+/// approximates the largest one.
 constexpr Index kFixed = 2;
 constexpr double kSharp = 6.0;
-/// Logarithms of messages are kept within ±this; the log_reductions' own bound gives 6·9.
+/// Logarithms of messages are clamped to ±this; log_reductions alone would allow 6·9.
 constexpr double kLogBound = 20.0;
-/// A message that leaves takes rounding with it: where less than this share of the sum is left, it is summed
-/// anew.
+/// Subtracting a message leaves a rounding error. If less than this share of the sum remains, the sum is
+/// computed again.
 constexpr double kLostShare = 1e-6;
 
 template <class Derived>
@@ -38,7 +39,7 @@ struct EffectNetwork::Impl {
   [[nodiscard]] Index learned() const { return message_1.rows(); }
   [[nodiscard]] Index channels() const { return learned() + kFixed; }
 
-  /// What a closure adds to each unit's sums: units × channels.
+  /// Contribution of a closure to the sums of each unit: units × channels.
   [[nodiscard]] ArrayXXd messages(const ClosureEffects& effects, Index candidate) const {
     const Eigen::MatrixXd raw = effects.edge_features(candidate);
     const Eigen::MatrixXd a = (raw.rowwise() - edge_mean).array().rowwise() / edge_std.array();
@@ -59,7 +60,7 @@ struct EffectNetwork::Impl {
     return (f * readout_0.rightCols(ClosureEffects::kUnitFeatures).transpose()).rowwise() + readout_bias_0;
   }
 
-  /// Means over the anchors next to each unit's on its chain, along the axis of the same rank.
+  /// Means over the neighbouring anchors of each unit's anchor on its chain, along the axis of the same rank.
   [[nodiscard]] static Eigen::MatrixXd beside(const ClosureEffects& effects, const Eigen::MatrixXd& pooled) {
     Eigen::MatrixXd out = Eigen::MatrixXd::Zero(pooled.rows(), pooled.cols());
     const std::size_t A = effects.anchors.size();
@@ -75,7 +76,7 @@ struct EffectNetwork::Impl {
     return out;
   }
 
-  /// e from the sums of messages.
+  /// The predicted trace, from the sums of messages.
   [[nodiscard]] double trace(const ClosureEffects& effects, const Eigen::MatrixXd& fixed,
                              const ArrayXXd& sums) const {
     if (sums.rows() == 0) return effects.trace_m2;

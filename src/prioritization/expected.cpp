@@ -26,14 +26,15 @@ namespace {
 
 using detail::GroupMember;
 
-constexpr double kMoved_m = 0.15, kMoved_rad = 0.02;  // of a guess: the overlap is predicted anew
-constexpr std::size_t kLookedAt = 4;                  // members whose overlap stands for a group
-constexpr std::size_t kMostMembers = 64;              // of a group among which the best is looked for
-constexpr double kPlaceStrength = 2.0;                // results that the chance by evidence stands for
-constexpr double kRefreshed = 1.05;  // growth of the graph after which gains are sketched anew
+constexpr double kMoved_m = 0.15,
+                 kMoved_rad = 0.02;  // change of a group's guess after which its overlaps are predicted again
+constexpr std::size_t kLookedAt = 4;      // members whose overlap represents a group
+constexpr std::size_t kMostMembers = 64;  // bound on the members among which the best is chosen
+constexpr double kPlaceStrength = 2.0;    // weight of the chance by evidence, in results
+constexpr double kRefreshed = 1.05;       // growth of the graph after which gains are sketched again
 constexpr double kMostChance = 0.98;
-constexpr std::size_t kChunk = 256;           // groups looked at by one task of the pool
-constexpr std::size_t kRefreshBudget = 8192;  // groups with an old value that are looked at in one go
+constexpr std::size_t kChunk = 256;           // groups per task of the pool
+constexpr std::size_t kRefreshBudget = 8192;  // bound on groups with an old value that one take() updates
 
 struct KeyPairHash {
   std::size_t operator()(const std::pair<Key, Key>& pair) const {
@@ -41,7 +42,7 @@ struct KeyPairHash {
   }
 };
 
-/// Standard Gumbel noise: the largest of log-weights with it is drawn with odds by weight.
+/// Standard Gumbel noise. The largest of several log-weights plus this noise is a sample with odds by weight.
 double gumbel(std::uint64_t bits) {
   const double uniform = (static_cast<double>(bits >> 12) + 0.5) * 0x1.0p-52;
   return -std::log(-std::log(uniform));
@@ -54,20 +55,20 @@ AcceptanceModel prior(const std::string& given, const char* option, const Accept
 /// Candidates between the same two places.
 struct Group {
   std::vector<GroupMember> members;
-  bool looked_at = false;  // beside `members`: both are touched for each candidate that comes
+  bool looked_at = false;  // next to `members`: each new candidate changes both
   bool connecting = false;
-  // What was last made of it.
-  CandidateEvidence evidence;  // of the most promising of those looked at
+  // State of the last evaluation.
+  CandidateEvidence evidence;  // of the most promising member that was examined
   detail::RepeatedGain gain;
-  Eigen::Isometry3f guess = Eigen::Isometry3f::Identity();  // between the two nodes of that one
+  Eigen::Isometry3f guess = Eigen::Isometry3f::Identity();  // between the nodes of that member
   std::uint32_t from = 0, to = 0;                           // its nodes
-  std::uint32_t sketch = 0;                                 // that the gain is of
-  // What came of those that were computed.
+  std::uint32_t sketch = 0;                                 // number of the sketch of the gain
+  // Results of the computed candidates.
   double expected = 0.0;        // sum of their chances by evidence
-  double expected_right = 0.0;  // of the verified ones, sum of their chances to be right by evidence
+  double expected_right = 0.0;  // verified ones: sum of their chances by evidence to be right
   std::uint32_t verified = 0, refuted = 0;
-  std::uint32_t closures_in_sketch = 0;  // believed when the gains were sketched
-  double in_flight = 0.0;                // right closures expected of those whose results are still to come
+  std::uint32_t closures_in_sketch = 0;  // believed closures when the gains were sketched
+  double in_flight = 0.0;                // expected number of right closures among pending results
 
   [[nodiscard]] std::uint32_t believed() const { return verified - refuted; }
 };
@@ -78,9 +79,9 @@ struct Computed {
   Key from = 0, to = 0;
   CandidateEvidence evidence;
   double by_evidence = 0.0;  // chance to be verified
-  double said = 0.0;         // the same with what had come of its group
+  double said = 0.0;         // the same, including the results of its group
   double right = 0.0;        // chance to be right if verified, by evidence
-  double counted = 0.0;      // right closures that were expected of it while it was in flight
+  double counted = 0.0;      // expected number of right closures while it was in flight
   bool verified = false, refuted = false;
 };
 
@@ -104,7 +105,7 @@ struct ExpectedPrioritizer::Impl {
     validate(closures_);
   }
 
-  // ---- what comes in
+  // ---- candidates, scans, graph and results
 
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) {
     std::vector<Refusal> refused;
@@ -128,7 +129,7 @@ struct ExpectedPrioritizer::Impl {
     if (g == groups_.size()) groups_.emplace_back();
     Group& group = groups_[g];
     group.members.push_back({candidate, from->second, to->second, -1.0F});
-    group.looked_at = false;  // it may be the most promising
+    group.looked_at = false;  // the new member may be the most promising one
     held_.set(candidate.id, g);
   }
 
@@ -145,7 +146,7 @@ struct ExpectedPrioritizer::Impl {
     }
   }
 
-  /// One that stood for its group leaves: the next is looked for.
+  /// Removes a member. If it represented its group, the group is evaluated again.
   void erase(Group& group, std::size_t place) {
     const GroupMember& member = group.members[place];
     if (member.from == group.from && member.to == group.to) group.looked_at = false;
@@ -173,8 +174,9 @@ struct ExpectedPrioritizer::Impl {
     places_.add_nodes(graph);
     const std::size_t parts = parts_ ? parts_->anchored.size() : 0;
     parts_.emplace(graph);
-    if (parts_->anchored.size() < parts) sketched_size_ = 0.0;  // parts were tied: gains are others now
-    learn(graph);  // first: the sketch has the closures that are believed now
+    if (parts_->anchored.size() < parts)
+      sketched_size_ = 0.0;  // components were joined, so gains have changed
+    learn(graph);            // before the sketch, which uses the closures believed now
     sketch_graph(graph);
     std::vector<LoopCandidate> known;
     for (const auto& [id, candidate] : unknown_) {
@@ -198,7 +200,7 @@ struct ExpectedPrioritizer::Impl {
     note(computed);
   }
 
-  /// Of a candidate that another prioritiser of the method has chosen.
+  /// Learns from a candidate that another prioritiser of the method has chosen.
   void on_result_of_others(const RegistrationResult& result) {
     const LoopCandidate& candidate = result.candidate;
     const auto from = node_.find(candidate.from), to = node_.find(candidate.to);
@@ -229,7 +231,7 @@ struct ExpectedPrioritizer::Impl {
     learned_ = false;
   }
 
-  /// Given back without a result.
+  /// Forgets a candidate that was given back without a result.
   void forget_in_flight(CandidateId id) {
     const auto found = in_flight_.find(id);
     if (found == in_flight_.end()) return;
@@ -275,7 +277,7 @@ struct ExpectedPrioritizer::Impl {
     try {
       sketch_ = detail::RelativeSketch(graph, closures_, static_cast<std::size_t>(options_.probes),
                                        combine_seeds(seed_, sketches_));
-    } catch (const InputError&) {  // it leaves a pose undetermined: there is no gain to speak of
+    } catch (const InputError&) {  // the graph leaves a pose undetermined, so gains are not defined
       sketch_ = {};
     }
     for (Group& group : groups_) group.closures_in_sketch = group.believed();
@@ -300,7 +302,7 @@ struct ExpectedPrioritizer::Impl {
     return static_cast<float>(predicted_overlap(*from, *to, T));
   }
 
-  /// All but the overlap's use of it is by the estimate now.
+  /// Evidence by the present estimate, except for the overlap, which is stored.
   [[nodiscard]] CandidateEvidence evidence_of(GroupMember& member) const {
     const auto& recognition = member.candidate.recognition;
     const bool placed = recognition && recognition->T_from_to;
@@ -314,7 +316,7 @@ struct ExpectedPrioritizer::Impl {
     return out;
   }
 
-  /// Whether the guess of the group has moved since it was looked at.
+  /// Whether the group's guess has moved since the last evaluation.
   [[nodiscard]] bool moved(const Group& group) const {
     const Eigen::Isometry3f now = guess(group.from, group.to).cast<float>();
     if ((now.translation() - group.guess.translation()).squaredNorm() >
@@ -359,7 +361,7 @@ struct ExpectedPrioritizer::Impl {
     group.gain = group.connecting ? detail::RepeatedGain() : sketch_.gain(a, b, guess(to, from));
   }
 
-  /// A chance by evidence, with what came of the group where `expected` had been expected.
+  /// A chance by evidence, corrected by the ratio of observed to expected successes of the group.
   [[nodiscard]] double with_group(double by_evidence, double came, double expected) const {
     const double factor = options_.use_places ? (came + kPlaceStrength) / (expected + kPlaceStrength) : 1.0;
     return std::min(kMostChance, by_evidence * factor);
@@ -373,7 +375,7 @@ struct ExpectedPrioritizer::Impl {
                       group.expected_right);
   }
 
-  /// Of the next candidate of a group: chance times gain, the gain to a power that says how much it counts.
+  /// Value of the next candidate of a group: chance times gain, with the gain raised to gain_exponent.
   [[nodiscard]] double value(const Group& group) const {
     const double p = chance(group, verified_.probability(group.evidence)) * chance_right(group);
     if (options_.gain_exponent <= 0.0) return p;
@@ -399,7 +401,7 @@ struct ExpectedPrioritizer::Impl {
     return std::log(std::max(value(groups_[g]), 1e-300)) + options_.spread * noise;
   }
 
-  /// Groups whose value is not known, and some of those whose value is old.
+  /// Evaluates all groups without a value, and a bounded number of groups with an old value.
   void refresh() {
     std::size_t budget = kRefreshBudget;
     std::vector<std::uint32_t> fresh;
@@ -470,7 +472,7 @@ struct ExpectedPrioritizer::Impl {
     return out;
   }
 
-  /// The most promising of a group.
+  /// Hands out the most promising member of a group.
   LoopCandidate hand_out(std::uint32_t g) {
     Group& group = groups_[g];
     const std::size_t n = group.members.size(), step = (n + kMostMembers - 1) / kMostMembers;
@@ -523,16 +525,16 @@ struct ExpectedPrioritizer::Impl {
   std::unordered_map<Key, std::uint32_t> node_;  // of the graph
   std::vector<Eigen::Isometry3d> poses_;
   std::unordered_map<Key, ScanSignature> signatures_;
-  std::vector<const ScanSignature*> signature_of_;  // node; null: not known
+  std::vector<const ScanSignature*> signature_of_;  // by node; null: not available
 
-  std::map<CandidateId, LoopCandidate> unknown_;  // with a node that the graph does not have
-  IdTable<std::uint32_t> held_;                   // group
+  std::map<CandidateId, LoopCandidate> unknown_;  // candidates with a node that is not in the graph
+  IdTable<std::uint32_t> held_;                   // number of their group
   std::vector<Group> groups_;
-  detail::PlacePairs pairs_;  // the number of a pair is its group's
+  detail::PlacePairs pairs_;  // the number of a pair is the number of its group
 
   std::unordered_map<CandidateId, Computed> in_flight_;
   std::vector<Computed> computed_;
-  bool learned_ = true;  // the models know all that was computed
+  bool learned_ = true;  // the models are fitted to all results
   AcceptanceModel verified_, right_;
   Calibration calibration_;
 

@@ -33,8 +33,8 @@ struct Affine {
   Eigen::RowVectorXd scale, shift;
 };
 
-/// Everything of the network in one precision, with an edge's kernels summed up: messages of edges with the
-/// same attributes share one H × H matrix.
+/// The weights of the network in one precision. The kernels are summed per type of edge: messages of edges
+/// with the same attributes share one H × H matrix.
 template <class Scalar>
 struct Layers {
   using Matrix = Eigen::Matrix<Scalar, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
@@ -61,7 +61,7 @@ struct GraphNetwork::Impl {
   double output_mean = 0.0, output_std = 1.0;
   bool logarithm = false;  // the output so far is a logarithm
 
-  /// The summed-up kernels for edges of these attributes, a row each.
+  /// Sums the kernels for edges with these attributes, one type per row.
   template <class Scalar>
   [[nodiscard]] Layers<Scalar> layers(const Eigen::MatrixXd& attributes) const {
     Layers<Scalar> out;
@@ -94,7 +94,7 @@ struct GraphNetwork::Impl {
     return (nodes.rowwise() - input_mean).array().rowwise() / input_std.array();
   }
 
-  /// The dense part, from the sum over nodes to y.
+  /// The dense layers, from the sum over nodes to y.
   template <class Scalar>
   [[nodiscard]] double head(const Eigen::Matrix<Scalar, 1, Eigen::Dynamic>& sum) const {
     Eigen::Matrix<Scalar, 1, Eigen::Dynamic> p = sum;
@@ -131,7 +131,7 @@ struct GraphNetwork::Impl {
         throw InputError("edge " + std::to_string(from) + " " + std::to_string(to) + ": no such node");
       }
     }
-    // Edges of equal attributes are of one type.
+    // Edges with equal attributes have the same type.
     std::map<std::vector<double>, std::size_t> types;
     std::vector<std::size_t> type(input.edges.size());
     std::vector<Index> first;
@@ -245,12 +245,12 @@ float GraphNetwork::evaluate_single(const Input& input) const {
 
 namespace {
 
-/// Edge types as LAMP's messages number them, less one: a prior is a self loop.
+/// Types of edges: those of LAMP's messages minus one; a prior is a self loop.
 enum EdgeType : std::uint8_t { kPrior = 0, kClosure = 2, kOdometry = 3 };
 constexpr Index kEdgeTypes = 4;
 constexpr Index kNodeFeatures = 7;
 
-/// What a change of the set changes at a node: its incoming candidate edges.
+/// A change of the set, which affects the incoming candidate edges of a node.
 struct Change {
   std::size_t candidate;
   bool enters;
@@ -280,12 +280,12 @@ struct GnnObjective::Impl {
   std::vector<std::vector<Edge>> incoming, outgoing;        // of the graph, by node
   std::vector<std::vector<std::uint32_t>> set_in, set_out;  // candidates in the set, by their `to` and `from`
 
-  // h[l]: after l layers, for the current set; the last without tanh.
+  // h[l]: features after l layers for the current set; the last layer is without tanh.
   std::vector<Matrix> h;
   Row sum;
   std::optional<double> current;
 
-  // Scratch of an evaluation: rows that differ from h[l].
+  // Scratch memory of an evaluation: rows that differ from h[l].
   struct Changed {
     std::vector<std::uint32_t> nodes;
     Matrix rows;
@@ -294,7 +294,7 @@ struct GnnObjective::Impl {
   std::vector<Changed> changed;
   std::vector<Change> pending;
 
-  /// The row of h[l] at a node after the pending changes.
+  /// The row of a node in h[l] with the pending changes.
   [[nodiscard]] Eigen::Map<const Row> row_after(std::size_t l, std::uint32_t node) const {
     const std::int32_t place = changed[l].place[node];
     const double* data = place < 0 ? h[l].row(node).data() : changed[l].rows.row(place).data();
@@ -306,10 +306,11 @@ struct GnnObjective::Impl {
                        [&](const Change& c) { return !c.enters && c.candidate == candidate; });
   }
 
-  /// Row of h[l + 1] at a node from h[l], with the pending changes.
+  /// Computes the row of a node in h[l + 1] from h[l], with the pending changes.
   void compute(std::size_t l, std::uint32_t node, Eigen::Ref<Row> out) const {
     const auto& layer = layers.layers[l];
-    std::array<Row, kEdgeTypes> by_type;  // sources of a type are summed first: one product for each type
+    std::array<Row, kEdgeTypes>
+        by_type;  // sources are summed by type first, so that one product per type is enough
     std::array<bool, kEdgeTypes> used{};
     int count = 0;
     const auto receive = [&](std::uint32_t from, std::uint8_t type) {
@@ -348,7 +349,7 @@ struct GnnObjective::Impl {
     c.nodes.push_back(node);
   }
 
-  /// Propagates the pending changes through all layers. \returns the sum over nodes after them.
+  /// Propagates the pending changes through all layers. \returns the resulting sum over nodes.
   [[nodiscard]] Row propagate() {
     Row after = sum;
     for (std::size_t l = 0; l < layers.layers.size(); ++l) {
@@ -415,7 +416,7 @@ struct GnnObjective::Impl {
       }
     }
     forget();
-    sum = h.back().colwise().sum();  // anew, so that nothing drifts
+    sum = h.back().colwise().sum();  // summed again, so that errors do not accumulate
     current.reset();
   }
 
@@ -465,7 +466,8 @@ GraphNetwork::Input graph_input(const PoseGraph& graph, GnnFeatures features,
   }
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
     const ::loopwise::Edge& edge = graph.edges()[e];
-    // What the back end holds to be false is no edge; odometry has less weight where it is worse than stated.
+    // Closures that the back end rejects are not edges. Odometry always is, even with a weight that the back
+    // end has reduced.
     if (edge.kind != EdgeKind::kOdometry && !edge.trusted && edge.weight <= 0.5) continue;
     connect(graph.ends(e).from, graph.ends(e).to, edge.kind == EdgeKind::kOdometry ? kOdometry : kClosure);
   }

@@ -42,17 +42,17 @@ bool knows_nodes_of(const PoseGraph& graph, const LoopCandidate& candidate) {
 
 }  // namespace
 
-/// A set in the making, and what it was made for.
+/// A prepared set and its inputs.
 struct GraphInformationPrioritizer::Prepared {
   std::size_t count = 0;
-  bool stale = false;                // the candidates or the graph have changed since
-  bool handed = false;               // some of it was handed out
+  bool stale = false;                // the candidates or the graph have changed since then
+  bool handed = false;               // candidates of the set were handed out
   std::vector<LoopCandidate> first;  // connecting candidates
-  std::vector<LoopCandidate> list;   // candidates of the choice
+  std::vector<LoopCandidate> list;   // candidates among which to choose
   std::vector<Eigen::Vector3d> midpoints;
   std::unique_ptr<GraphObjective> objective;
   std::optional<SimulatedAnnealing> annealing;
-  std::vector<std::size_t> set;     // of the list, most valuable first
+  std::vector<std::size_t> set;     // indices into list, most valuable first
   std::vector<LoopCandidate> rest;  // known candidates that are not in the list
   std::optional<std::vector<LoopCandidate>> reserve;
 
@@ -161,7 +161,7 @@ std::map<CandidateId, double> GraphInformationPrioritizer::sketch() const {
 }
 
 void GraphInformationPrioritizer::prepare(std::size_t count) {
-  prepared_.reset();  // whatever ends this early leaves none, not a part of one
+  prepared_.reset();  // so that an exception below does not leave a partial set
   auto prepared = std::make_unique<Prepared>();
   prepared->count = count;
   choose(*prepared, count);
@@ -200,7 +200,7 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
     }
     p.make_objective(*this, others, count, seed);
   } catch (const InputError& error) {
-    // A graph whose factors leave a pose undetermined has no covariance to speak of; its places are known.
+    // If the factors leave a pose undetermined, the covariance does not exist, but positions do.
     status_.problem = error.what();
     p.rest.clear();
     p.objective.reset();
@@ -210,7 +210,7 @@ void GraphInformationPrioritizer::choose(Prepared& p, std::size_t count) {
   p.choose_by_objective(*this, count, seed);
 }
 
-/// Ties between parts of the graph, far from each other. \returns how many
+/// Chooses candidates that connect components of the graph, far from each other. \returns their number
 std::size_t GraphInformationPrioritizer::Prepared::choose_connecting(
     const GraphInformationPrioritizer& of, const std::vector<LoopCandidate>& connecting, std::size_t others,
     std::size_t wanted) {
@@ -224,7 +224,7 @@ std::size_t GraphInformationPrioritizer::Prepared::choose_connecting(
   return ties;
 }
 
-/// The shortlist of a set of `wanted`, and the objective over it.
+/// Makes the shortlist for a set of `wanted` candidates, and the objective over it.
 void GraphInformationPrioritizer::Prepared::make_objective(GraphInformationPrioritizer& of,
                                                            const std::vector<LoopCandidate>& others,
                                                            std::size_t wanted, std::uint64_t seed) {
@@ -306,7 +306,7 @@ std::vector<LoopCandidate> GraphInformationPrioritizer::take(std::size_t count) 
     out.reserve(taken.capacity());
     take(count, taken, out);
     return out;
-  } catch (...) {  // nobody gets them: they are held as before, and the next set is made anew
+  } catch (...) {  // the caller gets no candidates: they are held again, and the next call prepares a new set
     for (auto& node : taken) held_.insert(std::move(node));
     prepared_.reset();
     throw;
@@ -329,7 +329,7 @@ void GraphInformationPrioritizer::take(std::size_t count,
   };
   for (const LoopCandidate& candidate : p.first) hand_out(candidate);
   if (options_.selector == SelectorKind::kAnnealing && p.objective && !p.handed) {
-    // The order of an annealed set means nothing: what would be missed most goes first.
+    // An annealed set has no order. The candidates whose removal costs most come first.
     p.objective->assign(p.set);
     std::map<std::size_t, double> missed;
     for (const std::size_t i : p.set) missed[i] = p.objective->remove_change(i);
@@ -338,7 +338,7 @@ void GraphInformationPrioritizer::take(std::size_t count,
   }
   for (const std::size_t i : p.set) hand_out(p.list[i]);
   if (out.size() < count && !p.reserve) {
-    // Others took candidates out of the set: the next best fill up.
+    // Other prioritisers took candidates of the set: the next best ones replace them.
     p.reserve.emplace();
     std::vector<bool> chosen(p.list.size(), false);
     for (const std::size_t i : p.set) chosen[i] = true;
@@ -363,7 +363,7 @@ void GraphInformationPrioritizer::take(std::size_t count,
   }
   p.handed = true;
   if (out.size() < count && p.stale) {
-    // What came after the set was made.
+    // A new set includes the candidates that arrived after the last one was prepared.
     prepared_.reset();
     if (!held_.empty()) take(count, taken, out);
   }

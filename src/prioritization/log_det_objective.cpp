@@ -22,7 +22,7 @@ constexpr double kLostPivot = 1e-9;
 constexpr std::size_t kValueRefresh = 64;
 constexpr std::size_t kChunk = 64;
 
-/// log det of a positive definite matrix, or nothing if rounding has eaten it.
+/// log det of a positive definite matrix, or nothing if rounding dominates it.
 std::optional<double> log_det(const Matrix6d& m) {
   const Eigen::LLT<Matrix6d> cholesky(m);
   if (cholesky.info() != Eigen::Success) return std::nullopt;
@@ -184,7 +184,7 @@ void LogDetObjective::add(std::size_t candidate) {
   const ClosureFactor& factor = m.closures.factor();
   const Matrix6d own = m.block(factor, candidate, m.x);
   if (!m.tracked.empty()) {
-    // S of every other loses (JX)(JX)ᵀ, X = ΣJᵀ whitened by the new closure's own I + S.
+    // S of every other candidate decreases by (JX)(JX)ᵀ, with X = ΣJᵀ whitened by I + S of the new closure.
     const Matrix6d Q = Eigen::LLT<Matrix6d>(Matrix6d::Identity() + own).matrixL().solve(Matrix6d::Identity());
     const Matrix6d T = m.closures.whitener(candidate).transpose() * Q.transpose();
     m.pool.for_each((size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {

@@ -15,7 +15,7 @@ ObservabilityPrioritizer::ObservabilityPrioritizer(const ObservabilityPriorityOp
 }
 
 void ObservabilityPrioritizer::on_scan(const KeyedScan& scan) {
-  // An empty or degenerate scan has no smallest eigenvalue to speak of: 0, never NaN.
+  // An empty or degenerate scan has no smallest eigenvalue; it counts as 0, never as NaN.
   const double found = eigenvalue_(scan);
   const double value = found > 0.0 ? found : 0.0;
   double& largest = largest_[options_.variant == ObservabilityVariant::kLamp ? robots_.of(scan.key) : 0];

@@ -17,12 +17,12 @@
 
 namespace loopwise::detail {
 
-/// Cuts the paths of robots into places: stretches of consecutive nodes.
+/// Divides the paths of robots into places, i.e. sections of consecutive nodes.
 class Places {
  public:
   Places(Robots robots, double place_m) : robots_(std::move(robots)), place_m_(place_m) {}
 
-  /// Nodes that are new in the graph get places, by their poses now. \pre nodes keep their numbers
+  /// Assigns places to the new nodes of the graph, by their present poses. \pre nodes keep their numbers
   void add_nodes(const PoseGraph& graph);
 
   [[nodiscard]] std::size_t nodes() const { return place_.size(); }
@@ -45,15 +45,15 @@ class Places {
   std::unordered_map<std::size_t, End> ends_;  // of the path so far, by robot
 };
 
-/// Numbers unordered pairs of places. A row for each place lies in one piece of memory: candidates come node
-/// by node, so that the row is in the cache for most of them.
+/// Numbers unordered pairs of places. Each place has a row that is contiguous in memory. Candidates arrive
+/// node by node, so most of them find the row in the cache.
 class PlacePairs {
  public:
-  /// The number of a pair. A pair that is new gets size().
+  /// The number of a pair. A new pair gets the number size().
   std::uint32_t number_of(std::uint32_t a, std::uint32_t b);
   /// Null if the pair has no number.
   [[nodiscard]] const std::uint32_t* find(std::uint32_t a, std::uint32_t b) const;
-  /// How many pairs have a number.
+  /// Number of numbered pairs.
   [[nodiscard]] std::uint32_t size() const { return size_; }
 
  private:
@@ -62,11 +62,11 @@ class PlacePairs {
   std::uint32_t size_ = 0;
 };
 
-/// A candidate as its group holds it.
+/// A candidate as a member of its group.
 struct GroupMember {
   LoopCandidate candidate;
   std::uint32_t from = 0, to = 0;  ///< Nodes of the graph.
-  float overlap = -1.0F;           ///< As predicted when the group was last looked at; < 0: not yet.
+  float overlap = -1.0F;           ///< Prediction at the group's last evaluation; < 0: none yet.
 };
 
 }  // namespace loopwise::detail

@@ -7,7 +7,7 @@ namespace loopwise {
 
 void RankedCandidates::insert(const LoopCandidate& candidate, double score) {
   if (held_.contains(candidate.id)) return;
-  if (erased_.contains(candidate.id)) compact();  // its old entry must not stand for it
+  if (erased_.contains(candidate.id)) compact();  // removes its old entry, which would count as the new one
   heap_.push_back({score, candidate});
   try {
     held_.set(candidate.id, 1);

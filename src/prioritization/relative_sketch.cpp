@@ -16,7 +16,7 @@
 namespace loopwise::detail {
 namespace {
 
-constexpr int kWidth = 16;  // probes solved for at a time
+constexpr int kWidth = 16;  // probes per solve
 using Rows = Eigen::Matrix<float, 6, Eigen::Dynamic, Eigen::RowMajor>;
 
 }  // namespace
@@ -74,7 +74,7 @@ RepeatedGain RelativeSketch::gain(std::size_t from, std::size_t to,
   const auto of = [&](double closures) {
     return (Matrix6d::Identity() / closures + white).llt().solve(M).trace();
   };
-  // A·k/(k + κ) through the gains of one and of four.
+  // A·k/(k + κ), fitted to the gains of one closure and of four.
   const double one = of(1.0), four = of(4.0);
   if (!(one > 0.0) || !std::isfinite(four)) return out;
   const double ratio = std::clamp(four / one, 1.0 + 1e-6, 4.0 - 1e-3);  // 4(1 + κ)/(4 + κ)

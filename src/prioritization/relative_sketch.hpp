@@ -14,16 +14,16 @@ namespace loopwise::detail {
 
 /// Gain of closures between two places of a graph as a function of their number: A·k/(k + κ).
 struct RepeatedGain {
-  double most = 0.0;  ///< A: of infinitely many, m².
-  double half = 1.0;  ///< κ: half of it is reached by so many.
+  double most = 0.0;  ///< A: gain of infinitely many, m².
+  double half = 1.0;  ///< κ: the number of closures with half of that gain.
   [[nodiscard]] double of(double closures) const { return most * closures / (closures + half); }
 };
 
-/// Random probes of a graph's covariance, kept for all nodes: what closures between any two of them would
-/// gain, each in about a microsecond. As sketched_gains(), in single precision.
+/// Random probes of a graph's covariance, stored for all nodes. They predict the gain of closures between any
+/// two nodes in about a microsecond each. Like sketched_gains(), in single precision.
 class RelativeSketch {
  public:
-  /// Nothing is known: all gains are those of a sure closure of unit worth.
+  /// An empty sketch, in which all gains are 0.
   RelativeSketch() = default;
   /// \throws InputError if the graph leaves a pose undetermined
   RelativeSketch(const PoseGraph& graph, const ClosureModelOptions& options, std::size_t probes,
@@ -31,13 +31,13 @@ class RelativeSketch {
 
   [[nodiscard]] bool empty() const { return nodes_ == 0; }
   [[nodiscard]] std::size_t nodes() const { return nodes_; }
-  /// Of closures between two nodes that the graph had, at the poses that they have now.
+  /// Gain of closures between two nodes that the sketched graph had, at their present poses.
   [[nodiscard]] RepeatedGain gain(std::size_t from, std::size_t to, const Eigen::Isometry3d& T_to_from) const;
 
  private:
   std::size_t nodes_ = 0, probes_ = 0;
   Vector6d whitening_ = Vector6d::Ones();  // 1/sigma of each coordinate
-  std::vector<float> U_, V_;               // 6×probes row-major a node, by node of the graph
+  std::vector<float> U_, V_;               // 6×probes row-major per node, by node of the graph
 };
 
 }  // namespace loopwise::detail

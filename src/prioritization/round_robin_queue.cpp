@@ -11,7 +11,8 @@
 namespace loopwise {
 namespace {
 
-/// Calls a function of a prioritiser. \throws Error that names the call, nested around what was thrown
+/// Calls a function of a prioritiser. \throws Error that names the call, with the exception of the
+/// prioritiser nested
 template <class Call>
 auto guarded(const Prioritizer& prioritizer, const char* function, Call&& call) {
   const auto what = [&](const char* why) {
@@ -28,7 +29,7 @@ auto guarded(const Prioritizer& prioritizer, const char* function, Call&& call) 
   }
 }
 
-/// Calls a function of all prioritisers, also if one throws. \throws what the first of them threw
+/// Calls a function of all prioritisers, even if one throws. \throws the first exception
 template <class Call>
 void each(const std::vector<std::unique_ptr<Prioritizer>>& prioritizers, const char* function, Call&& call) {
   std::exception_ptr failure;
@@ -104,7 +105,7 @@ void RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
   std::size_t next = 0;
   each(prioritizers_, "improve", [&](Prioritizer& prioritizer) {
     const std::size_t i = next++;
-    const std::size_t k = (i + n - turn_) % n;  // its turn in the next batch
+    const std::size_t k = (i + n - turn_) % n;  // its position in the next batch
     const std::size_t share = count / n + (k < count % n ? 1 : 0);
     const std::uint64_t most =
         i < max_evaluations.size() ? max_evaluations[i] : std::numeric_limits<std::uint64_t>::max();
@@ -126,7 +127,7 @@ std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
   } catch (const std::bad_alloc&) {
     throw;
   } catch (...) {
-    if (gone.empty()) throw;  // else it will throw again, when nothing else is to be reported
+    if (gone.empty()) throw;  // otherwise these are reported now, and the next call throws again
   }
   return gone;
 }
@@ -141,7 +142,7 @@ std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
     handed_out_ = handed_out;
     try {
       static_cast<void>(add(taken));
-    } catch (...) {  // the first failure says more
+    } catch (...) {  // the first failure is the one to report
     }
     throw;
   }
@@ -150,7 +151,8 @@ std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {
 std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, std::size_t count,
                                                      std::vector<LoopCandidate>& taken) {
   std::vector<LoopCandidate> share = guarded(prioritizer, "take", [&] { return prioritizer.take(count); });
-  // All are noted, for which there is room, before anything can fail: they can be given back then.
+  // All candidates are noted first, in memory that is already reserved, so that they can be given back after
+  // any failure.
   const LoopCandidate* wrong = share.size() > count ? &share[count] : nullptr;
   for (const LoopCandidate& candidate : share) {
     if (holders_.erase(candidate.id)) {
@@ -179,8 +181,7 @@ std::vector<LoopCandidate> RoundRobinQueue::take_in_turns(std::size_t count,
   std::vector<LoopCandidate> batch;
   if (n == 0) return batch;
   batch.reserve(count);
-  // Rounds of equal shares: an empty prioritiser gives less than its share, and the rest is taken in another
-  // round.
+  // Rounds of equal shares: an empty prioritiser gives less than its share, and another round takes the rest.
   std::size_t empty_rounds = 0;
   while (batch.size() < count) {
     const std::size_t left = count - batch.size();
@@ -197,8 +198,8 @@ std::vector<LoopCandidate> RoundRobinQueue::take_in_turns(std::size_t count,
     }
     turn_ = (first + left) % n;
     empty_rounds = found > 0 ? 0 : empty_rounds + 1;
-    if (empty_rounds > n) break;  // the rest is held back
-    // Best first across the shares: one of each in turn.
+    if (empty_rounds > n) break;  // the prioritisers hold back the rest
+    // The best candidates of all shares come first, one of each share in turn.
     for (std::size_t rank = 0; found > 0; ++rank) {
       for (const auto& share : shares) {
         if (rank >= share.size()) continue;

@@ -7,7 +7,7 @@ std::vector<Refusal> RssiPrioritizer::add(const std::vector<LoopCandidate>& cand
   std::vector<Refusal> refused;
   for (const LoopCandidate& candidate : candidates) {
     if (candidate.source == CandidateSource::kRadio) {
-      ranked_.insert(candidate, 0.0);  // equal scores go by id: the order of generation
+      ranked_.insert(candidate, 0.0);  // equal scores are ordered by id, i.e. by generation
     } else {
       refused.push_back({candidate.id, "not_radio"});
     }

@@ -17,7 +17,7 @@ void check_midpoints(const GraphObjective& objective, const std::vector<Eigen::V
                    std::to_string(objective.size()) + " candidates");
 }
 
-/// Fills the set up to `count`: by falling gain where gains are known, by number where not.
+/// Fills the set up to `count`: by descending gain if gains are known, otherwise by index.
 void fill(GraphObjective& objective, std::size_t count, const std::vector<double>& changes,
           std::vector<std::size_t>& set) {
   std::vector<std::size_t> rest;
@@ -44,7 +44,7 @@ std::vector<std::size_t> farthest_points(const std::vector<Eigen::Vector3d>& poi
   out.reserve(count);
   Eigen::Vector3d centroid = Eigen::Vector3d::Zero();
   for (const Eigen::Vector3d& p : points) centroid += p / static_cast<double>(points.size());
-  std::vector<double> nearest(points.size());  // squared distance to what was taken; negative once taken
+  std::vector<double> nearest(points.size());  // squared distance to the chosen points; negative if chosen
   for (std::size_t i = 0; i < points.size(); ++i) nearest[i] = (points[i] - centroid).squaredNorm();
   for (bool first = true; out.size() < count; first = false) {
     const auto next =
@@ -141,7 +141,7 @@ Selection greedy(GraphObjective& objective, const std::vector<Eigen::Vector3d>& 
   }
   if (out.set.size() < count) {
     out.stopped = stop.stop_requested();
-    if (changes.empty()) {  // stopped before anything was known
+    if (changes.empty()) {  // stopped before the first evaluation
       for (const std::size_t i : farthest_points(midpoints, midpoints.size())) {
         if (out.set.size() >= count) break;
         if (!objective.contains(i)) out.set.push_back(i);
@@ -268,7 +268,7 @@ Selection SimulatedAnnealing::best() {
   Selection out;
   objective_.assign(best_);
   out.value = objective_.value();
-  if (out.value > start_value_) {  // what looked better by less than rounding
+  if (out.value > start_value_) {  // an improvement below the rounding error was not real
     best_ = start_;
     best_value_ = start_value_;
     objective_.assign(best_);

@@ -20,13 +20,14 @@
 namespace loopwise {
 namespace {
 
-constexpr int kWidth = 16;  // probes solved for at a time
+constexpr int kWidth = 16;  // probes per solve
 constexpr std::size_t kChunk = 4096;
 
 using Probes = Eigen::Matrix<double, 6, kWidth, Eigen::RowMajor>;
 
-/// Calls visit(i, blocks) for every candidate that does not connect, with S and M of its closure at full
-/// information on the bare graph, from random probes. Several threads call at a time.
+/// Calls visit(i, blocks) for every candidate that does not connect components, with estimates of S and M
+/// from random probes. They are for its closure at full information, added to the bare graph. Several threads
+/// call at a time.
 template <class Visit>
 void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
                      const ClosureModelOptions& options, const ClosureModel& model, std::size_t probes,
@@ -38,7 +39,7 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
   detail::ClosureFactor factor(graph);
   factor.factorize({}, whitening.information);
 
-  // Probes in groups of kWidth; the signs of a group depend on (seed, group) alone.
+  // Probes are in groups of kWidth; the signs of a group depend only on (seed, group).
   const std::size_t groups = (probes + kWidth - 1) / kWidth;
   const double scale = 1.0 / std::sqrt(static_cast<double>(groups * kWidth));
   std::vector<std::vector<double>> U(groups), V(groups);

@@ -65,7 +65,7 @@ Eigen::MatrixXd TensorFile::matrix(const std::string& name, Index rows, Index co
   try {
     if (!found->at("shape").is_array()) fail_here("shape: expected whole numbers");
     for (const Json& size : found->at("shape")) {
-      // What no data could fill is as good as any other size that they do not have.
+      // Sizes are clamped at a bound that no data can fill; a check below rejects them.
       if (!size.is_number_integer()) fail_here("shape: expected whole numbers");
       shape.push_back(size.is_number_unsigned() && size.get<std::uint64_t>() > kLargestSize
                           ? kLargestSize
@@ -83,7 +83,7 @@ Eigen::MatrixXd TensorFile::matrix(const std::string& name, Index rows, Index co
     fail_here("shape " + text + ", expected " + (rows > 0 ? std::to_string(rows) : "any") + "x" +
               (columns > 0 ? std::to_string(columns) : "any"));
   }
-  // Of two sizes below 2^31: it fits.
+  // Both sizes are below 2^31, so this does not overflow.
   const Index wanted = shape[0] * shape[1];
   if (static_cast<Index>(data.size()) != wanted) {
     fail_here(std::to_string(data.size()) + " values, expected " + std::to_string(wanted));

@@ -9,8 +9,8 @@
 
 namespace loopwise::detail {
 
-/// Reads tensors of a weights file, JSON `{"__meta__": {...}, NAME: {"shape": [...], "data": [flat, by
-/// rows]}, ...}`, and holds them to their shapes. Errors name file and tensor.
+/// Reads tensors of a weights file, JSON `{"__meta__": {...}, NAME: {"shape": [...], "data": [flat,
+/// row-major]}, ...}`, and checks their shapes. Errors name file and tensor.
 class TensorFile {
  public:
   /// \throws IoError; InputError if the file holds no JSON object
@@ -19,7 +19,7 @@ class TensorFile {
   TensorFile(TensorFile&&) noexcept;
 
   [[nodiscard]] bool has(const std::string& name) const;
-  /// Which network the tensors are of: `kind` of `__meta__`, "paper" where it is not said.
+  /// The kind of network: `kind` of `__meta__`, "paper" if missing.
   [[nodiscard]] std::string kind() const;
 
   /// Sizes of 0 are taken from the file and returned through the matrix. \throws InputError on a tensor that

@@ -49,9 +49,9 @@ struct CertificateOptions {
 /// cost, at its critical point next to the estimate, not for ½ Σ w rᵀΩr. Both agree to second order in the
 /// residuals if Ω_t and Ω_R are multiples of the identity without coupling between them.
 struct Certificate {
-  CertificateStatus status =
-      CertificateStatus::kUndecided;  ///< kImprovable if any component is, else kUndecided if any is.
-  std::string message;                ///< For people; never parse it.
+  /// kImprovable if any component is, otherwise kUndecided if any is.
+  CertificateStatus status = CertificateStatus::kUndecided;
+  std::string message;  ///< For people; never parse it.
   /// F at the graph's poses. It differs from ½ Σ w rᵀΩr: anisotropic information counts by its mean, and a
   /// single prior of a component does not count.
   double cost_at_estimate = 0.0;
