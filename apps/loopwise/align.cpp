@@ -30,7 +30,7 @@ std::string rows_text(const Eigen::Isometry3d& T) {
   return rows;
 }
 
-/// Writes the joined mission; what was begun is removed if that fails.
+/// Writes the joined mission. If that fails, the partial output is removed.
 std::size_t write_joined(const Mission& mission, const Options& options, Console& console,
                          const StopToken& stop) {
   const bool existed = std::filesystem::exists(options.output);

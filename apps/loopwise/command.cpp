@@ -20,12 +20,12 @@
 namespace loopwise::cli {
 namespace {
 
-// For the handlers of the process, which take no arguments.
+// Global, because the process's handlers take no arguments.
 std::atomic<bool> memory_ran_out{false};
 std::atomic<const char*> program_name{"loopwise"};
 
-/// Destructors of the JSON library, and functions that walk folders and must not throw, allocate memory.
-/// Without memory they call the terminate handler, and no catch is reached.
+/// Terminate handler. Destructors of the JSON library, and noexcept functions that walk folders, allocate
+/// memory. If that fails, they call this handler, and no catch block is reached.
 [[noreturn]] void end_at_once() {
   if (memory_ran_out) {
     std::fprintf(stderr, "%s: out of memory\n", program_name.load());
@@ -243,7 +243,7 @@ void refuse_recording(const std::filesystem::path& folder, const std::vector<std
 }
 
 void print_results(const CommonOptions& options, const Json& json, const std::string& text) {
-  // As text only where it is wanted: it may be long.
+  // The text is made only if it is requested, because it may be long.
   print_json_text(options, options.json.empty() ? std::string() : json_text(json, 2) + "\n", text);
 }
 
@@ -273,7 +273,7 @@ int run_action(const Action& action, const std::string& program) {
     complain(error);
     return kInterrupted;
   } catch (const std::bad_alloc&) {
-    std::fprintf(stderr, "%s: out of memory\n", program.c_str());  // takes none
+    std::fprintf(stderr, "%s: out of memory\n", program.c_str());  // allocates no memory
     return kFailed;
   } catch (const std::exception& error) {
     complain(error);
@@ -288,7 +288,7 @@ int run_main(const char* name, int (*program)(int argc, char** argv), int argc, 
     memory_ran_out = true;
     throw std::bad_alloc();
   });
-  // run_action() handles exceptions of a command; this handles earlier ones.
+  // run_action() handles the exceptions of a command; this handles exceptions before it.
   try {
     return program(argc, argv);
   } catch (const std::bad_alloc&) {

@@ -44,7 +44,7 @@ const std::string& section_text(const std::string& section) {
   return found->second;
 }
 
-/// Text for a cell of a table in Markdown.
+/// Escapes text for a cell of a Markdown table.
 std::string cell(const std::string& text) {
   std::string out;
   for (const char c : text) out += c == '|' ? std::string("\\|") : std::string(1, c);

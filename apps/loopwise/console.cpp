@@ -24,8 +24,7 @@ std::string duration(double seconds) {
   return text;
 }
 
-// A signal handler can only reach static objects. The source is made once and never destroyed before the
-// process ends.
+// A signal handler can only use static objects. The source is made once and exists until the process ends.
 StopSource& interrupt_source() {
   static StopSource source;
   return source;

@@ -11,10 +11,11 @@
 
 namespace loopwise::cli {
 
-/// "1 closure", "3 closures".
+/// A count with its noun: "1 closure", "3 closures".
 std::string counted(std::size_t count, const std::string& noun);
 
-/// Standard error: progress, warnings and notes. Results go to standard output and never through here.
+/// Output to standard error: progress, warnings and notes. Results go to standard output, never through this
+/// class.
 class Console {
  public:
   explicit Console(bool quiet);
@@ -22,14 +23,14 @@ class Console {
   Console(const Console&) = delete;
   Console& operator=(const Console&) = delete;
 
-  /// A bar that rewrites itself on a terminal; elsewhere a plain line every few seconds. Rate and time left
-  /// are of the stage. Nothing if quiet.
+  /// On a terminal a bar that is redrawn, elsewhere a plain line every few seconds. Rate and remaining time
+  /// are those of the stage. Shows nothing if quiet.
   void progress(const Progress& progress);
   [[nodiscard]] ProgressCallback progress_callback();
 
-  /// One line; ends a progress bar first. Nothing if quiet.
+  /// Shows one line, after ending a progress bar. Shows nothing if quiet.
   void note(const std::string& text);
-  /// Shown even if quiet.
+  /// Shows one line even if quiet.
   void warn(const std::string& text);
   void warn(const Problems& problems);
 
@@ -46,8 +47,7 @@ class Console {
   Time last_shown_;
 };
 
-/// Turns SIGINT and SIGTERM into a stop request for as long as it lives; a second signal ends the process at
-/// once.
+/// While an object exists, SIGINT and SIGTERM request a stop. A second signal ends the process immediately.
 class InterruptGuard {
  public:
   InterruptGuard();

@@ -24,7 +24,7 @@ Json problems_json(const Problems& problems) {
   return json;
 }
 
-/// A file of poses holds little of a mission, and is not meant to: one sentence on all of it.
+/// One sentence on everything that a file of poses leaves out of a mission.
 std::string trajectories_hold(MissionFormat format, const Problems& left_out) {
   constexpr std::string_view kSuffix = " left out";
   std::string others;

@@ -43,10 +43,10 @@ enum class Poses { kEstimate, kTruth };
 
 struct Input {
   Trajectory estimate, truth;
-  Robots robots;  ///< Of the recording, where pairs carry its keys; none: one for each character in keys.
+  Robots robots;  ///< Of the recording if pairs have its keys; empty: one robot per character in keys.
 };
 
-/// The nodes of a recording as a trajectory: true poses or those of its graph.
+/// The nodes of a recording as a trajectory, with their true poses or those of its graph.
 Trajectory trajectory_of(const std::filesystem::path& path, const Mission& mission, Poses wanted,
                          bool by_stamp) {
   Trajectory trajectory;
@@ -69,7 +69,7 @@ Trajectory trajectory_of(const std::filesystem::path& path, const Mission& missi
   return trajectory;
 }
 
-/// Errors against the poses that odometry was taken from are those of closures alone.
+/// Warns if odometry equals the true poses: errors against them then say nothing about a map.
 void warn_if_odometry_is_truth(const std::filesystem::path& path, const Mission& mission, Console& console) {
   PosesByKey odometry;
   for (const Node& node : mission.graph.nodes()) {
@@ -85,7 +85,8 @@ void warn_if_odometry_is_truth(const std::filesystem::path& path, const Mission&
                "odometry, or judge a replay with --odometry-noise 0.05 0.01");
 }
 
-/// Both trajectories. Those of recordings are paired with the other by key, with a TUM file by stamp.
+/// Reads both trajectories. A recording is paired with the other trajectory by key, or by stamp if that is a
+/// TUM file.
 Input read_input(const Options& options, const Config& config, Console& console, const StopToken& stop) {
   const std::filesystem::path run = graph_of_run(options.estimate);
   const std::filesystem::path estimate = run.empty() ? std::filesystem::path(options.estimate) : run;
@@ -98,7 +99,7 @@ Input read_input(const Options& options, const Config& config, Console& console,
     const Mission mission = read_mission(path, config.mission, console.progress_callback(), stop);
     input.robots = mission.robots;
     if (wanted == Poses::kTruth) warn_if_odometry_is_truth(path, mission, console);
-    // A trajectory of a run has the stamps that the mission was given.
+    // The trajectory of a run has the stamps of its mission.
     if (by_stamp && wanted == Poses::kEstimate) require_own_stamps(mission, options.truth, config.mission);
     return trajectory_of(path, mission, wanted, by_stamp);
   };
@@ -111,7 +112,7 @@ Input read_input(const Options& options, const Config& config, Console& console,
   if (recorded_truth) {
     input.truth = read(truth, Poses::kTruth, by_stamp(recorded_estimate, input.estimate));
   }
-  // Pairs carry the keys of the estimate; those of a TUM file are its rows.
+  // Pairs have the keys of the estimate; in a TUM file a key is a row number.
   if (!recorded_estimate && input.estimate.format != TrajectoryFormat::kG2o) input.robots = Robots();
   return input;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// How well maps agree with themselves, where no truth is known.
+// Consistency of maps without ground truth.
 #include <algorithm>
 #include <cmath>
 
@@ -33,7 +33,7 @@ Json number(double value) {
   return std::isfinite(value) ? Json(value) : Json();
 }
 
-/// Without the sign of a zero.
+/// Formats a number; a rounded zero has no sign.
 std::string signed_text(double value, int digits) {
   const std::string text = fixed(value, digits);
   const bool is_zero = text.find_first_not_of("-0.") == std::string::npos;
@@ -95,14 +95,14 @@ std::string text_of(const MapQuality& q) {
   return text + "\n";
 }
 
-/// Warns if the figures say less than they seem to.
+/// Warns if the figures are unreliable or indicate a wrong map.
 void warn_of_weakness(const MapQuality& q, Console& console) {
   if (!q.enough()) {
     console.warn("revisits at " + std::to_string(q.stretches) + " pairs of stretches of path, fewer than " +
                  std::to_string(kLeastStretches) +
                  ": too few for an interval, the figures are of these places alone");
   }
-  // Maps that are right: most pairs are proven, centimetres off.
+  // In a correct map most pairs are proven, with a median distance of centimetres.
   constexpr std::size_t kSome = 10;
   constexpr double kFewProven = 0.2, kFar_m = 1.0;
   const auto is_wrong = [](const NearPairs& near) {
@@ -132,7 +132,7 @@ int evaluate_map(const CommonOptions& common, const std::string& estimate, const
       read_mission(recording, config.mission, console.progress_callback(), interrupt.token());
   const Mission run = read_mission(estimate, config.mission, console.progress_callback(), interrupt.token());
   console.warn(mission.problems);
-  // Both maps are judged at the same revisits: those of nodes that both have.
+  // Both maps are judged at the same revisits, i.e. those between common nodes.
   const PosesByKey after = poses_of(run);
   PosesByKey before;
   for (const auto& [key, pose] : poses_of(mission)) {

@@ -7,7 +7,7 @@
 
 namespace loopwise::cli {
 
-/// `evaluate --map`: scans at revisits of the recording, by its own poses and by the estimate's.
+/// `evaluate --map`: compares scans at revisits of the recording, by its own poses and by the estimate's.
 int evaluate_map(const CommonOptions& common, const std::string& estimate, const std::string& recording,
                  const std::string& robots);
 

@@ -35,7 +35,7 @@ struct Options {
 
 constexpr double kDegrees = 57.29577951308232;
 
-/// Length of each robot's path along its nodes, in order of their keys.
+/// Length of each robot's path along its nodes, in the order of their keys.
 std::vector<double> path_lengths(const Mission& mission) {
   std::vector<double> lengths(mission.robots.size(), 0.0);
   std::vector<std::pair<Key, Eigen::Vector3d>> nodes;
@@ -68,7 +68,7 @@ PointCounts count_points(const ScanStore& scans, Console& console, const StopTok
       counts.total += cloud->size();
       ++counts.scans;
     } catch (const Error&) {
-      // The store keeps it among its problems.
+      // The scan store counts it among its problems.
     }
     console.progress({"reading scans", i + 1, keys.size(), ""});
   }
@@ -110,7 +110,7 @@ Json number(double value) {
   return std::isnan(value) ? Json() : Json(value);
 }
 
-/// How far odometry goes astray, where the truth is known.
+/// Adds the drift of odometry, if ground truth is known.
 void add_drift(const Mission& mission, Json& json, std::string& text) {
   const std::vector<RobotDrift> drifts = odometry_drift(mission);
   Json all = Json::array();
@@ -130,7 +130,7 @@ void add_drift(const Mission& mission, Json& json, std::string& text) {
   if (!drifts.empty()) text += "\n" + table(rows);
 }
 
-/// How many candidates proximity would find, and how many of them saw the same place.
+/// Adds the number of candidates by proximity, and the number of those that saw the same place.
 void add_candidates(const Mission& mission, const Options& options, Json& json, std::string& text) {
   CandidateStatisticsOptions wanted = options.candidates;
   wanted.threads = thread_count(options.common);
@@ -151,7 +151,7 @@ void add_candidates(const Mission& mission, const Options& options, Json& json, 
   text += "\n";
 }
 
-/// How long all of them would take here.
+/// Adds the time that all of them would take on this machine.
 void add_cost(const Mission& mission, const Options& options, const ReplayOptions& replay,
               const StopToken& stop, Json& json, std::string& text) {
   if (!options.read_scans || options.timed <= 0 || mission.scans->size() == 0) return;
@@ -164,7 +164,7 @@ void add_cost(const Mission& mission, const Options& options, const ReplayOption
   text += "all of them  " + forecast_text(forecast, threads) + "\n";
 }
 
-/// Poses of another program for the same run.
+/// Differences to the poses of another program for the same run.
 std::string reference_text(const Mission& mission) {
   if (mission.reference.empty()) return {};
   const TrajectoryErrors off =
@@ -174,7 +174,7 @@ std::string reference_text(const Mission& mission) {
          fixed(off.ate_m.mean, 2) + " m in the mean, " + fixed(off.ate_m.max, 2) + " m at most";
 }
 
-/// Topics of the bags, and the data taken from each.
+/// Adds the topics of the bags and the data taken from each.
 void add_topics(const Mission& mission, Json& json, std::string& text) {
   if (mission.topics.empty()) return;
   Json all = Json::array();

@@ -28,7 +28,7 @@ std::vector<std::string> words_of() {
   return words;
 }
 
-/// Values for completion.
+/// Possible values of options, for completion.
 ValueWords value_words() {
   ValueWords words;
   words["--method"] = words["--methods"] = method_names();
@@ -60,7 +60,7 @@ bool is_first([[maybe_unused]] const loopwise::Transport& job) {
 #endif
 }
 
-/// The message on an argument that no option takes.
+/// Error message for an argument that no option takes.
 std::string about_extra(const CLI::App& app, int argc, char** argv, const CLI::ExtrasError& error) {
   const CLI::App* command = &app;
   while (!command->get_subcommands().empty()) command = command->get_subcommands().front();
@@ -117,9 +117,9 @@ void add_commands(CLI::App& app, loopwise::cli::Action& chosen, loopwise::Transp
   add_reference(app, chosen, value_words());
 }
 
-/// \throws OptionError if the first word is no command
+/// \throws OptionError if the first word is not a command
 void require_command(const CLI::App& app, int argc, char** argv) {
-  std::vector<std::string> commands;  // that are shown
+  std::vector<std::string> commands;  // without hidden ones
   bool known = argc < 2 || argv[1][0] == '-' || std::string(argv[1]) == "help";
   for (const CLI::App* command : app.get_subcommands({})) {
     if (!command->get_group().empty()) commands.push_back(command->get_name());
@@ -128,8 +128,7 @@ void require_command(const CLI::App& app, int argc, char** argv) {
   if (!known) loopwise::throw_unknown_name("command", argv[1], commands);
 }
 
-/// Parses the command line. \returns the exit status if nothing is to be done. Ranks other than the first are
-/// silent.
+/// Parses the command line. \returns the exit status if no command has to run. Only the first rank prints.
 std::optional<int> parse(CLI::App& app, int argc, char** argv, bool first) {
   using namespace loopwise::cli;
   try {
@@ -190,7 +189,7 @@ int run_program(int argc, char** argv) {
   }
   const int status = run_action(chosen);
 #ifdef LOOPWISE_HAS_MPI
-  // The others wait for this one, or one of them hangs: they cannot end by themselves.
+  // The other ranks wait for this one, or one of them hangs, so they cannot end on their own.
   if (job != nullptr && status != kDone && status != kInterrupted) session->abort(status);
 #endif
   return status;

@@ -50,7 +50,7 @@ double positive_number(const std::string& text, const std::string& what) {
   return value;
 }
 
-/// KEY[:sigma_m[:sigma_rad]] as a prior at the node's pose.
+/// Parses KEY[:sigma_m[:sigma_rad]] as a prior at the node's pose.
 PriorFactor parse_prior(const std::string& text, const PoseGraph& graph) {
   std::vector<std::string> parts;
   std::size_t begin = 0;
@@ -76,7 +76,7 @@ PriorFactor parse_prior(const std::string& text, const PoseGraph& graph) {
   return prior;
 }
 
-/// Priors asked for; otherwise those of the file; otherwise one at the first node of each component.
+/// Adds the priors of the command line. If there are no others, adds one at the first node of each component.
 void add_priors(PoseGraph& graph, const Options& options, Console& console) {
   for (const std::string& text : options.priors) graph.add_prior(parse_prior(text, graph));
   if (!graph.priors().empty()) return;
@@ -91,7 +91,7 @@ void add_priors(PoseGraph& graph, const Options& options, Console& console) {
                (next == 1 ? std::string() : " of each of " + std::to_string(next) + " components"));
 }
 
-/// An optimisation and the one that went on from it, as one: begun as the first, ended as the last.
+/// Joins the results of an optimisation and its continuation to one.
 void go_on(OptimizationResult last, OptimizationResult& result) {
   last.cost_initial = result.cost_initial;
   last.gradient_initial = result.gradient_initial;
@@ -130,7 +130,7 @@ void decide(PoseGraph& graph, const std::string& path, Console& console) {
 Config config_of(const Options& options) {
   Config defaults;
   defaults.replay.back_end.optimization =
-      OptimizerOptions();  // a file has no earlier estimates to suffer from
+      OptimizerOptions();  // not those of a growing graph: a file has no earlier estimate
   defaults.replay.back_end.gnc = GncOptions();
   Config config = load_config(options.common, defaults);
   config.replay.back_end.optimization.threads = thread_count(options.common);
@@ -146,15 +146,15 @@ Config config_of(const Options& options) {
   return config;
 }
 
-/// The graph of a file, a run or a recording, with the kinds of its edges.
+/// Reads the graph of a file, a run or a recording, with the kinds of its edges.
 PoseGraph read_graph(const Options& options, Config& config, Console& console, const StopToken& stop) {
   const std::filesystem::path of_run = graph_of_run(options.input);
   if (of_run.empty() && is_recording(options.input)) {
     Mission mission = read_mission(options.input, config.mission, console.progress_callback(), stop);
     console.warn(mission.problems);
-    return std::move(mission.graph);  // whose edges have their kinds already
+    return std::move(mission.graph);  // its edges have their kinds
   }
-  // A run whose odometry is not between neighbours has the list beside its graph.
+  // If the odometry of a run is not between neighbouring keys, a list of it is stored next to the graph.
   if (const auto list = of_run.parent_path() / "odometry.csv";
       !of_run.empty() && config.mission.odometry.empty() && std::filesystem::exists(list))
     config.mission.odometry = list.string();
@@ -168,7 +168,7 @@ PoseGraph read_graph(const Options& options, Config& config, Console& console, c
   return std::move(file.graph);
 }
 
-/// Optimises robustly; `weights` are those of the edges.
+/// Optimises robustly; `weights` receives the weights of the edges.
 OptimizationResult run_gnc(const PoseGraph& graph, const Config& config, const StopToken& stop,
                            std::vector<double>& weights, Json& json, std::string& text) {
   GncResult gnc = optimize_gnc(graph, config.replay.back_end.optimization, config.replay.back_end.gnc, stop);
@@ -207,7 +207,7 @@ int run(const Options& options) {
   Config config = config_of(options);
   PoseGraph graph = read_graph(options, config, console, interrupt.token());
   if (!options.decisions.empty()) decide(graph, options.decisions, console);
-  PoseGraph written = graph;  // without the priors that the command line adds: they are no measurements
+  PoseGraph written = graph;  // without the command line's priors, which are not measurements
   add_priors(graph, options, console);
   Times at;
   at.reading = watch.seconds();

@@ -10,7 +10,7 @@
 namespace loopwise::cli {
 namespace {
 
-/// As in the tables of results.
+/// The name of a kind as in the tables of results.
 const char* kind_name(EdgeKind kind) {
   switch (kind) {
     case EdgeKind::kOdometry:
@@ -23,7 +23,7 @@ const char* kind_name(EdgeKind kind) {
   return "closure";
 }
 
-/// How the critical point of the certified cost relates to the poses that are written.
+/// Relation of the certified cost's critical point to the written poses.
 std::string certified_point_text(const CertifiedEstimate& estimate) {
   const Certificate& c = estimate.certificate;
   char line[256];
@@ -60,7 +60,7 @@ std::string trace_table(const OptimizationResult& result) {
   return table(rows);
 }
 
-/// A line for every chain of odometry that is worse than stated.
+/// A line for every chain whose odometry is worse than stated.
 std::string odometry_text(const GncResult& gnc) {
   std::string text;
   for (const OdometryScale& odometry : gnc.odometry_scales) {

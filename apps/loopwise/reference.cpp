@@ -12,17 +12,17 @@
 namespace loopwise::cli {
 namespace {
 
-/// An option or a positional, as a reader sees it.
+/// The documentation of an option or positional argument.
 struct OptionPage {
-  std::vector<std::string> names;  // "-o", "--output"; of a positional its name alone
+  std::vector<std::string> names;  // "-o", "--output"; only its name for a positional
   std::string value;               // "DIR"; empty for a flag
-  std::string text;                // with bounds
+  std::string text;                // including bounds
   bool required = false;
   bool repeated = false;
   std::vector<std::string> words;
 };
 
-/// A command and those below it.
+/// The documentation of a command and its subcommands.
 struct CommandPage {
   std::vector<std::string> path;  // "loopwise", "study", "ablation"
   std::string text;
@@ -33,7 +33,7 @@ struct CommandPage {
   [[nodiscard]] std::string joined(const std::string& by) const { return CLI::detail::join(path, by); }
 };
 
-/// "N:INT in [0 - 4096]" is a name and what CLI11 says of the bounds; "KEY[:M]" is a name alone.
+/// Splits CLI11's type name: "N:INT in [0 - 4096]" is a name and bounds, "KEY[:M]" is only a name.
 std::pair<std::string, std::string> name_and_bounds(const std::string& type) {
   int depth = 0;
   for (std::size_t i = 0; i < type.size(); ++i) {
@@ -49,7 +49,7 @@ std::string sentence(std::string text) {
   return text;
 }
 
-/// Whether a value of this type name may be a file or folder, by the names that the commands use.
+/// Whether a value with this type name may be a file or folder, by the names in use.
 bool may_be_file(const std::string& value) {
   static const std::vector<std::string> no_files = {
       "B", "LIST", "M", "MB", "M_PER_M RAD_PER_M", "N", "NAME", "P", "R", "RAD", "S", "VALUE", "WORD"};
@@ -67,14 +67,14 @@ OptionPage option_page(const CLI::Option& option, const ValueWords& words) {
   }
   page.required = option.get_required();
   page.text = sentence(option.get_description());
-  if (option.get_items_expected_max() != 0) {  // no flag
+  if (option.get_items_expected_max() != 0) {  // not a flag
     const auto [name, bounds] = name_and_bounds(option.get_type_name());
     page.value = name.empty() ? "VALUE" : name;
     page.repeated = option.get_expected_max() >= CLI::detail::expected_max_vector_size;
     if (!bounds.empty()) page.text += " Value: " + sentence(bounds);
     if (!option.get_default_str().empty()) page.text += " Default: " + sentence(option.get_default_str());
   }
-  // --guess is a word of one command and a file of another.
+  // The value of --guess is a word for one command and a file for another.
   if (option.get_positional() || !may_be_file(page.value)) {
     for (const std::string& name : page.names) {
       const auto found = words.find(name);
@@ -89,7 +89,7 @@ CommandPage command_page(const CLI::App& app, const ValueWords& words, std::vect
   path.push_back(app.get_name());
   page.path = std::move(path);
   page.text = app.get_description();
-  // Commands without a note of their own have inherited their parent's.
+  // Commands without their own note inherit that of their parent.
   if (app.get_parent() == nullptr || app.get_footer() != app.get_parent()->get_footer()) {
     page.notes = app.get_footer();
   }
@@ -105,7 +105,7 @@ CommandPage command_page(const CLI::App& app, const ValueWords& words, std::vect
 
 // Manual pages -------------------------------------------------------------------------------------------
 
-/// Text in the language of man: '-' as it is typed, no line that begins a request.
+/// Escapes text for man: '-' is printed as typed, and no line begins a request.
 std::string roff(const std::string& text) {
   std::string out;
   for (const char c : text) {
@@ -127,7 +127,7 @@ std::string upper(std::string text) {
   return text;
 }
 
-/// Paragraphs; lines that are set in stand as they are.
+/// Formats paragraphs; indented lines are kept as they are.
 std::string roff_notes(const std::string& notes) {
   std::istringstream lines(notes);
   std::string out, line;
@@ -239,7 +239,7 @@ ValueKind value_kind(const OptionPage& option) {
   return may_be_file(option.value) ? ValueKind::kFile : ValueKind::kOther;
 }
 
-/// "a" | "b", as patterns of a case.
+/// Patterns of a shell `case`: "a" | "b".
 std::string patterns(const std::vector<std::string>& alternatives) {
   std::string out;
   for (const std::string& one : alternatives) out += (out.empty() ? "\"" : " | \"") + one + "\"";
@@ -254,14 +254,14 @@ std::string command_patterns(const CommandPage& root) {
   return patterns(paths);
 }
 
-/// The names of an option after its command, as `case "$command $previous"` sees them.
+/// The command followed by each name of an option, as patterns for `case "$command $previous"`.
 std::string value_patterns(const CommandPage& page, const OptionPage& option) {
   std::vector<std::string> places;
   for (const std::string& name : option.names) places.push_back(page.joined(" ") + " " + name);
   return patterns(places);
 }
 
-/// Words for arguments without a name: commands, or those of the first positional.
+/// Words for arguments without a name: subcommands, or the values of the first positional.
 std::vector<std::string> plain_words(const CommandPage& page) {
   std::vector<std::string> words;
   for (const CommandPage& command : page.commands) words.push_back(command.path.back());
@@ -325,7 +325,7 @@ std::string bash_completion(const CommandPage& root) {
          function + " " + name + "\n";
 }
 
-/// In single quotes; `escape` stands for a quote within.
+/// Text in single quotes; `escape` replaces a quote in it.
 std::string single_quoted(const std::string& text, const std::string& escape) {
   std::string out = "'";
   for (const char c : text) {
@@ -338,7 +338,7 @@ std::string single_quoted(const std::string& text, const std::string& escape) {
   return out + "'";
 }
 
-/// "name:text" as zsh's _describe takes it.
+/// "name:text" for zsh's _describe.
 std::string zsh_item(const std::string& name, const std::string& text) {
   std::string plain;
   for (const char c : name) plain += c == ':' ? std::string("\\:") : std::string(1, c);

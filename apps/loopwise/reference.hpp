@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The reference of a command line, made from the command line itself so that it never says anything else:
-/// manual pages, and completion for bash, zsh and fish.
+/// Manual pages and completion for bash, zsh and fish. They are generated from the command line, so that they
+/// always agree with it.
 #pragma once
 
 #include <filesystem>
@@ -13,8 +13,8 @@
 
 namespace loopwise::cli {
 
-/// Words that a value may be, by option ("--method") or name of a positional ("world"). A word that ends in
-/// '=' wants something behind it.
+/// Possible values, by option ("--method") or name of a positional ("world"). A value that ends in '=' is
+/// incomplete.
 using ValueWords = std::map<std::string, std::vector<std::string>>;
 
 /// Adds the command `reference DIR`, which help does not list; the build runs it.

@@ -31,7 +31,7 @@ Json row_major(const Matrix& matrix) {
   return list;
 }
 
-/// The source where T moves it, about the target's origin.
+/// The source moved by T, with coordinates relative to the target's origin.
 PointCloud moved(const PointCloud& cloud, const Eigen::Isometry3d& T, const Eigen::Vector3d& origin) {
   PointCloud out = cloud;
   out.origin = origin;
@@ -40,23 +40,23 @@ PointCloud moved(const PointCloud& cloud, const Eigen::Isometry3d& T, const Eige
   return out;
 }
 
-/// Where a pose of one cloud in the other is said about: a point of each file's coordinates.
+/// The points that a reported relative pose refers to, in the coordinates of each file.
 struct Origins {
   Eigen::Vector3d target, source;
 
   [[nodiscard]] bool zero() const { return target.isZero(0.0) && source.isZero(0.0); }
-  /// The pose about these points that maps the files' coordinates as `pose` about other points does.
+  /// Converts a pose that refers to other points; it maps the files' coordinates in the same way.
   [[nodiscard]] Eigen::Isometry3d from(const Origins& other, const Eigen::Isometry3d& pose) const {
     return Eigen::Translation3d(other.target - target) * pose * Eigen::Translation3d(source - other.source);
   }
-  /// The covariance of that pose; both are of right perturbations.
+  /// The covariance of that pose; both use right perturbations.
   [[nodiscard]] Matrix6d covariance_from(const Origins& other, const Matrix6d& covariance) const {
     const Matrix6d adjoint = se3::adjoint(Eigen::Isometry3d(Eigen::Translation3d(other.source - source)));
     return adjoint * covariance * adjoint.transpose();
   }
 };
 
-/// One point for both clouds where they share their coordinates: the pose is then by how much they differ.
+/// One common point if both clouds share their coordinates: the reported pose is then their difference.
 Origins origins_to_report(const Origins& of_clouds) {
   constexpr double kSameCoordinates_m = 1000.0;
   const bool shared = (of_clouds.target - of_clouds.source).norm() < kSameCoordinates_m;
@@ -80,11 +80,11 @@ std::string point_text(const Eigen::Vector3d& p) {
   return fixed(p.x(), 0) + " " + fixed(p.y(), 0) + " " + fixed(p.z(), 0);
 }
 
-/// The pose as the files' coordinates have it and, where these are far from zero, about the origins.
+/// The pose in the files' coordinates and, if these are far from zero, about the origins.
 std::string pose_text(const Eigen::Isometry3d& T_files, const Eigen::Isometry3d& T_origins,
                       const Origins& origins) {
   if (origins.zero()) return matrix_text("T_target_source", T_files, 6);
-  // A rotation's 12th digit moves points 5000 km away by 5 micrometres.
+  // The 12th digit of a rotation moves points at a distance of 5000 km by 5 micrometres.
   std::string text = matrix_text("T_target_source, in the coordinates of the files", T_files, 12);
   text += "origin       " + point_text(origins.target) + " m";
   if (origins.target != origins.source)
@@ -99,7 +99,7 @@ CloudFile read(const std::string& path, const Config& config, Console& console) 
   return file;
 }
 
-/// Problems of reading, and points that the registration left out.
+/// Counts problems of reading, and points that the registration leaves out.
 Problems problems_of(const Registration& registration, const std::vector<std::pair<std::string, Key>>& clouds,
                      double max_range_m) {
   Problems problems;
@@ -109,13 +109,13 @@ Problems problems_of(const Registration& registration, const std::vector<std::pa
   return problems;
 }
 
-/// The two clouds, and what their coordinates are relative to.
+/// The two clouds and the origins of their coordinates.
 struct Clouds {
   CloudFile source, target;
   Origins files{Eigen::Vector3d::Zero(), Eigen::Vector3d::Zero()}, clouds, reported;
 };
 
-// The pair as two nodes: the source is the newer one.
+// Keys of the pair as two nodes: the source is the newer one.
 constexpr Key kTarget = 0, kSource = 1;
 
 Clouds read_clouds(const Options& options, const Config& config, Console& console) {
@@ -127,7 +127,7 @@ Clouds read_clouds(const Options& options, const Config& config, Console& consol
   return out;
 }
 
-/// The pose, and the aligned cloud's file if it is asked for.
+/// Reports the pose, and writes the aligned cloud if requested.
 void report_pose(const Options& options, const Clouds& pair, const Eigen::Isometry3d& T_clouds, Json& json,
                  std::string& text) {
   const Eigen::Isometry3d T_files = pair.files.from(pair.clouds, T_clouds),

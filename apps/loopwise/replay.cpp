@@ -107,8 +107,8 @@ ContentHash hash_of(const PoseGraph& graph) {
   return hasher.finish();
 }
 
-/// All input of the outcomes of a run, except the contents of the scans; a run is resumed only with the same
-/// input.
+/// Hashes all input that determines the outcomes of a run, except the contents of the scans. A run is resumed
+/// only with the same input.
 std::string fingerprint(const Mission& mission, const Config& config) {
   Json json = Json::object();
   json["mission"] = mission.name;
@@ -120,7 +120,7 @@ std::string fingerprint(const Mission& mission, const Config& config) {
   return json_text(json);
 }
 
-/// Of an earlier run in the folder, which may have had other robots.
+/// Trajectories of an earlier run in the folder, which may have had other robots.
 std::vector<fs::path> former_trajectories(const fs::path& folder) {
   std::vector<fs::path> files;
   if (!fs::is_directory(folder / "trajectories")) return files;
@@ -130,28 +130,28 @@ std::vector<fs::path> former_trajectories(const fs::path& folder) {
   return files;
 }
 
-/// Beside new results it would be taken for theirs.
+/// Removes a file that would be mistaken for a result of the new run.
 void remove_former(const fs::path& file) {
   std::error_code failure;
   fs::remove(file, failure);
   if (failure) throw IoError(file.string(), "cannot be removed: " + failure.message());
 }
 
-/// Files that a new run does not always write.
+/// Removes former results that a new run does not always overwrite.
 void remove_former_results(const fs::path& folder) {
   for (const char* name : {"summary.json", "map.pcd", "map.ply", "picture.svg"}) remove_former(folder / name);
   for (const fs::path& file : former_trajectories(folder)) remove_former(folder / file);
 }
 
-/// Null if outcomes are not kept.
+/// The store of --outcomes, or null.
 std::shared_ptr<OutcomeStore> open_store(const ReplayArguments& arguments) {
   if (arguments.outcomes.empty()) return nullptr;
   return std::make_shared<OutcomeStore>(arguments.outcomes, arguments.outcomes_bound);
 }
 
 #ifdef LOOPWISE_HAS_MPI
-/// Made when it is first asked. By then rank 0 has looked at the output folder, in which the registrar may
-/// keep outcomes.
+/// Makes a registrar at its first use. By then rank 0 has checked the output folder, in which the registrar
+/// may store outcomes.
 class LateRegistrar final : public Registrar {
  public:
   explicit LateRegistrar(std::function<std::shared_ptr<const Registrar>()> make) : make_(std::move(make)) {}
@@ -171,7 +171,7 @@ class LateRegistrar final : public Registrar {
   mutable std::shared_ptr<const Registrar> registrar_;
 };
 
-/// A rank but the first of a job: computes registrations for it.
+/// The work of a rank other than the first: computes registrations for it.
 int serve(const Options& options) {
   try {
     const Config config = configured(options);
@@ -186,13 +186,13 @@ int serve(const Options& options) {
     return kDone;
   } catch (const Error& error) {
     report_failure(*options.job, error.what());
-    return kDone;  // the first rank says it, and ends the job
+    return kDone;  // the first rank reports the failure and ends the job
   }
 }
 #endif
 
 #ifdef LOOPWISE_HAS_MPI
-/// Work of the ranks, in words and as JSON.
+/// Reports the work of the ranks as a note and as JSON.
 void note_ranks(Console& console, const WorkStatistics& statistics, Json& json) {
   const auto mean = [](std::size_t bytes, std::size_t messages) {
     return messages == 0 ? 0.0 : static_cast<double>(bytes) / static_cast<double>(messages);
@@ -213,7 +213,7 @@ void note_ranks(Console& console, const WorkStatistics& statistics, Json& json) 
 }
 #endif
 
-/// The first line of a trace.
+/// Reads the first line of a trace.
 TraceHeader trace_header(const fs::path& file) {
   std::ifstream in(file, std::ios::binary);
   std::string line;
@@ -225,7 +225,7 @@ TraceHeader trace_header(const fs::path& file) {
   }
 }
 
-/// Of the trace itself: nodes without scans and truth.
+/// The mission of a trace alone: nodes without scans and ground truth.
 Mission mission_of(const TraceHeader& header, const fs::path& file) {
   Mission mission;
   mission.name = file.stem().string();
@@ -337,11 +337,11 @@ int run(const Options& options) {
   }
   std::optional<OutcomeFile> outcomes;
   if (live) {
-    remove_former(folder / "outcomes.jsonl");  // of another run
+    remove_former(folder / "outcomes.jsonl");  // it belongs to another run
   } else {
     outcomes.emplace(folder / "outcomes.jsonl", fingerprint(mission, config), options.resume);
   }
-  // Not before it is certain that this run may replace the former results.
+  // Only now is it certain that this run may replace the former results.
   remove_former_results(folder);
   std::ofstream journal(folder / "journal.jsonl", std::ios::binary | std::ios::trunc);
   if (!journal) throw IoError((folder / "journal.jsonl").string(), "cannot be written");
@@ -398,8 +398,9 @@ int run(const Options& options) {
   }();
   if (store) note_outcomes(console, store->statistics());
   const RunEvaluation evaluation = evaluate_run(mission, result);
-  // A run on the virtual clock can be repeated, and its folder is complete or marked as incomplete. Results
-  // of a real clock are written even if the map or the journal failed; then comes the error.
+  // A run on the virtual clock can be repeated, so its folder is either complete or marked as incomplete. A
+  // run on a real clock cannot: its results are written even if the map or the journal fails, and the error
+  // is thrown afterwards.
   std::exception_ptr failure;
   const auto attempt = [&](const std::function<void()>& call) {
     try {
@@ -514,7 +515,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
   command->add_flag("--resume", options->resume, "Continue a run that was interrupted or killed in DIR");
   command->add_flag("--overwrite", options->overwrite,
                     "Replace the results of an earlier run in DIR; other files stay");
-  // All that a trace says itself.
+  // A trace determines all of these.
   CLI::Option* trace = command->get_option("--trace");
   for (const char* other :
        {"--method", "--clock", "--rate", "--record-trace", "--workers", "--after-mission", "--resume",

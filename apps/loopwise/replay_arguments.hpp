@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Options on the command line that say how missions are replayed, shared by `replay` and the studies.
+/// Options on the command line for replaying missions, shared by `replay` and the studies.
 #pragma once
 
 #include <cstdint>
@@ -28,10 +28,10 @@ struct ReplayArguments {
 
 void add_replay_arguments(CLI::App& command, ReplayArguments& arguments);
 
-/// Changes what was asked for. \throws OptionError
+/// Writes the given options to the configuration. \throws OptionError
 void apply(const ReplayArguments& arguments, Config& config);
 
-/// Statistics of a store of outcomes, for people.
+/// Reports the statistics of a store of outcomes as notes.
 void note_outcomes(Console& console, const OutcomeStoreStatistics& statistics);
 
 }  // namespace loopwise::cli

@@ -25,7 +25,7 @@ std::string counted(std::size_t count, const char* one, const char* several) {
   return std::to_string(count) + " " + (count == 1 ? one : several);
 }
 
-/// The one run with its mission, as a recording for viewers.
+/// Writes a single run with its mission as a recording for viewers.
 int write_mcap(const Options& options, const std::vector<Mission>& missions, Console& console) {
   if (options.runs.size() != 1 || missions.size() != 1)
     throw OptionError("--mcap takes one run and its mission (--mission)");

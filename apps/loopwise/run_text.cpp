@@ -11,7 +11,7 @@
 namespace loopwise::cli {
 namespace {
 
-/// Advice that may help registrations which fail for this reason.
+/// Advice for registrations that fail for this reason.
 const char* advice_on(RejectionReason reason) {
   switch (reason) {
     case RejectionReason::kNone:
@@ -75,7 +75,7 @@ std::string calibration_text(const ReplayResult& result) {
   return text;
 }
 
-/// Closures that tie robots or sessions together. If they verify but are not kept, the common frame is wrong.
+/// Closures between robots or sessions. If they are verified but not kept, the common frame is wrong.
 std::string between_robots_text(const Robots& robots, const ReplayResult& result) {
   if (robots.size() < 2) return {};
   const double inlier_weight = ClosureClassOptions().gnc_inlier_weight;

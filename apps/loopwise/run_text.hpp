@@ -9,18 +9,18 @@
 
 namespace loopwise::cli {
 
-/// Whether there are errors to speak of: errors against what the odometry was taken from would say of
-/// closures that they make things worse.
+/// Whether errors are meaningful. If the odometry was derived from the truth, any closure would increase the
+/// error.
 [[nodiscard]] bool is_judged(const RunEvaluation& e);
 
-/// Of a run that verified no closure: the most frequent reason and what to try. Else empty.
+/// For a run without a verified closure: the most frequent reason and what to try. Otherwise empty.
 [[nodiscard]] std::string no_closure_text(const RunEvaluation& e);
 
-/// Lines on residuals, errors and differences, as far as they are known.
+/// Lines on residuals, errors and differences, if known.
 [[nodiscard]] std::string errors_text(const RunEvaluation& e);
 
-/// All that a replay prints of its results. `threads`: those of this machine, for the time of all candidates;
-/// 0 leaves it out. `virtual_clock`: the time of registrations was modelled.
+/// All results that a replay prints. \param threads those of this machine, for the time of all candidates; 0
+/// omits it \param virtual_clock whether the time of registrations was modelled
 [[nodiscard]] std::string results_text(const Robots& robots, const ReplayOptions& options,
                                        const ReplayResult& result, const RunEvaluation& e, int threads,
                                        bool virtual_clock);

@@ -42,7 +42,7 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// Adds what --statistics measures.
+/// Adds the measurements of --statistics.
 void measure(const SimulatedMission& made, int threads, Json& json, std::string& text) {
   CandidateStatisticsOptions candidate_options;
   candidate_options.threads = threads;
@@ -85,7 +85,7 @@ void measure(const SimulatedMission& made, int threads, Json& json, std::string&
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
-  static_cast<void>(load_config(options.common));  // reports a broken file
+  static_cast<void>(load_config(options.common));  // reports an invalid configuration file
   SimulationOptions simulation = options.simulation;
   simulation.world = parse_enum<WorldKind>("world", options.world);
   simulation.lidar = parse_enum<LidarKind>("lidar", options.lidar);

@@ -29,8 +29,8 @@ void add_study_arguments(CLI::App& command, StudyArguments& arguments);
 /// \throws OptionError
 [[nodiscard]] study::StudyOptions study_options(const StudyArguments& arguments);
 
-/// Runs a study with what the arguments say, writes NAME.json, NAME.md and the CSV file, and prints the
-/// tables. \returns the exit status
+/// Runs a study with these arguments, writes NAME.json, NAME.md and the CSV file, and prints the tables.
+/// \returns the exit status
 [[nodiscard]] int run_study(const StudyArguments& arguments, const std::string& name, const std::string& csv,
                             const std::function<std::optional<study::StudyReport>(
                                 const study::StudyOptions&, const study::StudyHooks&)>& run);

@@ -10,7 +10,7 @@
 
 namespace loopwise::cli {
 
-/// A line for each component: its frame and what it rests on, or why it stands apart.
+/// A line for each component: its frame and the source of that frame, or the reason why it is separate.
 [[nodiscard]] std::string frames_text(const TeamFrames& frames);
 /// The same with all figures.
 [[nodiscard]] Json frames_json(const TeamFrames& frames);

@@ -34,14 +34,14 @@ struct Options {
   bool resume = false;
 };
 
-/// Where one mission comes from.
+/// The source of one mission.
 struct Source {
   DataSetEntry entry;
   std::string made_with;
   std::function<MissionRecord(const StopToken&)> record;
 };
 
-/// A name that may be a file's.
+/// Makes a valid file name from a name.
 std::string file_name(std::string name) {
   for (char& c : name) {
     if (std::isalnum(static_cast<unsigned char>(c)) == 0 && c != '-' && c != '_' && c != '.') c = '_';
@@ -142,7 +142,7 @@ int run(const Options& options) {
     }
     entries.push_back(source.entry);
   }
-  static_cast<void>(split_by_mission(entries, 1));  // reports too few missions at once
+  static_cast<void>(split_by_mission(entries, 1));  // reports too few missions before any work
   const std::filesystem::path folder = options.output;
   prepare_output_folder(folder, options.resume, "; --resume continues interrupted data");
   std::filesystem::create_directories(folder / "missions");
@@ -162,7 +162,7 @@ int run(const Options& options) {
       } else {
         made = make_mission_data(source.record(interrupt.token()), data, interrupt.token());
         {
-          // Of an earlier set, which says that all of it is there and of one making.
+          // dataset.json of an earlier set states that the set is complete and consistent; it no longer is.
           const std::lock_guard<std::mutex> lock(mutex);
           std::error_code failure;
           std::filesystem::remove(folder / "dataset.json", failure);

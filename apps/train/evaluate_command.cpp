@@ -21,7 +21,7 @@ struct Options {
   std::uint64_t split_seed = 1;
 };
 
-/// Missions that a network has seen, as its file says.
+/// Missions that a network was trained on, according to its file.
 std::set<std::string> seen_by(const std::string& file) {
   std::set<std::string> out;
   const Json json = read_json_file(file);

@@ -34,7 +34,7 @@ FitOptions fit_options(const Options& options) {
   return fit;
 }
 
-/// The epoch that validated best; empty before any.
+/// The epoch with the best validation; empty before the first.
 EpochResult best_of(const Trainer& trainer) {
   EpochResult best;
   for (const EpochResult& epoch : trainer.history()) {
@@ -43,7 +43,7 @@ EpochResult best_of(const Trainer& trainer) {
   return best;
 }
 
-/// weights.json and history.csv as they are by now.
+/// Writes weights.json and history.csv with the present state.
 void write_results(const std::filesystem::path& folder, const Trainer& trainer, const FitOptions& fit,
                    const DataOptions& data, const Json& missions) {
   CsvText csv({"epoch", "training_loss", "validation_loss", "best"});

@@ -5,11 +5,11 @@ namespace loopwise::detail {
 
 /// Kinds of messages between a WorkServer and the ranks that it serves.
 enum Tag : int {
-  kGreeting = 1,  ///< The first word of a rank.
-  kFailure,       ///< Why a rank cannot go on, for people.
-  kRequest,       ///< Number of a piece (8 bytes), then what it asks for.
+  kGreeting = 1,  ///< First message of a rank.
+  kFailure,       ///< Reason why a rank cannot continue, for people.
+  kRequest,       ///< Number of a piece of work (8 bytes), then the request.
   kAnswer,        ///< The same number, then the answer.
-  kEnd,           ///< No more will be asked.
+  kEnd,           ///< There are no more requests.
 };
 
 }  // namespace loopwise::detail

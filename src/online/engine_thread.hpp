@@ -27,7 +27,7 @@ namespace loopwise {
 class EngineThread {
  public:
   struct Settings {
-    std::size_t batch = 1;     ///< Candidates handed out at a time.
+    std::size_t batch = 1;     ///< Candidates per batch.
     std::size_t capacity = 1;  ///< Waiting events from which on producers block.
     std::shared_ptr<const Clock> clock;
     std::function<void(const HandledEvent&)> on_event;  ///< May be empty.

@@ -8,7 +8,7 @@
 
 namespace loopwise {
 
-/// What the pool and its prioritisers say of a run at its end.
+/// Copies the accounts of the pool and its prioritisers at the end of a run.
 inline void take_account(const CandidatePool& pool, ReplayResult& result) {
   result.accounting = pool.accounting();
   result.pruned = pool.pruned_reasons();

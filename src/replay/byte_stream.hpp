@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Numbers, poses and texts one after the other as bytes. Numbers stand as this machine has them.
+/// Numbers, poses and texts one after the other as bytes. Numbers have this machine's byte order.
 #pragma once
 
 #include <cstdint>
@@ -31,7 +31,7 @@ class ByteWriter {
   ByteWriter& put(const Eigen::Isometry3d& pose) {
     return matrix(Eigen::Matrix<double, 3, 4>(pose.matrix().topRows<3>()));
   }
-  /// Row by row.
+  /// Writes a matrix row by row.
   template <class Matrix>
   ByteWriter& matrix(const Matrix& m) {
     for (Eigen::Index i = 0; i < m.rows(); ++i) {
@@ -45,7 +45,7 @@ class ByteWriter {
   std::string bytes_;
 };
 
-/// Reads what a ByteWriter wrote. All \throws InputError where the bytes end too early.
+/// Reads the bytes of a ByteWriter. All functions \throws InputError if the bytes end too early.
 class ByteReader {
  public:
   explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
@@ -58,7 +58,7 @@ class ByteReader {
     return value;
   }
   [[nodiscard]] bool flag() { return one_of(1) != 0; }
-  /// A byte that counts from 0 to `last`.
+  /// A byte from 0 to `last`.
   [[nodiscard]] std::uint8_t one_of(std::uint8_t last) {
     const auto value = get<std::uint8_t>();
     if (value > last) throw InputError("a message holds a value that does not exist");

@@ -10,7 +10,7 @@
 
 namespace loopwise {
 
-/// Weights of the computed candidates' closures, as the graph has them.
+/// Copies the weights of the graph's closures to their candidates.
 inline void take_weights(const PoseGraph& graph, std::vector<ComputedCandidate>& computed) {
   std::map<std::pair<Key, Key>, double> weights;
   for (const Edge& edge : graph.edges()) {

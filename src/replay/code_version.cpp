@@ -11,7 +11,7 @@ namespace {
 #define LOOPWISE_TEXT(x) #x
 #define LOOPWISE_TEXT_OF(x) LOOPWISE_TEXT(x)
 
-/// What else floating-point results may depend on.
+/// Properties of the build that may change floating-point results.
 std::string build() {
   std::string text = " " __VERSION__ " Eigen " LOOPWISE_TEXT_OF(EIGEN_WORLD_VERSION) "." LOOPWISE_TEXT_OF(
       EIGEN_MAJOR_VERSION) "." LOOPWISE_TEXT_OF(EIGEN_MINOR_VERSION);

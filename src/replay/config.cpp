@@ -20,7 +20,7 @@ std::vector<std::string> section_names(const Config& config) {
   return names;
 }
 
-/// Calls visit(section) for the section of this name. \throws OptionError if there is none.
+/// Calls visit(section) for the section with this name. \throws OptionError if there is no such section.
 template <class Visitor>
 void with_section(Config& config, const std::string& name, Visitor&& visit) {
   bool found = false;
@@ -40,7 +40,7 @@ std::string sections_json(const Sections& sections) {
   return all.dump(2) + "\n";
 }
 
-/// Keys of earlier versions, and what has taken their place.
+/// Keys of earlier versions, with the keys that replaced them.
 const std::map<std::string, std::string>& renamed_keys() {
   static const std::map<std::string, std::string> keys{
       {"replay.method", "prioritization.method"},
@@ -61,7 +61,7 @@ const std::map<std::string, std::string>& renamed_keys() {
   return keys;
 }
 
-/// \throws OptionError if the key is one of an earlier version
+/// \throws OptionError for a key of an earlier version
 void refuse_renamed(const std::string& section, const std::string& key) {
   const std::string name = section + "." + key;
   if (name == "graph_information.acceptance") {

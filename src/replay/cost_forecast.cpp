@@ -73,7 +73,7 @@ CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
   forecast.mission_s = feed.empty() ? 0.0 : feed.back().time_s;
   const Registration registration = make_registration(options.registration, mission.scans->loader());
   forecast.scans = mission.scans->size();
-  // Once with the preparation of scans that no candidate before it had, once without.
+  // Each registration is computed twice: first with the preparation of new scans, then without.
   std::set<Key> prepared;
   double cold_s = 0.0, warm_s = 0.0;
   for (const LoopCandidate& candidate : chosen.kept()) {
@@ -102,7 +102,7 @@ CostForecast forecast_cost(const ReplayResult& result) {
   double sum_s = 0.0;
   for (const ComputedCandidate& computed : result.computed) {
     const double seconds = computed.result.seconds();
-    if (!(seconds > 0.0)) continue;  // an outcome that was known
+    if (!(seconds > 0.0)) continue;  // the outcome was already known
     sum_s += seconds;
     ++forecast.measured;
   }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Lines of the replay's journal: one JSON object an event, with the candidates' account after it. Nothing in
-/// them depends on the wall clock, but for those of the online module.
+/// Lines of the replay's journal: one JSON object per event, with the candidates' account after it. They do
+/// not depend on the wall clock, except those of the online module.
 #pragma once
 
 #include <string>
@@ -23,7 +23,7 @@ namespace loopwise::journal {
                                      const CandidateAccounting& a);
 [[nodiscard]] std::string result_line(double time_s, const RegistrationResult& result,
                                       const CandidateAccounting& a);
-/// Of the online module: with what waits in its queues.
+/// A result of the online module, with the numbers of waiting events and candidates.
 [[nodiscard]] std::string live_result_line(double time_s, const RegistrationResult& result,
                                            const ModuleStatistics& statistics);
 [[nodiscard]] std::string estimate_line(double time_s, const GncResult& gnc, const CandidateAccounting& a);

@@ -29,7 +29,7 @@ void check(const ReplayOptions& options) {
   if (options.cost.refused_time_share != 1.0) refuse("cost.refused_time_share");
 }
 
-/// One run: the module, fed by the clock.
+/// One run: passes a mission to the module in real time.
 class LiveRun {
  public:
   LiveRun(const Mission& mission, const ReplayOptions& options, ModuleParts parts, Clock& clock, int threads,
@@ -50,13 +50,13 @@ class LiveRun {
     write(journal::start_line(mission_, options_));
     drive();
     if (options_.after_mission && !stopped()) wait();
-    stopped() ? module_.stop() : module_.finish();  // running registrations still count
+    stopped() ? module_.stop() : module_.finish();  // the results of running registrations still count
     take_result();
     try {
       write(journal::end_line(result_.mission_time_s, result_.interrupted, result_.accounting));
       show(ReplayMoment::Kind::kEnd, result_.mission_time_s, result_.graph, result_.odometry,
            result_.accounting);
-    } catch (const std::exception& error) {  // a mission that was lived through cannot be replayed again
+    } catch (const std::exception& error) {  // a real-time run cannot be repeated, so its result is kept
       result_.problems.add("live", error.what());
     }
     result_.total_s = watch.seconds();
@@ -66,7 +66,7 @@ class LiveRun {
  private:
   [[nodiscard]] bool stopped() const { return hooks_.stop.stop_requested(); }
 
-  /// Times are those of the engine, as in a trace.
+  /// Adds an observer of events. It takes times from the engine, as in a trace.
   [[nodiscard]] ModuleParts observed(ModuleParts parts) {
     parts.on_event = [this](const HandledEvent& handled) {
       now_s_ = handled.now_s;
@@ -103,20 +103,20 @@ class LiveRun {
       if (mission_.scans->has(frame.node.key)) {
         try {
           frame.cloud = mission_.scans->load(frame.node.key);
-        } catch (const Error&) {  // the store counts it; its candidates wait, then expire
+        } catch (const Error&) {  // the scan store counts it; the node's candidates wait, then expire
         }
       }
       bool taken = arrival.candidates.empty() || module_.add_candidates(arrival.candidates);
       taken = taken && module_.add_key_frame(frame);
       for (const BeaconDrop& drop : arrival.drops) taken = taken && module_.add_beacon_drop(drop);
       if (!arrival.readings.empty()) taken = taken && module_.add_radio(arrival.readings);
-      if (!taken) throw std::bad_alloc();  // the one reason for the module to stop by itself
+      if (!taken) throw std::bad_alloc();  // the module only stops itself if an allocation fails
       ++fed_;
       report();
     }
   }
 
-  /// Until nothing is pending, or a stop is requested.
+  /// Waits until nothing is pending, or a stop is requested.
   void wait() {
     std::atomic<bool> idle{false}, completed{false};
     std::thread waiting([&] {
@@ -132,7 +132,7 @@ class LiveRun {
     } catch (...) {
       failure = std::current_exception();
     }
-    if (!idle) module_.stop();  // ends the wait as well
+    if (!idle) module_.stop();  // this also ends the wait
     waiting.join();
     if (failure) std::rethrow_exception(failure);
     if (idle && !completed && !stopped()) throw std::bad_alloc();
@@ -151,7 +151,7 @@ class LiveRun {
     result_.batches = statistics.batches;
     result_.registration_s = statistics.computing_s;
     result_.optimization_s = statistics.optimizing_s;
-    Problems all = result_.problems;  // so that none counts twice
+    Problems all = result_.problems;  // a copy, so that no problem counts twice
     all.add(mission_.scans->problems());
     report_missing(decisions_, result_.graph, all);
     result_.problems = std::move(all);
@@ -178,10 +178,10 @@ class LiveRun {
   const std::vector<Arrival> feed_;
   const std::vector<ClosureDecision> decisions_;
   const std::vector<Eigen::Isometry3d> odometry_;
-  double now_s_ = 0.0;  // of the event that is handled; of the module's thread
+  double now_s_ = 0.0;  // of the current event; only the module's thread uses it
   std::size_t fed_ = 0;
   ReplayResult result_;
-  LoopClosureModule module_;  // last: its callbacks use all others
+  LoopClosureModule module_;  // last, because its callbacks use all other members
 };
 
 }  // namespace

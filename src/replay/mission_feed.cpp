@@ -22,7 +22,7 @@
 namespace loopwise {
 namespace {
 
-/// Elements by the keys that they belong to.
+/// Groups elements by their keys.
 template <class Element>
 using ByKey = std::unordered_map<Key, std::vector<Element>>;
 
@@ -32,7 +32,7 @@ std::vector<Element> at(const ByKey<Element>& all, Key key) {
   return found == all.end() ? std::vector<Element>() : found->second;
 }
 
-/// Factors between two nodes.
+/// Groups factors by each of their two nodes.
 template <class Factor>
 ByKey<Factor> by_ends(const std::vector<Factor>& factors) {
   ByKey<Factor> out;
@@ -54,7 +54,7 @@ ByKey<Factor> by_node(const std::vector<Factor>& factors) {
 
 std::vector<Edge> replay_edges(const Mission& mission, const ReplayOptions& options) {
   constexpr std::uint64_t kStream =
-      0x6f646f6d65747279;  // keeps this noise apart from the registrations' seeds
+      0x6f646f6d65747279;  // a random stream that the seeds of registrations do not use
   std::vector<Edge> edges, sightings;
   for (Edge edge : mission.graph.edges()) {
     if (edge.kind == EdgeKind::kLandmark) sightings.push_back(edge);
@@ -69,7 +69,7 @@ std::vector<Edge> replay_edges(const Mission& mission, const ReplayOptions& opti
       variance << Eigen::Vector3d::Constant(sigma_m * sigma_m),
           Eigen::Vector3d::Constant(sigma_rad * sigma_rad);
       edge.T_from_to = se3::normalized(edge.T_from_to * se3::exp(noise));
-      // (Ω⁻¹ + N)⁻¹ without inverting either: both may be singular.
+      // (Ω⁻¹ + N)⁻¹ without inverting Ω or N: both may be singular.
       const Matrix6d& omega = edge.information;
       const Matrix6d lowered =
           (Matrix6d::Identity() + omega * variance.asDiagonal()).partialPivLu().solve(omega);
@@ -92,7 +92,7 @@ std::vector<double> arrival_times(const Mission& mission) {
     const std::size_t robot = mission.robots.of(nodes[i].key);
     double time = mission.time_s(nodes[i].stamp_ns);
     for (const CommunicationGap& gap :
-         mission.gaps) {  // in order of their begins: one may lead into the next
+         mission.gaps) {  // sorted by their beginnings: the end of one may be inside the next
       if (gap.robot == robot && time >= gap.begin_s && time < gap.end_s) time = gap.end_s;
     }
     times[i] = latest[robot] = std::max(time, latest[robot]);
@@ -102,8 +102,7 @@ std::vector<double> arrival_times(const Mission& mission) {
 
 namespace {
 
-/// The pairs of options.candidates by the place in `order` of the node that comes later, which becomes
-/// `from`.
+/// The pairs of options.candidates, grouped by the index in `order` of the later node, which becomes `from`.
 std::unordered_map<std::size_t, std::vector<LoopCandidate>> given_candidates(
     const Mission& mission, const std::string& file, const std::vector<std::size_t>& order) {
   std::unordered_map<std::size_t, std::vector<LoopCandidate>> by_place;
@@ -162,7 +161,7 @@ std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& o
     arrival.time_s = times[i];
     arrival.frame.node = nodes[i];
     for (const Edge& edge : at(edges, key)) {
-      if (!other_has_come(edge)) continue;  // it comes with that node
+      if (!other_has_come(edge)) continue;  // the other node brings it
       auto& list = edge.kind == EdgeKind::kLandmark ? arrival.frame.landmarks : arrival.frame.odometry;
       list.push_back({edge.from, edge.to, edge.T_from_to, edge.information, edge.trusted});
     }

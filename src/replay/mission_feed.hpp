@@ -11,26 +11,26 @@
 
 namespace loopwise {
 
-/// A node of a mission as it arrives at the base station, with all that comes with it.
+/// A node of a mission as it arrives at the base station, with all its data.
 struct Arrival {
   double time_s = 0.0;                 ///< Mission time.
   KeyFrame frame;                      ///< Without its cloud. Factors to nodes that have arrived.
   std::vector<BeaconDrop> drops;       ///< Beacons that were dropped there.
   std::vector<RadioReading> readings;  ///< Heard there.
-  /// Pairs of another place recognition with an older node, see ReplayOptions::candidates. To be proposed
-  /// before the node comes, so that what was recognised counts.
+  /// Pairs with an older node from another place recognition, see ReplayOptions::candidates. They are
+  /// proposed before the node, so that their recognition is not lost to a candidate by proximity.
   std::vector<LoopCandidate> candidates;
 };
 
 /// All nodes of a mission in the order of (time, key), with the odometry of replay_edges(). Beacons and radio
-/// only if the method asks for them.
+/// readings are included only if the method uses them.
 [[nodiscard]] std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& options);
 
-/// The decisions that the options name. \throws InputError on a node that the mission does not have; what
-/// read_decisions() throws
+/// The decisions in the file that the options name. \throws InputError on a node that is not in the mission;
+/// the exceptions of read_decisions()
 [[nodiscard]] std::vector<ClosureDecision> decisions_of(const Mission& mission, const ReplayOptions& options);
 
-/// Reports accepted pairs that the graph has no closure between.
+/// Reports accepted pairs without a closure in the graph.
 void report_missing(const std::vector<ClosureDecision>& decisions, const PoseGraph& graph,
                     Problems& problems);
 

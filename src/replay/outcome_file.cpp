@@ -15,7 +15,7 @@
 namespace loopwise {
 namespace {
 
-/// In what two fingerprints differ, for people: "replay.method was "obs"", "another mission".
+/// Describes how two fingerprints differ, for messages: "replay.method was "obs"", "another mission".
 std::string difference(const std::string& before, const std::string& now) {
   const Json b = parse_json(now, "this run");
   const Json a = [&before] {
@@ -49,7 +49,7 @@ KeptOutcomes parse_outcomes(const std::string& contents, const std::string& fing
   if (std::getline(lines, line) && line != fingerprint && !lines.eof())
     throw OptionError(name + ": the run to resume had " + difference(line, fingerprint));
   for (std::size_t number = 2; std::getline(lines, line); ++number) {
-    if (lines.eof()) break;  // cut short by a kill
+    if (lines.eof()) break;  // the process was killed while it wrote this line
     if (line.find('\0') != std::string::npos) {
       ++kept.lost;
       continue;
@@ -61,11 +61,11 @@ KeptOutcomes parse_outcomes(const std::string& contents, const std::string& fing
         throw ParseError(name, number, error.what());
       }
     }();
-    if (depends_on_circumstances(result)) continue;  // this time it may go well
+    if (depends_on_circumstances(result)) continue;  // it is computed again and may succeed
     kept.known[{result.candidate.from, result.candidate.to}] = result;
     kept.lines += line + "\n";
   }
-  if (lines.bad()) throw std::bad_alloc();  // streams swallow it
+  if (lines.bad()) throw std::bad_alloc();  // streams hide bad_alloc
   return kept;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Poses, matrices and outcomes of registrations as JSON. Numbers keep every bit.
+/// Poses, matrices and outcomes of registrations as JSON. Numbers are exact to the bit.
 #pragma once
 
 #include <Eigen/Core>
@@ -12,10 +12,10 @@
 
 namespace loopwise {
 
-/// Null becomes NaN.
+/// Converts null to NaN.
 [[nodiscard]] double number_or_nan(const Json& value);
 
-/// Row by row. What is not finite becomes null.
+/// Row by row. Values that are not finite become null.
 template <class Matrix>
 [[nodiscard]] Json numbers(const Matrix& matrix) {
   Json list = Json::array();
@@ -25,7 +25,7 @@ template <class Matrix>
   return list;
 }
 
-/// Null becomes NaN. \throws InputError if the number of elements is another; Json::exception if one is no
+/// Null becomes NaN. \throws InputError if the number of elements differs; Json::exception if one is not a
 /// number
 template <class Matrix>
 [[nodiscard]] Matrix matrix_of(const Json& list) {
@@ -39,11 +39,11 @@ template <class Matrix>
   return matrix;
 }
 
-/// Candidate, outcome and figures, without wall times.
+/// Adds candidate, outcome and figures, without wall times.
 void put_result(Json& line, const RegistrationResult& result);
-/// put_result() with the wall times.
+/// The object of put_result(), with the wall times.
 [[nodiscard]] Json outcome_json(const RegistrationResult& result);
-/// Reads what outcome_json() wrote; the candidate has both ends and its source. Unless `any_numbers`, poses
+/// Reads the object of outcome_json(); the candidate gets its ends and source. Unless `any_numbers`, poses
 /// must be rigid and covariances positive definite. \throws InputError; Json::exception
 [[nodiscard]] RegistrationResult outcome_from(const Json& json, bool any_numbers = false);
 

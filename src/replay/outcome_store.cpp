@@ -28,8 +28,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// A file is a sequence of records: mark, size of the payload, key, checksum, payload. Numbers stand as this
-// machine has them; on another the mark would not be found, and nothing taken.
+// A file is a sequence of records: mark, size of the payload, key, checksum, payload. Numbers have this
+// machine's byte order; a machine with another byte order does not find the mark and reads no records.
 constexpr std::uint32_t kMark = 0x3157'4f4c;  // "LOW1"
 constexpr std::size_t kHeaderBytes = 4 + 4 + 16 + 8;
 constexpr std::uint32_t kMaxPayload = 1U << 20;
@@ -38,7 +38,7 @@ std::uint64_t checksum(const ContentHash& key, const char* payload, std::size_t 
   return ContentHasher().integer(key.high).integer(key.low).bytes(payload, size).finish().high;
 }
 
-/// Of a payload whose checksum held; nothing if it is that of a later version.
+/// Decodes a payload with a valid checksum; nothing if a later version wrote it.
 std::optional<RegistrationResult> result_of(std::string_view payload, const LoopCandidate& candidate) {
   try {
     return unpack_result(payload, candidate);
@@ -47,7 +47,7 @@ std::optional<RegistrationResult> result_of(std::string_view payload, const Loop
   }
 }
 
-/// "outcomes-00000012.bin" is 12.
+/// The number in a file name: 12 for "outcomes-00000012.bin".
 std::optional<std::uint64_t> number_of(const fs::path& path) {
   const std::string name = path.filename().string();
   unsigned long long number = 0;
@@ -63,7 +63,7 @@ fs::path file_path(const fs::path& folder, std::uint64_t number) {
   return folder / ("outcomes-" + digits + ".bin");
 }
 
-/// The store's files, oldest first. None if the folder is gone.
+/// The store's files, oldest first. Empty if the folder does not exist.
 std::vector<std::uint64_t> files_in(const fs::path& folder) {
   std::vector<std::uint64_t> numbers;
   std::error_code ignored;
@@ -87,13 +87,13 @@ bool write_whole(int fd, std::string_view bytes) {
 
 }  // namespace
 
-/// An open file of the store. It stays readable when its name is deleted.
+/// An open file of the store. It stays readable after its name is deleted.
 class OutcomeStore::File {
  public:
   File(fs::path path, int flags)
       : path_(std::move(path)), fd_(::open(path_.c_str(), flags | O_CLOEXEC, 0666)) {}
   ~File() {
-    if (fd_ >= 0) ::close(fd_);  // and with it goes the lock
+    if (fd_ >= 0) ::close(fd_);  // this also releases the lock
   }
   File(const File&) = delete;
   File& operator=(const File&) = delete;
@@ -101,7 +101,7 @@ class OutcomeStore::File {
   [[nodiscard]] bool open() const { return fd_ >= 0; }
   [[nodiscard]] int fd() const { return fd_; }
   [[nodiscard]] const fs::path& path() const { return path_; }
-  /// Whether it is ours alone now.
+  /// Locks the file exclusively. \returns false if another process holds the lock
   [[nodiscard]] bool lock() const { return ::flock(fd_, LOCK_EX | LOCK_NB) == 0; }
   void unlock() const { ::flock(fd_, LOCK_UN); }
   [[nodiscard]] bool deleted() const {
@@ -112,7 +112,7 @@ class OutcomeStore::File {
     struct stat about {};
     return ::fstat(fd_, &about) == 0 ? static_cast<std::uint64_t>(about.st_size) : 0;
   }
-  /// What there is of the asked bytes.
+  /// Reads the requested bytes, as far as they exist.
   [[nodiscard]] std::string read(std::uint64_t offset, std::size_t size) const {
     std::string bytes(size, '\0');
     std::size_t done = 0;
@@ -143,7 +143,7 @@ OutcomeStore::OutcomeStore(fs::path folder, const OutcomeStoreOptions& options) 
     const auto file = std::make_shared<const File>(file_path(folder_, number), O_RDONLY);
     if (file->open()) {
       load(file);
-    } else if (errno != ENOENT) {  // deleted at this moment
+    } else if (errno != ENOENT) {  // ENOENT: another process has just deleted it
       throw IoError(file->path().string(), std::strerror(errno));
     }
   }
@@ -155,7 +155,7 @@ OutcomeStore::~OutcomeStore() = default;
 void OutcomeStore::load(const std::shared_ptr<const File>& file) {
   const std::string bytes = file->read(0, file->size());
   std::size_t at = 0, passed_over = 0;
-  bool unfinished = false;  // what was passed over last begins as a record that ends beyond the file
+  bool unfinished = false;  // the skipped bytes begin like a record that ends beyond the file
   while (at < bytes.size()) {
     bool ends_beyond = false;
     const auto record = [&]() -> std::optional<std::uint32_t> {
@@ -182,18 +182,18 @@ void OutcomeStore::load(const std::shared_ptr<const File>& file) {
     }
     if (record) {
       at += kHeaderBytes + *record;
-    } else {  // the next record begins somewhere behind
+    } else {  // look for the next record
       ++at;
       ++passed_over;
     }
   }
-  // A process may be writing its last record at this moment, or was killed while it did.
+  // An unfinished record is not damage: a process is writing it now, or was killed while writing.
   if (!unfinished) statistics_.damaged_bytes += passed_over;
 }
 
 std::optional<RegistrationResult> OutcomeStore::read(const ContentHash& key, const Place& place,
                                                      const LoopCandidate& candidate) const {
-  const std::string bytes = place.file->read(place.offset - 8, place.size + 8);  // the checksum, the payload
+  const std::string bytes = place.file->read(place.offset - 8, place.size + 8);  // checksum and payload
   if (bytes.size() != place.size + 8) return std::nullopt;
   ByteReader in(bytes);
   if (in.get<std::uint64_t>() != checksum(key, bytes.data() + 8, place.size)) return std::nullopt;
@@ -216,20 +216,20 @@ RegistrationResult OutcomeStore::get(const ContentHash& key, const LoopCandidate
         ++statistics_.hits;
         return *std::move(result);
       }
-      places_.erase(key);  // changed since the store was opened
+      places_.erase(key);  // the file has changed since the store was opened
     }
     being_computed_.insert(key);
   }
   const auto finish = [&](const RegistrationResult* result) {
     const std::lock_guard<std::mutex> lock(mutex_);
     being_computed_.erase(key);
-    done_.notify_all();  // they go on once the mutex is free
+    done_.notify_all();  // waiting calls continue when the mutex is free
     if (!result) return;
     ++statistics_.computed;
     if (depends_on_circumstances(*result)) return;
     try {
       append(key, *result);
-    } catch (const std::bad_alloc&) {  // the result is there all the same
+    } catch (const std::bad_alloc&) {  // the result is valid even if it cannot be stored
       statistics_.problem = "out of memory";
     }
   };
@@ -256,7 +256,7 @@ void OutcomeStore::append(const ContentHash& key, const RegistrationResult& resu
     open_for_writing();
     if (!writing_) return;
   }
-  const std::uint64_t offset = writing_->size();  // nobody else appends: it is locked
+  const std::uint64_t offset = writing_->size();  // no other process appends, because the file is locked
   if (!write_whole(writing_->fd(), record)) {
     statistics_.problem = writing_->path().string() + ": " + std::strerror(errno);
     return;
@@ -267,14 +267,14 @@ void OutcomeStore::append(const ContentHash& key, const RegistrationResult& resu
 void OutcomeStore::open_for_writing() {
   constexpr int kAppend = O_RDWR | O_APPEND;
   const auto full = [this](const File& file) { return 2 * file.size() > file_bytes_; };
-  if (writing_) writing_->unlock();  // it stays open for reading
+  if (writing_) writing_->unlock();  // the file stays open for reading
   writing_.reset();
   std::error_code failure;
   fs::create_directories(folder_, failure);
   std::vector<std::uint64_t> numbers = files_in(folder_);
   const std::uint64_t next = numbers.empty() ? 1 : numbers.back() + 1;
-  // The file of a process that has ended is continued; otherwise processes that run at once would leave new
-  // ones behind every time.
+  // Continues a file of a process that has ended. Otherwise every run of several processes would add new
+  // files.
   std::reverse(numbers.begin(), numbers.end());
   for (std::size_t i = 0; i < numbers.size() && !writing_; ++i) {
     auto file = std::make_shared<File>(file_path(folder_, numbers[i]), kAppend);
@@ -282,7 +282,7 @@ void OutcomeStore::open_for_writing() {
       writing_ = std::move(file);
     }
   }
-  constexpr std::uint64_t kTries = 1000;  // other processes may take the same number at this moment
+  constexpr std::uint64_t kTries = 1000;  // other processes may take the same number at the same time
   for (std::uint64_t number = next; !writing_ && number < next + kTries; ++number) {
     auto file = std::make_shared<File>(file_path(folder_, number), kAppend | O_CREAT | O_EXCL);
     if (!file->open()) {
@@ -292,7 +292,7 @@ void OutcomeStore::open_for_writing() {
     }
     if (file->lock()) {
       if (!file->deleted()) writing_ = std::move(file);
-    } else if (errno != EWOULDBLOCK) {  // a file system without locks
+    } else if (errno != EWOULDBLOCK) {  // the file system does not support locks
       statistics_.problem = file->path().string() + ": cannot be locked: " + std::strerror(errno);
       ::unlink(file->path().c_str());
       return;
@@ -307,7 +307,7 @@ void OutcomeStore::open_for_writing() {
 
 void OutcomeStore::drop_oldest(const File* own) {
   std::vector<std::pair<fs::path, std::uint64_t>> others;
-  std::uint64_t total = file_bytes_;  // ours, once it is full
+  std::uint64_t total = file_bytes_;  // the final size of this process's file
   for (const std::uint64_t number : files_in(folder_)) {
     const fs::path path = file_path(folder_, number);
     std::error_code gone;
@@ -319,7 +319,7 @@ void OutcomeStore::drop_oldest(const File* own) {
   for (const auto& [path, size] : others) {
     if (total <= max_bytes_) return;
     const File file(path, O_RDWR);
-    if (!file.open() || !file.lock()) continue;  // somebody writes to it
+    if (!file.open() || !file.lock()) continue;  // another process writes to it
     std::error_code ignored;
     if (fs::remove(path, ignored)) total -= size;
   }
@@ -352,7 +352,7 @@ std::optional<ContentHash> StoredRegistrar::scan_hash(Key key) const {
   std::shared_ptr<const PointCloud> cloud;
   try {
     cloud = scans_(key);
-  } catch (const Error&) {  // the registrar will say so in its result
+  } catch (const Error&) {  // the registrar reports the error in its result
     return std::nullopt;
   }
   if (!cloud) return std::nullopt;

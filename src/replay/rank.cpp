@@ -22,7 +22,7 @@ using KeyPair = std::pair<Key, Key>;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 constexpr std::size_t kFineProbes = 256;
 
-/// Keeps what the engine proposes.
+/// Collects the candidates that the engine proposes.
 class Collector final : public Prioritizer {
  public:
   explicit Collector(std::vector<LoopCandidate>& all) : all_(all) {}
@@ -64,7 +64,7 @@ std::vector<LoopCandidate> all_candidates(const Mission& mission, const ReplayOp
   for (const Arrival& arrival : mission_feed(mission, options)) {
     for (const BeaconDrop& drop : arrival.drops) feed(drop, arrival.time_s);
     if (!arrival.readings.empty()) feed(event::Radio{arrival.readings}, arrival.time_s);
-    KeyFrame as_it_stands;  // without the odometry, which would move it
+    KeyFrame as_it_stands;  // without its odometry, which would move it
     as_it_stands.node = arrival.frame.node;
     if (!arrival.candidates.empty()) feed(event::Candidates{arrival.candidates}, arrival.time_s);
     feed(as_it_stands, arrival.time_s);
@@ -85,7 +85,7 @@ namespace {
 
 using Queue = RoundRobinQueue;
 
-/// Looks at the scans of the candidates' nodes. \returns the nodes that have one
+/// Announces the scans of the candidates' nodes to the prioritisers. \returns the nodes that have a scan
 std::set<Key> announce_scans(const Mission& mission, const std::vector<LoopCandidate>& candidates,
                              FeatureCache& features, ObservabilityPrioritizer& observability, Queue& queue,
                              const ProgressCallback& progress, const StopToken& stop) {
@@ -105,7 +105,7 @@ std::set<Key> announce_scans(const Mission& mission, const std::vector<LoopCandi
   return scanned;
 }
 
-/// Batch by batch, as a replay would take them.
+/// The order in which a replay would take the candidates, batch by batch.
 std::vector<LoopCandidate> order_of(Queue& queue, std::size_t batch, const RankOptions& options,
                                     const StopToken& stop) {
   const std::size_t wanted = options.count > 0 ? options.count : batch;
@@ -122,8 +122,8 @@ std::vector<LoopCandidate> order_of(Queue& queue, std::size_t batch, const RankO
   return ranked;
 }
 
-/// The trace, and what each candidate's closure alone would take from it. \throws InputError if the graph
-/// leaves a pose undetermined
+/// Computes the trace of the covariance, and the decrease by each candidate's closure alone. \throws
+/// InputError if the graph leaves a pose undetermined
 void judge(const PoseGraph& graph, const std::vector<LoopCandidate>& candidates,
            const std::vector<LoopCandidate>& ranked, ClosureModelOptions closures, std::size_t exact_up_to,
            std::uint64_t seed, Ranking& out, std::vector<CandidateScores>& scores) {
@@ -167,7 +167,7 @@ Ranking rank_candidates(const Mission& mission, const ReplayOptions& replay,
   }
   Queue queue(make_prioritizers(order, replay.engine.seed, mission.robots, insight));
   queue.on_graph(mission.graph);
-  // A prioritiser of its own has the scores, whatever the method.
+  // The scores come from a separate prioritiser, so that they exist for every method.
   ObservabilityPrioritizer observability(order.observability, mission.robots, insight.eigenvalue);
   std::set<Key> scanned;
   if (features) {

@@ -20,9 +20,9 @@ namespace {
 
 constexpr const char* kWithoutFrame = "joined without a frame";
 
-/// Number of the component that each robot is of; nothing for landmarks.
+/// Number of each robot's component; nothing for landmarks.
 std::vector<std::optional<std::size_t>> component_of_robot(const Mission& mission) {
-  std::map<std::size_t, std::size_t> number;  // of a source
+  std::map<std::size_t, std::size_t> number;  // component number, by source
   std::vector<std::optional<std::size_t>> out(mission.robots.size());
   std::set<std::size_t> present;
   for (const Node& node : mission.graph.nodes()) present.insert(mission.robots.of(node.key));
@@ -53,7 +53,7 @@ Problems without(const Problems& problems, const std::set<std::string>& kinds) {
   return out;
 }
 
-/// Key frames at least a metre apart: closer ones show the same.
+/// Key frames at least a metre apart: closer ones see the same place.
 std::vector<Key> thinned(const PoseGraph& graph, const std::vector<Key>& keys) {
   constexpr double kApart_m = 1.0;
   std::vector<Key> out;
@@ -66,7 +66,7 @@ std::vector<Key> thinned(const PoseGraph& graph, const std::vector<Key>& keys) {
   return out;
 }
 
-/// A key frame with what a place recognition keeps of it.
+/// A key frame with its description for place recognition.
 struct DescribedPlace {
   Key key = 0;
   std::size_t component = 0;
@@ -94,7 +94,7 @@ std::vector<DescribedPlace> described_places(const Mission& mission,
         place.descriptor =
             database.describe(place_submap(mission.graph, mission.robots, place.key, scans).level);
       } catch (const Error&) {
-        // A scan that cannot be read proposes nothing. The scan store counts it.
+        // A scan that cannot be read proposes no pairs. The scan store counts it.
       }
     });
     if (progress) progress({"describing places", std::min(places.size(), begin + kBatch), places.size(), ""});
@@ -102,7 +102,7 @@ std::vector<DescribedPlace> described_places(const Mission& mission,
   return places;
 }
 
-/// Pairs of key frames of different components that look alike.
+/// Pairs of similar key frames from different components.
 std::vector<ProposedPair> proposed_pairs(const Mission& mission, const std::vector<JoinComponent>& components,
                                          FeatureCache& features, std::size_t count, ThreadPool& threads,
                                          const ProgressCallback& progress, const StopToken& stop) {

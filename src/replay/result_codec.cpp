@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// All forms that a RegistrationResult takes outside of memory: lines of JSON and bytes.
+// Formats of a RegistrationResult in files and messages: lines of JSON, and bytes.
 #include <loopwise/replay/result_codec.hpp>
 
 #include <limits>
@@ -14,7 +14,7 @@
 namespace loopwise {
 namespace {
 
-/// What follows in the bytes of a result.
+/// Optional parts in the bytes of a result.
 enum Parts : std::uint8_t { kPose = 1, kClosure = 2, kIncomplete = 4, kTaskHash = 8, kAllParts = 15 };
 
 /// Figures of a result, in the order of its bytes.

@@ -9,10 +9,10 @@
 
 namespace loopwise {
 
-/// Shows a run to the hooks of a replay.
+/// Reports a run to the hooks of a replay.
 class RunLog {
  public:
-  /// \param key_frames of the mission; the others must outlive the log
+  /// \param key_frames of the mission; the other arguments must outlive the log
   RunLog(const ReplayHooks& hooks, const Engine& engine, const ReplayResult& result, std::size_t key_frames,
          std::int64_t max_registrations)
       : hooks_(hooks),
@@ -30,9 +30,10 @@ class RunLog {
     hooks_.moment({kind, now_s, engine_.graph(), engine_.odometry(), result_.computed, account()});
   }
 
-  /// \param computed registrations so far, those that the engine has not seen included
-  /// \param verified of them
-  /// \param reachable registrations that the clock has time for, beyond those that the engine has seen
+  /// \param computed registrations so far, including those that the engine has not handled
+  /// \param verified number of them that are verified
+  /// \param reachable registrations for which the clock has time, in addition to those that the engine has
+  /// handled
   void report(std::size_t computed, std::size_t verified, std::size_t reachable) const {
     if (!hooks_.progress) return;
     const CandidateAccounting& a = account();

@@ -7,10 +7,10 @@
 
 namespace loopwise {
 
-/// Order of events of the same time.
+/// Order of events with the same time.
 enum class EventKind { kKeyFrame, kResult };
 
-/// What happens next on the virtual clock.
+/// A future event on the virtual clock.
 struct TimedEvent {
   double time_s;
   EventKind kind;

@@ -34,7 +34,7 @@ std::int64_t stamp_from(const Json& json) {
   return detail::json_to_int64(json.at("stamp_ns"), "stamp_ns", Limits::min(), Limits::max());
 }
 
-/// Eight digits a word.
+/// Hexadecimal text with eight digits per word.
 std::string hex(const std::vector<std::uint32_t>& words) {
   std::string text;
   text.reserve(8 * words.size());
@@ -159,7 +159,7 @@ RadioReading reading_from(const Json& json) {
           json.at("receiver").get<std::string>(), number_or_nan(json.at("receive_dbm"))};
 }
 
-/// Of a KeyFrame or of Factors. Empty lists are left out.
+/// Writes the lists of a KeyFrame or of Factors; empty lists are left out.
 template <class Source>
 void put_factors(Json& line, const Source& source) {
   const auto put = [&line](const char* name, Json list) {
@@ -182,7 +182,7 @@ void take_factors(const Json& line, Source& source) {
   source.gravities = list_from<GravityFactor>(line, "gravities", gravity_from);
 }
 
-// ---- events: a name, and what each holds
+// ---- events: a name and the contents
 
 struct Encoder {
   Json& line;
@@ -341,7 +341,7 @@ Event event_from(const Json& line) {
   throw InputError("unknown event \"" + name + "\"");
 }
 
-/// Of the parts of the options that events do not already show the effects of.
+/// Visits the options whose effects are not already visible in the events.
 template <class Options, class Visitor>
 void visit_traced_sections(Options& options, Visitor&& visitor) {
   EngineOptions::visit_sections(options.engine, visitor);
@@ -395,7 +395,7 @@ void TraceWriter::add(const HandledEvent& handled) {
   if (handled.observability) line["observability"] = *handled.observability;
   if (handled.signature) line["signature"] = hex(handled.signature->words());
   if (broken_) throw InputError("the trace has ended: a line before could not be written");
-  broken_ = true;  // unless this line gets through: a trace may end early, but has no gaps
+  broken_ = true;  // until the line is written: a trace may end early, but has no gaps
   try {
     line_(line.dump());
   } catch (const Json::exception&) {

@@ -7,7 +7,7 @@
 
 namespace loopwise {
 
-/// Of poses and weights, to the bit.
+/// Hash of poses and weights, exact to the bit.
 [[nodiscard]] std::string estimate_hash(const GncResult& gnc);
 
 }  // namespace loopwise

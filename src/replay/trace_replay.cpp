@@ -21,7 +21,7 @@ namespace {
 
 constexpr std::size_t kProgressLines = 1000;
 
-/// One run: the engine, fed from the lines of a file.
+/// One run: passes the events in a file's lines to the engine.
 class TraceRun {
   /// \throws ParseError that names the line
   template <class Function>
@@ -80,7 +80,7 @@ class TraceRun {
     return true;
   }
 
-  /// A run that was killed leaves a last line without its end.
+  /// Whether a line is complete. The last line of a run that was killed is not.
   [[nodiscard]] bool complete(const std::string& line) {
     try {
       static_cast<void>(parse_trace_event(line));

@@ -38,7 +38,7 @@ OptimizerOptions with_threads(OptimizerOptions options, int threads) {
   return options;
 }
 
-/// \throws InputError if a registrar tells no time
+/// \throws InputError if a registrar reports no time
 double measured_s(const RegistrationResult& result) {
   const double seconds = result.seconds();
   if (seconds >= 0.0 && std::isfinite(seconds)) return seconds;
@@ -112,7 +112,7 @@ class Run {
   // ---- effects
 
   void carry_out(effect::Closure& /*closure*/) {
-    // Its result comes next.
+    // The result of this closure comes next.
     closure_edges_.emplace_back(engine_.graph().edges().size() - 1, result_.computed.size());
   }
 
@@ -148,7 +148,7 @@ class Run {
     const bool alike = !options_.cost.measured_time && options_.cost.refused_time_share == 1.0;
     alike ? compute_alike() : compute_timed();
     next_result_ += batch_.size();
-    if (batch_.empty()) feed(event::BatchDone{});  // none could become a task
+    if (batch_.empty()) feed(event::BatchDone{});  // no candidate could become a task
   }
 
   // ---- key frames
@@ -176,7 +176,7 @@ class Run {
     KeyedScan scan{node.key, node.stamp_ns, nullptr};
     try {
       scan.cloud = mission_.scans->load(node.key);
-    } catch (const Error& error) {  // its candidates wait, then expire with the reason
+    } catch (const Error& error) {  // the node's candidates wait, then expire with the reason
       result_.problems.add("unreadable scan", error.what());
       return;
     }
@@ -185,8 +185,9 @@ class Run {
 
   // ---- registration
 
-  /// Registrations that end before the clock does, those on their way included; a bound, as batches wait for
-  /// each other. What measured times will be is not known; where refusals are free there is no bound.
+  /// Bound on the registrations that end before the clock does, including those in progress. It is not tight,
+  /// because batches wait for each other. Without a bound if times are measured, or if refused registrations
+  /// take no time.
   [[nodiscard]] std::size_t reachable() const {
     const double least_s =
         options_.cost.registration_time_s * std::min(1.0, options_.cost.refused_time_share);
@@ -205,7 +206,8 @@ class Run {
       count = std::min(count, bound - used);
     }
     if (!engine_.wants_batch()) return;
-    // While the last batch was computed the next one could be improved: as far as mission time allowed.
+    // While the last batch was computed, the next one could be improved; its mission time limits the
+    // evaluations.
     const double evaluations = (now_s_ - batch_began_s_) / options_.cost.gi_evaluation_time_s;
     const std::vector<std::uint64_t> bounds(engine_.pool().queue().prioritizers().size(),
                                             static_cast<std::uint64_t>(std::min(evaluations, 1e12)));
@@ -214,8 +216,8 @@ class Run {
     feed(event::Choose{count});
   }
 
-  /// All take the same time: worker k of W computes the batch's candidates k, k + W, …; those that would end
-  /// after the mission are not computed.
+  /// If all registrations take the same time: worker k of W computes the batch's candidates k, k + W, ….
+  /// Those that would end after the mission are not computed.
   void compute_alike() {
     const auto workers = static_cast<std::size_t>(options_.cost.workers);
     std::size_t paid = 0;
@@ -235,14 +237,15 @@ class Run {
     return options_.cost.registration_time_s * (result.verified() ? 1.0 : options_.cost.refused_time_share);
   }
 
-  /// The time of a registration is known once it is computed: all are, each then takes its turn on the worker
-  /// that is free first, and the results of those that would end after the mission are not looked at.
+  /// If times differ: the time of a registration is known only after computing it, so all are computed first.
+  /// Each then goes to the worker that is free first. Results of registrations that would end after the
+  /// mission are discarded.
   void compute_timed() {
     compute(batch_.size());
     std::vector<double> free_s(static_cast<std::size_t>(options_.cost.workers), now_s_);
     outstanding_ = 0;
     for (std::size_t i = 0; i < batch_.size(); ++i) {
-      if (!results_[i]) continue;  // a stop request came first
+      if (!results_[i]) continue;  // not begun before a stop request
       const auto worker = std::min_element(free_s.begin(), free_s.end());
       *worker += duration_s(*results_[i]);
       if (*worker > end_s_) {
@@ -254,7 +257,7 @@ class Run {
     }
   }
 
-  /// The first `count` tasks of the batch.
+  /// Computes the first `count` tasks of the batch.
   void compute(std::size_t count) {
     const std::vector<RegistrationTask> tasks(batch_.begin(),
                                               batch_.begin() + static_cast<std::ptrdiff_t>(count));
@@ -266,10 +269,10 @@ class Run {
 
   void on_result(std::size_t index) {
     --outstanding_;
-    // Otherwise a stop request came first; the candidate is given back at the end.
+    // Without a result, a stop request came first, and the candidate is given back at the end.
     if (results_[index]) feed(*results_[index]);
     if (outstanding_ > 0) return;
-    // Those that would end after the mission stay in flight until the run ends.
+    // Candidates that would end after the mission stay in flight until the run ends.
     if (not_computed().empty()) batch_.clear();
     feed(event::BatchDone{});
     log_.show(ReplayMoment::Kind::kBatch, now_s_);
@@ -284,7 +287,7 @@ class Run {
   }
 
   void finish() {
-    // After a stop request: what the batch had computed by then counts.
+    // After a stop request, the results that the batch already has still count.
     const std::set<TimedEvent> left = std::exchange(events_, {});
     for (const TimedEvent& event : left) {
       if (!result_.interrupted || event.kind != EventKind::kResult || !results_[event.index]) continue;
@@ -321,12 +324,12 @@ class Run {
   std::set<TimedEvent> events_;
   double now_s_ = 0.0;
   double end_s_ = 0.0;
-  std::vector<RegistrationTask> batch_;  // being computed; empty when the computation is dry
-  std::vector<std::optional<RegistrationResult>> results_;  // of the batch, by place
+  std::vector<RegistrationTask> batch_;                     // in computation; empty if the workers are idle
+  std::vector<std::optional<RegistrationResult>> results_;  // of the batch, by index
   double batch_began_s_ = 0.0;
-  std::size_t outstanding_ = 0;  // results of the batch still to come
+  std::size_t outstanding_ = 0;  // pending results of the batch
   std::uint64_t next_result_ = 0;
-  std::vector<std::pair<std::size_t, std::size_t>> closure_edges_;  // edge of the graph, place in `computed`
+  std::vector<std::pair<std::size_t, std::size_t>> closure_edges_;  // edge of the graph, index in `computed`
   ReplayResult result_;
   const RunLog log_;
 };

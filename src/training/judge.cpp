@@ -38,8 +38,8 @@ std::vector<double> ranks(const std::vector<double>& values) {
   return out;
 }
 
-/// The exact objective, which others watch: for some of the swaps that annealing asks for, the set and the
-/// change are written down.
+/// The exact objective with an observer. It records the set and the change for some of the swaps that
+/// annealing evaluates.
 class WatchedObjective final : public GraphObjective {
  public:
   struct Swap {
@@ -80,13 +80,13 @@ class WatchedObjective final : public GraphObjective {
   std::vector<Swap> swaps_;
 };
 
-/// A method that says what a set is worth.
+/// A method that predicts the value of a set.
 struct Predictor {
   std::string name;
   std::function<double(const std::vector<std::size_t>&)> value;
   std::function<double(const WatchedObjective::Swap&)> change;
   std::function<std::vector<std::size_t>(std::size_t)> choose;
-  bool calibrated = true;  ///< The value is meant to be the trace itself.
+  bool calibrated = true;  ///< Whether the value is an estimate of the trace.
 };
 
 std::vector<std::vector<std::size_t>> random_sets(std::size_t candidates, std::size_t most, bool mixed,
@@ -109,7 +109,7 @@ std::vector<std::size_t> anneal(GraphObjective& objective, const std::vector<Eig
   return annealing.best().set;
 }
 
-/// A graph under trial, with its exact objective and all methods that are judged on it.
+/// A graph for the comparison, with its exact objective and all compared methods.
 struct Trial {
   Trial(const MissionRecord& record, std::size_t number, const std::vector<Judged>& networks,
         const JudgeOptions& how)
@@ -167,7 +167,7 @@ struct Trial {
     return p;
   }
 
-  /// The sum of the exact gains of the single closures.
+  /// Predicts the sum of the exact gains of the single closures.
   [[nodiscard]] Predictor additive() const {
     Predictor p;
     p.name = "additive";
@@ -214,7 +214,7 @@ struct Questions {
   std::vector<WatchedObjective::Swap> swaps;
 };
 
-/// What a predictor makes of the questions. `j` says of which graph and size they are.
+/// Compares a predictor with the exact answers. \param j contains graph and size of the sets
 Judgement judge_predictor(Trial& trial, const Questions& asked, const Predictor& p, Judgement j) {
   j.method = p.name;
   std::vector<double> values, errors;
@@ -240,7 +240,7 @@ Judgement judge_predictor(Trial& trial, const Questions& asked, const Predictor&
   return j;
 }
 
-/// All methods with sets of one size.
+/// Judges all methods with sets of one size.
 void judge_size(Trial& trial, const Judgement& base, Rng rng, std::vector<Judgement>& out) {
   const std::size_t B = base.set_size;
   const Questions asked(trial, B, rng);

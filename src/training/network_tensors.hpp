@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The two networks as libtorch computes them: graphs as tensors, what a network puts out, and its loss.
+/// The two networks in libtorch: graphs as tensors, outputs, and losses.
 #pragma once
 
 #include <array>
@@ -10,14 +10,14 @@
 #include <utility>
 #include <vector>
 
-// Before libtorch, which brings macros of its own.
+// Included before libtorch, which defines macros.
 #include <loopwise/training/training_data.hpp>
 
 #include <torch/torch.h>
 
 namespace loopwise::training {
 
-/// Weights by their names.
+/// Weights by name.
 using TensorMap = std::map<std::string, torch::Tensor>;
 
 inline constexpr std::int64_t kEdge = ClosureEffects::kEdgeFeatures;
@@ -32,7 +32,7 @@ inline constexpr std::int64_t kDense = 3;
 
 /// A graph as tensors: L candidates, U units, S sets.
 struct EffectBatch {
-  torch::Tensor edges;          // L × U × 9, as they are
+  torch::Tensor edges;          // L × U × 9, not normalised
   torch::Tensor units;          // U × 5
   torch::Tensor share;          // U
   torch::Tensor active;         // L: 0 for connecting candidates
@@ -40,7 +40,7 @@ struct EffectBatch {
   torch::Tensor log_e;          // S: log(e / e(PG))
   torch::Tensor log_reduction;  // S × U
   torch::Tensor beside;         // U × U: means over the anchors next on the chain
-  torch::Tensor swaps;          // S: 1 where the set differs from the one before by a swap
+  torch::Tensor swaps;          // S: 1 if the set differs from the one before by a swap
   double trace_m2 = 0.0;
 };
 
@@ -50,19 +50,19 @@ struct EffectBatch {
 [[nodiscard]] std::pair<torch::Tensor, torch::Tensor> effect_forward(const TensorMap& w,
                                                                      const EffectBatch& batch);
 
-/// Squared error of log e; of each unit's logarithm, units weighed by what is left of them; and of the
-/// changes by single swaps, in units of the graph's own.
+/// Sum of three losses: the squared error of log e; that of each unit's logarithm, weighted by its remaining
+/// variance; and a pseudo-Huber loss of the changes by single swaps, relative to the graph's mean change.
 [[nodiscard]] torch::Tensor effect_loss(const TensorMap& w, const EffectBatch& batch);
 
 // ---- the paper's network
 
-/// Graphs side by side, each with a set.
+/// Several graphs, each with one set.
 struct PaperBatch {
-  torch::Tensor nodes;                           // N × 7, as they are
+  torch::Tensor nodes;                           // N × 7, not normalised
   std::array<torch::Tensor, kEdgeTypes> source;  // by edge type
   std::array<torch::Tensor, kEdgeTypes> target;
   torch::Tensor incoming;           // N × 1, at least 1
-  torch::Tensor graph;              // N: which sample a node belongs to
+  torch::Tensor graph;              // N: sample of each node
   std::vector<std::int64_t> group;  // by sample: samples of one group share their graph
   torch::Tensor trace;              // by sample, m²
 };
@@ -76,11 +76,11 @@ struct PaperSample {
 
 [[nodiscard]] PaperBatch paper_batch(const std::vector<PaperSample>& samples, torch::ScalarType type);
 
-/// What the last layer puts out, by sample, before it is taken back to m².
+/// Output of the last layer by sample, before its conversion to m².
 [[nodiscard]] torch::Tensor paper_forward(const TensorMap& w, const PaperBatch& batch, bool training);
 
 /// Squared error of the normalised target, and of its differences within each graph, in units of the graph's
-/// own: they are what a choice of closures goes by.
+/// own differences. The choice of closures depends on these differences.
 [[nodiscard]] torch::Tensor paper_loss(const TensorMap& w, const PaperBatch& batch, bool training,
                                        bool logarithm);
 

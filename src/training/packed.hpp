@@ -25,19 +25,19 @@ template <class T>
 [[nodiscard]] nlohmann::json pack(const std::vector<T>& values) {
   std::vector<std::uint8_t> bytes(values.size() * sizeof(T));
   if (!bytes.empty()) std::memcpy(bytes.data(), values.data(), bytes.size());
-  // Not json::binary(), which without memory destroys what there is not.
+  // Not json::binary(), which destroys an uninitialised value if an allocation fails.
   nlohmann::json out(nlohmann::json::value_t::binary);
   out.get_binary() = nlohmann::json::binary_t(std::move(bytes));
   return out;
 }
-/// Column by column.
+/// Packs a matrix column by column.
 template <class Derived>
 [[nodiscard]] nlohmann::json pack(const Eigen::PlainObjectBase<Derived>& matrix) {
   using T = typename Derived::Scalar;
   return pack(std::vector<T>(matrix.data(), matrix.data() + matrix.size()));
 }
 
-/// A value within a file, and the way to it.
+/// A value in a file, with its path for messages.
 class Field {
  public:
   Field(std::string path, const nlohmann::json& value) : path_(std::move(path)), value_(&value) {}
@@ -97,7 +97,7 @@ class Field {
   [[nodiscard]] Eigen::Matrix<T, Eigen::Dynamic, Eigen::Dynamic> matrix(Eigen::Index rows,
                                                                         Eigen::Index columns) const {
     const std::vector<T> all = values<T>();
-    // No product of sizes before they are known to be small: it might overflow.
+    // Sizes are compared without their product, which might overflow.
     const auto count = static_cast<Eigen::Index>(all.size());
     const bool none = rows == 0 || columns == 0;
     if (rows < 0 || columns < 0 || (none ? count != 0 : count / rows != columns || count % rows != 0)) {
@@ -119,11 +119,12 @@ inline void write_packed(const std::filesystem::path& path, const nlohmann::json
   write_file(path, bytes);
 }
 
-/// Whether the parser, which calls itself for what is nested, may have the bytes: one value, nested little,
-/// with all lengths stated, as write_packed() does. A text in pieces could be nested as well.
+/// Whether the bytes are safe for the parser, which recurses into nested values. They must be one value with
+/// little nesting and with all lengths stated, as write_packed() writes them. Texts in chunks are refused
+/// because they could be nested too.
 [[nodiscard]] inline bool is_shallow_cbor(std::string_view bytes) {
   constexpr std::size_t kDeepest = 64;
-  std::vector<std::uint64_t> open;  // values that each list still lacks, the outermost first
+  std::vector<std::uint64_t> open;  // missing values of each open list, the outermost list first
   do {
     if (bytes.empty()) return false;
     const auto head = static_cast<unsigned char>(bytes.front());
@@ -148,7 +149,7 @@ inline void write_packed(const std::filesystem::path& path, const nlohmann::json
   return bytes.empty();
 }
 
-/// \throws IoError; InputError if the file is cut short, of another format or version
+/// \throws IoError; InputError if the file is cut short or has another format or version
 [[nodiscard]] inline nlohmann::json read_packed(const std::filesystem::path& path, const std::string& format,
                                                 int version) {
   const std::string bytes = read_file(path);
@@ -166,7 +167,7 @@ inline void write_packed(const std::filesystem::path& path, const nlohmann::json
     throw InputError(path.string() + ": expected a file of format " + format);
   }
   if (found("version") != version) {
-    using Handler = nlohmann::json::error_handler_t;  // of texts that are no UTF-8
+    using Handler = nlohmann::json::error_handler_t;  // for texts that are not UTF-8
     throw InputError(path.string() + ": version " + found("version").dump(-1, ' ', false, Handler::replace) +
                      ", expected " + std::to_string(version) + "; make it again");
   }

@@ -6,7 +6,7 @@
 #include <limits>
 #include <numeric>
 
-// Before libtorch, which brings macros of its own.
+// Included before libtorch, which defines macros.
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/content_hash.hpp>
@@ -22,10 +22,10 @@ namespace loopwise::training {
 namespace {
 
 constexpr int kVersion = 1;
-/// Graphs and sets of each that make a step for the paper's network.
+/// For the paper's network: graphs of a step, and sets of each graph.
 constexpr std::size_t kGraphsOfStep = 8;
 constexpr std::size_t kSetsOfStep = 4;
-/// Steps of an epoch that use one graph again, with other sets.
+/// Rounds of an epoch; each uses all graphs, with different sets.
 constexpr std::size_t kRounds = 4;
 
 bool is_buffer(const std::string& name) {
@@ -102,7 +102,7 @@ TensorMap first_paper(const FitOptions& options, Rng& rng) {
   return w;
 }
 
-/// Mean and standard deviation, 0 and 1 where nothing varies.
+/// Mean and standard deviation; 0 and 1 if the values do not vary.
 class Statistics {
  public:
   explicit Statistics(Eigen::Index size) : sum_(Eigen::VectorXd::Zero(size)), squares_(sum_) {}
@@ -225,7 +225,8 @@ struct Trainer::Impl {
     for (const auto& [name, tensor] : weights) {
       if (tensor.grad().defined()) norm += tensor.grad().pow(2).sum().item<double>();
     }
-    const double scale = std::min(1.0, 1.0 / (std::sqrt(norm) + 1e-12));  // gradients of at most 1
+    const double scale =
+        std::min(1.0, 1.0 / (std::sqrt(norm) + 1e-12));  // limits the norm of the gradient to 1
     for (auto& [name, tensor] : weights) {
       if (!tensor.grad().defined()) continue;
       const torch::Tensor g = tensor.grad() * scale;
@@ -396,7 +397,7 @@ double Trainer::gradient_error(std::size_t samples, std::uint64_t seed) {
     effects = effect_batch(*all.front(), torch::kFloat64);
   }
   const auto loss = [&] {
-    // Inference mode of the batch normalisation: its running statistics stay as they are.
+    // Inference mode of the batch normalisation: its running statistics do not change.
     return paper ? paper_loss(w, graphs, false, m.options.target == Target::kLog) : effect_loss(w, effects);
   };
   loss().backward();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Training by libtorch. No type of libtorch stands here: its headers compile slowly, so one source has them.
+/// Training with libtorch. This header has no types of libtorch, whose headers compile slowly.
 #pragma once
 
 #include <cstdint>
@@ -62,10 +62,11 @@ struct EpochResult {
   bool best = false;
 };
 
-/// A network in training. One thread, so that the same data, options and seed give the same bits.
+/// A network in training. It uses one thread, so that equal data, options and seed give results equal to the
+/// bit.
 class Trainer {
  public:
-  /// Normalises by the statistics of the training missions alone. \throws InputError if one of the lists is
+  /// Normalises by the statistics of the training missions only. \throws InputError if one of the lists is
   /// empty; OptionError
   Trainer(const std::vector<MissionData>& training, const std::vector<MissionData>& validation,
           const FitOptions& options);
@@ -73,21 +74,22 @@ class Trainer {
 
   [[nodiscard]] bool done() const;
   [[nodiscard]] const std::vector<EpochResult>& history() const;
-  /// \returns nothing if stopped: this object is then of no more use, the last saved state is.
+  /// \returns nothing if stopped: this object is then invalid, the last saved state is not.
   /// \throws Error if the loss is no longer finite
   [[nodiscard]] std::optional<EpochResult> run_epoch(const StopToken& stop = {},
                                                      const ProgressCallback& progress = {});
 
-  /// Of the epoch that validated best; the first ones before any.
+  /// The weights of the epoch with the best validation; the initial ones before the first epoch.
   [[nodiscard]] Tensors weights() const;
 
-  /// Everything that the next epoch depends on, in one file, in one step.
+  /// Saves the complete state of the training to one file, atomically.
   void save(const std::filesystem::path& checkpoint) const;
-  /// \throws IoError; InputError on a file that is cut short or of other data or options (but patience)
+  /// \throws IoError; InputError for a file that is cut short, or with other data or options (except
+  /// patience)
   void load(const std::filesystem::path& checkpoint);
 
-  /// Libtorch's gradient against central differences at random weights, in double precision: the largest
-  /// difference relative to the largest gradient.
+  /// Compares libtorch's gradient with central differences at random weights in double precision. \returns
+  /// the largest difference relative to the largest gradient.
   [[nodiscard]] double gradient_error(std::size_t samples, std::uint64_t seed);
 
  private:

@@ -39,7 +39,7 @@ Matrix6d closure_information(const ClosureModel& model) {
   return 0.5 * (information + information.transpose());
 }
 
-/// Members of a random set that is not spread over the graph but lies in one place.
+/// Members of a random set from one area of the graph.
 std::vector<std::size_t> cluster(const std::vector<Eigen::Vector3d>& midpoints, std::size_t count, Rng& rng) {
   std::vector<std::size_t> all(midpoints.size());
   std::iota(all.begin(), all.end(), std::size_t{0});
@@ -53,7 +53,7 @@ std::vector<std::size_t> cluster(const std::vector<Eigen::Vector3d>& midpoints, 
   return all;
 }
 
-/// The sets of one graph. A set that stems from annealing is followed by one that differs by a swap.
+/// The sets of one graph. A set from annealing is followed by one that differs by a swap.
 std::vector<std::vector<std::size_t>> choose_sets(const StageGraph& stage, const DataOptions& options,
                                                   Rng& rng) {
   const std::size_t L = stage.candidates.size();
@@ -73,7 +73,7 @@ std::vector<std::vector<std::size_t>> choose_sets(const StageGraph& stage, const
     out.emplace_back(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(size));
   }
   ClosureModelOptions closures;
-  closures.storage = BlockStorage::kColumns;  // most moves of the hot phase stand, and cost less so
+  closures.storage = BlockStorage::kColumns;  // cheaper, because most moves of the hot phase are accepted
   CovarianceObjective exact(stage.graph, stage.candidates, closures);
   for (std::int64_t run = 0; run < options.annealing_runs; ++run) {
     const std::size_t sizes[] = {5, 20, 50, 2 + rng.below(most - 1)};

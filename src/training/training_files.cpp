@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Files of training data: one for each mission, and the list of all.
+// Files of training data: one per mission, and the list of all missions.
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/content_hash.hpp>
