@@ -58,7 +58,7 @@ void add_common_options(CLI::App& command, CommonOptions& options) {
       ->type_name("N")
       ->check(CLI::Range(0, 4096));
   command.add_flag("--strict", options.strict,
-                   "Input of which a measurement would be repaired, guessed or left out is an error");
+                   "Input is an error if a measurement would be repaired, guessed or left out");
   command.add_flag("--quiet", options.quiet, "No progress and no notes; warnings and errors remain");
 }
 
@@ -84,10 +84,9 @@ void add_key_frame_options(CLI::App& command, CommonOptions& options) {
           "Odometry with sweeps: a key frame after a turn of DEG degrees (default 20)")
       ->type_name("DEG");
   command
-      .add_option_function<std::string>(
-          "--submap", assign("submap_sweeps"),
-          "Odometry with sweeps: lay up to N sweeps around a key frame on each other as its scan (default 0: "
-          "its own alone)")
+      .add_option_function<std::string>("--submap", assign("submap_sweeps"),
+                                        "Odometry with sweeps: join up to N sweeps around a key frame to its "
+                                        "scan (default 0: its own sweep only)")
       ->type_name("N");
   command
       .add_option_function<std::string>("--poses", assign("poses"),
@@ -110,21 +109,19 @@ void add_key_frame_options(CLI::App& command, CommonOptions& options) {
 
 void add_joining_options(CLI::App& command, std::string& frames, bool& start_together) {
   command
-      .add_option(
-          "--frames", frames,
-          "Several missions: pose of each one's frame in the common frame, CSV "
-          "(source,x,y,z,qx,qy,qz,qw or source,x,y,z,yaw, with sigmas or without) or TUM; of convert and "
-          "replay also auto: found from the scans, or common: as they stand")
+      .add_option("--frames", frames,
+                  "Several missions: pose of each one's frame in the common frame, CSV "
+                  "(source,x,y,z,qx,qy,qz,qw or source,x,y,z,yaw, with sigmas or without) or TUM; for "
+                  "convert and replay also auto: found from the scans, or common: poses unchanged")
       ->type_name("FILE");
-  command.add_flag("--start-together", start_together, "Several missions: all begin at the same moment");
+  command.add_flag("--start-together", start_together, "Several missions: all begin at the same time");
 }
 
 void add_odometry_option(CLI::App& command, std::string& odometry) {
   command
-      .add_option(
-          "--odometry", odometry,
-          "Which edges are odometry: a file with two keys a line, or the word consecutive: those between "
-          "neighbours of a robot (default)")
+      .add_option("--odometry", odometry,
+                  "Which edges are odometry: a file with two keys per line, or the word consecutive: those "
+                  "between neighbours of a robot (default)")
       ->type_name("FILE");
 }
 
@@ -142,10 +139,9 @@ void set_odometry(const std::string& odometry, Config& config) {
 
 void add_truth_option(CLI::App& command, std::vector<std::string>& truth) {
   command
-      .add_option(
-          "--truth", truth,
-          "True poses of the nodes, TUM, KITTI or g2o, in place of recorded ones; of several robots, a "
-          "file each; may be repeated")
+      .add_option("--truth", truth,
+                  "True poses of the nodes, TUM, KITTI or g2o, in place of recorded ones; for several robots "
+                  "one file each; may be repeated")
       ->type_name("[ROBOT=]FILE")
       ->expected(1)
       ->take_all();
@@ -189,9 +185,8 @@ CLI::Validator not_standard_output() {
   return CLI::Validator(
       [](std::string& path) -> std::string {
         if (path != "-") return {};
-        return "\"-\" is standard output, which gets the results: give a name (./- for one of that name; "
-               "--json - "
-               "prints the results as JSON)";
+        return "\"-\" is standard output, which gets the results: give a file name (./- for a file of that "
+               "name; --json - prints the results as JSON)";
       },
       "");
 }

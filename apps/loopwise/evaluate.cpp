@@ -81,7 +81,7 @@ void warn_if_odometry_is_truth(const std::filesystem::path& path, const Mission&
       kSame_m)
     return;
   console.warn(path.string() +
-               ": odometry and truth are the same poses, so that errors say nothing of a map; give another "
+               ": odometry and truth are the same poses, so errors say nothing about a map; give another "
                "odometry, or judge a replay with --odometry-noise 0.05 0.01");
 }
 
@@ -191,8 +191,8 @@ int run(const Options& options) {
           fixed(errors.step.rotation_rad.mean * kDegrees, 4) + " deg\n";
   if (errors.applied.support != AlignmentSupport::kPositions) {
     console.warn(
-        "positions lie on one line or in one point, as far as their errors let tell: orientations took part "
-        "in the alignment");
+        "positions are on one line or at one point, within their errors: the alignment also uses "
+        "orientations");
   }
   print_results(options.common, json, text);
   return kDone;

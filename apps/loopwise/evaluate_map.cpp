@@ -85,7 +85,7 @@ std::string text_of(const MapQuality& q) {
   text += "\non surfaces  " + fixed(100.0 * q.share_before, 1) +
           " % of points within 0.12 m of the other scan by the recording's poses, " +
           fixed(100.0 * q.share_after, 1) + " % by the estimate's; " + fixed(100.0 * q.share_registered, 1) +
-          " % where the registrations put them, which is the most to be had\n";
+          " % by the registrations, an upper bound\n";
   const auto near = [](const NearPairs& n) {
     return std::to_string(n.proven) + " of " + std::to_string(n.pairs) +
            (n.proven > 0 ? ", " + fixed(n.median_m, 3) + " m off in the median" : "");
@@ -100,7 +100,7 @@ void warn_of_weakness(const MapQuality& q, Console& console) {
   if (!q.enough()) {
     console.warn("revisits at " + std::to_string(q.stretches) + " pairs of stretches of path, fewer than " +
                  std::to_string(kLeastStretches) +
-                 ": too few for an interval, the figures are of these places alone");
+                 ": too few for a confidence interval; the figures hold for these places only");
   }
   // In a correct map most pairs are proven, with a median distance of centimetres.
   constexpr std::size_t kSome = 10;
@@ -111,12 +111,11 @@ void warn_of_weakness(const MapQuality& q, Console& console) {
   };
   if (is_wrong(q.near_between_robots)) {
     console.warn(
-        "places that the estimate shares between robots are not where registrations put them: the "
-        "frames of the robots are perhaps wrong");
+        "registrations contradict the estimate at places that several robots visit: the frames of the robots "
+        "may be wrong");
   } else if (is_wrong(q.near)) {
     console.warn(
-        "places that the estimate visits twice are not where registrations put them: its poses are "
-        "perhaps wrong");
+        "registrations contradict the estimate at places that are visited twice: its poses may be wrong");
   }
 }
 
@@ -148,7 +147,7 @@ int evaluate_map(const CommonOptions& common, const std::string& estimate, const
     throw InputError(
         recording + ": of " + std::to_string(quality.pairs) +
         " pairs of nodes that may have seen one place at different times (both with scans, 20 m of "
-        "path between them) no registration proves one: the map cannot be judged without truth");
+        "path between them), registration proves no pair: the map cannot be judged without truth");
   }
   print_results(common, json_of(quality), text_of(quality));
   warn_of_weakness(quality, console);

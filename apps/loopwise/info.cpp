@@ -310,13 +310,12 @@ int run(const Options& options) {
 
 void add_info(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("info", "Say what a mission, session, graph or cloud holds");
+  CLI::App* command = app.add_subcommand("info", "Describe a mission, session, graph or cloud");
   command->footer("  loopwise info my_mission --picture my_mission.svg");
   command
-      ->add_option(
-          "path", options->paths,
-          "Mission folder, session, g2o file, g2o_pcd folder, bag, saved map or cloud; several bags, or "
-          "several missions of one robot, are one")
+      ->add_option("path", options->paths,
+                   "Mission folder, session, g2o file, g2o_pcd folder, bag, saved map or cloud; several "
+                   "bags, or several missions of one robot, are read as one")
       ->required()
       ->type_name("PATH");
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
@@ -329,9 +328,8 @@ void add_info(CLI::App& app, Action& chosen) {
                    "Candidates whose scans are compared at the true poses (default 1000)")
       ->type_name("N");
   command
-      ->add_option(
-          "--timed", options->timed,
-          "Candidates to register, which gives the time of all of them; 0: do not measure (default 40)")
+      ->add_option("--timed", options->timed,
+                   "Candidates to register, to estimate the time of all of them; 0: no estimate (default 40)")
       ->check(CLI::Range(0, 1000000))
       ->type_name("N");
   add_joining_options(*command, options->frames, options->start_together);

@@ -184,7 +184,7 @@ int run_program(int argc, char** argv) {
   const bool first = job == nullptr || is_first(*job);
   if (const auto status = parse(app, argc, argv, first)) return *status;
   if (job != nullptr && !app.got_subcommand("replay") && !app.got_subcommand("study")) {
-    if (first) std::cerr << "loopwise: only replay and study spread over ranks\n";
+    if (first) std::cerr << "loopwise: only replay and study can use several ranks\n";
     return kBadUsage;
   }
   const int status = run_action(chosen);

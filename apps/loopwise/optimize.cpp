@@ -294,8 +294,9 @@ void add_optimize(CLI::App& app, Action& chosen) {
                    "Marginal covariances of all poses, CSV: upper triangle, translation before rotation")
       ->type_name("M.csv")
       ->check(not_standard_output());
-  command->add_flag("--certify", options->certify,
-                    "Say whether the estimate is globally optimal; where it is not, go on from lower poses");
+  command->add_flag(
+      "--certify", options->certify,
+      "Test whether the estimate is globally optimal; if not, continue from poses of lower cost");
   command->add_flag("--verbose", options->verbose, "Cost of every step");
   add_key_frame_options(*command, options->common);
   add_common_options(*command, options->common);

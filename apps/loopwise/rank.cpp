@@ -113,7 +113,7 @@ void add_rank(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("rank", "List the loop candidates of a mission with their scores");
   command->footer(
-      "Shows in which order a method would compute the candidates, and why. The graph is taken as it stands: "
+      "Shows in which order a method would compute the candidates, and why. The graph is used unchanged: "
       "a\n"
       "mission's odometry, or the graph.g2o of a run.\n"
       "  loopwise rank my_mission --method full -o candidates.csv\n"
@@ -131,7 +131,7 @@ void add_rank(CLI::App& app, Action& chosen) {
           "--method", options->method,
           "expected (default), likely, obs, gi, full, rssi, random, baseline, or several joined by +")
       ->type_name("M");
-  command->add_option("--batch", options->batch, "Candidates handed out at a time")->type_name("B");
+  command->add_option("--batch", options->batch, "Candidates per batch")->type_name("B");
   command->add_option("--count", options->rank.count, "Candidates to rank (default: one batch)")
       ->type_name("N")
       ->check(not_negative());
@@ -146,8 +146,8 @@ void add_rank(CLI::App& app, Action& chosen) {
       ->type_name("NAME");
   command
       ->add_option("--candidates", options->candidates,
-                   "Pairs of another place recognition, which are candidates too: CSV with from,to and, if "
-                   "wanted, score and x,y,z,qx,qy,qz,qw")
+                   "Pairs of another place recognition, which are candidates too: CSV with from,to and "
+                   "optionally score and x,y,z,qx,qy,qz,qw")
       ->type_name("FILE");
   add_bin_layout_option(*command, options->bin_layout);
   command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")

@@ -89,7 +89,7 @@ std::string pose_text(const Eigen::Isometry3d& T_files, const Eigen::Isometry3d&
   text += "origin       " + point_text(origins.target) + " m";
   if (origins.target != origins.source)
     text += " in the target, " + point_text(origins.source) + " m in the source";
-  return text + ": what follows is about it\n" +
+  return text + ": the following values refer to it\n" +
          matrix_text("T_target_source, about the origin", T_origins, 6);
 }
 
@@ -224,7 +224,7 @@ void add_register(CLI::App& app, Action& chosen) {
       "Finds T_target_source, which maps points of the source into the frame of the target. Clouds are .pcd, "
       ".ply or\n"
       ".bin. A pair that cannot be aligned is a result with a reason, not an error.\n"
-      "Of clouds in world coordinates the pose is also printed about a point near them, and sigma is about "
+      "For clouds in world coordinates the pose is also printed about a point near them; sigma refers to "
       "it.\n"
       "  loopwise register source.pcd target.pcd --out aligned.ply");
   command->add_option("source", options->source, "Cloud to move")->required()->type_name("SOURCE");
@@ -237,7 +237,7 @@ void add_register(CLI::App& app, Action& chosen) {
   command->add_option("--registrar", options->registrar, "Which implementation: fast (default) or pcl")
       ->type_name("WORD");
   add_bin_layout_option(*command, options->bin_layout);
-  command->add_option("--seed", options->seed, "Of all random draws (default 1)")
+  command->add_option("--seed", options->seed, "Seed of all random draws (default 1)")
       ->type_name("S")
       ->check(not_negative());
   command->add_option("--out", options->out, "Write the aligned source, .pcd or .ply")

@@ -78,7 +78,7 @@ void add_registration(CLI::App& app, Action& chosen) {
       ->type_name("NAME");
   command->add_flag("--no-guess", options->no_guess,
                     "The registrars do not get the odometry's relative pose");
-  command->add_option("--seed", options->study.seed, "Of the draw (default 1)")
+  command->add_option("--seed", options->study.seed, "Seed of the draw (default 1)")
       ->type_name("S")
       ->check(not_negative());
   command->add_option("--csv", options->csv, "Write a row for every pair and registrar")

@@ -72,10 +72,11 @@ Config configured(const Options& o) {
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
   if (o.clock == "real" && o.job != nullptr)
-    throw OptionError("--clock real: one process alone has a real clock");
+    throw OptionError("--clock real: a real clock needs a single process");
   if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
   if (!o.record_trace.empty() && o.clock != "real") {
-    throw OptionError("--record-trace needs --clock real: a run on the virtual clock repeats by itself");
+    throw OptionError(
+        "--record-trace needs --clock real: a run on the virtual clock can be repeated without a trace");
   }
   if (o.clock == "real") {
     if (o.resume) throw OptionError("--resume: a run on the real clock cannot be repeated");
@@ -330,7 +331,7 @@ int run(const Options& options) {
   if (options.resume && !fs::exists(folder / "outcomes.jsonl")) {
     if (fs::exists(folder / "summary.json")) {
       throw OptionError(folder.string() +
-                        ": a run without outcomes.jsonl, as a real clock makes it, cannot be resumed; "
+                        ": a run without outcomes.jsonl, as with --clock real, cannot be resumed; "
                         "--overwrite replaces it");
     }
     console.note("nothing to resume: a new run");
@@ -462,10 +463,9 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       "DIR gets summary.json, closures.csv, history.csv, graph.g2o, trajectories/, map.pcd, picture.svg "
       "and journal.jsonl.");
   command
-      ->add_option(
-          "mission", options->missions,
-          "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map; several bags, or several "
-          "missions of one robot, are one")
+      ->add_option("mission", options->missions,
+                   "Mission folder, session, g2o file, g2o_pcd folder, bag or saved map; several bags, or "
+                   "several missions of one robot, are read as one")
       ->type_name("MISSION");
   command->add_option("-o,--output", options->output, "Folder for the results")
       ->required()
@@ -487,7 +487,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
           "--clock", options->clock,
           "virtual (default): mission time is modelled; real: the online module, fed at the recorded times")
       ->type_name("WORD");
-  command->add_option("--rate", options->rate, "Real clock: mission seconds a second (default 1)")
+  command->add_option("--rate", options->rate, "Real clock: mission seconds per second (default 1)")
       ->type_name("R")
       ->check(CLI::PositiveNumber);
   command
@@ -497,10 +497,8 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
       ->type_name("FILE")
       ->check(not_standard_output());
   command
-      ->add_option(
-          "--trace", options->trace,
-          "Repeat a recorded run of the online module; MISSION, which may be left out, adds truth and "
-          "map")
+      ->add_option("--trace", options->trace,
+                   "Repeat a recorded run of the online module; the optional MISSION adds truth and map")
       ->type_name("FILE");
   command
       ->add_option("--workers", options->workers,

@@ -15,29 +15,28 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
       ->type_name("N");
   command
       .add_option("--candidates", arguments.candidates,
-                  "Pairs of another place recognition: CSV with from,to and, if wanted, score and the pose "
+                  "Pairs of another place recognition: CSV with from,to and optionally score and the pose "
                   "x,y,z,qx,qy,qz,qw of `to` in the frame of `from`")
       ->type_name("FILE");
   command.add_flag("--appearance", arguments.appearance,
-                   "Also propose nodes that look alike, however far apart the estimate has them");
+                   "Also propose nodes that look alike, at any distance in the estimate");
   command.add_option("--thin", arguments.thin, "Keep one candidate in N, drawn by pair and seed")
       ->type_name("N");
-  command.add_option("--batch", arguments.batch, "Candidates handed out at a time")->type_name("B");
+  command.add_option("--batch", arguments.batch, "Candidates per batch")->type_name("B");
   command
-      .add_option(
-          "--registration-time", arguments.registration_time,
-          "Mission time of one registration on one worker, s (default 1.3), or the word measured: what "
-          "it took here")
+      .add_option("--registration-time", arguments.registration_time,
+                  "Mission time of one registration on one worker, s (default 1.3), or the word measured: "
+                  "its time on this machine")
       ->type_name("S");
   command
       .add_option("--gi-evaluation-time", arguments.gi_evaluation_time,
                   "Mission time of one evaluation of graph information, s (default 0.02)")
       ->type_name("S");
-  command.add_option("--max-registrations", arguments.max_registrations, "End after this many")
+  command.add_option("--max-registrations", arguments.max_registrations, "End after N registrations")
       ->type_name("N");
   command
       .add_option("--odometry-noise", arguments.odometry_noise,
-                  "Make the odometry worse: sigma after 1 m, in m and rad")
+                  "Add noise to the odometry: sigma after 1 m, in m and rad")
       ->type_name("M_PER_M RAD_PER_M")
       ->expected(2)
       ->allow_extra_args(false);
@@ -48,12 +47,12 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
       ->type_name("WORD");
   command
       .add_option("--outcomes", arguments.outcomes,
-                  "Keep outcomes of registrations in this folder, and take from it those that are there")
+                  "Store outcomes of registrations in this folder, and reuse those in it")
       ->type_name("DIR")
       ->check(not_standard_output());
   command
       .add_option("--outcomes-mb", arguments.outcomes_bound.max_mb,
-                  "Bound of that folder, MB; the oldest outcomes go first (default 4096)")
+                  "Bound of that folder, MB; the oldest outcomes are removed first (default 4096)")
       ->type_name("MB")
       ->check(CLI::Range(1.0, 1e9));
   command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
@@ -109,9 +108,9 @@ void note_outcomes(Console& console, const OutcomeStoreStatistics& statistics) {
                std::to_string(statistics.computed) + " computed");
   if (statistics.damaged_bytes > 0) {
     console.warn(std::to_string(statistics.damaged_bytes) +
-                 " bytes of the stored outcomes were damaged and passed over");
+                 " bytes of the stored outcomes were damaged and skipped");
   }
-  if (!statistics.problem.empty()) console.warn("outcomes are not stored any more: " + statistics.problem);
+  if (!statistics.problem.empty()) console.warn("outcomes are no longer stored: " + statistics.problem);
 }
 
 }  // namespace loopwise::cli

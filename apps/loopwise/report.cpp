@@ -50,7 +50,7 @@ int run(const Options& options) {
   const Config config = load_config(options.common);
   std::vector<Mission> missions;
   if (options.missions.empty() && !options.truth.empty())
-    throw OptionError("--truth needs the --mission whose nodes it is of");
+    throw OptionError("--truth needs --mission, whose nodes it refers to");
   for (std::size_t i = 0; i < options.missions.size(); ++i) {
     missions.push_back(read_mission(options.missions[i], config.mission, console.progress_callback()));
     set_truth(missions.back(), truth_of_mission(options.truth, i, options.missions.size()), config.mission);

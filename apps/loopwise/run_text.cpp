@@ -25,13 +25,14 @@ const char* advice_on(RejectionReason reason) {
     case RejectionReason::kGicpFitness:
     case RejectionReason::kNotConverged:
     case RejectionReason::kDegenerate:
-      return "scans are too sparse or too far apart: of sweeps make denser ones by --submap 10 and a smaller "
-             "--keyframe-distance, else --set task.target_neighbours=5; 'loopwise register A B' tries two "
+      return "scans are too sparse or too far apart: make denser ones from sweeps by --submap 10 and a "
+             "smaller --keyframe-distance, otherwise --set task.target_neighbours=5; 'loopwise register A B' "
+             "tries two "
              "scans";
     case RejectionReason::kLowOverlap:
-      return "the pairs have hardly a surface in common: try --set generation.radius_max_m=10, another "
+      return "the pairs have hardly any common surface: try --set generation.radius_max_m=10, another "
              "--method, or "
-             "more registrations; if the robot did pass a place twice, check the frame of the scans by "
+             "more registrations; if the robot visited a place twice, check the frame of the scans by "
              "'loopwise "
              "register A B'";
     case RejectionReason::kInconsistent:
@@ -39,7 +40,7 @@ const char* advice_on(RejectionReason reason) {
       return "places look alike: only pairs with more in common can be distinguished, try --set "
              "generation.radius_max_m=10 or denser scans by --submap 10";
     case RejectionReason::kTransformThreshold:
-      return "results are far from where odometry has them: state its drift, --set "
+      return "results are far from the prediction by odometry: state its drift, --set "
              "mission.odometry_sigma_m_per_m=0.05, "
              "or give no guess, --set task.use_guess=false";
     case RejectionReason::kTimeLimit:

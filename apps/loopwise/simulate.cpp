@@ -180,7 +180,8 @@ void add_simulate(CLI::App& app, Action& chosen) {
       ->type_name("S")
       ->check(not_negative());
   command->add_option("--robots", simulation.robots, "Robots of the team")->type_name("N");
-  command->add_option("--length", simulation.length_m, "Driven by all robots together, m")->type_name("M");
+  command->add_option("--length", simulation.length_m, "Path length of all robots together, m")
+      ->type_name("M");
   command->add_option("--lidar", options->lidar, "vlp16 or os1_64 (default vlp16)")->type_name("WORD");
   command
       ->add_option("--scans", options->scans,
@@ -194,15 +195,15 @@ void add_simulate(CLI::App& app, Action& chosen) {
       ->type_name("M");
   command
       ->add_option("--prior-tilt-sigma", simulation.prior_tilt_sigma_rad,
-                   "Alignment at the gate: roll and pitch, rad (default 0.005)")
+                   "Sigma of the alignment at the gate: roll and pitch, rad (default 0.005)")
       ->type_name("RAD");
   command
       ->add_option("--prior-yaw-sigma", simulation.prior_yaw_sigma_rad,
-                   "Alignment at the gate: yaw, rad (default 0.00041)")
+                   "Sigma of the alignment at the gate: yaw, rad (default 0.00041)")
       ->type_name("RAD");
   command
       ->add_option("--prior-position-sigma", simulation.prior_position_sigma_m,
-                   "Alignment at the gate: position, m (default 0.0016)")
+                   "Sigma of the alignment at the gate: position, m (default 0.0016)")
       ->type_name("M");
   command->add_flag("--no-radio", options->no_radio, "No beacons");
   command->add_flag("--no-gaps", options->no_gaps, "Robots are never out of range");

@@ -121,7 +121,7 @@ std::vector<Source> simulated(const Options& options) {
   return out;
 #else
   static_cast<void>(options);
-  throw OptionError("no missions: built without simulation, which would make some");
+  throw OptionError("no missions given, and this build has no simulation to make some");
 #endif
 }
 
@@ -222,10 +222,11 @@ void add_data(CLI::App& app, Action& chosen) {
   command->add_option("--seeds", options->seeds, "Missions of each world (default 12)")
       ->type_name("N")
       ->check(CLI::Range(0, 100000));
-  command->add_option("--first-seed", options->first_seed, "Of the first (default 1)")
+  command
+      ->add_option("--first-seed", options->first_seed, "Seed of the first mission of each world (default 1)")
       ->type_name("S")
       ->check(cli::not_negative());
-  command->add_option("--lengths", options->lengths, "Driven by the team, m (default 300,500,800)")
+  command->add_option("--lengths", options->lengths, "Path length of the team, m (default 300,500,800)")
       ->type_name("M,...")
       ->delimiter(',');
   command

@@ -141,7 +141,7 @@ void add_evaluate(CLI::App& app, Action& chosen) {
       ->type_name("NAME")
       ->expected(1)
       ->take_all();
-  command->add_option("--split-seed", options->split_seed, "Of the split by mission (default 1)")
+  command->add_option("--split-seed", options->split_seed, "Seed of the split by mission (default 1)")
       ->type_name("S")
       ->check(cli::not_negative());
   command->add_option("--markdown", options->markdown, "Write the tables to FILE")

@@ -81,7 +81,8 @@ int run(const Options& options) {
   const std::filesystem::path checkpoint = folder / "checkpoint.cbor";
   if (options.resume && !std::filesystem::exists(checkpoint) &&
       std::filesystem::exists(folder / "weights.json"))
-    throw OptionError(folder.string() + ": weights without checkpoint.cbor; their training cannot go on");
+    throw OptionError(folder.string() +
+                      ": weights without checkpoint.cbor; their training cannot be continued");
   Trainer trainer(training, validation, fit);
   if (options.resume && std::filesystem::exists(checkpoint)) trainer.load(checkpoint);
   while (!trainer.done()) {
@@ -118,7 +119,8 @@ void add_fit(CLI::App& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   CLI::App* command = app.add_subcommand("fit", "Train a network; the result is a weights file");
   command->footer(
-      "Writes weights.json (the epoch that validated best), history.csv and checkpoint.cbor after each "
+      "Writes weights.json (of the epoch with the best validation), history.csv and checkpoint.cbor after "
+      "each "
       "epoch.\n"
       "  loopwise-train fit data -o run\n"
       "  loopwise-train fit data -o paper --network paper --seed 2\n"
@@ -134,7 +136,7 @@ void add_fit(CLI::App& app, Action& chosen) {
   command->add_option("--network", options->network, "loopwise (default) or paper")->type_name("WORD");
   command->add_option("--target", options->target, "Network paper: log (default) or trace")
       ->type_name("WORD");
-  command->add_option("--epochs", options->epochs, "At most (default 40)")->type_name("N");
+  command->add_option("--epochs", options->epochs, "Bound on epochs (default 40)")->type_name("N");
   command->add_option("--patience", options->patience, "Epochs without a better validation (default 10)")
       ->type_name("N");
   command->add_option("--seed", options->seed, "Seed of all random draws (default 1)")

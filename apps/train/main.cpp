@@ -9,8 +9,8 @@ namespace {
 int run_program(int argc, char** argv) {
   using namespace loopwise;
   CLI::App app{
-      "Trains the networks that guess how uncertain a pose graph is with a set of loop closures, and judges\n"
-      "what they are worth.",
+      "Trains the networks that predict the uncertainty of a pose graph with a set of loop closures, "
+      "and\ncompares them with exact values.",
       "loopwise-train"};
   app.set_version_flag("--version", "loopwise-train " + std::string(version()));
   app.require_subcommand(1);

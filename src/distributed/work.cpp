@@ -224,7 +224,7 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
       std::string_view bytes = message.bytes;
       const std::size_t i = take_number(bytes, message.from);
       if (message.tag != kAnswer || owed[static_cast<std::size_t>(message.from)].erase(i) == 0) {
-        throw Error("rank " + std::to_string(message.from) + " sent what it was not asked for");
+        throw Error("rank " + std::to_string(message.from) + " sent an answer without a request");
       }
       heard[static_cast<std::size_t>(message.from)] = watch.seconds();
       ++statistics_.done[static_cast<std::size_t>(message.from)];
@@ -257,9 +257,9 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
         }
         for (std::size_t rank = 1; rank < ranks; ++rank) {
           if (!owed[rank].empty() && watch.seconds() - heard[rank] > options_.time_limit_s) {
-            throw Error("rank " + std::to_string(rank) + " owes " + std::to_string(owed[rank].size()) +
-                        " answers and has sent none for " + seconds_text(options_.time_limit_s) +
-                        ": it is dead or hangs");
+            throw Error("rank " + std::to_string(rank) + " has " + std::to_string(owed[rank].size()) +
+                        " unanswered requests and has sent no answer for " +
+                        seconds_text(options_.time_limit_s) + ": it is dead or hangs");
           }
         }
         patience.rest();
@@ -307,7 +307,7 @@ void serve_work(Transport& transport, std::string_view greeting,
     }
     patience.reset();
     if (message->tag == kEnd) return;
-    if (message->tag != kRequest) throw Error("rank 0 sent a message that is no request");
+    if (message->tag != kRequest) throw Error("rank 0 sent a message that is not a request");
     std::string_view request = message->bytes;
     const std::size_t i = take_number(request, message->from);
     try {

@@ -126,7 +126,7 @@ void Engine::Impl::drop_old_factors() {
       }
       waiting = waiting_factors_.erase(waiting);
       ++factors_dropped_;
-      problem("factor dropped", "node " + key_name(key) + " did not come");
+      problem("factor dropped", "node " + key_name(key) + " did not arrive");
     }
   }
 }

@@ -38,7 +38,7 @@ void Engine::Impl::start_estimate(bool last) {
 }
 
 void Engine::Impl::on(event::Optimized& event) {
-  if (!optimizing_) throw InputError("an estimate that was not asked for");
+  if (!optimizing_) throw InputError("an estimate that was not requested");
   optimizing_ = false;
   if (!event.failure.empty()) problem("the back end failed", event.failure);
   const bool nothing = event.stopped || !event.failure.empty();

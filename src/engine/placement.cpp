@@ -52,7 +52,7 @@ Eigen::Isometry3d Placement::add(const PoseGraph& graph, const Node& node, const
     const Eigen::Isometry3d odometry = odometry_[step->node] * step->T;
     const Eigen::Isometry3d pose = graph.nodes()[step->node].pose * step->T;
     if (!odometry.matrix().allFinite() || !pose.matrix().allFinite()) {
-      throw InputError("odometry leads node " + key_name(node.key) + " out of all numbers");
+      throw InputError("odometry of node " + key_name(node.key) + ": the pose is not finite");
     }
     join(node.key, graph.nodes()[step->node].key, Place::kGiven);
     odometry_.push_back(se3::normalized(odometry));

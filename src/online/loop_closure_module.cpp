@@ -103,7 +103,7 @@ class LoopClosureModule::Impl {
   void refuse_own_threads(const char* call) {
     if (!engine_thread_.is_own_thread() && !crew_.is_own_thread()) return;
     throw Error(std::string(call) +
-                "() waits for the thread that has called it: call it from a thread of your own, not from a "
+                "() would wait for its own caller: call it from another thread, not from a "
                 "callback, prioritiser, registrar or scan loader of the module");
   }
 
@@ -140,7 +140,7 @@ class LoopClosureModule::Impl {
   [[nodiscard]] std::shared_ptr<const Registrar> make_registrar(const ModuleParts& parts) {
     if (!parts.registrar) return std::make_shared<FastRegistrar>(features_, options_.registration);
     auto own = parts.registrar([this](Key key) { return intake_.load(key); });
-    if (!own) throw InputError("ModuleParts::registrar has made no registrar");
+    if (!own) throw InputError("ModuleParts::registrar has returned no registrar");
     return own;
   }
 
@@ -188,8 +188,8 @@ class LoopClosureModule::Impl {
       statistics_.registration_overdue();
       engine_thread_.post_inside(effect::Problem{
           "registration overdue",
-          key_name(candidate.from) + " - " + key_name(candidate.to) + " has not come back after " +
-              std::to_string(std::llround(seconds)) + " s: the others go on without its thread",
+          key_name(candidate.from) + " - " + key_name(candidate.to) + " is still running after " +
+              std::to_string(std::llround(seconds)) + " s: the others continue without its thread",
           nullptr});
     };
     hooks.back = [this] {

@@ -55,8 +55,7 @@ struct BlockCholesky::Cholmod {
     if (common.status >= CHOLMOD_OK) return;
     if (common.status == CHOLMOD_OUT_OF_MEMORY) throw std::bad_alloc();
     if (common.status == CHOLMOD_TOO_LARGE) {
-      throw Error(std::string(what) +
-                  ": the factor is too large; too many long edges tie distant nodes together");
+      throw Error(std::string(what) + ": the factor is too large; too many long edges connect distant nodes");
     }
     throw Error(std::string(what) + ": CHOLMOD status " + std::to_string(common.status));
   }

@@ -291,8 +291,8 @@ class Summary {
   [[nodiscard]] const char* reason() const {
     if (!converged_) return "; the descent did not converge";
     if (lost_in_rounding_)
-      return "; the rest is lost in rounding: the information of the factors differs too much, or places are "
-             "too far apart for it";
+      return "; rounding hides the rest: the information of the factors differs too much, or positions are "
+             "too far apart";
     return out_.relaxation_solved && out_.reduced_factors == 0 ? "; the relaxation is not tight" : "";
   }
 
@@ -340,7 +340,7 @@ Certificate certify(const PoseGraph& graph, const CertificateOptions& options, c
     out.poses = out.best_poses = graph.poses();
     out.relative_gap = std::numeric_limits<double>::infinity();
     out.message = std::string("the graph has ") + (graph.ranges().empty() ? "gravity" : "ranges") +
-                  ", which the relaxation does not know";
+                  ", which the relaxation does not cover";
     out.seconds = watch.seconds();
     return out;
   }

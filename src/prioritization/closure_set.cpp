@@ -20,7 +20,7 @@ void CandidateSet::assign(const std::vector<std::size_t>& members) {
   for (const std::size_t member : members) {
     if (member >= place_.size() || contains(member)) {
       throw InputError("candidate " + std::to_string(member) + " of " + std::to_string(place_.size()) +
-                       (member < place_.size() ? " stands in the set twice" : " does not exist"));
+                       (member < place_.size() ? " is in the set twice" : " does not exist"));
     }
     add(member);
   }

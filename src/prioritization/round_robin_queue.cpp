@@ -164,7 +164,7 @@ std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, s
   if (wrong != nullptr) {
     throw Error(std::string(prioritizer.name()) + ": take(): handed out candidate " +
                 std::to_string(wrong->id) +
-                (wrong == share.data() + count ? ", which was not asked for" : ", which is not pending"));
+                (wrong == share.data() + count ? ", which was not requested" : ", which is not pending"));
   }
   std::vector<CandidateId> ids;
   ids.reserve(share.size());

@@ -66,8 +66,8 @@ void refuse_renamed(const std::string& section, const std::string& key) {
   const std::string name = section + "." + key;
   if (name == "graph_information.acceptance") {
     throw OptionError("unknown option " + name +
-                      ": it is gone, gi takes every candidate for a closure; the methods expected and likely "
-                      "weigh the chance");
+                      ": it was removed; gi counts every candidate as a closure, the methods expected and "
+                      "likely use its probability");
   }
   const auto found = renamed_keys().find(name);
   if (found == renamed_keys().end()) return;

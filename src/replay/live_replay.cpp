@@ -22,7 +22,7 @@ namespace {
 void check(const ReplayOptions& options) {
   validate_replay(options);
   const auto refuse = [](const std::string& option) {
-    throw OptionError(option + ": only a virtual clock knows it");
+    throw OptionError(option + ": needs a virtual clock");
   };
   if (options.max_registrations > 0) refuse("replay.max_registrations");
   if (options.cost.measured_time) refuse("cost.measured_time");

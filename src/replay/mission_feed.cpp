@@ -112,7 +112,7 @@ std::unordered_map<std::size_t, std::vector<LoopCandidate>> given_candidates(
   for (LoopCandidate candidate : read_candidates(file)) {
     for (const Key key : {candidate.from, candidate.to}) {
       if (place_of.count(key) != 0 && !mission.robots.is_landmark(key)) continue;
-      throw InputError(file + ": " + key_name(key) + " is no node of a robot in " + mission.path.string() +
+      throw InputError(file + ": " + key_name(key) + " is not a node of a robot in " + mission.path.string() +
                        ": give keys of this mission, as `loopwise info` names them");
     }
     if (place_of[candidate.from] < place_of[candidate.to]) swap_ends(candidate);

@@ -299,7 +299,7 @@ void OutcomeStore::open_for_writing() {
     }
   }
   if (!writing_) {
-    statistics_.problem = folder_.string() + ": no file of it can be written";
+    statistics_.problem = folder_.string() + ": no file in it can be written";
     return;
   }
   drop_oldest(writing_.get());

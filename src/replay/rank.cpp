@@ -95,7 +95,7 @@ std::set<Key> announce_scans(const Mission& mission, const std::vector<LoopCandi
   for (const Node& node : mission.graph.nodes()) {
     if (stop.stop_requested()) break;
     if (wanted.count(node.key) == 0) continue;
-    if (progress) progress({"looking at scans", done++, wanted.size(), ""});
+    if (progress) progress({"reading scans", done++, wanted.size(), ""});
     if (!features.get(node.key)) continue;
     const KeyedScan scan{node.key, node.stamp_ns, nullptr};
     observability.on_scan(scan);

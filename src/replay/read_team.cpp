@@ -160,13 +160,12 @@ TeamFrames find_team_frames(const Mission& mission, const Config& config, Thread
   if (out.components.size() < 2) {
     throw InputError(
         mission.path.string() +
-        ": has one robot alone: there are no frames to find; several sources, or robots, are needed");
+        ": has only one robot, so there are no frames to find; several sources, or robots, are needed");
   }
   for (const JoinComponent& component : out.components) {
     if (!component.keys.empty()) continue;
-    throw InputError(
-        component.name +
-        ": has no scans, so its frame cannot be found from them; --frames FILE says where it is");
+    throw InputError(component.name +
+                     ": has no scans, so its frame cannot be found from them; --frames FILE gives it");
   }
   const Registration registration = make_registration(config.replay.registration, mission.scans->loader());
   const std::vector<ProposedPair> pairs =
@@ -174,7 +173,7 @@ TeamFrames find_team_frames(const Mission& mission, const Config& config, Thread
                      static_cast<std::size_t>(config.joining.proposals), threads, progress, stop);
   out.result = find_frames(mission.graph, mission.robots, out.components, pairs, *registration.registrar,
                            threads, config.joining, progress, stop);
-  if (out.result.stopped) throw StoppedError("stopped while the frames of the sources were sought");
+  if (out.result.stopped) throw StoppedError("stopped while searching the frames of the sources");
   return out;
 }
 
@@ -188,7 +187,7 @@ Mission placed_team(const Mission& mission, const TeamFrames& frames) {
   }
   if (parts.size() < 2) {
     throw InputError(to_string(result, frames.components) +
-                     "; --frames FILE says where they are, --frames common takes their poses as they stand");
+                     "; --frames FILE gives the frames, --frames common uses the poses unchanged");
   }
   constexpr double kWider = 10.0;
   std::vector<MissionPart> placed;

@@ -49,7 +49,8 @@ std::vector<std::uint32_t> words_from(const std::string& text) {
   for (std::size_t i = 0; i < text.size(); ++i) {
     const char* const digits = "0123456789abcdef";
     const char* const digit = std::strchr(digits, text[i]);
-    if (digit == nullptr || *digit == '\0') throw InputError("a scan's signature has no such digit");
+    if (digit == nullptr || *digit == '\0')
+      throw InputError("a scan's signature has a character that is not a hexadecimal digit");
     words[i / 8] = words[i / 8] << 4U | static_cast<std::uint32_t>(digit - digits);
   }
   return words;
@@ -394,7 +395,7 @@ void TraceWriter::add(const HandledEvent& handled) {
   std::visit(Encoder{line}, handled.event);
   if (handled.observability) line["observability"] = *handled.observability;
   if (handled.signature) line["signature"] = hex(handled.signature->words());
-  if (broken_) throw InputError("the trace has ended: a line before could not be written");
+  if (broken_) throw InputError("the trace has ended: an earlier line could not be written");
   broken_ = true;  // until the line is written: a trace may end early, but has no gaps
   try {
     line_(line.dump());

@@ -103,7 +103,7 @@ class TraceRun {
   }
 
   void estimate(const TraceEvent& traced, event::Optimized& optimized) {
-    if (!asked_) throw InputError("an estimate that was not asked for");
+    if (!asked_) throw InputError("an estimate that was not requested");
     if (traced.estimate_hash.empty()) {
       if (!optimized.stopped && optimized.failure.empty()) throw InputError("an estimate without its hash");
       return;

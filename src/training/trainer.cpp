@@ -478,13 +478,14 @@ void Trainer::load(const std::filesystem::path& checkpoint) {
   Impl& m = *impl_;
   const nlohmann::json all = read_packed(checkpoint, "loopwise-train-checkpoint", kVersion);
   const Field field(checkpoint.string(), all);
-  if (field["data"].text() != m.hash) field["data"].fail("another data set or split was trained with");
+  if (field["data"].text() != m.hash) field["data"].fail("the checkpoint is of another data set or split");
   if (field["options"].text() != fixed_options(m.options)) {
     field["options"].fail("trained with " + field["options"].text() + ", now " + fixed_options(m.options));
   }
   if (static_cast<std::int64_t>(field["epochs"].integer()) != m.options.epochs) {
-    field["epochs"].fail("the learning rate was laid out for " + std::to_string(field["epochs"].integer()) +
-                         " epochs, not " + std::to_string(m.options.epochs));
+    field["epochs"].fail("the schedule of the learning rate is for " +
+                         std::to_string(field["epochs"].integer()) + " epochs, not " +
+                         std::to_string(m.options.epochs));
   }
   m.step = static_cast<std::int64_t>(field["step"].integer());
   const auto best = field["best_epochs"].values<std::uint8_t>();

@@ -198,7 +198,7 @@ MissionData make_mission_data(const MissionRecord& record, const DataOptions& op
   }
   if (out.graphs.empty()) {
     throw InputError("mission " + record.name + " has fewer than " + std::to_string(kFewestCandidates) +
-                     " loop candidates: it never comes back to where it was");
+                     " loop candidates: it does not revisit places");
   }
   return out;
 }
@@ -209,9 +209,9 @@ std::vector<Role> split_by_mission(const std::vector<DataSetEntry>& entries, std
   std::set<std::string> names;
   for (std::size_t i = 0; i < entries.size(); ++i) {
     if (!names.insert(entries[i].name).second) {
-      throw InputError("mission " + entries[i].name +
-                       " stands twice in the data: one copy could be trained on "
-                       "and the other tested");
+      throw InputError(
+          "mission " + entries[i].name +
+          " is in the data twice: one copy could be used for training and the other for the test");
     }
     if (!entries[i].other_size) groups[entries[i].group].push_back(i);
   }

@@ -510,7 +510,7 @@ TEST_CASE("rank: every candidate with its scores, the ranked first", "[apps]") {
                              "observability_to", "gain_m2", "connecting", "refused"});
   for (std::size_t row = 0; row < table.size(); ++row) REQUIRE(table.number(row, 7) <= first * (1.0 + 1e-9));
 
-  require_failure({"rank", path, "--set", "graph_information.acceptance=sure"}, kBadUsage, "it is gone");
+  require_failure({"rank", path, "--set", "graph_information.acceptance=sure"}, kBadUsage, "it was removed");
   REQUIRE(rank({"--method", "odom"}).at("ranked") == 0);
   require_failure({"rank", path, "--method", "best"}, kBadUsage, "best");
   require_failure({"rank", path, "--batch", "0"}, kBadUsage, "replay.batch = 0");

@@ -207,7 +207,7 @@ TEST_CASE("work: what fails ends the round with its reason, and nobody waits for
       WorkServer server(ranks.of(0), "", options);
       REQUIRE_THROWS_WITH(server.run(
                               numbers(5), 0, [](std::size_t) {}, nothing),
-                          Contains("rank 1 owes 2 answers"));
+                          Contains("rank 1 has 2 unanswered requests"));
       wake = true;
     }
     ranks.join();

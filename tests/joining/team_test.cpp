@@ -87,7 +87,7 @@ TEST_CASE("team: places with nothing in common stay apart, and the error says wh
 TEST_CASE("team: a component without scans is named", "[joining][team][error]") {
   Mission mission = simulated(WorldKind::kTunnel, 3, 1);
   ThreadPool pool(1);
-  CHECK_THROWS_WITH(find_team_frames(mission, Config{}, pool), Contains("has one robot alone"));
+  CHECK_THROWS_WITH(find_team_frames(mission, Config{}, pool), Contains("has only one robot"));
   mission = testing::cut(mission, 2);
   mission.scans = std::make_shared<ScanStore>();
   CHECK_THROWS_WITH(find_team_frames(mission, Config{}, pool), Contains("a: has no scans"));

@@ -989,7 +989,7 @@ TEST_CASE("module: a registration that hangs is reported, the others go on, and 
   const auto told = [&] {
     const std::lock_guard<std::mutex> lock(mutex);
     return std::any_of(problems.begin(), problems.end(), [](const std::string& text) {
-      return (Contains("b2") && Contains("a2") && Contains("has not come back")).match(text);
+      return (Contains("b2") && Contains("a2") && Contains("is still running")).match(text);
     });
   };
   for (int i = 0; i < 60000 && !(account().computed == 9 && module.statistics().overdue_now == 1 && told());

@@ -242,7 +242,7 @@ TEST_CASE("queue: a prioritiser that hands out what is not its own is told so, a
   REQUIRE_THROWS_WITH(queue.take(4), "wrong: take(): handed out candidate 3, which is not pending");
   control.extra = candidates(0, 5);
   control.at_most = 5;
-  REQUIRE_THROWS_WITH(queue.take(4), Contains("which was not asked for"));
+  REQUIRE_THROWS_WITH(queue.take(4), Contains("which was not requested"));
   REQUIRE(queue.size() == 10);
   REQUIRE(queue.handed_out() == std::vector<std::size_t>{0, 0});
 

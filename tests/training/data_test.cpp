@@ -193,7 +193,7 @@ TEST_CASE("split: by mission, in every group, whatever the order", "[train]") {
                       Contains("hold 1 mission to train with, 3 are needed"));
   REQUIRE_THROWS_WITH(split_by_mission({}, 1), Contains("hold 0 missions"));
   entries.push_back(entries.front());
-  REQUIRE_THROWS_WITH(split_by_mission(entries, 1), Contains("stands twice"));
+  REQUIRE_THROWS_WITH(split_by_mission(entries, 1), Contains("is in the data twice"));
 }
 
 TEST_CASE("judge: rank correlation with ties", "[train]") {
