@@ -25,8 +25,8 @@ using ListenerBase = Catch::EventListenerBase;
 using ListenerBase = Catch::TestEventListenerBase;
 #endif
 
-/// Ends the program by SIGABRT, with the name of the test, if one test takes longer than any could: it waits
-/// for itself. LOOPWISE_TEST_WATCHDOG_S sets the seconds, 0 turns it off.
+/// Ends the program by SIGABRT, with the name of the test, if a test takes so long that it must be
+/// deadlocked. LOOPWISE_TEST_WATCHDOG_S sets the seconds, 0 disables it.
 class Watchdog : public ListenerBase {
  public:
   using ListenerBase::ListenerBase;

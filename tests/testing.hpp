@@ -65,8 +65,8 @@ inline void write_text(const fs::path& path, const std::string& text) {
   return out.str();
 }
 
-/// Path of a part of the real data ("g2o", "kaist03", ...), or nothing, with a visible message, where it is
-/// absent. A test that gets nothing returns at once.
+/// Path of a part of the real data ("g2o", "kaist03", ...). If it is missing, prints a message and returns
+/// nothing; the test then returns at once.
 [[nodiscard]] inline std::optional<fs::path> test_data(const std::string& part) {
   const char* variable = std::getenv("LOOPWISE_TEST_DATA");
   const fs::path path = fs::path(variable ? variable : LOOPWISE_TEST_DATA_DEFAULT) / part;

@@ -24,7 +24,7 @@ TEST_CASE("study acceptance: what can be fitted is kept, the other says why not"
   write_mission(folder / "one", small_mission(8, 9));
   write_mission(folder / "two", small_mission(10, 9));
   const std::string chances = (folder / "chances.json").string(), report = (folder / "report.json").string();
-  // All that is verified is kept: nothing can be said of what the back end refuses.
+  // Every verified closure is kept here, so there is no data on closures that the back end rejects.
   const ProgramRun run =
       run_program({"study", "acceptance", (folder / "one").string(), (folder / "two").string(), "-o", chances,
                    "--json", report, "--skip-recent", "2", "--set", "replay.after_mission=true"});

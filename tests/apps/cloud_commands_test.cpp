@@ -37,8 +37,8 @@ Eigen::Vector3d point_of(const Json& json) {
   return {json.at(0).get<double>(), json.at(1).get<double>(), json.at(2).get<double>()};
 }
 
-/// Squared distance of the pose that was found from the truth, both in the files' coordinates, by the
-/// covariance that is said of it.
+/// Squared Mahalanobis distance of the computed pose from the truth, in the files' coordinates, by its
+/// reported covariance.
 double mahalanobis(const Json& json, const Eigen::Isometry3d& truth_files) {
   Matrix6d covariance;
   for (Eigen::Index i = 0; i < 36; ++i) {
@@ -108,13 +108,13 @@ TEST_CASE("register: clouds in world coordinates keep pose and covariance", "[ap
   const Eigen::Isometry3d again = Eigen::Translation3d(origin) * about * Eigen::Translation3d(-origin);
   REQUIRE(((whole * offset) - (again * offset)).norm() < 1e-6);
   REQUIRE(((whole * offset) - (truth * offset)).norm() < 0.1);
-  // The aligned cloud lies in the target's coordinates and says so.
+  // The aligned cloud is in the target's coordinates, and a comment in it says so.
   const PointCloud out = read_cloud(moved).cloud;
   REQUIRE(out.size() == 4000);
   const Eigen::Vector3d first = whole * (pair.source->points[0].cast<double>() + offset);
   REQUIRE((out.origin + out.points[0].cast<double>() - first).norm() < 1e-4);
 
-  // A guess in the files' coordinates counts for what it is.
+  // A guess in the files' coordinates is interpreted correctly.
   std::ostringstream guess;
   guess.precision(17);
   guess << truth.matrix() << "\n";
@@ -164,8 +164,8 @@ TEST_CASE("register and info: surveyed clouds", "[apps][cloud][data]") {
   const auto folder = testing::test_data("../cases/clouds");
   if (!folder) return;
   const auto file = [&](const char* name) { return (*folder / name).string(); };
-  // Which points the sensor saw past is known of the local clouds alone, and they are sparse: that is not
-  // judged here.
+  // The consistency test is off: only the local clouds show which space the sensor saw as free, and they are
+  // sparse.
   const std::string lenient = "fast_registrar.min_consistency=0";
   const Json near = json_of({"register", file("bw_loc.pcd"), file("aw_loc.pcd"), "--set", lenient}),
              far = json_of({"register", file("bw_utm.pcd"), file("aw_utm.pcd"), "--set", lenient});
@@ -258,7 +258,7 @@ TEST_CASE("info: joined sessions without frames say where each is taken to stand
   REQUIRE(run.status == 0);
   REQUIRE(run.out.find("joined without a frame") == std::string::npos);
 
-  // Poses that stand apart already share a frame.
+  // Poses that are far apart already share a frame.
   testing::write_text(folder / "second" / "odom_poses.txt",
                       "1 0 0 7 0 1 0 0 0 0 1 0\n1 0 0 8 0 1 0 0 0 0 1 0\n");
   run = run_program({arguments[0], arguments[1], arguments[2]});

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What scripts may rely on: exit statuses, what goes to which stream, the fields of the JSON, the files.
+// Behaviour that scripts may rely on: exit statuses, output streams, fields of the JSON, files.
 #include <sys/stat.h>
 
 #include <chrono>
@@ -39,7 +39,7 @@ void require_fields(const Json& json, const std::vector<std::string>& fields) {
   }
 }
 
-/// Fails with this status, says why on standard error, and prints no results.
+/// Requires that the command fails with this status, reports why on standard error, and prints no results.
 void require_failure(const std::vector<std::string>& arguments, int status, const std::string& why) {
   const ProgramRun run = run_program(arguments);
   CAPTURE(arguments);
@@ -301,7 +301,7 @@ TEST_CASE("optimize --certify: proves optima, and leaves local minima", "[apps]"
 TEST_CASE("evaluate: robots of a recording keep their names and ranges", "[apps]") {
   const TemporaryFolder folder;
   const Mission yard = small_mission(4);
-  // Plain integers: nothing in a key tells where the second robot begins.
+  // Plain integers: the keys do not show where the second robot begins.
   const auto plain = [](Key key) { return key_index(key) + (key_character(key) == 'a' ? 0 : 4); };
   Mission mission;
   mission.robots = parse_robots("husky=0-3,spot=4-7");
@@ -616,7 +616,7 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   REQUIRE_THAT(resumed.err, Contains("already computed"));
   same_results("two");
 
-  // What an attempt came to for lack of memory or of a file is tried again.
+  // Results that failed because of memory or a file are computed again.
   std::istringstream lines(outcomes);
   std::string line, unlucky;
   for (std::size_t number = 0; std::getline(lines, line); ++number) {
@@ -634,7 +634,7 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
                Contains("with 6 registrations already computed"));
   same_results("two");
 
-  // What did not reach the disk before power was lost reads as zeros, also between other lines.
+  // After a loss of power, data that did not reach the disk read as zeros, also between other lines.
   std::string holes = outcomes;
   const std::size_t third = holes.find('\n', holes.find('\n', holes.find('\n') + 1) + 1);
   holes.replace(third - 10, 20, std::string(20, '\0'));

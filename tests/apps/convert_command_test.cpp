@@ -59,7 +59,7 @@ TEST_CASE("convert: there and back, and what other commands make of it", "[apps]
     const fs::path twin = fs::path(other) / fs::relative(entry.path(), again);
     CHECK(read_file(entry.path()) == read_file(twin));
   }
-  // Whatever form the data have, a replay finds the same.
+  // A replay gives the same result from every format.
   const auto closures = [&](const std::string& path, const std::string& out) {
     const Json summary =
         json_of({"replay", path, "-o", (folder / out).string(), "--skip-recent", "2", "--workers", "2"});

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What commands make of odometry that others wrote, and of trajectories with unsorted stamps.
+// Commands with odometry from other writers, and with trajectories whose stamps are unsorted.
 #include <algorithm>
 #include <array>
 
@@ -109,7 +109,8 @@ TEST_CASE("optimize, rank, replay: --odometry lists the edges that are odometry"
   REQUIRE(run_program({"replay", recording, "-o", out, "--method", "odom", "--overwrite"}).status == 0);
   REQUIRE_FALSE(std::filesystem::exists(folder / "out" / "odometry.csv"));
 
-  // A step over a node: its run's folder holds the list, without which it would be a closure in doubt.
+  // An edge that skips a node: the run's folder stores the list, without which the edge would count as a
+  // closure.
   Mission skipping = testing::small_mission(4);
   const Edge step = skipping.graph.edges().front();
   skipping.graph.add_edge({step.from, step.from + 2, step.T_from_to * step.T_from_to, step.information});
@@ -194,7 +195,7 @@ TEST_CASE("commands: odometry and trajectories as others wrote them", "[apps][od
 
 TEST_CASE("optimize: a 2D graph is optimised and written in two dimensions", "[apps][planar]") {
   const TemporaryFolder folder;
-  // A square of 10 m a side, walked twice with odometry that turns too far; a right closure and a false one.
+  // A square of 10 m a side, driven twice with odometry that turns too far, with a true and a false closure.
   std::string vertices, edges, truth;
   double x = 0.0, y = 0.0, drifted = 0.0;
   for (int i = 0; i < 40; ++i) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Manual pages and completion hold what --help holds: it is read here the way a user reads it.
+// Manual pages and completion have the contents of --help, which this test parses as a user reads it.
 #include <cstdlib>
 #include <sstream>
 
@@ -68,14 +68,14 @@ std::vector<Shown> all_shown(const std::vector<std::string>& path = {}) {
   return all;
 }
 
-/// Name as it stands in a manual page.
+/// A name as it is written in a manual page.
 std::string in_roff(const std::string& name) {
   std::string out;
   for (const char c : name) out += c == '-' ? std::string("\\-") : std::string(1, c);
   return out;
 }
 
-/// What stands behind `begin` up to `end`; fails if it is not there.
+/// The text between `begin` and `end`; fails if it is missing.
 std::string section(const std::string& text, const std::string& begin, const std::string& end) {
   CAPTURE(begin);
   const std::size_t at = text.find(begin);

@@ -47,7 +47,7 @@ std::size_t column(const std::vector<std::vector<std::string>>& rows, const std:
   return static_cast<std::size_t>(found - rows[0].begin());
 }
 
-/// The contents of all files that must be the same in every run, by name, wall times left out.
+/// The contents of all files that must be equal in every run, by name and without wall times.
 std::map<std::string, std::string> results_of(const fs::path& folder) {
   std::map<std::string, std::string> all;
   for (const auto& entry : fs::recursive_directory_iterator(folder)) {
@@ -185,7 +185,7 @@ TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[
   const std::string text = testing::read_text(folder / "one" / "ablation.md");
   REQUIRE_THAT(text, Contains("parameters 0123456789ab") && Contains("true inliers, % of queued"));
 
-  // The same bytes with two threads and outcomes of its own, and from what is there.
+  // The same bytes with two threads in a new folder, and when continued from existing files.
   REQUIRE(run_program(study("two", {"--threads", "2"})).status == kDone);
   require_same(results_of(folder / "one"), results_of(folder / "two"));
   const auto before = results_of(folder / "two");
@@ -197,7 +197,7 @@ TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[
   REQUIRE_THAT(again.err, Contains("18 of 18 runs are finished already"));
   require_same(results_of(folder / "two"), before);
 
-  // A changed option makes other runs, beside the first.
+  // A changed option makes other runs, next to the first ones.
   const ProgramRun other = run_program(with(
       with(with({"study", "ablation"}, missions), {"-o", (folder / "two").string(), "--methods", "full"}),
       with(kQuick, {"--gi-evaluation-time", "0.05"})));
@@ -320,7 +320,7 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
   REQUIRE(changed.status == kDone);
   REQUIRE_THAT(changed.err, !Contains("finished already"));
   REQUIRE_THAT(changed.err, Contains("warning: yard|1: scan is damaged"));
-  // What stands in a file is a result like any other; what could not be read this time is tried again.
+  // Outcomes with a damaged scan are stored as results; those with a scan that could not be read are not.
   const ProgramRun again = study("rssi");
   INFO(again.err);
   REQUIRE(again.status == kDone);
@@ -548,7 +548,7 @@ TEST_CASE("replay: on a real clock the folder is the same in kind", "[apps][live
   }
   REQUIRE_FALSE(fs::exists(out / "outcomes.jsonl"));
 
-  // It cannot be made again, so nothing may take its place unasked.
+  // It cannot be repeated, so nothing may replace it without --overwrite.
   const ProgramRun again =
       run_program({"replay", (folder / "mission").string(), "-o", out.string(), "--resume"});
   REQUIRE(again.status == kBadUsage);

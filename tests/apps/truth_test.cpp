@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What is true, and what is another program's result, on the command line.
+// Ground truth, and the results of other programs, on the command line.
 #include <nlohmann/json.hpp>
 
 #include <loopwise/io/g2o.hpp>
@@ -86,7 +86,7 @@ TEST_CASE("truth: a session's own optimised poses are a reference everywhere", "
   CHECK(run.status == 3);
   CHECK_THAT(run.err, Contains("its own optimised poses are another program's result"));
 
-  // A mission folder made of it keeps what it was.
+  // A mission folder made from it keeps the reference as a reference.
   run = run_program({"convert", session, "-o", (folder / "m").string()});
   REQUIRE(run.status == 0);
   CHECK_THAT(run.out, Contains("0 true poses"));
@@ -123,7 +123,7 @@ TEST_CASE("truth: --truth gives the true poses", "[apps][truth]") {
   CHECK(judged["ate_m"]["optimized"].get<double>() < 0.5);
   CHECK(judged["closures"]["true_inliers"].is_number());
   CHECK(judged["reference"]["poses"] == 8);
-  // What is true changes no result.
+  // The ground truth does not change results.
   for (const char* file : {"graph.g2o", "journal.jsonl"})
     CHECK(testing::read_text(folder / "judged" / file) == testing::read_text(folder / "plain" / file));
   CHECK(json_of({"evaluate", (folder / "judged" / "trajectories" / "0.tum").string(), truth})["ate_m"]["mean"]
@@ -226,13 +226,13 @@ TEST_CASE("truth: without it maps are compared at the revisits that both have", 
   CHECK(whole["stretches"].get<int>() > 0);
   CHECK(whole["stretches"].get<int>() < whole["revisits"].get<int>());
   CHECK(whole["difference_m"] == 0.0);
-  // A yard of 24 m is two stretches of path: too few, which is said, and no interval is printed.
+  // A yard of 24 m has two path sections: too few, so a warning is printed and no interval.
   CHECK(whole["enough_for_interval"] == false);
   CHECK(whole["difference_interval_95"][0].is_null());
   const ProgramRun said = run_program({"evaluate", "--map", (folder / "whole.g2o").string(), recording});
   CHECK_THAT(said.err, Contains("too few for a confidence interval"));
   CHECK_THAT(said.out, !Contains("95 %") && !Contains("-0.0") && Contains("an upper bound"));
-  // The same poses of fewer nodes are as good.
+  // An estimate with the same poses but fewer nodes is as good.
   const Json part = json_of({"evaluate", "--map", write_estimate("part.g2o", 8, 0), recording});
   CHECK(part["revisits"].get<int>() > 0);
   CHECK(part["revisits"].get<int>() < whole["revisits"].get<int>());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What a message costs rank 0 in MPI: mpirun -n 2 loopwise_distributed_messages [COUNT]. Rank 1 answers each
-// request; eight are under way at a time, as with a few ranks that compute.
+// Cost of a message for rank 0 in MPI: mpirun -n 2 loopwise_distributed_messages [COUNT]. Rank 1 answers each
+// request; eight are in progress at a time, as with a few ranks that compute.
 #include <cstdio>
 #include <cstdlib>
 #include <ctime>

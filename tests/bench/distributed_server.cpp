@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What rank 0 does for each registration that another rank computes, measured alone: packing the task, its
-// queues, and unpacking the result. Ranks answer at once, and no MPI is in between; its part is measured by
-// mpi_message_cost.
+// Cost for rank 0 of each registration that another rank computes, measured alone: packing the task, its
+// queues, and unpacking the result. Ranks answer at once and without MPI, whose cost
+// loopwise_distributed_messages measures.
 #include <cstdio>
 #include <cstdlib>
 #include <deque>
@@ -16,7 +16,7 @@ namespace {
 
 using namespace loopwise;
 
-/// Ranks that answer with one and the same result before they are asked twice.
+/// Ranks that answer immediately, always with the same result.
 class Echo final : public Transport {
  public:
   Echo(int size, std::string answer) : size_(size), answer_(std::move(answer)) {

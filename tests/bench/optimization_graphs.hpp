@@ -38,7 +38,7 @@ struct BenchGraph {
 /// another.
 void add_false_groups(BenchGraph& graph, std::size_t groups, std::size_t size, std::uint64_t seed);
 
-/// Adds closures between random nodes with random relative poses, as sure of themselves as the last edge.
+/// Adds closures between random nodes with random relative poses and the information of the last edge.
 void add_random_false(BenchGraph& graph, std::size_t count, std::uint64_t seed);
 
 }  // namespace loopwise::bench

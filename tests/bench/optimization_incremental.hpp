@@ -6,9 +6,9 @@
 
 namespace loopwise::bench {
 
-/// Streets of this many poses and twice as many closures, which come in batches of 50: between poses that are
-/// there, and at the end of a path together with new poses. Prints what an update takes beside optimize()
-/// from the same poses, and how far the poses of the two are apart.
+/// Streets with this many poses and twice as many closures. The closures arrive in batches of 50: between
+/// existing poses, and at the end of a path together with new poses. Prints the time of an update and of
+/// optimize() from the same poses, and the distance between both results.
 void compare_batches(std::size_t poses, std::uint64_t seed);
 
 }  // namespace loopwise::bench

@@ -24,14 +24,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A closure is right if the truth has its ends to so much where it has them. Of headings nothing is asked:
-/// those of satellite positions are poor.
+/// A closure is right if the true positions of its ends agree with it to this distance. Headings are not
+/// compared, because those of satellite positions are poor.
 constexpr double kRight_m = 3.0;
 /// Bounds of how far closures are off, for the counts in detail.
 constexpr double kBounds_m[] = {1.0, 3.0, 10.0, std::numeric_limits<double>::infinity()};
 /// Of turns over a stretch of path before and after a pose.
 constexpr double kStretch_m = 2.0;
-/// Truth farther apart says nothing of what lies between.
+/// Gaps of the truth beyond this distance are not interpolated.
 constexpr double kLargestStep_m = 3.0;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
@@ -162,7 +162,7 @@ Truth interpolated(const std::vector<double>& nodes, const Path& truth, std::siz
   return out;
 }
 
-/// The truth of a drive, from the file of the folder whose path is as long and turns as this one.
+/// The truth of a drive: the file in the folder whose path has the same length and turns.
 Truth find_truth(const PoseGraph& graph, const std::vector<Eigen::Isometry3d>& odometry,
                  const std::vector<fs::path>& files) {
   const Path path(odometry);

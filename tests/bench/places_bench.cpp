@@ -31,7 +31,7 @@
 namespace loopwise::bench {
 namespace {
 
-/// Of the processor, so that other work on the machine does not count.
+/// Processor time, so that other work on the machine does not count.
 class CpuTime {
  public:
   [[nodiscard]] double ms() const {
@@ -101,7 +101,7 @@ double quantile(std::vector<double> values, double share) {
   return values[at];
 }
 
-/// Places that look like some, but are none of the mission: stretched, mirrored.
+/// Places that look similar to those of the mission but do not exist: stretched and mirrored.
 void add_crowd(PlaceDatabase& database, const std::vector<Place>& places, std::size_t count) {
   Rng rng(1);
   for (std::size_t i = 0; i < count; ++i) {

@@ -222,7 +222,7 @@ void signatures() {
   }
 }
 
-/// Batches of 100 while a graph gets closures and moves: the time of the first, and of the others.
+/// Batches of 100 while the graph gets closures and moves: the time of the first batch, and of the others.
 void choosing_by(Prioritizer& method, PoseGraph graph, const std::vector<LoopCandidate>& candidates,
                  int batches) {
   Rng rng(7);

@@ -117,7 +117,7 @@ void print_ratio(const std::vector<double>& ours, const std::vector<double>& pcl
   }());
 }
 
-/// Our own pair, timed with what belongs to the scans at hand: best of three, for it is short.
+/// Our registration of the pair, timed with prepared scans: the best of three runs, because it is short.
 RegistrationResult ours(const Registrar& registrar, const RegistrationTask& task, Column& column) {
   RegistrationResult result = registrar.compute(task);
   double best = 1e300, global = 0.0, refine = 0.0;

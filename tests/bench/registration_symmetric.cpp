@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Rooms that look the same from several places: how often a wrong pose is verified, and sure of itself.
+/// Rooms that look the same from several places: how often a wrong pose is verified with too small a
+/// covariance.
 #include "registration_symmetric.hpp"
 
 #include <cstdio>

@@ -20,7 +20,7 @@ PoseGraph nodes(const std::vector<Key>& keys) {
   return graph;
 }
 
-/// As the nodes' poses have it, off by so many metres.
+/// An edge with the relative pose of the nodes, plus an error of so many metres.
 Edge measured(const PoseGraph& graph, Key from, Key to, double off_m = 0.0) {
   Edge edge;
   edge.from = from;
@@ -113,7 +113,7 @@ TEST_CASE("edges: of two between neighbours that contradict each other, one is a
   REQUIRE(graph.edges()[2].kind == (false_first ? kOdometry : kClosure));
   REQUIRE(graph.edges()[3].kind == kOdometry);
 
-  // Where the poses fit neither, as of a file that was never chained, the first is taken.
+  // If the poses agree with neither edge, as in a file that was never chained, the first edge is odometry.
   graph.set_poses(std::vector<Eigen::Isometry3d>(3, Eigen::Isometry3d::Identity()));
   REQUIRE(classify(graph).count(kContradicts) == (false_first ? 2 : 1));
   REQUIRE(graph.edges()[1].kind == kOdometry);
@@ -204,7 +204,7 @@ TEST_CASE("robots: labels in the keys tell robots apart, ordinary symbols lack t
   REQUIRE(kinds(graph) == std::vector<EdgeKind>{kOdometry, kClosure, kOdometry});
   REQUIRE(parse_robots("gA,left=gB").of(labelled('g', 'B', 3)) == 1);
 
-  // Labels that are no letters are not recognised: the two halves of the "robot" are not joined.
+  // Labels that are not letters are not recognised: the two halves of the "robot" are not joined.
   PoseGraph numbered = nodes({make_key('x', 0), make_key('x', 1), make_key('x', (Key{1} << 48) + 0),
                               make_key('x', (Key{1} << 48) + 1)});
   for (std::size_t i = 1; i < 4; ++i)

@@ -96,8 +96,8 @@ TEST_CASE("work: every piece is done once, by any number of ranks and threads", 
 }
 
 TEST_CASE("work: pieces of one affinity stay with their rank while all are busy", "[distributed]") {
-  // In step, as ranks of equal speed: without it, the system may give one of the threads most of the time,
-  // and that one takes over what the other has no time for.
+  // The threads work in step, like ranks of equal speed. Otherwise the system may give one of them most of
+  // the time, and that one takes over the pieces of the other.
   std::array<std::atomic<int>, 2> begun{};
   Ranks ranks(3);
   const auto in_step = [&](std::size_t own) {
@@ -122,7 +122,7 @@ TEST_CASE("work: pieces of one affinity stay with their rank while all are busy"
   std::size_t moved = 0;
   for (const auto& [affinity, by] : seen) moved += by.size() - 1;
   REQUIRE(seen.size() == 12);
-  REQUIRE(moved <= 4);  // taken over at the end of a round by who had nothing left
+  REQUIRE(moved <= 4);  // pieces taken over at the end of a round by ranks without work
 }
 
 TEST_CASE("work: who does not agree, fails to begin or stays silent is named", "[distributed][error]") {
@@ -161,7 +161,7 @@ TEST_CASE("work: what fails ends the round with its reason, and nobody waits for
     });
     {
       WorkServer server(ranks.of(0), "");
-      // How many of a round rank 2 gets is a matter of timing, but it gets some of each.
+      // The number of pieces of rank 2 depends on timing, but it gets some in each round.
       REQUIRE_THROWS_WITH(
           [&] {
             for (int round = 0; round < 100; ++round)

@@ -67,7 +67,8 @@ TEST_CASE("pool: what was recognised counts for a pair that is there already", "
     candidate.recognition = recognition;
     return candidate;
   };
-  // The other way round, of one that waits for a scan, and a second time: the first counts.
+  // With exchanged ends, for a candidate that waits for a scan, and a second time: the first recognition
+  // counts.
   REQUIRE(pool.add({recognised(1, 3, 5.0), recognised(4, 1, 7.0), recognised(3, 1, 9.0)}) == 0);
   pool.on_scan(scan_of(4));
   std::map<Key, LoopCandidate> taken;
@@ -125,7 +126,7 @@ TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason",
 
 TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pending for ever",
           "[engine][pool][error]") {
-  /// As arrival, but for a function that throws when it is told to.
+  /// Like arrival, except for one function that throws on request.
   class Fragile final : public Prioritizer {
    public:
     std::string_view name() const override { return "fragile"; }
@@ -141,7 +142,7 @@ TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pend
     std::vector<LoopCandidate> take(std::size_t count) override {
       if (throws_in_take) throw Error("take");
       std::vector<LoopCandidate> taken = inner_.take(count);
-      for (LoopCandidate& c : taken) c.from = 99;  // of no consequence
+      for (LoopCandidate& c : taken) c.from = 99;  // has no effect
       return taken;
     }
     std::size_t size() const override { return inner_.size(); }
@@ -273,7 +274,8 @@ TEST_CASE("pool: what lies near a verified closure comes last", "[engine][pool]"
   pool.complete(closed);
   pool.closure_added(15, 5);
 
-  // Near: both ends within 3 m, also the other way round. Not: one end far, another robot.
+  // Redundant: both ends within 3 m, also with exchanged ends. Not redundant: one end far away, or another
+  // robot.
   pool.add({pair(16, 4), pair(6, 14), pair(17, 5), pair(25, 5), pair(19, 9)});
   std::vector<std::pair<Key, Key>> order;
   for (const std::size_t count : {2U, 3U}) {

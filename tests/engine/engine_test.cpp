@@ -118,7 +118,7 @@ TEST_CASE("engine: a full prior that comes late moves the path and its odometry 
             1e-9);
     REQUIRE(testing::difference(engine.odometry()[i], engine.graph().nodes()[i].pose) < 1e-9);
   }
-  REQUIRE_FALSE(engine.wants_estimate());  // the path is where the prior has it
+  REQUIRE_FALSE(engine.wants_estimate());  // the path agrees with the prior
   prior.pose.translation().x() += 1.0;     // another that contradicts it
   static_cast<void>(engine.handle(prior_alone(prior), 0.0));
   REQUIRE(engine.wants_estimate());
@@ -139,7 +139,7 @@ TEST_CASE("engine: an event that is invalid changes nothing", "[engine][error]")
   static_cast<void>(engine.handle(frame, 0.0));
   frame = frame_of(4);
   frame.odometry[0].T_from_to.translation().x() = 1.7e308;
-  REQUIRE_THROWS_AS(engine.handle(frame, 0.0), InputError);  // out of all numbers
+  REQUIRE_THROWS_AS(engine.handle(frame, 0.0), InputError);  // the pose would not be finite
   REQUIRE(engine.odometry().size() == 4);
   REQUIRE_THROWS_AS(engine.handle(event::Scan{}, 0.0), UnknownKeyError);
   REQUIRE_THROWS_AS(engine.handle(RegistrationResult{}, 0.0), InputError);

@@ -20,7 +20,7 @@ namespace {
 
 using testing::TemporaryFolder;
 
-/// Two circles of which nothing is known but a reference.
+/// Two circles with a reference but without ground truth.
 Mission without_truth() {
   Mission mission = testing::two_circles();
   mission.reference = std::exchange(mission.ground_truth, {});
@@ -210,7 +210,7 @@ TEST_CASE("given truth: one that begins late says so", "[evaluation][truth]") {
   CHECK_THAT(
       mission.problems.all().front().example,
       Contains("robot b: no true pose within the first 10 m, taken to stand in the frame of the others'"));
-  // Alone it does not say where it stands.
+  // Alone it does not determine the frame.
   mission = without_truth();
   set_truth(mission, {late('b', 15)});
   CHECK(mission.truth_is_aligned);

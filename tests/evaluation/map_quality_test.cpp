@@ -71,7 +71,7 @@ TEST_CASE("map quality: the displacement grows with the error of the poses", "[e
   CHECK(right.before.mean_m > 0.3);
   CHECK(right.difference.mean_difference < -0.3);
   CHECK(right.share_after > right.share_before);
-  // The registrations say how much there is to be had.
+  // The share after registration is the upper bound.
   CHECK(right.share_registered == Approx(right.share_after).margin(0.1));
   CHECK(right.near.proven > right.near.pairs / 2);
   double last = right.after.mean_m;

@@ -171,7 +171,7 @@ bool counts_only() {
   return wanted_at == 0 && armed.load(std::memory_order_relaxed);
 }
 
-/// Each file once until it is flushed: programs write in pieces.
+/// Logs each file once until it is flushed, because programs write in pieces.
 void note_write(int fd, const char* path) {
   if (counts_only() && !written[static_cast<std::size_t>(fd)].exchange(true)) log_line("wrote", path, "");
 }
@@ -187,7 +187,7 @@ int note_flush(int fd, const char* path, int result) {
   return result;
 }
 
-/// The function that this library stands before.
+/// The function that this library replaces.
 template <class Function>
 Function* next(std::atomic<void*>& known, const char* name) {
   void* found = known.load(std::memory_order_acquire);

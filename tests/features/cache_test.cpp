@@ -57,7 +57,7 @@ TEST_CASE("BoundedCache hands on nulls and exceptions and keeps neither", "[cach
   REQUIRE(cache.get(1, make)->key == 1);
 }
 
-/// A key of which the n-th copy finds no memory.
+/// A key whose n-th copy fails to allocate.
 struct DearKey {
   DearKey() = default;
   explicit DearKey(int v) : value(v) {}
@@ -88,7 +88,7 @@ TEST_CASE("BoundedCache: without memory at any moment it is as if nothing had be
       ++failed;
     }
     DearKey::copies_left = 0;
-    // A half-made entry would be waited for for ever, or lead to a place in the list that there is not.
+    // With an unfinished entry, other threads would wait for ever, or use an invalid iterator.
     for (const int key : {3, 1, 2, 3}) REQUIRE(cache.get(DearKey(key), make_dear)->key == key);
     REQUIRE(cache.bytes() == 20);
     REQUIRE(cache.size() == 2);

@@ -118,7 +118,7 @@ TEST_CASE("scan signature: as words and back", "[features][overlap]") {
   REQUIRE(ScanSignature::from_words({}).empty());
   REQUIRE(ScanSignature().words().empty());
 
-  // Whatever is changed, it is refused or works.
+  // Any altered bytes are refused or usable.
   Rng rng(3);
   for (int round = 0; round < 2000; ++round) {
     std::vector<std::uint32_t> words = a.words();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Requests for memory of the test program, by operator new: how large they are, and one that finds none.
+/// Counts allocations of the test program by operator new: records their size, and makes one of them fail.
 #pragma once
 
 #include <atomic>
@@ -9,7 +9,7 @@
 namespace loopwise::fuzz {
 
 extern std::atomic<std::size_t> largest_allocation;  ///< Bytes, since it was last set to 0.
-/// Requests up to the one that finds no memory; 0: all find some. Those of Eigen and of C are not among them.
+/// Allocations until one fails; 0: none fails. Those of Eigen and of C libraries do not count.
 extern std::atomic<long> allocations_until_none;
 
 }  // namespace loopwise::fuzz

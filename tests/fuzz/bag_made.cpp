@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Messages in a bag that is as it should be, so that each gets to the library behind our check. The first
-// byte says how many messages a chunk has, 1 to 8. Then up to 8 records: a byte that chooses the type, one
-// with the second, two with the length, the message. Type 5 is the fuzzer's own, which a record of type 6
-// describes: topic, name and definition with a zero byte in between.
+// Messages in an otherwise valid bag, so that each gets through our check to the library. The first byte is
+// the number of messages per chunk, 1 to 8. Then up to 8 records follow: a byte for the type, one for the
+// second, two for the length, and the message. Type 5 is defined by the fuzzer in a record of type 6: topic,
+// name and definition, separated by zero bytes.
 #include <rosbag/bag.h>
 
 #include <algorithm>
@@ -23,7 +23,7 @@ bool earlier(const Recorded& a, const Recorded& b) {
   return std::get<0>(a) < std::get<0>(b);
 }
 
-/// What is before the next zero byte, which goes as well.
+/// The text before the next zero byte; removes both.
 std::string take_word(std::string_view& bytes) {
   const std::string word(bytes.substr(0, bytes.find('\0')));
   bytes.remove_prefix(std::min(bytes.size(), word.size() + 1));

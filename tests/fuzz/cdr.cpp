@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// A message definition of ROS 2, an empty byte, then a message in CDR. What comes of it is a message of
-// ROS 1.
+// A message definition of ROS 2, an empty byte, then a message in CDR. The result is a message of ROS 1.
 #include "cdr.hpp"
 
 #include "target.hpp"

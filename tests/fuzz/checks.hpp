@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Invariants of what readers give.
+/// Invariants of the data that readers return.
 #pragma once
 
 #include <loopwise/core/pose_graph.hpp>

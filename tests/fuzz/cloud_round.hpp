@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What is done with the bytes of a cloud, of whatever kind.
+/// The test of a cloud's bytes, for all formats.
 #pragma once
 
 #include "checks.hpp"

@@ -24,7 +24,7 @@ const fuzz::Seeds& all_seeds() {
   return seeds;
 }
 
-/// What left the target, or nothing.
+/// The exception that left the target, or nothing.
 std::string failure_of(const fuzz::Target& target, std::string_view bytes) {
   try {
     target.run(bytes);

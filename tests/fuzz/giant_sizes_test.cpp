@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Tiny inputs that claim giant sizes: an error, and no memory taken for what is not there.
+// Tiny inputs that claim giant sizes: the result is an error, and no memory is allocated for data that do not
+// exist.
 #include <filesystem>
 
 #include "allocations.hpp"

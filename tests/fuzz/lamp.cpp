@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// The first byte chooses who is a robot: as the messages say, or what they hold for landmarks as well. Then
-// messages one after the other: a byte that chooses the type, two with the length, the message.
+// The first byte selects the robots: those of the messages, or also those that the messages call landmarks.
+// Then messages follow: a byte for the type, two for the length, and the message.
 #include "lamp_messages.hpp"
 
 #include "checks.hpp"

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Definitions of the messages that missions are read from, bytes of such messages, and bags and archives
-/// around them: what seeds are made of. Sizes and places are as the formats want them; a caller may alter the
-/// bytes afterwards.
+/// Source of seeds: definitions and bytes of the messages from which missions are read, and bags and archives
+/// around them. Sizes and offsets are valid; a caller may alter the bytes afterwards.
 #pragma once
 
 #include <cstdint>
@@ -47,7 +46,7 @@ struct BagLayout {
 [[nodiscard]] std::string bag(const std::vector<TypedMessage>& messages, const BagLayout& layout = {},
                               const std::vector<BagConnection>& types = bag_connections());
 
-/// Bytes as "none", "bz2" or "lz4" keeps them. \throws std::runtime_error for what is not there
+/// Compresses bytes by "none", "bz2" or "lz4". \throws std::runtime_error if the method is not available
 [[nodiscard]] std::string compressed(const std::string& how, const std::string& bytes);
 
 /// A zip archive of files that are stored as they are.

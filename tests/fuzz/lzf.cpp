@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// The first two bytes are the size that the rest is said to have.
+// The first two bytes are the claimed size of the uncompressed rest.
 #include "lzf.hpp"
 
 #include "target.hpp"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Whole missions of which one file is the fuzzer's. The first byte chooses which.
+// Whole missions with one file from the fuzzer. The first byte selects it.
 #include "mission_seeds.hpp"
 
 #include <loopwise/io/atomic_file.hpp>

@@ -10,7 +10,7 @@
 
 namespace loopwise::fuzz {
 
-/// Folder and file, in an order that findings rely on: new ones go to the end.
+/// Folder and file. Findings depend on the order: append new ones at the end.
 using SeedFiles = std::vector<std::pair<std::string, std::string>>;
 
 /// mission/, session/, session2/, g2o_pcd/ and those of write_seed_saved_maps().

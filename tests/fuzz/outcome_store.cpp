@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// The first byte chooses: a file of a store as it stands, or the payload of a record whose checksum is right.
+// The first byte chooses: a complete file of a store, or the payload of a record with a valid checksum.
 #include <loopwise/replay/outcome_store.hpp>
 
 #include "target.hpp"

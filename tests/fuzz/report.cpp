@@ -26,8 +26,8 @@ std::string nodes_of(const std::string& graph) {
   return nodes;
 }
 
-/// Of each file a folder that holds, but for itself, only what its reader needs beside it: a report of that
-/// is several times as fast as one of all, which one input in 64 goes through.
+/// For each file, a folder with only this file and what its reader needs. A report of this folder is several
+/// times as fast as one of all files, which one input in 64 uses.
 std::vector<fs::path> folders_of_one(const fs::path& whole, const fs::path& parent) {
   const auto& files = fuzz::seed_run_files();
   std::vector<fs::path> folders;
@@ -53,7 +53,7 @@ std::vector<fs::path> folders_of_one(const fs::path& whole, const fs::path& pare
   return folders;
 }
 
-/// The file keeps what is put there: whoever reads its folder for another one's sake puts back what was.
+/// The file keeps the contents; code that reads its folder for another file restores the former ones.
 void check_report(const fs::path& folder, const std::string& name, std::string_view bytes) {
   static ThreadPool threads(1);
   fuzz::put_file(folder / name, bytes);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What fuzzing begins with: small inputs of every target, made by the library's own writers.
+/// Seeds of fuzzing: small inputs of every target, made by the library's own writers.
 #pragma once
 
 #include <map>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What fuzz targets share. A target is a function of bytes that hands them to a reader and returns; whatever
-/// leaves it is a finding. libFuzzer calls one target a program; in the ordinary test program all of them
-/// stand in a list.
+/// Shared code of fuzz targets. A target is a function that passes bytes to a reader and returns; an
+/// exception that leaves it is a finding. libFuzzer runs one target per program; the ordinary test program
+/// has a list of all of them.
 #pragma once
 
 #include <cstddef>
@@ -37,19 +37,19 @@ struct Registered {
   Registered(const char* name, Function run);
 };
 
-/// What must hold of everything that was read. \throws std::logic_error, which no reader may throw
+/// Checks an invariant of the data that were read. \throws std::logic_error, which no reader may throw
 inline void expect(bool holds, const char* what) {
   if (!holds) throw std::logic_error(std::string("does not hold: ") + what);
 }
 
-/// What came of the calls of attempt(): a target that refuses all of its seeds tries nothing.
+/// Counts the results of attempt(): a target that refuses all of its seeds tests nothing.
 struct Attempts {
   std::size_t accepted = 0, refused = 0;
 };
 inline Attempts attempts;
 
-/// What the call returns, or nothing if it throws one of the library's own errors: those are documented, and
-/// must say something. Other exceptions pass.
+/// The return value of the call, or nothing if it throws one of the library's own errors: those are
+/// documented, and must have a message. Other exceptions pass through.
 template <class Call>
 auto attempt(Call&& call) -> std::optional<std::decay_t<decltype(call())>> {
   try {
@@ -63,8 +63,8 @@ auto attempt(Call&& call) -> std::optional<std::decay_t<decltype(call())>> {
   }
 }
 
-/// For checks that take much longer than what they check: the fuzzer makes them of one input in `count`, for
-/// it tries more inputs in that time; the ordinary tests make them of all.
+/// For checks that take much longer than the reader. The fuzzer makes them for one input in `count`, so that
+/// it tries more inputs in the same time; the ordinary tests make them for all inputs.
 [[nodiscard]] inline bool one_in([[maybe_unused]] std::size_t count,
                                  [[maybe_unused]] std::string_view bytes) {
 #ifdef LOOPWISE_LIBFUZZER
@@ -77,10 +77,10 @@ auto attempt(Call&& call) -> std::optional<std::decay_t<decltype(call())>> {
 /// Takes the first byte off, as a number below `count`; 0 if there is none.
 [[nodiscard]] std::size_t take_choice(std::string_view& bytes, std::size_t count);
 
-/// A folder in memory where there is one (/dev/shm), of this process alone; it goes at its end.
+/// A folder of this process, in memory if possible (/dev/shm); it is deleted at the end of the process.
 [[nodiscard]] const std::filesystem::path& scratch();
 
-/// Replaces a file, without care: nobody else looks at the folder.
+/// Replaces a file, but not atomically: no other process reads the folder.
 void put_file(const std::filesystem::path& path, std::string_view bytes);
 
 template <class Derived>

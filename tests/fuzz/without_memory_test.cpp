@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What is left where a request for memory finds none. scripts/fault_check does the same to whole commands.
+// The state after a failed allocation. scripts/fault_check does the same with whole commands.
 #include <filesystem>
 #include <new>
 #include <set>
@@ -22,7 +22,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Whether the call came to its end although the n-th request found no memory.
+/// Whether the call succeeded although its n-th allocation failed.
 template <class Call>
 bool ends_without(long n, Call&& call) {
   fuzz::allocations_until_none = n;
@@ -138,7 +138,7 @@ TEST_CASE("without memory: no passage of a radio beacon is missed", "[memory][er
   drop.beacon = "a beacon with a name that is long";
   drop.drop_key = 5;
   using Pairs = std::set<std::pair<Key, Key>>;
-  // Every call is made again until it has memory. Nodes 57 and 58 wait: they come before the drop is known.
+  // Every call is repeated until it succeeds. Nodes 57 and 58 wait, because they come before the drop.
   const auto proposed = [&](long n, bool& ended) {
     RadioGenerator generator({}, parse_robots("0-29,30-59"));
     Pairs pairs;

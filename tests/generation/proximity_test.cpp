@@ -32,7 +32,7 @@ std::vector<Node> random_nodes(Rng& rng, int count, double size_m) {
 
 using Pair = std::pair<Key, Key>;
 
-/// The definition, word by word: all older nodes, no index.
+/// The literal definition: all older nodes, without an index.
 std::vector<Pair> brute_force(const std::vector<Node>& nodes, const ProximityOptions& o) {
   std::vector<Pair> pairs;
   for (std::size_t n = 0; n < nodes.size(); ++n) {

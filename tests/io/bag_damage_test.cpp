@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Bags that were cut short or altered: an error or a stated problem, whatever the byte; never a crash.
+// Bags that were cut short or altered at any byte: the result is an error or a reported problem, never a
+// crash.
 #include <cstring>
 
 #include <loopwise/core/content_hash.hpp>
@@ -15,7 +16,7 @@ namespace fs = std::filesystem;
 using testing::lamp_data;
 using testing::TemporaryFolder;
 
-/// What came of reading a bag: an error, or what was read.
+/// The result of reading a bag: an error, or the data.
 struct Outcome {
   std::string error;
   std::string read;  // everything but the problems
@@ -48,7 +49,7 @@ Outcome outcome_of(const fs::path& file) {
       try {
         for (const Eigen::Vector3f& p : mission.scans->load(key)->points) hash.bytes(p.data(), sizeof(p));
       } catch (const InputError&) {
-        // A stated problem of the scans.
+        // A reported problem of the scans.
       }
     }
     for (const Robot& robot : mission.robots.all()) hash.text(robot.name);
@@ -86,7 +87,7 @@ TEST_CASE("bags: a hundred cuts and a hundred flips of a byte", "[io][bag][damag
     const Outcome cut = read(whole.substr(0, size));
     CAPTURE(size);
     REQUIRE_FALSE(cut.error.empty());
-    // An empty file begins like nothing.
+    // An empty file has no marks to recognise.
     if (size >= 7) REQUIRE_THAT(cut.error, Contains("damaged.bag"));
   }
 
@@ -105,7 +106,7 @@ TEST_CASE("bags: a hundred cuts and a hundred flips of a byte", "[io][bag][damag
     } else if (flipped.read == intact.read) {
       ++harmless;  // for example between the fields of a point
     } else {
-      // Without compression nothing in a bag is a checksum: the numbers of a message are what they are.
+      // An uncompressed bag has no checksums, so altered numbers of a message cannot be detected.
       REQUIRE(compression == "none");
       ++other_values;
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Files without a header: another layout than the one that is taken for granted must not pass for points.
+// Files without a header: a file with another layout than assumed must not pass as points.
 #include <cmath>
 #include <cstring>
 

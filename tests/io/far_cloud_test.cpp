@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Clouds in world coordinates: no digit may be lost, and what a float has cost already is said.
+// Clouds in world coordinates: reading loses no digits, and digits already lost in floats are reported.
 #include <cstring>
 
 #include <loopwise/core/error.hpp>

@@ -33,8 +33,8 @@ inline bool run_lamp_data(const std::string& arguments) {
   return std::system(command.c_str()) == 0;
 }
 
-/// Writes a form of data into `folder`. False, with a visible message, where what it takes is absent: a test
-/// then returns at once.
+/// Writes one form of the data into `folder`. \returns false, with a visible message, if a required package
+/// is missing: the test then returns at once.
 inline bool lamp_data(const std::string& form, const fs::path& folder, const std::string& arguments = {}) {
   const bool needs_rosbag = form != "g2o_pcd" && form != "sessions";
   const auto skip = [](const std::string& why) {
@@ -177,8 +177,8 @@ inline void check_truth(const Mission& mission, const Json& expected) {
   }
 }
 
-/// The poses that the mission's factors come to, against those that were worked out by hand. Where an
-/// artifact is turned nobody knows.
+/// Compares the optimum of the mission's factors with the poses computed by hand. The orientation of
+/// artifacts is unknown.
 inline void check_optimum(const Mission& mission, const Json& expected) {
   const OptimizationResult result = optimize(mission.graph);
   CHECK(result.converged);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What the programs save that the documents name, whole and stopped under way.
+// Output of programs that the documentation names, complete and interrupted.
 #include <cmath>
 #include <sstream>
 

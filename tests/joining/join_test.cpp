@@ -68,7 +68,7 @@ struct Team {
 /// Answers by rules instead of scans.
 class RuleRegistrar final : public Registrar {
  public:
-  /// The pose T_from_to that it comes to, if it verifies the pair.
+  /// The resulting pose T_from_to, if the pair is verified.
   using Rule = std::function<std::optional<Eigen::Isometry3d>(Key from, Key to)>;
   explicit RuleRegistrar(Rule rule) : rule_(std::move(rule)) {}
 
@@ -117,7 +117,7 @@ Team two_robots() {
   return team;
 }
 
-/// What a registration finds at places that were truly seen by both; seven pairs of ten are verified.
+/// The result of a registration at places that both robots saw; seven pairs of ten are verified.
 RuleRegistrar::Rule true_places(const Team& team) {
   return [&team](Key from, Key to) -> std::optional<Eigen::Isometry3d> {
     const Eigen::Isometry3d T = team.truth.at(from).inverse() * team.truth.at(to);

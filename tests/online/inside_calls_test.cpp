@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Code of the user's that runs inside the module: callbacks, prioritisers, registrars, place databases.
+/// User code that runs inside the module: callbacks, prioritisers, registrars, place databases.
 #include <atomic>
 #include <map>
 #include <mutex>
@@ -121,7 +121,7 @@ TEST_CASE("module: calls that would wait for themselves throw, the others are al
 
 namespace {
 
-/// Takes each place for the same as the first, or as one that it was not given.
+/// Reports each place as the same as the first, or as one that it was not given.
 class FirstPlace final : public PlaceDatabase {
  public:
   explicit FirstPlace(std::atomic<int>& described, std::optional<Key> unknown = {})

@@ -360,8 +360,8 @@ TEST_CASE("module: what was rejected where a node lay before is computed again",
 TEST_CASE("module: odometry that comes while the back end works is fitted to in the end",
           "[online][module]") {
   const Mission mission = two_circles(1, 30);
-  // Of robot a only the second part is known to lie where it does; it alone has closures, which move it. The
-  // odometry between the two may be held back: what comes before floats until then.
+  // Only the second part of robot a has a known place, and only it has closures, which move it. The odometry
+  // between both parts may arrive late; until then the first part is not fixed.
   const Key joint = make_key('a', 12);
   std::vector<LoopCandidate> candidates;
   for (std::uint64_t i = 12; i < 30; i += 3) candidates.push_back(pair(make_key('a', i), make_key('b', i)));
@@ -372,7 +372,7 @@ TEST_CASE("module: odometry that comes while the back end works is fitted to in 
     ModuleCallbacks callbacks;
     callbacks.on_result = [&](const RegistrationResult&) {
       if (++results < candidates.size() || !hold) return;
-      // Behind the end of the batch, by which the back end begins, and before its estimate.
+      // After the end of the batch, at which the back end starts, and before its estimate.
       while (module->statistics().events_waiting == 0) std::this_thread::yield();
       if (!module->add_factors(factors({held}))) throw InputError("stopped");
     };
@@ -415,7 +415,7 @@ TEST_CASE("module: a prior that comes while the back end works does not keep its
   const Mission mission = two_circles(1, 12);
   std::vector<LoopCandidate> candidates;
   for (std::uint64_t i = 0; i < 12; i += 2) candidates.push_back(pair(make_key('b', i), make_key('a', i)));
-  // Robot b lies where its front end says, which is wrong, and a weak prior may come late to say the same.
+  // The front end places robot b wrongly, and a weak prior may come late with the same pose.
   const auto run = [&](bool late) {
     LoopClosureModule* module = nullptr;
     PriorFactor prior;
@@ -423,7 +423,7 @@ TEST_CASE("module: a prior that comes while the back end works does not keep its
     ModuleCallbacks callbacks;
     callbacks.on_result = [&](const RegistrationResult&) {
       if (++results < candidates.size() || !late) return;
-      // Behind the end of the batch, by which the back end begins, and before its estimate.
+      // After the end of the batch, at which the back end starts, and before its estimate.
       while (module->statistics().events_waiting == 0) std::this_thread::yield();
       if (!module->add_factors(factors({}, {prior}))) throw InputError("stopped");
     };
@@ -471,7 +471,7 @@ TEST_CASE("module: odometry that comes apart from its node is no reason for anot
   ModuleCallbacks callbacks;
   callbacks.on_result = [&](const RegistrationResult&) {
     if (++results < candidates.size()) return;
-    // Behind the end of the batch, by which the back end begins, and before its estimate.
+    // After the end of the batch, at which the back end starts, and before its estimate.
     while (module->statistics().events_waiting == 0) std::this_thread::yield();
     if (!module->add_factors(factors(held))) throw InputError("stopped");
   };
@@ -577,7 +577,8 @@ TEST_CASE("module: factors to nodes that never come are dropped in the end, and 
   lost.from = make_key('a', 1000);
   REQUIRE(module.add_factors(factors({lost})));
   std::vector<KeyFrame> frames = key_frames(mission);
-  // A robot's clock that is wrong by days is no reason to give up: waiting is measured by the module's own.
+  // A robot's clock that is wrong by days must not drop factors: waiting is measured by the module's own
+  // clock.
   for (std::size_t i = 0; i + 1 < frames.size(); ++i) {
     if (key_character(frames[i].node.key) == 'b')
       frames[i].node.stamp_ns += 200000 * std::int64_t{1000000000};
@@ -730,7 +731,7 @@ class GatedRegistrar final : public Registrar {
   bool open_ = false;
 };
 
-/// Improves until it is stopped, and writes down what it was called with.
+/// Improves until it is stopped, and records its calls.
 class EndlessPrioritizer final : public Prioritizer {
  public:
   struct Log {
@@ -897,7 +898,7 @@ TEST_CASE("module: the account is told while more comes than can be taken in", "
     for (std::uint64_t j = 0; j < 20; ++j)
       REQUIRE(module.add_candidates({pair(make_key('a', i), make_key('b', j))}));
   }
-  // All but those that the queues hold have been taken in.
+  // All events were handled, except those that the queues can hold.
   REQUIRE(module.statistics().candidates.generated >= 150);
   REQUIRE(module.statistics().candidates.balanced());
   REQUIRE(module.wait());
@@ -936,7 +937,7 @@ TEST_CASE("module: a full queue holds its producer and drops nothing; callbacks 
 
 namespace {
 
-/// Does not come back for one pair until it is released.
+/// Does not return from one pair until it is released.
 class HangingRegistrar final : public Registrar {
  public:
   HangingRegistrar(std::map<Key, Eigen::Isometry3d> truth, Key hangs_from)
@@ -985,7 +986,7 @@ TEST_CASE("module: a registration that hangs is reported, the others go on, and 
   for (std::uint64_t i = 0; i < 10; ++i) candidates.push_back(pair(make_key('a', i), make_key('b', i)));
   REQUIRE(module.add_candidates(candidates));
   const auto account = [&] { return module.statistics().candidates; };
-  // On a busy machine others may be held up for as long, but they come back.
+  // On a busy machine others may be overdue too, but they return.
   const auto told = [&] {
     const std::lock_guard<std::mutex> lock(mutex);
     return std::any_of(problems.begin(), problems.end(), [](const std::string& text) {
@@ -1022,7 +1023,7 @@ TEST_CASE("module: a registration that hangs is reported, the others go on, and 
 
 namespace {
 
-/// Stalls now and then, refuses most, throws at times: what a bad day looks like.
+/// A registrar with faults: it stalls at times, rejects most pairs, and throws at times.
 class MoodyRegistrar final : public Registrar {
  public:
   explicit MoodyRegistrar(std::atomic<std::size_t>& computed) : computed_(computed) {}

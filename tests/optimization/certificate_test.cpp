@@ -337,7 +337,7 @@ TEST_CASE("certify: priors", "[optimization][certificate]") {
       CertificateOptions options;
       options.relative_gap = 1e-2;  // rounding takes about a thousandth at 1e-5, all at 1e-8
       REQUIRE((certify(held, options).status == CertificateStatus::kCertified) == (sigma > 1e-6));
-      // What rounding may take of the pose that the priors tie.
+      // The bound on rounding at the pose that the priors hold.
       REQUIRE(c.eigenvalue_tolerance > 1e-15 / (sigma * sigma));
     }
   }
@@ -358,7 +358,7 @@ TEST_CASE("certify: every component on its own", "[optimization][certificate]") 
   REQUIRE(c.status == CertificateStatus::kImprovable);
   REQUIRE(c.best_cost < 1e-12);
   REQUIRE(c.cost == Approx(certify(optimized(second, Initialization::kFile)).cost).epsilon(1e-9));
-  // What is certified stays.
+  // Components that are certified stay certified.
   REQUIRE(testing::difference(c.best_poses[5], graph.nodes()[5].pose) < 1e-9);
 }
 
@@ -384,7 +384,7 @@ TEST_CASE("certify: information of less than full rank", "[optimization][certifi
   Rng rng(6);
   testing::RandomGraph random = testing::random_graph(rng);
   PoseGraph graph = optimized(random.graph);
-  // A point that several poses see: no rotation is known of it, and no approximation is made.
+  // A point that several poses see has no rotation information, and nothing is approximated.
   const Eigen::Vector3d point(3.0, 4.0, 1.0);
   Node landmark;
   landmark.key = 900;
@@ -406,7 +406,7 @@ TEST_CASE("certify: information of less than full rank", "[optimization][certifi
   REQUIRE(c.status == CertificateStatus::kCertified);
   REQUIRE(c.reduced_factors == 0);
   REQUIRE((c.poses.back().translation() - point).norm() < 0.1);
-  // Of a plane's height alone nothing isotropic is left: said, not silent.
+  // The height of a plane alone has no isotropic part: the message says so.
   Edge height;
   height.from = 1;
   height.to = 20;
@@ -442,7 +442,7 @@ TEST_CASE("certify: what costs nothing is optimal", "[optimization][certificate]
     REQUIRE(c.lower_bound == 0.0);
     REQUIRE(c.relative_gap == 0.0);
   }
-  // A 2D graph written as a 3D one: nothing of F is left, and that is said.
+  // A 2D graph written as a 3D one: F has no terms left, and the message says so.
   PoseGraph flat = ring(12, 0);
   for (std::size_t e = 0; e < flat.edges().size(); ++e) {
     Matrix6d information = Matrix6d::Zero();
@@ -474,8 +474,8 @@ TEST_CASE("certify: the unit of the information changes nothing", "[optimization
 }
 
 TEST_CASE("certify: what is lost in rounding is not certified", "[optimization][certificate]") {
-  // Places up to 300 m apart, known to centimetres: their squares fill the digits. Measured: a gap of 9e-6 at
-  // 5 cm, 1e-6 at 1 m.
+  // Positions up to 300 m apart, known to centimetres: the squared distances use up the digits. Measured: a
+  // gap of 9e-6 at 5 cm, 1e-6 at 1 m.
   constexpr double kStep_m = 10.0;
   constexpr std::size_t count = 100;
   for (const double sigma_m : {0.05, 1.0}) {

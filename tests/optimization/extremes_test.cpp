@@ -135,7 +135,7 @@ TEST_CASE("extremes: edges of 1e-6 beside edges of 1e6", "[optimization][extreme
     graph.add_edge(edge);
   }
   graph.add_prior(testing::prior_at(0, Eigen::Isometry3d::Identity()));
-  // What weighs nothing does not move what weighs much.
+  // Edges of low information do not move poses that edges of high information determine.
   const GncResult result = optimize_gnc(graph);
   require_finite(result);
   const Distance d = distance(random.graph.poses(), result.optimization.poses, Eigen::Isometry3d::Identity());
@@ -177,7 +177,8 @@ TEST_CASE("extremes: half turns between nodes", "[optimization][extremes]") {
     REQUIRE(d.m < 1e-4);
     REQUIRE(d.rad < 1e-4);
 
-    // Measured the wrong way round: the residual itself is a half turn, where its logarithm has a fold.
+    // Measured in the other direction, the residual itself is a half turn, where its logarithm is
+    // discontinuous.
     PoseGraph wrong = graph;
     Eigen::Isometry3d flipped = truth[18].inverse() * truth[1];
     flipped.linear() *= Eigen::AngleAxisd(angle, Eigen::Vector3d::UnitZ()).toRotationMatrix();

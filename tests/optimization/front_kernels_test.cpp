@@ -97,7 +97,7 @@ TEST_CASE("factorisation: subtrees in parallel give the bits of one thread", "[o
   REQUIRE(parallel.factorize(&pool));
   REQUIRE(serial.panels().values == parallel.panels().values);
 
-  // Where it breaks off, too, wherever in the tree that is.
+  // The same holds if the factorisation fails, at any place in the tree.
   VectorXd diagonal = serial.diagonal();
   for (const std::uint32_t broken : {3U, 700U, 1490U}) {
     CAPTURE(broken);

@@ -36,8 +36,7 @@ double extent(const std::vector<Eigen::Isometry3d>& poses) {
   return (high - low).norm();
 }
 
-/// What the labels' own partition costs: the minimum without the false closures, plus what the truncation
-/// counts.
+/// The cost with the true labels: the minimum without the false closures, plus their truncated costs.
 double truncated_cost_of_labels(const PoseGraph& graph, const std::vector<Eigen::Isometry3d>& clean_poses,
                                 double c2) {
   double cost = 0.0;
@@ -50,7 +49,7 @@ double truncated_cost_of_labels(const PoseGraph& graph, const std::vector<Eigen:
   return cost;
 }
 
-/// The solution that someone who knows the labels finds.
+/// The solution with known labels.
 std::vector<Eigen::Isometry3d> clean_solution(const testing::RandomGraph& random) {
   PoseGraph clean = random.graph;
   for (std::size_t e = 0; e < random.is_false.size(); ++e)
@@ -84,8 +83,8 @@ struct Corridor {
   std::size_t right = 0;
 };
 
-/// Along a corridor and back beside it. The heading drifts steadily, which white noise does not allow for:
-/// near the turn odometry vouches for the closures between the two passes, towards the start no longer.
+/// Along a corridor and back beside it. The heading drifts steadily, which white noise does not model: near
+/// the turn odometry confirms the closures between the two passes, towards the start it does not.
 Corridor drifting_corridor(std::uint64_t seed, double drift_rad = 4e-4) {
   constexpr Key kNodes = 160;
   Corridor corridor;
@@ -328,7 +327,7 @@ TEST_CASE("gnc: closures that agree with each other, but hardly with the odometr
   REQUIRE(result.inliers == 0);
   REQUIRE(mean_distance(result.optimization.poses, odometry) < 1e-6);
 
-  // Their number alone makes them the cheaper explanation, where nothing puts them aside.
+  // There are so many false closures that they have the lower cost, unless they are excluded first.
   gnc.innovation_probability = 1.0;
   const GncResult believing = optimize_gnc(graph, options, gnc);
   REQUIRE(believing.inliers == 40);
@@ -530,7 +529,8 @@ TEST_CASE("gnc: other kernels find false closures too", "[optimization][gnc]") {
     gnc.kernel = kernel;
     const GncResult result = optimize_gnc(random.graph, {}, gnc);
     REQUIRE(judge(random.graph, result.weights, random.is_false).recall == 1.0);
-    // Without graduation true closures across much drift stay out: the price of starting at the threshold.
+    // Without graduation, true closures across much drift are lost, because the threshold applies from the
+    // start.
     const double bound = kernel == RobustKernel::kTls ? 1.0 : 0.1;
     REQUIRE(mean_distance(result.optimization.poses, clean_solution(random)) < bound);
   }

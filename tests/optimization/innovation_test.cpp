@@ -59,7 +59,8 @@ TEST_CASE("innovation: that of a neighbour is what the joint covariance over the
     Key near_from = rng.below(kSteps), near_to = kSteps + rng.below(kSteps);
     if (trial % 2 == 1) std::swap(near_from, near_to);
     const std::size_t kept = add_closure(graph, rng, near_from, near_to);
-    // The covariance of the rest: one prior, so that the only way between the robots is the kept closure.
+    // Covariance of all other factors. With a single prior, the kept closure is the only connection between
+    // the robots.
     PoseGraph rest = graph;
     rest.add_prior(testing::prior_at(0, rest.nodes()[0].pose));
     for (const Key first : {Key{0}, Key{kSteps}})  // joins the robots' chains, but hardly

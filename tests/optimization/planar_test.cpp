@@ -200,7 +200,7 @@ double worst_difference(const std::vector<Eigen::Isometry3d>& poses, const std::
   return worst;
 }
 
-/// As those state it who know of nothing across the plane.
+/// Information as programs write it that have no values for z, roll and pitch.
 Matrix6d without_across(Matrix6d m) {
   m.block<3, 3>(2, 2).setZero();
   return m;

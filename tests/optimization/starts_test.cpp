@@ -12,9 +12,9 @@
 namespace loopwise {
 namespace {
 
-/// A path wound around a torus, each turn beside the one before, with closures between neighbours in adjacent
-/// turns. Odometry is so bad that its chain knows nothing of the path's other end. The false closures are
-/// random poses between random nodes.
+/// A path wound around a torus, each turn next to the one before, with closures between neighbours in
+/// adjacent turns. Odometry is so bad that its chain has no information on the path's other end. The false
+/// closures are random poses between random nodes.
 testing::RandomGraph torus(std::uint64_t seed, std::size_t turns, double false_share) {
   constexpr std::size_t kAround = 100;
   constexpr double kSigmaM = 0.1, kSigmaRad = 0.05;
@@ -259,7 +259,7 @@ TEST_CASE("starts: a graph that is another than the last is solved from scratch"
 
 TEST_CASE("starts: a false closure that came first is found when others contradict it",
           "[optimization][gnc]") {
-  // Its company is odometry alone, which allows it; twenty right ones say otherwise, later.
+  // Only odometry supports it at first; twenty true closures contradict it later.
   Rng rng(11);
   testing::RandomGraphOptions shape;
   shape.nodes = 120;

@@ -136,11 +136,11 @@ TEST_CASE("acceptance: the more alike a recognised place looks, the likelier, al
     }
   };
   rises();
-  // Results in which recognition has no say leave its weight alone.
+  // Results without recognition do not change its weight.
   Results results = results_of(AcceptanceModel({-1.0, 4.0, 0.0, 0.0, -0.5, 0.0}), 2000, rng);
   model.fit(results);
   rises();
-  // What recognition explains is not put down to overlap.
+  // Successes that recognition explains are not attributed to overlap.
   AcceptanceModel other(AcceptanceModel::shipped_verified()), same = other;
   for (auto& [of, verified] : results) of.similarity = 0.5;
   other.fit(results);

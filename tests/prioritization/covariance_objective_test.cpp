@@ -39,8 +39,8 @@ std::vector<std::size_t> minus(std::vector<std::size_t> set, std::size_t out) {
   return set;
 }
 
-/// Value, additions, removals and swaps of the objective as it stands against brute force. \returns the
-/// largest error in units of e(now) · max(1, e(nothing) / e(now)).
+/// Compares the objective's value, additions, removals and swaps with brute force. \returns the largest error
+/// in units of e(now) · max(1, e(nothing) / e(now)).
 template <class Score>
 double worst_error(GraphObjective& objective, const Score& score, double empty, int samples, Rng& rng) {
   const std::vector<std::size_t> set = objective.selected();
@@ -156,7 +156,7 @@ TEST_CASE("log-determinant objective: equals adding and refactorising", "[priori
   swap_at_random(objective, 300, rng);
   REQUIRE(worst_error(objective, score, score({}), 4, rng) < 1e-12);
 
-  // Submodular: a gain never grows with the set. What lazy greedy choice rests on.
+  // Submodularity: a gain never grows with the set. Lazy greedy choice depends on this.
   const std::vector<double> before = objective.add_changes();
   objective.add(random_outside(objective, rng));
   const std::vector<double> after = objective.add_changes();

@@ -133,8 +133,8 @@ TEST_CASE("expected: without scans the near come first", "[prioritization][expec
 }
 
 TEST_CASE("expected: what one closure will give is not counted twice", "[prioritization][expected]") {
-  // The first places of the street would gain nothing, its end most: still all of it is tied before any
-  // place gets many.
+  // Closures at the first places of the street would gain nothing, those at its end most. Still all places
+  // get closures before any place gets many.
   ExpectedPrioritizer expected(best_first(), {}, parse_robots("a,b"), {}, 1);
   REQUIRE(expected.add(across(2)).empty());
   expected.on_graph(two_streets());
@@ -251,7 +251,7 @@ TEST_CASE("expected: a better candidate of the same places makes them more valua
   options.gain_exponent = 0.0;
   ExpectedPrioritizer expected(options, {}, parse_robots("a,b"), {}, 1);
   const PoseGraph graph = two_streets();
-  // Of the first place a pair that lies far apart, of the last one a nearer one.
+  // For the first place the pair is far apart, for the last one it is nearer.
   REQUIRE(expected
               .add({testing::candidate_of(0, make_key('b', 0), make_key('a', 5)),
                     testing::candidate_of(1, make_key('b', 58), make_key('a', 55)),

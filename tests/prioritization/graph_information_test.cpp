@@ -224,7 +224,7 @@ TEST_CASE("graph information: covariance of the closures verified so far", "[pri
   result.closure = closure;
   gi.on_result(result);
   REQUIRE(gi.sketch().at(0) < 0.1 * before);
-  // Values that are no covariance are not listened to.
+  // Values that are not a covariance are ignored.
   const double uninformative = gi.sketch().at(0);
   closure.covariance(2, 2) = std::numeric_limits<double>::quiet_NaN();
   result.closure = closure;

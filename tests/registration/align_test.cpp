@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// First, and without other headers of the library: it must stand on its own.
+// Included first and without other headers of the library: it must be self-contained.
 #include <loopwise/registration/align.hpp>
 
 #include <limits>
@@ -143,7 +143,7 @@ TEST_CASE("align: a guess leads from source to target", "[registration][align]")
   AlignOptions options;
   options.guess = pair.T_target_source;
   REQUIRE(align(pair.target, pair.source, options).success);
-  // What is too far from the guess is rejected: the direction of the guess matters.
+  // A result too far from the guess is rejected, so the direction of the guess matters.
   options.registration.tests.max_translation_m = 1.0;
   REQUIRE(align(pair.target, pair.source, options).success);
   options.guess = pair.T_target_source.inverse();

@@ -83,7 +83,7 @@ TEST_CASE("measure_alignment: limits count as stated", "[closure_tests]") {
 }
 
 TEST_CASE("measure_alignment: every direction of surfaces counts alike", "[closure_tests]") {
-  // 90 points of ground, all matched, and ten of a wall, none: the wall has half the say.
+  // 90 points of ground match, and ten of a wall do not: both surfaces have the same weight.
   PointCloud source, target;
   for (int i = 0; i < 90; ++i) {
     source.points.emplace_back(static_cast<float>(i), 0.0F, 0.0F);

@@ -186,7 +186,7 @@ TEST_CASE("live replay: a stop request ends it soon, with what there is", "[repl
   const Mission mission = two_circles();
   ReplayOptions config = live_config("random");
   config.after_mission = true;
-  RealClock clock(0.0, 1.0);  // 78.5 s: never to be waited for
+  RealClock clock(0.0, 1.0);  // 78.5 s, which the test does not wait for
   StopSource stop;
   ReplayHooks hooks;
   hooks.stop = stop.token();

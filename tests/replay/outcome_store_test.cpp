@@ -111,7 +111,7 @@ TEST_CASE("outcome store: figures, messages and times of every kind survive", "[
     RegistrationResult compute(const RegistrationTask& task) const override {
       RegistrationResult result;
       result.candidate = task.candidate;
-      // All but those that are not kept, see depends_on_circumstances().
+      // All except those that are not stored, see depends_on_circumstances().
       constexpr auto kFirst = static_cast<std::uint64_t>(RejectionReason::kTooFewPoints);
       constexpr auto kCount = static_cast<std::uint64_t>(RejectionReason::kFailed) - kFirst;
       result.reason = static_cast<RejectionReason>(kFirst + task.candidate.id % kCount);

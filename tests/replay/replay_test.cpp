@@ -204,7 +204,7 @@ TEST_CASE("replay: the cost model decides how much is computed", "[replay][repla
     REQUIRE(slow.result.computed[i].mission_time_s - slow.result.computed[i - 1].mission_time_s >=
             2.0 - 1e-9);
   }
-  // What the model does not pay for is not computed either.
+  // Registrations that exceed the modelled time are not computed either.
   REQUIRE(slow.outcomes.size() == slow.result.computed.size());
 
   config.cost.workers = 4;
@@ -224,7 +224,7 @@ TEST_CASE("replay: the cost model decides how much is computed", "[replay][repla
   REQUIRE(all.result.mission_time_s > 78.5);
 }
 
-/// The oracle, with durations by pair: what a machine measured.
+/// The oracle, with a duration for each pair, as a machine would measure it.
 class TimedRegistrar final : public Registrar {
  public:
   explicit TimedRegistrar(const Mission& mission, double features_s = 0.5)
@@ -344,7 +344,7 @@ TEST_CASE("replay: thinning keeps a uniform share of the pairs, the same for eve
   const double expected = static_cast<double>(all.size()) / 4.0;
   REQUIRE(std::abs(static_cast<double>(kept.size()) - expected) < 4.0 * std::sqrt(expected));
   REQUIRE(pairs("baseline", 4, 2) != kept);
-  // By pair, so whoever closes loops in another order draws the same, where it meets the same pairs.
+  // It draws by pair, so methods with other orders draw the same for the same pairs.
   const auto at_random = pairs("random", 4, 1);
   std::size_t common = 0;
   for (const auto& pair : at_random) common += kept.count(pair);
@@ -370,7 +370,8 @@ TEST_CASE("replay: key frames of a communication gap arrive at its end, in order
     previous_b = key;
   }
   REQUIRE(late == 20);
-  // Nodes that come late hang on the estimate of those before them, so odometry alone is unchanged.
+  // Nodes that come late are placed relative to the estimate of those before them, so odometry alone is
+  // unchanged.
   REQUIRE(mean_error(mission, run.result.odometry, run.result.graph) ==
           Approx(mean_error(mission, mission.graph)).margin(1e-9));
 }
@@ -446,7 +447,7 @@ TEST_CASE("replay: an outcome of the same pair from another guess is computed ag
     REQUIRE(whole.result.computed[i].result.task_hash != 0);
     REQUIRE(again.result.computed[i].result.task_hash == whole.result.computed[i].result.task_hash);
   }
-  // Hardly any had the same guess: those before the first closure.
+  // Almost all pairs had another guess, except those before the first closure.
   REQUIRE(again.outcomes.size() < whole.outcomes.size());
   REQUIRE(again.outcomes.size() > 9 * whole.outcomes.size() / 10);
   REQUIRE(run_replay(mission, config, 1, known_of(whole), registrar).outcomes.empty());

@@ -49,7 +49,7 @@ bool same_number(double a, double b) {
   return a == b || (std::isnan(a) && std::isnan(b));
 }
 
-/// Every field: one that is added does not compile until it is looked at here, and kept by the codec.
+/// Compares every field. A new field does not compile until it is added here, and the codec has to keep it.
 void require_same(const RegistrationResult& a, const RegistrationResult& b) {
   const auto& [candidate, reason, message, closure, T, sac, gicp, overlap, features, global, refine,
                incomplete, task] = a;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// A whole mission of real scans, end to end: what comes out against the poses that the session brings along.
+/// A whole mission of real scans, end to end: the result is compared with the poses in the session.
 #include <algorithm>
 #include <cmath>
 

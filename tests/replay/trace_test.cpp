@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-/// The online module against the engine alone: the trace that was recorded while the module's threads worked
-/// gives the same graph, closures and estimates again, to the bit.
+/// The online module against the engine alone: a trace that was recorded while the module's threads worked
+/// gives the same graph, closures and estimates, to the bit.
 #include <fstream>
 #include <mutex>
 #include <thread>
@@ -55,7 +55,7 @@ class UnevenRegistrar final : public Registrar {
 };
 
 /// Feeds one robot in pieces: scans, odometry and priors late or early, radio, a beacon, vetoes, candidates.
-/// \returns how many of them were taken
+/// \returns how many of them were accepted
 std::size_t produce(LoopClosureModule& module, const Mission& mission, std::size_t robot,
                     std::uint64_t seed) {
   Rng rng(seed);

@@ -58,8 +58,8 @@ unsigned char grey_level(float x) {
   return static_cast<unsigned char>(std::clamp(x, 0.0F, 255.0F));
 }
 
-/// The world from above, the rock above `ceiling` metres over z = 0 taken away: floors and things shaded by
-/// slope, ways in red. Void and rock alternate along a vertical ray.
+/// The world from above, without the rock above `ceiling` metres over z = 0: floors and objects shaded by
+/// slope, paths in red. Void and rock alternate along a vertical ray.
 Picture plan(const World& world, float pixels_per_metre, float ceiling) {
   Eigen::Vector3f low = world.mesh.vertices.front(), high = low;
   for (const Eigen::Vector3f& v : world.mesh.vertices) {

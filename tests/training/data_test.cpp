@@ -49,7 +49,7 @@ TEST_CASE("data: targets are the exact traces", "[train]") {
     for (const TrainingSet& set : graph.sets) {
       exact.assign({set.members.begin(), set.members.end()});
       worst = std::max(worst, std::abs(exact.value() / set.trace_m2 - 1.0));
-      // What is left at the units makes up the trace, as far as a sample of the nodes can say.
+      // The remaining variances of the units add up to the trace, as far as a sample of the nodes can tell.
       const double left =
           (graph.effects.share.array() * (-set.log_reduction.cast<double>().array()).exp()).sum() *
           graph.effects.trace_m2;

@@ -111,7 +111,7 @@ TEST_CASE("loopwise-train: data of recorded missions, resumed", "[train][program
   REQUIRE(again.status == 0);
   REQUIRE(nlohmann::json::parse(again.out).at("kept") == 2);
 
-  // Data of another odometry are not this mission's, though its nodes stand where they stood.
+  // Data of another odometry do not belong to this mission, although the nodes' positions are equal.
   const fs::path graph = folder / "walk2" / "graph.g2o";
   std::string text = read_file(graph);
   text.insert(text.rfind(' ') + 1, "1");
@@ -122,7 +122,7 @@ TEST_CASE("loopwise-train: data of recorded missions, resumed", "[train][program
   REQUIRE(mended.status == 0);
   REQUIRE(nlohmann::json::parse(mended.out).at("kept") == 2);
 
-  // A set that is made anew with other options is none until all of it is: the second mission cannot be
+  // A set that is made again with other options is invalid until it is complete: the second mission cannot be
   // written.
   const fs::path second = folder / "data" / "missions" / "walk1.cbor";
   REQUIRE(fs::exists(folder / "data" / "dataset.json"));
