@@ -19,7 +19,7 @@ using testing::TemporaryFolder;
 
 }  // namespace
 
-TEST_CASE("study acceptance: what can be fitted is kept, the other says why not", "[apps][study]") {
+TEST_CASE("study acceptance: models that cannot be fitted are left out with a reason", "[apps][study]") {
   const TemporaryFolder folder;
   write_mission(folder / "one", small_mission(8, 9));
   write_mission(folder / "two", small_mission(10, 9));
@@ -41,7 +41,7 @@ TEST_CASE("study acceptance: what can be fitted is kept, the other says why not"
   REQUIRE_FALSE(kept["expected"].contains("right_weights"));
 }
 
-TEST_CASE("replay: weights that cannot be read cost no earlier results", "[apps][replay][error]") {
+TEST_CASE("replay: unreadable weights leave earlier results unchanged", "[apps][replay][error]") {
   const TemporaryFolder folder;
   write_mission(folder / "m", small_mission(8));
   const std::string mission = (folder / "m").string(), out = (folder / "out").string();

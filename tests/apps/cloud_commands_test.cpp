@@ -134,7 +134,7 @@ TEST_CASE("register: clouds in world coordinates keep pose and covariance", "[ap
   REQUIRE_THAT(text.out, Contains("origin       4321") && Contains("about the origin"));
 }
 
-TEST_CASE("register: near clouds are about zero, as they were", "[apps][cloud]") {
+TEST_CASE("register: clouds near the origin keep a zero origin", "[apps][cloud]") {
   const Pair pair;
   const Json json = json_of({"register", pair.write("source.pcd", *pair.source, Eigen::Vector3d::Zero()),
                              pair.write("target.pcd", *pair.target, Eigen::Vector3d::Zero())});
@@ -185,7 +185,7 @@ TEST_CASE("register and info: surveyed clouds", "[apps][cloud][data]") {
   REQUIRE_THAT(refused.err, Contains("--bin-layout xyzir"));
 }
 
-TEST_CASE("command line: what is written never goes to a file called -", "[apps]") {
+TEST_CASE("command line: no output goes to a file called -", "[apps]") {
   const std::vector<std::vector<std::string>> commands{
       {"convert", "m", "-o", "-"},
       {"replay", "m", "-o", "-"},
@@ -238,7 +238,7 @@ TEST_CASE("command line: numbers below zero and beyond 64 bits do not wrap round
   }
 }
 
-TEST_CASE("info: joined sessions without frames say where each is taken to stand", "[apps]") {
+TEST_CASE("info: joined sessions without frames report the assumed frames", "[apps]") {
   const TemporaryFolder folder;
   std::vector<std::string> arguments{"info"};
   std::string frames = "source,x,y,z,qx,qy,qz,qw\n";

@@ -530,7 +530,7 @@ TEST_CASE("config: docs/configuration.md is what --markdown prints", "[apps]") {
   require_failure({"config", "--markdown", "--describe"}, kBadUsage, "--describe");
 }
 
-TEST_CASE("config: what it prints is what --config takes", "[apps]") {
+TEST_CASE("config: --config reads the printed configuration", "[apps]") {
   const TemporaryFolder folder;
   const ProgramRun defaults = run_program({"config"});
   REQUIRE(defaults.status == kDone);
@@ -681,9 +681,8 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   require_failure(replay("file", {}), kBadUsage, "not a folder");
 }
 
-TEST_CASE(
-    "command line: results that cannot be written are said, and former ones do not stay beside new ones",
-    "[apps][error]") {
+TEST_CASE("command line: failed writes are reported, and no former results remain next to new ones",
+          "[apps][error]") {
   const TemporaryFolder folder;
   write_g2o(folder / "graph.g2o", small_graph());
   const std::vector<std::string> info{"info", (folder / "graph.g2o").string()};
@@ -705,7 +704,7 @@ TEST_CASE(
   REQUIRE_THAT(run.err, Contains("summary.json") && Contains("cannot be removed"));
 }
 
-TEST_CASE("replay: what a real clock made is written without its journal", "[apps][error]") {
+TEST_CASE("replay: results of a real clock are written even if the journal fails", "[apps][error]") {
   const TemporaryFolder folder;
   write_mission(folder / "mission", small_mission(3));
   const testing::fs::path out = folder / "out", pipe = out / "journal.jsonl";
@@ -729,7 +728,7 @@ TEST_CASE("replay: what a real clock made is written without its journal", "[app
   REQUIRE(testing::fs::exists(out / "map.pcd"));
 }
 
-TEST_CASE("replay: trajectories of former robots do not stay", "[apps]") {
+TEST_CASE("replay: trajectories of former robots are removed", "[apps]") {
   const TemporaryFolder folder;
   write_mission(folder / "mission", small_mission(3));
   const auto replay = [&](const std::string& robots) {
@@ -800,7 +799,7 @@ TEST_CASE("replay: recordings are never written over", "[apps]") {
   REQUIRE(testing::read_text(folder / "mission" / "graph.g2o") == recorded);
 }
 
-TEST_CASE("replay: what its words say of runs that cannot be judged", "[apps]") {
+TEST_CASE("replay: its text on runs that cannot be judged", "[apps]") {
   const TemporaryFolder folder;
   Mission mission = small_mission(3);
   write_mission(folder / "mission", mission);

@@ -27,7 +27,7 @@ using testing::TemporaryFolder;
 
 enum : int { kDone = 0, kBadUsage = 2, kBadInput = 3, kInterrupted = 130 };
 
-TEST_CASE("convert: there and back, and what other commands make of it", "[apps][convert]") {
+TEST_CASE("convert: round trips, and other commands on the result", "[apps][convert]") {
   const TemporaryFolder folder;
   const Mission mission = small_mission(5);
   write_mission(folder / "m", mission);

@@ -68,7 +68,8 @@ Circle circle(bool backwards) {
 
 }  // namespace
 
-TEST_CASE("optimize: a false edge between neighbours is reported, and doubted by --gnc", "[apps][odometry]") {
+TEST_CASE("optimize: a false edge between neighbours is reported, and --gnc may reject it",
+          "[apps][odometry]") {
   const TemporaryFolder folder;
   const Circle made = circle(GENERATE(false, true));
   const std::string in = (folder / "in.g2o").string(), out = (folder / "out.g2o").string(),
@@ -136,7 +137,7 @@ TEST_CASE("optimize, rank, replay: --odometry lists the edges that are odometry"
   }
 }
 
-TEST_CASE("evaluate: TUM files in any order have the same errors, and few pairs are said",
+TEST_CASE("evaluate: TUM files in any order have the same errors, and few pairs are reported",
           "[apps][evaluate]") {
   const TemporaryFolder folder;
   const Circle made = circle(false);
@@ -168,7 +169,7 @@ TEST_CASE("evaluate: TUM files in any order have the same errors, and few pairs 
   REQUIRE(json.at("unpaired").at("truth") == 18);
 }
 
-TEST_CASE("commands: odometry and trajectories as others wrote them", "[apps][odometry][data]") {
+TEST_CASE("commands: odometry and trajectories of other writers", "[apps][odometry][data]") {
   const auto cases = testing::test_data("../cases");
   if (!cases) return;
   const TemporaryFolder folder;

@@ -121,7 +121,7 @@ bool succeeds(const std::string& command) {
 
 }  // namespace
 
-TEST_CASE("reference: every command and option stands in manual pages and completion", "[reference]") {
+TEST_CASE("reference: every command and option is in manual pages and completion", "[reference]") {
   const Reference reference;
   const std::string bash = read_text(reference.bash), zsh = read_text(reference.zsh),
                     fish = read_text(reference.fish);
@@ -165,7 +165,7 @@ TEST_CASE("reference: the same command line gives the same files", "[reference]"
   REQUIRE(one.manual({}) == two.manual({}));
 }
 
-TEST_CASE("reference: man and the shells take the files", "[reference]") {
+TEST_CASE("reference: man and the shells accept the files", "[reference]") {
   const Reference reference;
   if (installed("man")) {
     for (const auto& page : std::filesystem::directory_iterator(reference.folder / "man" / "man1")) {
@@ -190,7 +190,7 @@ TEST_CASE("reference: man and the shells take the files", "[reference]") {
   }
 }
 
-TEST_CASE("reference: bash completes what is asked for", "[reference]") {
+TEST_CASE("reference: completion by bash", "[reference]") {
   if (!installed("bash")) {
     WARN("bash is not installed");
     return;

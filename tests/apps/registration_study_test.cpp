@@ -18,7 +18,7 @@ namespace {
 using testing::run_program;
 using testing::TemporaryFolder;
 
-TEST_CASE("study registration: figures agree with the pairs, whatever the threads", "[apps][study]") {
+TEST_CASE("study registration: figures agree with the pairs, for any number of threads", "[apps][study]") {
   const TemporaryFolder folder;
   const std::string mission = (folder / "mission").string(), csv = (folder / "pairs.csv").string();
   write_mission(mission, testing::small_mission());

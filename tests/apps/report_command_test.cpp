@@ -7,7 +7,7 @@
 
 namespace loopwise {
 
-TEST_CASE("loopwise report: a page of a run, or why not", "[apps][report]") {
+TEST_CASE("loopwise report: a page of a run, or an error", "[apps][report]") {
   using testing::run_program;
   const testing::TemporaryFolder folder;
   const std::string mission = LOOPWISE_SOURCE_DIR "/data/sample_mission", run = (folder / "run").string(),

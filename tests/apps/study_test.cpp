@@ -109,7 +109,7 @@ const std::vector<std::string> kQuick{
 
 }  // namespace
 
-TEST_CASE("study ablation: tables agree with the runs, whatever the threads", "[apps][study]") {
+TEST_CASE("study ablation: tables agree with the runs, for any number of threads", "[apps][study]") {
   const TemporaryFolder folder;
   const std::vector<std::string> missions = write_missions(folder);
   const auto study = [&](const std::string& out, const std::vector<std::string>& more) {
@@ -275,7 +275,7 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   require_failure({"replay", path, "-o", out, "--outcomes-mb", "10"}, kBadUsage, "--outcomes");
 }
 
-TEST_CASE("study: scans behind a link count, and what is wrong with them is said", "[apps][study]") {
+TEST_CASE("study: scans behind a link count, and their problems are reported", "[apps][study]") {
   const TemporaryFolder folder;
   Mission mission = small_mission(4);
   mission.name = "yard|1";
@@ -336,7 +336,7 @@ TEST_CASE("study: scans behind a link count, and what is wrong with them is said
   }
 }
 
-TEST_CASE("study, replay: what a network's file holds counts, not where it lies", "[apps][study][resume]") {
+TEST_CASE("study, replay: a network counts by its contents, not by its path", "[apps][study][resume]") {
   const TemporaryFolder folder;
   write_mission(folder / "m", small_mission(6));
   const fs::path network = folder / "weights.json";
@@ -456,7 +456,7 @@ TEST_CASE("study budget and rssi: tables agree with the curves and robots", "[ap
   REQUIRE(folders == 6);
 }
 
-TEST_CASE("study: an interrupt keeps what is finished, a kill as well", "[apps][study][resume]") {
+TEST_CASE("study: finished runs survive an interrupt and a kill", "[apps][study][resume]") {
   const TemporaryFolder folder;
   const std::vector<std::string> missions = write_missions(folder);
   const auto study = [&](const std::string& out) {
@@ -526,7 +526,7 @@ TEST_CASE("replay: killed at random moments and resumed, it ends with the same b
   require_same(results_of(folder / "cut"), results_of(folder / "whole"));
 }
 
-TEST_CASE("replay: on a real clock the folder is the same in kind", "[apps][live]") {
+TEST_CASE("replay: the folder of a run on a real clock has the same files", "[apps][live]") {
   const TemporaryFolder folder;
   write_mission(folder / "mission", small_mission());
   const fs::path out = folder / "out";

@@ -154,7 +154,7 @@ TEST_CASE("truth: --truth gives the true poses", "[apps][truth]") {
         "--truth needs --mission");
 }
 
-TEST_CASE("truth: stamps that a session lacks pair with nothing", "[apps][truth][error]") {
+TEST_CASE("truth: a session without stamps is not paired by stamp", "[apps][truth][error]") {
   const TemporaryFolder folder;
   const Mission mission = small_mission(8);
   write_session(folder / "s", mission);
@@ -173,7 +173,7 @@ TEST_CASE("truth: stamps that a session lacks pair with nothing", "[apps][truth]
   }
 }
 
-TEST_CASE("truth: a study says where its errors are measured, and whose truth they are of",
+TEST_CASE("truth: a study reports where errors are measured, and against which truth",
           "[apps][truth][study]") {
   const TemporaryFolder folder;
   Mission mission = small_mission(8);
@@ -201,7 +201,7 @@ TEST_CASE("truth: a study says where its errors are measured, and whose truth th
   CHECK_THAT(testing::read_text(folder / "study" / "runs.csv"), Contains(",se3,"));
 }
 
-TEST_CASE("truth: without it maps are compared at the revisits that both have", "[apps][truth][map]") {
+TEST_CASE("truth: without it, maps are compared at common revisits", "[apps][truth][map]") {
   const TemporaryFolder folder;
   const Mission mission = small_mission(12);
   write_mission(folder / "m", mission);
@@ -252,7 +252,7 @@ TEST_CASE("truth: without it maps are compared at the revisits that both have", 
   fails({"evaluate", "--map", other, recording, "--robots", "c,d"}, 3, "a0");
 }
 
-TEST_CASE("truth: a real session's poses are not taken for it", "[apps][truth][data]") {
+TEST_CASE("truth: the poses of a real session are not ground truth", "[apps][truth][data]") {
   for (const char* name : {"hku1", "scpgo_a"}) {
     const auto path = testing::test_data(name);
     if (!path) continue;

@@ -181,7 +181,7 @@ TEST_CASE("thread pool: as many threads as asked for, more than processors too",
 }
 
 #ifdef LOOPWISE_TEST_TBB
-TEST_CASE("thread pool: TBB's setting of the process is its host's", "[core][threads]") {
+TEST_CASE("thread pool: the process keeps its setting of TBB", "[core][threads]") {
   const auto allowed = [] {
     return tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism);
   };

@@ -19,7 +19,7 @@ TEST_CASE("content hash: the published values", "[core][hash]") {
   REQUIRE(hash_of("The quick brown fox jumps over the lazy dog") == "e34bbc7bbc071b6c7a433ca9c49a9347");
 }
 
-TEST_CASE("content hash: the same however the content is cut", "[core][hash][property]") {
+TEST_CASE("content hash: does not depend on the division of the content", "[core][hash][property]") {
   Rng rng(5);
   std::string content;
   for (int i = 0; i < 200; ++i) content += static_cast<char>(rng.below(256));
@@ -35,7 +35,7 @@ TEST_CASE("content hash: the same however the content is cut", "[core][hash][pro
   }
 }
 
-TEST_CASE("content hash: nothing adds nothing, wherever it lies", "[core][hash]") {
+TEST_CASE("content hash: empty pieces at any address change nothing", "[core][hash]") {
   for (const std::string before : {"", "abc", "0123456789abcdef"}) {
     const ContentHash expected = ContentHasher().bytes(before.data(), before.size()).finish();
     REQUIRE(ContentHasher().bytes(before.data(), before.size()).bytes(nullptr, 0).finish() == expected);

@@ -79,7 +79,7 @@ TEST_CASE("se3: exp inverts log at a half turn", "[core][se3]") {
   }
 }
 
-TEST_CASE("se3: the defect of a rotation is what rounding and scaling leave", "[core][se3]") {
+TEST_CASE("se3: the defect of a rotation measures rounding and scaling", "[core][se3]") {
   Rng rng(2);
   for (int i = 0; i < 20; ++i) {
     const Eigen::Matrix3d R = random_pose(rng).linear();

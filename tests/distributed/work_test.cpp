@@ -125,7 +125,7 @@ TEST_CASE("work: pieces of one affinity stay with their rank while all are busy"
   REQUIRE(moved <= 4);  // pieces taken over at the end of a round by ranks without work
 }
 
-TEST_CASE("work: who does not agree, fails to begin or stays silent is named", "[distributed][error]") {
+TEST_CASE("work: a rank that disagrees, fails to begin or stays silent is named", "[distributed][error]") {
   SECTION("another version") {
     Ranks ranks(3);
     ranks.start(1, "replay 1", doubled);
@@ -149,8 +149,7 @@ TEST_CASE("work: who does not agree, fails to begin or stays silent is named", "
   }
 }
 
-TEST_CASE("work: what fails ends the round with its reason, and nobody waits for ever",
-          "[distributed][error]") {
+TEST_CASE("work: a failure ends the round with its reason, without a deadlock", "[distributed][error]") {
   const auto nothing = [](int, std::size_t, std::string_view) {};
   SECTION("elsewhere") {
     Ranks ranks(3);
@@ -214,7 +213,7 @@ TEST_CASE("work: what fails ends the round with its reason, and nobody waits for
   }
 }
 
-TEST_CASE("work: a stop request ends it soon; what was begun is finished", "[distributed]") {
+TEST_CASE("work: a stop request ends it soon; pieces in progress are finished", "[distributed]") {
   Ranks ranks(3);
   for (int rank : {1, 2}) ranks.start(rank, "", doubled);
   const WorkOptions options;

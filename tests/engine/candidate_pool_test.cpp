@@ -41,7 +41,7 @@ RegistrationResult result_of(const LoopCandidate& candidate) {
 
 }  // namespace
 
-TEST_CASE("pool: a pair counts once, whichever way round and whoever proposes it", "[engine][pool]") {
+TEST_CASE("pool: a pair counts once, in either direction and from any proposer", "[engine][pool]") {
   CandidatePool pool = arrival_pool();
   for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
   REQUIRE(pool.add({pair(3, 1), pair(1, 3), pair(3, 2), pair(3, 1)}) == 2);
@@ -56,7 +56,7 @@ TEST_CASE("pool: a pair counts once, whichever way round and whoever proposes it
   REQUIRE_THROWS_AS(pool.complete(result_of(batch[0])), InputError);
 }
 
-TEST_CASE("pool: what was recognised counts for a pair that is there already", "[engine][pool]") {
+TEST_CASE("pool: a recognition is added to a pair that already exists", "[engine][pool]") {
   CandidatePool pool = arrival_pool();
   for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
   pool.add({pair(3, 1), pair(3, 2), pair(4, 1)});
@@ -124,7 +124,7 @@ TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason",
   REQUIRE_THROWS_WITH(arrival_pool(options), "max_age_s = -1, must be >= 0");
 }
 
-TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pending for ever",
+TEST_CASE("pool: a prioritiser that throws loses no candidate, and no candidate stays pending for ever",
           "[engine][pool][error]") {
   /// Like arrival, except for one function that throws on request.
   class Fragile final : public Prioritizer {
@@ -182,7 +182,7 @@ TEST_CASE("pool: a prioritiser that throws loses nothing, and keeps nothing pend
   REQUIRE(pool.accounting().balanced());
 }
 
-TEST_CASE("pool: what is given back is pending again", "[engine][pool]") {
+TEST_CASE("pool: candidates that are given back are pending again", "[engine][pool]") {
   CandidatePool pool = arrival_pool();
   for (const Key key : {1, 2, 3}) pool.on_scan(scan_of(key));
   pool.add({pair(2, 1), pair(3, 1), pair(3, 2)});
@@ -245,7 +245,7 @@ TEST_CASE("pool: the account balances through random work", "[engine][pool][prop
   }
 }
 
-TEST_CASE("pool: what lies near a verified closure comes last", "[engine][pool]") {
+TEST_CASE("pool: candidates near a verified closure come last", "[engine][pool]") {
   const Robots robots = parse_robots("0-9,10-19,20-29");
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;
   prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());

@@ -70,7 +70,7 @@ std::size_t count(const std::vector<Effect>& effects) {
 
 }  // namespace
 
-TEST_CASE("engine: a position fix along the path neither turns nor moves it, and asks for an estimate",
+TEST_CASE("engine: a position fix along the path neither turns nor moves it, and requests an estimate",
           "[engine]") {
   for (const double rotation_information : {0.0, 1e-6}) {
     CAPTURE(rotation_information);
@@ -181,7 +181,7 @@ TEST_CASE("engine: time never goes back, and waiting is measured by it alone", "
   REQUIRE(engine.pool().accounting().expired > 0);
 }
 
-TEST_CASE("engine: its sources know no threads, clocks or files", "[engine]") {
+TEST_CASE("engine: its sources use no threads, clocks or files", "[engine]") {
   std::size_t files = 0;
   for (const char* folder : {"/src/engine", "/include/loopwise/engine"}) {
     for (const auto& entry : std::filesystem::directory_iterator(LOOPWISE_SOURCE_DIR + std::string(folder))) {

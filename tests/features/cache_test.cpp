@@ -49,7 +49,7 @@ TEST_CASE("BoundedCache keeps one entry beyond its bound, and entries in use out
   REQUIRE(big->size == 100);
 }
 
-TEST_CASE("BoundedCache hands on nulls and exceptions and keeps neither", "[cache][error]") {
+TEST_CASE("BoundedCache returns nulls and exceptions without storing them", "[cache][error]") {
   Cache cache(100);
   REQUIRE(cache.get(1, [](int) { return Cache::Pointer(); }) == nullptr);
   REQUIRE_THROWS_AS(cache.get(1, [](int) -> Cache::Pointer { throw InputError("no"); }), InputError);
@@ -74,7 +74,7 @@ struct DearKeyHash {
   std::size_t operator()(const DearKey& key) const { return std::hash<int>()(key.value); }
 };
 
-TEST_CASE("BoundedCache: without memory at any moment it is as if nothing had been asked", "[cache][error]") {
+TEST_CASE("BoundedCache: an allocation failure at any point changes nothing", "[cache][error]") {
   const auto make_dear = [](const DearKey& key) { return std::make_shared<const Item>(Item{key.value}); };
   int failed = 0;
   for (int at = 1; at < 10; ++at) {

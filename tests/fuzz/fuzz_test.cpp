@@ -97,7 +97,7 @@ TEST_CASE("fuzz: targets take their seeds, whole and altered", "[fuzz]") {
   }
 }
 
-TEST_CASE("fuzz: past findings stay mended", "[fuzz]") {
+TEST_CASE("fuzz: past findings stay fixed", "[fuzz]") {
   std::size_t count = 0;
   for (const auto& folder : fs::directory_iterator(LOOPWISE_FUZZ_FINDINGS)) {
     const std::string name = folder.path().filename().string();

@@ -86,7 +86,7 @@ TEST_CASE("without memory: numbers that cannot be packed", "[memory][error]") {
   REQUIRE(training::Field("packed", training::pack(values)).values<double>() == values);
 }
 
-TEST_CASE("without memory: a graph is as it was, and takes the same later", "[memory][error]") {
+TEST_CASE("without memory: a failed call does not change a graph, and succeeds later", "[memory][error]") {
   const PoseGraph before = straight_path(6, 1.0);
   Node node;
   node.key = 6;
@@ -183,7 +183,7 @@ TEST_CASE("without memory: no passage of a radio beacon is missed", "[memory][er
   REQUIRE(n > 30);
 }
 
-TEST_CASE("without memory: an optimizer goes on afterwards as if nothing had been asked", "[memory][error]") {
+TEST_CASE("without memory: a failed call does not change an optimizer", "[memory][error]") {
   const PoseGraph before = straight_path(12, 1.1);
   PoseGraph after = before;
   Edge closure;

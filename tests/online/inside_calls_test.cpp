@@ -183,7 +183,7 @@ TEST_CASE("module: threads that begin after its end may call it", "[online][modu
   REQUIRE(failures == 0);
 }
 
-TEST_CASE("module: a place database of the user's own finds candidates", "[online][module][places]") {
+TEST_CASE("module: a user's place database finds candidates", "[online][module][places]") {
   const Mission mission = two_circles(1, 12);
   std::atomic<int> described{0};
   ModuleParts parts = with_oracle(mission);

@@ -55,7 +55,7 @@ LoopCandidate pair(Key from, Key to) {
 
 }  // namespace
 
-TEST_CASE("module: closes loops, keeps account, tells of everything", "[online][module]") {
+TEST_CASE("module: closes loops, keeps account, reports every event", "[online][module]") {
   const Mission mission = two_circles();
   for (const std::string& method : method_names()) {
     if (method == "odom" || method == "rssi") continue;
@@ -298,7 +298,7 @@ class DoubtingRegistrar final : public Registrar {
 
 }  // namespace
 
-TEST_CASE("module: what was rejected where a node lay before is computed again", "[online][module]") {
+TEST_CASE("module: pairs rejected at the former pose of a node are computed again", "[online][module]") {
   Mission mission = two_circles(1, 12);
   for (const Node& node : mission.graph.nodes()) mission.ground_truth[node.key] = node.pose;
   const std::vector<KeyFrame> frames = key_frames(mission);
@@ -357,8 +357,7 @@ TEST_CASE("module: what was rejected where a node lay before is computed again",
   }
 }
 
-TEST_CASE("module: odometry that comes while the back end works is fitted to in the end",
-          "[online][module]") {
+TEST_CASE("module: odometry that arrives during an optimisation is included in the end", "[online][module]") {
   const Mission mission = two_circles(1, 30);
   // Only the second part of robot a has a known place, and only it has closures, which move it. The odometry
   // between both parts may arrive late; until then the first part is not fixed.
@@ -410,7 +409,7 @@ TEST_CASE("module: odometry that comes while the back end works is fitted to in 
   }
 }
 
-TEST_CASE("module: a prior that comes while the back end works does not keep its estimate away",
+TEST_CASE("module: a prior that arrives during an optimisation does not discard its estimate",
           "[online][module]") {
   const Mission mission = two_circles(1, 12);
   std::vector<LoopCandidate> candidates;
@@ -460,8 +459,7 @@ TEST_CASE("module: a prior that comes while the back end works does not keep its
               .norm() < 0.2);
 }
 
-TEST_CASE("module: odometry that comes apart from its node is no reason for another estimate",
-          "[online][module]") {
+TEST_CASE("module: odometry that arrives separately from its node requests no estimate", "[online][module]") {
   const Mission mission = two_circles(1, 12);
   std::vector<LoopCandidate> candidates;
   for (std::uint64_t i = 0; i < 11; i += 2) candidates.push_back(pair(make_key('b', i), make_key('a', i)));
@@ -596,7 +594,7 @@ TEST_CASE("module: factors to nodes that never come are dropped in the end, and 
   REQUIRE_THAT(problems[0], Contains(key_name(lost.from)));
 }
 
-TEST_CASE("module: bad input throws where it is handed over, and nothing is taken", "[online][module]") {
+TEST_CASE("module: bad input throws in the call, and nothing is stored", "[online][module]") {
   const Mission mission = two_circles(1, 5);
   LoopClosureModule module(mission.robots, module_options(), {}, with_oracle(mission));
   const std::vector<KeyFrame> frames = key_frames(mission);
@@ -794,7 +792,7 @@ class SlowPrioritizer final : public Prioritizer {
 
 }  // namespace
 
-TEST_CASE("module: a prioritiser that fails is reported and keeps nothing else from its work",
+TEST_CASE("module: a failing prioritiser is reported and does not stop the others",
           "[online][module][error]") {
   const Mission mission = two_circles(1, 12);
   ModuleParts parts = with_oracle(mission);
@@ -846,10 +844,8 @@ TEST_CASE("module: without memory it stops with one problem, and stays readable"
   REQUIRE(problems == std::vector<std::string>{"out of memory: the module has stopped"});
 }
 
-TEST_CASE(
-    "module: improves the next set beside the computation, stops when it runs dry, keeps what comes "
-    "meanwhile",
-    "[online][module]") {
+TEST_CASE("module: improves the next set during the computation, stops with it, keeps new candidates",
+          "[online][module]") {
   const Mission mission = two_circles(1, 12);
   const auto log = std::make_shared<EndlessPrioritizer::Log>();
   const auto registrar = std::make_shared<GatedRegistrar>(mission.ground_truth);
@@ -884,7 +880,7 @@ TEST_CASE(
   REQUIRE(module.statistics().candidates.computed == 6);
 }
 
-TEST_CASE("module: the account is told while more comes than can be taken in", "[online][module]") {
+TEST_CASE("module: statistics are available under overload", "[online][module]") {
   const Mission mission = two_circles(1, 30);
   ModuleParts parts = with_oracle(mission);
   parts.prioritizers.push_back(std::make_unique<SlowPrioritizer>());
@@ -905,7 +901,7 @@ TEST_CASE("module: the account is told while more comes than can be taken in", "
   REQUIRE(module.statistics().candidates.generated == 200);
 }
 
-TEST_CASE("module: a full queue holds its producer and drops nothing; callbacks may add",
+TEST_CASE("module: a full queue blocks its producer and drops nothing; callbacks may add",
           "[online][module]") {
   const Mission mission = two_circles(1, 30);
   ModuleOptions options = module_options("baseline");
@@ -958,7 +954,7 @@ class HangingRegistrar final : public Registrar {
 
 }  // namespace
 
-TEST_CASE("module: a registration that hangs is reported, the others go on, and its result still counts",
+TEST_CASE("module: a registration that hangs is reported, the others continue, and its result still counts",
           "[online][module][error]") {
   const Mission mission = two_circles(1, 12);
   const int batch = GENERATE(1, 3);
@@ -1126,7 +1122,7 @@ TEST_CASE("module: four producers, ten thousand key frames, stalls: nothing is l
   REQUIRE(odometry == kProducers * (kFrames - 1));
 }
 
-TEST_CASE("module: a stop at any moment loses nothing that was taken", "[online][module][stress]") {
+TEST_CASE("module: a stop at any time loses no accepted event", "[online][module][stress]") {
   const Mission mission = two_circles(1, 40);
   const std::vector<KeyFrame> frames = key_frames(mission);
   for (std::uint64_t trial = 0; trial < 40; ++trial) {

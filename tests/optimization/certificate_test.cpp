@@ -362,7 +362,7 @@ TEST_CASE("certify: every component on its own", "[optimization][certificate]") 
   REQUIRE(testing::difference(c.best_poses[5], graph.nodes()[5].pose) < 1e-9);
 }
 
-TEST_CASE("certify: factors that the relaxation does not know", "[optimization][certificate][error]") {
+TEST_CASE("certify: factors that the relaxation does not cover", "[optimization][certificate][error]") {
   Rng rng(4);
   testing::RandomGraph random = testing::random_graph(rng);
   PoseGraph ranged = random.graph, levelled = random.graph;
@@ -421,7 +421,7 @@ TEST_CASE("certify: information of less than full rank", "[optimization][certifi
   REQUIRE_THAT(reduced.message, Catch::Contains("1 factors") && Catch::Contains("left out"));
 }
 
-TEST_CASE("certify: what costs nothing is optimal", "[optimization][certificate]") {
+TEST_CASE("certify: poses of zero cost are optimal", "[optimization][certificate]") {
   // Places alone, at one point and apart; each has an answer at once.
   for (const double x : {0.0, 3.0}) {
     CAPTURE(x);
@@ -473,7 +473,7 @@ TEST_CASE("certify: the unit of the information changes nothing", "[optimization
   }
 }
 
-TEST_CASE("certify: what is lost in rounding is not certified", "[optimization][certificate]") {
+TEST_CASE("certify: bounds lost in rounding are not certified", "[optimization][certificate]") {
   // Positions up to 300 m apart, known to centimetres: the squared distances use up the digits. Measured: a
   // gap of 9e-6 at 5 cm, 1e-6 at 1 m.
   constexpr double kStep_m = 10.0;
@@ -517,7 +517,7 @@ TEST_CASE("certify: what is lost in rounding is not certified", "[optimization][
   }
 }
 
-TEST_CASE("certify: a descent that does not end is said to be one", "[optimization][certificate]") {
+TEST_CASE("certify: a descent that does not converge is reported", "[optimization][certificate]") {
   Rng rng(2);
   CertificateOptions options;
   options.max_steps = 1;

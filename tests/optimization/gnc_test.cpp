@@ -243,7 +243,7 @@ TEST_CASE("gnc: all closures false leaves the odometry", "[optimization][gnc]") 
   }
 }
 
-TEST_CASE("gnc: a robot that only false closures tie stays where it was", "[optimization][gnc]") {
+TEST_CASE("gnc: a robot that only false closures connect keeps its pose", "[optimization][gnc]") {
   Rng rng(8);
   PoseGraph graph;
   for (Key k = 0; k < 40; ++k) {
@@ -283,7 +283,7 @@ TEST_CASE("gnc: a robot that only false closures tie stays where it was", "[opti
   }
 }
 
-TEST_CASE("gnc: closures that agree with each other, but hardly with the odometry, bend nothing",
+TEST_CASE("gnc: closures that agree with each other, but hardly with the odometry, do not bend the map",
           "[optimization][gnc]") {
   // Two robots on two floors of one plan, 5.2 m apart: forty closures that put one floor onto the other.
   constexpr Key kNodes = 100;
@@ -445,7 +445,7 @@ TEST_CASE("gnc: true closures come back where odometry drifts more than its info
   }
 }
 
-TEST_CASE("gnc: closures that repeat the odometry say nothing of the noise", "[optimization][gnc]") {
+TEST_CASE("gnc: closures that repeat the odometry do not count in the noise", "[optimization][gnc]") {
   for (const double error : {0.0, 1e-7}) {
     for (std::uint64_t seed = 1; seed <= 4; ++seed) {
       CAPTURE(error, seed);
@@ -536,7 +536,7 @@ TEST_CASE("gnc: other kernels find false closures too", "[optimization][gnc]") {
   }
 }
 
-TEST_CASE("gnc: graphs that leave something open have a documented result", "[optimization][gnc][error]") {
+TEST_CASE("gnc: underdetermined graphs have a documented result", "[optimization][gnc][error]") {
   Rng rng(12);
   testing::RandomGraphOptions shape;
   shape.false_closures = 5;

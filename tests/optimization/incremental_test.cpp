@@ -166,7 +166,7 @@ TEST_CASE("incremental: closures in batches between poses that are there", "[opt
   }
 }
 
-TEST_CASE("incremental: what an update leaves to the next one is little", "[optimization]") {
+TEST_CASE("incremental: an update leaves little to the next one", "[optimization]") {
   Rng rng(4);
   RandomGraphOptions options;
   options.nodes = 300;

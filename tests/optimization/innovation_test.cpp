@@ -49,7 +49,7 @@ std::size_t add_closure(PoseGraph& graph, Rng& rng, Key from, Key to) {
 
 }  // namespace
 
-TEST_CASE("innovation: that of a neighbour is what the joint covariance over the way says",
+TEST_CASE("innovation: that across a neighbour agrees with the joint covariance of the path",
           "[optimization][gnc][property]") {
   Rng rng(31);
   for (int trial = 0; trial < 20; ++trial) {
@@ -86,7 +86,7 @@ TEST_CASE("innovation: that of a neighbour is what the joint covariance over the
   }
 }
 
-TEST_CASE("innovation: a kept closure says nothing where odometry is surer", "[optimization][gnc]") {
+TEST_CASE("innovation: a kept closure is not used where odometry is more certain", "[optimization][gnc]") {
   Rng rng(32);
   PoseGraph graph = two_chains(rng);
   const Vector6d r = Vector6d::Ones();

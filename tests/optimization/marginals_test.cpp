@@ -153,7 +153,7 @@ TEST_CASE("marginals: components and lone nodes do not influence each other", "[
   REQUIRE(marginals(PoseGraph()).trace_full == 0.0);
 }
 
-TEST_CASE("marginals: what the factors leave open is an error that names the node", "[optimization][error]") {
+TEST_CASE("marginals: an undetermined pose is an error that names the node", "[optimization][error]") {
   PoseGraph graph;
   for (Key k = 0; k < 3; ++k) {
     Node node;

@@ -105,7 +105,7 @@ GncResult solve(const Team& team, double margin) {
 
 }  // namespace
 
-TEST_CASE("odometry scale: found for the robot that has it", "[optimization][gnc]") {
+TEST_CASE("odometry scale: found for the right robot", "[optimization][gnc]") {
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     CAPTURE(seed);
     const Team robots = team(seed, {1.0, 2.0}, 80);
@@ -130,7 +130,7 @@ TEST_CASE("odometry scale: found for the robot that has it", "[optimization][gnc
   }
 }
 
-TEST_CASE("odometry scale: honest odometry keeps its information", "[optimization][gnc]") {
+TEST_CASE("odometry scale: correctly stated odometry keeps its information", "[optimization][gnc]") {
   int found = 0;
   for (std::uint64_t seed = 11; seed <= 30; ++seed) {
     found += solve(team(seed, {1.0, 1.0}, 60), 3.0).odometry_scales.empty() ? 0 : 1;
@@ -181,7 +181,7 @@ TEST_CASE("odometry scale: chains are those of odometry, not of priors or truste
   CHECK(tied.weights[robots.graph.edges().size() - 1] == 1.0);
 }
 
-TEST_CASE("odometry scale: nothing is said of a chain that nothing else measures", "[optimization][gnc]") {
+TEST_CASE("odometry scale: not estimated for a chain that nothing else measures", "[optimization][gnc]") {
   Team robots = team(3, {1.0, 2.0, 1.0}, 160);
   // The third robot loses its closures.
   robots.graph.remove_edges_if([](const Edge& edge) {

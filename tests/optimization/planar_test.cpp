@@ -231,7 +231,7 @@ TEST_CASE("planar: the optimum is that of two dimensions, to the last bit in the
   CHECK(result.cost == Approx(world.solver.cost()).epsilon(1e-9));
 }
 
-TEST_CASE("planar: what is stated for z, roll and pitch changes nothing", "[optimization][planar]") {
+TEST_CASE("planar: information on z, roll and pitch changes nothing", "[optimization][planar]") {
   const World world = grid_world(100, 20, 3);
   const bool zeros = GENERATE(true, false);
   CAPTURE(zeros);
@@ -457,7 +457,7 @@ TEST_CASE("planar: certificates stay in the plane, where lower poses are found t
   REQUIRE(all_planar(found.poses));
 }
 
-TEST_CASE("planar: of information what lies in the plane is certified",
+TEST_CASE("planar: certificates use the information within the plane",
           "[optimization][planar][certificate]") {
   PoseGraph graph;
   graph.set_planar();

@@ -124,7 +124,7 @@ PoseGraph beginning(const PoseGraph& whole, std::size_t nodes) {
 
 }  // namespace
 
-TEST_CASE("starts: random false closures are found where odometry says nothing over the whole",
+TEST_CASE("starts: random false closures are found although odometry is useless over the whole path",
           "[optimization][gnc]") {
   for (const double share : {0.1, 0.3, 0.5}) {
     for (std::uint64_t seed = 1; seed <= 3; ++seed) {

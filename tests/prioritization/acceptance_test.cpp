@@ -32,7 +32,7 @@ Results results_of(const AcceptanceModel& truth, std::size_t count, Rng& rng) {
 
 }  // namespace
 
-TEST_CASE("acceptance: the model comes to the chances of the results", "[prioritization][acceptance]") {
+TEST_CASE("acceptance: the model fits the chances of the results", "[prioritization][acceptance]") {
   Rng rng(1);
   const AcceptanceModel truth({-1.0, 4.0, 0.0, 0.0, -0.5, 0.0});
   AcceptanceModel model(AcceptanceModel::shipped_verified());
@@ -77,8 +77,7 @@ TEST_CASE("acceptance: it begins with the shipped weights, and few results chang
   REQUIRE(model.probability(near) > 0.5 * before);
 }
 
-TEST_CASE("acceptance: results that contradict the prior do not throw the fit about",
-          "[prioritization][acceptance]") {
+TEST_CASE("acceptance: the fit is stable if results contradict the prior", "[prioritization][acceptance]") {
   // Closures between places that look alike, half of which are taken back at once.
   Rng rng(4);
   AcceptanceModel model(AcceptanceModel::shipped_right());
@@ -103,7 +102,7 @@ TEST_CASE("acceptance: results that contradict the prior do not throw the fit ab
   }
 }
 
-TEST_CASE("acceptance: without overlap it goes by distance, from outside by the share alone",
+TEST_CASE("acceptance: without overlap distance counts, for candidates from outside only the share",
           "[prioritization][acceptance]") {
   AcceptanceModel model(AcceptanceModel::shipped_verified());
   CandidateEvidence near, far;

@@ -187,8 +187,9 @@ TEST_CASE("covariance objective: a factor scales information, and gains to first
   REQUIRE(doubtful.remove_change(3) == 0.0);
 }
 
-TEST_CASE("covariance objective: parts without a prior count for themselves, what ties them comes apart",
-          "[prioritization][graph]") {
+TEST_CASE(
+    "covariance objective: components without a prior count separately, as do candidates that connect them",
+    "[prioritization][graph]") {
   // Two chains; the first has a prior, the second floats. A third node floats alone.
   PoseGraph graph;
   Rng rng(2);

@@ -94,7 +94,7 @@ TEST_CASE("effects: what one closure does is exact", "[prioritization][effects]"
   REQUIRE(worst_gain < 1e-8 * effects.trace_m2);
 }
 
-TEST_CASE("effects: the world frame and the threads do not show", "[prioritization][effects][property]") {
+TEST_CASE("effects: do not depend on the world frame or the threads", "[prioritization][effects][property]") {
   Rng rng(8);
   const Instance p = problem(rng);
   const auto network = load(random_weights(rng));

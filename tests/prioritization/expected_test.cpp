@@ -132,7 +132,7 @@ TEST_CASE("expected: without scans the near come first", "[prioritization][expec
   REQUIRE(sum / 40.0 < 6.0);  // 3 m is the least; the mean of all is 13.6 m
 }
 
-TEST_CASE("expected: what one closure will give is not counted twice", "[prioritization][expected]") {
+TEST_CASE("expected: the gain of one closure is not counted twice", "[prioritization][expected]") {
   // Closures at the first places of the street would gain nothing, those at its end most. Still all places
   // get closures before any place gets many.
   ExpectedPrioritizer expected(best_first(), {}, parse_robots("a,b"), {}, 1);
@@ -206,7 +206,7 @@ TEST_CASE("expected: closures that robust optimisation leaves out count against 
   REQUIRE(share_of_first_half(true) > share_of_first_half(false) + 0.1);
 }
 
-TEST_CASE("expected: what was said and what came is kept", "[prioritization][expected]") {
+TEST_CASE("expected: predictions and results are kept for the calibration", "[prioritization][expected]") {
   ExpectedPrioritizer expected({}, {}, parse_robots("a,b"), {}, 1);
   REQUIRE(expected.add(across(2)).empty());
   expected.on_graph(two_streets());
@@ -221,7 +221,7 @@ TEST_CASE("expected: what was said and what came is kept", "[prioritization][exp
   REQUIRE(expected.acceptance().weights() != AcceptanceModel::shipped_verified());
 }
 
-TEST_CASE("expected: what other prioritisers have had computed counts too", "[prioritization][expected]") {
+TEST_CASE("expected: results of other prioritisers count too", "[prioritization][expected]") {
   const auto share_of_first_half = [](bool told) {
     ExpectedOptions options;
     options.gain_exponent = 0.0;
@@ -282,7 +282,8 @@ TEST_CASE("expected: the same calls give the same order, another seed another",
   REQUIRE(order_of(1) != order_of(2));
 }
 
-TEST_CASE("expected: parts that only a closure ties together are tied", "[prioritization][expected]") {
+TEST_CASE("expected: components that only a closure can connect are connected",
+          "[prioritization][expected]") {
   const PoseGraph graph = two_streets(3.0, /*tied=*/false);
   ExpectedPrioritizer expected(best_first(), {}, parse_robots("a,b"), {}, 1);
   // Within a street nothing is to be gained that comes near to it.

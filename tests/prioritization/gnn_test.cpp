@@ -143,7 +143,7 @@ TEST_CASE("network: a change of the set costs its neighbourhood and equals the w
   }
 }
 
-TEST_CASE("network: what is fed to it", "[prioritization][gnn]") {
+TEST_CASE("network: its input features", "[prioritization][gnn]") {
   Rng rng(6);
   const auto network = load(random_weights(rng));
   PoseGraph graph;

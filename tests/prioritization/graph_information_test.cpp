@@ -82,8 +82,7 @@ TEST_CASE("graph information: hands out a set that lowers the trace, each candid
   gi.improve(3, {});
 }
 
-TEST_CASE("graph information: annealing goes on where it was, and begins anew when something changed",
-          "[prioritization][gi]") {
+TEST_CASE("graph information: annealing continues, and restarts after a change", "[prioritization][gi]") {
   const PoseGraph graph = walk(2);
   const auto candidates = candidates_of(graph, 60);
   const auto make = [&] {

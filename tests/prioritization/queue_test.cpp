@@ -107,7 +107,7 @@ TEST_CASE("random: a seeded order that does not depend on arrival, every pair as
   REQUIRE(first.size() == 10);
 }
 
-TEST_CASE("queue: a prioritiser that fails keeps nothing from the others", "[prioritization][queue]") {
+TEST_CASE("queue: a failing prioritiser does not affect the others", "[prioritization][queue]") {
   struct Counting final : Prioritizer {
     explicit Counting(bool all_fail) : fails(all_fail) {}
     void count() {
@@ -135,7 +135,7 @@ TEST_CASE("queue: a prioritiser that fails keeps nothing from the others", "[pri
   REQUIRE(other.told == 4);
 }
 
-TEST_CASE("queue: what was improved counts although another prioritiser fails", "[prioritization][queue]") {
+TEST_CASE("queue: improvements count even if another prioritiser fails", "[prioritization][queue]") {
   struct Improving final : Prioritizer {
     explicit Improving(std::function<std::uint64_t()> work) : work_(std::move(work)) {}
     std::string_view name() const override { return "improving"; }
@@ -183,7 +183,7 @@ TEST_CASE("queue: equal shares, best first, nothing twice", "[prioritization][qu
   REQUIRE(queue.take(5).empty());
 }
 
-TEST_CASE("queue: who is empty is passed over, batches stay full", "[prioritization][queue]") {
+TEST_CASE("queue: empty prioritisers are skipped, batches stay full", "[prioritization][queue]") {
   RoundRobinQueue queue = queue_of(
       picky("none", [](CandidateId) { return false; }), picky("few", [](CandidateId id) { return id < 3; }),
       picky("all", [](CandidateId) { return true; }), picky("none2", [](CandidateId) { return false; }));
@@ -213,7 +213,7 @@ TEST_CASE("queue: pruned means refused by every prioritiser", "[prioritization][
   REQUIRE(queue.take(100).size() == 6);
 }
 
-TEST_CASE("queue: a prioritiser that hands out what is not its own is told so, and nothing is lost",
+TEST_CASE("queue: handing out foreign candidates is an error, and nothing is lost",
           "[prioritization][queue][error]") {
   /// Hands out `extra` besides.
   class Wrong final : public Prioritizer {

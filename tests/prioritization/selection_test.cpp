@@ -113,7 +113,7 @@ TEST_CASE("selection: the same steps give the same set, however divided", "[prio
   REQUIRE(annealing.steps() == 70);
 }
 
-TEST_CASE("selection: a stop request ends the work, and the set is full all the same",
+TEST_CASE("selection: a stop request ends the work, and the set is still full",
           "[prioritization][selection]") {
   const Instance p = random_problem(4);
   StopSource stop;

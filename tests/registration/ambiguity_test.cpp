@@ -126,7 +126,7 @@ TEST_CASE("FastRegistrar: a free direction hides no period across it", "[registr
   REQUIRE(chi_square(*result.closure, truth) < kChiSquare999);
 }
 
-TEST_CASE("FastRegistrar: flights of stairs are never sure of the step", "[registrar][ambiguity][property]") {
+TEST_CASE("FastRegistrar: stairs give no certain pose along the steps", "[registrar][ambiguity][property]") {
   int verified = 0;
   for (std::uint64_t seed = 400; seed < 430; ++seed) {
     CAPTURE(seed);
@@ -215,7 +215,7 @@ TEST_CASE("FastRegistrar: a furnished room is verified and right", "[registrar][
   REQUIRE(verified >= 8);
 }
 
-TEST_CASE("FastRegistrar: a straight corridor is never sure along itself, with a guess or without",
+TEST_CASE("FastRegistrar: a straight corridor leaves its direction uncertain, with a guess or without",
           "[registrar][ambiguity]") {
   Rng rng(5);
   testing::Room room;

@@ -102,7 +102,7 @@ TEST_CASE("replay: a person's decisions hold from the start", "[replay][decision
   REQUIRE_FALSE(has(all_candidates(mission, options), rejected));
 }
 
-TEST_CASE("replay: a decision's word outweighs robust optimisation", "[replay][decisions]") {
+TEST_CASE("replay: a decision takes precedence over robust optimisation", "[replay][decisions]") {
   const Mission mission = two_circles(1, 16);
   ReplayOptions options = replay_options();
   // Every closure contradicts odometry by far: none would be kept.

@@ -126,7 +126,7 @@ TEST_CASE("live replay: scans that vanish before they are asked for are named, n
   REQUIRE(named);
 }
 
-TEST_CASE("live replay: where the back end fails, what was computed is kept", "[replay][live][error]") {
+TEST_CASE("live replay: registrations are kept if the back end fails", "[replay][live][error]") {
   Mission mission = two_circles();
   PriorFactor absurd = mission.graph.priors().front();  // its cost is beyond a double
   absurd.pose.translation().x() += 1e6;
@@ -200,7 +200,7 @@ TEST_CASE("live replay: a stop request ends it soon, with what there is", "[repl
   REQUIRE(result.accounting.balanced());
 }
 
-TEST_CASE("live replay: a journal that fails takes no results along", "[replay][live][error]") {
+TEST_CASE("live replay: a failing journal loses no results", "[replay][live][error]") {
   const Mission mission = two_circles();
   ReplayOptions config = live_config("random");
   config.after_mission = true;

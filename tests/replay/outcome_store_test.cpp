@@ -211,7 +211,7 @@ TEST_CASE("outcome store: whatever an outcome depends on is in its key", "[repla
   REQUIRE(registration_context(options) == context);
 }
 
-TEST_CASE("outcome store: damage is passed over, never believed", "[replay][outcomes][error]") {
+TEST_CASE("outcome store: damaged records are skipped, never used", "[replay][outcomes][error]") {
   const Mission mission = two_circles();
   const auto registrar = std::make_shared<CountingRegistrar>(mission);
   const TemporaryFolder folder;
@@ -345,8 +345,7 @@ TEST_CASE("outcome store: threads that ask for one outcome have it computed once
   }
 }
 
-TEST_CASE("outcome store: processes share a folder, and one that is killed spoils nothing",
-          "[replay][outcomes]") {
+TEST_CASE("outcome store: processes share a folder, and a killed one damages nothing", "[replay][outcomes]") {
   const Mission mission = two_circles();
   const TemporaryFolder folder;
   const std::vector<RegistrationTask> tasks = tasks_of(mission, 400);
@@ -383,7 +382,7 @@ TEST_CASE("outcome store: processes share a folder, and one that is killed spoil
   REQUIRE(open->statistics().hits == 351);
 }
 
-TEST_CASE("outcome store: what lacks a neighbour's scan is not kept", "[replay][outcomes]") {
+TEST_CASE("outcome store: outcomes without a neighbour's scan are not stored", "[replay][outcomes]") {
   struct Incomplete final : Registrar {
     explicit Incomplete(const Mission& mission) : oracle(mission.ground_truth) {}
     std::string_view name() const override { return "incomplete"; }
@@ -403,8 +402,7 @@ TEST_CASE("outcome store: what lacks a neighbour's scan is not kept", "[replay][
   REQUIRE(OutcomeStore(folder.path()).statistics().found_at_start == 0);
 }
 
-TEST_CASE("outcome store: those that write at once leave no more files than they were",
-          "[replay][outcomes]") {
+TEST_CASE("outcome store: concurrent writers leave at most one file each", "[replay][outcomes]") {
   const Mission mission = two_circles();
   const TemporaryFolder folder;
   const auto oracle = std::make_shared<OracleRegistrar>(mission.ground_truth);
@@ -423,7 +421,7 @@ TEST_CASE("outcome store: those that write at once leave no more files than they
   REQUIRE(OutcomeStore(folder.path()).statistics().found_at_start == 60);
 }
 
-TEST_CASE("outcome store: what cannot be read or throws is not kept", "[replay][outcomes][error]") {
+TEST_CASE("outcome store: failed registrations are not stored", "[replay][outcomes][error]") {
   const Mission mission = two_circles();
   const TemporaryFolder folder;
   const std::vector<RegistrationTask> tasks = tasks_of(mission, 3);
@@ -452,7 +450,7 @@ TEST_CASE("outcome store: what cannot be read or throws is not kept", "[replay][
   REQUIRE_THROWS_AS(StoredRegistrar(nullptr, open, mission.scans->loader(), ""), InputError);
 }
 
-TEST_CASE("outcome store: what an attempt came to for lack of a file, memory or time is tried again",
+TEST_CASE("outcome store: outcomes that failed because of a file, memory or time are computed again",
           "[replay][outcomes][error]") {
   const Mission mission = two_circles();
   const TemporaryFolder folder;

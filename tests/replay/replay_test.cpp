@@ -376,7 +376,7 @@ TEST_CASE("replay: key frames of a communication gap arrive at its end, in order
           Approx(mean_error(mission, mission.graph)).margin(1e-9));
 }
 
-TEST_CASE("replay: a run that goes on from outcomes equals one that was never interrupted",
+TEST_CASE("replay: a run that continues from outcomes equals an uninterrupted one",
           "[replay][replay][resume]") {
   const Mission mission = two_circles();
   const ReplayOptions config = fast_config("obs");
