@@ -17,8 +17,8 @@
 
 using namespace loopwise;
 
-/// The longest loop first: what was driven between two nodes is where drift has gathered. Of two robots, that
-/// is the way of each from the start that they share.
+/// The longest loop first, because drift grows with the path between two nodes. Between two robots, this path
+/// leads through their common start.
 class LongestLoopFirst final : public Prioritizer {
  public:
   explicit LongestLoopFirst(Robots robots) : robots_(std::move(robots)) {}
@@ -37,7 +37,7 @@ class LongestLoopFirst final : public Prioritizer {
   void remove(const std::vector<CandidateId>& ids) override { ranked_.erase(ids); }
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override { return ranked_.take(count); }
   [[nodiscard]] std::size_t size() const override { return ranked_.size(); }
-  // on_graph(), on_scan(), on_result() and improve() tell more, to whoever wants to know.
+  // on_graph(), on_scan(), on_result() and improve() are optional and give more information.
 
  private:
   Robots robots_;

@@ -10,7 +10,7 @@
 
 using namespace loopwise;
 
-/// Any function that aligns two clouds; align() stands for it here. Called from several threads at once.
+/// Any function that aligns two clouds, here align(). Called from several threads at once.
 class MyRegistrar final : public Registrar {
  public:
   explicit MyRegistrar(ScanLoader scans) : scans_(std::move(scans)) {}

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// two_robots MISSION: the live module beside two front ends, for which a recorded mission stands here.
+// two_robots MISSION: the live module beside two front ends; a recorded mission replaces them here.
 #include <algorithm>
 #include <cstdio>
 #include <map>
