@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""hardening_test.py READELF PROGRAM LIBRARY: what LOOPWISE_HARDENING promises of a program, as its file shows it."""
+"""hardening_test.py READELF PROGRAM LIBRARY: checks in the files that the protections of LOOPWISE_HARDENING are present."""
 import subprocess
 import sys
 

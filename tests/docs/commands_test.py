@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: BSD-3-Clause
-"""The commands of the documentation: every option that a page gives a command exists, and the commands of the pages
-that users follow from top to bottom run, on data that are made here.
+"""Tests the commands of the documentation. Every option that a page uses exists. The commands of the pages that users
+follow from top to bottom run, on generated data.
 
     commands_test.py LOOPWISE SOURCE_TREE [--options-only] [--times]
 """
@@ -18,7 +18,7 @@ import time
 
 PROGRAM, TREE = pathlib.Path(sys.argv[1]).resolve(), pathlib.Path(sys.argv[2]).resolve()
 RUN = ["docs/guide.md", "README.md", "docs/merging.md", "docs/report.md", "docs/places.md"]
-# What this test cannot run, and why. Their options are checked all the same.
+# Commands that this test cannot run, with the reason. Their options are checked.
 NOT_RUN = {
     "tunnel": "needs the NeBula data set",
     "tunnel/rosbag": "needs the NeBula data set",
@@ -52,7 +52,7 @@ def options_of(command, known={}):
 
 
 def check_options():
-    """Messages on commands and options that do not exist."""
+    """Returns messages about commands and options that do not exist."""
     faults, checked = [], 0
     for page in sorted(TREE.glob("docs/*.md")) + [TREE / "README.md"]:
         for number, text in commands(page.relative_to(TREE)):
@@ -193,7 +193,7 @@ def loopwise(folder, *arguments):
 
 
 def make_data(folder):
-    """All that the commands name."""
+    """Generates all files that the commands name."""
     sample = TREE / "data/sample_mission"
     (folder / "data").mkdir()
     (folder / "data/sample_mission").symlink_to(sample)
@@ -207,7 +207,7 @@ def make_data(folder):
     for names, (low, high) in zip((("s1", "session1", "session4"), ("s2", "session2")), robots):
         for name in names:
             write_part(sample, folder / name, low, high)
-    write_part(sample, folder / "session3", ids[-12], ids[-1])  # few candidates: the test shall be short
+    write_part(sample, folder / "session3", ids[-12], ids[-1])  # few candidates keep the test short
     (folder / "missions").mkdir()
     shutil.copytree(mission, folder / "missions/one")
     shutil.copy(sample / "graph.g2o", folder)

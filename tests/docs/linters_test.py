@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""scripts/lint_words, lint_links and lint_names find what they are for, and nothing else."""
+"""scripts/lint_words, lint_links and lint_names find their kinds of faults and report nothing else."""
 import pathlib
 import subprocess
 import sys

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The code of docs/recipes.md is text of the programs that it links, and every program is on the page."""
+"""The code in docs/recipes.md is copied from the programs that it links, and every program is on the page."""
 import pathlib
 import re
 import unittest

@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 """Writes data in the forms of LAMP and of the NeBula multi-robot data set, with the independent writers of
-python3-rosbag and Python's own zipfile, and beside them expected.json: what a reader must find.
+python3-rosbag and Python's own zipfile, and expected.json with the values that a reader must find.
 
     lamp_data.py FORM FOLDER [--compression none|bz2|lz4] [--robots c,e] [--nodes N] [--points N] [--options ...]
 
@@ -87,7 +87,7 @@ int32 link_adaptation_modulation_coding_scheme
 int32 guard_interval_mode
 int32 cyclic_prefix_length
 """
-# Shorter than that of the radios: a reader goes by what the bag says.
+# Shorter than the radios' definition: a reader has to use the definition in the bag.
 SILVUS_NODE = """int32 node_id
 string node_label
 string robot_name
@@ -133,7 +133,7 @@ CLASSES = {}
 
 
 def message_class(name, part=None):
-    """A message class of a root type, or of a type that it is made of."""
+    """A message class of a root type, or of a type of its fields."""
     if name not in CLASSES:
         from genpy.dynamic import generate_dynamic
         own, used = TYPES[name]
@@ -275,7 +275,7 @@ def cloud_message(points, layout, normals):
 # ---- A recording ----
 
 class Recording:
-    """What the robots did, as the expected result and as messages."""
+    """The motion of the robots, as the expected result and as messages."""
 
     def __init__(self, robots, nodes, points, seed=1, normals=False, layouts=("pcl",)):
         self.rng = random.Random(seed)
@@ -353,7 +353,7 @@ def graph_message(nodes, edges, stamp):
 
 
 def incremental_messages(recording, robot, with_prior=True):
-    """One new node a message with its edge; the first is sent twice, as recordings have it."""
+    """One message per new node, with its edge; the first is sent twice, as in recordings."""
     out = []
     for key, stamp, pose in recording.nodes:
         if key >> 56 != ord(robot):
@@ -470,7 +470,7 @@ def make_base(o):
                               [0.05] + [0.0] * 35, 0.0, 0.0))
                 edges.append((full_key(first, 2), full_key(first, 3), 8, (0, 0, 0, 0, 0, 0, 1), [0.0] * 36, 0.0, 0.0))
             bag.write("/base1/lamp/pose_graph", graph_message(known, edges, stamp), ros_time(stamp))
-            # What the optimiser sends round: other poses, no stamps, no poses of edges.
+            # Messages of the optimiser have other poses, no stamps, and no poses of edges.
             moved = [(k, 0, (p[0] + 0.1 * n, *p[1:]), m) for k, _, p, m in known]
             bare = [(a, b, t, (0,) * 7, [0.0] * 36, 0.0, 0.0) for a, b, t, _, _, _, _ in edges if t in (0, 3)]
             bag.write("/base1/lamp_pgo/optimized_values", graph_message(moved, bare, 0), ros_time(stamp + 100))
@@ -516,7 +516,7 @@ def make_base(o):
 
 
 def make_odd(o):
-    """Messages that a reader must survive and say so."""
+    """Faulty messages, which a reader must leave out and report."""
     recording = Recording(o.robots[:1], 6, o.points, o.seed)
     robot = o.robots[0]
     name = ROBOT_NAMES[robot]
@@ -562,9 +562,9 @@ def diagonal(rotation_sigma, translation_sigma):
 def make_factors(o):
     """Ranges, gravity, artifacts and radio anchors, with the optimum that follows from them by hand.
 
-    Robot c and anchor u0 lie on one line of which odometry, a sighting and a range disagree by 0.3 m: each takes its
-    share by variance. Anchor u1 is known by ranges of robot e alone, artifact E0 by places alone: both are first put where
-    they are not. Robot a begins tilted and feels where down is. u2 has one range, u3 a prior, E1 no node.
+    Robot c and anchor u0 are on one line, along which odometry, a sighting and a range disagree by 0.3 m: each gets its
+    share by variance. Only ranges of robot e constrain anchor u1, and only positions constrain artifact E0; both have a
+    wrong first pose. Robot a begins tilted and measures gravity. u2 has one range, u3 a prior, E1 no node.
     """
     zero = [0.0] * 36
     unset = (0.0,) * 7
@@ -595,7 +595,7 @@ def make_factors(o):
         if i > 0:
             edges.append((key("e", i - 1), key("e", i), 0, between(path[i - 1], path[i]), diagonal(0.003, 0.02), 0.0, 0.0))
         edges.append((key("e", i), key("u", 1), 5, unset, zero, math.dist(places[i], anchor), 0.0 if i == 5 else 0.01))
-        # What LAMP says of an artifact: its place, and that nothing is known of its rotation.
+        # LAMP gives the position of an artifact, and a rotation without information.
         if i in (1, 3):
             edges.append((key("e", i), key("E", 0), 4, at(*seen_at(i, artifact)), diagonal(1e5, 0.1), 0.0, 0.0))
         if i in (2, 4):
@@ -621,7 +621,7 @@ def make_factors(o):
             low = middle
     optimum[key("a", 0)] = about_x(low)
 
-    # What cannot be used.
+    # Factors that cannot be used.
     bad_range = lambda i, value, sigma: (key("e", i), key("c", 0), 5, unset, zero, value, sigma)
     bad_gravity = lambda i, x, y, z, sigma: (key("e", i), key("e", i), 2, (x, y, z, 0, 0, 0, 1), [sigma] + [0.0] * 35, 0., 0.)
     edges += [bad_range(0, -1.0, 0.1), bad_range(1, 5.0, -0.1), bad_range(2, float("nan"), 0.1),
@@ -652,7 +652,7 @@ def g2o_pose(pose):
 
 
 def information_triangle(cov):
-    """Diagonal covariances alone: inverted and put translation first."""
+    """Only diagonal covariances: inverted, with the translation first."""
     order = [3, 4, 5, 0, 1, 2]
     out = []
     for i in range(6):
@@ -785,7 +785,7 @@ def make_sessions(o):
 
 
 def make_big(o):
-    """A bag of about --megabytes MB of scans, to see what reading it takes."""
+    """A bag of about --megabytes MB of scans, to measure the memory and time of reading it."""
     recording = Recording(o.robots[:1], 4, o.points, o.seed)
     robot = o.robots[0]
     name = ROBOT_NAMES[robot]

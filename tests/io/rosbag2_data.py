@@ -1,6 +1,6 @@
 #!/usr/bin/python3
-"""Writes what lamp_data.py writes as bags of ROS 2, with Python's own sqlite3 and a writer of MCAP and CDR of its own,
-and recordings of odometry and clouds.
+"""Writes the data of lamp_data.py as bags of ROS 2, with Python's own sqlite3 and an independent writer of MCAP and CDR.
+Also writes recordings of odometry and clouds.
 
     rosbag2_data.py FORM FOLDER [--storage mcap|db3|rosbag1] [--pack ...] [--split N] [--metadata] [...]
 
@@ -63,7 +63,7 @@ def lz4(data):
 # ---- CDR ----
 
 class Cdr:
-    """Plain CDR of a message, alignment counted from behind the four bytes that say so."""
+    """Plain CDR of a message, with alignment relative to the end of the four bytes of the header."""
 
     def __init__(self, big_endian):
         self.order = ">" if big_endian else "<"
@@ -114,7 +114,7 @@ def ros2_type(name):
 
 
 def ros2_definition(name):
-    """The definition as rosbag2 records it, with what ROS 2 added: bounds, defaults, times as messages."""
+    """The definition as rosbag2 records it, with the additions of ROS 2: bounds, defaults, times as messages."""
     own, used = lamp_data.TYPES[name]
     text = own
     for other, definition in used.items():
@@ -175,7 +175,7 @@ class McapFile:
         return self.written + len(self.out)
 
     def flush(self, file):
-        """Hands what is there to a file, so that large ones are not held in memory."""
+        """Writes the pending bytes to a file, so that large bags do not stay in memory."""
         file.write(self.out)
         self.written += len(self.out)
         self.out = bytearray()
@@ -242,7 +242,7 @@ def write_mcap(path, messages):
 
 
 class Rosbag2:
-    """Takes what rosbag.Bag would, and writes it when it is closed."""
+    """Has the interface of rosbag.Bag, and writes its messages when it is closed."""
 
     def __init__(self, path):
         self.base = path[:-len(".bag")]
@@ -292,7 +292,7 @@ class Rosbag2:
 # ---- Odometry and clouds ----
 
 def cloud_of(points, stamp, frame, layout):
-    """A sensor_msgs/PointCloud2 by itself, where lamp_data.py makes the one of a keyed scan."""
+    """A separate sensor_msgs/PointCloud2; lamp_data.py makes those inside keyed scans."""
     made = lamp_data.cloud_message(points, layout, False)
     cloud = lamp_data.message_class("sensor_msgs/PointCloud2")()
     for name in cloud.__slots__:
@@ -326,7 +326,7 @@ SWEEPS_PER_NODE = 20
 
 
 def interpolated(robot, step):
-    """Along the path, 10 Hz. A straight line between nodes, so that what is expected is exact."""
+    """Poses along the path at 10 Hz, on straight lines between nodes, so that the expected poses are exact."""
     i, part = divmod(step, SWEEPS_PER_NODE)
     a, b = lamp_data.pose_on_path(robot, i), lamp_data.pose_on_path(robot, i + 1)
     share = part / SWEEPS_PER_NODE
@@ -334,7 +334,7 @@ def interpolated(robot, step):
 
 
 def compose(a, b):
-    """The pose of the frame of b in the frame that a is in."""
+    """T_x_b for a = T_x_a and b = T_a_b."""
     turned = lamp_data.rotate(a[3:], b[:3])
     return (*(a[k] + turned[k] for k in range(3)), *lamp_data.multiply(a[3:], b[3:]))
 
@@ -389,7 +389,7 @@ def make_stream(o):
 
 
 def make_bigstream(o):
-    """Odometry and clouds of about --megabytes MB, to see what reading them takes."""
+    """Odometry and clouds of about --megabytes MB, to measure the memory and time of reading them."""
     rng = lamp_data.random.Random(o.seed)
     points = [lamp_data.make_points(rng, o.points, False) for _ in range(4)]
     clouds = [cloud_of(p, 0, "base_link", "pcl") for p in points]

@@ -5,8 +5,8 @@
                     [--no-optimized] [--truth] [--gap] [--odd]
 
 Tables, blobs and enumerations are those of DatabaseSchema.sql.in, DBDriverSqlite3.cpp, Compression.cpp, Link.h and
-LaserScan.h: poses are 3x4 floats, information 6x6 doubles, a scan zlib's data with rows, columns and OpenCV's type behind
-them. Each link is stored by both of its nodes.
+LaserScan.h: poses are 3x4 floats, information 6x6 doubles, a scan is zlib's data followed by rows, columns and OpenCV's
+type. Each link is stored by both of its nodes.
 """
 import argparse
 import json
@@ -120,7 +120,7 @@ def main():
             for a, b, kind in ((ids[0], ids[0], 9), (ids[1], ids[1], 7), (ids[1], -4, 8), (ids[1], ids[3], 5)):
                 database.execute("INSERT INTO Link(from_id, to_id, type, information_matrix, transform) VALUES(?,?,?,?,?)",
                                  (a, b, kind, information(*(1.0,) * 6), floats(yaw_pose(0, 0, 0, 0))))
-    if o.odd:  # a node that was given up, one without odometry, one that nothing is tied to
+    if o.odd:  # a discarded node, one without odometry, one without links
         for extra, weight, pose in ((1, -9, floats(yaw_pose(0, 0, 0, 0))), (2, 0, b""), (3, 0, floats(yaw_pose(9, 9, 0, 0)))):
             database.execute("INSERT INTO Node(id, map_id, weight, stamp, pose) VALUES(?,?,?,?,?)",
                              (node + extra, o.maps - 1, weight, 1700000000.0, pose))

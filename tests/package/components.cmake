@@ -1,4 +1,4 @@
-# find_package() of the copy installed in PREFIX: several calls, and components that it does not have.
+# find_package() of the copy installed in PREFIX: several calls, and unknown components.
 cmake_minimum_required(VERSION 3.22)
 file(WRITE ${FOLDER}/CMakeLists.txt [=[
 cmake_minimum_required(VERSION 3.22)

@@ -11,7 +11,7 @@ set(total 0)
 foreach(library IN LISTS libraries)
   execute_process(COMMAND ${NM} --dynamic --defined-only --demangle --format=posix ${library}
                   OUTPUT_VARIABLE output COMMAND_ERROR_IS_FATAL ANY)
-  # What nm prints may hold brackets and semicolons, which lists do not take.
+  # The output of nm may contain brackets and semicolons, which CMake lists cannot hold.
   string(REPLACE ";" "," output "${output}")
   string(REPLACE "[" "(" output "${output}")
   string(REPLACE "]" ")" output "${output}")

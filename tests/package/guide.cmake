@@ -1,4 +1,4 @@
-# Every block of C++ in GUIDE is text of one of the programs PROGRAMS, which are built: as code, or as a comment of it.
+# Every block of C++ in GUIDE is copied from one of PROGRAMS, which are built, from its code or from a comment.
 cmake_minimum_required(VERSION 3.22)
 file(READ ${GUIDE} guide)
 set(count 0)

@@ -1,5 +1,5 @@
-# Builds programs of EXAMPLES with what PKG_CONFIG says of the copy installed in PREFIX, and runs them. What it says of static
-# libraries is complete: every object of every component links.
+# Builds programs of EXAMPLES with the flags of PKG_CONFIG for the copy installed in PREFIX, and runs them. Its flags for static
+# libraries are complete: every object of every component links.
 cmake_minimum_required(VERSION 3.22)
 if(NOT PKG_CONFIG)
   message("SKIPPED: pkg-config is not installed")

@@ -1,4 +1,4 @@
-# The C++ of the README is the program that is built: PROGRAM, its licence line left out, stands in README.
+# The C++ code of README is PROGRAM, which is built, without its licence line.
 file(READ ${README} readme)
 file(READ ${PROGRAM} program)
 string(REGEX REPLACE "^[^\n]*\n" "" program "${program}")

@@ -1,4 +1,4 @@
-# The version of the installed copy in PREFIX is VERSION wherever it is said, and its documents are there.
+# Every file of the installed copy in PREFIX that states a version states VERSION, and its documents exist.
 cmake_minimum_required(VERSION 3.22)
 execute_process(COMMAND ${PREFIX}/bin/loopwise --version OUTPUT_VARIABLE said OUTPUT_STRIP_TRAILING_WHITESPACE
                 COMMAND_ERROR_IS_FATAL ANY)

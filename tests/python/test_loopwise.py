@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""The Python package: each part against what NumPy says or against the library's own results."""
+"""Tests the Python package: compares each part with NumPy or with the library's own results."""
 
 import json
 import os
@@ -26,7 +26,7 @@ def pose(x=0.0, y=0.0, z=0.0, yaw=0.0):
 
 
 def square(steps=8, drift=0.02):
-    """A square path that comes back to where it began, with odometry that turns too far."""
+    """A square path that returns to its start, with odometry that overestimates the turns."""
     graph = lw.PoseGraph()
     step = pose(2.0, yaw=2.0 * np.pi / steps + drift)
     T = np.eye(4)
@@ -144,7 +144,7 @@ class Optimization(unittest.TestCase):
         file = {"initialization": "file"}
         for optimize in (lw.optimize, lambda *arguments: lw.optimize_gnc(*arguments).optimization):
             self.assertGreater(optimize(graph, file).cost_initial, 1.0)
-            self.assertLess(optimize(graph).cost_initial, 1.0)  # where odometry leads
+            self.assertLess(optimize(graph).cost_initial, 1.0)  # at the poses of odometry
 
     def test_gnc_finds_the_false_closure(self):
         graph = square(drift=0.0)

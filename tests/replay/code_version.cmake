@@ -28,7 +28,7 @@ if(NOT after STREQUAL before)
   message(FATAL_ERROR "a file that is not compiled counts")
 endif()
 
-# No source of the library includes a kind of file that is not counted.
+# All kinds of files that the library includes are part of the hash.
 file(GLOB_RECURSE sources ${SOURCE}/src/*.cpp ${SOURCE}/src/*.hpp ${SOURCE}/src/*.inc ${SOURCE}/include/*.hpp)
 foreach(source IN LISTS sources)
   file(STRINGS ${source} includes REGEX "^ *# *include +\"[^\"]*\"")

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Makes reports of the sample mission and looks at them in Chromium:
+// Makes reports of the sample mission and inspects them in Chromium:
 //   node report_test.mjs LOOPWISE SAMPLE_MISSION FOLDER [CHROMIUM]
-// Prints "SKIPPED: why" where something that it needs is absent. Pictures stay in FOLDER.
+// Prints "SKIPPED: reason" if a program that it needs is absent. Pictures stay in FOLDER.
 import assert from 'node:assert/strict';
 import { spawnSync } from 'node:child_process';
 import { cpSync, existsSync, mkdirSync, readFileSync, renameSync, rmSync, statSync, writeFileSync } from 'node:fs';
@@ -28,7 +28,7 @@ rmSync(folder, { recursive: true, force: true });
 mkdirSync(folder, { recursive: true });
 const inFolder = (name) => join(folder, name);
 
-// A mission whose names are markup.
+// A mission with names that contain markup.
 const kMission = '</script><script>window.hacked = 1</script><b>';
 const kRobot = '<img src=x onerror="window.hacked=2">&amp;';
 cpSync(sample, inFolder('mission'), { recursive: true });
@@ -50,18 +50,18 @@ for (const file of ['map.pcd', 'journal.jsonl', 'history.csv', 'closures.csv']) 
 rmSync(join(inFolder('full'), 'trajectories'), { recursive: true });
 loopwise('report', inFolder('full'), '-o', inFolder('bare.html'), '--quiet');
 
-// Nothing is known of the truth.
+// Without a truth.
 cpSync(sample, inFolder('untrue'), { recursive: true });
 rmSync(inFolder('untrue/ground_truth.g2o'));
 loopwise('replay', inFolder('untrue'), '-o', inFolder('untrue_run'), '--max-registrations', '40', '--quiet');
 loopwise('report', inFolder('untrue_run'), '-o', inFolder('untrue.html'), '--mission', inFolder('untrue'), '--quiet');
 
-// Another program's poses are known.
+// With the poses of another program as a reference.
 cpSync(sample, inFolder('referred'), { recursive: true });
 renameSync(inFolder('referred/ground_truth.g2o'), inFolder('referred/reference.g2o'));
 loopwise('replay', inFolder('referred'), '-o', inFolder('referred_run'), '--max-registrations', '40', '--quiet');
 loopwise('report', inFolder('referred_run'), '-o', inFolder('referred.html'), '--mission', inFolder('referred'), '--quiet');
-// And then the truth.
+// With the truth.
 loopwise('report', inFolder('referred_run'), '-o', inFolder('judged.html'), '--mission', inFolder('referred'), '--truth', join(sample, 'ground_truth.g2o'), '--quiet');
 
 // Runs that differ in more than their seeds are no repetitions.
@@ -70,7 +70,7 @@ for (const [name, ...words] of [['n1', '--seed', '1'], ['n2', '--seed', '2', '--
 }
 loopwise('report', ...['n1', 'n2', 'n3', 'n4'].map(inFolder), '-o', inFolder('noise.html'), '--quiet');
 
-// A study of names that are markup, alone and beside a run.
+// A study with names that contain markup, alone and together with a run.
 mkdirSync(inFolder('study'));
 const rows = ['world,mission,method,seed,workers,queued,computed,verified,gnc_inliers,true_inliers,ate_m,ate_se3_m,odometry_ate_m'];
 for (const world of ['mine', '<b>urban</b>']) {
@@ -137,13 +137,13 @@ try {
   const first = await state(page);
   console.log(`all.html: ${(statSync(inFolder('all.html')).size / 1e6).toFixed(2)} MB, first frame after ${Math.round(first.firstFrameMs)} ms`);
 
-  // Names are text.
+  // Names appear as text, not as markup.
   assert.equal(await page.value('window.hacked'), undefined);
   assert.equal(await page.value('document.querySelector("h1").textContent'), kMission);
   assert.equal(await page.value('document.querySelectorAll("#report img, #report b, #report script").length'), 0);
   assert.ok((await page.value('document.querySelector(".robots").textContent')).includes(kRobot));
 
-  // Every layer draws something by itself, and is switched by the keyboard.
+  // Every layer draws items when it alone is visible, and the keyboard switches it.
   const ids = ['points', 'optimized', 'odometry', 'truth', 'kept', 'rejected', 'selected', 'beacons', 'radio'];
   for (const id of ids) assert.ok(first.layers[id]?.drawn > 0, `layer ${id}: ${JSON.stringify(first.layers[id])}`);
   assert.ok('outlier' in first.layers);
@@ -231,7 +231,7 @@ try {
   assert.ok(await page.value('document.documentElement.scrollWidth <= innerWidth'), 'no sideways scrolling on a phone');
   await page.screenshot(inFolder('small.png'));
 
-  // What is not known is left out, and said.
+  // Missing data are left out and listed in the notes.
   page = await open('alone.html');
   await clean(page, 'alone.html');
   const alone = await state(page);
@@ -266,7 +266,7 @@ try {
   assert.ok((await text(page, '.figures')).includes('Mean position error') && /\d+ are true/.test(await text(page, '.figures')));
   assert.ok('truth' in (await state(page)).layers && (await text(page, '#notes')).includes('errors over time are not known'));
 
-  // Odometry noise makes another mission, other options another method; seeds make repetitions.
+  // Runs with odometry noise count as another mission, with other options as another method, with other seeds as repetitions.
   page = await open('noise.html');
   await clean(page, 'noise.html');
   const names = await page.value('[...document.querySelectorAll("#run option")].map((o) => o.textContent)');

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Pictures of a report: node screenshot.mjs REPORT.html PREFIX [--dark] [--width N] [--charts N] [--tables] [--do JS]
 // writes PREFIX_map.png, the first screen, PREFIX_charts.png, the first N charts or all, and PREFIX_tables.png. --do runs
-// JavaScript in the page first. Prints the time to the map's first frame and all that the page complained of.
+// JavaScript in the page first. Prints the time to the map's first frame and all errors of the page.
 import { resolve } from 'node:path';
 import { pathToFileURL } from 'node:url';
 import { Browser } from './browser.mjs';
