@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// A robot drives around a square with drifting odometry. Of its two loop closures one is false: the robust
-// back end finds out which, and closes the square.
+// A robot drives around a square with drifting odometry. One of its two loop closures is false: the robust
+// back end detects it and closes the square.
 #include <cstdio>
 
 #include <loopwise/optimization/gnc.hpp>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// align_clouds TARGET SOURCE: where one scan was taken, in the frame of another.
+// align_clouds TARGET SOURCE: the pose of one scan in the frame of another.
 #include <cstdio>
 
 #include <loopwise/io/cloud.hpp>

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""align_clouds.py TARGET SOURCE: where one scan was taken, in the frame of another."""
+"""align_clouds.py TARGET SOURCE: the pose of one scan in the frame of another."""
 import sys
 
 import numpy as np

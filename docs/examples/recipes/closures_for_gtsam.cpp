@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Closures for a back end by GTSAM. The stand-ins below have GTSAM's conventions, so that this builds without
-// it; with it, handing a closure over is
+// Closures for a back end by GTSAM. The types below have GTSAM's conventions, so that this builds without it.
+// With GTSAM, this line adds a closure:
 //
 //   graph.emplace_shared<gtsam::BetweenFactor<gtsam::Pose3>>(
 //       closure.from, closure.to, gtsam::Pose3(closure.T_from_to.matrix()),
@@ -38,7 +38,7 @@ struct BetweenFactor {
 
 using namespace loopwise;
 
-/// Keys need no translation, and neither does the pose; the covariance changes its order.
+/// Keys and pose stay the same; the covariance changes its order.
 like_gtsam::BetweenFactor to_factor(const LoopClosure& closure) {
   return {closure.from, closure.to, closure.T_from_to, se3::swap_tangent_order(closure.covariance)};
 }
@@ -64,7 +64,7 @@ int main(int argc, char** argv) {
       const LoopClosure& closure = *result->closure;
       const like_gtsam::BetweenFactor factor = to_factor(closure);
       ++factors;
-      // Both back ends must see the same cost in it.
+      // Both back ends must compute the same cost for it.
       const Eigen::Isometry3d &x1 = mission.graph.node(closure.from).pose,
                               &x2 = mission.graph.node(closure.to).pose;
       const Vector6d r = edge_residual({closure.from, closure.to, closure.T_from_to}, x1, x2);

@@ -14,7 +14,7 @@
 
 using namespace loopwise;
 
-/// How far points are away: shares of rings of 2 m.
+/// Distances of points: shares of rings of 2 m.
 struct Rings final : PlaceDescriptor {
   std::array<double, 20> share{};
   [[nodiscard]] std::size_t bytes() const override { return sizeof(*this); }
@@ -44,7 +44,7 @@ class RingDatabase final : public PlaceDatabase {
       double common = 0.0;
       for (std::size_t i = 0; i < Rings().share.size(); ++i)
         common += std::min(shares(place)[i], shares(*other)[i]);
-      PlaceMatch match;  // T_query_match: the same spot, which may be wrong by 5 m and 1 rad
+      PlaceMatch match;  // T_query_match: the identity, with sigmas of 5 m and 1 rad
       match.key = key;
       match.similarity = common;
       match.covariance.diagonal() << 25.0, 25.0, 1.0, 0.01, 0.01, 1.0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// A prioritiser of one's own, and what it is worth: the same number of candidates is computed in its order
-// and in the order of arrival.
+// A user-defined prioritiser and its effect: the same number of candidates is computed in its order and in
+// the order of arrival.
 #include <cstdio>
 
 #include <loopwise/core/error.hpp>

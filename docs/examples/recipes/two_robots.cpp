@@ -33,13 +33,13 @@ int main(int argc, char** argv) {
       if (e.to == node.key && e.kind == EdgeKind::kOdometry)
         frame.odometry.push_back({e.from, e.to, e.T_from_to, e.information});
     }
-    for (const PriorFactor& prior : recorded.priors()) {  // where the robot begins in the common frame
+    for (const PriorFactor& prior : recorded.priors()) {  // the robot's start in the common frame
       if (prior.key == node.key) frame.priors.push_back(prior);
     }
     frame.cloud = mission.scans->load(node.key);
     if (!module.add_key_frame(frame)) return 1;  // the module was stopped
   }
-  if (!module.wait()) return 1;  // a robot would go on driving
+  if (!module.wait()) return 1;  // a robot does not need to wait
 
   const PoseGraph graph = module.graph();  // all nodes, factors and closures, at the last estimate
   std::size_t closures = 0, kept = 0;

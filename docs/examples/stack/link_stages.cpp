@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// How a SLAM stack links Loopwise stage by stage, and keeps the parts of its own: here a recorded mission
-// stands for the front end, which in a robot hands over one key frame after the other.
+// How a SLAM stack links Loopwise stage by stage and keeps its own parts. Here a recorded mission replaces
+// the front end, which on a robot delivers one key frame after the other.
 #include <cstdio>
 
 #include <loopwise/core/error.hpp>
@@ -30,7 +30,7 @@ class BaseStation {
   /// A robot's next node, with the odometry edge and the prior that lead to it, and its scan.
   void add_key_frame(Node node, const std::vector<Edge>& odometry, const std::vector<PriorFactor>& priors,
                      const KeyedScan& scan, double time_s) {
-    // Odometry goes on from the optimised estimate.
+    // Odometry continues from the optimised estimate.
     if (!odometry.empty()) node.pose = graph_.node(odometry[0].from).pose * odometry[0].T_from_to;
     graph_.add_node(node);
     for (const Edge& edge : odometry) graph_.add_edge(edge);
@@ -67,7 +67,7 @@ class BaseStation {
 
  private:
   RoundRobinQueue prioritizers() {
-    std::vector<std::unique_ptr<Prioritizer>> list;  // more than one take turns; bring your own
+    std::vector<std::unique_ptr<Prioritizer>> list;  // several alternate; add your own
     list.push_back(std::make_unique<ObservabilityPrioritizer>(
         ObservabilityPriorityOptions(), robots_, [features = features_](const KeyedScan& scan) {
           const auto of_scan = features->get(scan.key);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// How a SLAM stack runs Loopwise beside its own work, in four ways: with all parts ours, and with a back end,
-// a place recognition or a prioritiser of its own. Here a recorded mission stands for the front end; in a
-// robot, key frames come as it drives, from any thread.
+// How a SLAM stack runs Loopwise in parallel, in four ways: with all parts of Loopwise, and with its own back
+// end, place recognition or prioritiser. Here a recorded mission replaces the front end; on a robot, key
+// frames arrive during the drive, from any thread.
 #include <algorithm>
 #include <cstdio>
 #include <deque>
@@ -17,7 +17,7 @@ using namespace loopwise;
 
 namespace {
 
-/// What the front end knows of a node when it makes it.
+/// The data of the front end about a new node.
 KeyFrame key_frame(const Mission& mission, const Node& node) {
   KeyFrame frame;
   frame.node = node;
@@ -51,7 +51,7 @@ void report(const char* what, const Mission& mission, const LoopClosureModule& m
               statistics.candidates.generated, statistics.candidates.computed, error);
 }
 
-/// Fewer and faster than one would choose on a robot: this runs in a test.
+/// Fewer candidates than on a robot, because this runs in a test.
 ModuleOptions options(const char* method) {
   ModuleOptions options;
   options.prioritization.method = parse_method(method);
@@ -61,7 +61,7 @@ ModuleOptions options(const char* method) {
   return options;
 }
 
-/// A robot would not wait: it reads estimate() or has it delivered.
+/// A robot does not wait: it reads estimate() or gets on_estimate.
 void wait(LoopClosureModule& module) {
   if (!module.wait()) throw std::runtime_error("the module has stopped");
 }
@@ -81,14 +81,14 @@ void all_parts_ours(const Mission& mission) {
 void own_back_end(const Mission& mission) {
   ModuleOptions with_own = options("obs");
   with_own.engine.use_back_end = false;
-  std::vector<LoopClosure> closures;  // what the stack's own back end is given
+  std::vector<LoopClosure> closures;  // input of the stack's own back end
   ModuleCallbacks callbacks;
   callbacks.on_closure = [&](const LoopClosure& closure) { closures.push_back(closure); };
   LoopClosureModule module(mission.robots, with_own, callbacks);
   drive(mission, module);
   wait(module);
-  // The stack optimises in its own way, for example by GTSAM; then its poses come back, and generation and
-  // prioritisation go by them.
+  // The stack optimises in its own way, for example by GTSAM. It returns its poses, which generation and
+  // prioritisation use.
   PoseGraph graph = mission.graph;
   for (const LoopClosure& closure : closures) graph.add_closure(closure);
   const OptimizationResult optimum = optimize(graph);
@@ -105,7 +105,8 @@ void own_place_recognition(const Mission& mission) {
   with_own.engine.use_proximity = false;
   LoopClosureModule module(mission.robots, with_own);
   drive(mission, module);
-  // A real one compares the scans. A few pairs of the two robots do here, which left the same gate.
+  // A real place recognition compares the scans. Here a few pairs of the two robots suffice, which left the
+  // same gate.
   std::vector<LoopCandidate> candidates;
   for (std::uint64_t i = 0; i < 10; ++i) {
     LoopCandidate candidate;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// What a team may demand of its maps on every commit: a recorded mission is replayed, without network or GPU,
-// with the same result every time.
+// A test of map quality for every commit: it replays a recorded mission, without network or GPU, with the
+// same result every time.
 #if __has_include(<catch2/catch_test_macros.hpp>)
 #include <catch2/catch_test_macros.hpp>
 #else
