@@ -131,7 +131,7 @@ TEST_CASE("command line: input that is absent or broken is 3, and named", "[apps
   REQUIRE_FALSE(testing::fs::exists(folder / "out"));
 }
 
-TEST_CASE("command line: --strict refuses what would be repaired", "[apps]") {
+TEST_CASE("command line: --strict refuses input that would be repaired", "[apps]") {
   const testing::TemporaryFolder folder;
   const std::string vertices = "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\nVERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n",
                     edge = "EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1",
@@ -458,7 +458,7 @@ TEST_CASE("info: missions, graphs and clouds", "[apps]") {
   REQUIRE(json.at("problems").size() == 1);
   const auto cut = folder / "mission" / "scans" / (std::to_string(make_key('b', 1)) + ".pcd");
   testing::fs::resize_file(cut, testing::fs::file_size(cut) / 2);
-  json = json_of({"info", (folder / "mission").string()});  // as replay, it goes on without
+  json = json_of({"info", (folder / "mission").string()});  // continues without it, as replay does
   REQUIRE(json.at("problems").size() == 2);
 
   json = json_of({"info", (folder / "mission" / "graph.g2o").string()});
@@ -501,7 +501,7 @@ TEST_CASE("rank: every candidate with its scores, the ranked first", "[apps]") {
     REQUIRE(rank({"--method", method, "--count", "12", "--batch", "5", "--threads", "2"}) ==
             rank({"--method", method, "--count", "12", "--batch", "5", "--threads", "1"}));
   }
-  // The best single gain is what graph information begins with when it is greedy.
+  // Greedy graph information begins with the best single gain.
   const Json gi = rank({"--method", "gi", "--count", "1", "--batch", "1", "--evaluations", "0", "--set",
                         "graph_information.shortlist=10000"});
   const double first = gi.at("order")[0].at("gain_m2").get<double>();
@@ -517,7 +517,7 @@ TEST_CASE("rank: every candidate with its scores, the ranked first", "[apps]") {
   require_failure({"rank", (folder / "absent").string()}, kBadInput, "absent");
 }
 
-TEST_CASE("config: docs/configuration.md is what --markdown prints", "[apps]") {
+TEST_CASE("config: docs/configuration.md is the output of --markdown", "[apps]") {
   const ProgramRun run = run_program({"config", "--markdown"});
   REQUIRE(run.status == kDone);
   INFO("build/release/apps/loopwise config --markdown > docs/configuration.md");
@@ -647,7 +647,7 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
   require_failure(replay("two", {"--resume", "--overwrite"}), kBadUsage, "give one of them");
   for (const char* kept : {"summary.json", "map.pcd", "picture.svg", "journal.jsonl"}) {
     CAPTURE(kept);
-    REQUIRE(std::filesystem::exists(folder / "two" / kept));  // what was refused has taken nothing away
+    REQUIRE(std::filesystem::exists(folder / "two" / kept));  // a refused command has removed no file
   }
   std::string of_earlier_code = outcomes;
   const std::size_t code = of_earlier_code.find("\"code\":\"");

@@ -18,7 +18,7 @@ using testing::run_program;
 using testing::small_mission;
 using testing::TemporaryFolder;
 
-TEST_CASE("replay: a run without closures says why and what to try", "[apps]") {
+TEST_CASE("replay: a run without closures prints the reason and a remedy", "[apps]") {
   const TemporaryFolder folder;
   write_mission(folder / "mission", small_mission(4));
   const std::vector<std::string> replay = {

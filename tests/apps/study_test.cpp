@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Studies of replays, and runs that are killed: what scripts may rely on.
+// Studies of replays, and runs that are killed: the guarantees for scripts.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -477,7 +477,7 @@ TEST_CASE("study: finished runs survive an interrupt and a kill", "[apps][study]
   for (int trial = 0; trial < 4 || (ended == 0 && trial < 20); ++trial) {
     const bool interrupt = trial % 4 == 1 || trial % 4 == 2;
     if (ended == 0)
-      fs::remove_all(folder / "cut");  // on a busy machine the first may end before it is told to
+      fs::remove_all(folder / "cut");  // on a busy machine the first may end before it is stopped
     const std::size_t at = units() + 1;
     Program program(with(study("cut"), {"--threads", "1"}));
     while (units() < at && program.running()) std::this_thread::sleep_for(std::chrono::milliseconds(1));

@@ -326,8 +326,8 @@ BenchGraph with_information(const BenchGraph& graph, double of_odometry, double 
   return out;
 }
 
-/// One line: what was found, and whether the labels' own solution costs less. Right closures beyond the
-/// threshold at that solution are not counted.
+/// One line: the result, and whether the solution with the labelled closures costs less. Right closures
+/// beyond the threshold at that solution are not counted.
 void show_hard(const BenchGraph& graph, const std::string& what, int& failures) {
   const PoseGraph clean_graph = without_false(graph);
   double start = thread_seconds();

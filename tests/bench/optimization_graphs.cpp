@@ -211,7 +211,7 @@ BenchGraph torus(std::size_t poses, std::uint64_t seed) {
 
 void add_false_groups(BenchGraph& graph, std::size_t groups, std::size_t size, std::uint64_t seed) {
   Rng rng(seed);
-  // Relative poses within a stretch are those of the odometry, which is what a parallel tunnel would show.
+  // Relative poses within a stretch are those of the odometry, as in a parallel tunnel.
   const std::vector<Eigen::Isometry3d> poses = graph.graph.poses();
   for (std::size_t g = 0; g < groups; ++g) {
     const std::size_t a = rng.below(poses.size() - size), b = rng.below(poses.size() - size);

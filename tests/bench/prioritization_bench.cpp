@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Figures of docs/prioritization.md. Processor time of the calling thread unless wall time is said.
+/// Figures of docs/prioritization.md. Processor time of the calling thread unless wall time is stated.
 ///
 ///     loopwise_prioritization_bench annealing GRAPH.g2o        Algorithm 1 on |L| = 500, B = 250, exact
 ///     loopwise_prioritization_bench storage GRAPH.g2o          the two ways to hold blocks, by |L|

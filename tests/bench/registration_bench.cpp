@@ -146,7 +146,7 @@ PclAlignment peer(const PclScan& source, const PclScan& target, unsigned seed, C
   return best;
 }
 
-/// Seconds of what belongs to a scan alone.
+/// Seconds for the data of one scan.
 struct Preparation {
   std::vector<double> pcl_voxel, pcl_normals, pcl_fpfh, pcl_fpfh_harris, pcl_harris, ours;
   void add(const PclScan& scan, const std::shared_ptr<const PointCloud>& cloud) {

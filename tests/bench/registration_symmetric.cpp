@@ -63,7 +63,7 @@ Counts compare(const std::string& kind, std::uint64_t seed, bool with_guess) {
   RegistrationTask task = pair_task(1, 0, seed);
   if (with_guess) task.guess_from_to = wrong_guess(truth, pair, rng);
   const FastRegistrar registrar(std::make_shared<FeatureCache>([&](Key key) { return scans.at(key); }));
-  static_cast<void>(registrar.compute(task));  // what belongs to a scan is computed once
+  static_cast<void>(registrar.compute(task));  // the data of a scan are computed once
   const double start = thread_seconds();
   const RegistrationResult result = registrar.compute(task);
   Counts counts;

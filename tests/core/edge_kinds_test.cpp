@@ -139,7 +139,7 @@ TEST_CASE("edges: a weak edge that agrees with all hides no contradiction", "[co
   }
 }
 
-TEST_CASE("edges: odometry is what a list of pairs says", "[core][graph][odometry]") {
+TEST_CASE("edges: a list of pairs determines the odometry", "[core][graph][odometry]") {
   PoseGraph graph = nodes({0, 1, 2});
   graph.add_edge(measured(graph, 0, 2));
   graph.add_edge(measured(graph, 1, 0));
@@ -177,7 +177,7 @@ TEST_CASE("edges: the same measurement from its other end costs the same", "[cor
   REQUIRE(cost(other, b, a) == Approx(cost(edge, a, b)).epsilon(1e-4));  // measured: 2e-5
 }
 
-TEST_CASE("robots: labels in the keys tell robots apart, ordinary symbols lack them", "[core][robots]") {
+TEST_CASE("robots: labels in the keys distinguish robots, ordinary symbols have no label", "[core][robots]") {
   const auto labelled = [](char character, char label, Key index) {
     return make_key(character, (Key{static_cast<unsigned char>(label)} << 48) | index);
   };

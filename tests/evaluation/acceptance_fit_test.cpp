@@ -68,7 +68,7 @@ TEST_CASE("acceptance fit: folds that allow no fit have no score", "[evaluation]
   const AcceptanceSamples whole = drawn("whole", verified, right, 1);
   AcceptanceSamples failed = drawn("failed", verified, right, 2);
   for (AcceptanceSample& sample : failed.samples) sample.verified = sample.right = false;
-  // Without "whole" there is no verified candidate to fit to; what is said of "failed" counts.
+  // Without "whole" there is no verified candidate for a fit; the fit without "failed" has a score.
   const AcceptanceFit fit = fit_acceptance({whole, failed}, AcceptanceOutcome::kVerified);
   REQUIRE(fit.scores.size() == 2);
   REQUIRE(fit.scores[0].count == 6000);
@@ -93,7 +93,7 @@ TEST_CASE("acceptance fit: the area under the ROC curve", "[evaluation][acceptan
   REQUIRE_THROWS_WITH(roc_auc({0.1, std::nan("")}, {true, false}), Contains("not a number"));
 }
 
-TEST_CASE("acceptance fit: a replay gives the evidence of what it computed", "[evaluation][acceptance]") {
+TEST_CASE("acceptance fit: a replay gives the evidence of its registrations", "[evaluation][acceptance]") {
   const Mission mission = testing::two_circles();
   ReplayOptions options;
   options.batch = 20;

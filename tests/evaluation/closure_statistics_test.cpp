@@ -50,7 +50,7 @@ Eigen::Isometry3d error_of(double translation_m, double rotation_rad) {
 
 }  // namespace
 
-TEST_CASE("closure error: what was put on top of the true relative pose", "[evaluation]") {
+TEST_CASE("closure error: is the disturbance of the true relative pose", "[evaluation]") {
   const PosesByKey truth = curve();
   const auto error = closure_error(*verified(truth, 4, 1, error_of(0.3, 0.2)).closure, truth);
   REQUIRE(error);

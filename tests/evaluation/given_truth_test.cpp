@@ -275,7 +275,8 @@ TEST_CASE("given truth: strict reading covers its files", "[evaluation][truth][e
   CHECK_THROWS_WITH(set_truth(mission, files, options), Contains("non-unit quaternion"));
 }
 
-TEST_CASE("given truth: what cannot be the nodes' is refused with a remedy", "[evaluation][truth][error]") {
+TEST_CASE("given truth: a file that cannot belong to the nodes is refused with a remedy",
+          "[evaluation][truth][error]") {
   const TemporaryFolder folder;
   Mission mission = without_truth();
   const auto refused = [&](const std::string& file, const std::string& why) {

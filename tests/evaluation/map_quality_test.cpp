@@ -15,7 +15,8 @@ namespace {
 
 using testing::Scene;
 
-/// Two robots drive along one yard, there and back, a node every 2 m; scans are what they see.
+/// Two robots drive along one yard, there and back, with a node every 2 m; scans are computed from the
+/// visible surfaces.
 struct Yard {
   Mission mission;
   PosesByKey truth;

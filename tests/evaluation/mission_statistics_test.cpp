@@ -93,7 +93,7 @@ TEST_CASE("candidate statistics: counts as brute force does, overlap of equal an
   REQUIRE_THROWS_AS(candidate_statistics(mission, options), OptionError);
 }
 
-TEST_CASE("mission picture: names robots and beacons, escapes what it shows, survives an empty mission",
+TEST_CASE("mission picture: names robots and beacons, escapes names, survives an empty mission",
           "[evaluation]") {
   Mission mission = two_robots();
   mission.name = "<mine> & \"more\"";

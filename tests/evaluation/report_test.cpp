@@ -83,7 +83,7 @@ std::string notes(const Json& run) {
 
 }  // namespace
 
-TEST_CASE("report: shows where everything is and what became of it", "[evaluation][report]") {
+TEST_CASE("report: contains positions and outcomes of all items", "[evaluation][report]") {
   const Mission mission = testing::two_circles();
   const Run run(mission);
   const Json data = made({run.folder.path()}, {mission});
@@ -205,7 +205,7 @@ TEST_CASE("report: neither threads nor a second time change a byte", "[evaluatio
           made({run.folder.path()}, {mission}, {}, 3).dump());
 }
 
-TEST_CASE("report: what a run lacks is left out and said", "[evaluation][report]") {
+TEST_CASE("report: missing data of a run are left out and listed", "[evaluation][report]") {
   Mission mission = testing::two_circles();
   const Run run(mission);
 
@@ -304,7 +304,7 @@ TEST_CASE("report: a truth that comes later judges the run", "[evaluation][repor
   REQUIRE(same.at("history").at("columns").contains("ate_m"));
   REQUIRE_FALSE(Contains("errors over time are not known").match(notes(same)));
 
-  // One that is given counts for more than what the run took for true; without files it cannot be used.
+  // A given truth takes precedence over that of the run; without the files of the run it cannot be used.
   Mission given = right;
   given.truth_file = "better.tum";
   for (auto& [key, pose] : given.ground_truth) pose.translation().z() += 7.0;
@@ -319,7 +319,7 @@ TEST_CASE("report: a truth that comes later judges the run", "[evaluation][repor
   REQUIRE(Contains("not judged by the mission's truth").match(notes(bare)));
 }
 
-TEST_CASE("report: what old runs of sessions call errors are differences", "[evaluation][report]") {
+TEST_CASE("report: errors in old runs of sessions are differences", "[evaluation][report]") {
   const Mission right = testing::two_circles();
   Mission session = right;
   session.reference = session.ground_truth;
@@ -335,7 +335,7 @@ TEST_CASE("report: what old runs of sessions call errors are differences", "[eva
     REQUIRE(summary.at("closures").at("true_inliers").is_null());
     REQUIRE(summary.at("reference").at("difference_m") == old.at("ate_m"));
     REQUIRE_FALSE(shown.at("history").at("columns").contains("true_inliers"));
-    // The session knows what it was.
+    // With the mission, the reference of the session is known.
     shown = made({run.folder.path()}, {session}).at("runs").at(0);
     summary = shown.at("summary");
     REQUIRE(summary.at("truth").is_null());
@@ -354,8 +354,9 @@ TEST_CASE("report: what old runs of sessions call errors are differences", "[eva
   REQUIRE(summary.at("truth").at("alignment") == "none");
 }
 
-TEST_CASE("report: robots of plain keys are told apart by their trajectories", "[evaluation][report]") {
-  // The same run with keys 0 … 79: without the mission only the files tell where the second robot begins.
+TEST_CASE("report: trajectories distinguish robots of plain keys", "[evaluation][report]") {
+  // The same run with keys 0 … 79: without the mission only the files show the first node of the second
+  // robot.
   const Mission mission = testing::two_circles();
   const Run run(mission);
   const PoseGraph graph = read_g2o(run.folder / "graph.g2o").graph;
@@ -453,7 +454,7 @@ TEST_CASE("report: studies become medians over mission time", "[evaluation][repo
   REQUIRE(at("verified", 1.0) == 8.0);
   REQUIRE(at("ate_m", 1.0) == 2.0);  // the other is not known
 
-  // Without curves.csv, what the study keeps of its runs; files of others are passed over.
+  // Without curves.csv, the data of runs that the study keeps; other files are ignored.
   testing::fs::remove(folder / "curves.csv");
   testing::write_text(folder / "runs.csv", about + ",ate_m\n" + run(1, "100") + ",2\n");
   testing::fs::create_directories(folder / "units");
@@ -572,7 +573,7 @@ TEST_CASE("report: names of any kind cannot leave the data", "[evaluation][repor
     REQUIRE(occurrences(page, part) == occurrences(empty, part));
   REQUIRE(Contains("\\u003c/script>\\u003c!--").match(page));
 
-  // What the page reads is what was given.
+  // The page reads the given data.
   const std::string begin = "<script type=\"application/json\" id=\"data\">";
   const std::size_t from = page.find(begin) + begin.size();
   const std::string inside = page.substr(from, page.find("</script>", from) - from);

@@ -48,7 +48,7 @@ std::size_t occurrences(const std::string& text, const std::string& part) {
 
 }  // namespace
 
-TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evaluation][run]") {
+TEST_CASE("run folder: contains the run, and its files are consistent", "[evaluation][run]") {
   const Mission mission = testing::two_circles();
   const ReplayOptions config = short_config();
   RunHistory history(mission);
@@ -72,7 +72,7 @@ TEST_CASE("run folder: holds what the run was, and agrees with itself", "[evalua
     REQUIRE(summary.contains(field));
   }
 
-  // The rows say what the summary counts.
+  // The rows agree with the counts of the summary.
   const CsvTable rows(folder / "closures.csv",
                       {"from", "to", "source", "outcome", "reason", "x", "y", "z", "qx", "qy", "qz", "qw",
                        "fitness", "overlap", "weight", "mission_time_s", "seconds"});
@@ -114,7 +114,7 @@ TEST_CASE("run results: a reference is no truth, residuals need none", "[evaluat
   REQUIRE(e.has_reference);
   REQUIRE(e.optimized_reference.ate_m.mean > 3.0);
   for (const HistoryRow& row : history.rows()) REQUIRE((std::isnan(row.ate_m) && row.true_inliers == 0));
-  // Kept closures lie by the estimate what they were made with, 0.02 m a coordinate; odometry has drifted.
+  // The residuals of kept closures are their noise, 0.02 m per coordinate; odometry has drifted.
   REQUIRE(e.residuals.translation_m.count == e.closures.gnc_inliers);
   REQUIRE(e.residuals.translation_m.median < 0.1);
   REQUIRE(e.odometry_residuals.translation_m.median > 3.0 * e.residuals.translation_m.median);
@@ -184,7 +184,8 @@ TEST_CASE("run folder: strays are no part of the map", "[evaluation][run]") {
   REQUIRE(stitch_map(graph, scans, 0.2, {}, {}, 0.0).cloud.size() == 3);
 }
 
-TEST_CASE("run results: robots whose names make one file name keep files of their own", "[evaluation][run]") {
+TEST_CASE("run results: robots with names that give the same file name get separate files",
+          "[evaluation][run]") {
   const testing::TemporaryFolder folder;
   Mission mission = testing::two_circles();
   mission.robots = Robots({robot_of_character('a', "spot/1"), robot_of_character('b', "spot 1")});

@@ -101,11 +101,11 @@ TEST_CASE("bootstrap: values of a group count together", "[evaluation][statistic
   REQUIRE(bootstrap_median(one_each).low == bootstrap_median(values).low);
   REQUIRE(bootstrap_median(one_each).high == bootstrap_median(values).high);
   const std::vector<std::vector<double>> one{{1.0, 2.0, 3.0}, {}};
-  REQUIRE(std::isnan(bootstrap_median(one).low));  // one group tells nothing of others
+  REQUIRE(std::isnan(bootstrap_median(one).low));  // one group gives no information about others
 }
 
 TEST_CASE("paired comparison: pairs count, not the spread between them", "[evaluation][statistics]") {
-  // Missions differ a hundredfold, the methods by a tenth: unpaired, nothing could be said.
+  // Missions differ by a factor of 100, the methods by a tenth: only paired values show a difference.
   Rng rng(2);
   std::vector<double> a, b;
   for (int i = 0; i < 20; ++i) {

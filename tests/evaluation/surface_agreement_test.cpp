@@ -11,7 +11,7 @@
 namespace loopwise {
 namespace {
 
-/// One robot drives the same straight line twice past two walls; scans are what it sees within 15 m.
+/// One robot drives the same straight line twice past two walls; scans are the visible points within 15 m.
 Mission twice_past_walls() {
   Mission mission;
   mission.robots = parse_robots("a");
@@ -149,7 +149,7 @@ TEST_CASE("surface agreement: robots side by side at the start are no revisit", 
   REQUIRE_THROWS_AS(revisit_groups(mission, mission.ground_truth, revisits, 0.0), OptionError);
 }
 
-TEST_CASE("surface agreement: what is missing is left out", "[evaluation][surfaces]") {
+TEST_CASE("surface agreement: missing scans are left out", "[evaluation][surfaces]") {
   const Mission mission = twice_past_walls();
   SurfaceAgreementOptions options;
   options.pairs = 7;

@@ -134,8 +134,7 @@ TEST_CASE("trajectory errors: by hand, without alignment", "[evaluation]") {
   REQUIRE(errors.robots[1].ate_rad.max == Approx(kPi / 2));
 }
 
-TEST_CASE("trajectory errors: a perfect estimate has none, whatever the alignment",
-          "[evaluation][property]") {
+TEST_CASE("trajectory errors: a perfect estimate has no error with any alignment", "[evaluation][property]") {
   const unsigned seed = GENERATE(range(1u, 6u));
   CAPTURE(seed);
   Rng rng(seed);
@@ -201,7 +200,8 @@ TEST_CASE("alignment: mirrored positions still give a rotation", "[evaluation]")
   REQUIRE((R.transpose() * R).isIdentity(1e-12));
 }
 
-TEST_CASE("alignment: the orientations decide what a straight path leaves free", "[evaluation][degenerate]") {
+TEST_CASE("alignment: orientations determine the rotation about a straight path",
+          "[evaluation][degenerate]") {
   const unsigned seed = GENERATE(range(1u, 11u));
   CAPTURE(seed);
   Rng rng(seed);

@@ -24,7 +24,7 @@ Cache::Pointer make(int key) {
   return std::make_shared<const Item>(Item{key});
 }
 
-TEST_CASE("BoundedCache drops what was used least recently", "[cache]") {
+TEST_CASE("BoundedCache drops the least recently used entry", "[cache]") {
   Cache cache(30);
   for (const int key : {1, 2, 3}) REQUIRE(cache.get(key, make)->key == key);
   REQUIRE(cache.bytes() == 30);

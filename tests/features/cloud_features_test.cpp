@@ -213,7 +213,7 @@ TEST_CASE("observability: the matrix is the sum over points, about the sensor",
   REQUIRE(figures.min_eigenvalue_lamp == Approx(1.0 / 3.0).margin(0.04));  // measured 0.306
 }
 
-TEST_CASE("observability: a corridor is worse than a room, a plane tells nothing", "[observability]") {
+TEST_CASE("observability: a corridor is worse than a room, a plane has none", "[observability]") {
   Rng rng(13);
   const auto figures = [&](int faces) {
     FeatureOptions options;

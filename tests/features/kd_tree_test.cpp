@@ -50,7 +50,7 @@ void require_same(const std::vector<Neighbour>& found, const std::vector<Neighbo
   }
 }
 
-TEST_CASE("KdTree finds exactly what brute force finds, ties by index", "[kd_tree][differential]") {
+TEST_CASE("KdTree finds the same points as brute force, ties by index", "[kd_tree][differential]") {
   const int kind = GENERATE(range(0, 6));
   const std::size_t count = GENERATE(1u, 2u, 11u, 12u, 13u, 100u, 1500u);
   CAPTURE(kind, count);

@@ -48,7 +48,7 @@ TEST_CASE("places: a match between bodies is the one between their level frames"
   const Eigen::Vector3d in_b(1.0, 2.0, 3.0);
   const Eigen::Vector3d in_a = tilt_a.transpose() * (match.T_query_match * (tilt_b * in_b));
   REQUIRE((bodies.T_query_match * in_b - in_a).norm() < 1e-12);
-  // To first order, what moves the level frame moves the body alike.
+  // To first order, a motion of the level frame moves the body equally.
   const Vector6d xi = Vector6d::Constant(1e-6);
   PlaceMatch moved = match;
   moved.T_query_match = match.T_query_match * se3::exp(xi);
@@ -80,8 +80,9 @@ TEST_CASE("places: databases find a place again, turned", "[features][place]") {
   }
 }
 
-TEST_CASE("places: density images tell where, from another side, metres away and with less in view",
-          "[features][place]") {
+TEST_CASE(
+    "places: density images give the pose, from another side, metres away and with fewer visible points",
+    "[features][place]") {
   const auto places = make_density_place_database();
   for (std::uint64_t s = 0; s < kSites; ++s) places->add(s, site(s, pose(0.0, 0.0, 1.0, 0.0)));
   std::size_t found = 0;
@@ -126,7 +127,7 @@ TEST_CASE("places: self-similar surroundings are no places", "[features][place]"
   REQUIRE(similarity < 0.3);
 }
 
-TEST_CASE("places: results do not depend on what was asked before, nor on other places' keys",
+TEST_CASE("places: results depend neither on earlier queries nor on the keys of other places",
           "[features][place][property]") {
   const auto forward = make_density_place_database(), again = make_density_place_database();
   for (std::uint64_t s = 0; s < 8; ++s) {

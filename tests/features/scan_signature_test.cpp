@@ -67,7 +67,7 @@ TEST_CASE("scan signature: voxels are as large as the surroundings are wide", "[
   REQUIRE(ScanSignature(street_from(at(0.0), 500.0, 1)).voxel_m() == Approx(3.0).epsilon(1e-6));
 }
 
-TEST_CASE("scan signature: at most 8 kB, whatever the cloud", "[features][overlap][property]") {
+TEST_CASE("scan signature: at most 8 kB for any cloud", "[features][overlap][property]") {
   Rng rng(5);
   for (int round = 0; round < 200; ++round) {
     const double x = std::pow(10.0, rng.uniform(-3.0, 4.0)), y = std::pow(10.0, rng.uniform(-3.0, 4.0)),
@@ -84,7 +84,7 @@ TEST_CASE("scan signature: at most 8 kB, whatever the cloud", "[features][overla
   }
 }
 
-TEST_CASE("scan signature: what is no point is left out", "[features][overlap][error]") {
+TEST_CASE("scan signature: invalid points are left out", "[features][overlap][error]") {
   const ScanSignature none;
   REQUIRE(none.empty());
   REQUIRE(ScanSignature(PointCloud()).empty());

@@ -37,7 +37,7 @@ LOOPWISE_FUZZ_TARGET(bag_made, bytes) {
   static const rosbag::Bag open_all_the_time;  // see the target of whole bags
   const std::string_view input = bytes;
   fuzz::BagLayout layout;
-  // Not the fuzzer's choice: it would take those that take longest, and chunks have a target of their own.
+  // Not the fuzzer's choice: it would choose the slowest ones, and chunks have a separate target.
   const std::size_t compression = std::hash<std::string_view>()(bytes) / 64 % 16;
   layout.compression = compression == 1 ? "bz2" : compression == 2 ? "lz4" : "none";
   layout.messages_per_chunk = 1 + fuzz::take_choice(bytes, 8);
@@ -59,7 +59,7 @@ LOOPWISE_FUZZ_TARGET(bag_made, bytes) {
     std::string_view description = message.bytes;
     fuzz::BagConnection& own = types.back();
     own.topic = take_word(description);
-    if (own.topic.empty()) own.topic = "/own";  // the check wants one
+    if (own.topic.empty()) own.topic = "/own";  // the check requires one
     own.name = take_word(description);
     own.definition = description;
   }
@@ -85,7 +85,7 @@ LOOPWISE_FUZZ_TARGET(bag_made, bytes) {
   std::sort(recorded.begin(), recorded.end());
   std::sort(read.begin(), read.end());
   fuzz::expect(read == recorded, "messages are read as they were recorded");
-  if (!fuzz::one_in(16, input)) return;  // what the messages say has targets of its own
+  if (!fuzz::one_in(16, input)) return;  // the contents of messages have separate targets
   const auto mission = fuzz::attempt([&] { return read_mission(file); });
   if (mission) fuzz::check_mission(*mission);
 }

@@ -150,7 +150,7 @@ PoseGraph rounds(std::size_t nodes) {
   return graph;
 }
 
-/// As small as it can be: the fuzzer alters what it is made of.
+/// As small as possible, because the fuzzer alters its parts.
 std::string training_file() {
   training::MissionRecord record;
   record.name = "walk";

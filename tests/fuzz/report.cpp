@@ -16,7 +16,7 @@ namespace {
 using namespace loopwise;
 namespace fs = std::filesystem;
 
-/// The nodes of a graph alone: what is beside the fuzzer's file is read for each of its inputs.
+/// Only the nodes of a graph, because the files beside the fuzzer's file are read for each input.
 std::string nodes_of(const std::string& graph) {
   std::istringstream lines(graph);
   std::string nodes;
@@ -26,8 +26,8 @@ std::string nodes_of(const std::string& graph) {
   return nodes;
 }
 
-/// For each file, a folder with only this file and what its reader needs. A report of this folder is several
-/// times as fast as one of all files, which one input in 64 uses.
+/// For each file, a folder with only this file and those that its reader needs. A report of this folder is
+/// several times as fast as one of all files, which one input in 64 uses.
 std::vector<fs::path> folders_of_one(const fs::path& whole, const fs::path& parent) {
   const auto& files = fuzz::seed_run_files();
   std::vector<fs::path> folders;

@@ -15,12 +15,12 @@ using Seed = std::pair<std::string, std::string>;
 
 using Seeds = std::map<std::string, std::vector<Seed>>;
 
-/// By target, always the same: of the readers in io.
+/// Seeds by target for the readers in io, always the same.
 [[nodiscard]] Seeds io_seeds();
-/// Of those in the components that stand on it.
+/// Seeds for the readers in the components above io.
 [[nodiscard]] Seeds replay_seeds();
 
-/// The byte by which a target chooses, then what it chooses for.
+/// A seed for a target that chooses by its first byte: this byte, then the other bytes.
 [[nodiscard]] inline std::string with_choice(std::size_t choice, const std::string& bytes) {
   return static_cast<char>(choice) + bytes;
 }

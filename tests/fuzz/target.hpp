@@ -74,7 +74,7 @@ auto attempt(Call&& call) -> std::optional<std::decay_t<decltype(call())>> {
 #endif
 }
 
-/// Takes the first byte off, as a number below `count`; 0 if there is none.
+/// Takes the first byte off, as a number below `count`; 0 without bytes.
 [[nodiscard]] std::size_t take_choice(std::string_view& bytes, std::size_t count);
 
 /// A folder of this process, in memory if possible (/dev/shm); it is deleted at the end of the process.

@@ -156,7 +156,7 @@ TEST_CASE("radio: several beacons at once, a pair proposed by two of them once",
   REQUIRE(f.hear('c', 50, "x") == Pairs{{"c50", "a0"}, {"c50", "b10"}, {"c50", "c12"}});
 }
 
-TEST_CASE("radio: whatever comes late is waited for", "[generation][radio]") {
+TEST_CASE("radio: waits for late data", "[generation][radio]") {
   const auto pairs_of = [](const std::vector<int>& order) {
     // Node c30, its reading and the drop in any order.
     PoseGraph graph = team(30);

@@ -137,7 +137,7 @@ TEST_CASE("bags: factors with altered numbers are read or refused", "[io][bag][d
     }
     write_file(folder / "damaged.bag", bytes);
     CAPTURE(i, at);
-    const Outcome outcome = outcome_of(folder / "damaged.bag");  // whatever is thrown is an Error
+    const Outcome outcome = outcome_of(folder / "damaged.bag");  // every exception is an Error
     if (!outcome.error.empty()) ++errors;
   }
   std::cerr << "factors with altered numbers: " << errors << " of 200 bags are errors\n";

@@ -127,7 +127,7 @@ TEST_CASE("bin layout: each is read when it is named, and named when it is not",
   }
 }
 
-TEST_CASE("bin layout: a wrong one is seen whatever the number of points", "[io][cloud]") {
+TEST_CASE("bin layout: a wrong one is detected at any number of points", "[io][cloud]") {
   const TemporaryFolder folder;
   // Misread as xyzi, these are a whole multiple of 2000 points, which a regular stride meets at one field.
   const auto [layout, points] = GENERATE(table<BinLayout, int>({{BinLayout::kXyz, 24000},
@@ -152,7 +152,7 @@ TEST_CASE("bin layout: a level beam whose sine was rounded is no sign of another
   CHECK(read_cloud(folder / "a.bin").cloud.size() == 400);
 }
 
-TEST_CASE("bin layout: a wrong one that is named is read and said", "[io][cloud]") {
+TEST_CASE("bin layout: a wrong one that is named is read and reported", "[io][cloud]") {
   const TemporaryFolder folder;
   testing::write_text(folder / "a.bin", Sweep::bytes(BinLayout::kXyzir));
   const CloudFile wrong = read_cloud(folder / "a.bin", BinLayout::kXyzi);
@@ -161,7 +161,7 @@ TEST_CASE("bin layout: a wrong one that is named is read and said", "[io][cloud]
                     Contains("points of 26 bytes (helipr_ouster)"));
 }
 
-TEST_CASE("bin layout: what fits nothing is refused with the ways out", "[io][cloud][error]") {
+TEST_CASE("bin layout: a file that fits no layout is refused with the remedies", "[io][cloud][error]") {
   const TemporaryFolder folder;
   std::string noise;
   Rng rng(5);

@@ -42,7 +42,7 @@ TEST_CASE("cdr: an empty sequence aligns nothing", "[io][cdr]") {
   CHECK(ros1::Value(schema, ros1).at("b").integer() == 5);
 }
 
-TEST_CASE("cdr: what ROS 2 added to definitions", "[io][cdr]") {
+TEST_CASE("cdr: additions of ROS 2 to definitions", "[io][cdr]") {
   const std::string definition =
       "# a comment\n"
       "int32 SIZE=5\n"

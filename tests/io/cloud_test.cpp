@@ -59,7 +59,7 @@ TEST_CASE("cloud: every form gives back the same floats", "[io][cloud]") {
   check(folder / "a.ply");
 }
 
-TEST_CASE("cloud: compression shrinks what repeats and survives what does not", "[io][cloud]") {
+TEST_CASE("cloud: compression shrinks repeated data and keeps other data intact", "[io][cloud]") {
   const TemporaryFolder folder;
   PointCloud cloud;
   cloud.points.assign(10000, Eigen::Vector3f(1, 2, 3));

@@ -168,8 +168,7 @@ TEST_CASE("convert: a bag to a mission, to g2o_pcd, and back", "[io][convert][ba
   CHECK(mission.provenance_json == bag.provenance_json);
 }
 
-TEST_CASE("convert: g2o_pcd holds stamps, priors and truth, and says what it does not hold",
-          "[io][convert]") {
+TEST_CASE("convert: g2o_pcd holds stamps, priors and truth, and lists its losses", "[io][convert]") {
   const TemporaryFolder folder;
   Mission mission = make_mission(true);
   mission.start_ns -= 5;
@@ -196,7 +195,7 @@ TEST_CASE("convert: g2o_pcd holds stamps, priors and truth, and says what it doe
   CHECK(read_file(folder / "g" / "keys.csv").substr(0, 20) == std::to_string(make_key('c', 0)) + ",");
 }
 
-TEST_CASE("convert: robots that a list tells apart get a letter each", "[io][convert]") {
+TEST_CASE("convert: robots that a list distinguishes get a letter each", "[io][convert]") {
   const TemporaryFolder folder;
   const Mission mission = make_mission(false);
   const ConvertResult result = convert_mission(mission, folder / "g", MissionFormat::kG2oPcd);
@@ -338,7 +337,7 @@ TEST_CASE("convert: a target is whole or nothing", "[io][convert][error]") {
   CHECK(fs::is_empty(folder / "empty"));
   CHECK(told == 3);
 
-  // What a kill leaves: all but what comes last.
+  // A killed conversion leaves all files except the last one.
   static_cast<void>(convert_mission(mission, folder / "killed", format));
   if (format == MissionFormat::kMission) {
     fs::remove(folder / "killed" / "mission.json");

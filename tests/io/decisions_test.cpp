@@ -8,7 +8,7 @@ namespace loopwise {
 
 using Catch::Matchers::Contains;
 
-TEST_CASE("decisions.csv: what was written is read back", "[io][decisions]") {
+TEST_CASE("decisions.csv: written rows are read back", "[io][decisions]") {
   const testing::TemporaryFolder folder;
   const std::vector<ClosureDecision> decisions{{1, 5, true}, {make_key('a', 7), make_key('b', 2), false}};
   testing::write_text(folder / "decisions.csv", decisions_csv(decisions) + "\na3, b4 ,reject\n5,1,accept\n");

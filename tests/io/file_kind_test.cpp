@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Files of other kinds that are given to readers: the error names what they are and what to do.
+// Files of other kinds that are given to readers: the error names the kind and the remedy.
 #include "file_kind.hpp"
 
 #include <nlohmann/json.hpp>
@@ -50,10 +50,10 @@ TEST_CASE("file kinds: by their first bytes", "[io][file_kind]") {
   CHECK(file_kind("1 0 0 4 0 1 0 5 0 0 1 x\n") == FileKind::kUnknown);
   CHECK(file_kind("key,stamp_ns\n") == FileKind::kUnknown);
   CHECK(file_kind("\1\2\0\3"s) == FileKind::kUnknown);
-  CHECK(file_kind("PK") == FileKind::kUnknown);  // too short to tell
+  CHECK(file_kind("PK") == FileKind::kUnknown);  // too short to recognise
 }
 
-TEST_CASE("file kinds: readers name what they were given", "[io][file_kind][error]") {
+TEST_CASE("file kinds: readers name the kind of the given file", "[io][file_kind][error]") {
   const TemporaryFolder folder;
   struct Foreign {
     std::string contents;

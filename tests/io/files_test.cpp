@@ -114,7 +114,7 @@ CsvTable table(const std::string& text) {
   return CsvTable(folder / "t.csv", {"key", "name", "value"});
 }
 
-TEST_CASE("csv: what is written reads back to the same bits", "[io][csv]") {
+TEST_CASE("csv: written numbers are read back to the same bits", "[io][csv]") {
   const double tiny = std::numeric_limits<double>::denorm_min(), odd = 0.1 + 0.2;
   CsvText text({"key", "name", "value"});
   text.row(~Key{0}, "plain", odd)

@@ -68,7 +68,7 @@ TEST_CASE("g2o: a 2D graph is a planar one", "[io][g2o][planar]") {
   expected << 10, 1, 2, 1, 20, 3, 2, 3, 30;
   CHECK(planar::block(graph.edges()[0].information) == expected);
   CHECK(planar::is_information(graph.edges()[0].information));
-  // Of the size of what is known, and regular.
+  // Of the size of the other information, and regular.
   CHECK(graph.edges()[0].information(2, 2) == 15.0);
   CHECK(graph.edges()[0].information(3, 3) == 30.0);
   CHECK(graph.edges()[0].information(4, 4) == 30.0);
@@ -145,7 +145,7 @@ TEST_CASE("g2o: flaws of 2D graphs are counted", "[io][g2o][planar]") {
   CHECK(file.without_information == std::vector<std::size_t>{4});
 }
 
-TEST_CASE("g2o: what of 2D graphs cannot be read is refused with its line", "[io][g2o][planar][error]") {
+TEST_CASE("g2o: unreadable lines of 2D graphs are refused with their number", "[io][g2o][planar][error]") {
   struct Bad {
     std::string text;
     std::string message;

@@ -242,7 +242,7 @@ TEST_CASE("g2o: the longest odometry without information still gets some", "[io]
   CHECK(parse_g2o(g2o_text(graph, {}), "again").graph.edges().size() == 1);
 }
 
-TEST_CASE("g2o: vertices that are not read take what hangs on them along", "[io][g2o]") {
+TEST_CASE("g2o: edges and priors of ignored vertices are left out with them", "[io][g2o]") {
   const std::string text = "PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\nFIX 60 0\n" + kTwoVertices +
                            "VERTEX_PLANE 60 0 0 1 0.5 0.2 0.2 0.2\n" + "VERTEX_TRACKXYZ 61 1 2 3\nFIX 61\n" +
                            "EDGE_SE3_PLANE 0 60 0 0 1 0.6 10 0 0 10 0 10\n" +
@@ -359,7 +359,7 @@ TEST_CASE("g2o: factors of zero information say nothing and are left out", "[io]
   CHECK(file.problems.count("indefinite information") == 1);
 }
 
-TEST_CASE("g2o: what cannot be read is refused with its line", "[io][g2o][error]") {
+TEST_CASE("g2o: unreadable lines are refused with their number", "[io][g2o][error]") {
   struct Bad {
     std::string text;
     std::string message;

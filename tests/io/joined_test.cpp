@@ -132,7 +132,7 @@ TEST_CASE("joined: frames with sigmas", "[io][joined]") {
   }
 }
 
-TEST_CASE("parts: placed, with what is theirs, or left out", "[io][joined]") {
+TEST_CASE("parts: placed with all their data, or left out", "[io][joined]") {
   const Mission mission = small_mission("team", "abc", /*landmark=*/true);
   MissionPart first, second;
   first.robots = {mission.robots.of(make_key('b', 7))};

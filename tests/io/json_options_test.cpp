@@ -66,7 +66,7 @@ TEST_CASE("options: JSON gives back every kind of field", "[io][options]") {
   CHECK(to_json(options).begin().key() == "flag");  // the order of declaration
 }
 
-TEST_CASE("options: what is left out keeps its value", "[io][options]") {
+TEST_CASE("options: missing fields keep their values", "[io][options]") {
   const Everything options = apply("{\"rate_m\": 2, // whole numbers are numbers\n \"sigmas\": []}");
   CHECK(options.rate_m == 2.0);
   CHECK(options.count == 3);

@@ -179,7 +179,7 @@ TEST_CASE("bags: ranges, gravity, artifacts and anchors make the optimum that th
   check_optimum(mission, expected);
 }
 
-TEST_CASE("bags: what a message lacks is supplied or left out, and counted", "[io][bag]") {
+TEST_CASE("bags: missing values of a message are supplied or left out, and counted", "[io][bag]") {
   const TemporaryFolder folder;
   if (!lamp_data("odd", folder / "o")) return;
   const Json expected = expected_of(folder / "o");
@@ -247,7 +247,7 @@ TEST_CASE("bags: scans are read by many threads at once", "[io][bag][thread]") {
   CHECK(wrong == 0);
 }
 
-TEST_CASE("bags: progress is told, and a stop is heard", "[io][bag]") {
+TEST_CASE("bags: reports progress and obeys a stop request", "[io][bag]") {
   const TemporaryFolder folder;
   if (!lamp_data("bags", folder / "p", "--robots c")) return;
   std::vector<Progress> told;
@@ -261,7 +261,7 @@ TEST_CASE("bags: progress is told, and a stop is heard", "[io][bag]") {
   CHECK_THROWS_AS(read_mission(folder / "p" / "rosbag", {}, {}, stop.token()), StoppedError);
 }
 
-TEST_CASE("bags: what is no bag of ours is refused and named", "[io][bag][error]") {
+TEST_CASE("bags: old, truncated and missing bags are refused", "[io][bag][error]") {
   const TemporaryFolder folder;
   testing::write_text(folder / "old.bag", "#ROSBAG V1.2\n");
   testing::write_text(folder / "cut.bag", "#ROSBAG V2.0\n");
@@ -415,14 +415,14 @@ TEST_CASE("g2o_pcd: ids that lost their robots' characters", "[io][g2o_pcd]") {
     CHECK_THROWS_WITH(read_mission(folder / "two"),
                       Contains("result.g2o:7: vertex 0 has another pose in line 1") &&
                           Contains("lost the robots' characters") && Contains("64-bit keys"));
-    // No collision, but no way to tell either.
+    // No collision, but the robot is unknown as well.
     write_file(folder / "two" / "result.g2o", "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n");
     CHECK_THROWS_WITH(read_mission(folder / "two"),
                       Contains("id 0 may be c0 or e0") && Contains("64-bit keys"));
   }
 }
 
-TEST_CASE("g2o_pcd: what cannot be told is refused or counted", "[io][g2o_pcd][error]") {
+TEST_CASE("g2o_pcd: ambiguous input is refused or counted", "[io][g2o_pcd][error]") {
   const TemporaryFolder folder;
   if (!lamp_data("g2o_pcd", folder / "d", "--names rank")) return;
   fs::remove(folder / "d" / "pcd" / "pc_3.pcd");

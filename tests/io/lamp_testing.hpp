@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Data that lamp_data.py writes with other writers than ours, and what must be read from them.
+/// Data that lamp_data.py writes with independent writers, and the values that must be read from them.
 #pragma once
 
 #include <algorithm>
@@ -95,7 +95,7 @@ inline Key key_of(const Json& text) {
   return parse_key(text.get_ref<const std::string&>());
 }
 
-/// The information of a covariance. Measured: 2e-15 of its size off what the reader makes of it.
+/// The information of a covariance. Measured: the reader's differs by 2e-15 of its size.
 inline void check_information(const Matrix6d& information, const Json& covariance) {
   CHECK((information * covariance_of(covariance) - Matrix6d::Identity()).cwiseAbs().maxCoeff() < 1e-10);
   CHECK(information == information.transpose());

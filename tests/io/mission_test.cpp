@@ -256,7 +256,7 @@ TEST_CASE("mission: a folder is no mission before it is finished", "[io][mission
   CHECK_THROWS_AS(read_mission(folder / "none"), IoError);
 }
 
-TEST_CASE("mission: what is missing is supplied and counted", "[io][mission]") {
+TEST_CASE("mission: missing data are supplied and counted", "[io][mission]") {
   const TemporaryFolder folder;
   const fs::path path = write_complete(folder);
   fs::remove(path / "stamps.csv");

@@ -155,7 +155,7 @@ TEST_CASE("odometry: a list outlives conversion, and joining", "[io][convert][od
     CHECK(joined.graph.edges()[3].kind == EdgeKind::kOdometry);
     CHECK(joined.graph.edges()[7].kind == EdgeKind::kLoopClosure);
   }
-  // Neighbours tell it: no list.
+  // Neighbours determine it: no list.
   write_mission(folder / "plain", read_mission(folder / "g.g2o"));
   CHECK_FALSE(testing::fs::exists(folder / "plain" / "odometry.csv"));
   // Of two edges between the same nodes no list says which is odometry.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Readers of texts in memory, and what fuzzing them has shown.
+// Readers of texts in memory, and the findings of fuzzing them.
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
@@ -59,7 +59,7 @@ TEST_CASE("parse: stamps at both ends of time are not near", "[io][parse]") {
   CHECK(associate(late, late, 1e9).keys.size() == 1);
 }
 
-TEST_CASE("parse: what is no UTF-8 becomes legible, the rest stays", "[io][parse]") {
+TEST_CASE("parse: bytes that are not UTF-8 become legible, other text stays", "[io][parse]") {
   const auto same = [](const std::string& text) {
     CHECK(text::is_utf8(text) == (text::legible(text) == text));
     return text::is_utf8(text);

@@ -49,7 +49,8 @@ inline std::string scientific_rows(const std::vector<Eigen::Isometry3d>& poses, 
   return out;
 }
 
-/// What kitti velodyne files hold: x, y, z and reflectance as floats. The first point tells the sweep.
+/// The contents of KITTI velodyne files: x, y, z and reflectance as floats. The first point identifies the
+/// sweep.
 inline void write_kitti_bin(const fs::path& file, std::size_t sweep, std::size_t points = 30) {
   std::ofstream out(file, std::ios::binary);
   Rng rng(static_cast<unsigned>(sweep) + 1);

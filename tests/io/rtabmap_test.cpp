@@ -87,7 +87,7 @@ TEST_CASE("RTAB-Map: each map is a robot that stands where the program put it", 
   REQUIRE(testing::names_of(mission.robots) == std::vector<std::string>{"two_0", "two_1"});
   CHECK(mission.problems.count("joined without a frame") == 0);
   CHECK(mission.graph.node(7).pose.isApprox(rows_of(expected["nodes"][6]["optimized"]), kFloat));
-  // The truth of the database is in the frame of what measured it.
+  // The truth of the database is in the frame of the system that measured it.
   CHECK(mission.truth_is_aligned);
   CHECK(mission.problems.count("truth in another frame") == 1);
   CHECK(mission.ground_truth.size() == 12);
@@ -134,7 +134,7 @@ TEST_CASE("RTAB-Map: a map whose first node the program forgot stands by the nex
   CHECK(mission_kind(folder.path()) == MissionKind::kG2oPcd);
 }
 
-TEST_CASE("RTAB-Map: what is left out or guessed is counted", "[io][saved_map][rtabmap][error]") {
+TEST_CASE("RTAB-Map: data that are left out or guessed are counted", "[io][saved_map][rtabmap][error]") {
   const TemporaryFolder folder;
   if (!rtabmap_data(folder / "odd.db", "--odd --gap")) return;
   const Mission mission = read_mission(folder / "odd.db");

@@ -19,7 +19,7 @@
 
 namespace loopwise::testing {
 
-/// Key frames on a circle of 10 m, and what odometry made of them.
+/// Key frames on a circle of 10 m, and their poses by odometry.
 struct Drive {
   std::vector<Eigen::Isometry3d> truth;
   std::vector<Eigen::Isometry3d> odometry;

@@ -105,7 +105,7 @@ TEST_CASE("savers: SC-A-LOAM and FAST_LIO_SLAM", "[io][session][saver]") {
   }
 }
 
-TEST_CASE("savers: a session that was stopped under way keeps what its files have in common",
+TEST_CASE("savers: of a session that was stopped, the rows that all files have are read",
           "[io][session][saver]") {
   const TemporaryFolder folder;
   const std::string form = GENERATE("a", "f", "l");
@@ -391,7 +391,7 @@ TEST_CASE("savers: of hdl_graph_slam's fixed nodes the anchor alone goes", "[io]
   CHECK(mission.problems.count("odometry chain broken") == 0);
   CHECK(mission.problems.count("fixed node without key frame taken for an anchor") == 0);
 
-  // Without the file that names it, the fixed ones are taken, and said.
+  // Without the file that names it, the fixed ones are used, which is reported.
   fs::remove(dump / "special_nodes.csv");
   const Mission guessed = read_mission(dump);
   CHECK(guessed.graph.nodes().size() == 11);

@@ -22,7 +22,7 @@ std::shared_ptr<const PointCloud> cloud_of(std::size_t count) {
   return std::make_shared<const PointCloud>(random_cloud(count, false, false));
 }
 
-TEST_CASE("scan store: reads on demand and knows what it has", "[io][scans]") {
+TEST_CASE("scan store: reads on demand and lists its scans", "[io][scans]") {
   const TemporaryFolder folder;
   const PointCloud cloud = random_cloud(10, false, true);
   write_pcd(folder / "7.pcd", cloud);
@@ -52,7 +52,7 @@ TEST_CASE("scan store: a broken scan is an error each time, read and counted onc
   CHECK_THAT(store.problems().all()[0].example, Contains("1.pcd"));
 }
 
-TEST_CASE("scan store: a lack of memory says nothing about the file, and holds nobody up",
+TEST_CASE("scan store: a lack of memory is no fault of the file, and blocks no other reader",
           "[io][scans][error]") {
   std::atomic<int> reads{0};
   const ScanStore store({1}, [&reads](Key) -> std::shared_ptr<const PointCloud> {

@@ -139,7 +139,7 @@ TEST_CASE("trajectory: TUM poses come in the order of their stamps, and flaws of
   CHECK(t.problems.count(twice) == 2);
   CHECK(t.problems.count(unsorted) == 0);
 
-  // 100.7, 100.9, 101.1 without what stands before the point.
+  // 100.7, 100.9, 101.1 without the digits before the point.
   t = read(".7 0" + pose + ".9 1" + pose + ".1 2" + pose);
   CHECK(t.problems.count(without_seconds) == 1);
   CHECK(read("5.7 0" + pose + "5.9 1" + pose + "5.1 2" + pose).problems.count(without_seconds) == 0);

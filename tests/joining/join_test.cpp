@@ -28,7 +28,7 @@ Eigen::Isometry3d on_path(double place) {
   return T;
 }
 
-/// Robots that each stand in a frame of their own, and where they truly are.
+/// Robots in separate frames, and their true poses.
 struct Team {
   PoseGraph graph;
   Robots robots;
@@ -160,7 +160,7 @@ TEST_CASE("joining: two robots that saw the same places", "[joining]") {
   CHECK(again.computed == result.computed);
 }
 
-TEST_CASE("joining: what does not suffice", "[joining]") {
+TEST_CASE("joining: insufficient evidence", "[joining]") {
   const Team team = two_robots();
   const auto rule = true_places(team);
   SECTION("nothing in common") {

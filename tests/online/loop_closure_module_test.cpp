@@ -203,7 +203,7 @@ TEST_CASE("module: scans, factors and candidates may come before their nodes", "
   REQUIRE(module.graph().edges().size() >= odometry.size());
 }
 
-TEST_CASE("module: odometry and priors place their nodes, whatever comes first", "[online][module]") {
+TEST_CASE("module: odometry and priors give their nodes poses, in any order of arrival", "[online][module]") {
   const Mission mission = two_circles(1, 30);
   const std::vector<KeyFrame> frames = key_frames(mission);
   const auto pairs_of = [](const LoopClosureModule& module) {
@@ -400,7 +400,7 @@ TEST_CASE("module: odometry that arrives during an optimisation is included in t
     REQUIRE(results == candidates.size());
     return running.graph();
   };
-  for (const double off_m : {1.0, 0.0}) {  // without, it holds what lies there already
+  for (const double off_m : {1.0, 0.0}) {  // with 0, the late edge agrees with the poses
     const PoseGraph late = run(true, off_m), expected = run(false, off_m);
     for (const Node& node : expected.nodes()) {
       CAPTURE(off_m, key_name(node.key));
@@ -530,7 +530,8 @@ TEST_CASE("module: a prior of the position alone does not turn the path", "[onli
   REQUIRE((step(after) - step(before)).cwiseAbs().maxCoeff() < 1e-9);
 }
 
-TEST_CASE("module: fly-bys of a radio beacon become candidates, whatever comes first", "[online][module]") {
+TEST_CASE("module: fly-bys of a radio beacon become candidates, in any order of arrival",
+          "[online][module]") {
   const Mission mission = two_circles(1, 40);
   ModuleOptions options = module_options("rssi");
   options.engine.use_proximity = false;

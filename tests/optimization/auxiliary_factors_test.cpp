@@ -119,7 +119,7 @@ TEST_CASE("auxiliary factors: covariances equal dense inversion", "[optimization
   }
 }
 
-TEST_CASE("auxiliary factors: the optimum has no gradient and costs what its parts cost",
+TEST_CASE("auxiliary factors: at the optimum the gradient is 0 and the cost is the sum of its parts",
           "[optimization][property]") {
   for (const bool prior : {true, false}) {
     Rng rng(7);

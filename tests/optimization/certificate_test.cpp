@@ -209,7 +209,7 @@ TEST_CASE("certify: the eigenvalue is that of the dense matrix", "[optimization]
         // Measured 1.2e-10.
         REQUIRE(c.min_eigenvalue == Approx(dense).epsilon(1e-8));
         // tr Λ = 2F at a critical point. The bound is proven by a factor at a
-        // shift that grows tenfold: it is within ten times of what the eigenvalue allows.
+        // shift that grows tenfold: its gap is at most ten times that of the eigenvalue.
         const double half = 0.5 * 3.0 * static_cast<double>(graph.nodes().size());
         REQUIRE(c.lower_bound <= std::max(0.0, c.cost + half * dense * (1.0 - 1e-9)));
         REQUIRE(c.lower_bound >= c.cost + 10.0 * half * dense - 1e-6 * c.cost);

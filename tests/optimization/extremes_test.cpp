@@ -15,7 +15,7 @@ namespace {
 
 constexpr double kPi = 3.14159265358979323846;
 
-/// The graph seen from another world frame: nodes and priors move, what was measured between nodes does not.
+/// The graph seen from another world frame: nodes and priors move, measurements between nodes do not.
 PoseGraph moved(const PoseGraph& graph, const Eigen::Isometry3d& T_new_old) {
   PoseGraph out;
   for (Node node : graph.nodes()) {
@@ -228,7 +228,7 @@ TEST_CASE("extremes: thousands of robots that share nothing", "[optimization][ex
   REQUIRE(result.truncated_cost <= plain.cost * (1.0 + 1e-6));
 }
 
-TEST_CASE("extremes: a batch of outliers alone, wherever the world's origin is and whatever they claim",
+TEST_CASE("extremes: a batch of only outliers, for any world origin and any stated information",
           "[optimization][extremes][property]") {
   for (const double information : {1e-6, 1.0, 1e6}) {
     for (std::uint64_t seed = 1; seed <= 3; ++seed) {

@@ -54,7 +54,8 @@ TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "
   }
 }
 
-TEST_CASE("front kernels: elimination is a Cholesky factor and refuses what has none", "[optimization]") {
+TEST_CASE("front kernels: elimination is a Cholesky factor, and refuses indefinite matrices",
+          "[optimization]") {
   Rng rng(22);
   for (const detail::FrontKernels* kernel : {&detail::front_kernels(), &detail::front_kernels_baseline()}) {
     for (int m = 6; m <= 42; m += 6) {

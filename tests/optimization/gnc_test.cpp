@@ -503,7 +503,7 @@ TEST_CASE("gnc: a request to stop at any moment leaves a whole result", "[optimi
     REQUIRE(result.outliers == closures - kept);
     REQUIRE(std::isfinite(result.truncated_cost));
     PoseGraph graph = corridor.graph;
-    graph.set_poses(result.optimization.poses);  // refuses what is no pose
+    graph.set_poses(result.optimization.poses);  // refuses invalid poses
     REQUIRE(graph.poses().size() == whole.optimization.poses.size());
     if (result.optimization.termination == Termination::kStopped) {
       ++stopped;
@@ -651,7 +651,7 @@ TEST_CASE("gnc: false closures thrown into a two-robot tunnel", "[optimization][
   }
 }
 
-TEST_CASE("pcm: keeps what agrees and drops what does not", "[optimization][pcm]") {
+TEST_CASE("pcm: keeps closures that agree and drops the others", "[optimization][pcm]") {
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     CAPTURE(seed);
     Rng rng(seed);

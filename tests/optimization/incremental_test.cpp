@@ -346,7 +346,7 @@ TEST_CASE("incremental: the same bits for any number of threads", "[optimization
   for (std::size_t i = 0; i < one.size(); ++i) CHECK(one[i].matrix() == three[i].matrix());
 }
 
-TEST_CASE("incremental: a request to stop keeps what was reached", "[optimization]") {
+TEST_CASE("incremental: a request to stop keeps the poses reached", "[optimization]") {
   Rng rng(9);
   const RandomGraph random = random_graph(rng);
   IncrementalOptimizer optimizer(random.graph, {}, exact());
@@ -396,7 +396,7 @@ TEST_CASE("incremental: a false closure leaves no trace", "[optimization]") {
   check_against_optimize(optimizer.graph(), result.cost);
 }
 
-TEST_CASE("incremental: many closures at once get an order of their own", "[optimization]") {
+TEST_CASE("incremental: many closures at once get a new order", "[optimization]") {
   Rng rng(15);
   RandomGraphOptions options;
   options.nodes = 200;

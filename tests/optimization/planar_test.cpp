@@ -534,7 +534,7 @@ TEST_CASE("planar: covariances are those of two dimensions, and nothing elsewher
   CHECK(with.trace_full < known.trace_full);
 }
 
-TEST_CASE("planar: what fits no pose is an error, as in space", "[optimization][planar][error]") {
+TEST_CASE("planar: an undetermined pose is an error, as in 3D", "[optimization][planar][error]") {
   World world = grid_world(10, 0, 1);
   Node node;
   node.key = 100;

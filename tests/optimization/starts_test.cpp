@@ -107,7 +107,7 @@ std::size_t right_closures(const testing::RandomGraph& graph) {
   return count;
 }
 
-/// The first nodes of a graph, with what joins them.
+/// The first nodes of a graph, with the factors between them.
 PoseGraph beginning(const PoseGraph& whole, std::size_t nodes) {
   PoseGraph out;
   for (std::size_t i = 0; i < nodes; ++i) out.add_node(whole.nodes()[i]);

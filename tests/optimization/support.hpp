@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Pose graphs for the tests of optimisation: random ones, and a small g2o reader of their own.
+/// Pose graphs for the tests of optimisation: random ones, and a small independent g2o reader.
 #pragma once
 
 #include <Eigen/Dense>

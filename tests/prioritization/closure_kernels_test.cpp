@@ -107,7 +107,7 @@ TEST_CASE("closure kernels: the same bits for wide and narrow registers, and for
     REQUIRE((c - (before - a * b)).cwiseAbs().maxCoeff() < 1e-12);
   }
 
-  // Blocks 1 to 3 give to 5 and 6, which stand for rows 2 and 7, and to 4, which stands for row 0.
+  // Blocks 1 to 3 add to 5 and 6, which represent rows 2 and 7, and to 4, which represents row 0.
   const std::vector<std::uint32_t> rows{9, 0, 2, 7}, place{4, 99, 5, 99, 99, 99, 99, 6};
   std::vector<double> values(7 * 36);
   for (double& v : values) v = rng.normal();

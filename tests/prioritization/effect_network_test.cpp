@@ -67,7 +67,7 @@ Instance problem(Rng& rng, std::size_t nodes = 60, std::size_t candidates = 40) 
 
 }  // namespace
 
-TEST_CASE("effects: what one closure does is exact", "[prioritization][effects]") {
+TEST_CASE("effects: the effect of one closure is exact", "[prioritization][effects]") {
   Rng rng(3);
   const Instance p = problem(rng);
   const ClosureModelOptions options;

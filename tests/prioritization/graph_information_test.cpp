@@ -272,7 +272,7 @@ TEST_CASE("rssi: radio candidates in the order of generation, no others", "[prio
   REQUIRE(taken[0].id == 0);
 }
 
-TEST_CASE("queue: shares stay equal when graph information and others want the same",
+TEST_CASE("queue: shares stay equal if graph information and others select the same candidates",
           "[prioritization][queue][gi]") {
   const PoseGraph graph = walk(7);
   auto candidates = candidates_of(graph, 200);

@@ -104,7 +104,7 @@ TEST_CASE("selection: the same steps give the same set, however divided", "[prio
   REQUIRE(run({30, 200, 370}, 1) == whole);
   REQUIRE(run({600}, 2) != whole);
 
-  // It comes to an end by itself.
+  // It ends without a stop request.
   CovarianceObjective objective(p.graph, p.candidates);
   AnnealingOptions options;
   options.max_steps = 70;

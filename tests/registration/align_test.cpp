@@ -154,7 +154,8 @@ TEST_CASE("align: a guess leads from source to target", "[registration][align]")
                       Contains("the guess is not a rigid transform"));
 }
 
-TEST_CASE("align: what cannot be aligned has a reason and no transform", "[registration][align][error]") {
+TEST_CASE("align: clouds that cannot be aligned give a reason and no transform",
+          "[registration][align][error]") {
   const Pair pair = two_scans();
   const AlignResult none = align(pair.target, std::vector<Eigen::Vector3f>());
   REQUIRE_FALSE(none.success);

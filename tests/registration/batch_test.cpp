@@ -41,7 +41,7 @@ std::vector<RegistrationTask> tasks(Key count) {
   return out;
 }
 
-TEST_CASE("compute_batch: results in the order of the tasks; what is thrown becomes a reason", "[batch]") {
+TEST_CASE("compute_batch: results in the order of the tasks; an exception becomes a reason", "[batch]") {
   const int threads = GENERATE(1, 2, 4);
   ThreadPool pool(threads);
   std::vector<std::size_t> done;
@@ -78,7 +78,7 @@ TEST_CASE("compute_batch: nothing to do", "[batch]") {
   REQUIRE(compute_batch(FakeRegistrar(), {}, pool).empty());
 }
 
-TEST_CASE("compute_or_fail: whatever is thrown is a result that says what", "[batch][error]") {
+TEST_CASE("compute_or_fail: every exception becomes a result with its message", "[batch][error]") {
   struct Throwing final : Registrar {
     [[nodiscard]] std::string_view name() const override { return "throwing"; }
     [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
@@ -97,7 +97,8 @@ TEST_CASE("compute_or_fail: whatever is thrown is a result that says what", "[ba
   }
 }
 
-TEST_CASE("compute_or_fail: the result is of the candidate, whatever the registrar says", "[batch][error]") {
+TEST_CASE("compute_or_fail: the result has the candidate of the task, not that of the registrar",
+          "[batch][error]") {
   struct Forgetful final : Registrar {
     [[nodiscard]] std::string_view name() const override { return "forgetful"; }
     [[nodiscard]] RegistrationResult compute(const RegistrationTask&) const override {
@@ -116,7 +117,7 @@ TEST_CASE("compute_or_fail: the result is of the candidate, whatever the registr
   REQUIRE(result.candidate.source == CandidateSource::kUser);
 }
 
-TEST_CASE("compute_or_fail: closures are what a graph takes, or failed", "[batch][error]") {
+TEST_CASE("compute_or_fail: closures that a graph refuses are failed", "[batch][error]") {
   struct Single final : Registrar {  // poses in single precision, as of other libraries
     [[nodiscard]] std::string_view name() const override { return "single"; }
     [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {

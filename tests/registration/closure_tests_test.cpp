@@ -251,8 +251,7 @@ TEST_CASE("judge_alignment: each test has its reason, and one that passes is a c
   REQUIRE(judge(good, true, turned, T).reason == RejectionReason::kTransformThreshold);
 }
 
-TEST_CASE("surface_share: 1 on planes, less on rough ground, 1 where nothing can be said",
-          "[closure_tests]") {
+TEST_CASE("surface_share: 1 on planes, less on rough ground, 1 without evidence", "[closure_tests]") {
   Rng rng(5);
   const ClosureTestOptions options;
   for (const double roughness_m : {0.0, 0.05, 0.2}) {

@@ -52,7 +52,7 @@ TEST_CASE("draw_balanced: rare directions get their share, unknown normals none"
   REQUIRE(std::adjacent_find(sorted.begin(), sorted.end()) == sorted.end());
 }
 
-TEST_CASE("compute_fpfh: does not change with the sensor's pose and tells surfaces apart",
+TEST_CASE("compute_fpfh: does not change with the sensor's pose and distinguishes surfaces",
           "[parts][property]") {
   Rng rng(3);
   FeatureOptions options;
@@ -103,7 +103,7 @@ TEST_CASE("fit_rigid: exact on exact matches", "[parts]") {
   REQUIRE(testing::difference(fit_rigid(matches, {0, 2, 4}), truth) < 1e-5);
 }
 
-TEST_CASE("find_consensus: finds 5 % of true matches among false ones, not what chance offers", "[parts]") {
+TEST_CASE("find_consensus: finds 5 % of true matches among false ones, no chance agreement", "[parts]") {
   const std::uint64_t seed = GENERATE(range(1u, 6u));
   CAPTURE(seed);
   Rng rng(seed);
@@ -256,7 +256,7 @@ TEST_CASE("match_descriptors: the most similar of all, as by comparing each with
   }
 }
 
-TEST_CASE("RangeImage: what lies before the seen surfaces contradicts them, what lies on or behind does not",
+TEST_CASE("RangeImage: points in front of the seen surfaces contradict them, points on or behind do not",
           "[parts]") {
   Rng rng(43);
   // A sphere of 10 m around the sensor, but for a hole upwards.

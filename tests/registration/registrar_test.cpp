@@ -204,7 +204,8 @@ TEST_CASE("registrar: a scan that is missing or cannot be read is a reason", "[r
   }
 }
 
-TEST_CASE("registrar: a neighbour's scan that cannot be read is left out, and said", "[registrar][error]") {
+TEST_CASE("registrar: a neighbour's scan that cannot be read is left out and reported",
+          "[registrar][error]") {
   const std::string name = GENERATE(from_range(registrar_names()));
   CAPTURE(name);
   const Drive drive(11, 4);
@@ -309,7 +310,7 @@ TEST_CASE("FastRegistrar: prepared scans change nothing", "[registrar]") {
   const FastRegistrar cold(features), warm(features);
   warm.prepare(0);
   warm.prepare(1);
-  warm.prepare(99);  // there is none
+  warm.prepare(99);  // a key without a scan
   require_identical(warm.compute(pair_task(1, 0, 1)), cold.compute(pair_task(1, 0, 1)));
 }
 

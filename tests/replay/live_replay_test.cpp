@@ -182,7 +182,7 @@ TEST_CASE("live replay: odometry is that of the virtual clock", "[replay][live]"
   }
 }
 
-TEST_CASE("live replay: a stop request ends it soon, with what there is", "[replay][live]") {
+TEST_CASE("live replay: a stop request ends it soon, with the results so far", "[replay][live]") {
   const Mission mission = two_circles();
   ReplayOptions config = live_config("random");
   config.after_mission = true;

@@ -19,7 +19,7 @@ using testing::OracleRegistrar;
 using testing::TemporaryFolder;
 using testing::two_circles;
 
-/// Counts what it is asked for.
+/// Counts its requests.
 class CountingRegistrar final : public Registrar {
  public:
   explicit CountingRegistrar(const Mission& mission) : oracle_(mission.ground_truth) {}
@@ -75,7 +75,7 @@ std::uintmax_t bytes_of(const testing::fs::path& folder) {
 
 }  // namespace
 
-TEST_CASE("outcome store: what is found equals what was computed, to the bit", "[replay][outcomes]") {
+TEST_CASE("outcome store: stored outcomes equal the computed ones to the bit", "[replay][outcomes]") {
   const Mission mission = two_circles();
   const auto registrar = std::make_shared<CountingRegistrar>(mission);
   const TemporaryFolder folder;
@@ -140,7 +140,7 @@ TEST_CASE("outcome store: figures, messages and times of every kind survive", "[
   REQUIRE(OutcomeStore(folder.path()).statistics().found_at_start == 40);
 }
 
-TEST_CASE("outcome store: whatever an outcome depends on is in its key", "[replay][outcomes]") {
+TEST_CASE("outcome store: the key contains all inputs of an outcome", "[replay][outcomes]") {
   const Mission mission = two_circles();
   const TemporaryFolder folder;
   const auto registrar = std::make_shared<CountingRegistrar>(mission);

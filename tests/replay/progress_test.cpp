@@ -29,7 +29,7 @@ Shown replayed(const ReplayOptions& options) {
 
 }  // namespace
 
-TEST_CASE("replay: progress counts what the clock has time for", "[replay][progress]") {
+TEST_CASE("replay: progress counts the candidates that fit into the time", "[replay][progress]") {
   ReplayOptions options;
   options.prioritization.method = parse_method("random");
   options.batch = 20;

@@ -144,7 +144,7 @@ ReplayOptions options_for(const std::string& method) {
 
 }  // namespace
 
-TEST_CASE("recognition: pairs of a file are candidates, and their poses what registrations start from",
+TEST_CASE("recognition: pairs of a file are candidates, and registrations start from their poses",
           "[replay][recognition]") {
   const Mission mission = two_circles();
   const testing::TemporaryFolder folder;
@@ -167,7 +167,7 @@ TEST_CASE("recognition: pairs of a file are candidates, and their poses what reg
   given.translation() << 1.0, 2.0, 3.0;
   REQUIRE(testing::difference(*first->guess_from_to, given.inverse()) < 1e-12);
 
-  // Beside proximity, which proposes the same pairs, what was recognised still counts.
+  // If proximity proposes the same pairs, the recognised guess is still used.
   options.engine.use_proximity = true;
   const Run both = run(mission, options);
   REQUIRE(both.tasks.size() > 100);

@@ -257,7 +257,7 @@ TEST_CASE("replay: with measured times each worker is busy for as long as it too
   ReplayOptions config = fast_config();
   config.cost.measured_time = true;
   config.cost.workers = 3;
-  config.max_registrations = 150;  // beyond what fits with these times
+  config.max_registrations = 150;  // more than fit with these times
   const auto registrar = std::make_shared<TimedRegistrar>(mission);
   const Recorded run = run_replay(mission, config, 2, {}, registrar);
   REQUIRE(run.result.accounting.balanced());
@@ -539,7 +539,7 @@ TEST_CASE("replay: missing and unreadable scans expire their candidates with a r
   }
 }
 
-TEST_CASE("replay: scans that vanish under way are named, their candidates counted, the rest goes on",
+TEST_CASE("replay: scans that vanish during the run are named, their candidates counted, the run continues",
           "[replay][replay][error]") {
   const testing::TemporaryFolder folder;
   Mission mission = two_circles(1, 20);

@@ -273,7 +273,7 @@ TEST_CASE("trace: a line that cannot be read is named, one that a kill cut short
   }
   REQUIRE_THROWS_WITH(replay_of(joined(without_hash)), Contains("without its hash"));
 
-  // An estimate that another machine or version computes otherwise is said to differ.
+  // An estimate that another machine or version computes differently is reported.
   std::vector<std::string> changed = lines;
   for (std::string& line : changed) {
     const std::size_t at = line.find("\"estimate\":\"");
@@ -304,7 +304,7 @@ TEST_CASE("trace: a run with prioritisers of the user's own is repeated with the
   REQUIRE_THROWS_WITH(replay_trace(folder / "trace.jsonl"), Contains("has a result but was not begun"));
 }
 
-TEST_CASE("trace: an observer of events that throws is reported, and the module goes on",
+TEST_CASE("trace: an observer of events that throws is reported, and the module continues",
           "[replay][module][trace][error]") {
   const Mission mission = two_circles(1, 12);
   ModuleOptions options;

@@ -116,7 +116,7 @@ TEST_CASE("simulate: a mission is whole and keeps its promises", "[simulation][p
   }
 }
 
-TEST_CASE("simulate: a folder holds what memory held", "[simulation]") {
+TEST_CASE("simulate: the folder contains the mission in memory", "[simulation]") {
   const testing::TemporaryFolder folder;
   SimulationOptions options = small(WorldKind::kTunnel);
   const SimulatedMission memory = simulate(options, 3);

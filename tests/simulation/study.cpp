@@ -213,7 +213,7 @@ struct Pairs {
   }
 };
 
-/// Scans 1, 2 and 3 nodes apart, without a guess: what a session without revisits offers.
+/// Scans 1, 2 and 3 nodes apart, without a guess, as in a session without revisits.
 void count_close(const Mission& mission, const ScanLoader& loader,
                  const std::map<Key, Eigen::Isometry3d>& truth, Tally& tally) {
   const FastRegistrar registrar(std::make_shared<FeatureCache>(loader));

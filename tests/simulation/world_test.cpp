@@ -96,7 +96,7 @@ TEST_CASE("worlds: connected, closed and clear where robots drive", "[simulation
       }
     }
     REQUIRE(std::count(reached.begin(), reached.end(), 0) == 0);
-    // Passages for half of what is driven: building blocks are coarse in small worlds.
+    // Passages for half of the driven path: building blocks are coarse in small worlds.
     REQUIRE(world.passage_length_m() > 0.6 * 200.0);
     REQUIRE(world.passage_length_m() < 1.8 * 200.0);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Studies as functions: what they return, and what they leave in their folder.
+// Studies as functions: their results and the files in their folder.
 #include <loopwise/study/study.hpp>
 
 #include <algorithm>
@@ -53,7 +53,7 @@ std::size_t lines_of(const std::string& text) {
 
 }  // namespace
 
-TEST_CASE("study: a function returns its tables, and goes on where it was", "[study]") {
+TEST_CASE("study: a function returns its tables, and uses finished runs again", "[study]") {
   const TemporaryFolder folder;
   const StudyOptions options = small_study(folder, "ablation");
   AblationOptions wanted;

@@ -49,7 +49,7 @@ TEST_CASE("data: targets are the exact traces", "[train]") {
     for (const TrainingSet& set : graph.sets) {
       exact.assign({set.members.begin(), set.members.end()});
       worst = std::max(worst, std::abs(exact.value() / set.trace_m2 - 1.0));
-      // The remaining variances of the units add up to the trace, as far as a sample of the nodes can tell.
+      // The remaining variances of the units add up to the trace, up to the error of a sample of the nodes.
       const double left =
           (graph.effects.share.array() * (-set.log_reduction.cast<double>().array()).exp()).sum() *
           graph.effects.trace_m2;
@@ -59,7 +59,7 @@ TEST_CASE("data: targets are the exact traces", "[train]") {
   }
 }
 
-TEST_CASE("data: earlier stages are parts of later ones; closed candidates are gone", "[train]") {
+TEST_CASE("data: earlier stages are parts of later ones; closed candidates are removed", "[train]") {
   const MissionRecord record = small_record("walk", 5, 60);
   const StageGraph part = stage_graph(record, {0.5, 0.0}, 100, 1);
   REQUIRE(part.graph.nodes().size() == 30);
@@ -72,7 +72,7 @@ TEST_CASE("data: earlier stages are parts of later ones; closed candidates are g
   for (const LoopCandidate& c : closed.candidates) REQUIRE(pairs.count({c.from, c.to}) == 0);
 }
 
-TEST_CASE("data: a file gives back what was written", "[train]") {
+TEST_CASE("data: written data are read back", "[train]") {
   const TemporaryFolder folder;
   const MissionData data = small_data(1).front();
   write_mission_data(folder / "a.cbor", data, "these options");
@@ -165,7 +165,7 @@ TEST_CASE("data: bad files are refused by name", "[train][error]") {
   REQUIRE_THROWS_WITH(record_of(mission, "", false), Contains("mission short has 0 nodes"));
 }
 
-TEST_CASE("split: by mission, in every group, whatever the order", "[train]") {
+TEST_CASE("split: by mission, in every group, for any order", "[train]") {
   std::vector<DataSetEntry> entries = entries_of(4, 8);
   entries.push_back({"big", "world0", "big", true});
   const std::vector<Role> roles = split_by_mission(entries, 7);
