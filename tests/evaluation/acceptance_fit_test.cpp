@@ -29,7 +29,7 @@ AcceptanceSamples drawn(const char* mission, const AcceptanceModel& verified, co
 
 }  // namespace
 
-TEST_CASE("acceptance fit: it finds the models that drew the outcomes", "[evaluation][acceptance]") {
+TEST_CASE("acceptance fit: finds the models that generated the outcomes", "[evaluation][acceptance]") {
   const AcceptanceModel verified({-2.0, 3.0, 2.0, 0.0, -0.8, 0.0}), right({1.0, 2.0, 0.0, 0.0, -0.4, 0.0});
   const std::vector<AcceptanceSamples> missions{
       drawn("one", verified, right, 1), drawn("two", verified, right, 2), drawn("three", verified, right, 3)};

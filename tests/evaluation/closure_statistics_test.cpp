@@ -86,7 +86,7 @@ TEST_CASE("closure classes: counted as the paper's Table I does", "[evaluation]"
   REQUIRE(percent(0, 0) == 0.0);
 }
 
-TEST_CASE("closure classes: nothing computed is a result", "[evaluation]") {
+TEST_CASE("closure classes: a run without registrations has a result", "[evaluation]") {
   const ClosureStatistics found = closure_statistics({}, {}, 7, {});
   REQUIRE(found.queued == 7);
   REQUIRE(found.computed == 0);

@@ -128,7 +128,7 @@ TEST_CASE("given truth: stamps in between are interpolated, far ones are not", "
   check_is_true(mission, 1e-12);
 }
 
-TEST_CASE("given truth: another frame moves no error", "[evaluation][truth]") {
+TEST_CASE("given truth: another frame does not change errors", "[evaluation][truth]") {
   const TemporaryFolder folder;
   Rng rng(3);
   Eigen::Isometry3d T = testing::random_pose(rng, 1.0);
@@ -161,7 +161,7 @@ TEST_CASE("given truth: another frame moves no error", "[evaluation][truth]") {
   CHECK(mission.truth_is_aligned);
 }
 
-TEST_CASE("given truth: a few degrees are another frame, noise is not", "[evaluation][truth]") {
+TEST_CASE("given truth: a rotation of a few degrees is another frame, noise is not", "[evaluation][truth]") {
   const TemporaryFolder folder;
   const auto is_aligned = [&](const Eigen::Isometry3d& T) {
     write_truth_g2o(folder / "t.g2o", T);
@@ -193,7 +193,7 @@ TEST_CASE("given truth: a few degrees are another frame, noise is not", "[evalua
   CHECK_FALSE(mission.truth_is_aligned);
 }
 
-TEST_CASE("given truth: one that begins late says so", "[evaluation][truth]") {
+TEST_CASE("given truth: a late beginning is reported", "[evaluation][truth]") {
   const TemporaryFolder folder;
   const auto late = [&](char robot, std::size_t skipped) {
     std::vector<StampedPose> path = true_path(robot);

@@ -100,7 +100,7 @@ TEST_CASE("map quality: closures of the estimate do not count as revisits", "[ev
   CHECK(some.revisits.size() == all.revisits.size() - used.size());
 }
 
-TEST_CASE("map quality: robots in a wrong frame show by places that are not alike", "[evaluation][map]") {
+TEST_CASE("map quality: near pairs of different places show robots in a wrong frame", "[evaluation][map]") {
   const Yard made = yard();
   ThreadPool pool(2);
   // The frame of b is turned and moved: its nodes lie on those of a that saw other places.

@@ -51,7 +51,7 @@ TEST_CASE("odometry drift: a constant turn", "[evaluation]") {
   REQUIRE(drift[1].largest_m == Approx(drift[1].end_m));
 }
 
-TEST_CASE("candidate statistics: counts as brute force does, overlap of equal and of far scans",
+TEST_CASE("candidate statistics: counts equal those of brute force, overlap of equal and of far scans",
           "[evaluation]") {
   Mission mission = two_robots();
   std::size_t expected = 0;

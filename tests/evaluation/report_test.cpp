@@ -272,7 +272,7 @@ void make_old(const Run& run, const std::string& problem) {
 
 }  // namespace
 
-TEST_CASE("report: a truth that comes later judges the run", "[evaluation][report]") {
+TEST_CASE("report: a truth given later evaluates the run", "[evaluation][report]") {
   const Mission right = testing::two_circles();
   Mission untrue = right;
   untrue.ground_truth.clear();
@@ -551,7 +551,7 @@ TEST_CASE("report: studies that share a folder, missions that share a name", "[e
   REQUIRE(studies.at(2).at("result").is_null());
 }
 
-TEST_CASE("report: names of any kind cannot leave the data", "[evaluation][report]") {
+TEST_CASE("report: names cannot end the data block of the page", "[evaluation][report]") {
   Mission mission = testing::two_circles();
   mission.name = "</script><!--<script> \"x\" & \\";
   const Run run(mission);

@@ -139,7 +139,7 @@ void write_run(const Mission& mission, Run& run) {
 
 }  // namespace
 
-TEST_CASE("mcap: a run is there as messages over mission time", "[evaluation][mcap]") {
+TEST_CASE("mcap: a run becomes messages over mission time", "[evaluation][mcap]") {
   const Mission mission = testing::two_circles();
   Run run;
   write_run(mission, run);

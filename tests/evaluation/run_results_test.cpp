@@ -100,7 +100,7 @@ TEST_CASE("run folder: contains the run, and its files are consistent", "[evalua
   REQUIRE(testing::fs::exists(folder / "picture.svg"));
 }
 
-TEST_CASE("run results: a reference is no truth, residuals need none", "[evaluation][run]") {
+TEST_CASE("run results: a reference is no truth, residuals need no truth", "[evaluation][run]") {
   // As a session whose own optimised poses are worse than its odometry.
   Mission mission = testing::two_circles();
   mission.reference = std::exchange(mission.ground_truth, {});
@@ -172,7 +172,7 @@ TEST_CASE("run folder: a map far from zero keeps its points", "[evaluation][run]
   REQUIRE(read_cloud(folder / "map.pcd").cloud.origin == moved.cloud.origin);
 }
 
-TEST_CASE("run folder: strays are no part of the map", "[evaluation][run]") {
+TEST_CASE("run folder: the map leaves out strays", "[evaluation][run]") {
   PoseGraph graph;
   graph.add_node({});
   const auto cloud = std::make_shared<PointCloud>();

@@ -11,7 +11,7 @@ namespace loopwise {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
-TEST_CASE("sample statistics: quantiles as other programs have them", "[evaluation][statistics]") {
+TEST_CASE("sample statistics: quantiles equal those of other programs", "[evaluation][statistics]") {
   // numpy.percentile([3, 1, 4, 1, 5, 9, 2, 6], [0, 25, 50, 75, 100]) = 1, 1.75, 3.5, 5.25, 9
   const std::vector<double> values{3, 1, 4, 1, 5, 9, 2, 6};
   REQUIRE(quantile(values, 0.0) == 1.0);
@@ -27,7 +27,8 @@ TEST_CASE("sample statistics: quantiles as other programs have them", "[evaluati
   REQUIRE(quartiles({7.0}).upper == 7.0);
 }
 
-TEST_CASE("bootstrap: intervals of the median cover it as often as they say", "[evaluation][statistics]") {
+TEST_CASE("bootstrap: intervals of the median cover it with the stated probability",
+          "[evaluation][statistics]") {
   // Standard normal samples of 25: the true median is 0.
   std::size_t covered = 0;
   double width = 0.0;

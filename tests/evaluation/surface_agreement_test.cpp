@@ -52,8 +52,7 @@ PosesByKey shifted(PosesByKey poses, double side_m) {
 
 }  // namespace
 
-TEST_CASE("surface agreement: right poses agree, wrong ones less the wronger they are",
-          "[evaluation][surfaces]") {
+TEST_CASE("surface agreement: right poses agree, larger errors agree less", "[evaluation][surfaces]") {
   const Mission mission = twice_past_walls();
   const Revisits revisits = find_revisits(mission, mission.ground_truth);
   REQUIRE(revisits.size() > 20);
@@ -78,8 +77,7 @@ TEST_CASE("surface agreement: right poses agree, wrong ones less the wronger the
   REQUIRE(surface_agreement(mission, turned, revisits).mean == Approx(right.mean).margin(0.01));
 }
 
-TEST_CASE("surface agreement: revisits are those that a search of all pairs finds",
-          "[evaluation][surfaces]") {
+TEST_CASE("surface agreement: revisits equal those of a search of all pairs", "[evaluation][surfaces]") {
   Mission mission = twice_past_walls();
   Rng rng(4);
   // Far from the origin and below it, where cells have negative numbers.

@@ -166,7 +166,8 @@ TEST_CASE("alignment: a moved estimate is moved back", "[evaluation][property]")
                               Eigen::Isometry3d::Identity()) == 0.0);
 }
 
-TEST_CASE("alignment: se3 is Eigen's Umeyama and no small motion betters it", "[evaluation][differential]") {
+TEST_CASE("alignment: se3 equals Eigen's Umeyama, and no small motion improves it",
+          "[evaluation][differential]") {
   const unsigned seed = GENERATE(range(1u, 11u));
   CAPTURE(seed);
   Rng rng(seed);

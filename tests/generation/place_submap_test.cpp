@@ -73,7 +73,7 @@ TEST_CASE("place submap: neighbours along the odometry meet in the level frame",
   }
 }
 
-TEST_CASE("place submap: without a scan of the node there is nothing", "[generation][place]") {
+TEST_CASE("place submap: empty without a scan of the node", "[generation][place]") {
   Drive drive;
   REQUIRE(drive.submap(18, {}).level.empty());
   REQUIRE_THROWS_AS(drive.submap(77, {}), UnknownKeyError);

@@ -114,7 +114,7 @@ TEST_CASE("proximity: nodes that arrive late are proposed like any other", "[gen
   REQUIRE(generator.on_node(graph, make_key('a', 5), 0.0).size() == 1);
 }
 
-TEST_CASE("proximity: of nodes close together on a path some take part", "[generation]") {
+TEST_CASE("proximity: of nodes close together on a path only some are used", "[generation]") {
   // Twice round a square of 40 m with a node every 0.25 m, standing still for a while at each corner.
   const auto candidates_of = [](const ProximityOptions& options, bool turns) {
     ProximityGenerator generator(options, parse_robots("a"));
@@ -166,7 +166,7 @@ TEST_CASE("proximity: distances follow the current estimate", "[generation]") {
   REQUIRE(generator.on_node(graph, make_key('a', 50), 0.0).size() == 1);
 }
 
-TEST_CASE("proximity: nodes that move are proposed where they are, as the definition says",
+TEST_CASE("proximity: nodes that move are proposed at their present positions, as defined",
           "[generation][property]") {
   for (const std::string& name : proximity_preset_names()) {
     for (const int count : {200, 3000}) {  // by the list of all, and by the grid

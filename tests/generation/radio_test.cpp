@@ -101,7 +101,7 @@ TEST_CASE("radio: readings before the drop are ignored", "[generation][radio]") 
   REQUIRE(f.hear('b', 20) == Pairs{{"b20", "a20"}});
 }
 
-TEST_CASE("radio: threshold on the mean over receivers that heard something", "[generation][radio]") {
+TEST_CASE("radio: threshold on the mean over receivers with a reading", "[generation][radio]") {
   RadioOptions options;
   options.max_loss_db = 55.0;
   Fixture f(options);

@@ -144,7 +144,7 @@ TEST_CASE("bags: factors with altered numbers are read or refused", "[io][bag][d
   CHECK(errors < 200);
 }
 
-TEST_CASE("bags: sizes and places that lead astray", "[io][bag][damage]") {
+TEST_CASE("bags: false sizes and offsets", "[io][bag][damage]") {
   const TemporaryFolder folder;
   if (!lamp_data("bags", folder / "d", "--robots c --nodes 3 --compression lz4")) return;
   const std::string whole = read_file(folder / "d" / "rosbag" / "husky3.bag");
@@ -266,7 +266,7 @@ TEST_CASE("ros messages: fields are found by the definition", "[io][bag][ros]") 
   }
 }
 
-TEST_CASE("ros messages: definitions that make no type", "[io][bag][ros][error]") {
+TEST_CASE("ros messages: invalid definitions", "[io][bag][ros][error]") {
   const auto schema = [](const std::string& text) { return [text] { ros1::Schema("test_msgs/A", text); }; };
   const std::string line = std::string(80, '=') + "\nMSG: ";
   CHECK_THROWS_WITH(schema("Other o\n")(),

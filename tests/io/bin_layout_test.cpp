@@ -140,7 +140,7 @@ TEST_CASE("bin layout: a wrong one is detected at any number of points", "[io][c
   CHECK_THROWS_WITH(read_cloud(folder / "a.bin"), Contains("--bin-layout " + enum_name(layout)));
 }
 
-TEST_CASE("bin layout: a level beam whose sine was rounded is no sign of another", "[io][cloud]") {
+TEST_CASE("bin layout: a level beam with a rounded sine does not indicate another layout", "[io][cloud]") {
   const TemporaryFolder folder;
   std::string text;
   for (int i = 0; i < 400; ++i) {

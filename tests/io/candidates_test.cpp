@@ -54,7 +54,8 @@ TEST_CASE("candidates: errors name file, line and column", "[io][candidates][err
   REQUIRE_THROWS_AS(read_candidates("/no/such/file.csv"), IoError);
 }
 
-TEST_CASE("candidates: exchanging the ends turns the pose and its covariance round", "[io][candidates]") {
+TEST_CASE("candidates: exchanging the ends inverts the pose and transforms its covariance",
+          "[io][candidates]") {
   auto candidate =
       parse_candidates("from,to,x,y,z,qx,qy,qz,qw\n1,2,1,2,3,0,0,0.6,0.8\n", "pairs.csv").front();
   const Eigen::Isometry3d T = *candidate.recognition->T_from_to;

@@ -16,7 +16,7 @@ ros1::Schema schema_of(const std::string& definition) {
   return {"test_msgs/Test", cdr::ros1_definition(definition)};
 }
 
-TEST_CASE("cdr: numbers are aligned from behind the first four bytes, in either byte order", "[io][cdr]") {
+TEST_CASE("cdr: numbers are aligned relative to the end of the header, in either byte order", "[io][cdr]") {
   const ros1::Schema schema = schema_of("uint8 a\nfloat64 b\nuint16[] c\nstring d\nint32 e\n");
   const std::string little = kLittle + "\7" + std::string(7, '\0') + "\0\0\0\0\0\0\xf0\x3f"s +
                              "\2\0\0\0\1\0\2\0"s + "\3\0\0\0hi\0"s + "\0"s + "\xfe\xff\xff\xff"s;
@@ -73,7 +73,7 @@ TEST_CASE("cdr: additions of ROS 2 to definitions", "[io][cdr]") {
   CHECK_FALSE(value.has("SIZE"));
 }
 
-TEST_CASE("cdr: sizes that lie and other encodings are refused", "[io][cdr][error]") {
+TEST_CASE("cdr: false sizes and other encodings are refused", "[io][cdr][error]") {
   const ros1::Schema schema = schema_of("string[] a\n");
   const auto fails = [&](const std::string& bytes, const std::string& why) {
     CHECK_THROWS_WITH(cdr::to_ros1(schema, bytes), Contains("test_msgs/Test") && Contains(why));

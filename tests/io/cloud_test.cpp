@@ -165,7 +165,7 @@ TEST_CASE("cloud: normals are taken whole or not at all, and face the sensor", "
   CHECK(zero.problems.count("unusable normals") == 1);
 }
 
-TEST_CASE("cloud: headers that lie are refused before memory is taken", "[io][cloud][error]") {
+TEST_CASE("cloud: false headers are refused before memory is allocated", "[io][cloud][error]") {
   struct Bad {
     std::string name;
     std::string contents;
@@ -261,7 +261,7 @@ TEST_CASE("cloud: cutting or damaging a file anywhere never crashes", "[io][clou
   }
 }
 
-TEST_CASE("cloud: the real scans read", "[io][cloud][data]") {
+TEST_CASE("cloud: the real scans can be read", "[io][cloud][data]") {
   const auto folder = testing::test_data("kitti_pair");
   if (!folder) return;
   for (const char* name : {"source.ply", "target.ply"}) {

@@ -215,7 +215,7 @@ TEST_CASE("convert: robots that a list distinguishes get a letter each", "[io][c
   CHECK(back.scans->load(make_key('b', 1))->size() == 30);
 }
 
-TEST_CASE("convert: landmarks get letters that say so, and are in no trajectory", "[io][convert]") {
+TEST_CASE("convert: landmarks get capital letters, and are in no trajectory", "[io][convert]") {
   const TemporaryFolder folder;
   Mission mission = make_mission(false);
   std::vector<Robot> robots = mission.robots.all();
@@ -308,7 +308,7 @@ TEST_CASE("convert: trajectories", "[io][convert]") {
   CHECK_FALSE(fs::exists(folder / "next" / "of_another.tum"));
 }
 
-TEST_CASE("convert: a target is whole or nothing", "[io][convert][error]") {
+TEST_CASE("convert: a target is complete or absent", "[io][convert][error]") {
   const TemporaryFolder folder;
   const Mission mission = make_mission(true);
   const MissionFormat format = GENERATE(MissionFormat::kMission, MissionFormat::kG2oPcd, MissionFormat::kTum);

@@ -104,7 +104,7 @@ TEST_CASE("file kinds: readers name the kind of the given file", "[io][file_kind
   }
 }
 
-TEST_CASE("file kinds: our own kinds in the wrong place", "[io][file_kind][error]") {
+TEST_CASE("file kinds: Loopwise's own kinds in the wrong place", "[io][file_kind][error]") {
   const TemporaryFolder folder;
   write_ply(folder / "a.ply", testing::random_cloud(5, false, false));
   write_pcd(folder / "a.pcd", testing::random_cloud(5, false, false));

@@ -44,7 +44,8 @@ TEST_CASE("files: names as long as the system has them", "[io][files]") {
   CHECK(plain_file_name(longest) == std::string(100, 'n'));
 }
 
-TEST_CASE("files: flushed now, later, or not at all where there is nothing", "[io][files][error]") {
+TEST_CASE("files: flushed now or later; a device is accepted, a missing file is an error",
+          "[io][files][error]") {
   const TemporaryFolder folder;
   for (const Flush flush : {Flush::kNow, Flush::kLater}) {
     write_file(folder / "a", "contents", flush);

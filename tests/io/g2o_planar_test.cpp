@@ -78,7 +78,7 @@ TEST_CASE("g2o: a 2D graph is a planar one", "[io][g2o][planar]") {
   CHECK_FALSE(read(kSpatialVertex).graph.planar());
 }
 
-TEST_CASE("g2o: a 2D graph comes back as it was written", "[io][g2o][planar]") {
+TEST_CASE("g2o: a written 2D graph is read back unchanged", "[io][g2o][planar]") {
   const unsigned seed = GENERATE(range(1u, 11u));
   CAPTURE(seed);
   const PoseGraph graph = drive(20, seed);

@@ -40,7 +40,7 @@ Matrix6d random_information(Rng& rng) {
   return 0.5 * (information + information.transpose());
 }
 
-TEST_CASE("g2o: a graph comes back as it was written", "[io][g2o]") {
+TEST_CASE("g2o: a written graph is read back unchanged", "[io][g2o]") {
   const unsigned seed = GENERATE(range(1u, 11u));
   CAPTURE(seed);
   Rng rng(seed);
@@ -138,7 +138,7 @@ TEST_CASE("g2o: edges between neighbours of one character are odometry", "[io][g
   CHECK(graph.edges()[2].kind == EdgeKind::kLoopClosure);
 }
 
-TEST_CASE("g2o: FIX becomes a tight prior where the vertex stands", "[io][g2o]") {
+TEST_CASE("g2o: FIX becomes a tight prior at the pose of the vertex", "[io][g2o]") {
   const PoseGraph graph = read("FIX 1 0\n" + kTwoVertices).graph;
   REQUIRE(graph.priors().size() == 2);
   CHECK(graph.priors()[0].key == 1);
@@ -177,7 +177,7 @@ TEST_CASE("g2o: the offset of a prior's sensor is folded in without changing the
   CHECK(r.dot(prior.information * r) == Approx(expected.dot(information * expected)).epsilon(1e-12));
 }
 
-TEST_CASE("g2o: a prior of low rank stays usable where the offset of its sensor takes it", "[io][g2o]") {
+TEST_CASE("g2o: a prior of low rank stays usable after the offset of its sensor is applied", "[io][g2o]") {
   const double angle = 0.3 + 0.2 * GENERATE(range(0, 12));
   const bool towards_axis = GENERATE(true, false);
   CAPTURE(angle, towards_axis);
@@ -194,7 +194,7 @@ TEST_CASE("g2o: a prior of low rank stays usable where the offset of its sensor 
   CHECK(file.graph.priors()[0].information.trace() == Approx(100.0));
 }
 
-TEST_CASE("g2o: flaws that one can live with are counted", "[io][g2o]") {
+TEST_CASE("g2o: small flaws are repaired and counted", "[io][g2o]") {
   const G2oFile file =
       read(kTwoVertices + kEdge + kEdge +
            "VERTEX_SE3:QUAT 1 1 0 0 0 0 0 1\n"
@@ -233,7 +233,7 @@ TEST_CASE("g2o: edges without information get that of their kind", "[io][g2o]") 
   CHECK(file.graph.edges()[2].information(3, 3) == Approx(2500.0));
 }
 
-TEST_CASE("g2o: the longest odometry without information still gets some", "[io][g2o]") {
+TEST_CASE("g2o: the longest odometry without information gets information, too", "[io][g2o]") {
   const std::string spatial = kTwoVertices + "EDGE_SE3:QUAT 0 1 1e308 1e308 0 0 0 0 1\n";
   const std::string planar = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1e308 1e308 0\n";
   const PoseGraph graph = read(GENERATE_COPY(spatial, planar)).graph;
@@ -346,7 +346,7 @@ TEST_CASE("g2o: a graph with indefinite and zero information is optimised", "[io
   }
 }
 
-TEST_CASE("g2o: factors of zero information say nothing and are left out", "[io][g2o]") {
+TEST_CASE("g2o: factors of zero information are left out", "[io][g2o]") {
   const Matrix6d zero = Matrix6d::Zero(), negative = -Matrix6d::Identity();
   const G2oFile file =
       read("PARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n" + kTwoVertices + "EDGE_SE3:QUAT 0 1 1 0 0 0 0 0 1" +
@@ -407,7 +407,7 @@ TEST_CASE("g2o: unreadable lines are refused with their number", "[io][g2o][erro
   CHECK_THROWS_WITH(read(bad.text), Contains(bad.message) && Contains("run.g2o"));
 }
 
-TEST_CASE("g2o: files that cannot be opened or written say why", "[io][g2o][error]") {
+TEST_CASE("g2o: files that cannot be opened or written give the reason", "[io][g2o][error]") {
   const TemporaryFolder folder;
   CHECK_THROWS_AS(read_g2o(folder / "none.g2o"), IoError);
   CHECK_THROWS_WITH(read_g2o(folder / "none.g2o"), Contains("none.g2o: No such file"));

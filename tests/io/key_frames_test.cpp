@@ -191,7 +191,7 @@ TEST_CASE("key frames: odometry of few poses", "[io][key_frames]") {
   CHECK(of_gap.count("sweep with the pose of another moment") == 2);  // at 4.02 and 5.92 s
 }
 
-TEST_CASE("key frames: clocks that have nothing to do with each other", "[io][key_frames]") {
+TEST_CASE("key frames: unrelated clocks", "[io][key_frames]") {
   RobotStream stream = stream_of();
   for (std::int64_t& ns : stream.sweep_stamps_ns) ns -= kStart_ns;
   Problems problems;
@@ -227,7 +227,7 @@ TEST_CASE("key frames: sweeps between them make a submap", "[io][key_frames][sub
   CHECK(problems.count("sweep beyond the bound of a submap left out") > 0);
 }
 
-TEST_CASE("key frames: the scan of a submap is read when it is needed", "[io][key_frames][submap]") {
+TEST_CASE("key frames: the scan of a submap is read on demand", "[io][key_frames][submap]") {
   MissionOptions options;
   options.submap_sweeps = 100;
   auto reads = std::make_shared<std::atomic<int>>(0);

@@ -142,7 +142,7 @@ TEST_CASE("bags: a base station's graphs, closures, other factors and radio", "[
                                  "range factor of a landmark left out"});
 }
 
-TEST_CASE("bags: ranges, gravity, artifacts and anchors make the optimum that they should", "[io][bag]") {
+TEST_CASE("bags: ranges, gravity, artifacts and anchors give the expected optimum", "[io][bag]") {
   const TemporaryFolder folder;
   if (!lamp_data("factors", folder / "f")) return;
   const Json expected = expected_of(folder / "f");

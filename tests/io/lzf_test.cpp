@@ -23,7 +23,7 @@ void check_round_trip(const std::string& bytes) {
   REQUIRE(bytes.size() <= lzf_largest_output(compressed.size()));
 }
 
-TEST_CASE("lzf: comes back for repeats of every distance and length near the coding's limits", "[io][lzf]") {
+TEST_CASE("lzf: round trip for repeats of every distance and length near the coding's limits", "[io][lzf]") {
   Rng rng(1);
   check_round_trip("");
   const std::string pattern = random_bytes(rng, 600);

@@ -85,7 +85,7 @@ void write_session(const fs::path& folder, std::size_t count) {
   testing::write_text(folder / "times.txt", times);
 }
 
-TEST_CASE("mission: a folder comes back as it was written", "[io][mission]") {
+TEST_CASE("mission: a written folder is read back unchanged", "[io][mission]") {
   const TemporaryFolder folder;
   const Mission a = make_mission();
   const Mission b = read_mission(write_complete(folder));
@@ -172,7 +172,7 @@ TEST_CASE("mission: its files lie in its folder, by name; links that its owner m
   }
 }
 
-TEST_CASE("mission: a pipe in the place of a file is not waited for", "[io][mission][error]") {
+TEST_CASE("mission: pipes instead of files are counted or errors, never a wait", "[io][mission][error]") {
   const TemporaryFolder folder;
   const fs::path mission = write_complete(folder);
   REQUIRE(::mkfifo((mission / "scans" / "7.pcd").c_str(), 0600) == 0);
@@ -186,7 +186,7 @@ TEST_CASE("mission: a pipe in the place of a file is not waited for", "[io][miss
   }
 }
 
-TEST_CASE("mission: landmarks, ranges and gravity come back", "[io][mission]") {
+TEST_CASE("mission: landmarks, ranges and gravity are read back", "[io][mission]") {
   const TemporaryFolder folder;
   Mission a = make_mission();
   std::vector<Robot> robots = a.robots.all();
@@ -454,7 +454,7 @@ TEST_CASE("session: poses give nodes, odometry and a reference, not the truth", 
   CHECK(odometry_information(Eigen::Isometry3d::Identity())(0, 0) == Approx(1e4));
 }
 
-TEST_CASE("session: odometry of its own, and closures left for us to find", "[io][session]") {
+TEST_CASE("session: its own odometry is used, its closures are left out", "[io][session]") {
   const TemporaryFolder folder;
   write_session(folder / "s", 3);
   const std::string information = " 4 0 0 0 0 0 4 0 0 0 0 4 0 0 0 9 0 0 9 0 9\n";
@@ -538,7 +538,7 @@ TEST_CASE("session: bad files are refused with file and line", "[io][session][er
   CHECK_THROWS_WITH(read_mission(folder / "s"), Contains(bad.message));
 }
 
-TEST_CASE("session: stamps that do not ascend are counted", "[io][session]") {
+TEST_CASE("session: stamps that do not increase are counted", "[io][session]") {
   const TemporaryFolder folder;
   write_session(folder / "s", 3);
   write_file(folder / "s" / "times.txt", "5\n4\n4\n");
@@ -547,7 +547,7 @@ TEST_CASE("session: stamps that do not ascend are counted", "[io][session]") {
   CHECK(mission.start_ns == 4'000'000'000);
 }
 
-TEST_CASE("session: the real one reads", "[io][session][data]") {
+TEST_CASE("session: the real one can be read", "[io][session][data]") {
   const auto folder = testing::test_data("kaist03");
   if (!folder) return;
   const Mission mission = read_mission(*folder);

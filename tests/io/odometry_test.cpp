@@ -60,7 +60,7 @@ TEST_CASE("odometry: of g2o files and mission folders in any direction, over gap
   CHECK(two.problems.count(kBroken) == 0);
 }
 
-TEST_CASE("odometry: a list of pairs says which edges it is", "[io][odometry]") {
+TEST_CASE("odometry: a list of pairs selects its edges", "[io][odometry]") {
   const TemporaryFolder folder;
   testing::write_text(folder / "g.g2o", path_text());
   MissionOptions options;
@@ -132,7 +132,7 @@ TEST_CASE("odometry: edges without information are judged by the sigmas of the o
   CHECK(vague.problems.count("closure of the session's own graph left out") == 0);
 }
 
-TEST_CASE("odometry: a list outlives conversion, and joining", "[io][convert][odometry]") {
+TEST_CASE("odometry: conversion and joining keep a list", "[io][convert][odometry]") {
   const TemporaryFolder folder;
   testing::write_text(folder / "g.g2o", path_text());
   testing::write_text(folder / "pairs.txt", "5 9\n5 40\n20 40\n");

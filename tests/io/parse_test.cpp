@@ -16,7 +16,7 @@
 namespace loopwise {
 namespace {
 
-TEST_CASE("parse: texts in memory are read as files are, under the name given", "[io][parse]") {
+TEST_CASE("parse: texts in memory are read like files, under the given name", "[io][parse]") {
   CHECK(parse_g2o("VERTEX_SE3:QUAT 7 1 2 3 0 0 0 1\n", "memory").graph.keys() == std::vector<Key>{7});
   CHECK_THROWS_WITH(parse_g2o("FIX\n", "memory"), Contains("memory:1"));
   CHECK(parse_trajectory("1.5 1 2 3 0 0 0 1\n", "memory").stamps_ns == std::vector<std::int64_t>{1500000000});
@@ -51,7 +51,7 @@ TEST_CASE("parse: stamps with exponents of any length", "[io][parse]") {
   CHECK_THROWS_AS(stamp("1" + std::string(400, '0') + "e-10"), ParseError);
 }
 
-TEST_CASE("parse: stamps at both ends of time are not near", "[io][parse]") {
+TEST_CASE("parse: the smallest and the largest stamp are not near", "[io][parse]") {
   const Trajectory early = parse_trajectory("-9.2e9 0 0 0 0 0 0 1\n", "a"),
                    late = parse_trajectory("9.2e9 0 0 0 0 0 0 1\n", "b");
   CHECK_THROWS_AS(associate(early, late, 1e9), InputError);

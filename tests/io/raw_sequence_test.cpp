@@ -114,7 +114,7 @@ TEST_CASE("KITTI: flaws of a sequence are counted or errors", "[io][kitti][error
   }
 }
 
-TEST_CASE("stamped clouds: names that say when", "[io][stamped_clouds]") {
+TEST_CASE("stamped clouds: names contain the stamp", "[io][stamped_clouds]") {
   using parts::stamp_of_name;
   CHECK(stamp_of_name("1561000444390857630") == kStart_ns);
   CHECK(stamp_of_name("1561000444390857") == 1'561'000'444'390'857'000);

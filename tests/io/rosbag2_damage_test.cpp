@@ -62,7 +62,7 @@ TEST_CASE("rosbag2: a hundred cuts and two hundred flips of a byte", "[io][bag][
   CHECK(errors < 200);
 }
 
-TEST_CASE("rosbag2: sizes that lie are found before memory is taken", "[io][bag][rosbag2][damage]") {
+TEST_CASE("rosbag2: false sizes are found before memory is allocated", "[io][bag][rosbag2][damage]") {
   const TemporaryFolder folder;
   if (!rosbag2_data("bags", folder / "d", "--robots c --nodes 3 --pack zstd")) return;
   const std::string whole = read_file(folder / "d" / "rosbag" / "husky3.mcap");

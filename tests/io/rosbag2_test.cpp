@@ -26,8 +26,7 @@ void check_tunnel(const Mission& mission, const Json& expected) {
   testing::check_truth(mission, expected);
 }
 
-TEST_CASE("rosbag2: LAMP's graphs and scans from both storages, however they are packed",
-          "[io][bag][rosbag2]") {
+TEST_CASE("rosbag2: LAMP's graphs and scans from both storages, with any packing", "[io][bag][rosbag2]") {
   const TemporaryFolder folder;
   const std::string arguments = GENERATE(
       "--storage mcap", "--storage mcap --pack zstd --definitions", "--storage mcap --pack lz4 --big-endian",

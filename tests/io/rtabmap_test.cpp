@@ -79,7 +79,7 @@ TEST_CASE("RTAB-Map: nodes, odometry, closures, scans and optimised poses of its
   CHECK(scan->intensities[1] == 1.0F);
 }
 
-TEST_CASE("RTAB-Map: each map is a robot that stands where the program put it", "[io][saved_map][rtabmap]") {
+TEST_CASE("RTAB-Map: each map is a robot at its optimised pose", "[io][saved_map][rtabmap]") {
   const TemporaryFolder folder;
   if (!rtabmap_data(folder / "two.db", "--maps 2 --truth")) return;
   const Json expected = expected_of(folder / "two.db");
@@ -119,8 +119,7 @@ TEST_CASE("RTAB-Map: a closure between two nodes in a row is not their odometry"
   CHECK(steps == 5);
 }
 
-TEST_CASE("RTAB-Map: a map whose first node the program forgot stands by the next",
-          "[io][saved_map][rtabmap]") {
+TEST_CASE("RTAB-Map: without its first node a map gets its pose from the next", "[io][saved_map][rtabmap]") {
   const TemporaryFolder folder;
   if (!rtabmap_data(folder / "two.db", "--maps 2 --late-start")) return;
   const Json expected = expected_of(folder / "two.db");

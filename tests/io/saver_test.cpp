@@ -141,7 +141,7 @@ TEST_CASE("savers: of a session that was stopped, the rows that all files have a
   CHECK_THROWS_WITH(read_mission(session, strict), Contains("row beyond the common part"));
 }
 
-TEST_CASE("savers: last lines that were not written to their end", "[io][session][saver]") {
+TEST_CASE("savers: incomplete last lines", "[io][session][saver]") {
   const TemporaryFolder folder;
   const Drive made = drive(12);
   const fs::path session = folder / "s";
@@ -237,7 +237,7 @@ TEST_CASE("savers: scans that are counted from 1", "[io][session][saver]") {
   CHECK(unclear.scans->load(1)->size() == 20);
 }
 
-TEST_CASE("savers: a missing first scan is no count from 1", "[io][session][saver]") {
+TEST_CASE("savers: a missing first scan does not mean a count from 1", "[io][session][saver]") {
   const TemporaryFolder folder;
   testing::write_fast_lio_slam(folder / "s", drive(12));
   fs::remove_all(folder / "s" / "Scans");
@@ -371,7 +371,7 @@ TEST_CASE("savers: the stamps of hdl_graph_slam's dump get the robot's character
   }
 }
 
-TEST_CASE("savers: of hdl_graph_slam's fixed nodes the anchor alone goes", "[io][g2o_pcd][saver]") {
+TEST_CASE("savers: of hdl_graph_slam's fixed nodes only the anchor is left out", "[io][g2o_pcd][saver]") {
   const TemporaryFolder folder;
   const fs::path dump = folder / "dump";
   testing::write_hdl_dump(dump, drive(12), {true, false, false});

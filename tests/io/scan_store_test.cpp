@@ -112,7 +112,7 @@ TEST_CASE("scan store: a scan that is read again is not counted again", "[io][sc
   CHECK(store.problems().count("empty file") == 1);
 }
 
-TEST_CASE("scan store: threads that ask at once have a scan read once", "[io][scans][thread]") {
+TEST_CASE("scan store: simultaneous requests read a scan once", "[io][scans][thread]") {
   std::atomic<int> reads{0};
   std::atomic<int> arrived{0};
   constexpr int kThreads = 4;

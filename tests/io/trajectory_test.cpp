@@ -77,7 +77,7 @@ TEST_CASE("trajectory: the form is recognised by the contents", "[io][trajectory
   CHECK_THROWS_WITH(read(""), Contains("holds no pose"));
 }
 
-TEST_CASE("trajectory: stamps are read to the nanosecond, however they are written", "[io][trajectory]") {
+TEST_CASE("trajectory: stamps in any notation are read to the nanosecond", "[io][trajectory]") {
   const std::string pose = " 0 0 0 0 0 0 1\n";
   CHECK(read("1567410201.7452047" + pose).stamps_ns[0] == 1567410201745204700);
   CHECK(read("1.5674102017452047e9" + pose).stamps_ns[0] == 1567410201745204700);
@@ -91,7 +91,7 @@ TEST_CASE("trajectory: stamps are read to the nanosecond, however they are writt
   CHECK_THROWS_WITH(read("nan" + pose), Contains("is no stamp in seconds"));
 }
 
-TEST_CASE("trajectory: the id of a node may stand behind a TUM pose", "[io][trajectory]") {
+TEST_CASE("trajectory: the id of a node may follow a TUM pose", "[io][trajectory]") {
   const Trajectory poses =
       read("#timestamp x y z qx qy qz qw id\n1.5 1 2 3 0 0 0 1 7\n2.5 1 2 4 0 0 0 1 8\n");
   CHECK(poses.format == TrajectoryFormat::kTum);
@@ -118,8 +118,7 @@ TEST_CASE("trajectory: bad poses are refused with their line, small flaws counte
   CHECK(off.poses[0].linear().isIdentity(1e-14));
 }
 
-TEST_CASE("trajectory: TUM poses come in the order of their stamps, and flaws of these are counted",
-          "[io][trajectory]") {
+TEST_CASE("trajectory: TUM poses are sorted by stamp, and flaws of stamps are counted", "[io][trajectory]") {
   const std::string pose = " 0 0 0 0 0 1\n";
   const char* const unsorted = "pose before the one above it, sorted by stamp";
   const char* const twice = "stamp that comes twice, perhaps written with too few digits";
@@ -160,7 +159,7 @@ TEST_CASE("associate: stamps with too few digits are paired in their order, with
   CHECK(pairs.truth[kPoses - 1].translation().x() == static_cast<double>(kPoses - 1));
 }
 
-TEST_CASE("associate: closest first, as of all pairs", "[io][trajectory][property]") {
+TEST_CASE("associate: pairs equal those of a greedy choice from all pairs", "[io][trajectory][property]") {
   const unsigned seed = GENERATE(range(1u, 41u));
   CAPTURE(seed);
   Rng rng(seed);
@@ -252,7 +251,7 @@ TEST_CASE("transform: a matrix or a pose", "[io][trajectory]") {
   CHECK_THROWS_WITH(transform(""), Contains("T.txt:1: 0 numbers"));
 }
 
-TEST_CASE("transform: the real one reads", "[io][trajectory][data]") {
+TEST_CASE("transform: the real one can be read", "[io][trajectory][data]") {
   const auto folder = testing::test_data("kitti_pair");
   if (!folder) return;
   const Eigen::Isometry3d T = read_transform(*folder / "T_target_source.txt");

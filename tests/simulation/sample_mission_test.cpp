@@ -24,7 +24,7 @@ std::vector<std::array<float, 3>> sorted_points(const PointCloud& cloud) {
 
 }  // namespace
 
-TEST_CASE("sample mission: its provenance makes it again", "[simulation][golden]") {
+TEST_CASE("sample mission: its provenance reproduces it", "[simulation][golden]") {
   const Mission sample = read_mission(testing::fs::path(LOOPWISE_SOURCE_DIR) / "data" / "sample_mission");
   REQUIRE(sample.problems.empty());
   const Json provenance = parse_json(sample.provenance_json, "provenance");

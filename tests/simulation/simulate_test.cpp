@@ -55,7 +55,7 @@ TEST_CASE("simulate: a function of options and seed, for any number of threads",
   }
 }
 
-TEST_CASE("simulate: a mission is whole and keeps its promises", "[simulation][property]") {
+TEST_CASE("simulate: a mission is complete and consistent", "[simulation][property]") {
   for (const auto& [world, name] : enum_names(WorldKind{})) {
     CAPTURE(name);
     SimulationOptions options = small(world);
@@ -155,7 +155,7 @@ TEST_CASE("simulate: bad options name the field", "[simulation][error]") {
                       "world = \"moon\", must be one of: tunnel, urban, finals, mine");
 }
 
-TEST_CASE("simulate: stopped or thwarted, it leaves no folder behind", "[simulation][error]") {
+TEST_CASE("simulate: leaves no folder if it is stopped or fails", "[simulation][error]") {
   const testing::TemporaryFolder folder;
   const StopSource source;
   const auto stop_at_tenth = [&](const Progress& p) {

@@ -102,7 +102,7 @@ TEST_CASE("study: budget and rssi as functions", "[study]") {
   CHECK_THAT(warnings.front(), Contains("no radio readings"));
 }
 
-TEST_CASE("study: stopped, nothing is returned; bad options say which", "[study][error]") {
+TEST_CASE("study: a stopped study returns no tables; errors name the bad option", "[study][error]") {
   const TemporaryFolder folder;
   const StudyOptions options = small_study(folder, "stopped");
   StopSource stop;
