@@ -113,6 +113,8 @@ void drop_impossible(std::vector<Match>& matches, const Eigen::Isometry3d& guess
 }  // namespace
 
 struct FastRegistrar::Impl {
+  class Pair;
+
   std::shared_ptr<FeatureCache> features;
   FastRegistrarOptions options;
   mutable BoundedCache<std::string, Side> sides;
@@ -197,140 +199,214 @@ std::string name_of(const Side& side, const std::string& whole) {
   return signature(members, 0) + "of what is there";
 }
 
+/// Adds the wall time of a scope to a sum.
+class ScopeTimer {
+ public:
+  explicit ScopeTimer(double& sum_s) : sum_s_(sum_s) {}
+  ScopeTimer(const ScopeTimer&) = delete;
+  ScopeTimer& operator=(const ScopeTimer&) = delete;
+  ~ScopeTimer() { sum_s_ += watch_.seconds(); }
+
+ private:
+  double& sum_s_;
+  Stopwatch watch_;
+};
+
+/// A pose and its near_share().
+struct Scored {
+  Eigen::Isometry3d T_target_source;
+  double value;
+};
+
 }  // namespace
 
-RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
-  const FastRegistrarOptions& options = impl_->options;
-  RegistrationResult result;
-  result.candidate = task.candidate;
-  const auto reject = [&](RejectionReason reason, std::string message) {
-    result.reason = reason;
-    result.message = std::move(message);
-    return result;
-  };
-  const Deadline deadline(task.time_limit_s);
-  const auto late = [&] {
-    result.closure.reset();
-    return reject(RejectionReason::kTimeLimit, "not done after " + std::to_string(task.time_limit_s) + " s");
-  };
-  Stopwatch features_watch;
-  const std::string source_name = signature(task.source, task.enough_points);
-  const std::string target_name = signature(task.target, task.enough_points);
-  const auto source_side = impl_->side(source_name, task.source, task.enough_points, result);
-  if (!source_side) return result;
-  if (deadline.passed()) return late();
-  const auto target_side = impl_->side(target_name, task.target, task.enough_points, result);
-  if (!target_side) return result;
-  result.incomplete = source_side->submap.incomplete() || target_side->submap.incomplete();
-  // cppcheck-suppress identicalConditionAfterEarlyExit ; time has passed since
-  if (deadline.passed()) return late();
-  const Side& source = *source_side;
-  const Side& target = *target_side;
-  const PointCloud& source_cloud = source.submap.cloud();
-  const PointCloud& target_cloud = target.submap.cloud();
-  const std::size_t fewest = std::min(source_cloud.size(), target_cloud.size());
-  if (fewest < static_cast<std::size_t>(options.tests.min_points)) {
-    return reject(RejectionReason::kTooFewPoints,
-                  std::to_string(fewest) + " points, must be >= " + std::to_string(options.tests.min_points));
+/// The registration of one pair. A stage returns whether the next one follows; if not, the result is final.
+class FastRegistrar::Impl::Pair {
+ public:
+  Pair(const Impl& impl, const RegistrationTask& task)
+      : impl_(impl), options_(impl.options), task_(task), deadline_(task.time_limit_s) {
+    result_.candidate = task.candidate;
   }
-  if (source.order.size() < static_cast<std::size_t>(options.tests.min_points)) {
-    return reject(RejectionReason::kTooFewPoints,
-                  std::to_string(source.order.size()) +
-                      " points with a normal, must be >= " + std::to_string(options.tests.min_points));
-  }
-  result.features_s = features_watch.seconds();
 
-  PoseSearch search(source, target, task, options, result);
-  const auto scored_points = static_cast<std::size_t>(options.score_points);
-  const auto reach = static_cast<float>(options.coarse_reach_m);
-  if (task.guess_from_to) {
-    const Stopwatch watch;
-    const Eigen::Isometry3d guess = task.guess_from_to->inverse();
-    const bool promising = near_share(source, scored_points, target, guess, reach) >= options.min_score;
-    result.global_s += watch.seconds();
-    const Stopwatch refine_watch;
-    if (promising && search.refine(guess) >= options.sure_share && !search.empty()) {
-      const bool in_time = search.decide(deadline);
-      result.refine_s += refine_watch.seconds();
-      if (!in_time) return late();
-      if (result.verified() || result.reason == RejectionReason::kAmbiguous) return result;
-    } else {
-      result.refine_s += refine_watch.seconds();
+  [[nodiscard]] RegistrationResult run() {
+    if (load_sides() && has_enough_points()) {
+      PoseSearch search(*source_, *target_, task_, options_, result_);
+      if (try_guess(search) && search_globally(search)) decide(search);
     }
+    return std::move(result_);
   }
-  if (deadline.passed()) return late();
-  Stopwatch keys_watch;
-  const auto source_keys = impl_->key_points(name_of(source, source_name), source);
-  const auto target_keys = impl_->key_points(name_of(target, target_name), target);
-  result.features_s += keys_watch.seconds();
-  if (deadline.passed()) return late();
-  const Stopwatch global_watch;
-  if (std::min(source_keys->points.size(), target_keys->points.size()) < 3) {
+
+ private:
+  bool reject(RejectionReason reason, std::string message) {
+    result_.closure.reset();
+    result_.reason = reason;
+    result_.message = std::move(message);
+    return false;
+  }
+
+  bool in_time() { return !deadline_.passed() || reject_late(); }
+  bool reject_late() {
+    return reject(RejectionReason::kTimeLimit, "not done after " + std::to_string(task_.time_limit_s) + " s");
+  }
+
+  [[nodiscard]] double near(const Eigen::Isometry3d& T_target_source, std::size_t points) const {
+    return near_share(*source_, points, *target_, T_target_source,
+                      static_cast<float>(options_.coarse_reach_m));
+  }
+
+  bool load_sides();
+  bool has_enough_points();
+  bool try_guess(PoseSearch& search);
+  bool search_globally(PoseSearch& search);
+  bool find_matches(std::vector<Match>& matches);
+  bool score(const Consensus& consensus, std::vector<Scored>& scored);
+  bool refine_best(const std::vector<Scored>& scored, PoseSearch& search);
+  bool reject_without_pose(std::size_t matches, const Consensus& consensus,
+                           const std::vector<Scored>& scored);
+  bool decide(PoseSearch& search);
+
+  const Impl& impl_;
+  const FastRegistrarOptions& options_;
+  const RegistrationTask& task_;
+  Deadline deadline_;
+  RegistrationResult result_;
+  std::string source_name_, target_name_;
+  std::shared_ptr<const Side> source_, target_;
+};
+
+bool FastRegistrar::Impl::Pair::load_sides() {
+  const ScopeTimer timer(result_.features_s);
+  source_name_ = signature(task_.source, task_.enough_points);
+  target_name_ = signature(task_.target, task_.enough_points);
+  source_ = impl_.side(source_name_, task_.source, task_.enough_points, result_);
+  if (!source_ || !in_time()) return false;
+  target_ = impl_.side(target_name_, task_.target, task_.enough_points, result_);
+  if (!target_) return false;
+  result_.incomplete = source_->submap.incomplete() || target_->submap.incomplete();
+  return in_time();
+}
+
+bool FastRegistrar::Impl::Pair::has_enough_points() {
+  const auto least = static_cast<std::size_t>(options_.tests.min_points);
+  const auto require = [&](std::size_t points, const char* kind) {
+    return points >= least || reject(RejectionReason::kTooFewPoints,
+                                     std::to_string(points) + kind + ", must be >= " + std::to_string(least));
+  };
+  return require(std::min(source_->submap.cloud().size(), target_->submap.cloud().size()), " points") &&
+         require(source_->order.size(), " points with a normal");
+}
+
+/// Refines the graph's pose and tests it, if the scans are near each other there.
+bool FastRegistrar::Impl::Pair::try_guess(PoseSearch& search) {
+  if (!task_.guess_from_to) return in_time();
+  const Eigen::Isometry3d guess = task_.guess_from_to->inverse();
+  bool promising = false;
+  {
+    const ScopeTimer timer(result_.global_s);
+    promising = near(guess, static_cast<std::size_t>(options_.score_points)) >= options_.min_score;
+  }
+  const ScopeTimer timer(result_.refine_s);
+  if (promising && search.refine(guess) >= options_.sure_share && !search.empty()) {
+    if (!search.decide(deadline_)) return reject_late();
+    if (result_.verified() || result_.reason == RejectionReason::kAmbiguous) return false;
+  }
+  return in_time();
+}
+
+/// Matches of descriptors that some allowed pose explains.
+bool FastRegistrar::Impl::Pair::find_matches(std::vector<Match>& matches) {
+  std::shared_ptr<const KeyPoints> source, target;
+  {
+    const ScopeTimer timer(result_.features_s);
+    source = impl_.key_points(name_of(*source_, source_name_), *source_);
+    target = impl_.key_points(name_of(*target_, target_name_), *target_);
+  }
+  if (!in_time()) return false;
+  const ScopeTimer timer(result_.global_s);
+  if (std::min(source->points.size(), target->points.size()) < 3) {
     return reject(RejectionReason::kTooFewPoints, "fewer than 3 key points with a normal and neighbours");
   }
-  std::vector<Match> matches =
-      match(*source_keys, *target_keys, static_cast<std::size_t>(options.max_matches));
-  if (task.guess_from_to) drop_impossible(matches, task.guess_from_to->inverse(), options);
-  if (deadline.passed()) return late();
-  const Consensus consensus =
-      find_consensus(matches, options.match_tolerance_m, static_cast<std::size_t>(options.hypotheses),
-                     [&](const Eigen::Isometry3d& T) { return search.allowed(T); });
-  // A quarter of the points suffices to discard poor hypotheses.
-  struct Scored {
-    Eigen::Isometry3d T_target_source;
-    double value;
-  };
-  std::vector<Scored> scored;
+  matches = match(*source, *target, static_cast<std::size_t>(options_.max_matches));
+  if (task_.guess_from_to) drop_impossible(matches, task_.guess_from_to->inverse(), options_);
+  return in_time();
+}
+
+/// Compares the hypotheses on the scans, best first. A quarter of the points suffices to discard poor ones.
+bool FastRegistrar::Impl::Pair::score(const Consensus& consensus, std::vector<Scored>& scored) {
+  const auto points = static_cast<std::size_t>(options_.score_points);
   double most = 0.0;
   for (const Hypothesis& h : consensus.hypotheses) {
-    if (deadline.passed()) return late();
-    scored.push_back(
-        {h.T_target_source, near_share(source, scored_points / 4, target, h.T_target_source, reach)});
+    if (!in_time()) return false;
+    scored.push_back({h.T_target_source, near(h.T_target_source, points / 4)});
     most = std::max(most, scored.back().value);
   }
-  for (Scored& s : scored) {
-    s.value =
-        s.value < 0.6 * most ? 0.0 : near_share(source, scored_points, target, s.T_target_source, reach);
-  }
+  for (Scored& s : scored) s.value = s.value < 0.6 * most ? 0.0 : near(s.T_target_source, points);
   sort_falling(scored, [](const Scored& s) { return s.value; });
-  result.global_s += global_watch.seconds();
-  if (!scored.empty()) result.T_from_to = scored.front().T_target_source.inverse();
-  const Stopwatch refine_watch;
+  if (!scored.empty()) result_.T_from_to = scored.front().T_target_source.inverse();
+  return true;
+}
+
+/// Refines the best hypotheses that are not the same pose.
+bool FastRegistrar::Impl::Pair::refine_best(const std::vector<Scored>& scored, PoseSearch& search) {
+  const ScopeTimer timer(result_.refine_s);
   std::vector<Eigen::Isometry3d> starts;
   for (const Scored& s : scored) {
-    if (s.value < options.min_score || s.value < 0.75 * scored.front().value ||
-        starts.size() == static_cast<std::size_t>(options.refined_hypotheses)) {
+    if (s.value < options_.min_score || s.value < 0.75 * scored.front().value ||
+        starts.size() == static_cast<std::size_t>(options_.refined_hypotheses)) {
       break;
     }
-    const auto near = [&](const Eigen::Isometry3d& other) {
-      return !far_apart(other, s.T_target_source, source.centre);
+    const auto same = [&](const Eigen::Isometry3d& other) {
+      return !far_apart(other, s.T_target_source, source_->centre);
     };
-    if (std::any_of(starts.begin(), starts.end(), near)) continue;
-    if (deadline.passed()) return late();
+    if (std::any_of(starts.begin(), starts.end(), same)) continue;
+    if (!in_time()) return false;
     starts.push_back(s.T_target_source);
     search.refine(s.T_target_source);
   }
-  result.refine_s += refine_watch.seconds();
-  if (search.empty()) {
-    if (consensus.hypotheses.empty() && consensus.refused == 0) {
-      return reject(RejectionReason::kFewMatches,
-                    "no three of " + std::to_string(matches.size()) + " matches agree on a pose");
-    }
-    if (scored.empty()) {
-      return reject(
-          RejectionReason::kTransformThreshold,
-          "all of " + std::to_string(consensus.refused) + " hypotheses are too far from the graph's pose");
-    }
-    return reject(RejectionReason::kLowOverlap, "the best of " + std::to_string(scored.size()) +
-                                                    " hypotheses scores " +
-                                                    std::to_string(scored.front().value) +
-                                                    ", must be >= " + std::to_string(options.min_score));
+  return true;
+}
+
+bool FastRegistrar::Impl::Pair::reject_without_pose(std::size_t matches, const Consensus& consensus,
+                                                    const std::vector<Scored>& scored) {
+  if (consensus.hypotheses.empty() && consensus.refused == 0) {
+    return reject(RejectionReason::kFewMatches,
+                  "no three of " + std::to_string(matches) + " matches agree on a pose");
   }
-  if (deadline.passed()) return late();
-  const Stopwatch decide_watch;
-  const bool in_time = search.decide(deadline);
-  result.refine_s += decide_watch.seconds();
-  return in_time ? result : late();
+  if (scored.empty()) {
+    return reject(RejectionReason::kTransformThreshold, "all of " + std::to_string(consensus.refused) +
+                                                            " hypotheses are too far from the graph's pose");
+  }
+  return reject(RejectionReason::kLowOverlap, "the best of " + std::to_string(scored.size()) +
+                                                  " hypotheses scores " +
+                                                  std::to_string(scored.front().value) +
+                                                  ", must be >= " + std::to_string(options_.min_score));
+}
+
+/// Poses from matches of descriptors, refined.
+bool FastRegistrar::Impl::Pair::search_globally(PoseSearch& search) {
+  std::vector<Match> matches;
+  if (!find_matches(matches)) return false;
+  Consensus consensus;
+  std::vector<Scored> scored;
+  {
+    const ScopeTimer timer(result_.global_s);
+    consensus =
+        find_consensus(matches, options_.match_tolerance_m, static_cast<std::size_t>(options_.hypotheses),
+                       [&](const Eigen::Isometry3d& T) { return search.allowed(T); });
+    if (!score(consensus, scored)) return false;
+  }
+  if (!refine_best(scored, search)) return false;
+  if (search.empty()) return reject_without_pose(matches.size(), consensus, scored);
+  return in_time();
+}
+
+bool FastRegistrar::Impl::Pair::decide(PoseSearch& search) {
+  const ScopeTimer timer(result_.refine_s);
+  return search.decide(deadline_) || reject_late();
+}
+
+RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {
+  return Impl::Pair(*impl_, task).run();
 }
 
 }  // namespace loopwise

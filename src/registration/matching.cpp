@@ -5,7 +5,9 @@
 #include <array>
 #include <cmath>
 
-#ifdef __SSE2__
+#if defined(__x86_64__) && defined(__GNUC__)
+#include <immintrin.h>
+#elif defined(__SSE2__)
 #include <emmintrin.h>
 #endif
 
@@ -15,12 +17,26 @@ namespace {
 constexpr std::size_t kBlock = PackedDescriptors::kBlock, kPairs = PackedDescriptors::kPairs;
 constexpr std::size_t kSources = 4;  // sources compared at a time, for which a target block is loaded once
 
-using Similarities = std::array<std::array<std::int32_t, kBlock>, kSources>;
+using Lanes = std::array<std::int32_t, kBlock>;
 
-/// Scalar products of the descriptors of `block` with four others; `others` holds each one's pair of
-/// components as one 32-bit number, [pair][which].
+/// What each of four source descriptors resembles most, by lane of the target's blocks.
+struct BestTargets {
+  std::array<Lanes, kSources> similarity, block;
+};
+
+/// What each target descriptor resembles most, in the order of the blocks.
+struct BestSources {
+  std::vector<std::int32_t> similarity, source;
+};
+
+/// Compares all targets with up to four sources. `others` holds the sources' pairs of components as one
+/// 32-bit number each, [pair][which]; `begin` is the number of the first source, `width` how many there are.
+using Compare = void (*)(const PackedDescriptors& target, const std::int32_t* others, std::size_t begin,
+                         std::size_t width, BestTargets& best, BestSources& of_targets);
+
+/// Scalar products of the descriptors of `block` with four others.
 #ifdef __SSE2__
-void compare(const std::int16_t* block, const std::int32_t* others, Similarities& out) {
+void multiply(const std::int16_t* block, const std::int32_t* others, std::array<Lanes, kSources>& out) {
   __m128i low[kSources], high[kSources];
   for (std::size_t s = 0; s < kSources; ++s) low[s] = high[s] = _mm_setzero_si128();
   for (std::size_t pair = 0; pair < kPairs; ++pair) {
@@ -38,7 +54,7 @@ void compare(const std::int16_t* block, const std::int32_t* others, Similarities
   }
 }
 #else
-void compare(const std::int16_t* block, const std::int32_t* others, Similarities& out) {
+void multiply(const std::int16_t* block, const std::int32_t* others, std::array<Lanes, kSources>& out) {
   out = {};
   for (std::size_t pair = 0; pair < kPairs; ++pair) {
     for (std::size_t s = 0; s < kSources; ++s) {
@@ -51,6 +67,85 @@ void compare(const std::int16_t* block, const std::int32_t* others, Similarities
     }
   }
 }
+#endif
+
+void compare_portable(const PackedDescriptors& target, const std::int32_t* others, std::size_t begin,
+                      std::size_t width, BestTargets& best, BestSources& of_targets) {
+  std::array<Lanes, kSources> similarity;
+  for (std::size_t b = 0; b < target.blocks(); ++b) {
+    multiply(target.block(b), others, similarity);
+    std::int32_t* of_target = of_targets.similarity.data() + b * kBlock;
+    std::int32_t* by_source = of_targets.source.data() + b * kBlock;
+    const auto here = static_cast<std::int32_t>(b);
+    for (std::size_t s = 0; s < width; ++s) {
+      const auto number = static_cast<std::int32_t>(begin + s);
+      for (std::size_t t = 0; t < kBlock; ++t) {
+        const std::int32_t value = similarity[s][t];
+        const bool nearer = value > best.similarity[s][t];
+        best.similarity[s][t] = nearer ? value : best.similarity[s][t];
+        best.block[s][t] = nearer ? here : best.block[s][t];
+        const bool better = value > of_target[t];
+        of_target[t] = better ? value : of_target[t];
+        by_source[t] = better ? number : by_source[t];
+      }
+    }
+  }
+}
+
+#if defined(__x86_64__) && defined(__GNUC__)
+__attribute__((target("avx2"))) inline __m256i load(const std::int32_t* from) {
+  return _mm256_loadu_si256(reinterpret_cast<const __m256i*>(from));
+}
+
+__attribute__((target("avx2"))) inline void store(__m256i from, std::int32_t* to) {
+  _mm256_storeu_si256(reinterpret_cast<__m256i*>(to), from);
+}
+
+/// The same, a block at a time.
+__attribute__((target("avx2"))) void compare_avx2(const PackedDescriptors& target, const std::int32_t* others,
+                                                  std::size_t begin, std::size_t width, BestTargets& best,
+                                                  BestSources& of_targets) {
+  static_assert(kBlock == 8, "a register holds a block");
+  __m256i most[kSources], where[kSources];
+  for (std::size_t s = 0; s < kSources; ++s) {
+    most[s] = load(best.similarity[s].data());
+    where[s] = load(best.block[s].data());
+  }
+  for (std::size_t b = 0; b < target.blocks(); ++b) {
+    const std::int16_t* block = target.block(b);
+    __m256i similarity[kSources];
+    for (__m256i& lanes : similarity) lanes = _mm256_setzero_si256();
+    for (std::size_t pair = 0; pair < kPairs; ++pair) {
+      const __m256i a = _mm256_loadu_si256(reinterpret_cast<const __m256i*>(block + pair * 2 * kBlock));
+      for (std::size_t s = 0; s < kSources; ++s) {
+        const __m256i other = _mm256_set1_epi32(others[pair * kSources + s]);
+        similarity[s] = _mm256_add_epi32(similarity[s], _mm256_madd_epi16(a, other));
+      }
+    }
+    __m256i of_target = load(of_targets.similarity.data() + b * kBlock);
+    __m256i by_source = load(of_targets.source.data() + b * kBlock);
+    const __m256i here = _mm256_set1_epi32(static_cast<std::int32_t>(b));
+    for (std::size_t s = 0; s < width; ++s) {
+      const __m256i value = similarity[s];
+      const __m256i nearer = _mm256_cmpgt_epi32(value, most[s]);
+      most[s] = _mm256_blendv_epi8(most[s], value, nearer);
+      where[s] = _mm256_blendv_epi8(where[s], here, nearer);
+      const __m256i better = _mm256_cmpgt_epi32(value, of_target);
+      const __m256i number = _mm256_set1_epi32(static_cast<std::int32_t>(begin + s));
+      of_target = _mm256_blendv_epi8(of_target, value, better);
+      by_source = _mm256_blendv_epi8(by_source, number, better);
+    }
+    store(of_target, of_targets.similarity.data() + b * kBlock);
+    store(by_source, of_targets.source.data() + b * kBlock);
+  }
+  for (std::size_t s = 0; s < kSources; ++s) {
+    store(most[s], best.similarity[s].data());
+    store(where[s], best.block[s].data());
+  }
+}
+const Compare compare = __builtin_cpu_supports("avx2") ? compare_avx2 : compare_portable;
+#else
+const Compare compare = compare_portable;
 #endif
 
 }  // namespace
@@ -73,10 +168,8 @@ std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
   if (source.size() == 0 || target.size() == 0) return matches;
   matches.resize(source.size());
   const std::size_t targets = target.blocks() * kBlock;
-  std::vector<std::int32_t> best_of_target(targets, -1);
-  std::vector<std::int32_t> best_source(targets, 0);
+  BestSources of_targets{std::vector<std::int32_t>(targets, -1), std::vector<std::int32_t>(targets, 0)};
   std::array<std::int32_t, kPairs * kSources> others;
-  Similarities similarity;
   for (std::size_t begin = 0; begin < source.size(); begin += kSources) {
     const std::size_t width = std::min(kSources, source.size() - begin);
     // Four descriptors of a block of eight. Their pairs of components are adjacent in memory.
@@ -89,43 +182,27 @@ std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
             (static_cast<std::uint32_t>(static_cast<std::uint16_t>(both[1])) << 16));
       }
     }
-    std::array<std::array<std::int32_t, kBlock>, kSources> best, best_block{};
-    for (auto& lanes : best) lanes.fill(-1);
-    for (std::size_t b = 0; b < target.blocks(); ++b) {
-      compare(target.block(b), others.data(), similarity);
-      std::int32_t* of_target = best_of_target.data() + b * kBlock;
-      std::int32_t* by_source = best_source.data() + b * kBlock;
-      const auto here = static_cast<std::int32_t>(b);
-      for (std::size_t s = 0; s < width; ++s) {
-        const auto number = static_cast<std::int32_t>(begin + s);
-        for (std::size_t t = 0; t < kBlock; ++t) {
-          const std::int32_t value = similarity[s][t];
-          const bool nearer = value > best[s][t];
-          best[s][t] = nearer ? value : best[s][t];
-          best_block[s][t] = nearer ? here : best_block[s][t];
-          const bool better = value > of_target[t];
-          of_target[t] = better ? value : of_target[t];
-          by_source[t] = better ? number : by_source[t];
-        }
-      }
-    }
+    BestTargets best{};
+    for (Lanes& lanes : best.similarity) lanes.fill(-1);
+    compare(target, others.data(), begin, width, best, of_targets);
     for (std::size_t s = 0; s < width; ++s) {
       DescriptorMatch& match = matches[begin + s];
       match.source = static_cast<std::uint32_t>(begin + s);
       match.similarity = -1;
       for (std::size_t t = 0; t < kBlock; ++t) {
-        const auto index = static_cast<std::uint32_t>(best_block[s][t]) * static_cast<std::uint32_t>(kBlock) +
+        const auto index = static_cast<std::uint32_t>(best.block[s][t]) * static_cast<std::uint32_t>(kBlock) +
                            static_cast<std::uint32_t>(t);
         if (index >= target.size()) continue;
-        if (best[s][t] > match.similarity || (best[s][t] == match.similarity && index < match.target)) {
-          match.similarity = best[s][t];
+        if (best.similarity[s][t] > match.similarity ||
+            (best.similarity[s][t] == match.similarity && index < match.target)) {
+          match.similarity = best.similarity[s][t];
           match.target = index;
         }
       }
     }
   }
   for (DescriptorMatch& match : matches) {
-    match.mutual = best_source[match.target] == static_cast<std::int32_t>(match.source);
+    match.mutual = of_targets.source[match.target] == static_cast<std::int32_t>(match.source);
   }
   return matches;
 }

@@ -73,6 +73,7 @@ class PoseSearch {
   double fit_of(Pose& pose) const;
   [[nodiscard]] Pose& best_in_detail();
   [[nodiscard]] Judgement judge(Pose& pose) const;
+  [[nodiscard]] bool refuse_hopeless();
   void widen(Judgement& found) const;
   [[nodiscard]] bool attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const;
   [[nodiscard]] std::vector<Eigen::Isometry3d> starts_of_rivals(const Eigen::Isometry3d& best) const;
