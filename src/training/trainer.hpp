@@ -27,31 +27,39 @@ enum class Target { kLog, kTrace };
 }
 
 struct FitOptions {
+  /// Kind of network: loopwise or paper.
   NetworkKind network = NetworkKind::kLoopwise;
+  /// Network paper: target to learn, the trace or its logarithm.
   Target target = Target::kLog;
+  /// Maximum number of epochs.
   std::int64_t epochs = 40;
+  /// Training ends after this many epochs without a better validation loss.
   std::int64_t patience = 10;
+  /// Initial learning rate of Adam. It falls to a twentieth along a cosine.
   double learning_rate = 3e-3;
+  /// Width of the hidden layers. 0: 24 for loopwise, 64 for paper.
   std::int64_t hidden = 0;
+  /// Network loopwise: number of learned channels of aggregation.
   std::int64_t channels = 8;
+  /// Network paper: number of Gaussian kernels of a convolution.
   std::int64_t kernels = 4;
+  /// Seed of the initial weights and of the order of the data.
   std::uint64_t seed = 1;
+  /// Seed of the split by mission.
   std::uint64_t split_seed = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("network", self.network, any_value(), "Which network: loopwise or paper.");
-    field("target", self.target, any_value(), "Network paper: learn the trace or its logarithm.");
-    field("epochs", self.epochs, between(1, 100000), "Epochs, at most.");
-    field("patience", self.patience, between(1, 100000),
-          "Training ends after so many epochs without a better validation.");
-    field("learning_rate", self.learning_rate, above(0.0),
-          "Of Adam at first; falls to a twentieth by a cosine.");
-    field("hidden", self.hidden, between(0, 1024), "Width; 0: 24 for loopwise, 64 for paper.");
-    field("channels", self.channels, between(1, 256), "Network loopwise: learned channels of aggregation.");
-    field("kernels", self.kernels, between(1, 64), "Network paper: Gaussian kernels of a convolution.");
-    field("seed", self.seed, at_least(0), "Of the first weights and the order of the data.");
-    field("split_seed", self.split_seed, at_least(0), "Of the split by mission.");
+    field("network", self.network, any_value());
+    field("target", self.target, any_value());
+    field("epochs", self.epochs, between(1, 100000));
+    field("patience", self.patience, between(1, 100000));
+    field("learning_rate", self.learning_rate, above(0.0));
+    field("hidden", self.hidden, between(0, 1024));
+    field("channels", self.channels, between(1, 256));
+    field("kernels", self.kernels, between(1, 64));
+    field("seed", self.seed, at_least(0));
+    field("split_seed", self.split_seed, at_least(0));
   }
 };
 

@@ -6,6 +6,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/io/mission.hpp>
+
 #include "testing.hpp"
 
 namespace loopwise {
@@ -38,6 +40,39 @@ struct Everything {
     field("sigmas", self.sigmas, above(0.0), "Sigmas.");
   }
 };
+
+/// As another project writes it: texts are given to visit(), and a part of this library has its own.
+struct StationOptions {
+  double reach_m = 5.0;
+  int retries = 0;
+  MissionOptions mission;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("reach_m", self.reach_m, above(0.0), "Reach of the radio, m.");
+    field("retries", self.retries, at_least(0));
+    visit_part(self.mission, field);
+  }
+};
+
+namespace other {
+struct MissionOptions {
+  double scan_cache_mb = 1.0;
+
+  template <class Self, class Visitor>
+  static void visit(Self& self, Visitor&& field) {
+    field("scan_cache_mb", self.scan_cache_mb, any_value());
+  }
+};
+}  // namespace other
+
+template <class Options>
+std::string text_of(const std::string& field) {
+  for (const OptionDescription& option : describe(Options())) {
+    if (option.name == field) return option.doc;
+  }
+  return "no such field";
+}
 
 Everything apply(const std::string& text) {
   Everything options;
@@ -146,6 +181,36 @@ TEST_CASE("options: described for people", "[io][options]") {
   CHECK(all[6].bounds == "one of: red, green");
   CHECK(all[6].default_value == "\"red\"");
   CHECK(all[7].default_value == "[0.1,0.2]");
+}
+
+TEST_CASE("options: texts are the comments above the fields", "[io][options]") {
+  CHECK(text_of<MissionOptions>("scan_cache_mb") == "Memory for scans that are kept after use, MB.");
+  // A comment of several lines, with quotes.
+  CHECK_THAT(text_of<MissionOptions>("robots"),
+             Contains("Robots and their keys, such as \"0-624,625-1249\" or") &&
+                 Contains(" one robot per character of the keys."));
+  for (const OptionDescription& option : describe(MissionOptions())) {
+    CAPTURE(option.name);
+    CHECK_FALSE(option.doc.empty());
+  }
+}
+
+TEST_CASE("options: structs of other projects", "[io][options]") {
+  CHECK(text_of<StationOptions>("reach_m") == "Reach of the radio, m.");
+  CHECK(text_of<StationOptions>("retries").empty());
+  CHECK(text_of<StationOptions>("scan_cache_mb") == text_of<MissionOptions>("scan_cache_mb"));
+  CHECK(text_of<other::MissionOptions>("scan_cache_mb").empty());  // another struct of the same name
+
+  StationOptions options;
+  apply_json(parse_json("{\"retries\": 2, \"scan_cache_mb\": 7}", "c"), "station", options);
+  set_option("station", "node_interval_s", "3", options);
+  CHECK(options.retries == 2);
+  CHECK(options.mission.scan_cache_mb == 7.0);
+  CHECK(options.mission.node_interval_s == 3.0);
+  CHECK_THROWS_WITH(set_option("station", "scan_cache_mb", "-1", options),
+                    "station.scan_cache_mb = -1, must be >= 0");
+  options.mission.node_interval_s = 0.0;
+  CHECK_THROWS_WITH(validate(options), "node_interval_s = 0, must be > 0");
 }
 
 TEST_CASE("json: errors name the line", "[io][options][error]") {

@@ -4,7 +4,9 @@
 #include <algorithm>
 #include <chrono>
 #include <iomanip>
+#include <map>
 #include <numeric>
+#include <string>
 #include <thread>
 #include <tuple>
 
@@ -12,6 +14,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/cloud.hpp>
+#include <loopwise/io/json_options.hpp>
 #include <loopwise/io/trajectory.hpp>
 #include <loopwise/registration/batch.hpp>
 #include <loopwise/registration/closure_tests.hpp>
@@ -368,6 +371,23 @@ TEST_CASE("registrar: options are checked", "[registrar][error]") {
   REQUIRE_THROWS_WITH(PclRegistrar(features, pcl), "sac_hypotheses = 0, must be >= 1");
   REQUIRE_THROWS_AS(PclRegistrar(nullptr), InputError);
 #endif
+}
+
+TEST_CASE("registrar: options of the tests are described like its own", "[registrar]") {
+  const auto texts = [](const auto& options) {
+    std::map<std::string, std::string> by_name;
+    for (const OptionDescription& option : describe(options)) by_name[option.name] = option.doc;
+    return by_name;
+  };
+  const std::map<std::string, std::string> tests = texts(ClosureTestOptions());
+  REQUIRE(tests.at("min_points") == "Scans with fewer points are not aligned.");
+  for (const auto& all : {texts(FastRegistrarOptions()), texts(PclRegistrarOptions())}) {
+    CHECK(all.at("fpfh_radius_m") == "Radius of the FPFH descriptors, m.");
+    for (const auto& [name, text] : tests) {
+      CAPTURE(name);
+      CHECK(all.at(name) == text);
+    }
+  }
 }
 
 TEST_CASE("registrar: kitti_pair from scratch", "[registrar][data]") {

@@ -1,19 +1,30 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Options structs describe their own fields once: name, bounds and meaning. Validation, JSON and the printed
-/// reference use that description, a static member template
+/// Options structs describe their own fields once: the comment above a field says what it means, and a static
+/// member template lists the fields with their bounds:
 ///
-///     template <class Self, class Visitor>
-///     static void visit(Self& self, Visitor&& field) {
-///       field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
-///     }
+///     struct ProximityOptions {
+///       /// Search radius gained per node index, m.
+///       double rate_m = 0.2;
 ///
-/// where Self is the struct or its const form. A field may be bool, an integer, double, std::string, an enum
-/// with an `enum_names` overload, a std::vector<double>, or a std::vector of such an enum with the overloads
-/// `parse_option(name, text, field)` and `option_text(field)`.
+///       template <class Self, class Visitor>
+///       static void visit(Self& self, Visitor&& field) {
+///         field("rate_m", self.rate_m, at_least(0.0));
+///       }
+///     };
+///
+/// where Self is the struct or its const form. Validation, JSON and the printed reference use that
+/// description. A field may be bool, an integer, double, std::string, an enum with an `enum_names` overload,
+/// a std::vector<double>, or a std::vector of such an enum with the overloads `parse_option(name, text,
+/// field)` and `option_text(field)`.
+///
+/// The build compiles the comments of Loopwise's own headers into the library. Options structs of other
+/// projects pass a text to describe() as a fourth argument: `field("rate_m", self.rate_m, at_least(0.0),
+/// "Search radius, m.")`. A visitor gives that argument the default `std::string_view text = {}`.
 #pragma once
 
 #include <cmath>
+#include <cstddef>
 #include <limits>
 #include <sstream>
 #include <string>
@@ -23,6 +34,7 @@
 #include <vector>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/core/export.hpp>
 
 namespace loopwise {
 
@@ -97,6 +109,25 @@ template <class E>
 
 namespace detail {
 
+/// The comment above the field of the options struct `type`, such as "loopwise::ProximityOptions"; empty if
+/// it is no struct of this library.
+[[nodiscard]] LOOPWISE_EXPORT std::string_view option_text(std::string_view type, std::string_view field);
+
+/// The qualified name of a type, from the name of this function: gcc writes "... type_name() [with T =
+/// loopwise::ProximityOptions; ...]" and clang "... type_name() [T = loopwise::ProximityOptions]".
+template <class T>
+[[nodiscard]] std::string_view type_name() {
+  const std::string_view function = __PRETTY_FUNCTION__;
+  const std::size_t begin = function.find("T = ") + 4;
+  return function.substr(begin, function.find_first_of(";]", begin) - begin);
+}
+
+/// The text of a field of Options: the one that visit() gives, else the comment above the field.
+template <class Options>
+[[nodiscard]] std::string_view field_text(std::string_view field, std::string_view given) {
+  return given.empty() ? option_text(type_name<Options>(), field) : given;
+}
+
 template <class T>
 struct IsListOfWords : std::false_type {};
 template <class E>
@@ -113,7 +144,7 @@ inline void check_bounds(std::string_view name, double value, const Bounds& boun
 
 struct BoundsVisitor {
   template <class T>
-  void operator()(std::string_view name, const T& value, const Bounds& bounds, std::string_view) const {
+  void operator()(std::string_view name, const T& value, const Bounds& bounds, std::string_view = {}) const {
     if constexpr (std::is_arithmetic_v<T> && !std::is_same_v<T, bool>) {
       check_bounds(name, static_cast<double>(value), bounds);
     } else if constexpr (std::is_same_v<T, std::vector<double>>) {
@@ -123,6 +154,17 @@ struct BoundsVisitor {
 };
 
 }  // namespace detail
+
+/// Lists the fields of a part of an options struct as fields of the struct itself: `visit_part(self.tests,
+/// field)` in its visit(). The texts are those of the part.
+template <class Part, class Visitor>
+void visit_part(Part& part, Visitor&& field) {
+  using Options = std::remove_const_t<Part>;
+  Options::visit(
+      part, [&field](std::string_view name, auto& value, const Bounds& bounds, std::string_view text = {}) {
+        field(name, value, bounds, detail::field_text<Options>(name, text));
+      });
+}
 
 /// Checks every field against its bounds. \throws OptionError naming the first bad field.
 template <class Options>

@@ -28,16 +28,18 @@ struct Work {
 
 /// Time limit for the other ranks, and number of pieces handed out in advance.
 struct WorkOptions {
+  /// A rank counts as failed if it has unfinished pieces and sends no result for longer than this, s.
   double time_limit_s = 600.0;
+  /// A rank counts as failed if it sends no first message within this time, s.
   double start_limit_s = 120.0;
+  /// Number of pieces that a rank gets in advance, so that it never waits.
   std::int64_t ahead = 2;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("time_limit_s", self.time_limit_s, above(0.0),
-          "A rank that owes answers and has sent none for this long is taken for dead, s.");
-    field("start_limit_s", self.start_limit_s, above(0.0), "The same for its first word, s.");
-    field("ahead", self.ahead, at_least(1), "Pieces that a rank is given ahead, so that it never waits.");
+    field("time_limit_s", self.time_limit_s, above(0.0));
+    field("start_limit_s", self.start_limit_s, above(0.0));
+    field("ahead", self.ahead, at_least(1));
   }
 };
 

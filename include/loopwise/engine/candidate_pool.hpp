@@ -48,22 +48,22 @@ struct CandidateAccounting {
 
 /// Expiry of candidates, and which candidates come last.
 struct CandidatePoolOptions {
+  /// Pending candidates older than this expire, s. 0: never.
   double max_age_s = 0.0;
+  /// Candidates whose scan is missing for longer than this expire, s. 0: never.
   double max_wait_s = 600.0;
+  /// Maximum number of pending candidates. Beyond it, the oldest expire. 0: no bound.
   std::int64_t max_pending = 0;
+  /// A candidate comes last if both of its ends are within this distance of the ends of a verified closure
+  /// between the same robots, m. 0: no such rule.
   double redundant_m = 0.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("max_age_s", self.max_age_s, at_least(0.0),
-          "Pending candidates older than this expire, s; 0: never.");
-    field("max_wait_s", self.max_wait_s, at_least(0.0),
-          "Candidates whose scan is missing for longer than this expire, s; 0: never.");
-    field("max_pending", self.max_pending, at_least(0.0),
-          "Pending candidates beyond this number expire, oldest first; 0: no bound.");
-    field("redundant_m", self.redundant_m, at_least(0.0),
-          "Candidates whose ends are both within this distance of those of a verified closure between "
-          "the same robots come last, m; 0: no such rule.");
+    field("max_age_s", self.max_age_s, at_least(0.0));
+    field("max_wait_s", self.max_wait_s, at_least(0.0));
+    field("max_pending", self.max_pending, at_least(0.0));
+    field("redundant_m", self.redundant_m, at_least(0.0));
   }
 };
 

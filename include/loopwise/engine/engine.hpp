@@ -43,11 +43,17 @@ struct EngineOptions {
   RadioOptions radio;           ///< Candidates by radio beacons.
   CandidatePoolOptions pool;    ///< Expiry of candidates.
   TaskOptions task;             ///< Scans and guesses of a registration.
+  /// Source of the relative poses that registrations get as a guess: estimate or odometry.
   GuessSource guess = GuessSource::kEstimate;
+  /// Propose pairs of near nodes. Off: candidates come only from outside and from radio.
   bool use_proximity = true;
+  /// Optimise the graph after each batch with a closure. Off: estimates come from outside.
   bool use_back_end = true;
+  /// Keep one candidate in this many, drawn by pair and seed. 1: all.
   std::int64_t thin = 1;
+  /// Factors whose nodes are missing for longer than this are dropped and counted, s. 0: never.
   double max_factor_wait_s = 600.0;
+  /// Seed of all random draws.
   std::uint64_t seed = 1;
 
   /// Calls visitor(name, section) for these options and those of the stages.
@@ -62,16 +68,12 @@ struct EngineOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("guess", self.guess, any_value(),
-          "Relative pose that registrations are given: estimate or odometry.");
-    field("use_proximity", self.use_proximity, any_value(),
-          "Propose nodes that are near. Off: candidates come from outside and from radio only.");
-    field("use_back_end", self.use_back_end, any_value(),
-          "Optimise the graph after each batch with a closure. Off: estimates come from outside.");
-    field("thin", self.thin, at_least(1), "Keep one candidate in this many, drawn by pair and seed; 1: all.");
-    field("max_factor_wait_s", self.max_factor_wait_s, at_least(0.0),
-          "Factors whose nodes are missing for longer than this, s, are dropped and counted; 0: never.");
-    field("seed", self.seed, at_least(0), "Seed of all random draws.");
+    field("guess", self.guess, any_value());
+    field("use_proximity", self.use_proximity, any_value());
+    field("use_back_end", self.use_back_end, any_value());
+    field("thin", self.thin, at_least(1));
+    field("max_factor_wait_s", self.max_factor_wait_s, at_least(0.0));
+    field("seed", self.seed, at_least(0));
   }
 };
 

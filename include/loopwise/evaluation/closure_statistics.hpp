@@ -28,17 +28,18 @@ struct ClosureError {
 
 /// Bounds of the classes. The defaults are the paper's.
 struct ClosureClassOptions {
+  /// Maximum translation error of a true inlier, m.
   double true_inlier_m = 0.05;
+  /// Maximum rotation error of a true inlier, rad.
   double true_inlier_rad = 0.05;
+  /// Closures with a larger weight count as kept by the back end.
   double gnc_inlier_weight = 0.5;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("true_inlier_m", self.true_inlier_m, above(0.0), "A true inlier is within this of the truth, m.");
-    field("true_inlier_rad", self.true_inlier_rad, above(0.0),
-          "A true inlier is within this of the truth, rad.");
-    field("gnc_inlier_weight", self.gnc_inlier_weight, between(0.0, 1.0),
-          "The back end keeps closures of more than this weight.");
+    field("true_inlier_m", self.true_inlier_m, above(0.0));
+    field("true_inlier_rad", self.true_inlier_rad, above(0.0));
+    field("gnc_inlier_weight", self.gnc_inlier_weight, between(0.0, 1.0));
   }
 };
 

@@ -28,21 +28,27 @@ struct RobotDrift {
 
 /// Selection of candidates, and the criterion for scans of the same place.
 struct CandidateStatisticsOptions {
+  /// Nodes within this distance by the estimate are candidates, m.
   double radius_m = 30.0;
+  /// Two nodes of one robot are candidates only if their indices differ by at least this much.
   int skip_recent = 10;
+  /// Number of candidates to measure, drawn at random.
   int pairs = 1000;
+  /// A point is shared if the other scan has a point within this distance, m.
   double near_m = 1.0;
+  /// Minimum share of shared points of a true overlap.
   double min_overlap = 0.5;
+  /// Number of threads. 0: one per processor.
   int threads = 0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("radius_m", self.radius_m, above(0.0), "Nodes this near by the estimate are candidates, m.");
-    field("skip_recent", self.skip_recent, at_least(1.0), "Index gap that a robot's own nodes need.");
-    field("pairs", self.pairs, at_least(0.0), "Candidates to look at, drawn at random.");
-    field("near_m", self.near_m, above(0.0), "A point is shared if the other scan has one this near, m.");
-    field("min_overlap", self.min_overlap, between(0.0, 1.0), "Share of shared points of a true overlap.");
-    field("threads", self.threads, between(0, 1024), "Threads; 0 takes the number of processors.");
+    field("radius_m", self.radius_m, above(0.0));
+    field("skip_recent", self.skip_recent, at_least(1.0));
+    field("pairs", self.pairs, at_least(0.0));
+    field("near_m", self.near_m, above(0.0));
+    field("min_overlap", self.min_overlap, between(0.0, 1.0));
+    field("threads", self.threads, between(0, 1024));
   }
 };
 

@@ -20,21 +20,25 @@ namespace loopwise {
 
 /// Bounds on the contents of a page.
 struct ReportOptions {
+  /// Maximum number of points of a map that are drawn.
   std::int64_t map_points = 20000;
+  /// Maximum number of items of any other layer that are drawn, such as candidates of an outcome or links to
+  /// a beacon.
   std::int64_t layer_items = 20000;
+  /// Number of runs that are shown on a map, the first ones.
   std::int64_t maps = 8;
+  /// Number of closures of a run whose scans the page shows, the most doubtful ones first. 0: no scans.
   std::int64_t review_closures = 60;
+  /// Seed of the random choice in layers that have more items.
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("map_points", self.map_points, between(0, 5000000), "Most points of a map that are drawn.");
-    field("layer_items", self.layer_items, between(1, 5000000),
-          "Most items of any other layer that are drawn: candidates of an outcome, links to a beacon.");
-    field("maps", self.maps, at_least(0), "Runs that are shown on a map: the first ones.");
-    field("review_closures", self.review_closures, between(0, 100000),
-          "Closures of a run whose scans the page shows, the most doubtful ones first; 0: none.");
-    field("seed", self.seed, at_least(0), "Of the draw where a layer has more.");
+    field("map_points", self.map_points, between(0, 5000000));
+    field("layer_items", self.layer_items, between(1, 5000000));
+    field("maps", self.maps, at_least(0));
+    field("review_closures", self.review_closures, between(0, 100000));
+    field("seed", self.seed, at_least(0));
   }
 };
 

@@ -16,15 +16,18 @@ namespace loopwise {
 
 /// How much of a run goes into its MCAP file.
 struct McapOptions {
+  /// Maximum number of points of a scan. They are drawn at random.
   std::int64_t scan_points = 2000;
+  /// Number of messages with the path so far, for each robot.
   std::int64_t paths = 100;
+  /// Seed of the random draw of points.
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("scan_points", self.scan_points, between(1, 10000000), "Most points of a scan, drawn at random.");
-    field("paths", self.paths, between(1, 1000000), "Messages with the path so far, for each robot.");
-    field("seed", self.seed, at_least(0), "Of the draw of points.");
+    field("scan_points", self.scan_points, between(1, 10000000));
+    field("paths", self.paths, between(1, 1000000));
+    field("seed", self.seed, at_least(0));
   }
 };
 

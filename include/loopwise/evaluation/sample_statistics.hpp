@@ -29,15 +29,18 @@ struct Quartiles {
 
 /// How intervals are drawn.
 struct BootstrapOptions {
+  /// Number of samples drawn with replacement.
   std::int64_t resamples = 10000;
+  /// Confidence level of the intervals.
   double level = 0.95;
+  /// Seed of the random draws.
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("resamples", self.resamples, at_least(1), "Samples drawn with replacement.");
-    field("level", self.level, between(0.0, 1.0), "Of the intervals.");
-    field("seed", self.seed, at_least(0), "Of the draws.");
+    field("resamples", self.resamples, at_least(1));
+    field("level", self.level, between(0.0, 1.0));
+    field("seed", self.seed, at_least(0));
   }
 };
 

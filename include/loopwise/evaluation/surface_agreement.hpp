@@ -19,28 +19,31 @@ namespace loopwise {
 
 /// Criteria for revisits, and for points on a surface.
 struct SurfaceAgreementOptions {
+  /// Two nodes are a revisit if their distance is at most this, m, by the poses that choose revisits.
   double reach_m = 3.0;
+  /// The distance of a revisit may exceed reach_m by this share of the path between its nodes.
   double drift = 0.0;
+  /// Maximum distance of a revisit in any case, m.
   double reach_most_m = 20.0;
+  /// Minimum length of the path between the nodes of a revisit, m. For nodes of two robots, both paths from
+  /// the starts must be this long.
   double apart_m = 20.0;
+  /// A point lies on a surface if the other scan has a surface within this distance, m.
   double near_m = 0.12;
+  /// Number of revisits to measure, drawn evenly from all.
   std::int64_t pairs = 400;
+  /// Number of points of each scan to measure, drawn evenly.
   std::int64_t points = 500;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("reach_m", self.reach_m, above(0.0),
-          "Nodes this near, by the poses that choose, are a revisit, m.");
-    field("drift", self.drift, at_least(0.0),
-          "Share of the path between two nodes by which they may be further apart than reach_m.");
-    field("reach_most_m", self.reach_most_m, above(0.0), "They are never further apart than this, m.");
-    field("apart_m", self.apart_m, at_least(0.0),
-          "Nodes are a revisit only if the path between them is this long, m: that of their robot; of two "
-          "robots both paths from their starts.");
-    field("near_m", self.near_m, above(0.0),
-          "A point lies on a surface if the other scan has one this near, m.");
-    field("pairs", self.pairs, at_least(1), "Revisits to look at, drawn evenly from all.");
-    field("points", self.points, at_least(1), "Points of each scan to look at, drawn evenly.");
+    field("reach_m", self.reach_m, above(0.0));
+    field("drift", self.drift, at_least(0.0));
+    field("reach_most_m", self.reach_most_m, above(0.0));
+    field("apart_m", self.apart_m, at_least(0.0));
+    field("near_m", self.near_m, above(0.0));
+    field("pairs", self.pairs, at_least(1));
+    field("points", self.points, at_least(1));
   }
 };
 

@@ -128,13 +128,15 @@ struct TrajectoryErrors {
 
 /// Distances of relative errors.
 struct TrajectoryEvaluationOptions {
+  /// Path lengths over which relative errors are measured, m.
   std::vector<double> distances_m = {10.0, 50.0, 100.0};
+  /// Shorter paths do not count in errors per distance, m.
   double min_path_m = 1.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("distances_m", self.distances_m, above(0.0), "Lengths of path for relative errors, m.");
-    field("min_path_m", self.min_path_m, above(0.0), "Shorter paths do not enter errors per distance, m.");
+    field("distances_m", self.distances_m, above(0.0));
+    field("min_path_m", self.min_path_m, above(0.0));
   }
 };
 

@@ -20,28 +20,29 @@ namespace loopwise {
 
 /// Preparation of a scan for all stages.
 struct FeatureOptions {
+  /// Points further from the sensor are left out and counted, m. 0: no bound. In a cloud in world coordinates
+  /// the distance is measured from its middle.
   double max_range_m = 300.0;
+  /// Edge of the voxel grid with which scans are downsampled, m.
   double voxel_m = 0.5;
+  /// Scans with at most this many points are not downsampled. The grid is refined if it would leave fewer
+  /// points.
   int min_points = 1000;
+  /// Number of nearest points, including the point itself, from which a normal is estimated.
   int normal_neighbours = 10;
+  /// Keep the normals of a scan if its file has them. Off: estimate all normals.
   bool use_file_normals = true;
+  /// Memory for features, MB.
   double max_cache_mb = 512.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("max_range_m", self.max_range_m, at_least(0.0),
-          "Points further from the sensor are left out and counted, m; 0: no bound. A cloud in world "
-          "coordinates "
-          "is measured from its middle.");
-    field("voxel_m", self.voxel_m, above(0.0), "Edge of the voxel grid that scans are downsampled with, m.");
-    field("min_points", self.min_points, at_least(0.0),
-          "Scans of at most this many points are not downsampled; the grid is refined where it would leave "
-          "fewer.");
-    field("normal_neighbours", self.normal_neighbours, between(3.0, 100.0),
-          "Nearest points, the point included, that a normal is estimated from.");
-    field("use_file_normals", self.use_file_normals, any_value(),
-          "Keep the normals that a scan brings along instead of estimating them.");
-    field("max_cache_mb", self.max_cache_mb, at_least(0.0), "Bound of the features kept in memory, MB.");
+    field("max_range_m", self.max_range_m, at_least(0.0));
+    field("voxel_m", self.voxel_m, above(0.0));
+    field("min_points", self.min_points, at_least(0.0));
+    field("normal_neighbours", self.normal_neighbours, between(3.0, 100.0));
+    field("use_file_normals", self.use_file_normals, any_value());
+    field("max_cache_mb", self.max_cache_mb, at_least(0.0));
   }
 };
 

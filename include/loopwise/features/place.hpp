@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Place recognition: which places of a database a scan or submap shows, and where in them.
+/// Place recognition: finds the places of a database that a scan or submap shows, and the pose in them.
 ///
 /// Places are described in *level* frames: z points up, and the yaw is that of the body. Two level frames of
-/// one place differ by a yaw and a translation alone. level_rotation() leads from a body to its level frame,
-/// level_cloud() moves a cloud there, and between_bodies() brings the pose of a match back.
+/// one place differ only by a yaw and a translation. level_rotation() is the rotation from a body frame to
+/// its level frame, level_cloud() moves a cloud there, and between_bodies() brings the pose of a match back.
 #pragma once
 
 #include <cstddef>
@@ -23,7 +23,7 @@
 
 namespace loopwise {
 
-/// A place of the database that looks like the one in question.
+/// A place of the database that looks like the query.
 struct PlaceMatch {
   Key key = 0;              ///< Of the place in the database.
   double similarity = 0.0;  ///< In [0, 1]; comparable among the matches of one kind of database.
@@ -45,9 +45,9 @@ class LOOPWISE_EXPORT PlaceDescriptor {
 /// Which places a query may return; empty: all.
 using PlaceFilter = std::function<bool(Key)>;
 
-/// Places by key, searched by appearance. The interface of place recognition: users derive from it for
-/// descriptors of their own. The const functions are safe to call from several threads at once. Results
-/// depend on the places and the order in which they were added alone.
+/// Places by key, searched by appearance. The interface of place recognition: users derive from it to add
+/// their own descriptors. The const functions are safe to call from several threads at once. Results depend
+/// only on the places and the order in which they were added.
 class LOOPWISE_EXPORT PlaceDatabase {
  public:
   virtual ~PlaceDatabase() = default;
@@ -94,14 +94,14 @@ class LOOPWISE_EXPORT PlaceDatabase {
 /// its yaw.
 [[nodiscard]] LOOPWISE_EXPORT Eigen::Matrix3d level_rotation(const Eigen::Isometry3d& T_world_body);
 
-/// The points of a cloud in the level frame. Normals turn along.
+/// The points of a cloud in the level frame. Normals are rotated too.
 /// \param body the cloud in the body frame
 /// \param T_world_body pose of the body in a world whose z points up
 [[nodiscard]] LOOPWISE_EXPORT PointCloud level_cloud(const PointCloud& body,
                                                      const Eigen::Isometry3d& T_world_body);
 
-/// A match of level frames as one of body frames: the pose of the match's body in the query's body, with its
-/// covariance.
+/// Converts a match of level frames to one of body frames: the pose of the match's body in the query's body,
+/// with its covariance.
 /// \param match of level frames
 /// \param query_rotation level_rotation() of the query
 /// \param match_rotation level_rotation() of the match
@@ -113,21 +113,24 @@ class LOOPWISE_EXPORT PlaceDatabase {
 /// sensor. The yaw is the shift of columns with the best match. The guessed translation is zero, with the
 /// standard deviation `sigma_m`.
 struct ScanContextOptions {
+  /// Number of cells along the range.
   int rings = 20;
+  /// Number of cells around the sensor.
   int sectors = 60;
+  /// Points further from the sensor are left out, m.
   double range_m = 40.0;
+  /// Number of places that are compared in full. They are the nearest by the means of their rings.
   int compared = 50;
+  /// Standard deviation of the guessed translation along each horizontal axis, m. The guess is zero.
   double sigma_m = 3.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("rings", self.rings, between(2.0, 256.0), "Cells along the range.");
-    field("sectors", self.sectors, between(4.0, 720.0), "Cells around.");
-    field("range_m", self.range_m, above(0.0), "Points further away are left out, m.");
-    field("compared", self.compared, at_least(1.0),
-          "Number of places, nearest by the means of their rings, that are compared in full.");
-    field("sigma_m", self.sigma_m, above(0.0),
-          "Standard deviation of the guessed translation, which is zero, along each horizontal axis, m.");
+    field("rings", self.rings, between(2.0, 256.0));
+    field("sectors", self.sectors, between(4.0, 720.0));
+    field("range_m", self.range_m, above(0.0));
+    field("compared", self.compared, at_least(1.0));
+    field("sigma_m", self.sigma_m, above(0.0));
   }
 };
 
@@ -139,21 +142,24 @@ struct ScanContextOptions {
 /// the gradients around them and are searched by locality-sensitive hashing. Yaw and translation come from a
 /// consensus of matched key points, the similarity from the agreement of the two images.
 struct DensityPlaceOptions {
+  /// Edge of the columns of the image, m.
   double cell_m = 0.35;
+  /// Half the width of the image, m.
   double range_m = 30.0;
+  /// Maximum number of corners and poles of an image.
   int key_points = 200;
+  /// Two key points match if their descriptors of 256 bits differ in at most this many bits.
   int match_bits = 64;
+  /// Number of places whose images are compared. They are those with the most matches that agree on one pose.
   int compared = 15;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("cell_m", self.cell_m, above(0.0), "Edge of the image's columns, m.");
-    field("range_m", self.range_m, above(0.0), "Half the width of the image, m.");
-    field("key_points", self.key_points, between(8.0, 1000.0), "Corners and poles of an image, at most.");
-    field("match_bits", self.match_bits, between(0.0, 128.0),
-          "Key points match that differ in at most this many of 256 bits.");
-    field("compared", self.compared, between(1.0, 1000.0),
-          "Places, those on whose pose most matches agree, whose images are compared.");
+    field("cell_m", self.cell_m, above(0.0));
+    field("range_m", self.range_m, above(0.0));
+    field("key_points", self.key_points, between(8.0, 1000.0));
+    field("match_bits", self.match_bits, between(0.0, 128.0));
+    field("compared", self.compared, between(1.0, 1000.0));
   }
 };
 

@@ -21,31 +21,32 @@ namespace loopwise {
 /// · |i_n − i_c|` for two nodes of one robot, `rate_m · i_n` between robots, where i counts a robot's own
 /// nodes from 0 and n is the new node.
 struct ProximityOptions {
+  /// Search radius gained per node index, m.
   double rate_m = 0.2;
+  /// The search radius is never less than this, m. A smaller radius_max_m overrides the default.
   double radius_min_m = 30.0;
+  /// The search radius is never more than this, m. 0: no bound.
   double radius_max_m = 30.0;
+  /// Two nodes of one robot are candidates only if their indices differ by at least this much.
   std::int64_t skip_recent = 10;
+  /// Maximum number of candidates of each new node, nearest first. 0: no bound.
   std::int64_t n_closest = 0;
+  /// Minimum distance along the path between nodes that get candidates, m. Nodes rotated by spacing_rad are
+  /// exempt. 0: all nodes get candidates.
   double spacing_m = 1.0;
+  /// A node also gets candidates if it is rotated by at least this angle against the last node of its robot
+  /// that got candidates, rad.
   double spacing_rad = 0.5;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
-    field("radius_min_m", self.radius_min_m, at_least(0.0),
-          "The radius is never less than this, m. The default gives way to a smaller radius_max_m.");
-    field("radius_max_m", self.radius_max_m, at_least(0.0),
-          "The radius is never more than this, m; 0: no bound.");
-    field("skip_recent", self.skip_recent, at_least(0.0),
-          "Nodes of one robot are left out unless their indices differ by at least this much.");
-    field("n_closest", self.n_closest, at_least(0.0),
-          "Bound on the candidates of each new node, nearest first; 0: no bound.");
-    field("spacing_m", self.spacing_m, at_least(0.0),
-          "Minimum distance along the path between nodes that get candidates, m; nodes rotated by "
-          "spacing_rad are exempt. 0: all nodes get candidates.");
-    field("spacing_rad", self.spacing_rad, at_least(0.0),
-          "A node rotated by at least this against the last node of its robot that got candidates also "
-          "gets candidates, rad.");
+    field("rate_m", self.rate_m, at_least(0.0));
+    field("radius_min_m", self.radius_min_m, at_least(0.0));
+    field("radius_max_m", self.radius_max_m, at_least(0.0));
+    field("skip_recent", self.skip_recent, at_least(0.0));
+    field("n_closest", self.n_closest, at_least(0.0));
+    field("spacing_m", self.spacing_m, at_least(0.0));
+    field("spacing_rad", self.spacing_rad, at_least(0.0));
   }
 };
 
@@ -96,7 +97,7 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
 
   [[nodiscard]] Cell cell_of(const Eigen::Vector3d& position) const;
   [[nodiscard]] double radius(const Entry& entry, const Entry& other) const;
-  /// Of the number's entry, or the next; `most` is the largest index by which a radius may be.
+  /// Candidates of `entry`, the one with the number `own`. `most` bounds the index that sets the radius.
   [[nodiscard]] std::vector<LoopCandidate> near(const Entry& entry, std::size_t own, std::uint64_t most,
                                                 double time_s) const;
   void collect(const Entry& entry, std::size_t own, const std::vector<std::size_t>& numbers,

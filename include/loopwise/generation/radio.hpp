@@ -22,19 +22,19 @@ namespace loopwise {
 
 /// When a node is near a beacon, and the extent of a fly-by.
 struct RadioOptions {
+  /// A node is near a beacon if its path loss, averaged over the receivers, is less than this, dB.
   double max_loss_db = 60.0;
+  /// Near nodes of one robot belong to one fly-by if their indices differ by at most this.
   std::int64_t max_gap_nodes = 20;
+  /// Maximum number of nodes whose readings wait until the node or the beacon is known. Beyond it, the oldest
+  /// are dropped.
   std::int64_t max_waiting = 100000;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("max_loss_db", self.max_loss_db, above(0.0),
-          "A node is near a beacon if its mean path loss over the receivers is less than this, dB.");
-    field("max_gap_nodes", self.max_gap_nodes, at_least(1),
-          "Near nodes of one robot whose indices differ by at most this belong to one fly-by.");
-    field(
-        "max_waiting", self.max_waiting, at_least(0),
-        "Nodes with readings that may wait for their node or beacon to become known; beyond, the oldest go.");
+    field("max_loss_db", self.max_loss_db, above(0.0));
+    field("max_gap_nodes", self.max_gap_nodes, at_least(1));
+    field("max_waiting", self.max_waiting, at_least(0));
   }
 };
 
@@ -44,9 +44,9 @@ struct RadioOptions {
 /// Proposes pairs of nodes that passed the same radio beacon (paper §III-D). A node is *near* a beacon if its
 /// mean path loss is positive and less than a threshold. The node where a robot drops the beacon is fly-by 0.
 /// Near nodes of one robot with adjacent indices form one **fly-by**; fly-bys are numbered in the order in
-/// which they begin, and robots that alternate at a beacon do not split each other's. The dropping robot is
-/// near as it leaves: its first fly-by starts after that. Readings of other robots before the drop are
-/// ignored.
+/// which they begin, and robots that alternate at a beacon do not split each other's. The robot that drops a
+/// beacon is near it until it leaves. Its first fly-by starts after that. Readings of other robots before the
+/// drop are ignored.
 ///
 /// Each node of a fly-by is paired with the nodes of all other known fly-bys of that beacon, in their order
 /// and the order of traversal. Nodes, readings and drops may come in any order; readings wait for missing

@@ -185,13 +185,13 @@ template <class Options>
 [[nodiscard]] std::vector<OptionField> option_fields(const Options& options) {
   std::vector<OptionField> fields;
   Options::visit(options, [&](std::string_view name, const auto& field, const Bounds& bounds,
-                              std::string_view doc) {
+                              std::string_view text = {}) {
     using T = std::decay_t<decltype(field)>;
     const OptionValue value = option_value(field);
-    fields.push_back(
-        {std::string(name),
-         value,
-         {std::string(name), type_word<T>(), value_text(value), bounds_text<T>(bounds), std::string(doc)}});
+    fields.push_back({std::string(name),
+                      value,
+                      {std::string(name), type_word<T>(), value_text(value), bounds_text<T>(bounds),
+                       std::string(field_text<Options>(name, text))}});
   });
   return fields;
 }
@@ -228,11 +228,11 @@ void apply_json(const Json& object, const std::string& section, Options& options
   }
   Options changed = options;
   Options::visit(changed,
-                 [&](std::string_view name, auto& field, const Bounds& bounds, std::string_view doc) {
+                 [&](std::string_view name, auto& field, const Bounds& bounds, std::string_view = {}) {
                    const std::string full = section + "." + std::string(name);
                    if (const Json* value = detail::find_json(object, name))
                      detail::from_json_value(*value, full, field);
-                   detail::BoundsVisitor{}(full, field, bounds, doc);
+                   detail::BoundsVisitor{}(full, field, bounds);
                  });
   options = std::move(changed);
 }
@@ -244,13 +244,14 @@ template <class Options>
 void set_option(const std::string& section, std::string_view name, std::string_view text, Options& options) {
   Options changed = options;
   bool found = false;
-  Options::visit(changed, [&](std::string_view own, auto& field, const Bounds& bounds, std::string_view doc) {
-    if (own != name) return;
-    found = true;
-    const std::string full = section + "." + std::string(own);
-    detail::from_text_value(text, full, field);
-    detail::BoundsVisitor{}(full, field, bounds, doc);
-  });
+  Options::visit(changed,
+                 [&](std::string_view own, auto& field, const Bounds& bounds, std::string_view = {}) {
+                   if (own != name) return;
+                   found = true;
+                   const std::string full = section + "." + std::string(own);
+                   detail::from_text_value(text, full, field);
+                   detail::BoundsVisitor{}(full, field, bounds);
+                 });
   if (!found) detail::throw_unknown_option(section, name, detail::option_fields(options));
   options = std::move(changed);
 }

@@ -108,7 +108,7 @@ struct Mission {
   std::vector<CommunicationGap> gaps;  ///< By robot, then begin.
   std::vector<RadioReading> radio;     ///< In the order of the file.
   std::vector<BeaconDrop> beacons;     ///< In the order of the file.
-  /// Of several sources joined: by robot, the number of its source. Else empty.
+  /// For joined sources: the number of the source of each robot. Else empty.
   std::vector<std::size_t> robot_sources;
   std::int64_t start_ns = 0;  ///< Stamp of mission time 0: the earliest, unless mission.json sets it.
   std::string frame = "map";  ///< Name of the common frame.
@@ -124,115 +124,97 @@ struct Mission {
 
 /// How a mission is read, and defaults for missing data.
 struct MissionOptions {
-  /// As parse_robots() takes it. Empty: as in mission.json, or one robot per character of the keys. Groups of
-  /// landmarks come from the files and are not listed.
+  /// Robots and their keys, such as "0-624,625-1249" or "husky=0-624,spot=625-1249" or "a,b", see
+  /// parse_robots(). Groups of landmarks come from the files and are not listed. Empty: as in mission.json,
+  /// or one robot per character of the keys.
   std::string robots;
-  /// A file with two keys a line, in any order: the edges that are odometry. Empty: those between neighbours
-  /// of one robot, see classify_edges().
+  /// File with two keys a line, in any order: the edges that are odometry. Empty: the edges between
+  /// neighbours of one robot, see classify_edges().
   std::string odometry;
+  /// Memory for scans that are kept after use, MB.
   double scan_cache_mb = 512.0;
+  /// Fields of a point in .bin files, which have no header: auto (xyzi if the values are plausible), xyz,
+  /// xyzi (KITTI), xyzir (nuScenes), xyzirt, xyz_double, xyzi_double, or a record of HeLiPR.
   BinLayout bin_layout = BinLayout::kAuto;
-  /// Sigmas of odometry without information, such as odometry from a session's poses: per metre of the step,
-  /// but never below the minimum.
+  /// Odometry without information, such as from the poses of a session: standard deviation of the translation
+  /// per metre of the step, m.
   double odometry_sigma_m_per_m = 0.02;
+  /// Odometry without information, such as from the poses of a session: standard deviation of the rotation
+  /// per metre of the step, rad.
   double odometry_sigma_rad_per_m = 0.002;
+  /// Odometry without information: minimum standard deviation of the translation, m.
   double odometry_min_sigma_m = 0.01;
+  /// Odometry without information: minimum standard deviation of the rotation, rad.
   double odometry_min_sigma_rad = 0.001;
-  /// Sigmas of the prior for a mission without priors, x y z and roll pitch yaw. The values are those of
-  /// LAMP.
+  /// Standard deviations of the prior that a mission without priors gets: x, y, z in m; roll, pitch, yaw in
+  /// rad. The default values are those of LAMP.
   std::vector<double> prior_sigmas = {0.0016, 0.0016, 0.0016, 0.041, 0.041, 0.00041};
+  /// Time between consecutive nodes of a robot if the files hold no stamps, s.
   double node_interval_s = 2.0;
-  /// A letter: the robot of small ids in a g2o file beside clouds. Empty: taken from the clouds' names.
+  /// g2o_pcd folders: letter of the robot whose ids in the graph lack it. Empty: taken from the names of the
+  /// clouds.
   std::string robot_character;
+  /// Bags: order of the covariances of odometry, rotation first or translation first.
   CovarianceOrder odometry_covariance_order = CovarianceOrder::kRotationFirst;
-  /// Largest difference of stamps between a node and its true pose.
+  /// Bags: maximum difference of stamps between a node and its true pose, which is the nearest in time, s.
+  /// Files given as truth: the longest gap between stamps that is interpolated.
   double truth_max_time_difference_s = 1.0;
-  /// Topics of bags, as whole names or as names in each robot's namespace. Empty: see read_mission().
+  /// Bags without graphs: topic of the odometry, as a whole name or within the namespace of each robot.
+  /// Empty: the one with the most messages.
   std::string odometry_topic;
+  /// Bags without graphs: topic of the clouds, as a whole name or within the namespace of each robot. Empty:
+  /// the one with the most messages.
   std::string cloud_topic;
-  /// Topic of true poses. Empty: those with "ground_truth" or "gt" in their names.
+  /// Bags without graphs: topic of the true poses. Empty: topics with ground_truth or gt in their names.
   std::string truth_topic;
-  /// File with the pose of each joined mission's frame in the common frame. Empty: poses are in the common
-  /// frame.
-  /// The words "auto" and "common" of the command line are not for read_missions(), see read_team().
+  /// Several missions as one: file with the pose of the frame of each mission in the common frame. Empty:
+  /// poses are in the common frame. read_team() also takes the words auto and common.
   std::string frames;
-  /// Joined missions begin at the same time, independent of their stamps.
+  /// Several missions as one: all begin at the same time, independent of their stamps.
   bool start_together = false;
-  /// Key frames of a stream of odometry and sweeps, see choose_key_frames(): one as soon as the sensor has
-  /// moved or turned so far since the last.
+  /// Odometry with sweeps: a key frame is made when the sensor has moved this far since the last one, m. 0:
+  /// of every sweep.
   double keyframe_distance_m = 1.0;
+  /// Odometry with sweeps: a key frame is made when the sensor has turned by this angle since the last one,
+  /// rad. 0: of every sweep.
   double keyframe_angle_rad = 0.35;
-  /// A sweep has the pose of the odometry at its stamp, which must be known so near in time.
+  /// Odometry with sweeps: maximum time between a sweep and the pose of the odometry that it gets, s.
   double keyframe_max_time_difference_s = 0.1;
-  /// Most sweeps that are laid on each other as the scan of a key frame; 0: its own sweep alone.
+  /// Odometry with sweeps: maximum number of sweeps that form the scan of a key frame, those nearest in time.
+  /// 0: only its own sweep.
   std::int64_t submap_sweeps = 0;
-  /// File with the poses of the sweeps, where a folder holds only clouds or the poses of something else.
+  /// Folders of sweeps: file with the poses of the sweeps (rows of KITTI, or TUM), if the folder holds only
+  /// clouds or the poses of something else. Empty: the file beside the sweeps.
   std::string poses;
-  /// A measurement that would be repaired, guessed or left out is an error, see Problem::altered.
+  /// A measurement that would be repaired, guessed or left out is an error.
   bool strict = false;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("robots", self.robots, any_value(),
-          "Robots and their keys, as \"0-624,625-1249\" or \"husky=0-624,spot=625-1249\" or \"a,b\"; "
-          "empty: as the files say.");
-    field(
-        "odometry", self.odometry, any_value(),
-        "Which edges are odometry: a file with two keys a line; empty: those between neighbours of a robot.");
-    field("scan_cache_mb", self.scan_cache_mb, at_least(0.0), "Memory for scans kept after use, MB.");
-    field("bin_layout", self.bin_layout, any_value(),
-          "What a point is made of in .bin files, which have no header: auto (xyzi if it looks like it), "
-          "xyz, xyzi "
-          "(KITTI), xyzir (nuScenes), xyzirt, xyz_double, xyzi_double, or a record of HeLiPR.");
-    field("odometry_sigma_m_per_m", self.odometry_sigma_m_per_m, at_least(0.0),
-          "Sessions, edges without information: translation sigma of an odometry edge per metre of its "
-          "length.");
-    field("odometry_sigma_rad_per_m", self.odometry_sigma_rad_per_m, at_least(0.0),
-          "Sessions, edges without information: rotation sigma of an odometry edge per metre of its length.");
-    field("odometry_min_sigma_m", self.odometry_min_sigma_m, above(0.0),
-          "Sessions, edges without information: least translation sigma of an odometry edge, m.");
-    field("odometry_min_sigma_rad", self.odometry_min_sigma_rad, above(0.0),
-          "Sessions, edges without information: least rotation sigma of an odometry edge, rad.");
-    field("prior_sigmas", self.prior_sigmas, above(0.0),
-          "Sigmas of the prior given to a mission without one: x, y, z in m, roll, pitch, yaw in rad.");
-    field("node_interval_s", self.node_interval_s, above(0.0),
-          "Time between a robot's nodes where the files hold no stamps, s.");
-    field("robot_character", self.robot_character, any_value(),
-          "g2o_pcd folders: letter of the robot whose ids in the graph lack it; empty: as the clouds say.");
-    field("odometry_covariance_order", self.odometry_covariance_order, any_value(),
-          "Bags: what comes first in the covariances of odometry.");
-    field("truth_max_time_difference_s", self.truth_max_time_difference_s, at_least(0.0),
-          "Bags: a node's true pose is the nearest in time, at most this far, s; files given as truth: the "
-          "longest gap between stamps that is interpolated.");
-    field("odometry_topic", self.odometry_topic, any_value(),
-          "Bags without graphs: topic of the odometry, whole or within each robot's namespace; empty: the "
-          "one with "
-          "the most messages.");
-    field("cloud_topic", self.cloud_topic, any_value(),
-          "Bags without graphs: topic of the clouds, in the same way.");
-    field("truth_topic", self.truth_topic, any_value(),
-          "Bags without graphs: topic of true poses; empty: those with ground_truth or gt in their names.");
-    field("frames", self.frames, any_value(),
-          "Several missions as one: file with the pose of each one's frame in the common frame.");
-    field("start_together", self.start_together, any_value(),
-          "Several missions as one: all begin at the same moment.");
-    field(
-        "keyframe_distance_m", self.keyframe_distance_m, at_least(0.0),
-        "Odometry with sweeps: a key frame is made when the sensor has moved so far since the last, m; 0: of "
-        "every sweep.");
-    field(
-        "keyframe_angle_rad", self.keyframe_angle_rad, at_least(0.0),
-        "Odometry with sweeps: a key frame is made when the sensor has turned so far since the last, rad; 0: "
-        "of every sweep.");
-    field("keyframe_max_time_difference_s", self.keyframe_max_time_difference_s, at_least(0.0),
-          "Odometry with sweeps: longest time between a sweep and the pose of the odometry that it gets, s.");
-    field("submap_sweeps", self.submap_sweeps, between(0.0, 1000.0),
-          "Odometry with sweeps: most sweeps that become the scan of a key frame, those nearest in time; 0: "
-          "its own alone.");
-    field("poses", self.poses, any_value(),
-          "Folders of sweeps: file with their poses (KITTI rows, or TUM); empty: that beside the sweeps.");
-    field("strict", self.strict, any_value(),
-          "A measurement that would be repaired, guessed or left out is an error.");
+    field("robots", self.robots, any_value());
+    field("odometry", self.odometry, any_value());
+    field("scan_cache_mb", self.scan_cache_mb, at_least(0.0));
+    field("bin_layout", self.bin_layout, any_value());
+    field("odometry_sigma_m_per_m", self.odometry_sigma_m_per_m, at_least(0.0));
+    field("odometry_sigma_rad_per_m", self.odometry_sigma_rad_per_m, at_least(0.0));
+    field("odometry_min_sigma_m", self.odometry_min_sigma_m, above(0.0));
+    field("odometry_min_sigma_rad", self.odometry_min_sigma_rad, above(0.0));
+    field("prior_sigmas", self.prior_sigmas, above(0.0));
+    field("node_interval_s", self.node_interval_s, above(0.0));
+    field("robot_character", self.robot_character, any_value());
+    field("odometry_covariance_order", self.odometry_covariance_order, any_value());
+    field("truth_max_time_difference_s", self.truth_max_time_difference_s, at_least(0.0));
+    field("odometry_topic", self.odometry_topic, any_value());
+    field("cloud_topic", self.cloud_topic, any_value());
+    field("truth_topic", self.truth_topic, any_value());
+    field("frames", self.frames, any_value());
+    field("start_together", self.start_together, any_value());
+    field("keyframe_distance_m", self.keyframe_distance_m, at_least(0.0));
+    field("keyframe_angle_rad", self.keyframe_angle_rad, at_least(0.0));
+    field("keyframe_max_time_difference_s", self.keyframe_max_time_difference_s, at_least(0.0));
+    field("submap_sweeps", self.submap_sweeps, between(0.0, 1000.0));
+    field("poses", self.poses, any_value());
+    field("strict", self.strict, any_value());
   }
 };
 
@@ -276,7 +258,7 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// - beacons.csv: `beacon,robot,drop_key,stamp_ns`
 /// - ranges.csv: `from,to,range_m,sigma_m`
 /// - gravity.csv: `key,x,y,z,sigma_rad`, the direction of gravity (-z of the common frame) in the body frame
-/// - odometry.csv: as MissionOptions::odometry takes it, which comes first
+/// - odometry.csv: as MissionOptions::odometry, which takes precedence
 /// - ground_truth.g2o: vertices alone
 /// - reference.g2o: the same, poses that another program computed
 ///
@@ -296,12 +278,12 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// **g2o_pcd folder**: result.g2o, else the only g2o file that is not the truth, and clouds beside it, in a
 /// subfolder or in a zip archive, named KEY (a number of 64 bits, or a letter and an index) or pc_N: the N-th
 /// by key, or as in keys.csv (`key,file,stamp_ns`, no header). Ids in the graph may lack the robot's
-/// character if they are of one robot, given by options.robot_character or the clouds' names. Closures in the
-/// graph are kept, like those of a mission folder. Nodes under capital letters or 'u' without clouds and
-/// edges among themselves are landmarks. ranges.csv, gravity.csv and odometry.csv are those of a mission
-/// folder. The truth is in ground_truth/, inside or beside. A dump of hdl_graph_slam is such a folder, with
-/// clouds in NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to the fixed node of
-/// special_nodes.csv, which is not a key frame, become priors.
+/// character if all of them belong to one robot, which options.robot_character or the names of the clouds
+/// give. Closures in the graph are kept, like those of a mission folder. Nodes under capital letters or 'u'
+/// without clouds and edges among themselves are landmarks. ranges.csv, gravity.csv and odometry.csv are
+/// those of a mission folder. The truth is in ground_truth/, inside or beside. A dump of hdl_graph_slam is
+/// such a folder, with clouds in NUMBER/cloud.pcd and ids and stamps in NUMBER/data; edges to the fixed node
+/// of special_nodes.csv, which is not a key frame, become priors.
 ///
 /// **Bags**: bags of ROS 1, or of ROS 2 in MCAP or SQLite (.db3), or a folder's bags, as one recording.
 /// Messages are selected by type: KeyedScan, PoseGraph and CommNodeStatus of pose_graph_msgs,
@@ -310,9 +292,9 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// under their own keys; a landmark with ranges alone needs three of them and gets a prior of 10 m. Ranges
 /// and gravity (of which the first number of the covariance is the sigma) become factors. Without any of
 /// these, make_key_frame_mission() makes key frames of nav_msgs/Odometry or geometry_msgs/PoseStamped and
-/// sensor_msgs/PointCloud2: of several such topics the one of the options, else the one with the most
-/// messages; robots by namespace. Needs a build with librosbag-storage; for ROS 2 with SQLite, zstd and lz4.
-/// Scans stay in the bags, which must not change. Mission::topics lists all topics.
+/// sensor_msgs/PointCloud2. Of several such topics it takes the one in the options, else the one with the
+/// most messages. Each namespace is a robot. Needs a build with librosbag-storage; for ROS 2 with SQLite,
+/// zstd and lz4. Scans stay in the bags, which must not change. Mission::topics lists all topics.
 ///
 /// **LAMP's saved map**: a zip archive with keys.csv, pc_N.pcd and pose_graph.bag, or the same unpacked.
 ///

@@ -46,9 +46,14 @@ struct ModuleOptions {
   FeatureOptions features;               ///< Preparation of scans.
   FastRegistrarOptions registration;     ///< Computation of candidates.
   BackEndOptions back_end;               ///< Estimates.
+  /// Number of candidates in a batch.
   std::int64_t batch = 50;
+  /// Number of threads that compute registrations. 0: one per processor.
   int threads = 0;
+  /// Capacity of the event queue. A producer blocks while the queue is full.
   std::int64_t queue_capacity = 1024;
+  /// Wall time after which a running registration is reported as a problem, s. Its batch continues without
+  /// it, and its result still counts when it arrives. 0: never.
   double overdue_after_s = 60.0;
 
   /// Calls visitor(name, section) for these options and those of the parts.
@@ -65,14 +70,10 @@ struct ModuleOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("batch", self.batch, at_least(1), "Size of a batch of candidates.");
-    field("threads", self.threads, between(0, 1024),
-          "Threads that compute registrations; 0: one per processor.");
-    field("queue_capacity", self.queue_capacity, at_least(1),
-          "Capacity of the event queue; a producer blocks while it is full.");
-    field("overdue_after_s", self.overdue_after_s, at_least(0.0),
-          "Wall time, s, after which a running registration is reported as a problem. Its batch continues "
-          "without it; its result still counts when it arrives. 0: never.");
+    field("batch", self.batch, at_least(1));
+    field("threads", self.threads, between(0, 1024));
+    field("queue_capacity", self.queue_capacity, at_least(1));
+    field("overdue_after_s", self.overdue_after_s, at_least(0.0));
   }
 };
 

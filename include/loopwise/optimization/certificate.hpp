@@ -26,18 +26,18 @@ enum class CertificateStatus {
 
 /// Precision of a certificate, and effort of the search for lower poses without a certificate.
 struct CertificateOptions {
+  /// The result is certified if its cost is at most this share above a lower bound on the cost of all poses.
   double relative_gap = 1e-4;
+  /// Maximum number of Newton steps of each descent.
   int max_steps = 200;
+  /// Maximum rank of the relaxation in which poses of lower cost are sought. 3: no search.
   int max_rank = 5;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("relative_gap", self.relative_gap, between(1e-12, 0.1),
-          "Certified if the cost is at most this share above a bound on all poses' cost.");
-    field("max_steps", self.max_steps, at_least(1), "Bound on Newton steps of each descent.");
-    field("max_rank", self.max_rank, between(3.0, 6.0),
-          "Bound on the rank of the relaxation in which lower poses are looked for; 3 looks for no lower "
-          "poses.");
+    field("relative_gap", self.relative_gap, between(1e-12, 0.1));
+    field("max_steps", self.max_steps, at_least(1));
+    field("max_rank", self.max_rank, between(3.0, 6.0));
   }
 };
 

@@ -32,59 +32,60 @@ enum class GncStart {
 
 /// Robust optimisation: kernel, threshold and schedule.
 struct GncOptions {
+  /// Weights: gnc_tls, tls, cauchy or geman_mcclure.
   RobustKernel kernel = RobustKernel::kGncTls;
+  /// Share p of true closures whose noise stays below the threshold c². The threshold is the quantile p of
+  /// chi-squared with 6 degrees of freedom, and it applies to rᵀΩr.
   double inlier_probability = 0.99;
+  /// Factor of mu between outer iterations.
   double mu_step = 1.4;
+  /// Maximum number of outer iterations.
   int max_outer_iterations = 100;
+  /// Gauss-Newton steps for each value of mu.
   int steps_per_iteration = 1;
+  /// Weights count as settled within this distance of 0 or 1.
   double weight_tolerance = 1e-4;
+  /// Try several starts and keep the result with the lowest truncated cost. The first start keeps the
+  /// closures that other closures near them confirm. If these are many, all of them are kept, and every other
+  /// closure contradicts them, its result is final. Otherwise the other starts are the first estimate, the
+  /// chordal estimate, and odometry of reduced weight (see odometry_margin). Off: the first estimate only.
   bool second_start = true;
+  /// Probability p of the innovation test: closures above the quantile p of chi-squared with 6 degrees of
+  /// freedom are excluded at first, and return if the estimate confirms them. 1: no test.
   double innovation_probability = 0.9999;
+  /// For second_start: largest ratio of the true to the stated standard deviation of odometry. The odometry
+  /// of each robot loses weight as far as the kept closures show that it is worse than stated. Closures that
+  /// this odometry allows are then tried. Larger values help where odometry slips. But they let groups of
+  /// consistent false closures, such as from two floors with the same plan, bend the odometry. 1: odometry is
+  /// as good as stated.
   double odometry_margin = 3.0;
+  /// At the end of truncated least squares, re-admit closures that the innovation test excluded and that
+  /// agree with the kept closures around them, as long as this lowers the truncated cost. Helps where
+  /// odometry drifts more than stated.
   bool growth = true;
+  /// For a graph that is optimised repeatedly as it grows: start from the last result, with the new closures
+  /// that contradict neither this result nor the odometry. The graph is solved from scratch if the warm start
+  /// does not converge, if a kept closure is lost, if a new closure is neither kept nor contradicted, and as
+  /// warm_growth says. Truncated least squares only. Replays and the live module use it.
   bool warm_start = false;
+  /// For warm_start: solve from scratch when the number of closures has grown by this share since the last
+  /// solution from scratch, or the number of excluded closures that others confirm. 0: always.
   double warm_growth = 0.2;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("kernel", self.kernel, any_value(), "Weights: gnc_tls, tls, cauchy or geman_mcclure.");
-    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true},
-          "Share p of true closures whose noise stays below the threshold: c² = quantile p of "
-          "chi-squared with 6 degrees of freedom, on rᵀΩr.");
-    field("mu_step", self.mu_step, Bounds{1.0, 100.0, true}, "Factor of mu between outer iterations.");
-    field("max_outer_iterations", self.max_outer_iterations, at_least(1), "Bound on outer iterations.");
-    field("steps_per_iteration", self.steps_per_iteration, at_least(1),
-          "Gauss-Newton steps for each value of mu.");
-    field("weight_tolerance", self.weight_tolerance, between(0.0, 0.5),
-          "Weights count as settled within this of 0 or 1.");
-    field("second_start", self.second_start, any_value(),
-          "Try several starts and keep the result of the lowest truncated cost. First the closures that "
-          "others near them confirm; if they are many, all are kept, and every other closure "
-          "contradicts them, that is the result. Otherwise also the first estimate, the chordal "
-          "estimate, and odometry of reduced weight, see odometry_margin. Off: the first estimate "
-          "alone.");
-    field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true},
-          "Probability of the chi-squared quantile (6 DoF) of the innovation test; closures above it "
-          "are excluded at first, and return if the estimate confirms them. 1: no test.");
-    field("odometry_margin", self.odometry_margin, Bounds{1.0, 1e6, false},
-          "For second_start: largest ratio of true to stated standard deviation of odometry. The "
-          "odometry of each robot loses weight as far as the kept closures show that it is worse than "
-          "stated, and closures that it then allows are tried. Larger values help where odometry slips, "
-          "but let groups of consistent false closures, as from two floors of one plan, bend it. 1: "
-          "odometry is as stated.");
-    field("growth", self.growth, any_value(),
-          "At the end of truncated least squares, re-admit closures that the innovation test excluded "
-          "and that agree with the kept closures around them, as long as this lowers the truncated "
-          "cost. Helps where odometry drifts more than stated.");
-    field("warm_start", self.warm_start, any_value(),
-          "For a graph that is optimised repeatedly as it grows: start from the last result, with the "
-          "new closures that contradict neither it nor the odometry. A solution from scratch replaces "
-          "it if it did not converge, if a kept closure is lost, if a new closure is neither kept nor "
-          "contradicted, and as warm_growth says. Truncated least squares only. Replays and the live "
-          "module use it.");
-    field("warm_growth", self.warm_growth, at_least(0.0),
-          "For warm_start: solve from scratch when the number of closures has grown by this share since "
-          "the last such solution, or that of excluded closures that others confirm. 0: always.");
+    field("kernel", self.kernel, any_value());
+    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true});
+    field("mu_step", self.mu_step, Bounds{1.0, 100.0, true});
+    field("max_outer_iterations", self.max_outer_iterations, at_least(1));
+    field("steps_per_iteration", self.steps_per_iteration, at_least(1));
+    field("weight_tolerance", self.weight_tolerance, between(0.0, 0.5));
+    field("second_start", self.second_start, any_value());
+    field("innovation_probability", self.innovation_probability, Bounds{0.0, 1.0, true});
+    field("odometry_margin", self.odometry_margin, Bounds{1.0, 1e6, false});
+    field("growth", self.growth, any_value());
+    field("warm_start", self.warm_start, any_value());
+    field("warm_growth", self.warm_growth, at_least(0.0));
   }
 };
 

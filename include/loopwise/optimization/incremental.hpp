@@ -14,30 +14,25 @@ namespace loopwise {
 
 /// How closely an incremental estimate follows the minimum.
 struct IncrementalOptions {
-  /// Steps below this share of the deviation that a node's own factors allow (1/√Hjj) are not followed
-  /// further until they accumulate.
+  /// Steps of a node are postponed until they add up to this share of the standard deviation that the node's
+  /// own factors allow (1/√Hjj).
   double tolerance = 0.05;
-  /// An update ends with a step whose decrease of the cost matches the linear prediction, within this share.
-  /// The next update continues from there. 0: update until the steps are below the tolerance.
+  /// An update ends after a step whose decrease of the cost matches the linear prediction within this share.
+  /// The next update continues from there. 0: an update ends only if all steps are below the tolerance.
   double remainder = 0.05;
-  /// A factor is linearised anew when the relative pose of its two ends has turned by this much (rad), or
-  /// moved by this share of its length (at least 1 m), since it was linearised.
+  /// A factor is linearised again when the relative pose of its two ends has turned by this much (rad) since
+  /// the last linearisation, or moved by this share of its length (at least 1 m).
   double relinearization = 0.005;
-  /// Bound on the steps of one update. The next update continues.
+  /// Maximum number of steps of one update. The next update continues.
   int max_iterations = 30;
 
   /// Calls visitor(name, field, bounds, description) for every option.
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("tolerance", self.tolerance, Bounds{0.0, 1.0, true},
-          "Steps below this share of the deviation that a node's own factors leave it are not followed.");
-    field("remainder", self.remainder, between(0.0, 1.0),
-          "An update ends with a step that lowers the cost as promised, but for this share. 0: when the "
-          "steps are below the tolerance.");
-    field("relinearization", self.relinearization, between(0.0, 1.0),
-          "A factor is linearised anew when its two ends have turned against each other by this (rad), or "
-          "moved by this share of their distance (at least 1 m).");
-    field("max_iterations", self.max_iterations, at_least(1), "Bound on the steps of one update.");
+    field("tolerance", self.tolerance, Bounds{0.0, 1.0, true});
+    field("remainder", self.remainder, between(0.0, 1.0));
+    field("relinearization", self.relinearization, between(0.0, 1.0));
+    field("max_iterations", self.max_iterations, at_least(1));
   }
 };
 

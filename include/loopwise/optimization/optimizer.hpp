@@ -48,33 +48,36 @@ enum class Termination {
 
 /// Optimisation: when to stop, where to start, and how to factorise.
 struct OptimizerOptions {
+  /// Maximum number of steps.
   int max_iterations = 1000;
+  /// Converged if the predicted decrease of the cost is below this fraction of the cost and
+  /// gradient_tolerance is met too.
   double cost_tolerance = 1e-11;
+  /// Converged if the largest element of the gradient is below this fraction of its initial value and
+  /// cost_tolerance is met too.
   double gradient_tolerance = 5e-7;
+  /// Converged in any case if the largest element of an undamped step (m, rad) is below this.
   double step_tolerance = 1e-9;
+  /// Levenberg-Marquardt damping of the first step, relative to the diagonal of the Hessian. 0: Gauss-Newton
+  /// steps, with damping only after a step that fails.
   double initial_damping = 0.0;
+  /// First estimate: auto, file, odometry or chordal. auto takes the one with the lowest cost.
   Initialization initialization = Initialization::kAuto;
+  /// Sparse Cholesky factorisation: automatic, multifrontal, simplicial or supernodal.
   Factorization factorization = Factorization::kAutomatic;
+  /// Number of threads. 0: one per processor. It changes the run time, never a result.
   int threads = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("max_iterations", self.max_iterations, at_least(0), "Bound on steps.");
-    field("cost_tolerance", self.cost_tolerance, at_least(0.0),
-          "Converged when the predicted decrease is below this fraction of the cost ...");
-    field("gradient_tolerance", self.gradient_tolerance, at_least(0.0),
-          "... and the largest element of the gradient is below this fraction of its first value,");
-    field("step_tolerance", self.step_tolerance, at_least(0.0),
-          "or when the largest element of an undamped step (m, rad) is below this.");
-    field("initial_damping", self.initial_damping, at_least(0.0),
-          "Levenberg-Marquardt damping of the first step, relative to the diagonal of the Hessian. 0: "
-          "Gauss-Newton steps, with damping after a step that fails.");
-    field("initialization", self.initialization, any_value(),
-          "First estimate: auto, file, odometry or chordal. auto takes the one of the lowest cost.");
-    field("factorization", self.factorization, any_value(),
-          "Sparse Cholesky: automatic, multifrontal, simplicial or supernodal.");
-    field("threads", self.threads, between(0, 1024),
-          "Threads; 0: one per processor. They change the run time, never a result.");
+    field("max_iterations", self.max_iterations, at_least(0));
+    field("cost_tolerance", self.cost_tolerance, at_least(0.0));
+    field("gradient_tolerance", self.gradient_tolerance, at_least(0.0));
+    field("step_tolerance", self.step_tolerance, at_least(0.0));
+    field("initial_damping", self.initial_damping, at_least(0.0));
+    field("initialization", self.initialization, any_value());
+    field("factorization", self.factorization, any_value());
+    field("threads", self.threads, between(0, 1024));
   }
 };
 

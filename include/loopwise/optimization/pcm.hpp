@@ -12,17 +12,16 @@ namespace loopwise {
 
 /// When two closures agree.
 struct PcmOptions {
+  /// Two closures agree if the error of their loop is below this quantile of chi-squared with 6 degrees of
+  /// freedom.
   double inlier_probability = 0.99;
+  /// Maximum number of closures that are compared pair by pair.
   std::size_t max_group = 5000;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true},
-          "Two closures agree if the error of their loop lies below this quantile of chi-squared with 6 "
-          "degrees of "
-          "freedom.");
-    field("max_group", self.max_group, at_least(2.0),
-          "Bound on the closures that are compared pair by pair.");
+    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true});
+    field("max_group", self.max_group, at_least(2.0));
   }
 };
 

@@ -39,24 +39,27 @@ enum class BlockStorage {
 
 /// Model of a candidate's closure, and the computation of its effect.
 struct ClosureModelOptions {
+  /// Standard deviation of the translation of a hypothetical closure along each axis, m.
   double sigma_m = 0.1;
+  /// Standard deviation of the rotation of a hypothetical closure about each axis, rad.
   double sigma_rad = 0.02;
+  /// Part of the covariance in the trace: translation or full.
   TraceKind trace = TraceKind::kTranslation;
+  /// Storage of the blocks: automatic, columns or dense.
   BlockStorage storage = BlockStorage::kAutomatic;
+  /// Dense storage: number of moves between two factorisations from scratch.
   std::int64_t dense_refresh = 64;
+  /// Number of threads. 0: one per processor. It changes the run time, never a result.
   int threads = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("sigma_m", self.sigma_m, above(0.0),
-          "Sigma of a hypothetical closure's translation, each axis, m.");
-    field("sigma_rad", self.sigma_rad, above(0.0), "The same of its rotation, rad.");
-    field("trace", self.trace, any_value(), "What the trace counts: translation or full.");
-    field("storage", self.storage, any_value(), "Storage of the blocks: automatic, columns or dense.");
-    field("dense_refresh", self.dense_refresh, at_least(1),
-          "Dense storage: moves between two fresh factorisations.");
-    field("threads", self.threads, between(0, 1024),
-          "Threads; 0: one per processor. They change the run time, never a result.");
+    field("sigma_m", self.sigma_m, above(0.0));
+    field("sigma_rad", self.sigma_rad, above(0.0));
+    field("trace", self.trace, any_value());
+    field("storage", self.storage, any_value());
+    field("dense_refresh", self.dense_refresh, at_least(1));
+    field("threads", self.threads, between(0, 1024));
   }
 };
 

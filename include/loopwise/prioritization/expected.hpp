@@ -21,41 +21,41 @@ namespace loopwise {
 
 /// Options of the draw by expected gain.
 struct ExpectedOptions {
+  /// Length of the path that counts as one place, m. Candidates between the same two places form one group.
   double place_m = 10.0;
+  /// Candidates are drawn with odds value^(1/spread). 0: always the most valuable first.
   double spread = 0.5;
+  /// Exponent of the gain in the value. 0: only the probability counts.
   double gain_exponent = 0.5;
+  /// The probability depends on the overlap of the scans by the estimate. Off: it depends on the distance
+  /// alone.
   bool use_overlap = true;
+  /// The probability depends on the outcomes of candidates between the same two places.
   bool use_places = true;
+  /// Closures that robust optimisation rejects lower the probability between their two places.
   bool use_right = true;
+  /// Number of random probes of the gain. The relative error is about sqrt(2 / probes).
   std::int64_t probes = 32;
+  /// Candidates are given up if the graph lacks their nodes for longer than this, s. 0: never.
   double max_wait_s = 600.0;
+  /// Prior of the probability that a candidate is verified: six numbers, separated by commas, as
+  /// `study acceptance` fits them. Empty: the built-in numbers.
   std::string verified_weights;
+  /// Prior of the probability that a verified closure is kept, in the same form. Empty: the built-in numbers.
   std::string right_weights;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("place_m", self.place_m, above(0.0),
-          "Path that counts as one place, m: candidates between the same two places are one group.");
-    field("spread", self.spread, at_least(0.0),
-          "Candidates are drawn with odds value^(1/spread); 0: the most valuable always first.");
-    field("gain_exponent", self.gain_exponent, between(0.0, 1.0),
-          "Of the gain in the value; 0: by the chance alone.");
-    field(
-        "use_overlap", self.use_overlap, any_value(),
-        "The chance depends on the overlap that the scans will have by the estimate, not on distance alone.");
-    field("use_places", self.use_places, any_value(),
-          "The chance follows what came of candidates between the same two places.");
-    field("use_right", self.use_right, any_value(),
-          "Closures that robust optimisation leaves out count against their two places.");
-    field("probes", self.probes, between(8, 1024),
-          "Random probes of the gain; the error is about sqrt(2 / probes).");
-    field("max_wait_s", self.max_wait_s, at_least(0.0),
-          "Candidates to nodes that the graph does not have are given up after this, s; 0: never.");
-    field("verified_weights", self.verified_weights, any_value(),
-          "Prior of the chance that a candidate is verified: six numbers by commas, as `study acceptance` "
-          "fits them; empty: the shipped ones.");
-    field("right_weights", self.right_weights, any_value(),
-          "Prior of the chance that a verified closure is kept, likewise.");
+    field("place_m", self.place_m, above(0.0));
+    field("spread", self.spread, at_least(0.0));
+    field("gain_exponent", self.gain_exponent, between(0.0, 1.0));
+    field("use_overlap", self.use_overlap, any_value());
+    field("use_places", self.use_places, any_value());
+    field("use_right", self.use_right, any_value());
+    field("probes", self.probes, between(8, 1024));
+    field("max_wait_s", self.max_wait_s, at_least(0.0));
+    field("verified_weights", self.verified_weights, any_value());
+    field("right_weights", self.right_weights, any_value());
   }
 };
 

@@ -41,7 +41,7 @@ enum class SelectorKind {
   kGreedy,             ///< Greedy choice alone.
   kAnnealing,          ///< Annealing from the set of maximal spread, as in the paper.
   kSeparated,          ///< Maximal spread of the midpoints alone.
-  kLargestCovariance,  ///< Between the nodes of largest uncertainty.
+  kLargestCovariance,  ///< Candidates between the nodes of largest uncertainty.
 };
 [[nodiscard]] inline EnumNames<SelectorKind> enum_names(SelectorKind) {
   return {{SelectorKind::kGreedyAnnealing, "greedy_annealing"},
@@ -62,43 +62,47 @@ enum class ClosureCovariance {
 
 /// Options of graph information.
 struct GraphInformationOptions {
+  /// Objective that scores sets: covariance, log_det or gnn.
   ObjectiveKind objective = ObjectiveKind::kCovariance;
+  /// Method that chooses the set: greedy_annealing, greedy, annealing, separated or largest_covariance.
   SelectorKind selector = SelectorKind::kGreedyAnnealing;
+  /// Covariance of a hypothetical closure: sigmas, or the median of the closures verified so far.
   ClosureCovariance covariance = ClosureCovariance::kSigmas;
+  /// The set is chosen from a shortlist of this many times its size. The shortlist takes candidates by
+  /// approximate gain, spread over the graph.
   double shortlist = 4.0;
+  /// Number of random probes for the approximate gain. The relative error is about sqrt(2 / probes).
   std::int64_t probes = 64;
+  /// Edge of the cells over which the shortlist is spread, m.
   double cell_m = 10.0;
+  /// Candidates are given up if the graph lacks their nodes for longer than this, s. 0: never.
   double max_wait_s = 600.0;
+  /// Objective gnn: file with the weights of the network, of the paper's kind or of Loopwise's.
   std::string gnn_weights;
+  /// Objective gnn, the paper's kind: node features, world or lamp.
   GnnFeatures gnn_features = GnnFeatures::kWorld;
+  /// Seed of annealing and probes.
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("objective", self.objective, any_value(), "What sets are scored by: covariance, log_det or gnn.");
-    field("selector", self.selector, any_value(),
-          "How the set is chosen: greedy_annealing, greedy, annealing, separated or largest_covariance.");
-    field("covariance", self.covariance, any_value(),
-          "Covariance of a hypothetical closure: sigmas, or median of those verified so far.");
-    field("shortlist", self.shortlist, at_least(1.0),
-          "The set is chosen among this many times its size, by sketched gains and spread over the graph.");
-    field("probes", self.probes, at_least(1),
-          "Random probes of the sketch; the error is about sqrt(2 / probes).");
-    field("cell_m", self.cell_m, above(0.0), "Cells that the shortlist is spread over, m.");
-    field("max_wait_s", self.max_wait_s, at_least(0.0),
-          "Candidates to nodes that the graph does not have are given up after this, s; 0: never.");
-    field("gnn_weights", self.gnn_weights, any_value(),
-          "Objective gnn: file with the network's weights, the paper's kind or Loopwise's.");
-    field("gnn_features", self.gnn_features, any_value(),
-          "Objective gnn, the paper's kind: features, world or lamp.");
-    field("seed", self.seed, at_least(0), "Of annealing and probes.");
+    field("objective", self.objective, any_value());
+    field("selector", self.selector, any_value());
+    field("covariance", self.covariance, any_value());
+    field("shortlist", self.shortlist, at_least(1.0));
+    field("probes", self.probes, at_least(1));
+    field("cell_m", self.cell_m, above(0.0));
+    field("max_wait_s", self.max_wait_s, at_least(0.0));
+    field("gnn_weights", self.gnn_weights, any_value());
+    field("gnn_features", self.gnn_features, any_value());
+    field("seed", self.seed, at_least(0));
   }
 };
 
 /// Chooses sets that lower the uncertainty of the whole graph (paper §III-B). The set is chosen among all
 /// pending candidates, or, when they are many, a shortlist; improve() improves it within its bounds. Every
-/// candidate counts as its closure, as in the paper. ExpectedPrioritizer weights it by the probability of
-/// success.
+/// candidate counts as if it were certain to become a closure, as in the paper. ExpectedPrioritizer weights
+/// it by the probability of success.
 ///
 /// A set is valid for its candidates, graph and count: when one of them has changed, the next improve() or
 /// take() starts again.
@@ -134,7 +138,7 @@ class LOOPWISE_EXPORT GraphInformationPrioritizer final : public Prioritizer {
     std::size_t shortlist = 0;   ///< Those of them from which the set is chosen.
     std::string problem;         ///< Why spread replaced the score of the graph; else empty.
   };
-  /// As of the last change of the set.
+  /// Figures after the last change of the set.
   [[nodiscard]] const Status& status() const { return status_; }
 
   /// Estimated gains of all pending candidates on the graph without a set, for display; 0 if a node is

@@ -66,6 +66,8 @@ inline void parse_option(std::string_view /*name*/, std::string_view text, Metho
 
 /// The method and the options of its prioritisers.
 struct PrioritizationOptions {
+  /// Method that orders the candidates: expected, likely, odom (no closures), baseline, random, obs, gi, full
+  /// (obs and gi), rssi, or several of them joined by +.
   Method method = {PrioritizerKind::kExpected};
   ExpectedOptions expected;                    ///< Of `expected` and `likely`.
   ObservabilityPriorityOptions observability;  ///< Of `obs`.
@@ -88,17 +90,14 @@ struct PrioritizationOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field(
-        "method", self.method, any_value(),
-        "What decides the order: expected, likely, odom (no closures), baseline, random, obs, gi, full (obs "
-        "and gi), rssi, or several of them joined by +.");
+    field("method", self.method, any_value());
   }
 };
 
 /// Functions that describe a scan to the prioritisers. Each is called at most once for a scan.
 struct ScanInsight {
   ObservabilityPrioritizer::Eigenvalue eigenvalue;  ///< For `obs`; may be empty for other methods.
-  ExpectedPrioritizer::Signature signature;         ///< For `expected` and `likely`; may be empty: see there.
+  ExpectedPrioritizer::Signature signature;         ///< For `expected` and `likely`; may be empty.
 };
 
 /// The prioritisers of a method, in the order of their turns.

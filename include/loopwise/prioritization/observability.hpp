@@ -27,18 +27,19 @@ enum class ObservabilityVariant {
 
 /// The score, and the bound below which candidates are refused.
 struct ObservabilityPriorityOptions {
+  /// Score: paper is the smallest eigenvalue over rotation and translation, lamp that of the normals alone,
+  /// normalised for each robot.
   ObservabilityVariant variant = ObservabilityVariant::kPaper;
+  /// Variant paper: candidates are refused if the sum of the scores at both ends is less than this.
   double min_sum = 0.1;
+  /// Variant lamp: candidates are refused if the score at either end is less than this.
   double min_score = 0.2;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("variant", self.variant, any_value(),
-          "paper: smallest eigenvalue over rotation and translation; lamp: of the normals alone, by robot.");
-    field("min_sum", self.min_sum, between(0.0, 2.0),
-          "Variant paper: candidates whose two scores sum to less are refused.");
-    field("min_score", self.min_score, between(0.0, 1.0),
-          "Variant lamp: candidates with a score under this at either end are refused.");
+    field("variant", self.variant, any_value());
+    field("min_sum", self.min_sum, between(0.0, 2.0));
+    field("min_score", self.min_score, between(0.0, 1.0));
   }
 };
 
@@ -54,7 +55,7 @@ class LOOPWISE_EXPORT ObservabilityPrioritizer final : public Prioritizer {
   ObservabilityPrioritizer(const ObservabilityPriorityOptions& options, Robots robots, Eigenvalue eigenvalue);
 
   [[nodiscard]] std::string_view name() const override { return "obs"; }
-  /// A candidate whose scan was never announced counts as 0 at that end.
+  /// An end of a candidate whose scan was never announced has the score 0.
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override;
   void remove(const std::vector<CandidateId>& ids) override { ranked_.erase(ids); }
   void on_scan(const KeyedScan& scan) override;

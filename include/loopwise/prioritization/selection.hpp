@@ -28,16 +28,16 @@ struct Selection {
 
 /// Greedy choice.
 struct GreedyOptions {
+  /// Re-evaluate only the candidate that was best before. The result is exact for submodular objectives
+  /// (log_det) and slightly worse for the trace.
   bool lazy = false;
+  /// Candidates that connect separate parts of the graph come first, up to this share of the set.
   double connecting_share = 0.5;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("lazy", self.lazy, any_value(),
-          "Look again only at the candidate that was best before: exact for submodular objectives "
-          "(log_det), a little worse for the trace.");
-    field("connecting_share", self.connecting_share, between(0.0, 1.0),
-          "Candidates that tie parts of the graph together come first, up to this share of the set.");
+    field("lazy", self.lazy, any_value());
+    field("connecting_share", self.connecting_share, between(0.0, 1.0));
   }
 };
 
@@ -52,34 +52,39 @@ struct GreedyOptions {
 
 /// Simulated annealing: temperatures and partners.
 struct AnnealingOptions {
+  /// First temperature, in units of the median change of random swaps.
   double temperature_max = 1.0;
+  /// Last temperature, in units of the median change of random swaps.
   double temperature_min = 1e-4;
+  /// Factor of the temperature at each step.
   double cooling = 0.995;
+  /// Share of temperature_max at which annealing of a set that was already chosen begins. A higher
+  /// temperature would undo the choice.
   double seeded_share = 0.01;
+  /// Temperatures are in units of the objective, not of the median change of random swaps.
   bool absolute = false;
+  /// Number of random swaps from which the median change is taken.
   std::int64_t scale_samples = 100;
+  /// Minimum distance of partners, m. Closer partners count as this far, since the odds of a partner are 1 /
+  /// distance.
   double distance_floor_m = 0.1;
+  /// If there are more candidates outside of the set than this, the partner is chosen among this many, drawn
+  /// at random.
   std::int64_t partners = 500;
+  /// Maximum number of steps, far beyond the end of cooling. 0: no bound.
   std::int64_t max_steps = 50000;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("temperature_max", self.temperature_max, at_least(0.0),
-          "First temperature, in units of the median change of random swaps.");
-    field("temperature_min", self.temperature_min, at_least(0.0), "Last temperature, in the same units.");
-    field("cooling", self.cooling, Bounds{0.0, 1.0, true}, "Factor of the temperature at each step.");
-    field("seeded_share", self.seeded_share, between(0.0, 1.0),
-          "From a set that was chosen already, the share of temperature_max to begin with: heat would undo "
-          "the choice.");
-    field("absolute", self.absolute, any_value(), "Temperatures are in units of the objective instead.");
-    field("scale_samples", self.scale_samples, at_least(1), "Random swaps that the median is taken of.");
-    field("distance_floor_m", self.distance_floor_m, above(0.0),
-          "Partners nearer than this count as this far, m: the odds are 1 / distance.");
-    field("partners", self.partners, at_least(1),
-          "From more candidates outside the set than this, so many are drawn for a partner to be chosen "
-          "among.");
-    field("max_steps", self.max_steps, at_least(0),
-          "The end of annealing a set, long after it has gone cold; 0: never.");
+    field("temperature_max", self.temperature_max, at_least(0.0));
+    field("temperature_min", self.temperature_min, at_least(0.0));
+    field("cooling", self.cooling, Bounds{0.0, 1.0, true});
+    field("seeded_share", self.seeded_share, between(0.0, 1.0));
+    field("absolute", self.absolute, any_value());
+    field("scale_samples", self.scale_samples, at_least(1));
+    field("distance_floor_m", self.distance_floor_m, above(0.0));
+    field("partners", self.partners, at_least(1));
+    field("max_steps", self.max_steps, at_least(0));
   }
 };
 

@@ -20,70 +20,74 @@ namespace loopwise {
 
 /// Bounds of the tests of a closure, and parameters of its covariance.
 struct ClosureTestOptions {
+  /// Scans with fewer points are not aligned.
   int min_points = 20;
+  /// Source points, evenly sampled, with which an alignment is measured. 0: all.
   int measured_points = 4000;
+  /// Closures are rejected if the mean squared distance of all source points to the target is larger, m².
   double max_fitness_m2 = 0.9;
+  /// Larger distances of points count as this distance, m, because scans of long range overlap only in part.
+  /// LAMP has no such limit.
   double fitness_range_m = 1.5;
+  /// A source point overlaps if a target point is within this distance, m.
   double overlap_distance_m = 0.5;
+  /// Minimum share of overlapping source points, relative to the same share of neighbours within the target.
   double min_overlap = 0.4;
+  /// Minimum overlap with equal weight for every direction of surfaces. Ground on ground alone is then not
+  /// enough.
   double min_balanced_overlap = 0.25;
+  /// A point lies on a surface of the target if its distance along the normal is less than this, m.
   double plane_distance_m = 0.08;
+  /// Minimum consistency: the share of overlapping points that lie on a surface, relative to the same share
+  /// within the scans themselves, minus five times the share of points in space that the other scan saw as
+  /// free. 0: no test.
   double min_consistency = 0.0;
+  /// Closures with more unconstrained directions, whose standard deviation reaches max_sigma_m or
+  /// max_sigma_rad, are rejected. A round tunnel has two.
   int max_free_directions = 2;
+  /// Closures are rejected if their translation differs by more than this from the relative pose of the
+  /// graph, m.
   double max_translation_m = 20.0;
+  /// Closures are rejected if their rotation differs by more than this from the relative pose of the graph,
+  /// rad.
   double max_rotation_rad = 50.0 * 3.14159265358979323846 / 180.0;
+  /// Minimum standard deviation of the distance of a point to the plane of the target, m.
   double point_sigma_m = 0.05;
+  /// Standard deviation of a normal, rad. Information that this noise alone explains does not count.
   double normal_sigma_rad = 0.05;
+  /// Neighbouring points share their error: this many count as one independent measurement.
   double points_per_sample = 10.0;
+  /// Added to the standard deviation of the translation in each direction, for errors that scans do not show,
+  /// m.
   double min_sigma_m = 0.01;
+  /// Added to the standard deviation of the rotation about each axis, for errors that scans do not show, rad.
   double min_sigma_rad = 0.003;
+  /// Standard deviation of the translation in a direction that is not constrained, m.
   double max_sigma_m = 10.0;
+  /// Standard deviation of the rotation about an axis that is not constrained, rad.
   double max_sigma_rad = 1.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("min_points", self.min_points, at_least(4.0), "Points that a scan must have to be aligned.");
-    field("measured_points", self.measured_points, at_least(0.0),
-          "Source points, evenly sampled, that an alignment is measured with; 0: all.");
-    field("max_fitness_m2", self.max_fitness_m2, above(0.0),
-          "Closures with a larger mean squared distance of all source points to the target are "
-          "rejected, m^2.");
-    field("fitness_range_m", self.fitness_range_m, above(0.0),
-          "Larger distances count as this, m: scans of long range overlap only in part. LAMP: no limit.");
-    field("overlap_distance_m", self.overlap_distance_m, above(0.0),
-          "A source point with a target point within this distance overlaps, m.");
-    field("min_overlap", self.min_overlap, between(0.0, 1.0),
-          "Smallest share of overlapping source points, relative to that of neighbours within the "
-          "target.");
-    field("min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0),
-          "The same with equal weight for every direction of surfaces, so that ground on ground alone "
-          "is not enough.");
-    field("plane_distance_m", self.plane_distance_m, above(0.0),
-          "A point lies on a surface of the target if its distance along the normal is less than this, "
-          "m.");
-    field("min_consistency", self.min_consistency, between(0.0, 1.0),
-          "Smallest share of points on a surface among those that overlap, relative to that within the "
-          "scans themselves, minus five times the share of points in space that the other scan saw "
-          "free; 0: no test.");
-    field("max_free_directions", self.max_free_directions, between(0.0, 6.0),
-          "Closures with more directions whose standard deviation reaches max_sigma are rejected; a "
-          "round tunnel has two.");
-    field("max_translation_m", self.max_translation_m, above(0.0),
-          "Closures further than this from the relative pose of the graph are rejected, m.");
-    field("max_rotation_rad", self.max_rotation_rad, above(0.0), "The same for the rotation, rad.");
-    field("point_sigma_m", self.point_sigma_m, above(0.0),
-          "Least standard deviation of a point's distance to the target's plane, m.");
-    field("normal_sigma_rad", self.normal_sigma_rad, between(0.0, 1.0),
-          "Standard deviation of a normal, rad: information that its noise alone explains does not "
-          "count.");
-    field("points_per_sample", self.points_per_sample, at_least(1.0),
-          "Neighbouring points share their error: this many count as one independent measurement.");
-    field("min_sigma_m", self.min_sigma_m, above(0.0),
-          "Added to the standard deviation of each direction, for errors that scans do not show, m.");
-    field("min_sigma_rad", self.min_sigma_rad, above(0.0), "The same for rotations, rad.");
-    field("max_sigma_m", self.max_sigma_m, above(0.0),
-          "Standard deviation of a direction that is not constrained, m.");
-    field("max_sigma_rad", self.max_sigma_rad, above(0.0), "The same for rotations, rad.");
+    field("min_points", self.min_points, at_least(4.0));
+    field("measured_points", self.measured_points, at_least(0.0));
+    field("max_fitness_m2", self.max_fitness_m2, above(0.0));
+    field("fitness_range_m", self.fitness_range_m, above(0.0));
+    field("overlap_distance_m", self.overlap_distance_m, above(0.0));
+    field("min_overlap", self.min_overlap, between(0.0, 1.0));
+    field("min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0));
+    field("plane_distance_m", self.plane_distance_m, above(0.0));
+    field("min_consistency", self.min_consistency, between(0.0, 1.0));
+    field("max_free_directions", self.max_free_directions, between(0.0, 6.0));
+    field("max_translation_m", self.max_translation_m, above(0.0));
+    field("max_rotation_rad", self.max_rotation_rad, above(0.0));
+    field("point_sigma_m", self.point_sigma_m, above(0.0));
+    field("normal_sigma_rad", self.normal_sigma_rad, between(0.0, 1.0));
+    field("points_per_sample", self.points_per_sample, at_least(1.0));
+    field("min_sigma_m", self.min_sigma_m, above(0.0));
+    field("min_sigma_rad", self.min_sigma_rad, above(0.0));
+    field("max_sigma_m", self.max_sigma_m, above(0.0));
+    field("max_sigma_rad", self.max_sigma_rad, above(0.0));
   }
 };
 

@@ -14,23 +14,49 @@ namespace loopwise {
 
 /// Registration `fast`: descriptors, consensus, refinement, tests.
 struct FastRegistrarOptions {
+  /// Radius of the FPFH descriptors, m.
   double fpfh_radius_m = 2.5;
+  /// Number of neighbours within the radius, evenly sampled, that form a histogram.
   int fpfh_neighbours = 40;
+  /// Maximum number of key points per scan. They are drawn evenly from all directions of surfaces.
   int key_points = 1000;
+  /// Maximum share of the points of a scan that become key points, since sparse scans need fewer. 200 key
+  /// points are always allowed.
   double key_share = 0.4;
+  /// Maximum number of matches of key points in which consensus is searched.
   int max_matches = 1000;
+  /// Two matches agree if the distances between their key points in the two scans differ by less than this,
+  /// m.
   double match_tolerance_m = 0.6;
+  /// Number of poses from consensus that are compared on the scans.
   int hypotheses = 40;
+  /// Number of source points with which hypotheses are compared.
   int score_points = 300;
+  /// The pair is rejected if a smaller share of score_points lies on the target. Points closer to the target
+  /// count more.
   double min_score = 0.15;
+  /// Number of best hypotheses that are refined and compared in detail.
   int refined_hypotheses = 3;
+  /// The refined guess is tested before any matches are searched if at least this share of score_points lies
+  /// on surfaces of the target, relative to the same share within the scans themselves.
   double sure_share = 0.5;
+  /// A pair is rejected as ambiguous if the fit of a second pose is lower by at most this. The second pose is
+  /// more than 1 m or 5 degrees away and outside the covariance of the closure. The fit is min(1,
+  /// consistency) + ln(share of points on surfaces) / 10.
   double ambiguous_margin = 0.15;
+  /// Sets the standard deviation along an axis from a shift of 1 m. If this share of the points that
+  /// constrain the axis stays on surfaces, the standard deviation is half of max_sigma_m. Smaller shares give
+  /// smaller values, smoothly.
   double free_share = 0.5;
+  /// Maximum distance of matched points in the first pass, m.
   double coarse_reach_m = 2.0;
+  /// Maximum distance of matched points in the last pass, m.
   double fine_reach_m = 0.5;
+  /// Number of source points in the first passes.
   int coarse_points = 300;
+  /// Number of source points in the last pass.
   int fine_points = 2000;
+  /// Memory for submaps, MB. The descriptors of submaps and those of scans get as much each.
   double max_descriptor_mb = 256.0;
   ClosureTestOptions tests = default_tests();  ///< Fields of the same section.
 
@@ -46,45 +72,25 @@ struct FastRegistrarOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("fpfh_radius_m", self.fpfh_radius_m, above(0.0), "Radius of the FPFH descriptors, m.");
-    field("fpfh_neighbours", self.fpfh_neighbours, between(3.0, 1000.0),
-          "Neighbours within the radius, evenly sampled, that form a histogram.");
-    field("key_points", self.key_points, between(3.0, 10000.0),
-          "Key points per scan at most, drawn alike from all directions of surfaces.");
-    field("key_share", self.key_share, between(0.0, 1.0),
-          "Largest share of the points of a scan that become key points; sparse scans need fewer. 200 "
-          "are allowed in any case.");
-    field("max_matches", self.max_matches, between(3.0, 10000.0),
-          "Largest number of matches of key points among which consensus is searched.");
-    field("match_tolerance_m", self.match_tolerance_m, above(0.0),
-          "Two matches agree if their distances in the two scans differ by less, m.");
-    field("hypotheses", self.hypotheses, between(1.0, 1000.0),
-          "Consensus poses that are compared on the scans.");
-    field("score_points", self.score_points, between(3.0, 100000.0), "Source points of this comparison.");
-    field("min_score", self.min_score, between(0.0, 1.0),
-          "The pair is rejected if a smaller share of these points lies on the target; nearer points "
-          "count more.");
-    field("refined_hypotheses", self.refined_hypotheses, between(1.0, 100.0),
-          "Number of best hypotheses that are refined and compared in detail.");
-    field("sure_share", self.sure_share, between(0.0, 1.0),
-          "The refined guess is tested before matches are searched if at least this share of the scored "
-          "points lies on surfaces of the target, relative to the share within the scans themselves.");
-    field("ambiguous_margin", self.ambiguous_margin, at_least(0.0),
-          "A pair is rejected as ambiguous if a second pose, more than 1 m or 5 degrees away and "
-          "outside the covariance of the closure, has a fit lower by at most this; the fit is min(1, "
-          "consistency) + ln(share of points on surfaces) / 10.");
-    field("free_share", self.free_share, between(0.01, 0.99),
-          "If a shift of 1 m along an axis leaves this share of the points that constrain it on "
-          "surfaces, the standard deviation along the axis is half of max_sigma_m; a smaller share "
-          "gives less, smoothly.");
-    field("coarse_reach_m", self.coarse_reach_m, above(0.0),
-          "Largest distance of matched points in the first pass, m.");
-    field("fine_reach_m", self.fine_reach_m, above(0.0), "The same in the last pass, m.");
-    field("coarse_points", self.coarse_points, at_least(10.0), "Source points in the first passes.");
-    field("fine_points", self.fine_points, at_least(10.0), "Source points in the last pass.");
-    field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0),
-          "Memory for submaps, MB; their descriptors and those of scans get as much each.");
-    ClosureTestOptions::visit(self.tests, field);
+    field("fpfh_radius_m", self.fpfh_radius_m, above(0.0));
+    field("fpfh_neighbours", self.fpfh_neighbours, between(3.0, 1000.0));
+    field("key_points", self.key_points, between(3.0, 10000.0));
+    field("key_share", self.key_share, between(0.0, 1.0));
+    field("max_matches", self.max_matches, between(3.0, 10000.0));
+    field("match_tolerance_m", self.match_tolerance_m, above(0.0));
+    field("hypotheses", self.hypotheses, between(1.0, 1000.0));
+    field("score_points", self.score_points, between(3.0, 100000.0));
+    field("min_score", self.min_score, between(0.0, 1.0));
+    field("refined_hypotheses", self.refined_hypotheses, between(1.0, 100.0));
+    field("sure_share", self.sure_share, between(0.0, 1.0));
+    field("ambiguous_margin", self.ambiguous_margin, at_least(0.0));
+    field("free_share", self.free_share, between(0.01, 0.99));
+    field("coarse_reach_m", self.coarse_reach_m, above(0.0));
+    field("fine_reach_m", self.fine_reach_m, above(0.0));
+    field("coarse_points", self.coarse_points, at_least(10.0));
+    field("fine_points", self.fine_points, at_least(10.0));
+    field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0));
+    visit_part(self.tests, field);
   }
 };
 

@@ -15,43 +15,48 @@ namespace loopwise {
 
 /// Registration `pcl`: descriptors, SAC-IA, GICP, tests.
 struct PclRegistrarOptions {
+  /// Radius of the FPFH descriptors, m.
   double fpfh_radius_m = 2.0;
+  /// Number of key points per scan, drawn evenly from all directions of surfaces. 0: all points with a
+  /// normal.
   int key_points = 1000;
+  /// Number of hypotheses of the feature-based stage.
   int sac_hypotheses = 500;
+  /// A match is drawn from this many nearest descriptors of the target.
   int sac_randomness = 5;
+  /// Larger distances of key points count as this distance when hypotheses are compared, m.
   double sac_truncation_m = 2.0;
+  /// The candidate is refused if the mean squared distance of the key points of the best hypothesis is
+  /// larger, m².
   double max_sac_fitness_m2 = 32.0;
+  /// Maximum distance of matched points, m. GICP runs once for each value, in order.
   std::vector<double> max_correspondence_m = {2.0, 0.5};
+  /// Maximum number of iterations of each run of GICP.
   int gicp_iterations = 200;
+  /// A run of GICP ends when no translation changes by more than this, m, and gicp_rotation_epsilon is met
+  /// too.
   double gicp_translation_epsilon_m = 5e-4;
+  /// A run of GICP ends when no element of the rotation matrix changes by more than this, and
+  /// gicp_translation_epsilon_m is met too.
   double gicp_rotation_epsilon = 5e-4;
+  /// Memory for descriptors, MB.
   double max_descriptor_mb = 256.0;
   ClosureTestOptions tests;  ///< Fields of the same section.
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("fpfh_radius_m", self.fpfh_radius_m, above(0.0), "Radius of the FPFH descriptors, m.");
-    field("key_points", self.key_points, at_least(0.0),
-          "Key points per scan, drawn alike from all directions of surfaces; 0 takes all points with a "
-          "normal.");
-    field("sac_hypotheses", self.sac_hypotheses, at_least(1.0), "Hypotheses of the feature-based stage.");
-    field("sac_randomness", self.sac_randomness, at_least(1.0),
-          "A match is drawn from this many nearest descriptors of the target.");
-    field("sac_truncation_m", self.sac_truncation_m, above(0.0),
-          "A key point's squared distance counts at most as this distance when hypotheses are compared, m.");
-    field(
-        "max_sac_fitness_m2", self.max_sac_fitness_m2, above(0.0),
-        "Mean squared key point distance of the best hypothesis above which the candidate is refused, m^2.");
-    field("max_correspondence_m", self.max_correspondence_m, above(0.0),
-          "Largest distance of matched points, m: one run of GICP for each value, in order.");
-    field("gicp_iterations", self.gicp_iterations, at_least(1.0), "Bound of each run.");
-    field("gicp_translation_epsilon_m", self.gicp_translation_epsilon_m, above(0.0),
-          "A run ends when no translation changes by more, m ...");
-    field("gicp_rotation_epsilon", self.gicp_rotation_epsilon, above(0.0),
-          "... and no element of the rotation matrix by more.");
-    field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0),
-          "Bound of the descriptors kept in memory, MB.");
-    ClosureTestOptions::visit(self.tests, field);
+    field("fpfh_radius_m", self.fpfh_radius_m, above(0.0));
+    field("key_points", self.key_points, at_least(0.0));
+    field("sac_hypotheses", self.sac_hypotheses, at_least(1.0));
+    field("sac_randomness", self.sac_randomness, at_least(1.0));
+    field("sac_truncation_m", self.sac_truncation_m, above(0.0));
+    field("max_sac_fitness_m2", self.max_sac_fitness_m2, above(0.0));
+    field("max_correspondence_m", self.max_correspondence_m, above(0.0));
+    field("gicp_iterations", self.gicp_iterations, at_least(1.0));
+    field("gicp_translation_epsilon_m", self.gicp_translation_epsilon_m, above(0.0));
+    field("gicp_rotation_epsilon", self.gicp_rotation_epsilon, above(0.0));
+    field("max_descriptor_mb", self.max_descriptor_mb, at_least(0.0));
+    visit_part(self.tests, field);
   }
 };
 

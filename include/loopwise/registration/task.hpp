@@ -17,24 +17,26 @@ namespace loopwise {
 
 /// Scans of a registration.
 struct TaskOptions {
+  /// Number of scans before and after the newer node, along its odometry, that are merged with its scan.
   int source_neighbours = 0;
+  /// Number of scans before and after the older node that are merged with its scan. The newer node is aligned
+  /// to this submap.
   int target_neighbours = 2;
+  /// Neighbours are merged, nearest first, only while a submap has fewer points. 0: always.
   std::int64_t enough_points = 2000;
+  /// Pass the relative pose of the graph to the registration as its guess.
   bool use_guess = true;
+  /// Wall time after which a registration gives up with the reason time_limit, s. 0: no limit. With a limit,
+  /// results depend on the machine.
   double time_limit_s = 0.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("source_neighbours", self.source_neighbours, between(0.0, 100.0),
-          "Scans before and after the newer node, along its odometry, that are merged with its scan.");
-    field("target_neighbours", self.target_neighbours, between(0.0, 100.0),
-          "The same for the older node: the submap that the newer one is aligned to.");
-    field("enough_points", self.enough_points, at_least(0.0),
-          "Neighbours are merged, nearest first, only while a submap has fewer points; 0: always.");
-    field("use_guess", self.use_guess, any_value(), "Hand the graph's relative pose to the registration.");
-    field("time_limit_s", self.time_limit_s, at_least(0.0),
-          "Wall time after which a registration gives up (time_limit), s; 0: none. With a limit results "
-          "depend on the machine.");
+    field("source_neighbours", self.source_neighbours, between(0.0, 100.0));
+    field("target_neighbours", self.target_neighbours, between(0.0, 100.0));
+    field("enough_points", self.enough_points, at_least(0.0));
+    field("use_guess", self.use_guess, any_value());
+    field("time_limit_s", self.time_limit_s, at_least(0.0));
   }
 };
 

@@ -16,28 +16,28 @@ namespace loopwise {
 
 /// Durations of computations on the virtual clock, in mission time.
 struct CostModel {
+  /// Number of registrations that run at the same time on the clock of the mission.
   std::int64_t workers = 10;
+  /// Mission time of one registration on one worker, s.
   double registration_time_s = 1.3;
+  /// Mission time of a registration that is refused, in units of registration_time_s. 0: refusals are free,
+  /// as if an oracle knew them beforehand; no order of computation can do better than that. Must be 1 with
+  /// measured_time.
   double refused_time_share = 1.0;
+  /// A registration takes as long as it took on this machine, as recorded with its outcome, instead of
+  /// registration_time_s.
   bool measured_time = false;
+  /// Mission time of one evaluation while graph information improves its next set, s. As many evaluations run
+  /// as fit between two batches.
   double gi_evaluation_time_s = 0.02;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("workers", self.workers, at_least(1), "Registrations that run at a time on the mission's clock.");
-    field("registration_time_s", self.registration_time_s, above(0.0),
-          "Mission time that one registration takes on one worker, s.");
-    field("refused_time_share", self.refused_time_share, at_least(0.0),
-          "Mission time of a registration that is refused, in units of registration_time_s. 0: refusals are "
-          "free, as if an oracle knew them beforehand; no order of computation can do better than that. "
-          "1 with measured_time.");
-    field(
-        "measured_time", self.measured_time, any_value(),
-        "A registration takes as long as it took on this machine, as recorded with its outcome, in place of "
-        "registration_time_s.");
-    field("gi_evaluation_time_s", self.gi_evaluation_time_s, above(0.0),
-          "Mission time of one evaluation while graph information improves its next set, s: as many as fit "
-          "between two batches.");
+    field("workers", self.workers, at_least(1));
+    field("registration_time_s", self.registration_time_s, above(0.0));
+    field("refused_time_share", self.refused_time_share, at_least(0.0));
+    field("measured_time", self.measured_time, any_value());
+    field("gi_evaluation_time_s", self.gi_evaluation_time_s, above(0.0));
   }
 };
 
@@ -49,31 +49,33 @@ struct ReplayOptions {
   RegistrationOptions registration;      ///< Computation of candidates.
   BackEndOptions back_end;               ///< Estimates.
   CostModel cost;                        ///< Virtual clock.
+  /// Number of candidates in a batch.
   std::int64_t batch = 100;
+  /// The run ends after this number of registrations. 0: no bound.
   std::int64_t max_registrations = 0;
+  /// Continue after the last key frame until no candidate is pending.
   bool after_mission = false;
+  /// File with pairs from another place recognition, which become candidates too, see read_candidates().
+  /// Empty: no such pairs.
   std::string candidates;
+  /// Noise added to the odometry: standard deviation of the translation along each axis after 1 m, m. It
+  /// grows with the square root of the distance.
   double odometry_noise_m_per_m = 0.0;
+  /// Noise added to the odometry: standard deviation of the rotation about each axis after 1 m, rad. It grows
+  /// with the square root of the distance.
   double odometry_noise_rad_per_m = 0.0;
+  /// File of closures that a person has accepted or rejected (decisions.csv). Empty: no decisions.
   std::string decisions;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("batch", self.batch, at_least(1), "Size of a batch of candidates.");
-    field("max_registrations", self.max_registrations, at_least(0),
-          "The run ends after this number of registrations; 0: no bound.");
-    field("after_mission", self.after_mission, any_value(),
-          "Continue after the last key frame until no candidate is pending.");
-    field("candidates", self.candidates, any_value(),
-          "A file with pairs of another place recognition that are candidates too, see read_candidates(); "
-          "empty: no such pairs.");
-    field("odometry_noise_m_per_m", self.odometry_noise_m_per_m, at_least(0.0),
-          "Added to the odometry: sigma of each axis after 1 m, m; grows with the root of the distance.");
-    field(
-        "odometry_noise_rad_per_m", self.odometry_noise_rad_per_m, at_least(0.0),
-        "Added to the odometry: sigma about each axis after 1 m, rad; grows with the root of the distance.");
-    field("decisions", self.decisions, any_value(),
-          "File of closures that a person has accepted or rejected (decisions.csv); empty: no decisions.");
+    field("batch", self.batch, at_least(1));
+    field("max_registrations", self.max_registrations, at_least(0));
+    field("after_mission", self.after_mission, any_value());
+    field("candidates", self.candidates, any_value());
+    field("odometry_noise_m_per_m", self.odometry_noise_m_per_m, at_least(0.0));
+    field("odometry_noise_rad_per_m", self.odometry_noise_rad_per_m, at_least(0.0));
+    field("decisions", self.decisions, any_value());
   }
 
   /// Calls visitor(name, section) for each part with its own fields, see core/options.hpp.

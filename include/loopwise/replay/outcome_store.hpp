@@ -29,12 +29,12 @@ namespace loopwise {
 
 /// Bound of a store.
 struct OutcomeStoreOptions {
+  /// Maximum size of the outcomes on disk, MB. Beyond it, the oldest are removed.
   double max_mb = 4096.0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("max_mb", self.max_mb, at_least(1.0),
-          "Outcomes beyond this size on disk go, the oldest first, MB.");
+    field("max_mb", self.max_mb, at_least(1.0));
   }
 };
 

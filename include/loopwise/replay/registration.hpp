@@ -29,6 +29,7 @@ enum class RegistrarKind {
 
 /// Preparation of scans and registration of pairs.
 struct RegistrationOptions {
+  /// Registration of candidates: fast or pcl.
   RegistrarKind registrar = RegistrarKind::kFast;
   FeatureOptions features;    ///< Voxels, normals, cache.
   FastRegistrarOptions fast;  ///< Options of the registrar `fast`.
@@ -36,7 +37,7 @@ struct RegistrationOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("registrar", self.registrar, any_value(), "What computes the candidates: fast or pcl.");
+    field("registrar", self.registrar, any_value());
   }
 };
 

@@ -42,40 +42,48 @@ enum class ScanKind {
 /// Options of a simulation. All other parameters of worlds and sensors are fixed in one file, see
 /// simulation_parameters_hash().
 struct SimulationOptions {
+  /// Kind of world.
   WorldKind world = WorldKind::kTunnel;
+  /// Distance that all robots drive together, m. 0: the paper's length for the world.
   double length_m = 0.0;
+  /// Number of robots. 0: the paper's number for the world.
   int robots = 0;
+  /// Beam pattern of the lidar.
   LidarKind lidar = LidarKind::kVlp16;
+  /// Kind of scans: downsampled scans, or raw sweeps.
   ScanKind scans = ScanKind::kLamp;
+  /// Maximum number of points of a downsampled scan.
   int scan_points = 1500;
+  /// Distance driven between consecutive nodes, m.
   double node_spacing_m = 2.0;
+  /// Robots drop radio beacons and receive their signals.
   bool radio = true;
+  /// Robots are out of range at times and deliver their data later.
   bool communication_gaps = true;
+  /// Error of the alignment at the gate, and its stated standard deviation: position, m.
   double prior_position_sigma_m = 0.0016;
+  /// Error of the alignment at the gate, and its stated standard deviation: roll and pitch, rad.
   double prior_tilt_sigma_rad = 0.005;
+  /// Error of the alignment at the gate, and its stated standard deviation: yaw, rad.
   double prior_yaw_sigma_rad = 0.00041;
+  /// Number of threads. 0: one per processor. It changes the run time, never the mission.
   int threads = 0;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("world", self.world, any_value(), "Kind of world.");
-    field("length_m", self.length_m, between(0.0, 60000.0),
-          "Driven by all robots together, m; 0 takes the paper's length for the world.");
-    field("robots", self.robots, between(0, 26),
-          "Number of robots; 0 takes the paper's number for the world.");
-    field("lidar", self.lidar, any_value(), "Beam pattern.");
-    field("scans", self.scans, any_value(), "Thinned scans, or raw sweeps.");
-    field("scan_points", self.scan_points, between(20, 100000), "Points of a thinned scan, at most.");
-    field("node_spacing_m", self.node_spacing_m, between(0.5, 20.0), "Distance driven from node to node, m.");
-    field("radio", self.radio, any_value(), "Robots drop radio beacons and hear them.");
-    field("communication_gaps", self.communication_gaps, any_value(),
-          "Robots are out of range at times and deliver later.");
-    field("prior_position_sigma_m", self.prior_position_sigma_m, above(0.0),
-          "Error of the alignment at the gate, and its stated sigma: position, m.");
-    field("prior_tilt_sigma_rad", self.prior_tilt_sigma_rad, above(0.0), "The same: roll and pitch, rad.");
-    field("prior_yaw_sigma_rad", self.prior_yaw_sigma_rad, above(0.0), "The same: yaw, rad.");
-    field("threads", self.threads, between(0, 1024),
-          "Threads; 0 takes the number of processors. Changes the run time, never the mission.");
+    field("world", self.world, any_value());
+    field("length_m", self.length_m, between(0.0, 60000.0));
+    field("robots", self.robots, between(0, 26));
+    field("lidar", self.lidar, any_value());
+    field("scans", self.scans, any_value());
+    field("scan_points", self.scan_points, between(20, 100000));
+    field("node_spacing_m", self.node_spacing_m, between(0.5, 20.0));
+    field("radio", self.radio, any_value());
+    field("communication_gaps", self.communication_gaps, any_value());
+    field("prior_position_sigma_m", self.prior_position_sigma_m, above(0.0));
+    field("prior_tilt_sigma_rad", self.prior_tilt_sigma_rad, above(0.0));
+    field("prior_yaw_sigma_rad", self.prior_yaw_sigma_rad, above(0.0));
+    field("threads", self.threads, between(0, 1024));
   }
 };
 

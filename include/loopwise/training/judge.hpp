@@ -20,22 +20,27 @@ namespace loopwise::training {
 
 /// Effort of the evaluation of networks.
 struct JudgeOptions {
+  /// Sizes B of the sets.
   std::vector<double> set_sizes = {5.0, 20.0, 50.0};
+  /// Maximum number of loop candidates of a graph.
   std::int64_t candidates = 300;
+  /// Number of random sets of each kind and size.
   std::int64_t sets = 100;
+  /// Evaluations of the objective in a run of annealing, including those that find its scale.
   std::int64_t evaluations = 3000;
+  /// Number of swaps of a run of exact annealing for which the sign of the change is compared.
   std::int64_t swaps = 150;
+  /// Seed of all random draws.
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("set_sizes", self.set_sizes, between(1.0, 1000.0), "Sizes B of the sets.");
-    field("candidates", self.candidates, between(8, 5000), "Loop candidates of a graph, at most.");
-    field("sets", self.sets, between(3, 10000), "Random sets of each kind and size.");
-    field("evaluations", self.evaluations, between(1, 10000000),
-          "Evaluations of a run of annealing, those that find its scale included.");
-    field("swaps", self.swaps, between(1, 100000), "Swaps of a run of exact annealing whose sign is asked.");
-    field("seed", self.seed, at_least(0), "Seed of all random draws.");
+    field("set_sizes", self.set_sizes, between(1.0, 1000.0));
+    field("candidates", self.candidates, between(8, 5000));
+    field("sets", self.sets, between(3, 10000));
+    field("evaluations", self.evaluations, between(1, 10000000));
+    field("swaps", self.swaps, between(1, 100000));
+    field("seed", self.seed, at_least(0));
   }
 };
 

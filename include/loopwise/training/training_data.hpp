@@ -24,20 +24,24 @@ namespace loopwise::training {
 
 /// Selection of graphs from a mission, and of the sets that are added to them.
 struct DataOptions {
+  /// Maximum number of loop candidates of a graph.
   std::int64_t candidates = 200;
+  /// Maximum number of closures in a set.
   std::int64_t max_set = 50;
+  /// Number of random sets of each graph.
   std::int64_t random_sets = 40;
+  /// Number of runs of annealing on the exact objective that provide sets, for each graph.
   std::int64_t annealing_runs = 4;
+  /// Seed of all random draws.
   std::uint64_t seed = 1;
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("candidates", self.candidates, between(8, 5000), "Loop candidates of a graph, at most.");
-    field("max_set", self.max_set, between(2, 1000), "Closures of a set, at most.");
-    field("random_sets", self.random_sets, between(8, 10000), "Random sets of each graph.");
-    field("annealing_runs", self.annealing_runs, between(0, 1000),
-          "Runs of annealing on the exact objective that sets are taken from, for each graph.");
-    field("seed", self.seed, at_least(0), "Seed of all random draws.");
+    field("candidates", self.candidates, between(8, 5000));
+    field("max_set", self.max_set, between(2, 1000));
+    field("random_sets", self.random_sets, between(8, 10000));
+    field("annealing_runs", self.annealing_runs, between(0, 1000));
+    field("seed", self.seed, at_least(0));
   }
 };
 
