@@ -52,17 +52,18 @@ struct ConvertResult {
 ///
 /// **mission**: see MissionWriter.
 /// **g2o_pcd**: result.g2o has full 64-bit keys: if the characters of the keys do not distinguish the robots,
-/// or those of LAMP the landmarks, each gets one in the order of the mission, which is counted. Nodes, priors
-/// and edges are as from write_g2o(); keys.csv has every node's stamp and cloud; ranges.csv and gravity.csv,
-/// if there are such factors, are those of a mission folder; ground_truth/result.g2o has the true poses.
-/// read_mission() reads all of it.
+/// or LAMP's characters the landmarks, each gets a new character in the order of the mission, which is
+/// counted. Nodes, priors and edges are as from write_g2o(); keys.csv has every node's stamp and cloud;
+/// ranges.csv and gravity.csv, if there are such factors, are those of a mission folder;
+/// ground_truth/result.g2o has the true poses. read_mission() reads all of it.
 /// **tum**, **kitti**: ROBOT.tum or ROBOT.kitti, ROBOT_truth.* if the truth is known and ROBOT_reference.* if
-/// there is a reference; the nodes of each robot are in the order of their keys. No landmarks.
+/// there is a reference; the nodes of each robot are in the order of their keys. Landmarks are left out.
 ///
 /// **hdl_graph_slam**: graph.g2o, special_nodes.csv, NUMBER/data and NUMBER/cloud.pcd. Nodes are numbered by
-/// their keys; priors become edges from a fixed node, as read_mission() takes them. Of one robot, in space.
-/// **hba**: pose.json and pcd/NUMBER.pcd, of the nodes with a scan; of a mission without scans, such as the
-/// results of a replay, all poses alone. Of one robot.
+/// their keys; priors become edges from a fixed node, as read_mission() takes them. For one robot and 3D
+/// graphs only.
+/// **hba**: pose.json and pcd/NUMBER.pcd of the nodes with a scan. A mission without scans, such as the
+/// result of a replay, gives all poses and no clouds. For one robot only.
 ///
 /// The folder must not exist or be empty. An incomplete target is never read as complete: mission.json or
 /// result.g2o is written last, trajectories appear all at once, and all output is removed if this throws.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Key frames out of what a robot records all the time: odometry, and sweeps of its lidar.
+/// Key frames from continuous recordings of a robot: odometry and sweeps of its lidar.
 #pragma once
 
 #include <cstddef>
@@ -46,12 +46,12 @@ struct SelectedKeyFrame {
   std::vector<SubmapSweep> submap;
 };
 
-/// The key frames of a stream, by stamp. The first sweep with a pose is one, and each that lies
-/// options.keyframe_distance_m or options.keyframe_angle_rad from the key frame before it. The pose of a
-/// sweep is that of the odometry at its stamp, which must have a pose within
-/// options.keyframe_max_time_difference_s: between the poses before and after it, if these are at most 1 s
-/// (or twice that option) apart, else the nearer one. Each sweep belongs to the submap of the key frame that
-/// is nearest in time; of more than options.submap_sweeps the nearest are kept.
+/// The key frames of a stream, by stamp. The first sweep with a pose becomes a key frame, and so does each
+/// sweep that is options.keyframe_distance_m or options.keyframe_angle_rad away from the previous key frame.
+/// The odometry must have a pose within options.keyframe_max_time_difference_s of the stamp of the sweep. The
+/// pose of the sweep is interpolated between the poses before and after it if these are at most 1 s (or twice
+/// that option) apart, else it is the nearer one. Each sweep belongs to the submap of the key frame that is
+/// nearest in time. A submap keeps the options.submap_sweeps nearest sweeps.
 ///
 /// Counted: "odometry stamps run backwards, sorted", "sweep stamps run backwards, sorted", "odometry pose of
 /// a repeated stamp left out", "sweep of a repeated stamp left out", "odometry pose not finite left out",
@@ -66,13 +66,13 @@ struct SelectedKeyFrame {
                                                                               const MissionOptions& options,
                                                                               Problems& problems);
 
-/// The mission of one stream or several: nodes are the key frames, the steps between them odometry with
-/// odometry_information(), and the first node of each robot gets a prior where it stands. The streams share
-/// one frame; where several begin at the origin, "joined without a frame" is counted. Nodes of a single robot
-/// have the keys 0, 1, …; of several a0, a1, …; b0, …, in the order given. Scans are read by `read` when they
-/// are needed: no sweep is held. A sweep of a submap that cannot be read is left out and counted among the
-/// problems of the scans as "sweep of a submap cannot be read"; without a key frame's own sweep there is no
-/// scan.
+/// The mission of one or several streams. Its nodes are the key frames. The steps between them become
+/// odometry edges with odometry_information(). The first node of each robot gets a prior at its pose. The
+/// streams share one frame; if several begin at the origin, "joined without a frame" is counted. Nodes of a
+/// single robot have the keys 0, 1, …; of several a0, a1, …; b0, …, in the order given. Scans are read by
+/// `read` when they are needed: no sweep is held. A sweep of a submap that cannot be read is left out and
+/// counted among the problems of the scans as "sweep of a submap cannot be read"; without a key frame's own
+/// sweep there is no scan.
 ///
 /// The caller sets kind, path, name and provenance. \throws as choose_key_frames(); InputError if there is no
 /// stream, more than 26, or a name is empty or not unique; OptionError

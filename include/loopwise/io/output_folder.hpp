@@ -8,9 +8,9 @@
 
 namespace loopwise {
 
-/// Makes an output folder, or takes an existing one that is empty or that `may_exist` allows. `hint` ends the
-/// message where it does not. \throws OptionError if it exists otherwise; std::runtime_error if it cannot be
-/// made or written to
+/// Makes an output folder. An existing folder is accepted if it is empty or `may_exist` is set. \throws
+/// OptionError, whose message ends with `hint`, if an existing folder is not accepted; std::runtime_error if
+/// it cannot be made or written to
 LOOPWISE_EXPORT void prepare_output_folder(const std::filesystem::path& folder, bool may_exist,
                                            const std::string& hint);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Missions put together from parts whose frames became known after they were read.
+/// Missions assembled from parts whose frames were found after reading.
 #pragma once
 
 #include <array>
@@ -16,23 +16,24 @@
 
 namespace loopwise {
 
-/// Robots of a mission that share a frame, and where that frame lies.
+/// Robots of a mission that share a frame, and the pose of that frame.
 struct MissionPart {
   std::vector<std::size_t> robots;  ///< Their numbers.
   /// Pose of their frame in the common one.
   Eigen::Isometry3d T_common_part = Eigen::Isometry3d::Identity();
-  /// Sigmas x y z roll pitch yaw of a prior that each robot gets at its first key frame, in m and rad, in
-  /// place of those that it has. Absent: its priors stay as they are.
+  /// Sigmas x y z roll pitch yaw, in m and rad, of a prior that each robot gets at its first key frame
+  /// instead of its own priors. Absent: its priors are kept.
   std::optional<std::array<double, 6>> sigmas;
 };
 
-/// The mission with its parts in their places and these closures as edges that robust optimisation may doubt.
-/// Landmarks go with the part of the first key frame that an edge or a range ties them to. Robots of no part
-/// are left out with all that is theirs, counted as "robot left out: its frame is not known".
+/// The mission with its parts moved to the common frame, and with `closures` as edges that robust
+/// optimisation may reject. A landmark moves with the part of the first key frame that an edge or a range
+/// connects it to. Robots without a part are left out with all their data, counted as "robot left out: its
+/// frame is not known".
 /// \param mission as it was read
-/// \param parts no robot in two of them
+/// \param parts of the mission; no robot is in two of them
 /// \param closures between nodes of the parts
-/// \param move_truth whether true poses stand in the parts' own frames and move along; else they stay
+/// \param move_truth whether true poses are in the frames of the parts and move with them
 /// \throws InputError on a robot in two parts or an unknown number of a robot; UnknownKeyError
 [[nodiscard]] LOOPWISE_EXPORT Mission place_parts(const Mission& mission,
                                                   const std::vector<MissionPart>& parts,

@@ -23,8 +23,8 @@ struct CandidateEvidence {
   /// Proposed by a radio beacon, or by a place recognition without a guess of the pose: distance and overlap
   /// at the graph's pose are then uninformative.
   bool from_outside = false;
-  /// Recognition::similarity where a place recognition has guessed the pose that overlap and distance are of;
-  /// else 0. It adds to the logit with a fixed weight, which is not learned.
+  /// Recognition::similarity if a place recognition guessed the pose from which overlap and distance are
+  /// computed; else 0. It adds to the logit with a fixed weight, which is not learned.
   double similarity = 0.0;
 };
 
@@ -54,9 +54,11 @@ class LOOPWISE_EXPORT AcceptanceModel {
   [[nodiscard]] static Terms terms(const CandidateEvidence& evidence);
   /// Names of the terms, in order.
   [[nodiscard]] static std::array<const char*, kTerms> term_names();
-  /// That a candidate is verified, fitted to simulated missions, see docs/prioritization.md.
+  /// Initial weights for the probability that a candidate is verified, fitted to simulated missions, see
+  /// docs/prioritization.md.
   [[nodiscard]] static const Terms& shipped_verified();
-  /// That a verified closure is right, likewise.
+  /// Initial weights for the probability that robust optimisation keeps a verified closure, fitted in the
+  /// same way.
   [[nodiscard]] static const Terms& shipped_right();
   /// Weights from the text of an option, separated by commas: "0.4,10.1,-3.6,2,-2.7,-1". \throws OptionError
   /// that names `option`

@@ -31,10 +31,10 @@ namespace loopwise {
 /// **File**: JSON `{"__meta__": {...}, NAME: {"shape": [...], "data": [flat, by rows]}, ...}` with the
 /// tensors node_encoder.{weight H×F, bias H}; conv1 and gcs.0, gcs.1, ... each with {g H×(K·H), mu K×D, sigma
 /// K×D, root H×H, bias H}; lins.0, ... {weight H×H, bias H}; batch_norms.1, ... one more than lins, {weight,
-/// bias, running_mean, running_var: H}; lin {weight 1×H, bias 1}. Optional: input.mean and input.std (F) with
-/// which features are normalised, output.mean and output.std (1) which y is taken back from; output.log (1),
-/// if not 0: that is a logarithm, and the network puts out its exponential. Others are ignored. `kind` of
-/// `__meta__`, if present, is "paper".
+/// bias, running_mean, running_var: H}; lin {weight 1×H, bias 1}. Optional: input.mean and input.std (F),
+/// with which features are normalised; output.mean and output.std (1), with which y is scaled back;
+/// output.log (1): if it is not 0, the scaled y is a logarithm, and the network returns its exponential.
+/// Other tensors are ignored. `kind` of `__meta__`, if present, is "paper".
 class LOOPWISE_EXPORT GraphNetwork {
  public:
   /// \throws IoError; InputError naming file and tensor on invalid JSON, a network of another kind, and a

@@ -37,8 +37,8 @@ class LOOPWISE_EXPORT GraphObjective {
   /// The objective of the current set; lower is better.
   [[nodiscard]] virtual double value() = 0;
 
-  /// value() after the change minus value() now. \pre `candidate` and `in` are not in the set, `out` and a
-  /// removed one are.
+  /// value() after the change minus value() now. \pre `candidate` and `in` are not in the set; `out` and a
+  /// removed candidate are.
   [[nodiscard]] virtual double add_change(std::size_t candidate) = 0;
   /// See add_change().
   [[nodiscard]] virtual double remove_change(std::size_t candidate) = 0;

@@ -10,8 +10,8 @@
 
 namespace loopwise {
 
-/// Candidates by descending score, equal scores by ascending id, for most prioritisers. Inserting and erasing
-/// take constant time on average, taking O(log n) each.
+/// Candidates by descending score, equal scores by ascending id, for most prioritisers. insert() and erase()
+/// take constant time on average, take() O(log n) for each candidate.
 class LOOPWISE_EXPORT RankedCandidates {
  public:
   /// \pre the id is not held yet and the score is not NaN.

@@ -11,7 +11,7 @@
 
 namespace loopwise {
 
-/// Of a sample; NaN if it is empty.
+/// Quartiles of a sample; NaN if it is empty.
 struct ScoreQuartiles {
   std::size_t count = 0;  ///< Scans.
   double low = 0.0;       ///< A quarter lies below.
@@ -19,11 +19,11 @@ struct ScoreQuartiles {
   double high = 0.0;      ///< Three quarters lie below.
 };
 
-/// Received power by distance, walls apart.
+/// Received power within a range of distances, with or without walls on the way.
 struct PowerBin {
   double from_m = 0.0;     ///< Least distance, m.
   double to_m = 0.0;       ///< Largest distance, m.
-  bool walls = false;      ///< One or more.
+  bool walls = false;      ///< Whether there are walls between beacon and robot.
   std::size_t heard = 0;   ///< Readings with a received power.
   std::size_t missed = 0;  ///< Readings without.
   double mean_dbm = 0.0;   ///< Mean of the received readings; NaN without readings.
