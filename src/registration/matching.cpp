@@ -19,12 +19,12 @@ constexpr std::size_t kSources = 4;  // sources compared at a time, for which a 
 
 using Lanes = std::array<std::int32_t, kBlock>;
 
-/// What each of four source descriptors resembles most, by lane of the target's blocks.
+/// The most similar target of each of four sources, by lane of the target's blocks.
 struct BestTargets {
   std::array<Lanes, kSources> similarity, block;
 };
 
-/// What each target descriptor resembles most, in the order of the blocks.
+/// The most similar source of each target, in the order of the blocks.
 struct BestSources {
   std::vector<std::int32_t> similarity, source;
 };
@@ -101,7 +101,7 @@ __attribute__((target("avx2"))) inline void store(__m256i from, std::int32_t* to
   _mm256_storeu_si256(reinterpret_cast<__m256i*>(to), from);
 }
 
-/// The same, a block at a time.
+/// The same with 256-bit registers, which hold a block.
 __attribute__((target("avx2"))) void compare_avx2(const PackedDescriptors& target, const std::int32_t* others,
                                                   std::size_t begin, std::size_t width, BestTargets& best,
                                                   BestSources& of_targets) {
@@ -143,9 +143,9 @@ __attribute__((target("avx2"))) void compare_avx2(const PackedDescriptors& targe
     store(where[s], best.block[s].data());
   }
 }
-const Compare compare = __builtin_cpu_supports("avx2") ? compare_avx2 : compare_portable;
+const Compare compare_fast = __builtin_cpu_supports("avx2") ? compare_avx2 : compare_portable;
 #else
-const Compare compare = compare_portable;
+const Compare compare_fast = compare_portable;
 #endif
 
 }  // namespace
@@ -163,7 +163,8 @@ PackedDescriptors::PackedDescriptors(const Descriptors& descriptors)
 }
 
 std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
-                                               const PackedDescriptors& target) {
+                                               const PackedDescriptors& target, bool portable) {
+  const Compare compare = portable ? compare_portable : compare_fast;
   std::vector<DescriptorMatch> matches;
   if (source.size() == 0 || target.size() == 0) return matches;
   matches.resize(source.size());

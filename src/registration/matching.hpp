@@ -44,7 +44,9 @@ struct DescriptorMatch {
 };
 
 /// One match for each source descriptor, in their order; the first of equal ones. Empty if a side is empty.
+/// \param portable does without instructions that only some processors have; the result is the same
 [[nodiscard]] std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
-                                                             const PackedDescriptors& target);
+                                                             const PackedDescriptors& target,
+                                                             bool portable = false);
 
 }  // namespace loopwise

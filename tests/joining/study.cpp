@@ -6,12 +6,16 @@
 #include <cstdio>
 #include <exception>
 #include <filesystem>
+#include <iterator>
 #include <map>
 #include <string>
 #include <vector>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/replay/read_team.hpp>
+#include <loopwise/replay/registration.hpp>
+#include <loopwise/replay/replay.hpp>
 #include <loopwise/simulation/simulate.hpp>
 
 #include "scrambled.hpp"
@@ -53,8 +57,32 @@ void print_ties(const TeamFrames& frames) {
   }
 }
 
-/// Joins, prints a row and the ties, and says how the frames compare with the truth.
-void study(const std::string& name, const testing::ScrambledMission& made, const Config& config) {
+/// Estimate of a replay of the mission.
+PosesByKey replayed(const Mission& mission, const Config& config, ThreadPool& threads) {
+  const MissionReplay replay(mission, config.replay,
+                             make_registration(config.replay.registration, mission.scans->loader()));
+  return poses_by_key(replay.run(threads).graph);
+}
+
+/// Error of the maps that two replays make: robots in the frames that were found, and in the given ones. Both
+/// are judged after the best rigid motion, at the nodes of the robots that were joined.
+void compare_maps(const Mission& given, const Mission& found, const Config& config, ThreadPool& threads) {
+  const PosesByKey by_found = replayed(found, config, threads);
+  PosesByKey by_given = replayed(given, config, threads);
+  for (auto node = by_given.begin(); node != by_given.end();)
+    node = by_found.count(node->first) == 0 ? by_given.erase(node) : std::next(node);
+  const auto error = [&](const PosesByKey& estimate) {
+    return evaluate_trajectory(estimate, given.ground_truth, Alignment::kSe3, given.robots).ate_m.mean;
+  };
+  const double with_found = error(by_found), with_given = error(by_given);
+  std::printf("    map: ATE %.3f m with the found frames, %.3f m with the given ones, ratio %.2f\n",
+              with_found, with_given, with_found / with_given);
+}
+
+/// Joins, prints a row and the ties, and says how the frames compare with the truth. `given`: the mission
+/// with its own frames, if its map is to be compared.
+void study(const std::string& name, const testing::ScrambledMission& made, const Config& config,
+           const Mission* given = nullptr) {
   ThreadPool threads(2);
   const auto start = std::chrono::steady_clock::now();
   const TeamFrames frames = find_team_frames(made.mission, config, threads);
@@ -82,6 +110,8 @@ void study(const std::string& name, const testing::ScrambledMission& made, const
               frames.components.size(), joined + 1, frames.components.size(), wrong_ties, ties, wrong,
               worst_m, worst_rad * kDegrees, frames.result.computed, seconds);
   print_ties(frames);
+  if (given != nullptr && joined > 0)
+    compare_maps(*given, placed_team(made.mission, frames), config, threads);
   std::fflush(stdout);
 }
 
@@ -128,13 +158,15 @@ int run(const std::vector<std::string>& arguments) {
     }
   }
   const auto number = [&](std::size_t i) { return std::stod(rest.at(i)); };
-  if (what == "worlds") {  // SEEDS LENGTH ROBOTS
-    for (int seed = 1; seed <= static_cast<int>(number(0)); ++seed) {
+  if (what == "worlds" || what == "maps") {  // SEEDS LENGTH ROBOTS [FIRST SEED]
+    const int first = rest.size() > 3 ? static_cast<int>(number(3)) : 1;
+    for (int seed = first; seed < first + static_cast<int>(number(0)); ++seed) {
       for (const WorldKind world : kWorlds) {
         const Mission mission = simulated(folder, world, static_cast<std::uint64_t>(seed), number(1),
                                           static_cast<int>(number(2)));
         study(enum_name(world) + " " + std::to_string(seed),
-              testing::scrambled(mission, static_cast<std::uint64_t>(seed)), config);
+              testing::scrambled(mission, static_cast<std::uint64_t>(seed)), config,
+              what == "maps" ? &mission : nullptr);
       }
     }
   } else if (what == "apart") {  // PAIRS LENGTH
@@ -159,11 +191,11 @@ int main(int argc, char** argv) {
   try {
     return loopwise::run(std::vector<std::string>(argv + 1, argv + argc));
   } catch (const std::exception& error) {
-    std::fprintf(
-        stderr,
-        "joining study: %s\nusage: FOLDER worlds SEEDS LENGTH ROBOTS | apart PAIRS LENGTH | cut PIECES "
-        "SESSION | sources SESSION...  [SECTION.FIELD=VALUE...]\n",
-        error.what());
+    std::fprintf(stderr,
+                 "joining study: %s\nusage: FOLDER worlds|maps SEEDS LENGTH ROBOTS [FIRST SEED] | apart "
+                 "PAIRS LENGTH | cut PIECES "
+                 "SESSION | sources SESSION...  [SECTION.FIELD=VALUE...]\n",
+                 error.what());
     return 1;
   }
 }

@@ -9,6 +9,7 @@
 #include "gicp.hpp"
 #include "matching.hpp"
 #include "normal_bins.hpp"
+#include "normal_equations.hpp"
 #include "range_image.hpp"
 #include "scene.hpp"
 #include "testing.hpp"
@@ -228,6 +229,43 @@ TEST_CASE("refine_gicp: without matches it stays and says so", "[parts][error]")
   REQUIRE(testing::difference(result.T_target_source, Eigen::Isometry3d::Identity()) == 0.0);
 }
 
+TEST_CASE("NormalEquations: the sums of the matrices", "[parts][property]") {
+  Rng rng(47);
+  const auto draw = [&] {
+    return Eigen::Vector3d(rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0));
+  };
+  // Less than a block, a block and more; with normals that are equal, apart, opposite and zero.
+  for (const int count : {1, 7, 32, 33, 100}) {
+    CAPTURE(count);
+    constexpr double kSqScale = 0.03;
+    NormalEquations equations(kSqScale);
+    Matrix6d H = Matrix6d::Zero();
+    Vector6d b = Vector6d::Zero();
+    for (int i = 0; i < count; ++i) {
+      const Eigen::Vector3d d = 0.3 * draw(), y = 20.0 * draw();
+      const Eigen::Vector3d n = i % 5 == 4 ? Eigen::Vector3d::Zero() : draw().normalized();
+      Eigen::Vector3d m = n;
+      if (i % 4 == 1) m = draw().normalized();
+      if (i % 4 == 2) m = -n;
+      if (i % 4 == 3) m.setZero();
+      equations.add(d, y, n, m);
+      Eigen::Matrix3d C = 2.0 * Eigen::Matrix3d::Identity();
+      C -= (1.0 - kFlatness) * (n * n.transpose() + m * m.transpose());
+      const Eigen::Matrix3d M = 2.0 * kFlatness * C.inverse();
+      const double robust = kSqScale / (kSqScale + d.dot(M * d));
+      Eigen::Matrix<double, 3, 6> J;
+      J << Eigen::Matrix3d::Identity(), -se3::skew(y);
+      H += robust * robust * J.transpose() * M * J;
+      b += robust * robust * J.transpose() * M * d;
+    }
+    equations.finish();
+    REQUIRE(equations.count() == static_cast<std::size_t>(count));
+    REQUIRE((equations.H() - H).norm() < 1e-4 * H.norm());
+    REQUIRE((equations.b() - b).norm() < 1e-4 * b.norm());
+    REQUIRE(equations.H() == equations.H().transpose());
+  }
+}
+
 TEST_CASE("match_descriptors: the most similar of all, as by comparing each with each", "[parts][property]") {
   Rng rng(41);
   for (const auto& [sources, targets] :
@@ -242,6 +280,12 @@ TEST_CASE("match_descriptors: the most similar of all, as by comparing each with
     const Descriptors a = draw(sources), b = draw(targets);
     const auto matches = match_descriptors(PackedDescriptors(a), PackedDescriptors(b));
     REQUIRE(matches.size() == (targets == 0 ? 0U : static_cast<std::size_t>(sources)));
+    const auto portable = match_descriptors(PackedDescriptors(a), PackedDescriptors(b), true);
+    const auto same = [](const DescriptorMatch& m, const DescriptorMatch& p) {
+      return m.source == p.source && m.target == p.target && m.similarity == p.similarity &&
+             m.mutual == p.mutual;
+    };
+    REQUIRE(std::equal(matches.begin(), matches.end(), portable.begin(), portable.end(), same));
     for (const DescriptorMatch& m : matches) {
       const Eigen::VectorXf similar = b.transpose() * a.col(m.source);
       const Eigen::VectorXf back = a.transpose() * b.col(m.target);
