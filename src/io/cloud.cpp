@@ -112,91 +112,121 @@ Scalar pcd_scalar(std::string_view type, std::uint64_t size, const text::Place& 
              " does not exist");
 }
 
-PcdHeader read_pcd_header(const std::string& file, std::string_view contents) {
-  PcdHeader header;
+/// Lines of a PCD header as they stand in the file.
+struct PcdLines {
   std::vector<std::string_view> names, types;
   std::vector<std::uint64_t> sizes, counts;
   std::optional<std::uint64_t> width, height, points;
+  std::size_t types_line = 1;  ///< For errors.
+};
+
+using Words = std::vector<std::string_view>;
+
+bool is_moved_viewpoint(const Words& words) {
+  constexpr double kIdentity[] = {0, 0, 0, 1, 0, 0, 0};
+  for (std::size_t i = 0; i < words.size(); ++i) {
+    double value = 0.0;
+    if (i >= 7 || text::parse_double(words[i], value) != text::Number::kOk || value != kIdentity[i])
+      return true;
+  }
+  return false;
+}
+
+/// Reads one line but DATA.
+void take_pcd_line(std::string_view keyword, const Words& words, const text::Place& place, PcdLines& lines,
+                   PcdHeader& header) {
+  const auto one_count = [&] {
+    if (words.size() != 1) place.fail(std::string(keyword) + " needs one value");
+    return count_value(words[0], place);
+  };
+  if (keyword == "FIELDS" || keyword == "COLUMNS") {
+    lines.names = words;
+  } else if (keyword == "SIZE") {
+    for (const auto w : words) lines.sizes.push_back(count_value(w, place));
+  } else if (keyword == "TYPE") {
+    lines.types = words;
+    lines.types_line = place.line;
+  } else if (keyword == "COUNT") {
+    for (const auto w : words) lines.counts.push_back(count_value(w, place));
+  } else if (keyword == "WIDTH") {
+    lines.width = one_count();
+  } else if (keyword == "HEIGHT") {
+    lines.height = one_count();
+  } else if (keyword == "VIEWPOINT") {
+    header.moved_viewpoint = is_moved_viewpoint(words);
+  } else if (keyword == "POINTS") {
+    lines.points = one_count();
+  } else if (keyword != "VERSION") {
+    place.fail(text::quoted(keyword) + " is no PCD header");
+  }
+}
+
+PcdEncoding pcd_encoding(const Words& words, const text::Place& place) {
+  if (words.size() != 1) place.fail("DATA needs one value");
+  try {
+    return parse_enum<PcdEncoding>("DATA", words[0]);
+  } catch (const OptionError& error) {
+    place.fail(error.what());
+  }
+}
+
+Layout pcd_layout(const std::string& file, const PcdLines& lines) {
+  const text::Place place{file, lines.types_line};
+  const std::size_t fields = lines.names.size();
+  if (fields == 0 || lines.sizes.size() != fields || lines.types.size() != fields ||
+      (!lines.counts.empty() && lines.counts.size() != fields)) {
+    place.fail("FIELDS, SIZE, TYPE and COUNT must have as many values, found " + std::to_string(fields) +
+               ", " + std::to_string(lines.sizes.size()) + ", " + std::to_string(lines.types.size()) + ", " +
+               std::to_string(lines.counts.size()));
+  }
+  Layout layout;
+  for (std::size_t i = 0; i < fields; ++i) {
+    const std::uint64_t count = lines.counts.empty() ? 1 : lines.counts[i];
+    if (count > 65536) place.fail("COUNT " + std::to_string(count) + " is too large");
+    layout.fields.push_back({std::string(lines.names[i]), pcd_scalar(lines.types[i], lines.sizes[i], place),
+                             static_cast<std::size_t>(count), 0});
+  }
+  layout.pack(file);
+  return layout;
+}
+
+std::uint64_t pcd_points(const std::string& file, const PcdLines& lines) {
+  if (!lines.width && !lines.points) throw InputError(file + ": the header has neither WIDTH nor POINTS");
+  const std::uint64_t rows = lines.height.value_or(1);
+  const std::uint64_t columns = lines.width.value_or(lines.points.value_or(0));
+  const bool overflow = rows != 0 && columns > std::numeric_limits<std::uint64_t>::max() / rows;
+  if (overflow || (lines.points && rows * columns != *lines.points)) {
+    throw InputError(file + ": WIDTH " + std::to_string(columns) + " and HEIGHT " + std::to_string(rows) +
+                     " do not make POINTS " + std::to_string(lines.points.value_or(0)));
+  }
+  return rows * columns;
+}
+
+PcdHeader read_pcd_header(const std::string& file, std::string_view contents) {
+  PcdHeader header;
+  PcdLines found;
   text::Lines lines(contents);
-  std::size_t types_line = 0;
-  for (std::string_view line; lines.next(line);) {
+  for (std::string_view line; header.data_line == 0 && lines.next(line);) {
     const text::Place place{file, lines.number()};
     if (!line.empty() && line.front() == '#') take_origin(line, place, header.origin);
     const std::string_view keyword = text::next_word(line);
     if (keyword.empty()) continue;
-    std::vector<std::string_view> words;
+    Words words;
     for (std::string_view w = text::next_word(line); !w.empty(); w = text::next_word(line))
       words.push_back(w);
-    const auto one_count = [&] {
-      if (words.size() != 1) place.fail(std::string(keyword) + " needs one value");
-      return count_value(words[0], place);
-    };
-    if (keyword == "VERSION") {
+    if (keyword != "DATA") {
+      take_pcd_line(keyword, words, place, found, header);
       continue;
-    } else if (keyword == "FIELDS" || keyword == "COLUMNS") {
-      names = words;
-    } else if (keyword == "SIZE") {
-      for (const auto w : words) sizes.push_back(count_value(w, place));
-    } else if (keyword == "TYPE") {
-      types = words;
-      types_line = lines.number();
-    } else if (keyword == "COUNT") {
-      for (const auto w : words) counts.push_back(count_value(w, place));
-    } else if (keyword == "WIDTH") {
-      width = one_count();
-    } else if (keyword == "HEIGHT") {
-      height = one_count();
-    } else if (keyword == "VIEWPOINT") {
-      constexpr double kIdentity[] = {0, 0, 0, 1, 0, 0, 0};
-      for (std::size_t i = 0; i < words.size(); ++i) {
-        double value = 0.0;
-        if (i >= 7 || text::parse_double(words[i], value) != text::Number::kOk || value != kIdentity[i]) {
-          header.moved_viewpoint = true;
-        }
-      }
-    } else if (keyword == "POINTS") {
-      points = one_count();
-    } else if (keyword == "DATA") {
-      if (words.size() != 1) place.fail("DATA needs one value");
-      try {
-        header.encoding = parse_enum<PcdEncoding>("DATA", words[0]);
-      } catch (const OptionError& error) {
-        place.fail(error.what());
-      }
-      if (!lines.ended()) place.fail("the file ends after the header");
-      header.data_line = lines.number();
-      header.data_begin = static_cast<std::size_t>(lines.rest().data() - contents.data());
-      break;
-    } else {
-      place.fail(text::quoted(keyword) + " is no PCD header");
     }
+    header.encoding = pcd_encoding(words, place);
+    if (!lines.ended()) place.fail("the file ends after the header");
+    header.data_line = lines.number();
+    header.data_begin = static_cast<std::size_t>(lines.rest().data() - contents.data());
   }
   if (header.data_line == 0)
     throw InputError(file + ": no DATA line: the file is empty, cut short or no PCD file");
-  const text::Place at_types{file, std::max<std::size_t>(types_line, 1)};
-  if (names.empty() || sizes.size() != names.size() || types.size() != names.size() ||
-      (!counts.empty() && counts.size() != names.size())) {
-    at_types.fail("FIELDS, SIZE, TYPE and COUNT must have as many values, found " +
-                  std::to_string(names.size()) + ", " + std::to_string(sizes.size()) + ", " +
-                  std::to_string(types.size()) + ", " + std::to_string(counts.size()));
-  }
-  for (std::size_t i = 0; i < names.size(); ++i) {
-    const std::uint64_t count = counts.empty() ? 1 : counts[i];
-    if (count > 65536) at_types.fail("COUNT " + std::to_string(count) + " is too large");
-    header.layout.fields.push_back({std::string(names[i]), pcd_scalar(types[i], sizes[i], at_types),
-                                    static_cast<std::size_t>(count), 0});
-  }
-  header.layout.pack(file);
-
-  if (!width && !points) throw InputError(file + ": the header has neither WIDTH nor POINTS");
-  const std::uint64_t rows = height.value_or(1);
-  const std::uint64_t columns = width.value_or(points.value_or(0));
-  const bool overflow = rows != 0 && columns > std::numeric_limits<std::uint64_t>::max() / rows;
-  if (overflow || (points && rows * columns != *points)) {
-    throw InputError(file + ": WIDTH " + std::to_string(columns) + " and HEIGHT " + std::to_string(rows) +
-                     " do not make POINTS " + std::to_string(points.value_or(0)));
-  }
-  header.points = rows * columns;
+  header.layout = pcd_layout(file, found);
+  header.points = pcd_points(file, found);
   return header;
 }
 

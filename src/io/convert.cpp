@@ -164,18 +164,53 @@ class FullKeys {
   std::string letters_;  // by robot
 };
 
-ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, const ConvertOptions& options) {
-  ConvertResult result;
-  const FullKeys keys(mission, result.left_out);
-  parts::count_description(mission, result.left_out);
-  result.left_out.add("reference pose left out", mission.name, mission.reference.size());
-  std::int64_t first_ns = mission.start_ns;
-  for (const Node& node : mission.graph.nodes()) first_ns = std::max(first_ns, node.stamp_ns);
-  for (const Node& node : mission.graph.nodes()) first_ns = std::min(first_ns, node.stamp_ns);
-  if (mission.start_ns != first_ns) {
-    result.left_out.add("clock's start left out", std::to_string(mission.start_ns) + " ns");
+/// The graph with the keys of the files.
+PoseGraph renamed(const PoseGraph& graph, const FullKeys& keys) {
+  PoseGraph out;
+  out.set_planar(graph.planar());
+  for (Node node : graph.nodes()) {
+    node.key = keys.of(node.key);
+    out.add_node(node);
   }
+  for (PriorFactor prior : graph.priors()) {
+    prior.key = keys.of(prior.key);
+    out.add_prior(prior);
+  }
+  for (Edge edge : graph.edges()) {
+    edge.from = keys.of(edge.from);
+    edge.to = keys.of(edge.to);
+    out.add_edge(edge);
+  }
+  for (RangeFactor range : graph.ranges()) {
+    range.from = keys.of(range.from);
+    range.to = keys.of(range.to);
+    out.add_range(range);
+  }
+  for (GravityFactor gravity : graph.gravities()) {
+    gravity.key = keys.of(gravity.key);
+    out.add_gravity(gravity);
+  }
+  return out;
+}
 
+PoseGraph renamed_truth(const Mission& mission, const FullKeys& keys) {
+  PoseGraph truth;
+  // The truth of a 2D graph may be a survey in 3D.
+  truth.set_planar(mission.graph.planar() &&
+                   std::all_of(mission.ground_truth.begin(), mission.ground_truth.end(),
+                               [](const auto& known) { return planar::is_pose(known.second); }));
+  for (const auto& [key, pose] : mission.ground_truth) {
+    Node node;
+    node.key = keys.of(key);
+    node.pose = pose;
+    truth.add_node(node);
+  }
+  return truth;
+}
+
+/// Writes the clouds. \returns the keys of those that were written
+std::set<Key> write_clouds(const Mission& mission, const FullKeys& keys, const fs::path& folder,
+                           const ConvertOptions& options, ConvertResult& result) {
   parts::make_folder(folder / kClouds);
   std::vector<Key> with_node;
   for (const Key key : mission.scans->keys()) {
@@ -193,50 +228,34 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
     const std::lock_guard<std::mutex> lock(mutex);
     written.insert(key);
   });
+  return written;
+}
 
-  PoseGraph graph, truth;
-  graph.set_planar(mission.graph.planar());
-  // The truth of a 2D graph may be a survey in 3D.
-  truth.set_planar(mission.graph.planar() &&
-                   std::all_of(mission.ground_truth.begin(), mission.ground_truth.end(),
-                               [](const auto& known) { return planar::is_pose(known.second); }));
+ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, const ConvertOptions& options) {
+  ConvertResult result;
+  const FullKeys keys(mission, result.left_out);
+  parts::count_description(mission, result.left_out);
+  result.left_out.add("reference pose left out", mission.name, mission.reference.size());
+  std::int64_t first_ns = mission.start_ns;
+  for (const Node& node : mission.graph.nodes()) first_ns = std::max(first_ns, node.stamp_ns);
+  for (const Node& node : mission.graph.nodes()) first_ns = std::min(first_ns, node.stamp_ns);
+  if (mission.start_ns != first_ns) {
+    result.left_out.add("clock's start left out", std::to_string(mission.start_ns) + " ns");
+  }
+
+  const std::set<Key> written = write_clouds(mission, keys, folder, options, result);
   std::string table;
-  for (Node node : mission.graph.nodes()) {
+  for (const Node& node : mission.graph.nodes()) {
     const std::string key = std::to_string(keys.of(node.key));
     table += key + "," + (written.count(node.key) != 0 ? kClouds + ("/" + key + ".pcd") : std::string()) +
              "," + std::to_string(node.stamp_ns) + "\n";
-    node.key = keys.of(node.key);
-    graph.add_node(node);
-  }
-  for (PriorFactor prior : mission.graph.priors()) {
-    prior.key = keys.of(prior.key);
-    graph.add_prior(prior);
-  }
-  for (Edge edge : mission.graph.edges()) {
-    edge.from = keys.of(edge.from);
-    edge.to = keys.of(edge.to);
-    graph.add_edge(edge);
-  }
-  for (RangeFactor range : mission.graph.ranges()) {
-    range.from = keys.of(range.from);
-    range.to = keys.of(range.to);
-    graph.add_range(range);
-  }
-  for (GravityFactor gravity : mission.graph.gravities()) {
-    gravity.key = keys.of(gravity.key);
-    graph.add_gravity(gravity);
-  }
-  for (const auto& [key, pose] : mission.ground_truth) {
-    Node node;
-    node.key = keys.of(key);
-    node.pose = pose;
-    truth.add_node(node);
   }
   write_file(folder / "keys.csv", table);
-  if (!truth.empty()) {
+  if (const PoseGraph truth = renamed_truth(mission, keys); !truth.empty()) {
     parts::make_folder(folder / "ground_truth");
     write_g2o(folder / "ground_truth" / kGraph, truth);
   }
+  const PoseGraph graph = renamed(mission.graph, keys);
   if (!graph.ranges().empty()) write_file(folder / parts::kRanges, parts::ranges_text(graph));
   if (!graph.gravities().empty()) write_file(folder / parts::kGravity, parts::gravity_text(graph));
   const parts::OdometryList odometry = parts::odometry_list(graph, keys.robots());
