@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <algorithm>
 #include <cmath>
-#include <limits>
 
 #include <nlohmann/json.hpp>
 
@@ -9,13 +8,13 @@
 #include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/mission_picture.hpp>
 #include <loopwise/evaluation/mission_statistics.hpp>
-#include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/cloud.hpp>
 #include <loopwise/io/mission.hpp>
 #include <loopwise/replay/cost_forecast.hpp>
 
 #include "command.hpp"
+#include "mission_text.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -31,29 +30,6 @@ struct Options {
   CandidateStatisticsOptions candidates;
   std::int64_t timed = 40;
   bool read_scans = true;
-};
-
-constexpr double kDegrees = 57.29577951308232;
-
-/// Length of each robot's path along its nodes, in the order of their keys.
-std::vector<double> path_lengths(const Mission& mission) {
-  std::vector<double> lengths(mission.robots.size(), 0.0);
-  std::vector<std::pair<Key, Eigen::Vector3d>> nodes;
-  for (const Node& node : mission.graph.nodes()) {
-    if (!mission.robots.is_landmark(node.key)) nodes.emplace_back(node.key, node.pose.translation());
-  }
-  std::sort(nodes.begin(), nodes.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
-  for (std::size_t i = 1; i < nodes.size(); ++i) {
-    const auto robot = mission.robots.find(nodes[i].first);
-    if (robot && robot == mission.robots.find(nodes[i - 1].first)) {
-      lengths[*robot] += (nodes[i].second - nodes[i - 1].second).norm();
-    }
-  }
-  return lengths;
-}
-
-struct PointCounts {
-  std::size_t scans = 0, total = 0, fewest = 0, most = 0;
 };
 
 PointCounts count_points(const ScanStore& scans, Console& console, const StopToken& stop) {
@@ -110,26 +86,6 @@ Json number(double value) {
   return std::isnan(value) ? Json() : Json(value);
 }
 
-/// Adds the drift of odometry, if ground truth is known.
-void add_drift(const Mission& mission, Json& json, std::string& text) {
-  const std::vector<RobotDrift> drifts = odometry_drift(mission);
-  Json all = Json::array();
-  std::vector<std::vector<std::string>> rows{
-      {"drift of", "largest m", "% of length", "largest deg", "end m"}};
-  for (const RobotDrift& drift : drifts) {
-    all.push_back({{"robot", drift.robot},
-                   {"length_m", drift.length_m},
-                   {"largest_error_m", drift.largest_m},
-                   {"largest_error_rad", drift.largest_rad},
-                   {"end_error_m", drift.end_m}});
-    rows.push_back({drift.robot, fixed(drift.largest_m, 2),
-                    fixed(100.0 * drift.largest_m / drift.length_m, 2),
-                    fixed(drift.largest_rad * kDegrees, 2), fixed(drift.end_m, 2)});
-  }
-  json["drift"] = all;
-  if (!drifts.empty()) text += "\n" + table(rows);
-}
-
 /// Adds the number of candidates by proximity, and the number of those that saw the same place.
 void add_candidates(const Mission& mission, const Options& options, Json& json, std::string& text) {
   CandidateStatisticsOptions wanted = options.candidates;
@@ -164,31 +120,6 @@ void add_cost(const Mission& mission, const Options& options, const ReplayOption
   text += "all of them  " + forecast_text(forecast, threads) + "\n";
 }
 
-/// Differences to the poses of another program for the same run.
-std::string reference_text(const Mission& mission) {
-  if (mission.reference.empty()) return {};
-  const TrajectoryErrors off =
-      evaluate_trajectory(poses_by_key(mission.graph), mission.reference, Alignment::kNone, mission.robots);
-  return "\nreference    " + std::to_string(mission.reference.size()) +
-         " poses that another program optimised, not the truth; odometry differs by " +
-         fixed(off.ate_m.mean, 2) + " m in the mean, " + fixed(off.ate_m.max, 2) + " m at most";
-}
-
-/// Adds the topics of the bags and the data taken from each.
-void add_topics(const Mission& mission, Json& json, std::string& text) {
-  if (mission.topics.empty()) return;
-  Json all = Json::array();
-  std::vector<std::vector<std::string>> rows{{"topic", "type", "messages", "taken for"}};
-  for (const RecordedTopic& topic : mission.topics) {
-    all.push_back(
-        {{"name", topic.name}, {"type", topic.type}, {"messages", topic.messages}, {"use", topic.use}});
-    rows.push_back(
-        {topic.name, topic.type, std::to_string(topic.messages), topic.use.empty() ? "-" : topic.use});
-  }
-  json["topics"] = all;
-  text += "\n" + table(rows);
-}
-
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -208,94 +139,9 @@ int run(const Options& options) {
 
   Problems problems = mission.problems;
   problems.add(mission.scans->problems());
-  std::int64_t first = std::numeric_limits<std::int64_t>::max(),
-               last = std::numeric_limits<std::int64_t>::min();
-  for (const Node& node : mission.graph.nodes()) {
-    if (mission.robots.is_landmark(node.key)) continue;
-    first = std::min(first, node.stamp_ns);
-    last = std::max(last, node.stamp_ns);
-  }
-  const double duration_s = last < first ? 0.0 : static_cast<double>(last - first) * 1e-9;
-  const std::vector<double> lengths = path_lengths(mission);
-  double length = 0.0;
-  Json robots = Json::array();
-  std::vector<std::vector<std::string>> rows{{"robot", "nodes", "length m", "first key", "last key"}};
-  for (std::size_t r = 0; r < mission.robots.size(); ++r) {
-    std::vector<Key> own;
-    for (const Node& node : mission.graph.nodes()) {
-      if (mission.robots.find(node.key) == r) own.push_back(node.key);
-    }
-    length += lengths[r];
-    const auto [low, high] = std::minmax_element(own.begin(), own.end());
-    const std::string from = own.empty() ? "-" : std::to_string(*low),
-                      to = own.empty() ? "-" : std::to_string(*high);
-    robots.push_back({{"name", mission.robots[r].name},
-                      {"nodes", own.size()},
-                      {"length_m", lengths[r]},
-                      {"first_key", from},
-                      {"last_key", to},
-                      {"landmarks", mission.robots[r].landmarks}});
-    rows.push_back({mission.robots[r].name, std::to_string(own.size()),
-                    mission.robots[r].landmarks ? "landmarks" : fixed(lengths[r], 1), from, to});
-  }
-  std::size_t odometry = 0, sightings = 0;
-  for (const Edge& edge : mission.graph.edges()) {
-    odometry += edge.kind == EdgeKind::kOdometry ? 1 : 0;
-    sightings += edge.kind == EdgeKind::kLandmark ? 1 : 0;
-  }
-  const auto components = connected_components(mission.graph);
-  const std::size_t component_count =
-      components.empty() ? 0 : 1 + *std::max_element(components.begin(), components.end());
-  Json problem_list = Json::array();
-  for (const Problem& problem : problems.all()) problem_list.push_back(to_string(problem));
-  const bool is_run = mission.kind == MissionKind::kRun;
-  const double mean =
-      points.scans == 0 ? 0.0 : static_cast<double>(points.total) / static_cast<double>(points.scans);
-  Json json = {
-      {"kind", enum_name(mission.kind)},
-      {"name", mission.name},
-      {"run", is_run},
-      {"robots", robots},
-      {"nodes", mission.graph.nodes().size()},
-      {"planar", mission.graph.planar()},
-      {"edges", mission.graph.edges().size()},
-      {"odometry_edges", odometry},
-      {"priors", mission.graph.priors().size()},
-      {"sightings", sightings},
-      {"ranges", mission.graph.ranges().size()},
-      {"gravity", mission.graph.gravities().size()},
-      {"components", component_count},
-      {"scans", mission.scans->size()},
-      {"points", {{"total", points.total}, {"min", points.fewest}, {"mean", mean}, {"max", points.most}}},
-      {"ground_truth", mission.ground_truth.size()},
-      {"reference", mission.reference.size()},
-      {"radio_readings", mission.radio.size()},
-      {"beacons", mission.beacons.size()},
-      {"communication_gaps", mission.gaps.size()},
-      {"length_m", length},
-      {"duration_s", duration_s},
-      {"problems", problem_list}};
-  std::string text = (is_run ? "results of a replay" : enum_name(mission.kind)) + " \"" + mission.name +
-                     "\"\n" + table(rows);
-  text += "\ngraph        " + std::to_string(mission.graph.nodes().size()) + " nodes, " +
-          std::to_string(mission.graph.edges().size()) + " edges (" + std::to_string(odometry) +
-          " odometry), " + std::to_string(mission.graph.priors().size()) + " priors, " +
-          std::to_string(component_count) + " components" + (mission.graph.planar() ? ", planar" : "");
-  if (sightings + mission.graph.ranges().size() + mission.graph.gravities().size() > 0) {
-    text += "\nother        " + std::to_string(sightings) + " sightings of landmarks, " +
-            std::to_string(mission.graph.ranges().size()) + " ranges, gravity at " +
-            std::to_string(mission.graph.gravities().size()) + " nodes";
-  }
-  text += "\nscans        " + std::to_string(mission.scans->size());
-  if (points.scans > 0) {
-    text += ", " + std::to_string(points.fewest) + " to " + std::to_string(points.most) + " points, mean " +
-            fixed(mean, 0);
-  }
-  text += "\nlength       " + fixed(length, 1) + " m in " + fixed(duration_s, 1) + " s\ntruth        " +
-          std::to_string(mission.ground_truth.size()) + " poses" + reference_text(mission) +
-          "\nradio        " + std::to_string(mission.radio.size()) + " readings, " +
-          std::to_string(mission.beacons.size()) + " beacons, " + std::to_string(mission.gaps.size()) +
-          " communication gaps\n";
+  Json json;
+  std::string text;
+  describe_mission(mission, points, problems, json, text);
   add_candidates(mission, options, json, text);
   add_cost(mission, options, config.replay, interrupt.token(), json, text);
   add_drift(mission, json, text);
