@@ -58,6 +58,117 @@ struct Chains {
   }
 };
 
+/// Nodes in groups that follow each other along the chains. Each group has about the same share of the
+/// variance and of the number of nodes.
+std::vector<std::vector<std::uint32_t>> strata_of(const Chains& chains,
+                                                  const std::vector<Eigen::Matrix3d>& world, double trace_m2,
+                                                  std::size_t count) {
+  const std::size_t n = world.size();
+  std::vector<std::vector<std::uint32_t>> strata(std::min(count, n));
+  double measured = 0.0;
+  for (const std::uint32_t i : chains.order) {
+    const double part = 0.5 / static_cast<double>(n) +
+                        (trace_m2 > 0.0 ? 0.5 * world[i].trace() / trace_m2 : 0.5 / static_cast<double>(n));
+    const auto stratum =
+        static_cast<std::size_t>((measured + 0.5 * part) * static_cast<double>(strata.size()));
+    strata[std::min(stratum, strata.size() - 1)].push_back(i);
+    measured += part;
+  }
+  strata.erase(std::remove_if(strata.begin(), strata.end(), [](const auto& s) { return s.empty(); }),
+               strata.end());
+  return strata;
+}
+
+/// Sets the anchors, one for each stratum, and the features of their units.
+void add_anchors(const std::vector<std::vector<std::uint32_t>>& strata, const Chains& chains,
+                 const std::vector<Eigen::Matrix3d>& world, double closure_variance, ClosureEffects& out) {
+  const auto n = static_cast<double>(world.size());
+  const auto unit_count = static_cast<Index>(3 * strata.size());
+  out.share = Eigen::VectorXd::Zero(unit_count);
+  out.units = Eigen::MatrixXd::Zero(unit_count, ClosureEffects::kUnitFeatures);
+  const double mean_variance = std::max(kHeldVariance, out.trace_m2 / (3.0 * n));
+  for (std::size_t s = 0; s < strata.size(); ++s) {
+    ClosureEffects::Anchor anchor;
+    anchor.node = strata[s][strata[s].size() / 2];
+    anchor.chain = chains.chain[anchor.node];
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(world[anchor.node]);
+    anchor.axes = eigen.eigenvectors().rowwise().reverse();
+    anchor.variance = eigen.eigenvalues().reverse().cwiseMax(0.0);
+    for (Index a = 0; a < 3; ++a) {
+      const Index u = static_cast<Index>(3 * s) + a;
+      for (const std::uint32_t i : strata[s])
+        out.share[u] += anchor.axes.col(a).dot(world[i] * anchor.axes.col(a));
+      const double v = std::max(kHeldVariance, anchor.variance[a]);
+      out.units.row(u) << std::log(v / closure_variance), std::log(v / mean_variance), a == 0 ? 1.0 : 0.0,
+          a == 1 ? 1.0 : 0.0, std::log(n);
+    }
+    out.anchors.push_back(anchor);
+  }
+  if (out.trace_m2 > 0.0) out.share /= out.trace_m2;
+}
+
+/// Sets where the ends of a candidate lie along the chains, as seen from each anchor.
+void add_places(const detail::ClosureTerm& term, Index column, const Chains& chains,
+                const std::vector<Eigen::Matrix3d>& world, double closure_variance, ClosureEffects& out) {
+  for (std::size_t a = 0; a < out.anchors.size(); ++a) {
+    const std::size_t node = out.anchors[a].node;
+    const auto row = static_cast<Index>(a);
+    const double known = std::min(world[term.from].trace(), world[term.to].trace()) / 3.0;
+    out.reference(row, column) = static_cast<float>(
+        std::log((known + closure_variance) / (world[node].trace() / 3.0 + closure_variance)));
+    int before = 0, after = 0;
+    std::uint32_t nearest = UINT32_MAX, farthest = 0;
+    for (const std::uint32_t end : {term.from, term.to}) {
+      if (chains.chain[end] != chains.chain[node]) continue;
+      const std::uint32_t at = chains.position[end], here = chains.position[node];
+      ++(at <= here ? before : after);
+      const std::uint32_t gap = at < here ? here - at : at - here;
+      nearest = std::min(nearest, gap);
+      farthest = std::max(farthest, gap);
+    }
+    if (before + after == 0) continue;
+    out.side(row, column) = before > 0 && after > 0 ? ClosureEffects::kAround
+                            : before > 0            ? ClosureEffects::kBefore
+                                                    : ClosureEffects::kAfter;
+    out.gap(row, column) = static_cast<float>(std::log1p(static_cast<double>(nearest)));
+    if (before + after == 2)
+      out.far(row, column) = static_cast<float>(std::log1p(static_cast<double>(farthest)));
+  }
+}
+
+/// Sets the gain of candidate `c` and the logarithms by which it reduces the variances of the units.
+/// \param x room for the columns of the factor
+void add_gain(const detail::ClosureSet& closures, const detail::ClosureFactor& factor, std::size_t c,
+              const PoseGraph& graph, std::vector<double>& x, ClosureEffects& out) {
+  const detail::ClosureTerm* term = &closures.terms[c];
+  const auto column = static_cast<Index>(c);
+  factor.closure_columns<6>(&term, x);
+  Eigen::Matrix<double, 6, 6, Eigen::RowMajor> raw;
+  factor.apply<6>(*term, x, raw.data());
+  const Matrix6d W = closures.whitener(c);
+  Matrix6d S = W * raw * W.transpose();
+  S = 0.5 * (S + S.transpose()).eval();
+  const Eigen::LLT<Matrix6d> cholesky(Matrix6d::Identity() + S);
+  const Matrix6d M = W * Matrix6d(detail::counted_gram<6>(x, TraceKind::kTranslation)) * W.transpose();
+  out.gain[column] = cholesky.solve(M).trace() / out.trace_m2;
+  for (std::size_t a = 0; a < out.anchors.size(); ++a) {
+    const ClosureEffects::Anchor& anchor = out.anchors[a];
+    const double* rows = factor.rows_of(x, anchor.node, 6);
+    if (rows == nullptr) continue;
+    const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> block(rows);
+    const Eigen::Matrix<double, 3, 6> y = anchor.axes.transpose() * graph.nodes()[anchor.node].pose.linear() *
+                                          block.topRows<3>() * W.transpose();
+    for (Index k = 0; k < 3; ++k) {
+      if (anchor.variance[k] <= kHeldVariance) continue;
+      const Vector6d column_of = y.row(k).transpose();
+      const double left = 1.0 - column_of.dot(cholesky.solve(column_of)) / anchor.variance[k];
+      const double log_reduction =
+          -std::log(std::clamp(left, std::exp(-ClosureEffects::kMaxLogReduction), 1.0));
+      out.log_reduction(static_cast<Index>(3 * a) + k, column) = static_cast<float>(log_reduction);
+    }
+  }
+}
+
 }  // namespace
 
 Eigen::MatrixXd ClosureEffects::edge_features(Index candidate) const {
@@ -88,50 +199,13 @@ ClosureEffects closure_effects(const PoseGraph& graph, const std::vector<LoopCan
     world[i] = world_covariance(graph.nodes()[i], covariances[i]);
     out.trace_m2 += world[i].trace();
   }
-
   const Chains chains(graph);
-  std::vector<std::vector<std::uint32_t>> strata(std::min(count, n));
-  double measured = 0.0;
-  for (const std::uint32_t i : chains.order) {
-    const double part =
-        0.5 / static_cast<double>(n) +
-        (out.trace_m2 > 0.0 ? 0.5 * world[i].trace() / out.trace_m2 : 0.5 / static_cast<double>(n));
-    const auto stratum =
-        static_cast<std::size_t>((measured + 0.5 * part) * static_cast<double>(strata.size()));
-    strata[std::min(stratum, strata.size() - 1)].push_back(i);
-    measured += part;
-  }
-  strata.erase(std::remove_if(strata.begin(), strata.end(), [](const auto& s) { return s.empty(); }),
-               strata.end());
-
-  const auto unit_count = static_cast<Index>(3 * strata.size());
-  out.share = Eigen::VectorXd::Zero(unit_count);
-  out.units = Eigen::MatrixXd::Zero(unit_count, ClosureEffects::kUnitFeatures);
-  const double mean_variance = std::max(kHeldVariance, out.trace_m2 / (3.0 * static_cast<double>(n)));
   const double closure_variance = model.covariance.topLeftCorner<3, 3>().trace() / 3.0;
-  for (std::size_t s = 0; s < strata.size(); ++s) {
-    ClosureEffects::Anchor anchor;
-    anchor.node = strata[s][strata[s].size() / 2];
-    anchor.chain = chains.chain[anchor.node];
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(world[anchor.node]);
-    anchor.axes = eigen.eigenvectors().rowwise().reverse();
-    anchor.variance = eigen.eigenvalues().reverse().cwiseMax(0.0);
-    for (Index a = 0; a < 3; ++a) {
-      const Index u = static_cast<Index>(3 * s) + a;
-      for (const std::uint32_t i : strata[s]) {
-        out.share[u] += anchor.axes.col(a).dot(world[i] * anchor.axes.col(a));
-      }
-      const double v = std::max(kHeldVariance, anchor.variance[a]);
-      out.units.row(u) << std::log(v / closure_variance), std::log(v / mean_variance), a == 0 ? 1.0 : 0.0,
-          a == 1 ? 1.0 : 0.0, std::log(static_cast<double>(n));
-    }
-    out.anchors.push_back(anchor);
-  }
-  if (out.trace_m2 > 0.0) out.share /= out.trace_m2;
+  add_anchors(strata_of(chains, world, out.trace_m2, count), chains, world, closure_variance, out);
 
   const auto L = static_cast<Index>(candidates.size());
-  const auto A = static_cast<Index>(strata.size());
-  out.log_reduction = Eigen::MatrixXf::Zero(unit_count, L);
+  const auto A = static_cast<Index>(out.anchors.size());
+  out.log_reduction = Eigen::MatrixXf::Zero(3 * A, L);
   out.gap = Eigen::MatrixXf::Zero(A, L);
   out.far = Eigen::MatrixXf::Zero(A, L);
   out.reference = Eigen::MatrixXf::Zero(A, L);
@@ -143,60 +217,8 @@ ClosureEffects closure_effects(const PoseGraph& graph, const std::vector<LoopCan
   pool.for_each((candidates.size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
     std::vector<double> x;
     for (std::size_t c = chunk * kChunk; c < std::min(candidates.size(), (chunk + 1) * kChunk); ++c) {
-      const auto column = static_cast<Index>(c);
-      const detail::ClosureTerm* term = &closures.terms[c];
-      for (std::size_t a = 0; a < strata.size(); ++a) {
-        const std::size_t node = out.anchors[a].node;
-        const auto row = static_cast<Index>(a);
-        const double known = std::min(world[term->from].trace(), world[term->to].trace()) / 3.0;
-        out.reference(row, column) = static_cast<float>(
-            std::log((known + closure_variance) / (world[node].trace() / 3.0 + closure_variance)));
-        int before = 0, after = 0;
-        std::uint32_t nearest = UINT32_MAX, farthest = 0;
-        for (const std::uint32_t end : {term->from, term->to}) {
-          if (chains.chain[end] != chains.chain[node]) continue;
-          const std::uint32_t at = chains.position[end], here = chains.position[node];
-          ++(at <= here ? before : after);
-          const std::uint32_t gap = at < here ? here - at : at - here;
-          nearest = std::min(nearest, gap);
-          farthest = std::max(farthest, gap);
-        }
-        if (before + after == 0) continue;
-        out.side(row, column) = before > 0 && after > 0 ? ClosureEffects::kAround
-                                : before > 0            ? ClosureEffects::kBefore
-                                                        : ClosureEffects::kAfter;
-        out.gap(row, column) = static_cast<float>(std::log1p(static_cast<double>(nearest)));
-        if (before + after == 2) {
-          out.far(row, column) = static_cast<float>(std::log1p(static_cast<double>(farthest)));
-        }
-      }
-      if (closures.terms.inert(c) || !(out.trace_m2 > 0.0)) continue;
-      factor.closure_columns<6>(&term, x);
-      Eigen::Matrix<double, 6, 6, Eigen::RowMajor> raw;
-      factor.apply<6>(*term, x, raw.data());
-      const Matrix6d W = closures.whitener(c);
-      Matrix6d S = W * raw * W.transpose();
-      S = 0.5 * (S + S.transpose()).eval();
-      const Eigen::LLT<Matrix6d> cholesky(Matrix6d::Identity() + S);
-      const Matrix6d M = W * Matrix6d(detail::counted_gram<6>(x, TraceKind::kTranslation)) * W.transpose();
-      out.gain[column] = cholesky.solve(M).trace() / out.trace_m2;
-      for (std::size_t a = 0; a < strata.size(); ++a) {
-        const ClosureEffects::Anchor& anchor = out.anchors[a];
-        const double* rows = factor.rows_of(x, anchor.node, 6);
-        if (rows == nullptr) continue;
-        const Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>> block(rows);
-        const Eigen::Matrix<double, 3, 6> y = anchor.axes.transpose() *
-                                              graph.nodes()[anchor.node].pose.linear() * block.topRows<3>() *
-                                              W.transpose();
-        for (Index k = 0; k < 3; ++k) {
-          if (anchor.variance[k] <= kHeldVariance) continue;
-          const Vector6d column_of = y.row(k).transpose();
-          const double left = 1.0 - column_of.dot(cholesky.solve(column_of)) / anchor.variance[k];
-          const double log_reduction =
-              -std::log(std::clamp(left, std::exp(-ClosureEffects::kMaxLogReduction), 1.0));
-          out.log_reduction(static_cast<Index>(3 * a) + k, column) = static_cast<float>(log_reduction);
-        }
-      }
+      add_places(closures.terms[c], static_cast<Index>(c), chains, world, closure_variance, out);
+      if (!closures.terms.inert(c) && out.trace_m2 > 0.0) add_gain(closures, factor, c, graph, x, out);
     }
   });
   for (std::size_t c = 0; c < candidates.size(); ++c) out.connecting[c] = closures.terms.connecting(c);

@@ -81,6 +81,77 @@ bool similar(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, double tole
   return (a.translation() - b.translation()).norm() < tolerance_m && cosine > 0.9986;  // 3 degrees
 }
 
+Columns columns_of(const std::vector<Match>& matches) {
+  Columns m(static_cast<Eigen::Index>(matches.size()), 12);
+  for (std::size_t i = 0; i < matches.size(); ++i) {
+    m.row(static_cast<Eigen::Index>(i)) << matches[i].source.transpose(), matches[i].target.transpose(),
+        matches[i].source_normal.transpose(), matches[i].target_normal.transpose();
+  }
+  return m;
+}
+
+/// Which matches are compatible with each other, see find_consensus().
+BitMatrix compatibility(const Columns& m, float tolerance_m) {
+  BitMatrix compatible(static_cast<std::size_t>(m.rows()));
+  Eigen::ArrayXf source_m(m.rows()), target_m(m.rows()), turn(m.rows());
+  for (Eigen::Index i = 0; i + 1 < m.rows(); ++i) {
+    const Eigen::Index rest = m.rows() - i - 1;
+    const auto others = [&](Eigen::Index column) { return m.col(column).tail(rest); };
+    source_m.tail(rest) =
+        (others(0) - m(i, 0)).square() + (others(1) - m(i, 1)).square() + (others(2) - m(i, 2)).square();
+    target_m.tail(rest) =
+        (others(3) - m(i, 3)).square() + (others(4) - m(i, 4)).square() + (others(5) - m(i, 5)).square();
+    turn.tail(rest) = others(6) * m(i, 6) + others(7) * m(i, 7) + others(8) * m(i, 8) - others(9) * m(i, 9) -
+                      others(10) * m(i, 10) - others(11) * m(i, 11);
+    source_m.tail(rest) = source_m.tail(rest).sqrt();
+    target_m.tail(rest) = target_m.tail(rest).sqrt();
+    for (Eigen::Index j = i + 1; j < m.rows(); ++j) {
+      const float a = source_m[j], b = target_m[j];
+      if (std::abs(a - b) > tolerance_m || std::max(a, b) < 2.0F * tolerance_m) continue;
+      if (std::abs(turn[j]) > kNormalTolerance) continue;
+      compatible.set(static_cast<std::size_t>(i), static_cast<std::size_t>(j));
+      compatible.set(static_cast<std::size_t>(j), static_cast<std::size_t>(i));
+    }
+  }
+  return compatible;
+}
+
+/// Twice the number of triangles at each match: the sum over its compatible matches of those that are
+/// compatible with both.
+std::vector<std::uint64_t> count_triangles(const BitMatrix& compatible, std::size_t n) {
+  std::vector<std::uint64_t> triangles(n, 0);
+  for (std::size_t i = 0; i < n; ++i) {
+    for (std::size_t j = i + 1; j < n; ++j) {
+      if (!compatible.get(i, j)) continue;
+      const std::uint32_t shared = common(compatible, i, j);
+      triangles[i] += shared;
+      triangles[j] += shared;
+    }
+  }
+  return triangles;
+}
+
+/// A clique that is built greedily from the seed's best partners.
+std::vector<std::size_t> clique_of(const BitMatrix& compatible, std::size_t n, std::size_t seed) {
+  constexpr std::size_t kLargest = 20;
+  std::vector<std::pair<std::uint32_t, std::size_t>> partners;
+  for (std::size_t j = 0; j < n; ++j) {
+    if (compatible.get(seed, j)) partners.emplace_back(common(compatible, seed, j), j);
+  }
+  std::sort(partners.begin(), partners.end(), [](const auto& a, const auto& b) {
+    return a.first != b.first ? a.first > b.first : a.second < b.second;
+  });
+  std::vector<std::size_t> clique{seed};
+  for (const auto& [shared, j] : partners) {
+    if (shared == 0 || clique.size() == kLargest) break;
+    if (std::all_of(clique.begin(), clique.end(),
+                    [&, k = j](std::size_t i) { return compatible.get(i, k); })) {
+      clique.push_back(j);
+    }
+  }
+  return clique;
+}
+
 }  // namespace
 
 Eigen::Isometry3d fit_rigid(const std::vector<Match>& matches, const std::vector<std::size_t>& chosen) {
@@ -112,44 +183,9 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
   Consensus consensus;
   std::vector<Hypothesis>& hypotheses = consensus.hypotheses;
   if (n < 3 || count == 0) return consensus;
-  BitMatrix compatible(n);
-  const auto tolerance = static_cast<float>(tolerance_m);
-  Columns m(static_cast<Eigen::Index>(n), 12);
-  for (std::size_t i = 0; i < n; ++i) {
-    m.row(static_cast<Eigen::Index>(i)) << matches[i].source.transpose(), matches[i].target.transpose(),
-        matches[i].source_normal.transpose(), matches[i].target_normal.transpose();
-  }
-  Eigen::ArrayXf source_m(m.rows()), target_m(m.rows()), turn(m.rows());
-  for (Eigen::Index i = 0; i + 1 < m.rows(); ++i) {
-    const Eigen::Index rest = m.rows() - i - 1;
-    const auto others = [&](Eigen::Index column) { return m.col(column).tail(rest); };
-    source_m.tail(rest) =
-        (others(0) - m(i, 0)).square() + (others(1) - m(i, 1)).square() + (others(2) - m(i, 2)).square();
-    target_m.tail(rest) =
-        (others(3) - m(i, 3)).square() + (others(4) - m(i, 4)).square() + (others(5) - m(i, 5)).square();
-    turn.tail(rest) = others(6) * m(i, 6) + others(7) * m(i, 7) + others(8) * m(i, 8) - others(9) * m(i, 9) -
-                      others(10) * m(i, 10) - others(11) * m(i, 11);
-    source_m.tail(rest) = source_m.tail(rest).sqrt();
-    target_m.tail(rest) = target_m.tail(rest).sqrt();
-    for (Eigen::Index j = i + 1; j < m.rows(); ++j) {
-      const float a = source_m[j], b = target_m[j];
-      if (std::abs(a - b) > tolerance || std::max(a, b) < 2.0F * tolerance) continue;
-      if (std::abs(turn[j]) > kNormalTolerance) continue;
-      compatible.set(static_cast<std::size_t>(i), static_cast<std::size_t>(j));
-      compatible.set(static_cast<std::size_t>(j), static_cast<std::size_t>(i));
-    }
-  }
-  // Twice the number of triangles at i: the sum over compatible j of the matches that are compatible with
-  // both.
-  std::vector<std::uint64_t> triangles(n, 0);
-  for (std::size_t i = 0; i < n; ++i) {
-    for (std::size_t j = i + 1; j < n; ++j) {
-      if (!compatible.get(i, j)) continue;
-      const std::uint32_t shared = common(compatible, i, j);
-      triangles[i] += shared;
-      triangles[j] += shared;
-    }
-  }
+  const Columns m = columns_of(matches);
+  const BitMatrix compatible = compatibility(m, static_cast<float>(tolerance_m));
+  const std::vector<std::uint64_t> triangles = count_triangles(compatible, n);
   std::vector<std::size_t> order(n);
   std::iota(order.begin(), order.end(), 0);
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
@@ -157,35 +193,20 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
   });
 
   std::vector<char> covered(n, 0);
-  std::vector<std::pair<std::uint32_t, std::size_t>> partners;
+  Eigen::ArrayXf sq_distances;
   const std::size_t max_seeds = 5 * count;
   std::size_t seeds = 0;
   for (const std::size_t seed : order) {
     if (seeds == max_seeds || triangles[seed] == 0) break;
     if (covered[seed]) continue;
     ++seeds;
-    partners.clear();
-    for (std::size_t j = 0; j < n; ++j) {
-      if (compatible.get(seed, j)) partners.emplace_back(common(compatible, seed, j), j);
-    }
-    std::sort(partners.begin(), partners.end(), [](const auto& a, const auto& b) {
-      return a.first != b.first ? a.first > b.first : a.second < b.second;
-    });
-    // Builds a clique greedily from the seed's best partners.
-    std::vector<std::size_t> clique{seed};
-    for (const auto& [shared, j] : partners) {
-      if (shared == 0 || clique.size() == 20) break;
-      if (std::all_of(clique.begin(), clique.end(),
-                      [&, k = j](std::size_t i) { return compatible.get(i, k); })) {
-        clique.push_back(j);
-      }
-    }
+    const std::vector<std::size_t> clique = clique_of(compatible, n, seed);
     if (clique.size() < 3) continue;
     Eigen::Isometry3d T = fit_rigid(matches, clique);
-    std::vector<std::size_t> inliers = inliers_of(matches, m, T, 1.5 * tolerance_m, turn);
+    std::vector<std::size_t> inliers = inliers_of(matches, m, T, 1.5 * tolerance_m, sq_distances);
     for (int pass = 0; pass < 2 && inliers.size() >= 3; ++pass) {
       T = fit_rigid(matches, inliers);
-      inliers = inliers_of(matches, m, T, tolerance_m, turn);
+      inliers = inliers_of(matches, m, T, tolerance_m, sq_distances);
     }
     for (const std::size_t i : inliers) covered[i] = 1;
     if (inliers.size() < 3 || !T.matrix().allFinite()) continue;

@@ -32,6 +32,59 @@ struct Dense {
   double along;
 };
 
+/// Path along the centre lines of the legs with offsets to the side, which is smoothed afterwards, for
+/// `count` key frames and some more.
+std::vector<Dense> dense_path(const RouteGraph& routes, const std::vector<Leg>& legs, double spacing_m,
+                              std::size_t count, double phase, std::uint64_t seed) {
+  std::vector<Dense> dense;
+  double s = 0.0;
+  for (const Leg& leg : legs) {
+    const auto& p = routes.passages[leg.passage];
+    std::vector<Eigen::Vector3d> path = p.path;
+    if (!leg.forward) std::reverse(path.begin(), path.end());
+    double along = 0.0;
+    for (std::size_t i = 1; i < path.size(); ++i) {
+      const Eigen::Vector3d d = path[i] - path[i - 1];
+      const double length = d.norm();
+      const int steps = std::max(1, static_cast<int>(std::lround(length / kStep)));
+      const Eigen::Vector2d flat = d.head<2>().normalized();
+      for (int k = 0; k < steps; ++k) {
+        const double t = static_cast<double>(k) / steps;
+        Dense point;
+        point.position = path[i - 1] + t * d;
+        point.left = {-flat.y(), flat.x()};
+        // The offset shrinks towards both ends of a passage, so that consecutive passages join.
+        point.half_width = std::min(
+            p.half_width_m, 0.15 + 0.5 * std::min(along + t * length, p.length_m - along - t * length));
+        point.passage = leg.passage;
+        point.along = leg.forward ? along + t * length : p.length_m - along - t * length;
+        const double wander =
+            kWanderShare * gradient_noise(Eigen::Vector3d(phase + s / kWanderLength, 0.5, 0.5), seed);
+        point.position.head<2>() +=
+            std::clamp(wander, -1.0, 1.0) * std::max(0.0, point.half_width) * point.left;
+        dense.push_back(point);
+        s += length / steps;
+      }
+      along += length;
+    }
+    if (s > 1.3 * spacing_m * static_cast<double>(count) + 20.0) break;
+  }
+  return dense;
+}
+
+/// Means over a window of kSmooth, which shrinks towards both ends.
+std::vector<Eigen::Vector3d> smoothed(const std::vector<Dense>& dense) {
+  const auto window = static_cast<std::size_t>(kSmooth / kStep);
+  std::vector<Eigen::Vector3d> smooth(dense.size());
+  std::vector<Eigen::Vector3d> sums(dense.size() + 1, Eigen::Vector3d::Zero());
+  for (std::size_t i = 0; i < dense.size(); ++i) sums[i + 1] = sums[i] + dense[i].position;
+  for (std::size_t i = 0; i < dense.size(); ++i) {
+    const std::size_t reach = std::min({window, i, dense.size() - 1 - i});
+    smooth[i] = (sums[i + reach + 1] - sums[i - reach]) / static_cast<double>(2 * reach + 1);
+  }
+  return smooth;
+}
+
 }  // namespace
 
 Distances::Distances(const RouteGraph& routes)
@@ -164,50 +217,8 @@ std::vector<Waypoint> drive(const RouteGraph& routes, const std::vector<Leg>& le
                             std::size_t count, std::uint64_t seed) {
   Rng rng(seed);
   const double phase = rng.uniform(0.0, 1000.0);
-
-  // Dense path: the centre line with offsets to the side, which is smoothed afterwards.
-  std::vector<Dense> dense;
-  double s = 0.0;
-  for (const Leg& leg : legs) {
-    const auto& p = routes.passages[leg.passage];
-    std::vector<Eigen::Vector3d> path = p.path;
-    if (!leg.forward) std::reverse(path.begin(), path.end());
-    double along = 0.0;
-    for (std::size_t i = 1; i < path.size(); ++i) {
-      const Eigen::Vector3d d = path[i] - path[i - 1];
-      const double length = d.norm();
-      const int steps = std::max(1, static_cast<int>(std::lround(length / kStep)));
-      const Eigen::Vector2d flat = d.head<2>().normalized();
-      for (int k = 0; k < steps; ++k) {
-        const double t = static_cast<double>(k) / steps;
-        Dense point;
-        point.position = path[i - 1] + t * d;
-        point.left = {-flat.y(), flat.x()};
-        // The offset shrinks towards both ends of a passage, so that consecutive passages join.
-        point.half_width = std::min(
-            p.half_width_m, 0.15 + 0.5 * std::min(along + t * length, p.length_m - along - t * length));
-        point.passage = leg.passage;
-        point.along = leg.forward ? along + t * length : p.length_m - along - t * length;
-        const double wander =
-            kWanderShare * gradient_noise(Eigen::Vector3d(phase + s / kWanderLength, 0.5, 0.5), seed);
-        point.position.head<2>() +=
-            std::clamp(wander, -1.0, 1.0) * std::max(0.0, point.half_width) * point.left;
-        dense.push_back(point);
-        s += length / steps;
-      }
-      along += length;
-    }
-    if (s > 1.3 * spacing_m * static_cast<double>(count) + 20.0) break;
-  }
-
-  const auto window = static_cast<std::size_t>(kSmooth / kStep);
-  std::vector<Eigen::Vector3d> smooth(dense.size());
-  std::vector<Eigen::Vector3d> sums(dense.size() + 1, Eigen::Vector3d::Zero());
-  for (std::size_t i = 0; i < dense.size(); ++i) sums[i + 1] = sums[i] + dense[i].position;
-  for (std::size_t i = 0; i < dense.size(); ++i) {
-    const std::size_t reach = std::min({window, i, dense.size() - 1 - i});
-    smooth[i] = (sums[i + reach + 1] - sums[i - reach]) / static_cast<double>(2 * reach + 1);
-  }
+  const std::vector<Dense> dense = dense_path(routes, legs, spacing_m, count, phase, seed);
+  const std::vector<Eigen::Vector3d> smooth = smoothed(dense);
 
   std::vector<Waypoint> result;
   const double speed = platform.speed_mps * rng.uniform(0.9, 1.1);
