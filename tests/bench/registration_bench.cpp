@@ -9,6 +9,8 @@
 ///     scans of two places: to be rejected
 ///   loopwise_registration_bench gicp DATA/kitti_pair [STARTS]
 ///     the refinement alone, 0.25 m voxels
+///   loopwise_registration_bench distance FOLDER [PAIRS [PCL_EVERY]]
+///     pairs of any folder of scans with poses, by their distance
 ///   loopwise_registration_bench symmetric all|KIND [COUNT [SEED]]
 ///     FastRegistrar alone in generated rooms that repeat
 /// PCL: 0.5 m voxels, normals of 10 neighbours, FPFH of 2 m over all points or Harris key points, whichever
@@ -37,6 +39,7 @@
 
 #include "gicp.hpp"
 #include "normal_bins.hpp"
+#include "registration_distance.hpp"
 #include "registration_pcl.hpp"
 #include "registration_symmetric.hpp"
 
@@ -363,11 +366,14 @@ int main(int argc, char** argv) {
   if (is("session")) return session(argv[2], number(10)), 0;
   if (is("foreign")) return foreign(argv[2]), 0;
   if (is("gicp")) return gicp(argv[2], number(20)), 0;
+  if (is("distance"))
+    return distance(argv[2], number(100), argc > 4 ? std::strtoull(argv[4], nullptr, 10) : 10), 0;
   if (is("symmetric")) {
     return symmetric(argv[2], number(60), argc > 4 ? std::strtoull(argv[4], nullptr, 10) : 1), 0;
   }
   std::printf(
-      "loopwise_registration_bench kitti|session|gicp FOLDER [COUNT] | foreign DATA | symmetric all|KIND "
+      "loopwise_registration_bench kitti|session|gicp FOLDER [COUNT] | foreign DATA | distance FOLDER [PAIRS "
+      "[PCL_EVERY]] | symmetric all|KIND "
       "[COUNT [SEED]]\n");
   return 2;
 }
