@@ -60,7 +60,8 @@ void remove_former(const fs::path& file) {
 }
 
 void remove_former_results(const fs::path& folder) {
-  for (const char* name : {"summary.json", "map.pcd", "map.ply", "picture.svg"}) remove_former(folder / name);
+  for (const char* name : {"summary.json", "odometry.csv", "map.pcd", "map.ply", "picture.svg"})
+    remove_former(folder / name);
   for (const fs::path& file : former_trajectories(folder)) remove_former(folder / file);
 }
 

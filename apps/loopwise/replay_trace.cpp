@@ -63,6 +63,8 @@ int run_trace(const ReplayCommand& options) {
   refuse_recording(folder, sources);
   prepare_output_folder(folder, options.overwrite, "; --overwrite replaces it");
   remove_former_results(folder);
+  for (const char* name : {"journal.jsonl", "outcomes.jsonl"})
+    remove_former(folder / name);  // it has neither
   ReplayHooks hooks;
   RunHistory history(mission);
   hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };

@@ -571,6 +571,17 @@ TEST_CASE("replay: the folder of a run on a real clock has the same files", "[ap
       REQUIRE(testing::read_text(repeated / file) == testing::read_text(out / file));
     }
   }
+  // What it does not write would be taken for its results.
+  const fs::path alone = folder / "alone";
+  const std::vector<std::string> former = {"map.ply",      "map.pcd",       "picture.svg",
+                                           "odometry.csv", "journal.jsonl", "outcomes.jsonl"};
+  for (const std::string& file : former) testing::write_text(alone / file, "of another run\n");
+  REQUIRE(run_program({"replay", "--trace", trace, "-o", alone.string(), "--overwrite", "--quiet"}).status ==
+          kDone);
+  for (const std::string& file : former) {
+    CAPTURE(file);
+    REQUIRE_FALSE(fs::exists(alone / file));
+  }
   require_failure({"replay", "--trace", trace, "-o", out.string(), "--method", "obs"}, kBadUsage, "--method");
   require_failure({"replay", "--trace", (folder / "none").string(), "-o", (folder / "x").string()}, kBadInput,
                   "none");
