@@ -40,6 +40,16 @@ std::string trajectories_hold(MissionFormat format, const Problems& left_out) {
          (others.empty() ? "" : "; the mission also has: " + others);
 }
 
+MissionFormat format_of(const std::string& word) {
+  if (word == "glim") {
+    throw OptionError(
+        "--to glim: GLIM takes poses and graph of a map from values.bin and graph.bin, archives of GTSAM and "
+        "Boost that only a program linked to them can write. Write the poses by --to tum, and the map by "
+        "'loopwise replay MISSION -o DIR --map-ply'");
+  }
+  return parse_enum<MissionFormat>("--to", word);
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -49,7 +59,7 @@ int run(const Options& options) {
   if (options.start_together) config.mission.start_together = true;
   apply_bin_layout(options.bin_layout, config);
   if (config.mission.frames != "auto") config.mission.scan_cache_mb = 0.0;  // each scan is used once
-  const auto format = parse_enum<MissionFormat>("--to", options.to);
+  const MissionFormat format = format_of(options.to);
   ConvertOptions convert;
   convert.encoding = parse_enum<PcdEncoding>("--encoding", options.encoding);
   convert.threads = thread_count(options.common);

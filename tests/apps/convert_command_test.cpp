@@ -100,6 +100,8 @@ TEST_CASE("convert: bad usage is 2, bad input 3, and neither leaves anything", "
   fails({"convert", m, "-o", m}, kBadUsage, "not empty");
   fails({"convert", m, "-o", out, "--to", "rosbag"}, kBadUsage,
         "must be one of: mission, g2o_pcd, tum, kitti");
+  fails({"convert", m, "-o", out, "--to", "glim"}, kBadUsage, "values.bin and graph.bin");
+  fails({"convert", m, "-o", out, "--to", "glim"}, kBadUsage, "Write the poses by --to tum");
   fails({"convert", m, "-o", out, "--encoding", "zip"}, kBadUsage, "--encoding");
   fails({"convert", m, "-o", out, "--frames", "f.csv"}, kBadUsage, "one is given");
   fails({"info", m, m, "--frames", "auto"}, kBadUsage, "frames = \"auto\"");
