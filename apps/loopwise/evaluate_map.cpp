@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Consistency of maps without ground truth.
-#include <algorithm>
-#include <cmath>
+#include <filesystem>
+#include <string>
 
 #include <nlohmann/json.hpp>
 
@@ -29,10 +29,6 @@ Revisits closures_of(const Mission& run) {
   return closures;
 }
 
-Json number(double value) {
-  return std::isfinite(value) ? Json(value) : Json();
-}
-
 /// Formats a number; a rounded zero has no sign.
 std::string signed_text(double value, int digits) {
   const std::string text = fixed(value, digits);
@@ -40,68 +36,58 @@ std::string signed_text(double value, int digits) {
   return is_zero ? fixed(0.0, digits) : text;
 }
 
-Json json_of(const Displacement& d) {
-  return {
-      {"mean", number(d.mean_m)}, {"median", number(d.median_m)}, {"worst_tenth", number(d.worst_tenth_m)}};
-}
-Json json_of(const NearPairs& near) {
-  return {{"pairs", near.pairs}, {"proven", near.proven}, {"median_m", number(near.median_m)}};
-}
-
-Json json_of(const MapQuality& q) {
-  const bool enough = q.enough();
-  return {{"pairs", q.pairs},
-          {"revisits", q.revisits.size()},
-          {"stretches", q.stretches},
-          {"enough_for_interval", enough},
-          {"displacement_m", {{"recording", json_of(q.before)}, {"estimate", json_of(q.after)}}},
-          {"difference_m", number(q.difference.mean_difference)},
-          {"difference_interval_95",
-           {enough ? number(q.difference.difference.low) : Json(),
-            enough ? number(q.difference.difference.high) : Json()}},
-          {"share_on_surfaces",
-           {{"recording", number(q.share_before)},
-            {"estimate", number(q.share_after)},
-            {"registered", number(q.share_registered)}}},
-          {"near_by_estimate", json_of(q.near)},
-          {"near_by_estimate_between_robots", json_of(q.near_between_robots)}};
-}
-
 std::string line_of(const char* what, const Displacement& d) {
   return std::string(what) + fixed(d.mean_m, 3) + " m in the mean, median " + fixed(d.median_m, 3) +
          ", worst tenth above " + fixed(d.worst_tenth_m, 3) + "\n";
 }
 
-std::string text_of(const MapQuality& q) {
-  std::string text = "revisits     " + std::to_string(q.revisits.size()) + " of " + std::to_string(q.pairs) +
-                     " pairs of nodes, proven by registration, at " + std::to_string(q.stretches) +
-                     " pairs of stretches of path\ndisplacement of the poses from the registrations:\n";
-  text += line_of("  recording  ", q.before) + line_of("  estimate   ", q.after);
-  text += "difference   " + signed_text(q.difference.mean_difference, 3) + " m";
+/// Mean and, if it is known, the interval of a difference.
+std::string difference_text(const MapQuality& q, const PairedComparison& difference) {
+  std::string text = signed_text(difference.mean_difference, 3) + " m";
   if (q.enough()) {
-    text += ", 95 % interval " + signed_text(q.difference.difference.low, 3) + " to " +
-            signed_text(q.difference.difference.high, 3);
+    text += ", 95 % interval " + signed_text(difference.difference.low, 3) + " to " +
+            signed_text(difference.difference.high, 3);
   }
-  text += "\non surfaces  " + fixed(100.0 * q.share_before, 1) +
-          " % of points within 0.12 m of the other scan by the recording's poses, " +
-          fixed(100.0 * q.share_after, 1) + " % by the estimate's; " + fixed(100.0 * q.share_registered, 1) +
-          " % by the registrations, an upper bound\n";
+  return text;
+}
+
+std::string near_text(const MapQuality& q) {
+  if (q.near.pairs == 0) return "";
   const auto near = [](const NearPairs& n) {
     return std::to_string(n.proven) + " of " + std::to_string(n.pairs) +
            (n.proven > 0 ? ", " + fixed(n.median_m, 3) + " m off in the median" : "");
   };
-  text += "near         pairs that the estimate puts within 3 m and that are proven: " + near(q.near);
-  if (q.near_between_robots.pairs > 0) text += "; of two robots " + near(q.near_between_robots);
-  return text + "\n";
+  return "near         pairs that the estimate alone puts within 3 m and that are proven: " + near(q.near) +
+         (q.near_between_robots.pairs > 0 ? "; of two robots " + near(q.near_between_robots) : "") + "\n";
+}
+
+std::string text_of(const MapQuality& q) {
+  if (q.revisits.empty()) return "not meaningful: " + q.not_meaningful() + "\n" + near_text(q);
+  std::string text = "revisits     " + std::to_string(q.revisits.size()) + " of " + std::to_string(q.pairs) +
+                     " pairs of nodes, proven by registration, at " + std::to_string(q.stretches) +
+                     " pairs of stretches of path, on " + fixed(100.0 * q.coverage, 0) +
+                     " % of the path\ndisplacement of the poses from the registrations:\n";
+  text += line_of("  recording  ", q.before) + line_of("  estimate   ", q.after);
+  text += "difference   " + difference_text(q, q.difference) + "\n";
+  if (q.planes == 0) {
+    text += "thickness    not known: no plane has enough points of both scans\n";
+  } else {
+    text += "thickness    of surfaces that both scans saw (" + std::to_string(q.planes) +
+            " planes): " + fixed(q.thickness_before.mean_m, 3) + " m by the recording, " +
+            fixed(q.thickness_after.mean_m, 3) + " m by the estimate, " +
+            fixed(q.thickness_registered.mean_m, 3) + " m by the registrations; difference " +
+            difference_text(q, q.thickness_difference) + "\n";
+  }
+  text += "on surfaces  " + fixed(100.0 * q.share_before, 1) +
+          " % of points within 0.12 m of the other scan by the recording's poses, " +
+          fixed(100.0 * q.share_after, 1) + " % by the estimate's; " + fixed(100.0 * q.share_registered, 1) +
+          " % by the registrations, an upper bound\n";
+  return text + near_text(q);
 }
 
 /// Warns if the figures are unreliable or indicate a wrong map.
 void warn_of_weakness(const MapQuality& q, Console& console) {
-  if (!q.enough()) {
-    console.warn("revisits at " + std::to_string(q.stretches) + " pairs of stretches of path, fewer than " +
-                 std::to_string(kLeastStretches) +
-                 ": too few for a confidence interval; the figures hold for these places only");
-  }
+  if (!q.revisits.empty() && !q.enough()) console.warn("not meaningful: " + q.not_meaningful());
   // In a correct map most pairs are proven, with a median distance of centimetres.
   constexpr std::size_t kSome = 10;
   constexpr double kFewProven = 0.2, kFar_m = 1.0;
@@ -116,6 +102,40 @@ void warn_of_weakness(const MapQuality& q, Console& console) {
   } else if (is_wrong(q.near)) {
     console.warn(
         "registrations contradict the estimate at places that are visited twice: its poses may be wrong");
+  }
+}
+
+/// The recording is then not what the run began with.
+void warn_of_noise(const std::string& estimate, const std::string& recording, Console& console) {
+  if (graph_of_run(estimate).empty()) return;
+  const Json summary = read_json_file(std::filesystem::path(estimate) / "summary.json");
+  for (const char* name : {"odometry_noise_m_per_m", "odometry_noise_rad_per_m"}) {
+    const Json::json_pointer path(std::string("/options/replay/") + name);
+    if (!summary.contains(path) || !summary.at(path).is_number() || summary.at(path) == 0.0) continue;
+    console.warn("the run added noise to the odometry of " + recording +
+                 ": the recording's figures are without it");
+    return;
+  }
+}
+
+/// In the summary of a run, from which reports take it.
+void keep(const std::string& estimate, const Mission& mission, const MapQuality& quality, Console& console) {
+  if (graph_of_run(estimate).empty()) return;
+  const std::filesystem::path file = std::filesystem::path(estimate) / "summary.json";
+  try {
+    const Json summary = read_json_file(file);
+    const std::string name = summary.is_object() && summary.value("mission", Json()).is_string()
+                                 ? summary["mission"].get<std::string>()
+                                 : "";
+    if (name != mission.name) {
+      console.warn(file.string() + ": not kept there, the run is of the mission \"" + name + "\", not of \"" +
+                   mission.name + "\"");
+      return;
+    }
+    keep_map_quality(estimate, quality);
+    console.note("kept as map_quality in " + file.string() + ", for loopwise report");
+  } catch (const Error& error) {
+    console.warn(std::string("not kept for loopwise report: ") + error.what());
   }
 }
 
@@ -143,14 +163,10 @@ int evaluate_map(const CommonOptions& common, const std::string& estimate, const
                                          interrupt.token(), console.progress_callback());
   if (interrupt.interrupted()) return kInterrupted;
   console.warn(mission.scans->problems());
-  if (quality.revisits.empty()) {
-    throw InputError(
-        recording + ": of " + std::to_string(quality.pairs) +
-        " pairs of nodes that may have seen one place at different times (both with scans, 20 m of "
-        "path between them), registration proves no pair: the map cannot be judged without truth");
-  }
-  print_results(common, json_of(quality), text_of(quality));
+  print_results(common, parse_json(map_quality_json(quality), "map quality"), text_of(quality));
   warn_of_weakness(quality, console);
+  warn_of_noise(estimate, recording, console);
+  keep(estimate, mission, quality, console);
   return kDone;
 }
 

@@ -36,6 +36,8 @@ void add_ablation(CLI::App& app, Action& chosen, Transport* job) {
       "DIR gets runs.csv, ablation.json, ablation.md and ablation_timings.csv.");
   add_methods(*command, options->study.methods, "Methods, by commas (default baseline,obs,random,gi,full)");
   add_workers(*command, options->study.workers);
+  command->add_flag("--map-quality", options->study.map_quality,
+                    "Also judge each map at revisits that it was not made of, as evaluate --map does");
   add_study_arguments(*command, options->arguments);
   command->callback([options, &chosen] {
     chosen = [options] {

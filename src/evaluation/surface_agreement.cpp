@@ -7,6 +7,8 @@
 #include <cstdint>
 #include <limits>
 #include <map>
+#include <set>
+#include <utility>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/features/kd_tree.hpp>
@@ -93,6 +95,42 @@ class NearNodes {
   std::map<Cell, std::vector<std::size_t>> cells_;
 };
 
+/// Whether two nodes are near each other with enough path between them.
+bool is_revisit(const PathNode& a, const PathNode& b, const SurfaceAgreementOptions& options) {
+  const double loop = loop_m(a, b);
+  return loop >= options.apart_m && (a.position - b.position).norm() <= reach_m(options, loop);
+}
+
+/// Of the pairs that `is_wanted` accepts those in the middle of as many equal stretches as options.pairs.
+template <class IsWanted>
+Revisits drawn_pairs(const std::vector<PathNode>& nodes, const SurfaceAgreementOptions& options,
+                     IsWanted&& is_wanted) {
+  const double most_m =
+      options.drift > 0.0 ? std::max(options.reach_m, options.reach_most_m) : options.reach_m;
+  const NearNodes near(nodes, most_m);
+  std::size_t count = 0;
+  near.for_each_pair([&](const PathNode& a, const PathNode& b) { count += is_wanted(a, b) ? 1 : 0; });
+  const std::size_t wanted = std::min(count, static_cast<std::size_t>(options.pairs));
+  Revisits drawn;
+  std::size_t rank = 0;
+  near.for_each_pair([&](const PathNode& a, const PathNode& b) {
+    if (drawn.size() == wanted || !is_wanted(a, b)) return;
+    if (rank++ == (2 * drawn.size() + 1) * count / (2 * wanted)) drawn.emplace_back(a.key, b.key);
+  });
+  return drawn;
+}
+
+/// A robot and the number of a stretch of its path.
+using Stretch = std::pair<std::size_t, double>;
+
+std::map<Key, Stretch> stretches_by_key(const Mission& mission, const PosesByKey& poses, double stretch_m) {
+  if (!(stretch_m > 0.0)) throw OptionError("stretch_m = " + std::to_string(stretch_m) + ", must be > 0");
+  std::map<Key, Stretch> stretches;
+  for (const PathNode& node : path_nodes(mission, poses))
+    stretches[node.key] = {node.robot, std::floor(node.along_m / stretch_m)};
+  return stretches;
+}
+
 /// Share of a's points with a point of b near them.
 double share_on(const PointCloud& a, const KdTree& b, const Eigen::Isometry3f& T_b_a,
                 const SurfaceAgreementOptions& options) {
@@ -128,33 +166,44 @@ Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
                        const SurfaceAgreementOptions& options) {
   validate(options);
   const std::vector<PathNode> nodes = path_nodes(mission, poses);
-  const double most_m =
-      options.drift > 0.0 ? std::max(options.reach_m, options.reach_most_m) : options.reach_m;
-  const NearNodes near(nodes, most_m);
-  const auto is_revisit = [&](const PathNode& a, const PathNode& b) {
-    const double loop = loop_m(a, b);
-    return loop >= options.apart_m && (a.position - b.position).norm() <= reach_m(options, loop);
-  };
-  std::size_t count = 0;
-  near.for_each_pair([&](const PathNode& a, const PathNode& b) { count += is_revisit(a, b) ? 1 : 0; });
-  // Of all of them those in the middle of as many equal stretches as are wanted.
-  const std::size_t wanted = std::min(count, static_cast<std::size_t>(options.pairs));
-  Revisits drawn;
-  std::size_t rank = 0;
-  near.for_each_pair([&](const PathNode& a, const PathNode& b) {
-    if (drawn.size() == wanted || !is_revisit(a, b)) return;
-    if (rank++ == (2 * drawn.size() + 1) * count / (2 * wanted)) drawn.emplace_back(a.key, b.key);
+  return drawn_pairs(nodes, options,
+                     [&](const PathNode& a, const PathNode& b) { return is_revisit(a, b, options); });
+}
+
+Revisits find_new_revisits(const Mission& mission, const PosesByKey& poses,
+                           const SurfaceAgreementOptions& options, const PosesByKey& former,
+                           const SurfaceAgreementOptions& of_former) {
+  validate(options);
+  validate(of_former);
+  const std::vector<PathNode> nodes = path_nodes(mission, poses);
+  std::map<Key, PathNode> places;
+  for (const PathNode& node : path_nodes(mission, former)) places.emplace(node.key, node);
+  return drawn_pairs(nodes, options, [&](const PathNode& a, const PathNode& b) {
+    if (!is_revisit(a, b, options)) return false;
+    const auto former_a = places.find(a.key), former_b = places.find(b.key);
+    return former_a == places.end() || former_b == places.end() ||
+           !is_revisit(former_a->second, former_b->second, of_former);
   });
-  return drawn;
+}
+
+double revisited_share(const Mission& mission, const PosesByKey& poses, const Revisits& revisits,
+                       double stretch_m) {
+  const std::map<Key, Stretch> stretches = stretches_by_key(mission, poses, stretch_m);
+  std::set<Stretch> all, revisited;
+  for (const auto& [key, stretch] : stretches) all.insert(stretch);
+  for (const auto& [from, to] : revisits) {
+    for (const Key key : {from, to}) {
+      if (const auto found = stretches.find(key); found != stretches.end()) revisited.insert(found->second);
+    }
+  }
+  return all.empty() ? std::numeric_limits<double>::quiet_NaN()
+                     : static_cast<double>(revisited.size()) / static_cast<double>(all.size());
 }
 
 std::vector<std::size_t> revisit_groups(const Mission& mission, const PosesByKey& poses,
                                         const Revisits& revisits, double stretch_m) {
-  if (!(stretch_m > 0.0)) throw OptionError("stretch_m = " + std::to_string(stretch_m) + ", must be > 0");
-  std::map<Key, std::pair<std::size_t, double>> stretches;
-  for (const PathNode& node : path_nodes(mission, poses))
-    stretches[node.key] = {node.robot, std::floor(node.along_m / stretch_m)};
-  std::map<std::pair<std::pair<std::size_t, double>, std::pair<std::size_t, double>>, std::size_t> numbers;
+  const std::map<Key, Stretch> stretches = stretches_by_key(mission, poses, stretch_m);
+  std::map<std::pair<Stretch, Stretch>, std::size_t> numbers;
   std::vector<std::size_t> groups;
   for (const auto& [from, to] : revisits) {
     const auto a = stretches.find(from), b = stretches.find(to);

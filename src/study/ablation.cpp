@@ -6,6 +6,7 @@
 #include <map>
 #include <optional>
 #include <set>
+#include <string_view>
 #include <tuple>
 #include <utility>
 
@@ -37,7 +38,7 @@ double share(const Json& summary, const std::vector<std::string>& of, const std:
   return whole > 0.0 ? 100.0 * figure(summary, of) / whole : (whole == 0.0 ? 0.0 : kNan);
 }
 
-std::vector<Column> columns() {
+std::vector<Column> columns(bool with_maps) {
   const std::vector<std::string> queued{"candidates", "queued"}, computed{"candidates", "computed"};
   const auto count = [](std::string name, std::string title, std::vector<std::string> path) {
     return Column{std::move(name), std::move(title), 0,
@@ -74,6 +75,19 @@ std::vector<Column> columns() {
   all.push_back(error("ate_se3_m", "ATE aligned, m", {"ate_se3_m", "optimized"}));
   all.push_back(error("odometry_ate_m", "", {"ate_m", "odometry"}));
   all.push_back(error("odometry_ate_se3_m", "", {"ate_se3_m", "odometry"}));
+  if (!with_maps) return all;
+  all.push_back(count("map_revisits", "revisits that judge the map", {"map_quality", "revisits"}));
+  all.push_back(count("map_stretches", "pairs of stretches at which they lie", {"map_quality", "stretches"}));
+  all.push_back({"map_coverage", "path at which they lie, %", 0, [](const Json& summary) {
+                   return 100.0 * figure(summary, {"map_quality", "coverage"});
+                 }});
+  all.push_back(error("map_displacement_m", "displacement there, m",
+                      {"map_quality", "displacement_m", "estimate", "mean"}));
+  all.push_back(
+      error("odometry_map_displacement_m", "", {"map_quality", "displacement_m", "recording", "mean"}));
+  all.push_back(
+      error("map_thickness_m", "thickness of surfaces there, m", {"map_quality", "thickness_m", "estimate"}));
+  all.push_back(error("odometry_map_thickness_m", "", {"map_quality", "thickness_m", "recording"}));
   return all;
 }
 
@@ -95,8 +109,11 @@ class Figures {
       }
       // Odometry is the same in every run of a mission and seed.
       if (has_odometry || !seen.emplace(units[i].mission, replay.engine.seed).second) continue;
-      for (const char* name : {"ate_m", "ate_se3_m"}) {
-        values_[{kOdometry, name, units[i].mission}].push_back(figure(summary, {name, "odometry"}));
+      for (const Column& column : columns) {
+        constexpr std::string_view kOf = "odometry_";
+        if (column.name.rfind(kOf, 0) != 0) continue;
+        values_[{kOdometry, column.name.substr(kOf.size()), units[i].mission}].push_back(
+            column.value(summary));
       }
     }
   }
@@ -194,6 +211,23 @@ void add_world(Tables& t, const World& world) {
   t.text += "\n## " + describe(world) + "\n\n" + markdown_table(rows);
 }
 
+/// What the figures of maps are, and for how many runs they say nothing.
+std::string map_text(const std::vector<UnitResult>& results) {
+  const auto weak = std::count_if(results.begin(), results.end(), [](const UnitResult& result) {
+    const Json quality = result.summary.value("map_quality", Json());
+    return !quality.is_object() || quality.value("not_meaningful", Json()).is_string();
+  });
+  std::string text =
+      "\nMaps are judged without the truth: displacement of the poses from registrations of revisits that "
+      "took "
+      "no part in the estimate, and thickness of the surfaces that both scans of a revisit saw.";
+  if (weak > 0) {
+    text += " Not meaningful for " + std::to_string(weak) + " of " + counted(results.size(), "run") +
+            ": their revisits are too few.";
+  }
+  return text + "\n";
+}
+
 /// All missions together.
 void add_pooled(Tables& t) {
   t.json["pooled"] = Json::object();
@@ -253,11 +287,12 @@ std::optional<StudyReport> ablation(const StudyOptions& options, const AblationO
                                     const StudyHooks& hooks) {
   std::vector<std::string> methods = canonical_methods(wanted.methods);
   Study study("ablation", options, hooks);
-  const std::vector<StudyUnit> units = units_by_method(study, methods, wanted.workers);
+  std::vector<StudyUnit> units = units_by_method(study, methods, wanted.workers);
+  for (StudyUnit& unit : units) unit.map_quality = wanted.map_quality;
   const auto results = study.run(units);
   if (!results) return std::nullopt;
 
-  const std::vector<Column> all = columns();
+  const std::vector<Column> all = columns(wanted.map_quality);
   if (std::find(methods.begin(), methods.end(), kOdometry) == methods.end()) {
     methods.insert(methods.begin(), kOdometry);
   }
@@ -278,6 +313,7 @@ std::optional<StudyReport> ablation(const StudyOptions& options, const AblationO
       frame_text(study.missions()) +
       "; true inliers are within 0.05 m and 0.05 rad of the truth. Intervals are percentile bootstraps over "
       "missions, 95 %.\n";
+  if (wanted.map_quality) t.text += map_text(*results);
   for (const World& world : t.worlds) add_world(t, world);
   add_pooled(t);
   add_reductions(t);

@@ -200,7 +200,9 @@ std::string Study::greeting(const std::vector<StudyUnit>& units) const {
   ContentHasher hasher;
   for (const StudyMission& mission : missions_)
     hasher.integer(mission.content.high).integer(mission.content.low);
-  for (const StudyUnit& unit : units) hasher.integer(unit.mission).text(config_key(unit.config));
+  for (const StudyUnit& unit : units) {
+    hasher.integer(unit.mission).text(config_key(unit.config)).integer(unit.map_quality ? 1 : 0);
+  }
   return "study " + replay_code_version() + " " + to_string(hasher.finish());
 }
 
@@ -285,7 +287,7 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
     const StudyUnit& unit = units[i];
     validate_config(unit.config);
     files.push_back(files_of(folder(), missions_[unit.mission], unit));
-    results[i] = finished(files[i], options_.keep_runs);
+    results[i] = finished(unit, files[i], options_.keep_runs);
     if (!results[i]) open.push_back(i);
   }
   if (open.size() < units.size()) {

@@ -9,6 +9,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/evaluation/given_truth.hpp>
+#include <loopwise/evaluation/map_quality.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/io/atomic_file.hpp>
@@ -82,6 +83,23 @@ Json unit_json(const StudyMission& about, const Mission& mission, const ReplayOp
                          {"parameters_sha256", about.parameters_sha256},
                          {"content", to_string(about.content)}},
                         std::move(summary), history.rows());
+}
+
+/// The map of a run against that of its odometry.
+MapQuality judge_map(const LoadedMission& loaded, const ReplayOptions& options, const ReplayResult& result,
+                     ThreadPool& pool, const StopToken& stop) {
+  PosesByKey before, after;
+  for (std::size_t i = 0; i < result.graph.nodes().size(); ++i) {
+    const Node& node = result.graph.nodes()[i];
+    before[node.key] = result.odometry[i];
+    after[node.key] = node.pose;
+  }
+  Revisits used;
+  for (const Edge& edge : result.graph.edges()) {
+    if (edge.kind == EdgeKind::kLoopClosure) used.emplace_back(edge.from, edge.to);
+  }
+  return map_quality(loaded.mission, before, after, used, options, pool, stop, {},
+                     loaded.registration.registrar.get());
 }
 
 std::string plain(std::string text) {
@@ -168,6 +186,9 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
   ReplayResult result =
       MissionReplay(loaded.mission, unit.config.replay, loaded.registration).run(one, hooks);
   if (result.interrupted) return std::nullopt;
+  std::optional<MapQuality> quality;
+  if (unit.map_quality) quality = judge_map(loaded, unit.config.replay, result, one, stop);
+  if (stop.stop_requested()) return std::nullopt;
   if (keep_run) {
     finish_log(journal, files.run / "journal.jsonl");
     const StitchedMap map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop, {},
@@ -177,8 +198,11 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
     add_scan_problems(result, *loaded.mission.scans);
     write_run_folder(files.run, loaded.mission, unit.config.replay, result,
                      evaluate_run(loaded.mission, result), history.rows(), map.cloud);
+    if (quality) keep_map_quality(files.run, *quality);
   }
   ComputedUnit computed{unit_json(about, loaded.mission, unit.config.replay, result, history), 0.0, {}};
+  if (quality)
+    computed.json["summary"]["map_quality"] = parse_json(map_quality_json(*quality), "map quality");
   for (const Problem& problem : result.problems.all()) {
     for (const char* kind : {"scan cannot be read", "neighbour's scan cannot be read", "registration failed",
                              "registration reached its time limit"}) {
@@ -200,10 +224,12 @@ UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
   return parse_unit_file(parse_json(text, name), name);
 }
 
-std::optional<UnitResult> finished(const UnitFiles& files, bool with_run) {
+std::optional<UnitResult> finished(const StudyUnit& unit, const UnitFiles& files, bool with_run) {
   if (with_run && !fs::exists(files.run / "summary.json")) return std::nullopt;
   try {
-    return parse_unit_file(read_json_file(files.result), files.result.string());
+    UnitResult result = parse_unit_file(read_json_file(files.result), files.result.string());
+    if (unit.map_quality && !result.summary.contains("map_quality")) return std::nullopt;
+    return result;
   } catch (const IoError&) {
   } catch (const InputError&) {
   }

@@ -43,6 +43,7 @@ struct StudyUnit {
   std::size_t mission = 0;  ///< Place in Study::missions().
   std::string label;        ///< For people and folders: "full", "full-w50".
   Config config;
+  bool map_quality = false;  ///< Its map is judged at revisits too.
 };
 
 /// A unit's files within the study's folder.
@@ -79,7 +80,8 @@ struct ComputedUnit {
 /// the next one computes it again.
 [[nodiscard]] UnitResult keep(const ComputedUnit& unit, const UnitFiles& files);
 
-/// What keep() wrote; nothing if it was not finished, or the file is broken.
-[[nodiscard]] std::optional<UnitResult> finished(const UnitFiles& files, bool with_run);
+/// What keep() wrote; nothing if it was not finished, lacks what the unit asks for, or the file is broken.
+[[nodiscard]] std::optional<UnitResult> finished(const StudyUnit& unit, const UnitFiles& files,
+                                                 bool with_run);
 
 }  // namespace loopwise::study

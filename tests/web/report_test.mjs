@@ -64,6 +64,22 @@ loopwise('report', inFolder('referred_run'), '-o', inFolder('referred.html'), '-
 // With the truth.
 loopwise('report', inFolder('referred_run'), '-o', inFolder('judged.html'), '--mission', inFolder('referred'), '--truth', join(sample, 'ground_truth.g2o'), '--quiet');
 
+// Maps judged without a truth, as evaluate --map keeps them: of one run, and too few revisits for another.
+const judgedMap = (name, quality) => {
+  const file = join(inFolder(name), 'summary.json');
+  writeFileSync(file, JSON.stringify({ ...JSON.parse(readFileSync(file, 'utf8')), map_quality: quality }));
+};
+const kQuality = {
+  not_meaningful: null, pairs: 400, revisits: 210, stretches: 31, coverage: 0.62, displacement_m: { recording: { mean: 3.25, median: 2.5, worst_tenth: 7.5 }, estimate: { mean: 0.125, median: 0.0625, worst_tenth: 0.25 } },
+  difference_m: -3.125, difference_interval_95: [-4.5, -1.75], thickness_m: { recording: 0.875, estimate: 0.042, registered: 0.021 }, share_on_surfaces: { recording: 0.03, estimate: 0.245, registered: 0.255 },
+};
+judgedMap('untrue_run', kQuality);
+judgedMap('referred_run', { ...kQuality, not_meaningful: 'of 7 pairs <b>no</b> registration proves one', pairs: 7, revisits: 0, coverage: 0 });
+for (const [name, mission] of [['untrue', 'untrue'], ['referred', 'referred']]) {
+  loopwise('report', inFolder(`${name}_run`), '-o', inFolder(`${name}.html`), '--mission', inFolder(mission), '--quiet');
+}
+loopwise('report', inFolder('untrue_run'), inFolder('obs'), '-o', inFolder('maps.html'), '--quiet');
+
 // Runs that differ in more than their seeds are no repetitions.
 for (const [name, ...words] of [['n1', '--seed', '1'], ['n2', '--seed', '2', '--odometry-noise', '0.05', '0.01'], ['n3', '--seed', '3', '--odometry-noise', '0.05', '0.01'], ['n4', '--seed', '4', '--workers', '3', '--odometry-noise', '0.05', '0.01']]) {
   loopwise('replay', sample, '-o', inFolder(name), '--method', 'obs', '--max-registrations', '20', '--quiet', ...words);
@@ -261,6 +277,15 @@ try {
     assert.equal('reference' in (await state(page)).layers, reference);
     assert.equal((await text(page, '#report')).includes('Difference from the session’s own optimised poses'), reference);
   }
+  page = await open('untrue.html');
+  const mapTable = await text(page, '#map-quality');
+  for (const part of ['displacement, mean3.250 m0.125 m', 'thickness of surfaces0.875 m0.042 m0.021 m', '3.0 %24.5 %25.5 %', '210 revisits on 62 % of the path', 'is -3.125 m, 95 % interval -4.500 to -1.750 m']) assert.ok(mapTable.includes(part), `no "${part}" in ${mapTable}`);
+  page = await open('referred.html');
+  const few = await text(page, '#map-quality');
+  assert.ok(few.includes('Not meaningful: of 7 pairs <b>no</b> registration proves one') && !few.includes('3.250'), few);
+  page = await open('maps.html');
+  await clean(page, 'maps.html');
+  assert.ok(/residualdisplacement/.test(await text(page, '#report')), 'a column of displacements');
   page = await open('judged.html');
   await clean(page, 'judged.html');
   assert.ok((await text(page, '.figures')).includes('Mean position error') && /\d+ are true/.test(await text(page, '.figures')));

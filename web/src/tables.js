@@ -51,6 +51,26 @@ function residuals(run) {
   ]);
 }
 
+/** The map at revisits that it was not made of: known without a truth, after `loopwise evaluate --map`. */
+function mapQuality(run) {
+  const q = run.summary.map_quality;
+  if (!q) return null;
+  const share = (v) => (isNumber(v) ? `${(100 * v).toFixed(1)} %` : '–');
+  const displacement = (name, field) => [name, metres(at(q, 'displacement_m', 'recording', field)), metres(at(q, 'displacement_m', 'estimate', field)), ''];
+  const three = (name, field, unit) => [name, unit(at(q, field, 'recording')), unit(at(q, field, 'estimate')), unit(at(q, field, 'registered'))];
+  const [low, high] = q.difference_interval_95 ?? [];
+  const notes = [
+    q.not_meaningful && h('strong', {}, `Not meaningful: ${q.not_meaningful}. `),
+    q.revisits > 0 && `${count(q.revisits)} revisits on ${isNumber(q.coverage) ? (100 * q.coverage).toFixed(0) : '–'} % of the path. `,
+    isNumber(low) && `The estimate’s mean displacement minus the recording’s is ${fixed(q.difference_m, 3)} m, 95 % interval ${fixed(low, 3)} to ${fixed(high, 3)} m. `,
+  ];
+  const rows = q.revisits > 0 ? [
+    displacement('displacement, mean', 'mean'), displacement('displacement, median', 'median'), displacement('displacement, worst tenth above', 'worst_tenth'),
+    three('thickness of surfaces', 'thickness_m', metres), three('points on the other scan’s surfaces', 'share_on_surfaces', share),
+  ] : [];
+  return h('div', { id: 'map-quality' }, table('Map at revisits that the estimate was not made of', ['', 'before', 'after', 'at best'], rows), h('p', {}, notes));
+}
+
 function reference(run) {
   const s = run.summary;
   if (!s.reference) return null;
@@ -75,6 +95,7 @@ export function comparison(data, select) {
   if (data.runs.length < 2) return null;
   const missions = new Set(data.runs.map((run) => run.problem)).size > 1;
   const judged = data.runs.some((run) => isNumber(at(run, 'summary', 'ate_m', 'optimized')));
+  const mapped = data.runs.some((run) => isNumber(at(run, 'summary', 'map_quality', 'displacement_m', 'estimate', 'mean')));
   const best = (run) => Math.min(...data.runs.filter((one) => one.problem === run.problem).map((one) => at(one, 'summary', 'ate_m', 'optimized')).filter(isNumber));
   const rows = data.runs.map((run) => {
     const { candidates: c = {}, closures: k = {} } = run.summary;
@@ -84,11 +105,12 @@ export function comparison(data, select) {
       cells: [
         h('button', { class: 'link', type: 'button', onclick: () => select(run.index) }, run.label), run.variant, ...(missions ? [run.problem] : []), String(run.summary.seed ?? '–'),
         count(c.queued), count(c.computed), percent(k.verified, c.queued), percent(k.gnc_inliers, c.queued), metres(at(run, 'summary', 'residuals', 'optimized', 'translation_m', 'median')),
+        ...(mapped ? [metres(at(run, 'summary', 'map_quality', 'displacement_m', 'estimate', 'mean'))] : []),
         ...(judged ? [percent(k.true_inliers, c.queued), metres(at(run, 'summary', 'ate_m', 'odometry')), isNumber(ate) && ate === best(run) ? h('strong', {}, metres(ate)) : metres(ate), metres(at(run, 'summary', 'ate_se3_m', 'optimized'))] : []),
       ],
     };
   });
-  return table(`Runs. Shares are of queued candidates, residuals medians of kept closures${judged ? ', errors means over all positions' : ''}`, ['run', 'method', ...(missions ? ['mission'] : []), 'seed', 'queued', 'computed', 'verified', 'GNC inliers', 'residual', ...(judged ? ['true inliers', 'odometry', 'error', 'aligned'] : [])], rows, { class: 'left2' });
+  return table(`Runs. Shares are of queued candidates, residuals medians of kept closures${mapped ? ', displacements means at revisits' : ''}${judged ? ', errors means over all positions' : ''}`, ['run', 'method', ...(missions ? ['mission'] : []), 'seed', 'queued', 'computed', 'verified', 'GNC inliers', 'residual', ...(mapped ? ['displacement'] : []), ...(judged ? ['true inliers', 'odometry', 'error', 'aligned'] : [])], rows, { class: 'left2' });
 }
 
 export function allRuns(study) {
@@ -101,7 +123,7 @@ export function allRuns(study) {
 }
 
 export function runTables(run) {
-  return [accounting(run), errors(run), residuals(run), reference(run), robots(run), reasons(run)].filter(Boolean).map((one) => h('div', { class: 'card' }, one));
+  return [accounting(run), errors(run), residuals(run), mapQuality(run), reference(run), robots(run), reasons(run)].filter(Boolean).map((one) => h('div', { class: 'card' }, one));
 }
 
 const flat = (value, path = '') =>

@@ -55,6 +55,18 @@ using Revisits = std::vector<std::pair<Key, Key>>;
 [[nodiscard]] LOOPWISE_EXPORT Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
                                                      const SurfaceAgreementOptions& options = {});
 
+/// Revisits by these poses that are no revisits by `former`: places that `poses` alone lay on each other.
+/// \throws OptionError
+[[nodiscard]] LOOPWISE_EXPORT Revisits find_new_revisits(const Mission& mission, const PosesByKey& poses,
+                                                         const SurfaceAgreementOptions& options,
+                                                         const PosesByKey& former,
+                                                         const SurfaceAgreementOptions& of_former);
+
+/// Share of the path, in stretches of `stretch_m`, that has an end of a revisit; NaN without a path.
+/// \throws OptionError
+[[nodiscard]] LOOPWISE_EXPORT double revisited_share(const Mission& mission, const PosesByKey& poses,
+                                                     const Revisits& revisits, double stretch_m = 20.0);
+
 /// Numbers the revisits by robots and by the stretches of path at their ends. Revisits of one group share the
 /// errors of the poses there and much of the scans: they are repetitions, not independent. \throws
 /// OptionError; InputError on a node without pose or scan

@@ -72,6 +72,9 @@ struct StudyReport {
 struct AblationOptions {
   std::vector<std::string> methods{"baseline", "obs", "random", "gi", "full"};  ///< Each once.
   std::optional<std::int64_t> workers;  ///< Registrations at a time; else those of the configuration.
+  /// Also judge each map at revisits that it was not made of, as map_quality() does: takes as long as up to
+  /// 500 registrations for each mission and seed.
+  bool map_quality = false;
 };
 /// Methods over missions and seeds, the paper's Table I. The file NAME_timings.csv in the folder gets the
 /// wall times of the runs, as in the studies below. \returns no result if stopped, or on ranks except the
