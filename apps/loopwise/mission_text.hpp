@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What `loopwise info` prints of a mission, as text and as JSON.
+/// The output of `loopwise info` for a mission, as text and as JSON.
 #pragma once
 
 #include <cstddef>
