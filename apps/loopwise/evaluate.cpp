@@ -183,7 +183,7 @@ int run(const Options& options) {
   std::string text = table(rows);
   if (const std::size_t all = input.estimate.poses.size(); errors.poses < all) {
     text += "\n" + std::to_string(all - errors.poses) + " of " + std::to_string(all) +
-            " poses of the estimate have no partner in the truth\n";
+            " poses of the estimate have no match in the truth\n";
   }
   text += "\nATE rmse " + fixed(errors.ate_m.rmse, 4) + " m, median " + fixed(errors.ate_m.median, 4) +
           " m (alignment: " + options.alignment + ")\nRPE per step: mean " +

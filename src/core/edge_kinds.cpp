@@ -75,7 +75,7 @@ void mark_chain(PoseGraph& graph, std::vector<std::size_t> edges, Problems& prob
       continue;
     }
     const Vector6d r = difference(edge(*contradicted), edge(e));
-    problems.add("edge that contradicts odometry taken for a loop closure",
+    problems.add("edge that contradicts the odometry, treated as a loop closure",
                  "between " + between(edge(e).from, edge(e).to) + ", " + std::to_string(r.head<3>().norm()) +
                      " m and " + std::to_string(r.tail<3>().norm()) + " rad from the odometry");
   }
@@ -168,7 +168,7 @@ Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& 
   for (const auto& [a, b] : listed) {
     for (const Key key : {a, b}) {
       if (robots.is_landmark(key))
-        throw InputError("between " + between(a, b) + " is no odometry: " + key_name(key) + " is a landmark");
+        throw InputError("no odometry between " + between(a, b) + ": " + key_name(key) + " is a landmark");
     }
   }
   if (!missing.empty()) {

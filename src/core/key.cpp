@@ -38,7 +38,7 @@ Key parse_key(std::string_view text) {
   const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), number);
   if (error != std::errc() || end != digits.data() + digits.size() || number > kLargest[letters]) {
     throw InputError("\"" + std::string(text) +
-                     "\" is not a key: expected a 64-bit number, or a letter or two and an index");
+                     "\" is not a key: expected a 64-bit number, or one or two letters and an index");
   }
   if (letters == 0) return number;
   const Key label = letters == 2 ? static_cast<unsigned char>(text[1]) : 0;

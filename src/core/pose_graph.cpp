@@ -45,7 +45,7 @@ Matrix6d kept_information(const Matrix6d& stated, bool planar) {
 
 [[noreturn]] void refuse_gravity(Key key) {
   throw InputError("gravity at " + describe(key) +
-                   ": gravity says nothing about yaw, and the graph is planar");
+                   ": gravity does not observe yaw, so a planar graph cannot use it");
 }
 
 /// Reserves space for one more value and at least doubles the capacity. Throws if memory is missing; the
@@ -75,7 +75,8 @@ void PoseGraph::require_information(const Matrix6d& information, const std::stri
   require_sound(information);
   if (!planar_) return;
   if (!planar::is_information(information)) {
-    throw InputError(what + ": information ties z, roll or pitch to x, y or yaw, but the graph is planar");
+    throw InputError(what +
+                     ": information couples z, roll or pitch with x, y or yaw, but the graph is planar");
   }
   // The stored values are checked as well: large stated values of z, roll or pitch would hide errors in the
   // rest.
@@ -167,7 +168,8 @@ std::size_t PoseGraph::add_range(const RangeFactor& range) {
   const std::string what = "range " + describe(range.from) + " to " + describe(range.to);
   if (index_of(range.from) == index_of(range.to)) throw InputError(what + ": both ends are the same node");
   if (!(range.range_m >= 0.0) || !std::isfinite(range.range_m)) {
-    throw InputError(what + ": " + std::to_string(range.range_m) + " m is no distance");
+    throw InputError(what + ": " + std::to_string(range.range_m) +
+                     " m is not a valid distance, must be >= 0");
   }
   require_sigma(range.sigma_m, what);
   ranges_.push_back(range);

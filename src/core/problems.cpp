@@ -51,7 +51,7 @@ void require_unaltered(const Problems& problems) {
   for (const Problem& problem : problems.all()) {
     if (problem.altered)
       throw InputError(to_string(problem) +
-                       ": refused, because strict reading repairs, guesses and leaves out nothing");
+                       ": refused, because strict reading allows no repair, guess or omission");
   }
 }
 

@@ -94,8 +94,9 @@ bool Robots::is_landmark(Key key) const {
 
 Robots parse_robots(std::string_view text) {
   const auto fail = [](std::string_view part) -> OptionError {
-    return OptionError("robots: cannot read \"" + std::string(part) +
-                       "\", expected FIRST-LAST, NAME=FIRST-LAST, or a letter or two, separated by commas");
+    return OptionError(
+        "robots: cannot read \"" + std::string(part) +
+        "\", expected FIRST-LAST, NAME=FIRST-LAST, or one or two letters, separated by commas");
   };
   std::vector<Robot> robots;
   while (true) {

@@ -99,7 +99,7 @@ MpiSession::MpiSession() {
   int provided = 0;
   check(MPI_Init_thread(nullptr, nullptr, MPI_THREAD_SERIALIZED, &provided), "MPI_Init_thread");
   if (provided < MPI_THREAD_SERIALIZED)
-    throw Error("MPI: this library allows calls from the main thread alone");
+    throw Error("MPI: the library allows calls only from the main thread");
   transport_ = std::make_unique<MpiTransport>();
   char name[MPI_MAX_PROCESSOR_NAME];
   int length = 0;

@@ -164,9 +164,8 @@ WorkServer::WorkServer(Transport& transport, std::string_view greeting, const Wo
     try {
       if (message->tag == kFailure) throw_failure(*message);
       if (message->tag != kGreeting || message->bytes != greeting) {
-        throw Error(
-            "rank " + std::to_string(message->from) +
-            " does not agree with rank 0: another version of the program, other options or another mission");
+        throw Error("rank " + std::to_string(message->from) +
+                    " differs from rank 0: another version of the program, other options or another mission");
       }
     } catch (const Error&) {
       failure = std::current_exception();

@@ -33,7 +33,7 @@ CandidatePool::CandidatePool(const CandidatePoolOptions& options, RoundRobinQueu
     : options_(options), queue_(std::move(queue)), robots_(std::move(robots)) {
   validate(options_);
   if (options_.redundant_m > 0.0 && robots_.empty())
-    throw OptionError("redundant_m needs to know the robots");
+    throw OptionError("redundant_m needs the list of robots");
 }
 
 std::size_t CandidatePool::add(const std::vector<LoopCandidate>& candidates) {

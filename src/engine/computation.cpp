@@ -66,7 +66,7 @@ void Engine::Impl::on(RegistrationResult& result) {
   const CandidateId id = result.candidate.id;
   const auto begun = in_computation_.find(id);
   if (begun == in_computation_.end()) {
-    throw InputError("registration " + pair_name(result.candidate) + " has a result but was not begun");
+    throw InputError("registration " + pair_name(result.candidate) + " has a result but was not started");
   }
   result.candidate = begun->second;  // a registrar may leave it empty
   in_computation_.erase(begun);

@@ -88,7 +88,7 @@ bool Engine::Impl::is_torn(const std::vector<Eigen::Isometry3d>& estimated,
 
 void Engine::Impl::on(ExternalEstimate& estimate) {
   if (options_.use_back_end)
-    throw InputError("an estimate from outside needs the option engine.use_back_end to be off");
+    throw InputError("an external estimate needs the option engine.use_back_end to be off");
   std::unordered_map<Key, Eigen::Isometry3d> named;
   for (const auto& [key, pose] : estimate.poses) {
     if (!graph_.contains(key)) continue;

@@ -21,8 +21,7 @@ class PlaceStore {
   [[nodiscard]] static const Descriptor& own(const PlaceDescriptor& place, std::string_view database) {
     const auto* mine = dynamic_cast<const Descriptor*>(&place);
     if (mine == nullptr) {
-      throw InputError("a place that another kind of database has described was given to one of kind " +
-                       std::string(database));
+      throw InputError("the place was described by another kind of database than " + std::string(database));
     }
     return *mine;
   }

@@ -147,7 +147,7 @@ ScanSignature ScanSignature::from_words(const std::vector<std::uint32_t>& words)
   ScanSignature out;
   if (words.empty()) return out;
   const auto refuse = [](bool wrong) {
-    if (wrong) throw InputError("a scan's signature is not one");
+    if (wrong) throw InputError("invalid scan signature");
   };
   constexpr std::size_t kHead = 8;
   refuse(words.size() < kHead);

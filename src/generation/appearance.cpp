@@ -97,8 +97,8 @@ std::vector<LoopCandidate> AppearanceGenerator::on_node(const PoseGraph& graph, 
     if (match.similarity < options_.min_similarity) break;  // the best come first
     const auto level = level_.find(match.key);
     if (level == level_.end()) {
-      throw InputError("place database \"" + std::string(database_->name()) + "\" has found key " +
-                       key_name(match.key) + ", which it was not given");
+      throw InputError("place database \"" + std::string(database_->name()) + "\" returned key " +
+                       key_name(match.key) + ", which was not added to it");
     }
     const PlaceMatch bodies = between_bodies(match, submap.rotation, level->second);
     auto recognition = std::make_shared<Recognition>();

@@ -29,7 +29,7 @@ std::vector<LoopCandidate> RadioGenerator::on_drop(const PoseGraph& graph, const
                                                    double time_s) {
   const auto robot = robots_.find(drop.drop_key);
   if (!robot) {
-    problems_.add("beacon dropped at no robot's node", "beacon " + drop.beacon);
+    problems_.add("beacon dropped at a node of no robot", "beacon " + drop.beacon);
     return {};
   }
   Beacon beacon;
@@ -58,7 +58,7 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
     if (robots_.find(reading.key)) {
       groups[{reading.key, reading.beacon}].push_back(reading);
     } else {
-      problems_.add("radio reading of no robot's node", "node " + key_name(reading.key));
+      problems_.add("radio reading at a node of no robot", "node " + key_name(reading.key));
     }
   }
   std::vector<Passage> heard;
@@ -109,7 +109,7 @@ std::vector<RadioGenerator::Passage> RadioGenerator::waiting_at(const std::strin
 void RadioGenerator::drop_oldest() {
   const auto oldest = waiting_by_arrival_.begin();
   const auto& [key, beacon] = oldest->second;
-  problems_.add("radio reading of a node or beacon that never came",
+  problems_.add("radio reading of a node or beacon that did not arrive",
                 "node " + key_name(key) + ", beacon " + beacon);
   waiting_nodes_.at(beacon).erase(key);
   waiting_.erase(oldest->second);

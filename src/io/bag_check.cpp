@@ -58,7 +58,7 @@ class Header {
       if (equals == std::string_view::npos || equals == 0) throw InputError("a header field without name");
       if (!fields_.emplace(std::string(field.substr(0, equals)), std::string(field.substr(equals + 1)))
                .second) {
-        throw InputError("header field " + text::quoted(field.substr(0, equals)) + " is there twice");
+        throw InputError("header field " + text::quoted(field.substr(0, equals)) + " appears twice");
       }
     }
   }
@@ -115,7 +115,8 @@ struct Stamp {
 
 Stamp stamp_of(std::string_view bytes) {
   const Stamp stamp{load<std::uint32_t>(bytes), load<std::uint32_t>(bytes.substr(4))};
-  if (stamp.nsec >= 1'000'000'000) throw InputError("a time has " + std::to_string(stamp.nsec) + " ns");
+  if (stamp.nsec >= 1'000'000'000)
+    throw InputError("a time has " + std::to_string(stamp.nsec) + " ns, must be < 10^9");
   return stamp;
 }
 
@@ -150,7 +151,7 @@ class Walk {
                    static_cast<std::size_t>(file_.size() >> 20), "MB"});
       }
     }
-    if (at_ != index_at_) fail(at_, "a chunk reaches into the index");
+    if (at_ != index_at_) fail(at_, "a chunk overlaps the index");
     read_index();
     compare();
   }
@@ -174,9 +175,9 @@ class Walk {
     std::string start;
     file_.read(0, static_cast<std::size_t>(std::min<std::uint64_t>(file_.size(), kMagic.size())), start);
     if (start.substr(0, 9) == "#ROSBAG V" && start != kMagic && start.size() == kMagic.size()) {
-      throw InputError(name_ + ": a bag of another version than 2.0: bring it up to date with 'rosbag fix'");
+      throw InputError(name_ + ": the bag's version is not 2.0: convert it with 'rosbag fix'");
     }
-    if (start != kMagic) throw InputError(name_ + ": is no ROS bag, or cut short");
+    if (start != kMagic) throw InputError(name_ + ": is not a ROS bag, or is cut short");
     const Record record = record_at(kMagic.size(), file_.size());
     at_place(record.at, [&] {
       if (record.header.op() != kFileHeader) throw InputError("the bag's header is missing");
@@ -186,12 +187,12 @@ class Walk {
       chunks_expected_ = record.header.number<std::uint32_t>("chunk_count");
     });
     if (index_at_ == 0) {
-      throw InputError(name_ + ": the bag was never closed and has no index: 'rosbag reindex' makes one");
+      throw InputError(name_ + ": the bag was never closed and has no index: 'rosbag reindex' creates one");
     }
     if (index_at_ > file_.size() || (index_at_ == file_.size() && connections_expected_ > 0)) {
       throw InputError(name_ + ": its index should begin at byte " + std::to_string(index_at_) +
                        ", the file has " + std::to_string(file_.size()) +
-                       ": it is cut short; 'rosbag reindex' makes an index of the remaining part");
+                       ": it is cut short; 'rosbag reindex' indexes the remaining part");
     }
     if (index_at_ < record.end()) fail(record.at, "the index begins within the bag's header");
     // This space is blank, so that the header can be rewritten. Nothing is read from it, but damage here
@@ -199,7 +200,7 @@ class Walk {
     std::string room;
     file_.read(record.data_at, std::min(record.data_size, kLargestHeader), room);
     if (room.find_first_not_of(' ') != std::string::npos) {
-      problems_.add("bag altered in a place that is not read",
+      problems_.add("bag altered in a part that is not read",
                     name_ + ": byte " + std::to_string(record.data_at));
     }
     at_ = record.end();
@@ -209,7 +210,7 @@ class Walk {
   [[nodiscard]] Record record_at(std::uint64_t at, std::uint64_t end) const {
     const auto room = [&](std::uint64_t from, std::uint64_t needed, const char* what) {
       if (from > end || needed > end - from) {
-        fail(at, std::string(what) + " of " + std::to_string(needed) + " bytes, " +
+        fail(at, std::string(what) + " of " + std::to_string(needed) + " bytes, but only " +
                      std::to_string(end - std::min(from, end)) +
                      " are left: the bag is cut short or damaged");
       }
@@ -257,7 +258,7 @@ class Walk {
       if (&message == &messages_.front() || last < message.stamp) last = message.stamp;
       if (!message.indexed) {
         fail(chunks_.back().at, "the message at byte " + std::to_string(message.offset) +
-                                    " of the chunk is not in the index: 'rosbag reindex' makes a new one");
+                                    " of the chunk is not in the index: 'rosbag reindex' creates a new one");
       }
     }
   }
@@ -301,7 +302,8 @@ class Walk {
   }
 
   void read_index_data(const Record& record) {
-    if (record.header.number<std::uint32_t>("ver") != 1) throw InputError("an index of another version");
+    if (record.header.number<std::uint32_t>("ver") != 1)
+      throw InputError("an index record of an unsupported version");
     const auto connection = record.header.number<std::uint32_t>("conn");
     const std::size_t count = record.header.number<std::uint32_t>("count");
     if (count * kIndexEntry != record.data_size) {
@@ -317,8 +319,8 @@ class Walk {
       // An index may not point to the connection before a message either: the library then reads the next
       // record as a message without a check for the end of the chunk.
       if (start == starts_.end()) {
-        throw InputError("the index leads to byte " + std::to_string(load<std::uint32_t>(entry.substr(8))) +
-                         " of the chunk, where no message is");
+        throw InputError("the index points to byte " + std::to_string(load<std::uint32_t>(entry.substr(8))) +
+                         " of the chunk, where there is no message");
       }
       Message& message = messages_[start->second];
       if (message.connection != connection || !(message.stamp == stamp) || message.indexed) {
@@ -346,7 +348,7 @@ class Walk {
     if (connection.topic.empty()) throw InputError("a connection without topic");
     const auto [known, is_new] = connections.emplace(id, connection);
     if (!is_new && !(known->second == connection)) {
-      throw InputError("connection " + std::to_string(id) + " is described in two ways");
+      throw InputError("connection " + std::to_string(id) + " has two different descriptions");
     }
   }
 
@@ -375,13 +377,15 @@ class Walk {
   }
 
   void read_chunk_info(const Record& record) {
-    if (record.header.op() != kChunkInfo) throw InputError("expected the place of a chunk");
-    if (record.header.number<std::uint32_t>("ver") != 1) throw InputError("a place of another version");
+    if (record.header.op() != kChunkInfo) throw InputError("expected a chunk info record");
+    if (record.header.number<std::uint32_t>("ver") != 1)
+      throw InputError("a chunk info record of an unsupported version");
     const auto place = record.header.number<std::uint64_t>("chunk_pos");
     const auto chunk = std::lower_bound(chunks_.begin(), chunks_.end(), place,
                                         [](const Chunk& c, std::uint64_t at) { return c.at < at; });
     if (chunk == chunks_.end() || chunk->at != place || chunk->listed) {
-      throw InputError("the index says that a chunk is at byte " + std::to_string(place));
+      throw InputError("the index lists a chunk at byte " + std::to_string(place) +
+                       ", where no chunk begins or which is listed already");
     }
     chunk->listed = true;
     const auto time = [&](const char* name) {
@@ -389,7 +393,7 @@ class Walk {
       return stamp_of(record.header.text(name));
     };
     if (!(time("start_time") == chunk->times.first) || !(time("end_time") == chunk->times.second)) {
-      problems_.add("bag altered in a place that is not read", name_ + ": byte " + std::to_string(record.at));
+      problems_.add("bag altered in a part that is not read", name_ + ": byte " + std::to_string(record.at));
     }
     const std::size_t count = record.header.number<std::uint32_t>("count");
     if (count * kCountEntry != record.data_size)
@@ -404,7 +408,7 @@ class Walk {
     std::sort(counted.begin(), counted.end());
     std::sort(indexed.begin(), indexed.end());
     if (counted != indexed)
-      throw InputError("the index of the chunk at byte " + std::to_string(place) + " is not whole");
+      throw InputError("the index of the chunk at byte " + std::to_string(place) + " is incomplete");
   }
 
   void compare() const {
@@ -416,7 +420,7 @@ class Walk {
       const auto listed = listed_.find(id);
       if (listed == listed_.end() || !(listed->second == connection)) {
         throw InputError(name_ + ": connection " + std::to_string(id) + " (" + connection.topic +
-                         ") is described in two ways");
+                         ") has two different descriptions");
       }
     }
     for (const auto& [id, at] : used_) {

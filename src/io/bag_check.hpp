@@ -25,7 +25,7 @@ inline constexpr std::size_t kLargestChunk = std::size_t{1} << 30;
 /// the file. Memory: one chunk, compressed and decompressed. Progress is in megabytes.
 ///
 /// `name` stands for the file in errors. Counts "message at time 0 left out" (the reader leaves it out) and
-/// "bag altered in a place that is not read" (space that is not blank, or times of a chunk that differ from
+/// "bag altered in a part that is not read" (space that is not blank, or times of a chunk that differ from
 /// those of its messages). \throws IoError; InputError naming the byte, with a remedy for a bag that was
 /// never closed, has an older version, or is encrypted; StoppedError
 void check_bag(const std::filesystem::path& file, const std::string& name, Problems& problems,

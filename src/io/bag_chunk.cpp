@@ -95,7 +95,7 @@ std::string inflate_chunk(std::string_view compression, std::string_view data, s
   }
   if (compression == "bz2") return inflate_bz2(data, size);
   if (compression == "lz4") return inflate_lz4(data, size);
-  throw InputError("compression " + text::quoted(compression) + " is not known, expected none, bz2 or lz4");
+  throw InputError("unknown compression " + text::quoted(compression) + ", expected none, bz2 or lz4");
 }
 
 }  // namespace loopwise::bags

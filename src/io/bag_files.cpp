@@ -50,7 +50,7 @@ std::vector<std::string> listed_files(const fs::path& metadata) {
       const fs::path path(std::string(scalar(rest.substr(1))));
       if (!is_rosbag2_name(path.filename()))
         text::Place{metadata.string(), lines.number()}.fail(text::quoted(path.string()) +
-                                                            " is no name of a bag");
+                                                            " is not the name of a bag");
       names.push_back(path.filename().string());
     } else {
       in_list = rest == "relative_file_paths:";
@@ -65,9 +65,8 @@ fs::path find_listed(const fs::path& folder, const std::string& name) {
   for (const fs::path& file : {folder / name, plain, fs::path(plain.string() + ".zstd")}) {
     if (parts::exists(file)) return file;
   }
-  throw InputError(
-      (folder / kMetadata).string() + ": lists " + text::quoted(name) +
-      ", which is missing: put it there, or remove metadata.yaml to read the files that are there");
+  throw InputError((folder / kMetadata).string() + ": lists " + text::quoted(name) +
+                   ", which is missing: add it, or remove metadata.yaml to read the files that exist");
 }
 
 Parts rosbag2_parts(const fs::path& folder, Problems& problems) {

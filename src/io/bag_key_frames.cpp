@@ -161,7 +161,7 @@ class Reader {
       if (!decoder_.can_read(i, recording_.files[connection.bag].string(), problems_)) continue;
       const std::string last_word = connection.topic.substr(connection.topic.rfind('/') + 1);
       if (kind == StreamKind::kTransforms) {
-        if (last_word == "tf_static") uses_[i] = "places of sensors";
+        if (last_word == "tf_static") uses_[i] = "poses of sensors";
       } else if (connection.bag >= recording_.own) {
         if (kind != StreamKind::kCloud) uses_[i] = "true poses";
       } else {
@@ -232,7 +232,7 @@ class Reader {
     }
     Recorded& of = robots_[robot->second];
     if (message.at("header").at("stamp").time_ns() == 0)
-      problems_.add("message without stamp, that of its record is taken", where(i));
+      problems_.add("message without stamp, the time of its record is used", where(i));
     const std::int64_t stamp = lamp::stamp_of(message, recorded.stamp_ns);
     const std::string frame = frame_name(message.at("header").at("frame_id").text());
     if (kind == StreamKind::kCloud) return take_cloud(of, message, frame, stamp, where(i));
@@ -257,7 +257,7 @@ class Reader {
     }
     if (of.source.kept.empty()) of.sensor = frame;
     if (frame != of.sensor)
-      problems_.add_altered("frame of clouds changes, that of the first is taken",
+      problems_.add_altered("frame of clouds changes, the first is used",
                             where + ": \"" + of.sensor + "\" and \"" + frame + "\"");
     of.stream.sweep_stamps_ns.push_back(stamp);
     return true;
@@ -269,7 +269,7 @@ class Reader {
                                robot.body + "\" in \"" + robot.world + "\"";
     if (robot.sensor == robot.body && !robot.sensor.empty()) return;
     if (!robot.sensor.empty() && robot.sensor == robot.world) {
-      problems_.add("clouds in the frame of the odometry are moved back to the robot", frames);
+      problems_.add("clouds in the frame of the odometry, transformed to the frame of the robot", frames);
       std::vector<StampedPose> poses = robot.stream.odometry;
       std::stable_sort(poses.begin(), poses.end(),
                        [](const StampedPose& a, const StampedPose& b) { return a.stamp_ns < b.stamp_ns; });
@@ -283,8 +283,8 @@ class Reader {
       for (StampedPose& pose : robot.stream.odometry) pose.pose = se3::normalized(pose.pose * *T_body_sensor);
       return;
     }
-    problems_.add("clouds taken to be in the frame whose poses are recorded",
-                  frames + ": no /tf_static says how they stand to each other");
+    problems_.add("clouds assumed to be in the frame whose poses are recorded",
+                  frames + ": /tf_static has no transform between them");
   }
 
   /// The pose at a stamp, interpolated if there are poses before and after it, otherwise the nearest one.

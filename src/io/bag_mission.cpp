@@ -254,8 +254,9 @@ void unpack(const ZipArchive& archive, std::size_t number, const fs::path& to, c
   // A small archive may state any size, and may really expand to it.
   const std::uint64_t free = fs::space(to.parent_path()).available;
   if (archive.size(number) > free) {
-    throw InputError(name + ": unpacked it takes " + std::to_string(archive.size(number)) +
-                     " bytes, of which " + to.parent_path().string() + " has " + std::to_string(free));
+    throw InputError(name + ": the unpacked file needs " + std::to_string(archive.size(number)) +
+                     " bytes, but " + to.parent_path().string() + " has only " + std::to_string(free) +
+                     ": set TMPDIR to a larger disk");
   }
   std::ofstream out(to, std::ios::binary);
   archive.read(number, [&](std::string_view piece) {
@@ -274,8 +275,8 @@ Mission read_lamp_save(const fs::path& path, const MissionOptions& options, cons
   if (!graph) {
     throw InputError(
         path.string() +
-        ": no pose_graph.bag in it: not a map that LAMP saved. Clouds of a g2o_pcd folder are read "
-        "with their folder");
+        ": has no pose_graph.bag, so it is not a map saved by LAMP. To read the clouds of a g2o_pcd "
+        "folder, give the folder");
   }
   Mission mission;
   mission.kind = MissionKind::kLampZip;

@@ -75,7 +75,7 @@ StreamTopic best_of(Topics topics, const std::string& robot, const char* kind, c
   if (topics.size() > 1) {
     std::string others;
     for (std::size_t i = 1; i < topics.size(); ++i) others += (i > 1 ? ", " : "") + topics[i].name;
-    problems.add(std::string("several topics of ") + kind + ", one is taken",
+    problems.add(std::string("several topics of ") + kind + ", one is used",
                  robot + ": " + topics[0].name + ", not " + others + "; " + option + " chooses");
   }
   return topics.front();

@@ -45,7 +45,7 @@ struct ChosenTopics {
 /// Chooses the robots and their topics. Robots are the namespaces of topics if at least two of them have
 /// poses and clouds, otherwise the recorders. Of several topics of a kind, the options name one. Without an
 /// option, odometry precedes poses, then the topic with the most messages counts, then the first by name.
-/// Such a choice is counted as "several topics of poses, one is taken" or "several topics of clouds, one is
+/// Such a choice is counted as "several topics of poses, one is used" or "several topics of clouds, one is
 /// taken". The truth is options.truth_topic, or else topics with "ground_truth" or "gt" in their names.
 /// \throws InputError if an option names no topic of its kind, or no robot has both
 [[nodiscard]] ChosenTopics choose_topics(const std::vector<StreamTopic>& topics, const Recording& recording,

@@ -41,7 +41,7 @@ std::vector<std::string> header_of(std::string_view text, const std::string& sou
   const bool pose = std::any_of(kPose.begin(), kPose.end(), has);
   if (!has("from") || !has("to") || !std::all_of(names.begin(), names.end(), known) ||
       pose != std::all_of(kPose.begin(), kPose.end(), has)) {
-    throw ParseError(source, 1, "expected the columns from,to and, if wanted, score and x,y,z,qx,qy,qz,qw");
+    throw ParseError(source, 1, "expected the columns from,to and optionally score and x,y,z,qx,qy,qz,qw");
   }
   return names;
 }

@@ -16,11 +16,11 @@ class CdrReader {
   CdrReader(const Schema& schema, std::string_view bytes) : schema_(schema) {
     constexpr std::size_t kEncapsulation = 4;
     if (bytes.size() < kEncapsulation)
-      fail("a message of " + std::to_string(bytes.size()) + " bytes is no CDR");
+      fail("a message of " + std::to_string(bytes.size()) + " bytes is not CDR");
     const auto kind = static_cast<unsigned char>(bytes[1]);
     if (bytes[0] != 0 || kind > 1) {
-      fail("encoding " + std::to_string(static_cast<unsigned char>(bytes[0])) + " " + std::to_string(kind) +
-           " of the message is not read, expected plain CDR (0 0 or 0 1)");
+      fail("unsupported encoding " + std::to_string(static_cast<unsigned char>(bytes[0])) + " " +
+           std::to_string(kind) + " of the message, expected plain CDR (0 0 or 0 1)");
     }
     big_endian_ = kind == 0;
     body_ = bytes.substr(kEncapsulation);
@@ -31,7 +31,7 @@ class CdrReader {
     out_.reserve(body_.size());
     message(0);
     if (body_.size() - at_ > kPadding) {
-      fail("the message has " + std::to_string(body_.size()) + " bytes, its definition takes " +
+      fail("the message has " + std::to_string(body_.size()) + " bytes, its definition needs " +
            std::to_string(at_));
     }
     return std::move(out_);
@@ -84,7 +84,7 @@ class CdrReader {
     }
     if (body_[at_ + size - 1] != '\0') {
       fail("byte " + std::to_string(at_) +
-           ": a string without its closing zero: not the definition's message");
+           ": a string without terminating zero: the message does not match its definition");
     }
     for (std::size_t i = 0; i < 4; ++i) out_[place + i] = static_cast<char>((size - 1) >> (8 * i) & 255);
     out_.append(body_.substr(at_, size - 1));

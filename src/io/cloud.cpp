@@ -42,7 +42,7 @@ void read_ascii_point(const std::vector<Channel>& channel_of_word, std::string_v
   for (std::string_view word = text::next_word(line); !word.empty(); word = text::next_word(line), ++words) {
     double value = 0.0;
     const text::Number parsed = text::parse_double(word, value);
-    if (parsed == text::Number::kNotANumber) place.fail(text::quoted(word) + " is no number");
+    if (parsed == text::Number::kNotANumber) place.fail(text::quoted(word) + " is not a number");
     if (parsed == text::Number::kNotFinite) value = std::numeric_limits<double>::quiet_NaN();
     if (words < channel_of_word.size() && channel_of_word[words] != kChannels) {
       channels[channel_of_word[words]] = value;
@@ -108,8 +108,7 @@ Scalar pcd_scalar(std::string_view type, std::uint64_t size, const text::Place& 
     if (size == std::uint64_t{1} << i && t == 'I') return kSigned[i];
     if (size == std::uint64_t{1} << i && t == 'U') return kUnsigned[i];
   }
-  place.fail("a field of TYPE " + text::quoted(type) + " and SIZE " + std::to_string(size) +
-             " does not exist");
+  place.fail("unsupported TYPE " + text::quoted(type) + " with SIZE " + std::to_string(size));
 }
 
 /// Lines of a PCD header as they stand in the file.
@@ -157,7 +156,7 @@ void take_pcd_line(std::string_view keyword, const Words& words, const text::Pla
   } else if (keyword == "POINTS") {
     lines.points = one_count();
   } else if (keyword != "VERSION") {
-    place.fail(text::quoted(keyword) + " is no PCD header");
+    place.fail("unknown keyword " + text::quoted(keyword) + " in the PCD header");
   }
 }
 
@@ -197,7 +196,7 @@ std::uint64_t pcd_points(const std::string& file, const PcdLines& lines) {
   const bool overflow = rows != 0 && columns > std::numeric_limits<std::uint64_t>::max() / rows;
   if (overflow || (lines.points && rows * columns != *lines.points)) {
     throw InputError(file + ": WIDTH " + std::to_string(columns) + " and HEIGHT " + std::to_string(rows) +
-                     " do not make POINTS " + std::to_string(lines.points.value_or(0)));
+                     " do not multiply to POINTS " + std::to_string(lines.points.value_or(0)));
   }
   return rows * columns;
 }
@@ -224,7 +223,7 @@ PcdHeader read_pcd_header(const std::string& file, std::string_view contents) {
     header.data_begin = static_cast<std::size_t>(lines.rest().data() - contents.data());
   }
   if (header.data_line == 0)
-    throw InputError(file + ": no DATA line: the file is empty, cut short or no PCD file");
+    throw InputError(file + ": no DATA line: the file is empty, cut short or not a PCD file");
   header.layout = pcd_layout(file, found);
   header.points = pcd_points(file, found);
   return header;
@@ -305,7 +304,7 @@ Scalar ply_scalar(std::string_view type, const text::Place& place) {
   for (const Name& name : kNames) {
     if (type == name.old_name || type == name.new_name) return name.scalar;
   }
-  place.fail(text::quoted(type) + " is no PLY type");
+  place.fail("unknown PLY type " + text::quoted(type));
 }
 
 struct PlyElement {
@@ -327,7 +326,7 @@ PlyHeader read_ply_header(const std::string& file, std::string_view contents) {
   PlyHeader header;
   text::Lines lines(contents);
   std::string_view line;
-  if (!lines.next(line) || text::trim(line) != "ply") throw ParseError(file, 1, "is no PLY file");
+  if (!lines.next(line) || text::trim(line) != "ply") throw ParseError(file, 1, "is not a PLY file");
   bool has_format = false;
   while (lines.next(line)) {
     const text::Place place{file, lines.number()};
@@ -344,7 +343,7 @@ PlyHeader read_ply_header(const std::string& file, std::string_view contents) {
       } else if (word == "binary_big_endian") {
         header.format = PlyHeader::Format::kBigEndian;
       } else {
-        place.fail(text::quoted(word) + " is no PLY format");
+        place.fail("unknown PLY format " + text::quoted(word));
       }
     } else if (keyword == "element") {
       PlyElement element;
@@ -367,7 +366,7 @@ PlyHeader read_ply_header(const std::string& file, std::string_view contents) {
       header.data_begin = static_cast<std::size_t>(lines.rest().data() - contents.data());
       return header;
     } else {
-      place.fail(text::quoted(keyword) + " is no PLY header");
+      place.fail("unknown keyword " + text::quoted(keyword) + " in the PLY header");
     }
   }
   throw InputError(file + ": no end_header: the file is cut short");
@@ -490,18 +489,20 @@ bool is_cloud_file(const fs::path& path) {
 CloudFile points::parse_cloud(const std::string& name, const std::string& contents, BinLayout bin_layout) {
   const fs::path extension = fs::path(name).extension();
   if (extension == ".pcd") {
-    refuse_foreign(contents, name, {FileKind::kPcd, FileKind::kEmpty}, "a PCD cloud, as its name says");
+    refuse_foreign(contents, name, {FileKind::kPcd, FileKind::kEmpty},
+                   "a PCD cloud, because of its file extension");
     return read_pcd(name, contents);
   }
   if (extension == ".ply") {
-    refuse_foreign(contents, name, {FileKind::kPly, FileKind::kEmpty}, "a PLY cloud, as its name says");
+    refuse_foreign(contents, name, {FileKind::kPly, FileKind::kEmpty},
+                   "a PLY cloud, because of its file extension");
     return read_ply(name, contents);
   }
   if (extension == ".bin") {
-    refuse_foreign_numbers(contents, name, "numbers of points alone, as its name says");
+    refuse_foreign_numbers(contents, name, "binary points without a header, because of its file extension");
     return read_bin(name, contents, bin_layout);
   }
-  throw InputError(name + ": not a kind of cloud that can be read, expected .pcd, .ply or .bin");
+  throw InputError(name + ": unknown file extension of a cloud, expected .pcd, .ply or .bin");
 }
 
 CloudFile read_cloud(const fs::path& path, BinLayout bin_layout) {

@@ -141,9 +141,8 @@ BinLayout best_fit(const std::string& file, std::string_view contents) {
 std::string advice(const std::string& file, std::string_view contents) {
   const BinLayout best = best_fit(file, contents);
   if (best == BinLayout::kAuto) {
-    return "the file is cut short, or its points have another layout: --bin-layout or mission.bin_layout "
-           "says "
-           "which";
+    return "the file is cut short, or its points have another layout: select it with --bin-layout or "
+           "mission.bin_layout";
   }
   return "it looks like " + enum_name(best) + " (" + std::to_string(layout_of(best, file).point_size) +
          " bytes a point): read it with --bin-layout " + enum_name(best) + " or mission.bin_layout";
@@ -163,7 +162,7 @@ CloudFile read_bin(const std::string& name, std::string_view contents, BinLayout
   if (contents.empty()) builder.add_problem("empty file", name);
   if (contents.size() % layout.point_size != 0) {
     throw InputError(
-        name + ": " + std::to_string(contents.size()) + " bytes are no whole number of points of " +
+        name + ": " + std::to_string(contents.size()) + " bytes are not a multiple of the point size of " +
         std::to_string(layout.point_size) + " bytes (" + word +
         "): " + (guessed ? advice(name, contents) : "the file is cut short or has another layout"));
   }
@@ -171,9 +170,9 @@ CloudFile read_bin(const std::string& name, std::string_view contents, BinLayout
   const double unlike = count < kFewestJudged ? 0.0 : look_at(layout, contents).unlike;
   if (unlike > kMostUnlike) {
     const std::string why =
-        percent(unlike) + " of the points have values that x, y, z and intensity do not have";
+        percent(unlike) + " of the points have values that are impossible for x, y, z and intensity";
     if (guessed) throw InputError(name + ": " + why + " (" + word + "): " + advice(name, contents));
-    builder.add_problem("points unlike the layout", name + ": " + why + " (" + word + ")");
+    builder.add_problem("points that do not fit the layout", name + ": " + why + " (" + word + ")");
   }
   read_binary(layout, contents, count, true, big_endian_host(), builder);
   return builder.finish();

@@ -66,7 +66,7 @@ KeyTable parse_key_table(const std::string& name, const std::string& contents) {
     // The name of a file may contain commas.
     const std::size_t first = line.find(','), last = line.rfind(',');
     if (first == std::string_view::npos || first == last) {
-      place.fail(text::quoted(line) + " is no key, file and stamp in ns, separated by commas");
+      place.fail("expected key,file,stamp in ns, found " + text::quoted(line));
     }
     Key key = 0;
     std::int64_t stamp = 0;
@@ -75,12 +75,12 @@ KeyTable parse_key_table(const std::string& name, const std::string& contents) {
     if (const char* why = text::parse_id(key_text, key))
       place.fail("key " + text::quoted(key_text) + " " + why);
     if (!text::parse_int64(stamp_text, stamp) || !parts::stamp_in_range(stamp)) {
-      place.fail(text::quoted(stamp_text) + " is no stamp in ns");
+      place.fail(text::quoted(stamp_text) + " is not a stamp in ns");
     }
-    if (!table.stamps.emplace(key, stamp).second) place.fail("node " + key_name(key) + " has a line already");
+    if (!table.stamps.emplace(key, stamp).second) place.fail("node " + key_name(key) + " appears twice");
     const std::string file = last_part(std::string(text::trim(line.substr(first + 1, last - first - 1))));
     if (!file.empty() && !table.key_of.emplace(file, key).second) {
-      place.fail("file " + text::quoted(file) + " has a line already");
+      place.fail("file " + text::quoted(file) + " appears twice");
     }
   }
   return table;
@@ -137,7 +137,7 @@ std::map<Key, std::size_t> clouds_of_nodes(const NamedClouds& clouds, const std:
     if (clouds.by_number.size() != keys.size()) {
       throw InputError(files.where + ": " + std::to_string(clouds.by_number.size()) +
                        " clouds are named by their rank (pc_N), for " + std::to_string(keys.size()) +
-                       " nodes: keys.csv must say which is whose");
+                       " nodes: keys.csv must list the node of each cloud");
     }
     auto key = keys.begin();
     for (const auto& [number, file] : clouds.by_number) out.emplace(*key++, file);

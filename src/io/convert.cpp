@@ -38,7 +38,7 @@ fs::path new_folder_beside(const fs::path& folder) {
     std::error_code error;
     if (fs::create_directory(made, error)) return made;
     if (error && error != std::errc::file_exists) throw IoError(made.string(), error.message());
-    if (attempt == 1000) throw IoError(made.string(), "is there already");
+    if (attempt == 1000) throw IoError(made.string(), "already exists");
   }
 }
 

@@ -32,8 +32,8 @@ std::vector<Key> frames_of_one_robot(const Mission& mission, const char* program
   std::set<std::size_t> robots;
   for (const Key key : keys) robots.insert(mission.robots.of(key));
   if (robots.size() > 1) {
-    throw InputError(mission.name + ": has " + std::to_string(robots.size()) + " robots, and a folder of " +
-                     program + " is of one: write it with --to g2o_pcd, or each robot alone");
+    throw InputError(mission.name + ": has " + std::to_string(robots.size()) + " robots, but a folder of " +
+                     program + " holds only one: write it with --to g2o_pcd, or each robot separately");
   }
   return keys;
 }
@@ -77,7 +77,7 @@ std::string key_frame_text(const Node& node, std::size_t id, double distance_m) 
 ConvertResult write_hdl_graph_slam(const Mission& mission, const fs::path& folder,
                                    const ConvertOptions& options) {
   if (mission.graph.planar())
-    throw InputError(mission.name + ": has a 2D graph, those of hdl_graph_slam are of space");
+    throw InputError(mission.name + ": has a 2D graph, but hdl_graph_slam reads only 3D graphs");
   ConvertResult result;
   const std::vector<Key> keys = frames_of_one_robot(mission, "hdl_graph_slam");
   count_left_out(mission, keys.size(), result.left_out);
@@ -90,7 +90,7 @@ ConvertResult write_hdl_graph_slam(const Mission& mission, const fs::path& folde
     Node node = mission.graph.node(keys[i]);
     if (node.stamp_ns < 0)
       throw InputError(mission.name + ": node " + key_name(node.key) +
-                       " has a stamp before 1970, which hdl_graph_slam has no place for");
+                       " has a stamp before 1970, which hdl_graph_slam cannot store");
     if (i > 0) distance_m += (node.pose.translation() - graph.nodes().back().pose.translation()).norm();
     make_folder(folder / six_digits(i));
     write_file(folder / six_digits(i) / "data", key_frame_text(node, i, distance_m));

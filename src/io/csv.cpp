@@ -32,7 +32,7 @@ std::vector<std::string> split_record(std::string_view line, text::Lines& lines,
         value += rest.substr(0, quote);
         if (quote == std::string_view::npos) {
           value += '\n';
-          if (!lines.next(rest)) throw ParseError(file, first_line, "a quoted value has no end");
+          if (!lines.next(rest)) throw ParseError(file, first_line, "a quoted value is not closed");
           continue;
         }
         rest.remove_prefix(quote + 1);
@@ -109,15 +109,16 @@ Key CsvTable::key(std::size_t row, std::size_t column) const {
   try {
     return parse_key(text(row, column));
   } catch (const InputError&) {
-    fail(row, column,
-         text::quoted(text(row, column)) + " is no key: expected a 64-bit number or a letter and an index");
+    fail(
+        row, column,
+        text::quoted(text(row, column)) + " is not a key: expected a 64-bit number or a letter and an index");
   }
 }
 
 std::int64_t CsvTable::integer(std::size_t row, std::size_t column) const {
   std::int64_t value = 0;
   if (!text::parse_int64(text(row, column), value)) {
-    fail(row, column, text::quoted(text(row, column)) + " is no whole number of 64 bits");
+    fail(row, column, text::quoted(text(row, column)) + " is not a 64-bit whole number");
   }
   return value;
 }
@@ -126,7 +127,7 @@ double CsvTable::number(std::size_t row, std::size_t column) const {
   double value = 0.0;
   switch (text::parse_double(text(row, column), value)) {
     case text::Number::kNotANumber:
-      fail(row, column, text::quoted(text(row, column)) + " is no number");
+      fail(row, column, text::quoted(text(row, column)) + " is not a number");
     case text::Number::kNotFinite:
       fail(row, column, text::quoted(text(row, column)) + " is not finite");
     case text::Number::kOk:

@@ -33,7 +33,7 @@ class Db3 : public Storage {
     try {
       message_->bind(static_cast<std::int64_t>(entry.place));
       if (!message_->next()) throw InputError("is missing");
-      if (!message_->is_blob(0)) throw InputError("holds no bytes");
+      if (!message_->is_blob(0)) throw InputError("has no data");
       std::string bytes = message_->bytes(0);
       message_->reset();
       return unpacked_message(std::move(bytes));
@@ -48,7 +48,7 @@ class Db3 : public Storage {
     if (opening_->progress) opening_->progress({"checking " + name_, 0, 0, ""});
     database_.check_pages();
     if (!database_.has_table("messages") || !database_.has_table("topics"))
-      throw InputError("an SQLite database without the tables messages and topics: no bag of ROS 2");
+      throw InputError("an SQLite database without the tables messages and topics: not a ROS 2 bag");
   }
 
   void read_topics(std::size_t bag) {
@@ -63,7 +63,7 @@ class Db3 : public Storage {
       const std::string type = rows.bytes(2);
       const auto& [encoding, definition] = definitions[type];
       if (!topics_.emplace(rows.integer(0, "the id of a topic"), connections_.size()).second)
-        throw InputError("two topics of one id");
+        throw InputError("two topics have the same id");
       connections_.push_back(
           rosbag2_connection(bag, rows.bytes(1), type, rows.bytes(3), encoding, definition));
     }

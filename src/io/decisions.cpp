@@ -30,7 +30,7 @@ std::vector<ClosureDecision> read_decisions(const std::filesystem::path& path) {
     } else if (table.text(earlier->second, kDecision) != word) {
       table.fail(row, kDecision,
                  "line " + std::to_string(table.line(earlier->second)) +
-                     " says the opposite of the same pair; remove one of the two lines");
+                     " has the opposite decision for the same pair; remove one of the two lines");
     }
   }
   return decisions;

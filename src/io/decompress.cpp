@@ -50,7 +50,7 @@ std::string grow(std::size_t most, Step&& step) {
     const auto [added, ended] = step(out.data() + filled, room);
     out.resize(filled + added);
     if (out.size() > most)
-      throw InputError("more than the " + std::to_string(most) + " bytes that it may hold");
+      throw InputError("unpacks to more than the allowed " + std::to_string(most) + " bytes");
     if (ended) return out;
   }
 }
@@ -117,10 +117,11 @@ void inflate_zstd_file(const std::filesystem::path& from, const std::string& nam
       written += out.pos;
       if (written > kLargestGrowth * file.size() + kStep) {
         throw InputError(name + ": unpacks to more than " + std::to_string(kLargestGrowth) +
-                         " times its size: no recording does");
+                         " times its size, which no recording does: the file is damaged");
       }
       if (std::filesystem::space(to.parent_path()).available < out.pos) {
-        throw InputError(name + ": unpacked it is larger than the room in " + to.parent_path().string() +
+        throw InputError(name + ": the unpacked file is larger than the free space in " +
+                         to.parent_path().string() +
                          ": set TMPDIR to a larger disk, or unpack it there with zstd -d");
       }
       target.write(unpacked.data(), static_cast<std::streamsize>(out.pos));

@@ -58,7 +58,7 @@ std::string gravity_text(const PoseGraph& graph) {
   for (const GravityFactor& g : graph.gravities()) {
     if (g.reference != -Eigen::Vector3d::UnitZ()) {
       throw InputError("gravity at node " + key_name(g.key) +
-                       ": its reference is not -z, which no file can hold");
+                       ": its reference is not -z, which the file format cannot store");
     }
     text.row(g.key, g.direction.x(), g.direction.y(), g.direction.z(), g.sigma_rad);
   }

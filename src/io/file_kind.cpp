@@ -115,14 +115,14 @@ constexpr const char* kTrajectoryAdvice =
     "'loopwise evaluate' reads it; as odom_poses.txt (KITTI rows) beside Scans/ poses are a session";
 
 constexpr Description kDescriptions[] = {
-    {FileKind::kEmpty, "empty", "it was perhaps not written to its end, or not downloaded"},
-    {FileKind::kGitLfsPointer, "a pointer of Git LFS, not the data", "run 'git lfs pull' where it came from"},
+    {FileKind::kEmpty, "empty", "it was perhaps not completely written or downloaded"},
+    {FileKind::kGitLfsPointer, "a pointer of Git LFS, not the data", "run 'git lfs pull' in its repository"},
     {FileKind::kGitAnnexPointer, "a pointer of git-annex, not the data",
-     "run 'git annex get' where it came from"},
+     "run 'git annex get' in its repository"},
     {FileKind::kSqlite, "an SQLite database, as ROS 2 records (.db3)", kBagAdvice},
     {FileKind::kMcap, "an MCAP recording, as ROS 2 records", kBagAdvice},
     {FileKind::kBag, "a ROS 1 bag", kBagAdvice},
-    {FileKind::kOldBag, "a bag of an old version of ROS 1", "'rosbag fix' makes one of version 2.0 of it"},
+    {FileKind::kOldBag, "a bag of an old version of ROS 1", "convert it to version 2.0 with 'rosbag fix'"},
     {FileKind::kPcd, "a PCD cloud", kCloudAdvice},
     {FileKind::kPly, "a PLY cloud", kCloudAdvice},
     {FileKind::kLas, "a LAS or LAZ cloud",
@@ -138,12 +138,12 @@ constexpr Description kDescriptions[] = {
     {FileKind::kPdf, "a PDF document", "is it the file that you meant?"},
     {FileKind::kProgram, "a program", "is it the file that you meant?"},
     {FileKind::kPickle, "a pickle of Python", "write its data as text in the program that made it"},
-    {FileKind::kMarkup, "a web page or XML", "a download may have saved an error page: look into it"},
+    {FileKind::kMarkup, "a web page or XML", "a download may have saved an error page: open it to check"},
     {FileKind::kJson, "JSON", "a mission is given by its folder, options by --config"},
     {FileKind::kYaml, "YAML", "a bag of ROS 2 is given by its folder or by its .db3 or .mcap file"},
     {FileKind::kG2o, "a g2o graph", "give it as a mission or to 'loopwise optimize'"},
-    {FileKind::kTum, "a list of 8 or 9 numbers a line, as trajectories in TUM's form are", kTrajectoryAdvice},
-    {FileKind::kKitti, "a list of 12 numbers a line, as poses in KITTI's form are", kTrajectoryAdvice},
+    {FileKind::kTum, "lines of 8 or 9 numbers, as in TUM trajectories", kTrajectoryAdvice},
+    {FileKind::kKitti, "lines of 12 numbers, as in KITTI poses", kTrajectoryAdvice},
 };
 
 [[noreturn]] void refuse(FileKind kind, const std::string& name, const std::string& wanted) {
@@ -206,24 +206,25 @@ std::string describe_foreign_folder(const fs::path& folder) {
   const auto has = [&](const char* name) { return parts::exists(folder / name); };
   if (entries.empty()) return "is an empty folder";
   if (has("sequences"))
-    return "holds KITTI's odometry data: give one of its sequences, for example sequences/00";
+    return "has KITTI's odometry data: give one of its sequences, for example sequences/00";
   if (has("velodyne") || has("velodyne_points") ||
       (has("calib.txt") && (has("image_0") || has("image_2") || has("times.txt"))))
-    return "holds KITTI's odometry data, but no clouds in velodyne/: of a sequence velodyne/NUMBER.bin, "
-           "times.txt, calib.txt and poses.txt (or --poses FILE) are read";
+    return "has KITTI's odometry data, but no clouds in velodyne/: a sequence needs velodyne/NUMBER.bin, "
+           "times.txt, calib.txt and poses.txt (or --poses FILE)";
   if (has("times.txt") && (has("Scans") || has("scans")))
-    return "is a session without poses: its program saves optimized_poses.txt when it ends, and was stopped "
+    return "is a session without poses: its program saves optimized_poses.txt at its end, but was stopped "
            "before";
   if (has("transformations.pcd") && has("trajectory.pcd"))
-    return "is a map that LIO-SAM saved, which keeps no scans of key frames: replay its run with SC-LIO-SAM, "
-           "which saves Scans/, or give clouds named by their stamps and its trajectory in TUM's form";
+    return "is a map saved by LIO-SAM, which does not save the scans of key frames: replay its run with "
+           "SC-LIO-SAM, "
+           "which saves Scans/, or give clouds named by their stamps and its trajectory in TUM format";
   if (std::any_of(entries.begin(), entries.end(), is_rtabmap_poses))
-    return "holds poses that rtabmap-export wrote; the scans of its nodes are in the database alone: give "
+    return "has poses written by rtabmap-export, but only the database has the scans of its nodes: give "
            "its .db";
   if (std::any_of(entries.begin(), entries.end(), [](const fs::path& entry) { return is_cloud_file(entry); }))
-    return "holds clouds without poses: put a graph beside them (result.g2o, clouds named by its ids), "
-           "make them the Scans/ of a session with odom_poses.txt, or name them by their stamps beside a "
-           "trajectory in TUM's form";
+    return "has clouds without poses: add a graph beside them (result.g2o, clouds named by its ids), "
+           "move them to Scans/ beside an odom_poses.txt, or name them by their stamps beside a "
+           "trajectory in TUM format";
   return "";
 }
 

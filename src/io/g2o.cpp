@@ -87,7 +87,7 @@ class Reader {
     if (out_.graph.empty()) {
       if (unfinished_ && !lines.ended()) return std::move(out_);
       throw InputError(file_ + (contents.empty() ? ": is empty, " : ": ") +
-                       "no VERTEX_SE3:QUAT line, and no VERTEX_SE2");
+                       "no VERTEX_SE3:QUAT or VERTEX_SE2 line");
     }
     if (!unfinished_ && !lines.ended()) {
       out_.problems.add("no line end after the last line", here());
@@ -157,7 +157,7 @@ class Reader {
       out_.graph.set_planar(&form == &kPlanar);
     } else if (form_ != &form) {
       place().fail(std::string(tag) + " in the file of a " + (form_ == &kPlanar ? "2D" : "3D") + " graph (" +
-                   first_of_form_ + "): write a file for each");
+                   first_of_form_ + "): write 2D and 3D graphs to separate files");
     }
   }
 
@@ -196,7 +196,7 @@ class Reader {
         const bool lost = key_character(node.key) == '\0';
         place().fail(
             "vertex " + std::to_string(node.key) + " has another pose in line " + std::to_string(first.line) +
-            (lost ? ": if these are nodes of two robots, their ids lost the robots' characters; write "
+            (lost ? ": if these are nodes of two robots, their ids lack the robots' characters; write "
                     "full 64-bit keys, or a file for each robot"
                   : ""));
       }
@@ -227,7 +227,7 @@ class Reader {
     const bool looks_like_tag =
         !(tag[0] >= '0' && tag[0] <= '9') && std::all_of(tag.begin(), tag.end(), is_tag_character);
     if (!looks_like_tag || (unknown_tags_.size() >= 100 && unknown_tags_.count(std::string(tag)) == 0)) {
-      place().fail(text::quoted(tag) + " is no g2o tag; is this a g2o file?");
+      place().fail("unknown g2o tag " + text::quoted(tag) + "; is this a g2o file?");
     }
     UnknownTag& met = unknown_tags_[std::string(tag)];
     if (met.count++ == 0) met.first_line = line_;
@@ -355,7 +355,7 @@ class Reader {
     const auto offset = offsets_.find(line.parameter);
     if (offset == offsets_.end()) {
       text::Place{file_, line.line}.fail("parameter " + std::to_string(line.parameter) +
-                                         " is not in the file");
+                                         " is not defined by a PARAMS_SE3OFFSET line");
     }
     const Eigen::Isometry3d O_inverse = offset->second.offset.inverse();
     if (O_inverse.matrix().isIdentity(0.0)) return;

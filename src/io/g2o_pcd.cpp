@@ -72,7 +72,7 @@ const std::map<Key, Key>& keys_of_team(const KeyFrameFolders& key_frames, const 
   for (const Node& node : graph.nodes()) {
     if (key_frames.full.count(node.key) == 0) {
       throw InputError(file + ": node " + std::to_string(node.key) +
-                       " has no key frame in keyframes/, which would name its robot");
+                       " has no key frame in keyframes/, so its robot is unknown");
     }
   }
   return key_frames.full;
@@ -120,7 +120,9 @@ std::map<Key, Key> full_keys(const PoseGraph& graph, const NamedClouds& clouds, 
     if (options.robot_character.size() != 1 || key_name(first) != options.robot_character + "0") {
       throw OptionError("robot_character = \"" + options.robot_character + "\", must be one letter");
     }
-    if (!small) throw InputError(file + ": its ids carry characters already, robot_character cannot be used");
+    if (!small)
+      throw InputError(file +
+                       ": its ids already contain robot characters, so robot_character cannot be used");
     for (const Node& node : graph.nodes()) full[node.key] = make_key(options.robot_character[0], node.key);
     return full;
   }
@@ -144,7 +146,7 @@ std::map<Key, Key> full_keys(const PoseGraph& graph, const NamedClouds& clouds, 
         choices += (choices.empty() ? "" : " or ") + key_name(make_key(c, node.key));
       throw InputError(
           file + ": id " + std::to_string(node.key) + " may be " + choices +
-          ": the ids lost their robots' characters, and the clouds are of several robots. Write the "
+          ": the ids lack the robots' characters, and the clouds are of several robots. Write the "
           "graph with full 64-bit keys, or give each robot a folder of its own");
     }
   }
@@ -204,7 +206,7 @@ fs::path g2o_of_folder(const fs::path& folder) {
   }
   if (graphs.size() > 1) {
     throw InputError(folder.string() + ": " + graphs[0].filename().string() + " and " +
-                     graphs[1].filename().string() + ": the graph to be taken must be named result.g2o");
+                     graphs[1].filename().string() + ": name the graph to read result.g2o");
   }
   return graphs.empty() ? fs::path() : graphs.front();
 }

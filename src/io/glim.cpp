@@ -47,7 +47,7 @@ std::optional<Eigen::Isometry3d> step_between(const GlimSubmap& a, const GlimSub
 std::size_t count_of(std::string_view line, const text::Place& place) {
   std::int64_t count = 0;
   if (!text::parse_int64(text::next_word(line), count) || count < 0 || count > 10'000'000)
-    place.fail("needs the number of its submaps");
+    place.fail("expected a whole number from 0 to 10000000");
   return static_cast<std::size_t>(count);
 }
 
@@ -66,7 +66,7 @@ Graph read_graph(const fs::path& file) {
     if (word == "num_submaps:") graph.submaps = count_of(line, place);
     if (word == "num_matching_cost_factors:") graph.factors = count_of(line, place);
   }
-  if (graph.submaps == 0) throw InputError(name + ": says that there is no submap");
+  if (graph.submaps == 0) throw InputError(name + ": num_submaps is missing or 0");
   return graph;
 }
 
@@ -125,7 +125,7 @@ Mission read_glim(const fs::path& folder, const MissionOptions& options) {
   SavedFrames frames;
   frames.source = folder / "graph.txt";
   const Graph graph = read_graph(frames.source);
-  problems.add("factor of the program's own graph left out",
+  problems.add("factor of GLIM's own graph left out",
                frames.source.string() + ": its closures are in graph.bin, which is not read", graph.factors);
   std::vector<GlimSubmap> submaps;
   bool all_stamps = true;
@@ -144,7 +144,8 @@ Mission read_glim(const fs::path& folder, const MissionOptions& options) {
     if (all_stamps) frames.stamps_ns.push_back(submap.stamps_ns[submap.stamps_ns.size() / 2]);
     if (const auto points = points_of(own)) {
       if (frames.layout != BinLayout::kAuto && frames.layout != points->second) {
-        throw InputError(points->first.string() + ": its form is not that of the submaps before it");
+        throw InputError(points->first.string() +
+                         ": its point format differs from that of the preceding submaps");
       }
       frames.layout = points->second;
       frames.clouds.emplace(i, points->first);

@@ -105,8 +105,8 @@ std::optional<KeyFrameFolders> find_key_frame_folders(const fs::path& folder, Pr
     }
     const auto [first, is_new] = owner.emplace(*data.id, number);
     if (!is_new) {
-      throw InputError(file.string() + ": id " + std::to_string(*data.id) + " is that of " + first->second +
-                       " already");
+      throw InputError(file.string() + ": id " + std::to_string(*data.id) + " is also the id of " +
+                       first->second);
     }
     if (data.stamp_ns) found.stamps.emplace(*data.id, *data.stamp_ns);
     if (!fs::is_regular_file(entry / "cloud.pcd")) continue;
@@ -159,10 +159,10 @@ KeyFrameFolders find_team_key_frames(const fs::path& folder, Problems& problems)
       continue;
     }
     if (!data.stamp_ns)
-      throw InputError(file.string() + ": has no stamp, by which the nodes of a robot follow");
+      throw InputError(file.string() + ": has no stamp, which is needed to order the nodes of a robot");
     if (!found.ids.insert(*data.id).second)
       throw InputError(file.string() + ": g2o_id " + std::to_string(*data.id) +
-                       " is that of another already");
+                       " is also the id of another key frame");
     by_robot[data.robot].emplace_back(*data.stamp_ns, *data.id);
     found.stamps.emplace(*data.id, *data.stamp_ns);
     const std::string cloud = file.stem().string() + ".pcd";
@@ -170,7 +170,7 @@ KeyFrameFolders find_team_key_frames(const fs::path& folder, Problems& problems)
     found.clouds.emplace(*data.id, found.files.names.size());
     found.files.names.push_back(cloud);
   }
-  if (found.ids.empty()) throw InputError(place.string() + ": no key frame with a node in it");
+  if (found.ids.empty()) throw InputError(place.string() + ": has no key frame with a node");
   name_nodes(by_robot, place.string(), found);
   found.files.read = [place, names = found.files.names](std::size_t n) {
     return read_file(place / names[n]);
@@ -190,7 +190,7 @@ G2oFile without_anchors(G2oFile file, const KeyFrameFolders& key_frames, const s
   out.graph.set_planar(file.graph.planar());
   out.problems = std::move(file.problems);
   if (!key_frames.anchors) {
-    out.problems.add_altered("fixed node without key frame taken for an anchor",
+    out.problems.add_altered("fixed node without key frame, treated as an anchor",
                              name + ": " + std::to_string(*anchors.begin()), anchors.size());
   }
   const auto is_anchor = [&](Key key) { return anchors.count(key) != 0; };
@@ -215,7 +215,7 @@ G2oFile without_anchors(G2oFile file, const KeyFrameFolders& key_frames, const s
     }
     const Key anchor = is_anchor(edge.from) ? edge.from : edge.to;
     out.graph.add_prior(prior_of(edge, anchor == edge.from, file.graph.node(anchor).pose));
-    out.problems.add("edge to a fixed node that is no key frame made a prior", where);
+    out.problems.add("edge to a fixed node without key frame, converted to a prior", where);
   }
   return out;
 }

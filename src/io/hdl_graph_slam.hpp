@@ -50,8 +50,8 @@ struct KeyFrameFolders {
 /// as find_key_frame_folders(); InputError if there is no key frame, or more robots than letters
 [[nodiscard]] KeyFrameFolders find_team_key_frames(const std::filesystem::path& folder, Problems& problems);
 
-/// The graph without the fixed node to which hdl_graph_slam ties its first node. special_nodes.csv names the
-/// fixed node. Without this file, fixed nodes that are no key frames are taken, which is counted as a guess.
+/// The graph without the fixed node to which hdl_graph_slam connects its first node. special_nodes.csv names
+/// the fixed node. Without this file, fixed nodes without key frames are used, which is counted as a guess.
 /// Edges to the fixed node become priors of the same cost, which is counted.
 [[nodiscard]] G2oFile without_anchors(G2oFile graph, const KeyFrameFolders& key_frames,
                                       const std::string& name);

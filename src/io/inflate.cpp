@@ -62,7 +62,7 @@ class PrefixCode {
     int room = 1;
     for (int length = 1; length <= kLongestCode; ++length) {
       room = room * 2 - of_length_[static_cast<std::size_t>(length)];
-      if (room < 0) damaged("a code has too many words");
+      if (room < 0) damaged("a prefix code has too many words");
     }
     std::array<std::uint16_t, kLongestCode + 2> begin{};
     for (std::size_t length = 1; length <= kLongestCode; ++length)
@@ -83,7 +83,7 @@ class PrefixCode {
       first = (first + count) * 2;
       code *= 2;
     }
-    damaged("a word is not in the code");
+    damaged("unknown code word");
   }
 
  private:
@@ -158,7 +158,7 @@ class Inflater {
                                                      11, 4,  12, 3, 13, 2, 14, 1, 15};
     const std::size_t literals = bits_.take(5) + 257, distances = bits_.take(5) + 1,
                       written = bits_.take(4) + 4;
-    if (literals > 286 || distances > 30) damaged("a code has too many words");
+    if (literals > 286 || distances > 30) damaged("a prefix code has too many words");
     std::array<std::uint8_t, 19> of_lengths{};
     for (std::size_t i = 0; i < written; ++i)
       of_lengths[kOrder[i]] = static_cast<std::uint8_t>(bits_.take(3));
@@ -170,7 +170,7 @@ class Inflater {
         lengths[i++] = static_cast<std::uint8_t>(word);
         continue;
       }
-      if (word == 16 && i == 0) damaged("a length repeats what is not there");
+      if (word == 16 && i == 0) damaged("a repeated length has no predecessor");
       const std::uint8_t value = word == 16 ? lengths[i - 1] : std::uint8_t{0};
       const std::size_t times = word == 16   ? 3 + bits_.take(2)
                                 : word == 17 ? 3 + bits_.take(3)
@@ -204,7 +204,7 @@ class Inflater {
       const unsigned far = distances.decode(bits_);
       if (far >= kDistance.size()) damaged("a distance is out of range");
       const std::size_t back = kDistance[far] + bits_.take(far < 2 ? 0 : static_cast<int>(far / 2 - 1));
-      if (back > out_.size()) damaged("a distance leads before the beginning");
+      if (back > out_.size()) damaged("a distance points before the start of the data");
       need_room(length);
       for (std::size_t i = 0; i < length; ++i) out_ += out_[out_.size() - back];
     }
@@ -235,8 +235,8 @@ std::uint32_t adler32(std::string_view data) {
 std::string inflate_zlib(std::string_view data, std::size_t most) {
   if (data.size() < 2) damaged("they are cut short");
   const unsigned method = static_cast<unsigned char>(data[0]), flags = static_cast<unsigned char>(data[1]);
-  if ((method & 15U) != 8 || (method << 8 | flags) % 31 != 0) damaged("they do not begin as zlib's");
-  if ((flags & 32U) != 0) throw InputError("data compressed by zlib need a dictionary that is not there");
+  if ((method & 15U) != 8 || (method << 8 | flags) % 31 != 0) damaged("their zlib header is invalid");
+  if ((flags & 32U) != 0) throw InputError("data compressed by zlib need a dictionary, which is missing");
   Inflater inflater(data.substr(2), most);
   std::string out = inflater.run();
   if (inflater.checksum() != adler32(out)) damaged("their checksum is wrong");

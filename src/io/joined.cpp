@@ -75,7 +75,7 @@ SourceFrame frame_of_row(const CsvTable& table, std::size_t row, const FrameColu
   if (columns.yaw_alone) {
     constexpr double kTurn_rad = 6.2832;
     if (std::abs(values[3]) > kTurn_rad)
-      table.fail(row, 4, "is in rad, at most a turn of 6.2832, found " + table.text(row, 4));
+      table.fail(row, 4, "must be in rad, at most 6.2832, found " + table.text(row, 4));
     frame.T_common_source.linear() =
         Eigen::AngleAxisd(values[3], Eigen::Vector3d::UnitZ()).toRotationMatrix();
     frame.T_common_source.translation() = Eigen::Vector3d(values[0], values[1], values[2]);
@@ -112,7 +112,7 @@ std::vector<SourceFrame> read_frames(const MissionOptions& options, const std::v
       const text::Place place{name, table.line(row)};
       const std::string& source = table.text(row, 0);
       const auto found = std::find(sources.begin(), sources.end(), source);
-      if (found == sources.end()) table.fail(row, 0, text::quoted(source) + " is no source");
+      if (found == sources.end()) table.fail(row, 0, text::quoted(source) + " is not the name of a source");
       if (std::count(sources.begin(), sources.end(), source) > 1) {
         table.fail(
             row, 0,
@@ -232,7 +232,7 @@ void Joiner::name_robots(std::size_t source) {
   const std::size_t first_letter = source_of_letter_.size();
   if (first_letter + firsts.size() > kLetters) {
     throw InputError("more than " + std::to_string(kLetters) +
-                     " robots, which can be joined at most: a letter each");
+                     " robots cannot be joined, because each needs a letter");
   }
   letter_of_robot_.clear();
   landmarks_.clear();
@@ -272,8 +272,9 @@ std::int64_t Joiner::shifted(const Mission& mission, std::int64_t stamp_ns) cons
   const std::int64_t shift = options_.start_together ? joined_.start_ns - mission.start_ns : 0;
   const bool far = stamp_ns < std::numeric_limits<std::int64_t>::min() - shift;
   if (far || !stamp_in_range(stamp_ns + shift)) {
-    throw InputError(mission.path.string() + ": a stamp of " + std::to_string(stamp_ns) +
-                     " ns is out of range once the mission starts with the others");
+    throw InputError(
+        mission.path.string() + ": a stamp of " + std::to_string(stamp_ns) +
+        " ns is out of range after start_together shifts the mission to the start of the others");
   }
   return stamp_ns + shift;
 }
@@ -294,7 +295,7 @@ void Joiner::add_graph(const Mission& mission, const SourceFrame& frame) {
     for (const PriorFactor& prior : mission.graph.priors()) {
       const std::vector<Key> firsts = first_nodes(mission.graph, mission.robots);
       if (std::find(firsts.begin(), firsts.end(), prior.key) == firsts.end())
-        joined_.problems.add("prior left out for the sigmas of its source's frame",
+        joined_.problems.add("prior left out, because its source's frame has sigmas",
                              mission.path.string() + ": node " + key_name(prior.key));
     }
   } else {
@@ -359,8 +360,9 @@ void Joiner::add(std::size_t source) {
   name_robots(source);
   if (options_.frames.empty() && at_origin_ > 1 && begins_at_origin(mission)) {
     joined_.problems.add(kWithoutFrame,
-                         mission.name + ": its origin is taken for that of the common frame; --frames auto " +
-                             "finds where it is from the scans, --frames FILE says it");
+                         mission.name +
+                             ": its origin is assumed to be that of the common frame; --frames auto " +
+                             "estimates it from the scans, --frames FILE gives it");
   }
   add_graph(mission, frames_[source]);
   add_rest(mission);

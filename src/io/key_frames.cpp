@@ -190,7 +190,7 @@ std::vector<Sweep> with_poses(const RobotStream& stream, const std::vector<Stamp
       posed.push_back(sweep);
       if (found->off_s > kSameTime_s) {
         problems.add_altered(
-            "sweep with the pose of another moment",
+            "sweep with the pose of another time",
             at(stream.source, sweep.stamp_ns) + ", " + std::to_string(found->off_s) + " s off");
       }
     } else {
@@ -206,7 +206,7 @@ std::vector<Sweep> with_poses(const RobotStream& stream, const std::vector<Stamp
                      " s of a pose of the odometry: the stamps of its " + std::to_string(odometry.size()) +
                      " poses are " + range_text(odometry) + ", those of its " +
                      std::to_string(sweeps.size()) + " sweeps " + range_text(sweeps) +
-                     ": both must be by one clock; mission.keyframe_max_time_difference_s sets the limit");
+                     ": both must use the same clock; mission.keyframe_max_time_difference_s sets the limit");
   }
   return posed;
 }
@@ -232,7 +232,7 @@ void make_submaps(std::vector<SelectedKeyFrame>& key_frames, const std::vector<S
     SelectedKeyFrame& frame = key_frames[n];
     std::vector<const Sweep*>& own = owned[n];
     if (own.size() > most) {
-      problems.add("sweep beyond the bound of a submap left out", at(source, frame.stamp_ns),
+      problems.add("sweep beyond submap_sweeps left out of a submap", at(source, frame.stamp_ns),
                    own.size() - most);
       std::stable_sort(own.begin(), own.end(), [&](const Sweep* a, const Sweep* b) {
         return std::abs(a->stamp_ns - frame.stamp_ns) < std::abs(b->stamp_ns - frame.stamp_ns);
@@ -335,8 +335,8 @@ std::vector<SelectedKeyFrame> choose_key_frames(const RobotStream& stream, const
   const std::vector<StampedPose> odometry = usable_odometry(stream, problems);
   const std::vector<Sweep> sweeps =
       with_poses(stream, odometry, usable_sweeps(stream, problems), options, problems);
-  count_gaps(odometry, "odometry is missing for a while", stream.source, options, problems);
-  count_gaps(sweeps, "sweeps are missing for a while", stream.source, options, problems);
+  count_gaps(odometry, "gap in the odometry", stream.source, options, problems);
+  count_gaps(sweeps, "gap in the sweeps", stream.source, options, problems);
   count_jumps(odometry, stream.source, problems);
   std::vector<SelectedKeyFrame> key_frames;
   for (const Sweep& sweep : sweeps) {
@@ -353,7 +353,7 @@ Mission make_key_frame_mission(const std::vector<RobotStream>& streams, SweepRea
   if (streams.empty()) throw InputError("no stream of odometry and sweeps");
   if (streams.size() > kLetters) {
     throw InputError(streams.front().source + ": " + std::to_string(streams.size()) + " robots, at most " +
-                     std::to_string(kLetters) + " can be read: a letter each");
+                     std::to_string(kLetters) + " can be read, because each needs a letter");
   }
   Mission mission;
   Parts made;
@@ -368,7 +368,7 @@ Mission make_key_frame_mission(const std::vector<RobotStream>& streams, SweepRea
   }
   for (std::size_t i = 0; made.at_origin.size() > 1 && i < made.at_origin.size(); ++i) {
     mission.problems.add("joined without a frame",
-                         made.at_origin[i] + ": its origin is taken for that of the common frame");
+                         made.at_origin[i] + ": its origin is assumed to be that of the common frame");
   }
   mission.robots = parts::robots_of(made.graph, options, Robots(std::move(made.robots)));
   std::vector<PriorFactor> priors;

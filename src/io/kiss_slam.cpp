@@ -21,7 +21,7 @@ void mark_without_information(G2oFile& file, const std::string& name) {
     const Edge& edge = file.graph.edges()[e];
     if (!edge.information.isApprox(Matrix6d::Identity(), 1e-9)) continue;
     bare.push_back(e);
-    file.problems.add_altered("edge with the identity as information, which is replaced",
+    file.problems.add_altered("edge with the identity as information, replaced by that of the options",
                               name + ": " + std::to_string(edge.from) + " to " + std::to_string(edge.to));
   }
   file.without_information.insert(file.without_information.end(), bare.begin(), bare.end());
@@ -43,8 +43,8 @@ CloudFile moved_to_node(CloudFile file, const Eigen::Isometry3d& T_world_node, c
   }
   const double away_m = sum.norm() / static_cast<double>(std::max<std::size_t>(cloud.size(), 1));
   if (!(away_m < kFar_m)) {
-    throw InputError(name + ": the middle of its points lies " + std::to_string(away_m) +
-                     " m from its node: local maps of KISS-SLAM are in the coordinates of their graph");
+    throw InputError(name + ": the centre of its points is " + std::to_string(away_m) +
+                     " m from its node: local maps of KISS-SLAM must be in the coordinates of their graph");
   }
   for (Eigen::Vector3f& normal : cloud.normals) normal = R * normal;
   cloud.origin.setZero();

@@ -75,7 +75,7 @@ void Gatherer::finish(Mission& mission, const std::string& name) const {
     node.pose = *seen.pose;
     graph.add_node(node);
   }
-  if (graph.empty()) throw InputError(name + ": no pose graph with a node in it");
+  if (graph.empty()) throw InputError(name + ": has no pose graph with a node");
   const Landmarks landmarks = held_landmarks(graph);
   std::set<char> characters;
   for (const auto& [key, pose] : landmarks.poses) {
@@ -163,7 +163,7 @@ Gatherer::Landmarks Gatherer::held_landmarks(const PoseGraph& key_frames) const 
         seen.where + ": " + key_name(key) + ", " +
             (seen.pose ? "not sighted, ranged from " : "without usable pose, ranged from ") +
             std::to_string(nodes == ranged.end() ? 0 : nodes->second.size()) + " of the " +
-            std::to_string(kLeastRanges) + " nodes that it takes");
+            std::to_string(kLeastRanges) + " nodes that are needed");
   }
   return held;
 }
@@ -278,7 +278,7 @@ void Gatherer::add_factors(Mission& mission, const std::string& name, const Land
   parts::complete_priors(graph, mission.robots, options_, name, priors, problems_);
   for (const Key key : landmarks.by_ranges) {
     priors.push_back({key, graph.node(key).pose, parts::information_of_sigmas(kAnchorSigmas)});
-    problems_.add_altered("landmark by ranges alone gets a prior", name + ": " + key_name(key));
+    problems_.add_altered("landmark with ranges only, given a prior", name + ": " + key_name(key));
   }
   graph =
       parts::assemble(graph, stamps_of(graph, mission.robots), priors, mission.robots, options_, problems_);
@@ -306,7 +306,7 @@ void Gatherer::add_radio_to(Mission& mission) const {
   std::map<std::pair<Key, std::string>, Nearest> chosen;
   for (const Reading& reading : readings_) {
     if (!drops_.empty() && drops_.count(reading.beacon) == 0) {
-      problems_.add("radio reading of no dropped beacon", reading.beacon);
+      problems_.add("radio reading of a beacon that was not dropped", reading.beacon);
       continue;
     }
     const auto robot = robot_named(mission.robots, reading.robot);
@@ -321,7 +321,8 @@ void Gatherer::add_radio_to(Mission& mission) const {
     const auto [nearest, is_new] =
         chosen.emplace(std::make_pair(node->second, reading.beacon), Nearest{distance(node), &reading});
     if (is_new) continue;
-    problems_.add("radio reading further from its node", key_name(node->second) + ", " + reading.beacon);
+    problems_.add("repeated radio reading of a node, the nearest in time is used",
+                  key_name(node->second) + ", " + reading.beacon);
     if (distance(node) < nearest->second.distance_ns) nearest->second = {distance(node), &reading};
   }
   for (const auto& [which, nearest] : chosen) {

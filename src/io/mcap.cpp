@@ -78,7 +78,7 @@ std::string inflate(const std::string& compression, std::string_view data, std::
   if (compression.empty()) return std::string(data);
   if (compression == "zstd") return inflate_zstd(data, size);
   if (compression == "lz4") return inflate_lz4(data, size);
-  throw InputError("compression " + text::quoted(compression) + " is not known, expected zstd or lz4");
+  throw InputError("unknown compression " + text::quoted(compression) + ", expected zstd or lz4");
 }
 
 struct Schema {
@@ -141,7 +141,7 @@ class Mcap : public Storage {
   }
   [[noreturn]] void cut_short(std::uint64_t at, const std::string& why) const {
     fail(at, why +
-                 ": the recording is cut short or damaged; 'mcap recover' makes a complete one of the "
+                 ": the recording is cut short or damaged; 'mcap recover' saves the "
                  "remaining part");
   }
 
@@ -179,7 +179,7 @@ class Mcap : public Storage {
     std::string mark;
     if (file_.size() < kMagic.size()) cut_short(0, "the file ends within its first mark");
     file_.read(0, kMagic.size(), mark);
-    if (mark != kMagic) fail(0, "is no MCAP recording");
+    if (mark != kMagic) fail(0, "is not an MCAP recording");
     std::uint64_t at = kMagic.size();
     for (unsigned char op = 0; op != kFooter;) {
       if (opening.stop.stop_requested()) throw StoppedError("reading " + name_ + " was stopped");
@@ -198,7 +198,7 @@ class Mcap : public Storage {
     if (file_.size() - at < kMagic.size()) cut_short(at, "the closing mark is missing");
     file_.read(at, kMagic.size(), mark);
     if (mark != kMagic) cut_short(at, "the closing mark is missing");
-    if (file_.size() - at > kMagic.size()) fail(at + kMagic.size(), "there is more behind the closing mark");
+    if (file_.size() - at > kMagic.size()) fail(at + kMagic.size(), "data after the closing mark");
   }
 
   /// Processes a record of the file.
@@ -239,7 +239,7 @@ class Mcap : public Storage {
       schema.name = fields.text();
       schema.encoding = fields.text();
       schema.definition = fields.text();
-      if (id == 0) throw InputError("a schema of number 0");
+      if (id == 0) throw InputError("a schema with id 0");
       schemas_[id] = std::move(schema);
     }
     if (op != kChannel) return;
@@ -248,7 +248,7 @@ class Mcap : public Storage {
     if (channels_.count(id) != 0) {  // repeated in every chunk that uses it, and in the summary
       const Connection& known = connections_[channels_[id]];
       if (known.topic != topic || known.encoding_name != encoding)
-        throw InputError("channel " + std::to_string(id) + " is there twice, with other contents");
+        throw InputError("channel " + std::to_string(id) + " is defined twice with different contents");
       return;
     }
     const auto schema = schemas_.find(schema_id);
@@ -295,8 +295,7 @@ class Mcap : public Storage {
       throw InputError("a chunk of " + std::to_string(chunk_.size()) + " bytes, its header says " +
                        std::to_string(size));
     }
-    if (crc != 0 && crc32(chunk_) != crc)
-      throw InputError("a chunk does not have the checksum that it claims");
+    if (crc != 0 && crc32(chunk_) != crc) throw InputError("the checksum of a chunk is wrong");
     chunk_at_ = at;
   }
 

@@ -418,10 +418,10 @@ MissionKind mission_kind(const fs::path& path) {
   // Tested last, because other programs may keep a database beside their own files.
   if (!parts::rtabmap_databases(folder).empty()) return MissionKind::kRtabmap;
   const std::string what = describe_foreign_folder(folder);
-  if (!what.empty()) throw InputError(folder.string() + ": no mission, it " + what);
+  if (!what.empty()) throw InputError(folder.string() + ": is not a mission: it " + what);
   throw InputError(
       path.string() +
-      ": no mission: expected mission.json or result.g2o (which are written last: without them "
+      ": is not a mission: expected mission.json or result.g2o (which are written last: without them "
       "a mission is not "
       "complete), optimized_poses.txt or odom_poses.txt of a session, *.bag, *.db3, *.mcap, rosbag/ or "
       "g2o_pcd/, or the path of a "
@@ -435,7 +435,7 @@ Mission with_legible_names(Mission mission) {
   const auto to_utf8 = [&](std::string& name) {
     if (text::is_utf8(name)) return false;
     name = text::legible(name);
-    mission.problems.add("name is no UTF-8", name);
+    mission.problems.add("name is not UTF-8", name);
     return true;
   };
   to_utf8(mission.name);
@@ -525,16 +525,16 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   if (paths.empty()) throw InputError("no mission given");
   if (options.frames == "auto" || options.frames == "common") {
     throw OptionError("frames = \"" + options.frames +
-                      "\": convert, replay and align take this word; here a file is expected (./" +
-                      options.frames + " for one of this name)");
+                      "\": only convert, replay and align accept this word; here a file is expected (./" +
+                      options.frames + " if it has this name)");
   }
   if (paths.size() == 1 && (!options.frames.empty() || options.start_together)) {
-    throw OptionError("frames and start_together are of several missions, one is given");
+    throw OptionError("frames and start_together need several missions, one is given");
   }
   if (paths.size() == 1) return read_mission(paths.front(), options, progress, stop);
   if (!options.poses.empty()) {
     throw OptionError("poses: one file is given for " + std::to_string(paths.size()) +
-                      " sources: convert each with its own first");
+                      " sources: convert each source with its own file first");
   }
   std::vector<fs::path> bag_paths;
   for (const fs::path& path : paths) {
@@ -542,7 +542,9 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   }
   const bool one_recording = bag_paths.size() == paths.size();
   if (one_recording && (!options.frames.empty() || options.start_together)) {
-    throw OptionError("frames and start_together: bags are one recording, in one frame and by one clock");
+    throw OptionError(
+        "frames and start_together cannot be used with bags, which are one recording with one frame and one "
+        "clock");
   }
   if (one_recording) return finished(parts::read_bags(bag_paths, options, {progress, stop}), options);
   MissionOptions of_one = options;

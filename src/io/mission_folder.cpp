@@ -93,7 +93,7 @@ class Description {
         CommunicationGap gap;
         const std::string name = text(item, at, "robot");
         const auto robot = find_robot(robots, name);
-        if (!robot) fail(at + ".robot", "\"" + name + "\" is no robot of the mission");
+        if (!robot) fail(at + ".robot", "\"" + name + "\" is not a robot of the mission");
         gap.robot = *robot;
         gap.begin_s = number(item, at, "begin_s");
         gap.end_s = number(item, at, "end_s");
@@ -139,10 +139,10 @@ class Description {
     const auto set = [&](const char* key, fs::path& file) {
       if (!names.contains(key)) return;
       const std::string name = text(names, "files", key);
-      if (name.find('\0') != std::string::npos) fail("files." + std::string(key), "is no name of a file");
+      if (name.find('\0') != std::string::npos) fail("files." + std::string(key), "is not a file name");
       file = fs::path(name).lexically_normal();
       if (file.empty() || file.is_absolute() || *file.begin() == "..") {
-        fail("files." + std::string(key), "\"" + file.string() + "\" leads out of the mission's folder");
+        fail("files." + std::string(key), "\"" + file.string() + "\" is outside of the mission's folder");
       }
     };
     set("graph", files.graph);
@@ -176,7 +176,7 @@ class Description {
   }
 
   void only(const Json& object, const std::string& at, const std::vector<std::string>& known) const {
-    if (!object.is_object()) fail(at.empty() ? "the whole" : at, "must be an object");
+    if (!object.is_object()) fail(at.empty() ? "the file" : at, "must be an object");
     for (const auto& item : object.items()) {
       if (std::find(known.begin(), known.end(), item.key()) != known.end()) continue;
       std::vector<std::string> full;
@@ -205,7 +205,7 @@ class Description {
   std::int64_t whole(const Json& object, const std::string& at, const char* key) const {
     const Json& v = value(object, at, key);
     if (!v.is_number_integer() || (v.is_number_unsigned() && v.get<std::uint64_t>() >> 63 != 0)) {
-      fail(join(at, key), "must be a whole number of 64 bits");
+      fail(join(at, key), "must be a 64-bit whole number");
     }
     return v.get<std::int64_t>();
   }
@@ -250,8 +250,7 @@ parts::Stamps read_stamps(const fs::path& file, const PoseGraph& graph, Problems
       problems.add("stamp without node", file.string() + ":" + std::to_string(table.line(row)));
       continue;
     }
-    if (!stamps.emplace(key, stamp).second)
-      table.fail(row, 0, "node " + key_name(key) + " has a stamp already");
+    if (!stamps.emplace(key, stamp).second) table.fail(row, 0, "node " + key_name(key) + " has two stamps");
   }
   for (const Node& node : graph.nodes()) {
     if (stamps.count(node.key) == 0)
@@ -280,7 +279,7 @@ std::vector<PriorFactor> read_priors(const fs::path& file, const PoseGraph& grap
     for (std::size_t i = 7; i < 13; ++i) {
       // Beyond these bounds, the information overflows or vanishes.
       if (!(values[i] >= 1e-12 && values[i] <= 1e12))
-        table.fail(row, i + 1, "a sigma must lie in [1e-12, 1e12]");
+        table.fail(row, i + 1, "a sigma must be in [1e-12, 1e12]");
     }
     prior.information = parts::information_of_sigmas(values + 7);
     priors.push_back(prior);
@@ -314,7 +313,7 @@ std::vector<BeaconDrop> read_beacons(const fs::path& file, const PoseGraph& grap
     if (drop.beacon.empty()) table.fail(row, 0, "is empty");
     if (!names.insert(drop.beacon).second) table.fail(row, 0, "beacon " + drop.beacon + " is dropped twice");
     const auto robot = Description::find_robot(robots, table.text(row, 1));
-    if (!robot) table.fail(row, 1, text::quoted(table.text(row, 1)) + " is no robot of the mission");
+    if (!robot) table.fail(row, 1, text::quoted(table.text(row, 1)) + " is not a robot of the mission");
     drop.robot = *robot;
     drop.drop_key = table.key(row, 2);
     if (!graph.contains(drop.drop_key)) {
@@ -354,7 +353,7 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   const auto present = [&](const fs::path& file) {
     std::error_code unknown;  // parts::exists() reports it
     // Reading a pipe could block, and a device may never end.
-    if (fs::is_other(folder / file, unknown)) throw InputError((folder / file).string() + ": is no file");
+    if (fs::is_other(folder / file, unknown)) throw InputError((folder / file).string() + ": is not a file");
     return parts::exists(folder / file);
   };
 
@@ -481,7 +480,7 @@ void MissionWriter::finish(const Mission& mission) const {
         {{"robot", robot_name(gap.robot)}, {"begin_s", gap.begin_s}, {"end_s", gap.end_s}});
   }
   json["provenance"] = parse_json(mission.provenance_json, "provenance");
-  if (!json["provenance"].is_object()) throw InputError("provenance is no JSON object");
+  if (!json["provenance"].is_object()) throw InputError("provenance is not a JSON object");
 
   write_file(folder_ / files.graph, g2o_text(graph, correlated));
   write_file(folder_ / files.stamps, stamps.text());

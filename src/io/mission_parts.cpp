@@ -160,7 +160,7 @@ void require_empty(const fs::path& folder) {
   const fs::file_status status = fs::status(folder, error);
   if (status.type() == fs::file_type::not_found) return;
   if (status.type() != fs::file_type::none && !fs::is_directory(status)) {
-    throw IoError(folder.string(), "exists and is no folder");
+    throw IoError(folder.string(), "exists and is not a folder");
   }
   const bool empty = status.type() != fs::file_type::none && fs::is_empty(folder, error);
   if (error) throw IoError(folder.string(), error.message());
@@ -218,7 +218,7 @@ TruthFiles find_truth(const fs::path& folder) {
         truth.g2o = graphs.front();
       } else if (graphs.size() > 1) {
         throw InputError(own.string() + ": " + std::to_string(graphs.size()) +
-                         " g2o files: the one to be taken must be named result.g2o");
+                         " g2o files: name the one to read result.g2o");
       }
       if (!truth.g2o.empty()) truth.bags.clear();
       if (!truth.g2o.empty() || !truth.bags.empty()) return truth;
@@ -271,7 +271,7 @@ void lay_truth_on_nodes(Mission& mission, const std::string& source) {
   if (off.translation().norm() < kNear_m && Eigen::AngleAxisd(off.linear()).angle() < kNear_rad) return;
   mission.truth_is_aligned = true;
   mission.problems.add("truth in another frame",
-                       source + ": laid on the mission, errors are those after alignment");
+                       source + ": aligned to the nodes, so errors are those after alignment");
   align_truth(mission);
 }
 

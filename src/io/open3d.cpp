@@ -30,7 +30,7 @@ std::vector<double> numbers_of(const Json& object, const char* key, std::size_t 
   for (const Json& value : *found) {
     if (!value.is_number() || !std::isfinite(value.get<double>()))
       throw InputError(where + ": " + key + " holds " + text::quoted(json_text(value)) +
-                       ", which is no number");
+                       ", which is not a number");
     values.push_back(value.get<double>());
   }
   return values;
@@ -99,7 +99,7 @@ fs::path graph_of_folder(const fs::path& folder) {
     if (!looks_like_open3d(std::string_view(read_file(entry)).substr(0, 4096))) continue;
     if (!found.empty()) {
       throw InputError(folder.string() + ": " + found.filename().string() + " and " +
-                       entry.filename().string() + " are both pose graphs of Open3D: give the file");
+                       entry.filename().string() + " are both pose graphs of Open3D: give one of the files");
     }
     found = entry;
   }
@@ -121,7 +121,7 @@ PoseGraph parse_open3d(std::string_view contents, const std::string& name, Probl
   for (const char* key : {"nodes", "edges"}) {
     if (!json.contains(key) || !json[key].is_array()) throw InputError(name + ": " + key + " must be a list");
   }
-  if (json["nodes"].empty()) throw InputError(name + ": holds no node");
+  if (json["nodes"].empty()) throw InputError(name + ": has no nodes");
   PoseGraph graph;
   Node node;
   for (const Json& entry : json["nodes"]) {

@@ -20,7 +20,7 @@ class PartOfNode {
     for (std::size_t p = 0; p < parts.size(); ++p) {
       for (const std::size_t robot : parts[p].robots) {
         if (robot >= robots_.size())
-          throw InputError("part " + std::to_string(p) + ": there is no robot " + std::to_string(robot));
+          throw InputError("part " + std::to_string(p) + ": unknown robot " + std::to_string(robot));
         if (!part_of_robot_.emplace(robot, p).second)
           throw InputError("robot \"" + robots_[robot].name + "\" is in two parts");
       }
@@ -126,7 +126,7 @@ Mission place_parts(const Mission& mission, const std::vector<MissionPart>& part
       robots.push_back(robot);
       if (!mission.robot_sources.empty()) out.robot_sources.push_back(mission.robot_sources[r]);
     } else if (!robot.landmarks) {
-      out.problems.add_altered("robot left out: its frame is not known", robot.name);
+      out.problems.add_altered("robot left out: its frame is unknown", robot.name);
     }
   }
   out.robots = Robots(std::move(robots));

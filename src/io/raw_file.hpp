@@ -18,7 +18,7 @@
 
 namespace loopwise {
 
-/// A regular file, open for reading. \throws IoError if it is no regular file or cannot be read
+/// A regular file, open for reading. \throws IoError if it is not a regular file or cannot be read
 class RawFile {
  public:
   explicit RawFile(const std::filesystem::path& path)
@@ -27,7 +27,7 @@ class RawFile {
     struct stat status {};
     if (::fstat(fd_, &status) != 0 || !S_ISREG(status.st_mode)) {
       ::close(fd_);
-      throw IoError(path.string(), "is no regular file");
+      throw IoError(path.string(), "is not a regular file");
     }
     size_ = static_cast<std::uint64_t>(status.st_size);
   }
@@ -43,7 +43,7 @@ class RawFile {
       const ssize_t got = ::pread(fd_, out.data() + done, count - done, static_cast<off_t>(at + done));
       if (got < 0 && errno == EINTR) continue;
       if (got <= 0)
-        throw IoError(path_.string(), got < 0 ? std::strerror(errno) : "became shorter while it was read");
+        throw IoError(path_.string(), got < 0 ? std::strerror(errno) : "became shorter while being read");
       done += static_cast<std::size_t>(got);
     }
   }

@@ -144,7 +144,7 @@ std::vector<std::int64_t> read_times(const fs::path& file) {
     if (word.empty()) continue;
     const auto stamp = text::parse_seconds_ns(word);
     if (!stamp || !stamp_in_range(*stamp))
-      text::Place{name, lines.number()}.fail(text::quoted(word) + " is no stamp in seconds");
+      text::Place{name, lines.number()}.fail(text::quoted(word) + " is not a stamp in seconds");
     stamps.push_back(*stamp);
   }
   return stamps;
@@ -167,7 +167,7 @@ std::vector<StampedPose> stamped(const Trajectory& poses, const std::vector<std:
       out.push_back({times[i], poses.poses[i]});
     } else {
       problems.add_altered("row beyond the common part left out",
-                           file + ": row " + std::to_string(i) + ", of which there is no time");
+                           file + ": row " + std::to_string(i) + ", for which times.txt has no line");
     }
   }
   return out;
@@ -183,10 +183,8 @@ void check_forward(const std::vector<StampedPose>& poses, bool calibrated, const
   if (moved.maxCoeff(&axis) < 1.0 || axis == 0) return;
   problems.add("lidar does not move along its x axis",
                file + ": it moves along " + "xyz"[axis] + ": " +
-                   (calibrated ? "are the poses those of the lidar, not of "
-                                 "the camera? Then calib.txt must go"
-                               : "are the poses those of the camera? Then "
-                                 "calib.txt with Tr is missing"));
+                   (calibrated ? "if the poses are those of the lidar, not of the camera, remove calib.txt"
+                               : "if the poses are those of the camera, add calib.txt with Tr"));
 }
 
 struct KittiPoses {
@@ -231,7 +229,7 @@ void set_truth_of_rows(Mission& mission, const std::vector<StampedPose>& truth, 
     if (found != by_stamp.end()) poses.emplace(node.key, found->second);
   }
   set_ground_truth(mission, std::move(poses));
-  mission.problems.add("poses of the data set taken for the truth", file.string());
+  mission.problems.add("poses of the data set used as the truth", file.string());
 }
 
 }  // namespace
@@ -248,7 +246,7 @@ Mission read_kitti_sequence(const fs::path& folder, const MissionOptions& option
   const auto T_camera_lidar = read_calibration(folder / "calib.txt", problems);
   if (!T_camera_lidar) {
     problems.add("no calibration given", (folder / "calib.txt").string() +
-                                             ": no line Tr: the poses are taken for those of the lidar");
+                                             ": no line Tr: the poses are assumed to be those of the lidar");
   }
   const auto sweeps = named_clouds<std::uint64_t>(
       folder / "velodyne",
@@ -261,7 +259,8 @@ Mission read_kitti_sequence(const fs::path& folder, const MissionOptions& option
       problems);
   std::vector<std::int64_t> times = read_times(folder / "times.txt");
   if (times.empty()) {
-    problems.add("no stamps given", (folder / "times.txt").string() + ": sweeps are taken to be 0.1 s apart");
+    problems.add("no stamps given",
+                 (folder / "times.txt").string() + ": sweeps are assumed to be 0.1 s apart");
     const std::uint64_t rows = sweeps.empty() ? 0 : sweeps.back().first + 1;
     for (std::uint64_t i = 0; i < rows; ++i)
       times.push_back(static_cast<std::int64_t>(i) * kKittiInterval_ns);
@@ -382,10 +381,10 @@ fs::path poses_of_clouds(const fs::path& folder, const fs::path& clouds, const M
   if (found.empty()) {
     throw InputError(folder.string() +
                      ": clouds named by stamps, but no poses: no .txt, .tum or .csv file with lines of 8 "
-                     "numbers (TUM: stamp x y z qx qy qz qw); --poses FILE says where it is");
+                     "numbers (TUM: stamp x y z qx qy qz qw); --poses FILE gives it");
   }
   throw InputError(folder.string() + ": " + found[0].filename().string() + " and " +
-                   found[1].filename().string() + " may both hold its poses: --poses FILE says which");
+                   found[1].filename().string() + " may both be its poses: --poses FILE selects one");
 }
 
 }  // namespace
@@ -397,7 +396,7 @@ Mission read_stamped_clouds(const fs::path& folder, const MissionOptions& option
   if (columns_of(file) == 12) {
     throw InputError(
         file.string() +
-        ": KITTI rows have no stamps, and the clouds are named by stamps: poses in TUM's form are "
+        ": KITTI rows have no stamps, and the clouds are named by stamps: poses in TUM format are "
         "needed (stamp x y z qx qy qz qw)");
   }
   const Trajectory poses = with_form(file, TrajectoryFormat::kTum, problems);

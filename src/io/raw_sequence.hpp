@@ -27,11 +27,11 @@ namespace loopwise::parts {
 /// The folder, or the only folder in it, with clouds that are named by stamps; empty if there are no such
 /// clouds. \throws InputError if there are several folders
 [[nodiscard]] std::filesystem::path stamped_clouds_of(const std::filesystem::path& folder);
-/// Reads clouds that are named by their stamps, and a trajectory in TUM's form: options.poses, otherwise the
+/// Reads clouds that are named by their stamps, and a trajectory in TUM format: options.poses, otherwise the
 /// only one in the folder or beside the clouds.
 [[nodiscard]] Mission read_stamped_clouds(const std::filesystem::path& folder, const MissionOptions& options);
 
-/// Parses a trajectory in TUM's form, including variants that data sets use: separated by commas; stamps in
+/// Parses a trajectory in TUM format, including variants that data sets use: separated by commas; stamps in
 /// s, ms, µs or ns, which their digits show, or in two columns of seconds and nanoseconds; a first line of
 /// names. \throws as parse_trajectory()
 [[nodiscard]] Trajectory parse_stamped_poses(const std::string& contents, const std::string& name);

@@ -105,11 +105,11 @@ Schema::Schema(const std::string& type, const std::string& definition) {
       field.array = true;
       type_name = word.substr(0, bracket);
       std::string_view count = word.substr(bracket + 1);
-      if (count.empty() || count.back() != ']') fail(text::quoted(word) + " is no type", lines.number());
+      if (count.empty() || count.back() != ']') fail(text::quoted(word) + " is not a type", lines.number());
       count.remove_suffix(1);
       std::uint64_t number = 0;
       if (!count.empty() && text::parse_id(count, number) != nullptr) {
-        fail(text::quoted(word) + " is no type", lines.number());
+        fail(text::quoted(word) + " is not a type", lines.number());
       }
       if (!count.empty()) field.count = number;
     }
@@ -117,7 +117,7 @@ Schema::Schema(const std::string& type, const std::string& definition) {
     if (rest.find('=') != std::string_view::npos) continue;  // a constant: "int32 ODOM = 0"
     const std::string_view name = text::next_word(rest);
     if (name.empty() || !text::next_word(rest).empty()) {
-      fail(text::quoted(whole) + " is no field", lines.number());
+      fail(text::quoted(whole) + " is not a field", lines.number());
     }
     field.name = std::string(name);
     types_[current].fields.push_back(std::move(field));
@@ -153,8 +153,9 @@ std::size_t Schema::find(const std::unordered_map<std::string, std::size_t>& nam
 
 void Schema::measure(std::size_t number, int depth) {
   if (types_[number].measured == Type::Measured::kYes) return;
-  if (types_[number].measured == Type::Measured::kNow) fail("type " + types_[number].name + " holds itself");
-  if (depth > kDeepest) fail("types hold one another more than " + std::to_string(kDeepest) + " deep");
+  if (types_[number].measured == Type::Measured::kNow)
+    fail("type " + types_[number].name + " contains itself");
+  if (depth > kDeepest) fail("types are nested more than " + std::to_string(kDeepest) + " deep");
   types_[number].measured = Type::Measured::kNow;
   std::uint64_t least = 0;
   bool fixed = true;
@@ -183,7 +184,7 @@ void Schema::measure(std::size_t number, int depth) {
 Value::Value(const Schema& schema, std::string_view bytes) : Value(schema, 0, bytes) {
   const std::size_t used = length();
   if (used != bytes.size()) {
-    fail("the message has " + std::to_string(bytes.size()) + " bytes, its definition takes " +
+    fail("the message has " + std::to_string(bytes.size()) + " bytes, its definition needs " +
          std::to_string(used));
   }
 }
@@ -295,7 +296,7 @@ std::int64_t Value::integer() const {
         break;
     }
   }
-  fail(type().name + " is no whole number");
+  fail(type().name + " is not a whole number");
 }
 
 double Value::number() const {
@@ -307,19 +308,19 @@ double Value::number() const {
 }
 
 std::string_view Value::text() const {
-  if (array_ || type().primitive != Primitive::kString) fail(type().name + " is no string");
+  if (array_ || type().primitive != Primitive::kString) fail(type().name + " is not a string");
   return bytes_.substr(4, length() - 4);
 }
 
 std::int64_t Value::time_ns() const {
-  if (array_ || type().primitive != Primitive::kTime) fail(type().name + " is no time");
+  if (array_ || type().primitive != Primitive::kTime) fail(type().name + " is not a time");
   static_cast<void>(length());
   return static_cast<std::int64_t>(load<std::uint32_t>(bytes_.data())) * 1'000'000'000 +
          static_cast<std::int64_t>(load<std::uint32_t>(bytes_.data() + 4));
 }
 
 std::size_t Value::size() const {
-  if (!array_) fail(type().name + " is no array");
+  if (!array_) fail(type().name + " is not an array");
   if (array_->count) return static_cast<std::size_t>(*array_->count);
   if (bytes_.size() < 4) fail("field " + array_->name + ": the message is cut short");
   return load<std::uint32_t>(bytes_.data());

@@ -18,7 +18,7 @@ std::unique_ptr<Storage> open_plain(const NumberedFile& file, const Opening& ope
   if (parts::begins_with(file.file.path, kMcapMark)) return open_mcap(file, opening);
   if (parts::begins_with(file.file.path, kSqliteMark)) return open_db3(file, opening);
   throw InputError(file.file.name +
-                   ": is no bag of ROS 2: expected MCAP or SQLite (.db3), or one of them packed by zstd");
+                   ": is not a ROS 2 bag: expected MCAP or SQLite (.db3), or one of them packed by zstd");
 }
 
 /// A bag that is decompressed to a temporary file.

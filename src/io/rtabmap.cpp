@@ -101,7 +101,7 @@ ScanInfo scan_info_of(std::string_view blob) {
   if (!(format >= 0.0F && format < 100.0F)) throw InputError("its scan is of an unknown format");
   info.format = static_cast<int>(format);
   const auto T = pose_of(blob.substr(before * sizeof(float)));
-  if (!T) throw InputError("the pose of its lidar on the robot is no pose");
+  if (!T) throw InputError("the pose of its lidar on the robot is invalid");
   info.T_body_lidar = *T;
   return info;
 }
@@ -183,7 +183,7 @@ class Reader {
       database_.check_pages();
       for (const char* const table : {"Node", "Data", "Link", "Admin"}) {
         if (!database_.has_table(table))
-          throw InputError(std::string("has no table ") + table + ": no database of RTAB-Map");
+          throw InputError(std::string("has no table ") + table + ": not a database of RTAB-Map");
       }
       read_links();
       read_nodes();
@@ -244,7 +244,7 @@ class Reader {
         continue;
       }
       if (type < 0 || type == kVirtualClosure || type > kNeighborMerged) {
-        problems_.add_altered("link of a kind that is not used left out", place(from, to));
+        problems_.add_altered("link of an unsupported type left out", place(from, to));
         continue;
       }
       if (seen.count(std::minmax(from, to)) != 0) continue;
@@ -295,13 +295,13 @@ class Reader {
         continue;
       }
       if (!nodes_.empty() && nodes_.back().key == key)
-        throw InputError("node " + std::to_string(id) + " is there twice");
+        throw InputError("node " + std::to_string(id) + " appears twice");
       nodes_.push_back({key, rows.integer(1, "map_id of a node"), *pose});
       const double stamp_ns = rows.number(3) * 1e9;
       if (stamp_ns > 0.0 && stamp_ns < 4.6e18) stamps_.emplace(key, std::llround(stamp_ns));
       if (const auto truth = pose_of(rows.bytes(5))) truth_.emplace(key, *truth);
     }
-    if (nodes_.empty()) throw InputError("holds no node with odometry and a link");
+    if (nodes_.empty()) throw InputError("has no node with odometry and a link");
   }
 
   /// Reads the optimised poses of the map that the program had when it ended.
@@ -312,7 +312,7 @@ class Reader {
     constexpr std::size_t kPose = 12;
     if (ids.is_float || !poses.is_float || ids.channels != 1 || poses.channels != 1 ||
         poses.count != kPose * ids.count)
-      throw InputError("its optimised poses and their ids disagree");
+      throw InputError("the numbers of optimised poses and of their ids differ");
     for (std::size_t i = 0; i < ids.count; ++i) {
       std::int32_t id = 0;
       std::memcpy(&id, ids.bytes.data() + 4 * i, sizeof id);
@@ -430,7 +430,7 @@ class Reader {
       if (!stated) {
         link.information = Matrix6d::Identity();
         without_information_.push_back(graph.edges().size());
-        problems_.add_altered("link without a covariance, which gets that of the options",
+        problems_.add_altered("link without a covariance, given that of the options",
                               name_ + ": " + std::to_string(link.from) + " to " + std::to_string(link.to));
       }
       graph.add_edge(link);
@@ -472,10 +472,10 @@ Mission read_rtabmap(const fs::path& path, const MissionOptions& options, const 
   if (fs::is_directory(path)) {
     const std::vector<fs::path> databases = rtabmap_databases(path);
     if (databases.size() > 1) {
-      throw InputError(path.string() + ": holds " + std::to_string(databases.size()) +
+      throw InputError(path.string() + ": has " + std::to_string(databases.size()) +
                        " databases of RTAB-Map, give one of them: " + databases.front().string() + " ...");
     }
-    if (databases.empty()) throw InputError(path.string() + ": holds no database of RTAB-Map");
+    if (databases.empty()) throw InputError(path.string() + ": has no database of RTAB-Map");
     file = databases.front();
   }
   return Reader(file, options, work).mission(path, file);

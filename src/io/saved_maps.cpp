@@ -83,10 +83,10 @@ Mission read_fast_lio_sam(const fs::path& folder, const MissionOptions& options)
   frames.source = folder / (has_stamps ? "poses_tum.txt" : "poses_kitti.txt");
   Trajectory poses =
       read_trajectory(frames.source, has_stamps ? TrajectoryFormat::kTum : TrajectoryFormat::kKitti);
-  if (poses.problems.count("pose before the one above it, sorted by stamp") > 0) {
+  if (poses.problems.count("pose with a stamp before the preceding one, sorted") > 0) {
     throw InputError(frames.source.string() +
-                     ": its stamps run backwards, so that its rows are not those of scans/: take "
-                     "poses_tum.txt away to read poses_kitti.txt, without stamps");
+                     ": its stamps are not ascending, so its rows do not match those of scans/: remove "
+                     "poses_tum.txt to read poses_kitti.txt, without stamps");
   }
   problems.add(poses.problems);
   frames.poses = std::move(poses.poses);
@@ -118,7 +118,7 @@ Mission read_hba(const fs::path& folder, const MissionOptions& options) {
     if (!pose.was_unit) problems.add_altered("non-unit quaternion", place.str());
     frames.poses.push_back(pose.pose);
   }
-  if (frames.poses.empty()) throw InputError(name + ": holds no pose");
+  if (frames.poses.empty()) throw InputError(name + ": has no poses");
   frames.numbers = rows(frames.poses.size());
   frames.clouds = numbered_clouds(folder / "pcd", problems);
   return mission_of_frames(frames, MissionKind::kHba, folder, options, std::move(problems));
@@ -135,7 +135,7 @@ std::vector<Eigen::Isometry3d> complete_steps(const SavedFrames& frames, Problem
     steps.push_back(se3::normalized(frames.poses[i].inverse() * frames.poses[i + 1]));
     problems.add("odometry taken from the optimised poses",
                  frames.source.string() + ": frame " + std::to_string(frames.numbers[i]) +
-                     ": without drift of its own, see --odometry-noise");
+                     ": it has no drift; --odometry-noise adds some");
   }
   return steps;
 }
@@ -148,7 +148,7 @@ std::map<Key, fs::path> numbered_clouds(const fs::path& folder, Problems& proble
 
 Mission mission_of_frames(const SavedFrames& frames, MissionKind kind, const fs::path& folder,
                           const MissionOptions& options, Problems problems) {
-  if (frames.poses.empty()) throw InputError(frames.source.string() + ": holds no pose");
+  if (frames.poses.empty()) throw InputError(frames.source.string() + ": has no poses");
   Mission mission;
   mission.kind = kind;
   mission.path = folder;

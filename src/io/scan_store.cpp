@@ -20,7 +20,7 @@ namespace {
 std::string far_from_sensor(Key key, const std::filesystem::path& file, const Eigen::Vector3d& middle) {
   std::ostringstream out;
   out << (file.empty() ? "" : file.string() + ": ") << "scan " << key_name(key)
-      << ": the middle of its points lies at " << std::fixed << std::setprecision(0) << middle.x() << " "
+      << ": the centre of its points is at " << std::fixed << std::setprecision(0) << middle.x() << " "
       << middle.y() << " " << middle.z()
       << " m: scans must be in the frame of their node, not in world coordinates; move each by the inverse "
          "of "

@@ -72,7 +72,7 @@ std::vector<std::int64_t> read_times(const fs::path& file, Problems& problems) {
     const text::Place place{name, lines.number()};
     if (!text::next_word(line).empty()) place.fail("more than one value, expected the stamp in seconds");
     const auto stamp = text::parse_seconds_ns(word);
-    if (!stamp || !stamp_in_range(*stamp)) place.fail(text::quoted(word) + " is no stamp in seconds");
+    if (!stamp || !stamp_in_range(*stamp)) place.fail(text::quoted(word) + " is not a stamp in seconds");
     stamps.push_back(*stamp);
   }
   return stamps;
@@ -96,17 +96,17 @@ std::optional<PoseGraph> read_graph(const fs::path& file, std::size_t rows, cons
   problems.add(session.problems);
   const std::vector<Key> keys = session.graph.keys();
   if (keys.empty()) {
-    problems.add_altered("session graph not used", file.string() + ": it holds no vertex yet");
+    problems.add_altered("session graph not used", file.string() + ": it has no vertices yet");
     return std::nullopt;
   }
   if (!may_belong_together(keys.size(), rows) ||
       *std::max_element(keys.begin(), keys.end()) != keys.size() - 1) {
     problems.add_altered("session graph not used",
-                         file.string() + ": its keys are not the rows of the poses file");
+                         file.string() + ": its keys are not the row numbers of the poses file");
     return std::nullopt;
   }
   if (session.graph.planar()) {
-    problems.add_altered("session graph not used", file.string() + ": it is a 2D graph, of a 3D session");
+    problems.add_altered("session graph not used", file.string() + ": it is 2D, but the session is 3D");
     return std::nullopt;
   }
   MissionOptions by_neighbours = options;
@@ -160,7 +160,7 @@ SessionFiles read_files(const fs::path& folder, const MissionOptions& options, P
   session.odometry = read_poses(folder / kOdometry, problems);
   if (!session.optimized && !session.odometry) {
     const fs::path file = folder / (fs::is_regular_file(folder / kOptimized) ? kOptimized : kOdometry);
-    throw InputError(file.string() + ": holds no pose: the session was stopped before its poses were saved");
+    throw InputError(file.string() + ": has no poses: the session was stopped before its poses were saved");
   }
   session.stamps = read_times(folder / kTimes, problems);
   if (!session.odometry)
@@ -186,7 +186,7 @@ Rows count_rows(const SessionFiles& session, const fs::path& folder, Problems& p
       files.begin(), files.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
   if (!may_belong_together(least->second, most->second)) {
     throw InputError(least->first + " has " + std::to_string(least->second) + " rows, " + most->first +
-                     " has " + std::to_string(most->second) + ": they are not of one session");
+                     " has " + std::to_string(most->second) + ": they do not belong to the same session");
   }
   const std::size_t rows = least->second;
   for (const auto& [file, count] : files) {
@@ -208,7 +208,7 @@ std::vector<Step> odometry_steps(const SessionFiles& session, std::size_t rows, 
       std::any_of(given.begin(), given.end(), [](const auto& step) { return step.has_value(); });
   if (!session.odometry && !any_given) {
     problems.add("odometry taken from the optimised poses",
-                 (folder / kOptimized).string() + ": without drift of its own, see --odometry-noise");
+                 (folder / kOptimized).string() + ": it has no drift; --odometry-noise adds some");
   }
   std::vector<Step> steps;
   for (std::size_t i = 0; i + 1 < rows; ++i) {
@@ -260,10 +260,10 @@ std::map<Key, fs::path> scans_by_row(std::map<Key, fs::path> scans, std::size_t 
   if (scans.empty() || scans.begin()->first != 1) return scans;
   const std::string first = scans.begin()->second.string();
   if (scans.rbegin()->first != saved_rows) {
-    problems.add("scans may be counted from 1", first + ": the first, taken for that of row 1");
+    problems.add("scans may be counted from 1", first + ": the first scan, used for row 1");
     return scans;
   }
-  problems.add_altered("scans are counted from 1", first + ": the first, taken for that of row 0");
+  problems.add_altered("scans are counted from 1", first + ": the first scan, used for row 0");
   std::map<Key, fs::path> shifted;
   for (auto& [number, file] : scans) shifted.emplace(number - 1, std::move(file));
   return shifted;

@@ -50,7 +50,7 @@ bool Statement::next() {
 
 std::int64_t Statement::integer(int column, const char* what) const {
   if (sqlite3_column_type(statement_, column) != SQLITE_INTEGER)
-    throw InputError(std::string(what) + " is no whole number");
+    throw InputError(std::string(what) + " is not a whole number");
   return sqlite3_column_int64(statement_, column);
 }
 
@@ -103,7 +103,7 @@ void Database::check_size(const fs::path& path) const {
   if (counts_pages && pages * page > file.size()) {
     throw InputError(name_ + ": the database is cut short: it should have " + std::to_string(pages * page) +
                      " bytes, the file has " + std::to_string(file.size()) +
-                     "; 'sqlite3 FILE .recover' writes what can be read of it");
+                     "; 'sqlite3 FILE .recover' saves the readable part");
   }
 }
 
@@ -118,7 +118,7 @@ void Database::check_pages() {
     const std::string found = check.bytes(0);
     if (found == "ok") continue;
     throw InputError("the database is damaged: " + found +
-                     "; 'sqlite3 FILE .recover' writes what can be read of it");
+                     "; 'sqlite3 FILE .recover' saves the readable part");
   }
 }
 

@@ -31,9 +31,9 @@ class Statement {
   void reset() { sqlite3_reset(statement_); }
   /// Advances to the next row. False at the end.
   bool next();
-  /// \throws InputError naming `what` if it is no whole number
+  /// \throws InputError naming `what` if it is not a whole number
   [[nodiscard]] std::int64_t integer(int column, const char* what) const;
-  /// As SQLite converts it; 0 if it is no number.
+  /// As SQLite converts it; 0 if it is not a number.
   [[nodiscard]] double number(int column) const { return sqlite3_column_double(statement_, column); }
   /// Text or bytes.
   [[nodiscard]] std::string bytes(int column) const;

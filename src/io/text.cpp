@@ -131,7 +131,7 @@ const char* parse_id(std::string_view word, std::uint64_t& value) {
   if (word.size() > 1 && word[0] == '-' && std::isdigit(static_cast<unsigned char>(word[1])))
     return "is negative";
   const auto [end, error] = std::from_chars(word.data(), last, value);
-  if (end != last || error == std::errc::invalid_argument) return "is no whole number";
+  if (end != last || error == std::errc::invalid_argument) return "is not a whole number";
   if (error == std::errc::result_out_of_range) return "exceeds 64 bits";
   return nullptr;
 }
@@ -197,7 +197,7 @@ std::size_t read_numbers(std::string_view& line, double* values, std::size_t cap
     double value = 0.0;
     switch (parse_double(word, value)) {
       case Number::kNotANumber:
-        place.fail(quoted(word) + " is no number");
+        place.fail(quoted(word) + " is not a number");
       case Number::kNotFinite:
         place.fail(quoted(word) + " is not finite");
       case Number::kOk:
@@ -228,7 +228,7 @@ Rigid rigid_of(const double* v, const Place& place) {
   Eigen::Matrix3d R;
   R << v[0], v[1], v[2], v[4], v[5], v[6], v[8], v[9], v[10];
   const double off = se3::rotation_defect(R);
-  if (off > 0.1) place.fail("the 3x3 part is no rotation matrix");
+  if (off > 0.1) place.fail("the 3x3 part is not a rotation matrix");
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(R, Eigen::ComputeFullU | Eigen::ComputeFullV);
   Rigid out{Eigen::Isometry3d::Identity(), off <= 1e-3};
   out.pose.linear() = svd.matrixU() * svd.matrixV().transpose();

@@ -72,7 +72,7 @@ enum class Number { kOk, kNotANumber, kNotFinite };
 [[nodiscard]] bool parse_int64(std::string_view word, std::int64_t& value);
 
 /// Converts decimal seconds to nanoseconds, exactly for up to nine decimals: a double would lose the last
-/// 100 ns. Empty if the word is no number or beyond ±9.2e9 s.
+/// 100 ns. Empty if the word is not a number or beyond ±9.2e9 s.
 [[nodiscard]] std::optional<std::int64_t> parse_seconds_ns(std::string_view word);
 
 /// Position in a file, for errors.

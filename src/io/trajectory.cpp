@@ -20,7 +20,7 @@
 namespace loopwise {
 namespace {
 
-constexpr const char* kWanted = "a trajectory in TUM's or KITTI's form or a g2o graph";
+constexpr const char* kWanted = "a trajectory in TUM or KITTI format or a g2o graph";
 constexpr std::initializer_list<FileKind> kTrajectories = {FileKind::kTum, FileKind::kKitti, FileKind::kG2o,
                                                            FileKind::kEmpty};
 constexpr std::size_t kTumNumbers = 8;
@@ -44,7 +44,7 @@ TrajectoryFormat recognise(const std::string& file, std::string_view contents) {
                          " values, expected 8 (TUM: stamp x y z qx qy qz qw), 12 (KITTI: rows "
                          "of a 3x4 matrix) or a g2o tag");
   }
-  throw InputError(file + ": holds no pose");
+  throw InputError(file + ": has no poses");
 }
 
 void read_tum_line(std::string_view line, const text::Place& place, Trajectory& out) {
@@ -56,7 +56,7 @@ void read_tum_line(std::string_view line, const text::Place& place, Trajectory& 
   if (found != kTumNumbers && !has_id)
     place.fail("a TUM pose needs 8 values, found " + std::to_string(found));
   const auto ns = text::parse_seconds_ns(stamp);
-  if (!ns) place.fail(text::quoted(stamp) + " is no stamp in seconds");
+  if (!ns) place.fail(text::quoted(stamp) + " is not a stamp in seconds");
   const text::Pose pose = text::pose_of(values, place);
   if (!pose.was_unit) out.problems.add_altered("non-unit quaternion", place.str());
   out.stamps_ns.push_back(*ns);
@@ -97,7 +97,8 @@ void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& line
     return text::Place{file, lines[i]}.str() + ": " + seconds(read[i]);
   };
   for (std::size_t i = 1; i < read.size(); ++i) {
-    if (read[i] < read[i - 1]) out.problems.add("pose before the one above it, sorted by stamp", place(i));
+    if (read[i] < read[i - 1])
+      out.problems.add("pose with a stamp before the preceding one, sorted", place(i));
   }
   const std::vector<std::size_t> order = by_stamp(read);
   const std::vector<Eigen::Isometry3d> poses = out.poses;
@@ -105,12 +106,12 @@ void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& line
     out.poses[i] = poses[order[i]];
     out.stamps_ns[i] = read[order[i]];
     if (i > 0 && out.stamps_ns[i] == out.stamps_ns[i - 1])
-      out.problems.add("stamp that comes twice, perhaps written with too few digits", place(order[i]));
+      out.problems.add("repeated stamp, perhaps written with too few digits", place(order[i]));
   }
   const bool sorted = std::is_sorted(read.begin(), read.end());
   if (!sorted && out.stamps_ns.front() >= 0 && out.stamps_ns.back() < kSecond) {
-    out.problems.add("stamps without their seconds, perhaps",
-                     file + ": all lie between 0 and 1 s and do not ascend");
+    out.problems.add("stamps that may lack their seconds",
+                     file + ": all are between 0 and 1 s and not ascending");
   }
 }
 
@@ -130,7 +131,7 @@ Trajectory read_lines(const std::string& file, std::string_view contents, Trajec
       read_kitti_line(line, place, out);
     }
   }
-  if (out.poses.empty()) throw InputError(file + ": holds no pose");
+  if (out.poses.empty()) throw InputError(file + ": has no poses");
   if (!lines.ended()) out.problems.add("no line end after the last line", file);
   if (format == TrajectoryFormat::kTum) sort_by_stamp(file, numbers, out);
   out.keys.resize(out.poses.size());
@@ -320,10 +321,11 @@ PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double 
   } else {
     throw InputError("cannot pair " + std::to_string(estimate.poses.size()) + " poses (" +
                      enum_name(estimate.format) + ") with " + std::to_string(truth.poses.size()) + " (" +
-                     enum_name(truth.format) + "): without common keys or stamps they must be as many");
+                     enum_name(truth.format) +
+                     "): without common keys or stamps their numbers must be equal");
   }
   if (pairs.empty()) {
-    throw InputError("no pose of the estimate has a partner in the truth: " +
+    throw InputError("no pose of the estimate has a match in the truth: " +
                      (by_stamp ? "no stamps close enough, those of the estimate are " + span(estimate) +
                                      ", of the truth " + span(truth)
                                : std::string("no common key")));

@@ -34,7 +34,7 @@ Session read_voxel_session(const fs::path& folder, Problems& problems) {
     if (word.empty()) continue;
     const text::Place place{name, lines.number()};
     const auto stamp = text::parse_seconds_ns(word);
-    if (!stamp) place.fail(text::quoted(word) + " is no stamp in seconds");
+    if (!stamp) place.fail(text::quoted(word) + " is not a stamp in seconds");
     double values[7];
     const std::size_t found = text::read_numbers(rest, values, 7, place);
     if (found < 7) {
@@ -51,9 +51,10 @@ Session read_voxel_session(const fs::path& folder, Problems& problems) {
     ++row;
   }
   for (auto cloud = clouds.lower_bound(row); cloud != clouds.end(); ++cloud)
-    problems.add_altered("row beyond the common part left out", cloud->second.string() + ": it has no state");
+    problems.add_altered("row beyond the common part left out",
+                         cloud->second.string() + ": no state has its number");
   problems.add("odometry taken from the optimised poses",
-               name + ": without drift of its own, see --odometry-noise");
+               name + ": it has no drift; --odometry-noise adds some");
   return session;
 }
 

@@ -62,7 +62,7 @@ ComponentPaths::ComponentPaths(const PoseGraph& graph, const std::vector<JoinCom
         here.path = path++;
       }
       if (!number_.emplace(key, stations_.size()).second)
-        throw InputError("key " + key_name(key) + " is of two components");
+        throw InputError("key " + key_name(key) + " belongs to two components");
       stations_.push_back(here);
     }
     ranges_.emplace_back(first, stations_.size());
@@ -71,7 +71,7 @@ ComponentPaths::ComponentPaths(const PoseGraph& graph, const std::vector<JoinCom
 
 std::size_t ComponentPaths::of(Key key) const {
   const auto found = number_.find(key);
-  if (found == number_.end()) throw UnknownKeyError("key " + key_name(key) + " is of no component");
+  if (found == number_.end()) throw UnknownKeyError("key " + key_name(key) + " belongs to no component");
   return found->second;
 }
 

@@ -69,8 +69,8 @@ bool give_up_contradictions(std::vector<Tie>& ties, const std::vector<std::size_
     const bool doubtful = static_cast<double>(tie.confirmed) < kByFar * static_cast<double>(strongest);
     if (!contradicts && !doubtful) continue;
     tie.joined = false;
-    tie.reason = std::to_string(tie.closures.size()) + " closures agree, but the ties between " +
-                 "other components contradict them";
+    tie.reason = std::to_string(tie.closures.size()) +
+                 " closures agree, but they contradict the closures between " + "other components";
   }
   return true;
 }
@@ -145,7 +145,7 @@ std::string to_string(const JoinResult& result, const std::vector<JoinComponent>
   std::string text = std::to_string(joined) + " of " + std::to_string(components.size()) + " joined";
   for (std::size_t c = 0; c < components.size(); ++c) {
     if (joined > 0 && result.frames[c].group == 0) continue;
-    text += "; " + components[c].name + " is apart: " + result.frames[c].reason;
+    text += "; " + components[c].name + " is not joined: " + result.frames[c].reason;
   }
   return text;
 }

@@ -69,7 +69,7 @@ class LoopClosureModule::Impl {
 
   bool set_estimate(const ExternalEstimate& estimate) {
     if (options_.engine.use_back_end)
-      throw InputError("an estimate from outside needs the option engine.use_back_end to be off");
+      throw InputError("an external estimate needs the option engine.use_back_end to be off");
     return add(estimate);
   }
 

@@ -281,7 +281,7 @@ class Summary {
                       out_.cost, out_.best_cost);
         break;
       default:
-        std::snprintf(text, sizeof text, "the lowest isotropic chordal cost lies between %.9g and %.9g%s",
+        std::snprintf(text, sizeof text, "the lowest isotropic chordal cost is between %.9g and %.9g%s",
                       out_.lower_bound, out_.best_cost, reason());
     }
     return text + reduced;
@@ -291,7 +291,8 @@ class Summary {
   [[nodiscard]] const char* reason() const {
     if (!converged_) return "; the descent did not converge";
     if (lost_in_rounding_)
-      return "; rounding hides the rest: the information of the factors differs too much, or positions are "
+      return "; rounding errors prevent a tighter bound: the information of the factors differs too much, or "
+             "positions are "
              "too far apart";
     return out_.relaxation_solved && out_.reduced_factors == 0 ? "; the relaxation is not tight" : "";
   }

@@ -330,7 +330,7 @@ std::vector<Matrix12d> HessianFactor::joint(
 Marginals HessianFactor::marginals_with(const std::vector<Edge>& edges, const Marginals& base) const {
   const Impl& m = *impl_;
   if (base.covariances.size() != m.variable.size()) {
-    throw InputError("the marginals are those of another graph: " + std::to_string(base.covariances.size()) +
+    throw InputError("the marginals belong to another graph: " + std::to_string(base.covariances.size()) +
                      " nodes, expected " + std::to_string(m.variable.size()));
   }
   std::vector<std::size_t> nodes;

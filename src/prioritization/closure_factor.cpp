@@ -87,8 +87,9 @@ GraphComponents::GraphComponents(const PoseGraph& graph) {
 ClosureFactor::ClosureFactor(const PoseGraph& graph) {
   if (graph.planar()) {
     throw InputError(
-        "a 2D graph, but candidates are found and registered in 3D: optimize, evaluate, info and convert "
-        "take it");
+        "a 2D graph, but candidates are found and registered in 3D: only optimize, evaluate, info and "
+        "convert "
+        "support it");
   }
   const std::size_t n = graph.nodes().size();
   const GraphComponents parts(graph);

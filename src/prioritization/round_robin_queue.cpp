@@ -162,7 +162,7 @@ std::vector<LoopCandidate> RoundRobinQueue::share_of(Prioritizer& prioritizer, s
     }
   }
   if (wrong != nullptr) {
-    throw Error(std::string(prioritizer.name()) + ": take(): handed out candidate " +
+    throw Error(std::string(prioritizer.name()) + ": take(): returned candidate " +
                 std::to_string(wrong->id) +
                 (wrong == share.data() + count ? ", which was not requested" : ", which is not pending"));
   }

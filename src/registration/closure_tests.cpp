@@ -194,7 +194,7 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
     result.message = std::move(message);
   };
   if (!T_from_to.matrix().allFinite() || !figures.hessian.allFinite()) {
-    return reject(RejectionReason::kNotConverged, "the refinement left the finite numbers");
+    return reject(RejectionReason::kNotConverged, "the refinement reached values that are not finite");
   }
   result.T_from_to = se3::normalized(T_from_to);
   result.gicp_fitness_m2 = figures.fitness_m2;

@@ -27,7 +27,7 @@ std::optional<Submap> Submap::load(FeatureCache& cache, const std::vector<Submap
       if (!neighbour) return missing(member.key, error.what());
     }
     if (!part.features) {
-      if (!neighbour) return missing(member.key, "there is none");
+      if (!neighbour) return missing(member.key, "is missing");
       submap.incomplete_ = true;
       continue;
     }

@@ -61,7 +61,7 @@ class ByteReader {
   /// A byte from 0 to `last`.
   [[nodiscard]] std::uint8_t one_of(std::uint8_t last) {
     const auto value = get<std::uint8_t>();
-    if (value > last) throw InputError("a message holds a value that does not exist");
+    if (value > last) throw InputError("a message has an undefined value");
     return value;
   }
   template <class Matrix>

@@ -71,7 +71,7 @@ void refuse_renamed(const std::string& section, const std::string& key) {
   }
   const auto found = renamed_keys().find(name);
   if (found == renamed_keys().end()) return;
-  throw OptionError("unknown option " + found->first + ": its name is " + found->second + " now");
+  throw OptionError("unknown option " + found->first + ": it is now called " + found->second);
 }
 
 }  // namespace

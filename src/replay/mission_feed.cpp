@@ -126,8 +126,8 @@ std::unordered_map<std::size_t, std::vector<LoopCandidate>> given_candidates(
 std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& options) {
   if (mission.graph.planar()) {
     throw InputError(mission.path.string() +
-                     ": has a 2D graph, but candidates are found and registered in 3D: optimize, evaluate, "
-                     "info and convert take it");
+                     ": has a 2D graph, but candidates are found and registered in 3D: only optimize, "
+                     "evaluate, info and convert support it");
   }
   const std::vector<Node>& nodes = mission.graph.nodes();
   const std::vector<double> times = arrival_times(mission);
@@ -187,7 +187,7 @@ std::vector<ClosureDecision> decisions_of(const Mission& mission, const ReplayOp
     for (const Key key : {decision.from, decision.to}) {
       if (mission.graph.contains(key)) continue;
       throw InputError(options.decisions + ": mission " + mission.path.string() + " has no node " +
-                       key_name(key) + "; decisions hold for the mission that they were made on");
+                       key_name(key) + "; decisions apply only to the mission that they were made for");
     }
   }
   return decisions;

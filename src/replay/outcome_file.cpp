@@ -33,7 +33,7 @@ std::string difference(const std::string& before, const std::string& now) {
     if (was.contains(pointer) && was[pointer] == value) continue;
     std::string name = pointer.substr(1);
     std::replace(name.begin(), name.end(), '/', '.');
-    return "other options: " + name + " was " + (was.contains(pointer) ? was[pointer].dump() : "not there");
+    return "other options: " + name + " was " + (was.contains(pointer) ? was[pointer].dump() : "absent");
   }
   if (!same("content")) return "other content of graph_information.gnn_weights or of replay.decisions";
   return "other options";

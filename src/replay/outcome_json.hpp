@@ -31,7 +31,7 @@ template <class Matrix>
 [[nodiscard]] Matrix matrix_of(const Json& list) {
   Matrix matrix;
   if (!list.is_array() || list.size() != static_cast<std::size_t>(matrix.size()))
-    throw InputError("a matrix has another size");
+    throw InputError("a matrix has the wrong size");
   std::size_t i = 0;
   for (Eigen::Index r = 0; r < matrix.rows(); ++r) {
     for (Eigen::Index c = 0; c < matrix.cols(); ++c) matrix(r, c) = number_or_nan(list[i++]);

@@ -43,7 +43,8 @@ double measured_s(const RegistrationResult& result) {
   const double seconds = result.seconds();
   if (seconds >= 0.0 && std::isfinite(seconds)) return seconds;
   throw InputError("registration " + key_name(result.candidate.from) + " - " + key_name(result.candidate.to) +
-                   " says that it took " + std::to_string(seconds) + " s; cost.measured_time needs the time");
+                   " reports a time of " + std::to_string(seconds) +
+                   " s; cost.measured_time needs a time >= 0");
 }
 
 /// One run: the engine on a virtual clock.

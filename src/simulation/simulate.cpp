@@ -89,7 +89,7 @@ class Reporter {
 };
 
 void stop_here(const StopToken& stop) {
-  if (stop.stop_requested()) throw SimulationStopped("stopped before the mission was whole");
+  if (stop.stop_requested()) throw SimulationStopped("stopped before the mission was complete");
 }
 
 /// Nodes of one robot within the whole mission.
@@ -330,7 +330,7 @@ void Maker::hear_beacons(ThreadPool& pool) {
     result_.beacons.push_back({name, sim::beacon_position(team_, drops_[d])});
   }
   if (drops_.empty()) return;
-  Reporter report(progress_, "hearing beacons", 1);
+  Reporter report(progress_, "simulating radio readings", 1);
   for (const sim::Heard& h : sim::listen(*caster_, options().world, team_, drops_, stream(kRadio), pool)) {
     for (std::size_t k = 0; k < h.receive_dbm.size(); ++k) {
       mission().radio.push_back({node_key(h.robot, h.node), mission().beacons[h.drop].beacon,

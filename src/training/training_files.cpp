@@ -337,7 +337,7 @@ DataSet read_data_set(const std::filesystem::path& folder) {
       const std::string& name = out.entries.back().file;
       const std::filesystem::path file = std::filesystem::path(name).lexically_normal();
       if (name.find('\0') != std::string::npos || file.empty() || file.is_absolute() || *file.begin() == "..")
-        bad(Json(name).dump() + " leads out of the data's folder");
+        bad(Json(name).dump() + " is outside of the data's folder");
       out.entries.back().file = file.string();  // the checked path, without resolving links
     }
   } catch (const nlohmann::json::exception& error) {

@@ -78,7 +78,7 @@ TEST_CASE("optimize: a false edge between neighbours is reported, and --gnc may 
   write_g2o(truth, made.truth);
   const ProgramRun run = run_program({"optimize", in, "-o", out, "--gnc", "--weights", weights});
   REQUIRE(run.status == 0);
-  REQUIRE_THAT(run.err, Contains("contradicts odometry"));
+  REQUIRE_THAT(run.err, Contains("contradicts the odometry"));
   REQUIRE_THAT(run.err, !Contains("chain"));
   const CsvTable table(weights, {"edge", "from", "to", "weight", "kind"});
   REQUIRE(table.size() == 26);
@@ -158,12 +158,12 @@ TEST_CASE("evaluate: TUM files in any order have the same errors, and few pairs 
   REQUIRE(json_of({"evaluate", file("shuffled.tum"), file("truth.tum")}) == expected);
   REQUIRE(expected.at("robots").at("0").at("path_length_m").get<double>() == Approx(46.0).epsilon(0.01));
   REQUIRE_THAT(run_program({"evaluate", file("shuffled.tum"), file("truth.tum")}).err,
-               Contains("pose before the one above it, sorted by stamp"));
+               Contains("pose with a stamp before the preceding one, sorted"));
 
   for (std::size_t i = 6; i < estimate.size(); ++i) estimate[i].stamp_ns += 50000000;
   write_tum(file("few.tum"), estimate);
   const ProgramRun run = run_program({"evaluate", file("few.tum"), file("truth.tum")});
-  REQUIRE_THAT(run.out, Contains("18 of 24 poses of the estimate have no partner in the truth"));
+  REQUIRE_THAT(run.out, Contains("18 of 24 poses of the estimate have no match in the truth"));
   const Json json = json_of({"evaluate", file("few.tum"), file("truth.tum")});
   REQUIRE(json.at("unpaired").at("estimate") == 18);
   REQUIRE(json.at("unpaired").at("truth") == 18);

@@ -43,7 +43,7 @@ Problems classify(PoseGraph& graph) {
 
 constexpr EdgeKind kOdometry = EdgeKind::kOdometry, kClosure = EdgeKind::kLoopClosure;
 const char* const kBroken = "odometry chain broken";
-const char* const kContradicts = "edge that contradicts odometry taken for a loop closure";
+const char* const kContradicts = "edge that contradicts the odometry, treated as a loop closure";
 
 }  // namespace
 
@@ -153,7 +153,7 @@ TEST_CASE("edges: a list of pairs determines the odometry", "[core][graph][odome
   std::vector<Robot> with_landmark = {{"r", 0, 1}, {"seen", 2, 9}};
   with_landmark.back().landmarks = true;
   REQUIRE_THROWS_WITH(classify_edges(graph, Robots(with_landmark), {{0, 1}, {2, 1}}),
-                      "between 1 and 2 is no odometry: 2 is a landmark");
+                      "no odometry between 1 and 2: 2 is a landmark");
 }
 
 TEST_CASE("edges: the same measurement from its other end costs the same", "[core][graph][odometry]") {

@@ -178,11 +178,11 @@ TEST_CASE("graph: nothing leaves the plane of a planar graph", "[core][graph][pl
   }
   Edge tied = edge_between(0, 2);
   tied.information(0, 4) = tied.information(4, 0) = 0.1;
-  REQUIRE_THROWS_WITH(graph.add_edge(tied), Contains("information ties z, roll or pitch"));
-  REQUIRE_THROWS_WITH(graph.set_information(0, tied.information), Contains("ties z, roll or pitch"));
+  REQUIRE_THROWS_WITH(graph.add_edge(tied), Contains("information couples z, roll or pitch"));
+  REQUIRE_THROWS_WITH(graph.set_information(0, tied.information), Contains("couples z, roll or pitch"));
   GravityFactor gravity;
   gravity.key = 1;
-  REQUIRE_THROWS_WITH(graph.add_gravity(gravity), Contains("the graph is planar"));
+  REQUIRE_THROWS_WITH(graph.add_gravity(gravity), Contains("a planar graph cannot use it"));
   graph.add_range({0, 2, 2.0, 0.1});
   REQUIRE(graph.edges().size() == 2);
 

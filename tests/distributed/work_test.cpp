@@ -130,7 +130,7 @@ TEST_CASE("work: a rank that disagrees, fails to begin or stays silent is named"
     Ranks ranks(3);
     ranks.start(1, "replay 1", doubled);
     ranks.start(2, "replay 2", doubled);
-    REQUIRE_THROWS_WITH(WorkServer(ranks.of(0), "replay 1"), Contains("rank 2 does not agree"));
+    REQUIRE_THROWS_WITH(WorkServer(ranks.of(0), "replay 1"), Contains("rank 2 differs from rank 0"));
     ranks.join();
   }
   SECTION("no mission there") {

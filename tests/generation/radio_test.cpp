@@ -199,13 +199,13 @@ TEST_CASE("radio: unknown nodes and beacons, repeated words", "[generation][radi
   REQUIRE(f.generator.waiting() == 1);
   REQUIRE(f.note(f.generator.on_radio(f.graph, heard(make_key('b', 5000), "x"), 1.0)).empty());
   REQUIRE(f.note(f.generator.on_radio(f.graph, heard(make_key('z', 1), "x"), 1.0)).empty());
-  REQUIRE(f.generator.problems().count("radio reading of no robot's node") == 2);
+  REQUIRE(f.generator.problems().count("radio reading at a node of no robot") == 2);
   REQUIRE(f.generator.waiting() == 2);
   REQUIRE(f.hear('b', 11, "never dropped").empty());  // the oldest goes
   REQUIRE(f.generator.waiting() == 2);
-  REQUIRE(f.generator.problems().count("radio reading of a node or beacon that never came") == 1);
+  REQUIRE(f.generator.problems().count("radio reading of a node or beacon that did not arrive") == 1);
   f.drop("x", 'z', 0);
-  REQUIRE(f.generator.problems().count("beacon dropped at no robot's node") == 1);
+  REQUIRE(f.generator.problems().count("beacon dropped at a node of no robot") == 1);
   f.drop("x", 'a', 0);
   f.drop("x", 'b', 3);
   REQUIRE(f.generator.problems().count("beacon dropped twice") == 1);

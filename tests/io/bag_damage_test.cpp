@@ -165,10 +165,10 @@ TEST_CASE("bags: false sizes and offsets", "[io][bag][damage]") {
       {"conn_count=", number(9, 4), "damaged.bag: byte"},
       {"chunk_count=", number(0, 4), "after the end of the index"},
       {"chunk_count=", number(0xFFFFFFFF, 4), "damaged.bag: byte"},
-      {"chunk_pos=", number(1ull << 40, 8), "the index says that a chunk is at byte"},
+      {"chunk_pos=", number(1ull << 40, 8), "the index lists a chunk at byte"},
       {"size=", number(0xFFFFFFFF, 4), "are not read"},
       {"size=", number(0x3FFFFFFF, 4), "compressed data are damaged"},
-      {"compression=", "zip", "compression \"zip\" is not known"},
+      {"compression=", "zip", "unknown compression \"zip\""},
   };
   for (const Change& change : changes) {
     CAPTURE(change.after, change.message);
@@ -271,13 +271,14 @@ TEST_CASE("ros messages: invalid definitions", "[io][bag][ros][error]") {
   const std::string line = std::string(80, '=') + "\nMSG: ";
   CHECK_THROWS_WITH(schema("Other o\n")(),
                     Contains("definition of test_msgs/A:1: type \"Other\" is not defined"));
-  CHECK_THROWS_WITH(schema("uint8\n")(), Contains("is no field"));
-  CHECK_THROWS_WITH(schema("uint8 a b\n")(), Contains("is no field"));
-  CHECK_THROWS_WITH(schema("uint8[x] a\n")(), Contains("is no type"));
-  CHECK_THROWS_WITH(schema("uint8[ a\n")(), Contains("is no type"));
+  CHECK_THROWS_WITH(schema("uint8\n")(), Contains("is not a field"));
+  CHECK_THROWS_WITH(schema("uint8 a b\n")(), Contains("is not a field"));
+  CHECK_THROWS_WITH(schema("uint8[x] a\n")(), Contains("is not a type"));
+  CHECK_THROWS_WITH(schema("uint8[ a\n")(), Contains("is not a type"));
   CHECK_THROWS_WITH(schema("uint8 a\n" + std::string(80, '=') + "\nnothing\n")(),
                     Contains("expected \"MSG:"));
-  CHECK_THROWS_WITH(schema("B b\n" + line + "test_msgs/B\nB[] b\n")(), Contains("test_msgs/B holds itself"));
+  CHECK_THROWS_WITH(schema("B b\n" + line + "test_msgs/B\nB[] b\n")(),
+                    Contains("test_msgs/B contains itself"));
   CHECK_THROWS_WITH(schema("uint64[99999999999999] a\n")(), Contains("is too large"));
   CHECK_THROWS_WITH(schema("B[4294967295] a\n" + line + "test_msgs/B\nfloat64[4294967295] b\n")(),
                     Contains("is too large"));

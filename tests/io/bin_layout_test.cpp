@@ -156,7 +156,7 @@ TEST_CASE("bin layout: a wrong one that is named is read and reported", "[io][cl
   const TemporaryFolder folder;
   testing::write_text(folder / "a.bin", Sweep::bytes(BinLayout::kXyzir));
   const CloudFile wrong = read_cloud(folder / "a.bin", BinLayout::kXyzi);
-  CHECK(wrong.problems.count("points unlike the layout") == 1);
+  CHECK(wrong.problems.count("points that do not fit the layout") == 1);
   CHECK_THROWS_WITH(read_cloud(folder / "a.bin", BinLayout::kHeliprOuster),
                     Contains("points of 26 bytes (helipr_ouster)"));
 }
@@ -169,7 +169,7 @@ TEST_CASE("bin layout: a file that fits no layout is refused with the remedies",
   testing::write_text(folder / "a.bin", noise);
   CHECK_THROWS_WITH(read_cloud(folder / "a.bin"), Contains("another layout") && Contains("--bin-layout"));
   testing::write_text(folder / "b.bin", Sweep::bytes(BinLayout::kXyzi) + "x");
-  CHECK_THROWS_WITH(read_cloud(folder / "b.bin"), Contains("no whole number of points"));
+  CHECK_THROWS_WITH(read_cloud(folder / "b.bin"), Contains("not a multiple of the point size"));
 }
 
 TEST_CASE("bin layout: an option of missions", "[io][mission]") {

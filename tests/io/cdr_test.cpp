@@ -33,7 +33,7 @@ TEST_CASE("cdr: numbers are aligned relative to the end of the header, in either
   }
   // Padding to four bytes at the end is no part of the message; more bytes are an error.
   CHECK(cdr::to_ros1(schema, little + "\0\0\0"s) == cdr::to_ros1(schema, little));
-  CHECK_THROWS_WITH(cdr::to_ros1(schema, little + "\0\0\0\0"s), Contains("its definition takes"));
+  CHECK_THROWS_WITH(cdr::to_ros1(schema, little + "\0\0\0\0"s), Contains("its definition needs"));
 }
 
 TEST_CASE("cdr: an empty sequence aligns nothing", "[io][cdr]") {
@@ -79,13 +79,13 @@ TEST_CASE("cdr: false sizes and other encodings are refused", "[io][cdr][error]"
     CHECK_THROWS_WITH(cdr::to_ros1(schema, bytes), Contains("test_msgs/Test") && Contains(why));
     CHECK_THROWS_AS(cdr::to_ros1(schema, bytes), InputError);
   };
-  fails("", "is no CDR");
+  fails("", "is not CDR");
   fails("\0\3\0\0"s, "encoding 0 3");
   fails("\0\x09\0\0"s, "expected plain CDR");
   fails(kLittle, "cut short");
   fails(kLittle + "\xff\xff\xff\xff"s, "4294967295 elements");
   fails(kLittle + "\1\0\0\0\xff\xff\xff\xff"s, "a string of 4294967295 bytes");
-  fails(kLittle + "\1\0\0\0\2\0\0\0ab"s, "closing zero");
+  fails(kLittle + "\1\0\0\0\2\0\0\0ab"s, "terminating zero");
   // Elements that take no bytes have no end.
   const ros1::Schema empty("a/B", "C[] c\n===\nMSG: a/C\n");
   CHECK(cdr::to_ros1(empty, kLittle + "\xff\xff\xff\xff"s).size() == 4);

@@ -317,7 +317,7 @@ TEST_CASE("convert: a target is complete or absent", "[io][convert][error]") {
   testing::write_text(folder / "full" / "mine", "");
   testing::write_text(folder / "file", "");
   CHECK_THROWS_WITH(convert_mission(mission, folder / "full", format), Contains("is not empty"));
-  CHECK_THROWS_WITH(convert_mission(mission, folder / "file", format), Contains("is no folder"));
+  CHECK_THROWS_WITH(convert_mission(mission, folder / "file", format), Contains("is not a folder"));
   CHECK_THROWS_AS(convert_mission(mission, folder / "file" / "deeper", format), IoError);
   CHECK(fs::exists(folder / "full" / "mine"));
 

@@ -31,7 +31,7 @@ TEST_CASE("decisions.csv: errors name the line", "[io][decisions][error]") {
   REQUIRE_THROWS_WITH(read("1,2,accept\n1,3,maybe\n"),
                       Contains("decisions.csv:3") && Contains("\"maybe\" is neither accept nor reject"));
   REQUIRE_THROWS_WITH(read("1,2,accept\n3,4,reject\n2,1,reject\n"),
-                      Contains("decisions.csv:4") && Contains("line 2 says the opposite"));
+                      Contains("decisions.csv:4") && Contains("line 2 has the opposite decision"));
   REQUIRE_THROWS_WITH(read("1,?,accept\n"), Contains("decisions.csv:2"));
   REQUIRE_THROWS_AS(read("1,2\n"), ParseError);
   REQUIRE_THROWS_AS(read_decisions(folder / "missing.csv"), IoError);

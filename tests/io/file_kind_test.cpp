@@ -117,7 +117,7 @@ TEST_CASE("file kinds: Loopwise's own kinds in the wrong place", "[io][file_kind
   CHECK_THROWS_WITH(read_mission(folder / "a.pcd"), Contains("is a PCD cloud, expected a mission"));
   CHECK_THROWS_WITH(read_mission(folder / "a.tum"), Contains("TUM") && Contains("loopwise evaluate"));
   CHECK_THROWS_WITH(read_mission(folder / "old.bag"),
-                    Contains("old version") && Contains("'rosbag fix' makes one of version 2.0"));
+                    Contains("old version") && Contains("convert it to version 2.0 with 'rosbag fix'"));
   CHECK_THROWS_WITH(read_mission(folder / "empty.bag"), Contains("empty.bag: is empty"));
   CHECK_THROWS_WITH(read_mission(folder / "pointer.bag"), Contains("git lfs pull"));
   CHECK_THROWS_WITH(read_transform(folder / "a.g2o"), Contains("is a g2o graph"));
@@ -144,7 +144,8 @@ TEST_CASE("file kinds: folders of other data are named", "[io][file_kind][error]
   const TemporaryFolder folder;
   const auto refused = [&](const std::string& what, const std::string& advice) {
     CHECK_THROWS_AS(read_mission(folder.path()), InputError);
-    CHECK_THROWS_WITH(read_mission(folder.path()), Contains("no mission, it " + what) && Contains(advice));
+    CHECK_THROWS_WITH(read_mission(folder.path()),
+                      Contains("is not a mission: it " + what) && Contains(advice));
   };
   refused("is an empty folder", "empty");
   SECTION("a broken recording of ROS 2") {
@@ -158,28 +159,28 @@ TEST_CASE("file kinds: folders of other data are named", "[io][file_kind][error]
     fs::create_directories(folder / "velodyne");
     testing::write_text(folder / "calib.txt", "P0: 1 2 3\n");
     testing::write_text(folder / "times.txt", "0\n");
-    refused("holds KITTI's odometry data", "velodyne/NUMBER.bin");
+    refused("has KITTI's odometry data", "velodyne/NUMBER.bin");
     fs::rename(folder / "velodyne", folder / "image_2");
-    refused("holds KITTI's odometry data", "velodyne/NUMBER.bin");
+    refused("has KITTI's odometry data", "velodyne/NUMBER.bin");
   }
   SECTION("all of KITTI") {
     fs::create_directories(folder / "sequences" / "00");
-    refused("holds KITTI's odometry data", "sequences/00");
+    refused("has KITTI's odometry data", "sequences/00");
   }
   SECTION("a map of LIO-SAM") {
     for (const char* name : {"trajectory", "transformations", "GlobalMap", "CornerMap", "SurfMap"})
       write_pcd(folder / (std::string(name) + ".pcd"), testing::random_cloud(5, false, true));
-    refused("is a map that LIO-SAM saved, which keeps no scans", "SC-LIO-SAM");
+    refused("is a map saved by LIO-SAM, which does not save the scans", "SC-LIO-SAM");
   }
   SECTION("exports of RTAB-Map without its database") {
     write_ply(folder / "lab_cloud.ply", testing::random_cloud(5, false, false));
     testing::write_text(folder / "lab_poses.txt",
                         "#timestamp x y z qx qy qz qw id\n1.5 0 0 0 0 0 0 1 1\n2.5 1 0 0 0 0 0 1 2\n");
-    refused("holds poses that rtabmap-export wrote", "give its .db");
+    refused("has poses written by rtabmap-export", "give its .db");
   }
   SECTION("clouds alone") {
     write_ply(folder / "a.ply", testing::random_cloud(5, false, false));
-    refused("holds clouds without poses", "odom_poses.txt");
+    refused("has clouds without poses", "odom_poses.txt");
   }
 }
 

@@ -148,14 +148,14 @@ TEST_CASE("csv: errors name file, line and column", "[io][csv][error]") {
   CHECK_THROWS_WITH(table(""), Contains("t.csv:1: is empty, expected the header \"key,name,value\""));
   CHECK_THROWS_WITH(table("key,value\n"), Contains("t.csv:1: header is \"key,value\""));
   CHECK_THROWS_WITH(table("key,name,value\n1,2\n"), Contains("t.csv:2: 2 values, expected 3"));
-  CHECK_THROWS_WITH(table("key,name,value\n1,\"x,3\n"), Contains("t.csv:2: a quoted value has no end"));
+  CHECK_THROWS_WITH(table("key,name,value\n1,\"x,3\n"), Contains("t.csv:2: a quoted value is not closed"));
   CHECK_THROWS_WITH(table("key,name,value\n1,\"x\"y,3\n"), Contains("t.csv:2: text after a quoted value"));
   const CsvTable bad = table("key,name,value\n-1,1.5,inf\n18446744073709551616,,x\n");
-  CHECK_THROWS_WITH(bad.key(0, 0), Contains("t.csv:2: column \"key\": \"-1\" is no key"));
+  CHECK_THROWS_WITH(bad.key(0, 0), Contains("t.csv:2: column \"key\": \"-1\" is not a key"));
   CHECK_THROWS_WITH(bad.key(1, 0), Contains("t.csv:3: column \"key\""));
-  CHECK_THROWS_WITH(bad.integer(0, 1), Contains("column \"name\": \"1.5\" is no whole number"));
+  CHECK_THROWS_WITH(bad.integer(0, 1), Contains("column \"name\": \"1.5\" is not a whole number"));
   CHECK_THROWS_WITH(bad.number(0, 2), Contains("column \"value\": \"inf\" is not finite"));
-  CHECK_THROWS_WITH(bad.number(1, 2), Contains("t.csv:3: column \"value\": \"x\" is no number"));
+  CHECK_THROWS_WITH(bad.number(1, 2), Contains("t.csv:3: column \"value\": \"x\" is not a number"));
   CHECK_THROWS_WITH(bad.number(1, 1), Contains("column \"name\""));
 }
 

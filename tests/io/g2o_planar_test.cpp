@@ -152,7 +152,8 @@ TEST_CASE("g2o: unreadable lines of 2D graphs are refused with their number", "[
   };
   const Bad bad = GENERATE_COPY(values<Bad>({
       {kTwoVertices + kSpatialVertex,
-       ":3: VERTEX_SE3:QUAT in the file of a 2D graph (VERTEX_SE2 in line 1): write a file for each"},
+       ":3: VERTEX_SE3:QUAT in the file of a 2D graph (VERTEX_SE2 in line 1): write 2D and 3D graphs to "
+       "separate files"},
       {kSpatialVertex + kEdge, ":2: EDGE_SE2 in the file of a 3D graph (VERTEX_SE3:QUAT in line 1)"},
       {"EDGE_PRIOR_SE2 1 0 0 0 1 0 0 1 0 1\nPARAMS_SE3OFFSET 0 0 0 0 0 0 0 1\n",
        ":2: PARAMS_SE3OFFSET in the file of a 2D graph"},

@@ -366,19 +366,19 @@ TEST_CASE("g2o: unreadable lines are refused with their number", "[io][g2o][erro
   };
   const std::string pose = " 0 0 0 0 0 0 1";
   const Bad bad = GENERATE_COPY(values<Bad>({
-      {"", "run.g2o: is empty, no VERTEX_SE3:QUAT line"},
-      {"# nothing\n", "no VERTEX_SE3:QUAT line"},
+      {"", "run.g2o: is empty, no VERTEX_SE3:QUAT or VERTEX_SE2 line"},
+      {"# nothing\n", "no VERTEX_SE3:QUAT or VERTEX_SE2 line"},
       {"VERTEX_SE3:QUAT 0 0 0 0 0 0 1\n", ":1: VERTEX_SE3:QUAT needs 7 values after the id, found 6"},
       {"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1 1\n", ":1: VERTEX_SE3:QUAT needs 7 values after the id, found 8"},
       {"VERTEX_SE3:QUAT\n", ":1: VERTEX_SE3:QUAT: id missing"},
       {"VERTEX_SE3:QUAT 0 nan 0 0 0 0 0 1\n", ":1: \"nan\" is not finite"},
       {"VERTEX_SE3:QUAT 0 0 -inf 0 0 0 0 1\n", ":1: \"-inf\" is not finite"},
       {"VERTEX_SE3:QUAT 0 0 1e999 0 0 0 0 1\n", ":1: \"1e999\" is not finite"},
-      {"VERTEX_SE3:QUAT 0 0 1,5 0 0 0 0 1\n", ":1: \"1,5\" is no number"},
+      {"VERTEX_SE3:QUAT 0 0 1,5 0 0 0 0 1\n", ":1: \"1,5\" is not a number"},
       {"VERTEX_SE3:QUAT 0 0 0 0 0 0 0 0\n", ":1: zero quaternion"},
       {"VERTEX_SE3:QUAT -1" + pose + "\n", ":1: VERTEX_SE3:QUAT: id \"-1\" is negative"},
       {"VERTEX_SE3:QUAT 18446744073709551616" + pose + "\n", "id \"18446744073709551616\" exceeds 64 bits"},
-      {"VERTEX_SE3:QUAT 1.5" + pose + "\n", "id \"1.5\" is no whole number"},
+      {"VERTEX_SE3:QUAT 1.5" + pose + "\n", "id \"1.5\" is not a whole number"},
       {kTwoVertices + "VERTEX_SE3:QUAT 1 2 0 0 0 0 0 1\n", ":3: vertex 1 has another pose in line 2"},
       {kTwoVertices + "EDGE_SE3:QUAT 0 2" + pose + kUnitInformation + "\n", ":3: node 2 is not in the graph"},
       {kTwoVertices + "EDGE_SE3:QUAT 0 1" + pose + " 1\n",
@@ -391,16 +391,16 @@ TEST_CASE("g2o: unreadable lines are refused with their number", "[io][g2o][erro
       {kTwoVertices + kEdge + kEdge.substr(0, kEdge.size() - 3), ":4: EDGE_SE3:QUAT needs 28 values"},
       {kTwoVertices + "EDGE_SE3:QUAT 0 1 0 0 0 0 0 0 0" + kUnitInformation + "\n", ":3: zero quaternion"},
       {kTwoVertices + "EDGE_SE3_PRIOR 0 3" + pose + kUnitInformation + "\n",
-       ":3: parameter 3 is not in the file"},
+       ":3: parameter 3 is not defined by a PARAMS_SE3OFFSET line"},
       {kTwoVertices + "FIX 9\n", ":3: node 9 is not in the graph"},
       {kTwoVertices + "FIX\n", ":3: FIX: id missing"},
       {kTwoVertices + "VERTEX_PLANE x 0 0 1 0\nFIX 9\n", ":4: node 9 is not in the graph"},
-      {kTwoVertices + "{\"json\": 1}\n", ":3: \"{\"json\":\" is no g2o tag"},
+      {kTwoVertices + "{\"json\": 1}\n", ":3: unknown g2o tag \"{\"json\":\""},
       {std::string("\x7f"
                    "ELF\0\1\n",
                    7),
        "run.g2o: is a program, expected a g2o graph"},
-      {std::string("\x01\x02\0\1\n", 5), ":1: \"????\" is no g2o tag"},
+      {std::string("\x01\x02\0\1\n", 5), ":1: unknown g2o tag \"????\""},
   }));
   CAPTURE(bad.text);
   CHECK_THROWS_AS(read(bad.text), InputError);

@@ -123,7 +123,7 @@ TEST_CASE("joined: frames with sigmas", "[io][joined]") {
   }
   SECTION("errors name the place") {
     CHECK_THROWS_WITH(read("source,x,y,z,yaw\none,0,0,0,90\ntwo,0,0,0,0\n"),
-                      Contains("frames.csv:2: column \"yaw\": is in rad"));
+                      Contains("frames.csv:2: column \"yaw\": must be in rad"));
     CHECK_THROWS_WITH(read("source,x,y,z,yaw,sx,sy,sz,syaw\none,0,0,0,0,1,1,0,1\ntwo,0,0,0,0,1,1,1,1\n"),
                       Contains("column \"sz\": a sigma must be > 0"));
     CHECK_THROWS_WITH(read("source,x,y,yaw\none,0,0,0\n"), Contains("frames.csv:1: header is"));
@@ -157,14 +157,14 @@ TEST_CASE("parts: placed with all their data, or left out", "[io][joined]") {
   CHECK(placed.ground_truth.size() == 8);
   CHECK(placed.radio.size() == 8);
   CHECK(placed.gaps.size() == 2);
-  CHECK(placed.problems.count("robot left out: its frame is not known") == 1);
+  CHECK(placed.problems.count("robot left out: its frame is unknown") == 1);
   CHECK_THROWS_AS(require_unaltered(placed.problems), InputError);
   CHECK(
       place_parts(mission, {first, second}, {}, false).ground_truth.at(make_key('a', 7)).translation().z() ==
       0.0);
   CHECK_THROWS_WITH(place_parts(mission, {first, first}, {}, false), Contains("is in two parts"));
   first.robots = {17};
-  CHECK_THROWS_WITH(place_parts(mission, {first}, {}, false), Contains("there is no robot 17"));
+  CHECK_THROWS_WITH(place_parts(mission, {first}, {}, false), Contains("unknown robot 17"));
 }
 
 }  // namespace loopwise

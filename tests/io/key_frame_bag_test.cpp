@@ -91,9 +91,10 @@ TEST_CASE("bags: clouds in other frames than the robot's", "[io][bag][key_frames
     return;
   const Mission mission = read_mission(folder / "lio");
   check_key_frames(mission, expected_of(folder / "lio"), 1.0);
-  CHECK(mission.problems.count("clouds in the frame of the odometry are moved back to the robot") ==
-        (frame == "world" ? 1 : 0));
-  CHECK(mission.problems.count("clouds taken to be in the frame whose poses are recorded") ==
+  CHECK(
+      mission.problems.count("clouds in the frame of the odometry, transformed to the frame of the robot") ==
+      (frame == "world" ? 1 : 0));
+  CHECK(mission.problems.count("clouds assumed to be in the frame whose poses are recorded") ==
         (frame == "other" ? 1 : 0));
 }
 
@@ -122,10 +123,10 @@ TEST_CASE("bags: topics that are guessed are counted, those that are missing lis
   const TemporaryFolder folder;
   if (!rosbag2_data("stream", folder / "lio", "--nodes 3 --robots c --truth-topic /other/odometry")) return;
   const Mission mission = read_mission(folder / "lio");
-  CHECK(mission.problems.count("several topics of poses, one is taken") == 1);
+  CHECK(mission.problems.count("several topics of poses, one is used") == 1);
   MissionOptions options;
   options.odometry_topic = "/lio/odometry";
-  CHECK(read_mission(folder / "lio", options).problems.count("several topics of poses, one is taken") == 0);
+  CHECK(read_mission(folder / "lio", options).problems.count("several topics of poses, one is used") == 0);
   options.odometry_topic = "/nothing";
   CHECK_THROWS_WITH(
       read_mission(folder / "lio", options),

@@ -150,15 +150,15 @@ TEST_CASE("key frames: gaps and jumps of the odometry are counted", "[io][key_fr
   gap.odometry.erase(gap.odometry.begin() + 80, gap.odometry.begin() + 120);
   Problems problems;
   static_cast<void>(choose_key_frames(gap, {}, problems));
-  CHECK(problems.count("odometry is missing for a while") == 1);
-  CHECK(problems.count("sweeps are missing for a while") == 1);
+  CHECK(problems.count("gap in the odometry") == 1);
+  CHECK(problems.count("gap in the sweeps") == 1);
   CHECK(problems.count("odometry jumps") == 0);
 
   RobotStream standing = gap;  // a robot that stands and says nothing misses nothing
   for (StampedPose& pose : standing.odometry) pose.pose.translation().setZero();
   Problems of_standing;
   static_cast<void>(choose_key_frames(standing, {}, of_standing));
-  CHECK(of_standing.count("odometry is missing for a while") == 0);
+  CHECK(of_standing.count("gap in the odometry") == 0);
 
   RobotStream jump = stream_of();
   for (std::size_t i = 100; i < jump.odometry.size(); ++i) jump.odometry[i].pose.translation().y() += 20.0;
@@ -183,12 +183,12 @@ TEST_CASE("key frames: odometry of few poses", "[io][key_frames]") {
     CHECK(testing::difference(frame.pose, pose_after(time_s)) < 1e-7);
   }
   CHECK(problems.count("sweep without odometry near in time left out") == 80);
-  CHECK(problems.count("sweep with the pose of another moment") == 0);
+  CHECK(problems.count("sweep with the pose of another time") == 0);
 
   stream.odometry.erase(stream.odometry.begin() + 5);
   Problems of_gap;
   static_cast<void>(choose_key_frames(stream, options, of_gap));
-  CHECK(of_gap.count("sweep with the pose of another moment") == 2);  // at 4.02 and 5.92 s
+  CHECK(of_gap.count("sweep with the pose of another time") == 2);  // at 4.02 and 5.92 s
 }
 
 TEST_CASE("key frames: unrelated clocks", "[io][key_frames]") {
@@ -224,7 +224,7 @@ TEST_CASE("key frames: sweeps between them make a submap", "[io][key_frames][sub
     CHECK(std::any_of(frame.submap.begin(), frame.submap.end(),
                       [&](const SubmapSweep& part) { return part.sweep == frame.sweep; }));
   }
-  CHECK(problems.count("sweep beyond the bound of a submap left out") > 0);
+  CHECK(problems.count("sweep beyond submap_sweeps left out of a submap") > 0);
 }
 
 TEST_CASE("key frames: the scan of a submap is read on demand", "[io][key_frames][submap]") {

@@ -136,10 +136,10 @@ TEST_CASE("bags: a base station's graphs, closures, other factors and radio", "[
   CHECK(mission.radio[2].receive_dbm == -60.0);
 
   CHECK(kinds_of(mission.problems) ==
-        std::vector<std::string>{"beacon drop without node", "edge of unknown type left out",
-                                 "landmark left out", "radio reading further from its node",
-                                 "radio reading of no dropped beacon",
-                                 "range factor of a landmark left out"});
+        std::vector<std::string>{
+            "beacon drop without node", "edge of unknown type left out", "landmark left out",
+            "repeated radio reading of a node, the nearest in time is used",
+            "radio reading of a beacon that was not dropped", "range factor of a landmark left out"});
 }
 
 TEST_CASE("bags: ranges, gravity, artifacts and anchors give the expected optimum", "[io][bag]") {
@@ -165,7 +165,7 @@ TEST_CASE("bags: ranges, gravity, artifacts and anchors give the expected optimu
   CHECK(problems.count("edge without node") == 1);
   CHECK(problems.count("range factor of a landmark left out") == 1);
   CHECK(problems.count("landmark left out") == 1);
-  CHECK(problems.count("landmark by ranges alone gets a prior") == 1);
+  CHECK(problems.count("landmark with ranges only, given a prior") == 1);
   CHECK(problems.count("unusable gravity factor") == 2);
   CHECK(problems.count("gravity factor that points up left out") == 1);
   CHECK(problems.count("repeated edge with other numbers") == 1);
@@ -408,13 +408,13 @@ TEST_CASE("g2o_pcd: ids that lost their robots' characters", "[io][g2o_pcd]") {
     CHECK_THROWS_AS(read_mission(folder / "bare", options), OptionError);
     REQUIRE(lamp_data("g2o_pcd", folder / "full", ""));
     options.robot_character = "c";
-    CHECK_THROWS_WITH(read_mission(folder / "full", options), Contains("carry characters already"));
+    CHECK_THROWS_WITH(read_mission(folder / "full", options), Contains("already contain robot characters"));
   }
   SECTION("and collide") {
     REQUIRE(lamp_data("g2o_pcd", folder / "two", "--ids small"));
     CHECK_THROWS_WITH(read_mission(folder / "two"),
                       Contains("result.g2o:7: vertex 0 has another pose in line 1") &&
-                          Contains("lost the robots' characters") && Contains("64-bit keys"));
+                          Contains("lack the robots' characters") && Contains("64-bit keys"));
     // No collision, but the robot is unknown as well.
     write_file(folder / "two" / "result.g2o", "VERTEX_SE3:QUAT 0 0 0 0 0 0 0 1\n");
     CHECK_THROWS_WITH(read_mission(folder / "two"),
@@ -435,11 +435,11 @@ TEST_CASE("g2o_pcd: ambiguous input is refused or counted", "[io][g2o_pcd][error
   table(c0 + ",pc_0.pcd,5\nx,pc_1.pcd,5\n");
   CHECK_THROWS_WITH(read_mission(folder / "d"), Contains("keys.csv:2: key \"x\""));
   table(c0 + ",pc_0.pcd,5\n" + c0 + ",pc_1.pcd,5\n");
-  CHECK_THROWS_WITH(read_mission(folder / "d"), Contains("keys.csv:2: node c0 has a line already"));
+  CHECK_THROWS_WITH(read_mission(folder / "d"), Contains("keys.csv:2: node c0 appears twice"));
   table(c0 + ",pc_0.pcd,5\n1,pc_0.pcd,5\n");
-  CHECK_THROWS_WITH(read_mission(folder / "d"), Contains("keys.csv:2: file \"pc_0.pcd\" has a line already"));
+  CHECK_THROWS_WITH(read_mission(folder / "d"), Contains("keys.csv:2: file \"pc_0.pcd\" appears twice"));
   table(c0 + ",pc_0.pcd,1e9\n");
-  CHECK_THROWS_WITH(read_mission(folder / "d"), Contains("\"1e9\" is no stamp in ns"));
+  CHECK_THROWS_WITH(read_mission(folder / "d"), Contains("\"1e9\" is not a stamp in ns"));
 
   for (const auto& entry : fs::directory_iterator(folder / "d" / "pcd")) {
     if (entry.path().filename() != "pc_0.pcd" && entry.path().filename() != "pc_1.pcd") fs::remove(entry);
@@ -514,7 +514,7 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
     CHECK_THROWS_WITH(with_frames(head + "session0,0,0,0,0,0,0,1\n")(),
                       Contains("no frame of source \"session1\""));
     CHECK_THROWS_WITH(with_frames(head + "else,0,0,0,0,0,0,1\n")(),
-                      Contains("frames:2:") && Contains("is no source"));
+                      Contains("frames:2:") && Contains("is not the name of a source"));
     CHECK_THROWS_WITH(with_frames("0 0 0 0 0 0 0 1\n0 0 0 0 0 0 0 1\n")(), Contains("has two frames"));
     CHECK_THROWS_WITH(with_frames("3 0 0 0 0 0 0 1\n")(), Contains("number of a source, 0 to 2"));
     CHECK_THROWS_AS(read_missions({paths[0]}, options), OptionError);

@@ -168,7 +168,7 @@ TEST_CASE("mission: its files lie in its folder, by name; links that its owner m
        {"scans/../../disk/other.g2o", "..", "../m/graph.g2o", "/etc/passwd", "./../disk/other.g2o"}) {
     CAPTURE(name);
     with_graph(name);
-    CHECK_THROWS_WITH(read_mission(mission), Contains("leads out of the mission's folder"));
+    CHECK_THROWS_WITH(read_mission(mission), Contains("is outside of the mission's folder"));
   }
 }
 
@@ -181,7 +181,7 @@ TEST_CASE("mission: pipes instead of files are counted or errors, never a wait",
     CAPTURE(name);
     fs::rename(mission / name, folder / "aside");
     REQUIRE(::mkfifo((mission / name).c_str(), 0600) == 0);
-    CHECK_THROWS_WITH(read_mission(mission), Contains(std::string(name) + ": is no file"));
+    CHECK_THROWS_WITH(read_mission(mission), Contains(std::string(name) + ": is not a file"));
     fs::rename(folder / "aside", mission / name);
   }
 }
@@ -232,7 +232,7 @@ TEST_CASE("mission: landmarks, ranges and gravity are read back", "[io][mission]
   refused("gravity.csv", "key,x,y,z,sigma_rad\na1,0,0,-1,0.1\na1,0,0,0,0.1\n", "no length");
   testing::write_text(folder / "m" / "gravity.csv", "key,x,y,z,sigma_rad\n");
   refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b9,1,1\n", "not in the graph");
-  refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b1,-2,1\n", "no distance");
+  refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b1,-2,1\n", "not a valid distance");
   refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b1,2,0\n", "not positive");
 }
 
@@ -247,7 +247,7 @@ TEST_CASE("mission: a folder is no mission before it is finished", "[io][mission
   CHECK_THROWS_AS(MissionWriter(folder / "m"), IoError);
   CHECK_THROWS_WITH(MissionWriter(folder / "m"), Contains("is not empty"));
   testing::write_text(folder / "file", "");
-  CHECK_THROWS_WITH(MissionWriter(folder / "file"), Contains("is no folder"));
+  CHECK_THROWS_WITH(MissionWriter(folder / "file"), Contains("is not a folder"));
   CHECK_THROWS_AS(MissionWriter(folder / "file" / "m"), IoError);
   Mission mission = make_mission();
   mission.provenance_json = "[";
@@ -313,27 +313,27 @@ TEST_CASE("mission: contradictions name file and line or key", "[io][mission][er
        "unknown key robots[0].nam, did you mean robots[0].name?"},
       {"mission.json", "loopwise-mission", "other", "mission.json: format: must be \"loopwise-mission\""},
       {"mission.json", "\"robot\": \"spot\"", "\"robot\": \"x\"",
-       "communication_gaps[1].robot: \"x\" is no robot"},
+       "communication_gaps[1].robot: \"x\" is not a robot"},
       {"mission.json", "\"end_s\": 3.25", "\"end_s\": 1.25",
        "communication_gaps[0]: end_s must be after begin_s"},
       {"mission.json", "\"start_ns\": \"16", "\"start_ns\": \"26", "is after the first stamp"},
       {"mission.json", "\"version\": 1", "\"version\": 1, \"files\": {\"graph\": \"../g.g2o\"}",
-       "leads out of"},
-      {"mission.json", "\"version\": 1", "\"version\": 1, \"files\": {\"scans\": \"/tmp\"}", "leads out of"},
+       "is outside of"},
+      {"mission.json", "\"version\": 1", "\"version\": 1, \"files\": {\"scans\": \"/tmp\"}", "is outside of"},
       {"mission.json", "\"version\": 1", "\"version\": 1, \"files\": {\"scans\": \"a/../../b\"}",
-       "leads out of"},
+       "is outside of"},
       {"mission.json", "\"version\": 1", "\"version\": 1, \"version\": 1",
        "mission.json:3: key \"version\" is repeated"},
       {"mission.json", "\"version\": 1,", "\"version\": 1", "mission.json:4: "},
       {"mission.json", a0, std::to_string(make_key('a', 1)), "belongs to no robot"},
       {"mission.json", "", "", "mission.json:1: "},
       {"mission.json", "", "[]", "the whole: must be an object"},
-      {"graph.g2o", "", "", "graph.g2o: is empty, no VERTEX_SE3:QUAT line"},
+      {"graph.g2o", "", "", "graph.g2o: is empty, no VERTEX_SE3:QUAT or VERTEX_SE2 line"},
       {"stamps.csv", "", "key,stamp_ns\n", "stamps.csv: no stamp for node " + a0},
       {"stamps.csv", "", "key,stamp_ns\n" + a0 + ",1\n" + a0 + ",1\n",
        "stamps.csv:3: column \"key\": node a0 has a stamp"},
       {"stamps.csv", "", "key,stamp_ns\n" + a0 + ",1e9\n",
-       "stamps.csv:2: column \"stamp_ns\": \"1e9\" is no whole number"},
+       "stamps.csv:2: column \"stamp_ns\": \"1e9\" is not a whole number"},
       {"stamps.csv", "", "key,stamp_ns\n" + a0 + ",9223372036854775807\n", "stamp is out of range"},
       {"priors.csv", "", prior_header + c0 + ",0,0,0,0,0,0,1,1,1,1,1,1,1\n",
        "priors.csv:2: column \"key\": node " + c0},
@@ -341,9 +341,9 @@ TEST_CASE("mission: contradictions name file and line or key", "[io][mission][er
       {"priors.csv", "", prior_header + a0 + ",0,nan,0,0,0,0,1,1,1,1,1,1,1\n",
        "column \"y\": \"nan\" is not finite"},
       {"priors.csv", "", prior_header + a0 + ",0,0,0,0,0,0,1,1,1,0,1,1,1\n",
-       "column \"sz\": a sigma must lie in"},
-      {"radio.csv", "-55.5", "loud", "radio.csv:2: column \"receive_dbm\": \"loud\" is no number"},
-      {"beacons.csv", "spot", "x", "beacons.csv:2: column \"robot\": \"x\" is no robot"},
+       "column \"sz\": a sigma must be in"},
+      {"radio.csv", "-55.5", "loud", "radio.csv:2: column \"receive_dbm\": \"loud\" is not a number"},
+      {"beacons.csv", "spot", "x", "beacons.csv:2: column \"robot\": \"x\" is not a robot"},
       {"beacons.csv", std::to_string(make_key('b', 3)), c0, "beacons.csv:2: column \"drop_key\": node " + c0},
       {"ground_truth.g2o", "VERTEX_SE3:QUAT", "VERTEX_SE2", "ground_truth.g2o:1: VERTEX_SE2"},
   }));
@@ -521,16 +521,16 @@ TEST_CASE("session: bad files are refused with file and line", "[io][session][er
     std::string message;
   };
   const Bad bad = GENERATE(values<Bad>({
-      {"optimized_poses.txt", "", "optimized_poses.txt: holds no pose"},
+      {"optimized_poses.txt", "", "optimized_poses.txt: has no poses"},
       {"optimized_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 nan\n", "optimized_poses.txt:1: \"nan\" is not finite"},
       {"optimized_poses.txt", "1 0 0 0 0 1 0 0 0 0 1\n",
        "optimized_poses.txt:1: a KITTI pose needs 12 values, found 11"},
       {"odom_poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "odom_poses.txt has 1 rows"},
       {"times.txt", "1\n", "times.txt has 1 rows"},
-      {"times.txt", "1\n2\nx\n", "times.txt:3: \"x\" is no stamp"},
+      {"times.txt", "1\n2\nx\n", "times.txt:3: \"x\" is not a stamp"},
       {"times.txt", "1\n2 5\n3\n", "times.txt:2: more than one value"},
-      {"times.txt", "1\n2\n5e9\n", "times.txt:3: \"5e9\" is no stamp"},
-      {"singlesession_posegraph.g2o", "EDGE\n", "no VERTEX_SE3:QUAT line"},
+      {"times.txt", "1\n2\n5e9\n", "times.txt:3: \"5e9\" is not a stamp"},
+      {"singlesession_posegraph.g2o", "EDGE\n", "no VERTEX_SE3:QUAT or VERTEX_SE2 line"},
   }));
   write_file(folder / "s" / bad.file, bad.text);
   CAPTURE(bad.file, bad.text);

@@ -103,7 +103,7 @@ TEST_CASE("odometry: edges without information are judged by the sigmas of the o
   testing::write_text(folder / "g.g2o", text);
   testing::fs::create_directory(folder / "pcd");
   testing::write_text(folder / "pcd" / "graph.g2o", text);
-  const char* const contradicts = "edge that contradicts odometry taken for a loop closure";
+  const char* const contradicts = "edge that contradicts the odometry, treated as a loop closure";
   MissionOptions loose;
   loose.odometry_sigma_m_per_m = 0.5;
   for (const path& source : {folder / "g.g2o", folder / "pcd"}) {

@@ -76,7 +76,7 @@ TEST_CASE("KITTI: poses in the folder of the data set, and those of an odometry"
     const auto sweep = static_cast<std::size_t>(mission.scans->load(key)->points[0].x());
     CHECK(testing::difference(pose, truth[sweep]) < 1e-9);
   }
-  CHECK(mission.problems.count("poses of the data set taken for the truth") == 1);
+  CHECK(mission.problems.count("poses of the data set used as the truth") == 1);
 }
 
 TEST_CASE("KITTI: flaws of a sequence are counted or errors", "[io][kitti][error]") {

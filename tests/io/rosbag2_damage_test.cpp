@@ -103,9 +103,9 @@ TEST_CASE("rosbag2: broken messages are counted or named with topic and row", "[
   CHECK(read_mission(file).problems.count("message of an unknown topic left out") == 1);
   update("UPDATE messages SET data = 5 WHERE id = 2");
   CHECK_THAT(error_of(file),
-             Contains("husky3.db3: row 2 of messages, topic /husky3/lamp/") && Contains("holds no bytes"));
+             Contains("husky3.db3: row 2 of messages, topic /husky3/lamp/") && Contains("has no data"));
   update("UPDATE messages SET timestamp = 1.5 WHERE id = 2");
-  CHECK_THAT(error_of(file), Contains("row 2 of messages: timestamp is no whole number"));
+  CHECK_THAT(error_of(file), Contains("row 2 of messages: timestamp is not a whole number"));
 }
 
 TEST_CASE("rosbag2: files that unpack to too much are refused", "[io][bag][rosbag2][damage]") {

@@ -140,11 +140,11 @@ TEST_CASE("RTAB-Map: data that are left out or guessed are counted", "[io][saved
   CHECK(mission.graph.nodes().size() == 6);
   CHECK(mission.problems.count("prior or gravity of a node left out") == 2);
   CHECK(mission.problems.count("landmark left out") == 1);
-  CHECK(mission.problems.count("link of a kind that is not used left out") == 1);
+  CHECK(mission.problems.count("link of an unsupported type left out") == 1);
   CHECK(mission.problems.count("node without odometry left out") == 2);
   CHECK(mission.problems.count("node without a link left out") == 1);
   CHECK(mission.problems.count("odometry without a link taken from the nodes") == 1);
-  CHECK(mission.problems.count("link without a covariance, which gets that of the options") == 2);
+  CHECK(mission.problems.count("link without a covariance, given that of the options") == 2);
   CHECK(mission.scans->load(1)->size() == 49);
   CHECK(mission.scans->problems().count("point not finite") == 1);
 
@@ -179,7 +179,7 @@ TEST_CASE("RTAB-Map: damage is an error that names the file", "[io][saved_map][r
   REQUIRE_THROWS_WITH(read_mission(file), Catch::Matchers::Contains("node 2") &&
                                               Catch::Matchers::Contains("scan_info is cut short"));
   sql("DELETE FROM Node");
-  REQUIRE_THROWS_WITH(read_mission(file), Catch::Matchers::Contains("holds no node with odometry"));
+  REQUIRE_THROWS_WITH(read_mission(file), Catch::Matchers::Contains("has no node with odometry"));
   sql("ALTER TABLE Link RENAME COLUMN information_matrix TO rot_variance");
   REQUIRE_THROWS_WITH(read_mission(file), Catch::Matchers::Contains("information_matrix"));
   sql("DROP TABLE Data");

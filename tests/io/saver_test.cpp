@@ -294,7 +294,7 @@ TEST_CASE("savers: information of low rank stays usable from the other end", "[i
   CHECK(mission.graph.edges()[0].information.trace() == Approx(100.0));
 }
 
-TEST_CASE("savers: files that are not of one session", "[io][session][saver][error]") {
+TEST_CASE("savers: files of different sessions", "[io][session][saver][error]") {
   const TemporaryFolder folder;
   testing::write_fast_lio_slam(folder / "s", drive(12));
   testing::write_text(folder / "s" / "times.txt", "1\n2\n3\n");
@@ -329,7 +329,7 @@ TEST_CASE("savers: hdl_graph_slam's dump", "[io][g2o_pcd][saver]") {
   CHECK(mission.problems.count("unknown tag EDGE_SE3_PRIORXYZ") == 11);
   CHECK(mission.problems.count("key frame's floor_coeffs not used") == 12);
   CHECK(mission.problems.count("key frame's utm_coord not used") == 12);
-  CHECK(mission.problems.count("edge to a fixed node that is no key frame made a prior") == 1);
+  CHECK(mission.problems.count("edge to a fixed node without key frame, converted to a prior") == 1);
   CHECK(mission.problems.count("node without scan") == 0);
   CHECK(mission.problems.count("foreign file in scans") == 0);
   CHECK(mission.problems.all().size() == 7);
@@ -349,7 +349,7 @@ TEST_CASE("savers: hdl_graph_slam's dump without anchor and floor, and broken on
   CHECK(mission.problems.count("node without stamp") == 1);
   CHECK(mission.graph.nodes().size() == 12);
   testing::write_text(dump / "000003" / "data", data.substr(0, data.find("id ")) + "id 5\n");
-  CHECK_THROWS_WITH(read_mission(dump), Contains("id 5 is that of 000003 already"));
+  CHECK_THROWS_WITH(read_mission(dump), Contains("id 5 is also the id of 000003"));
   testing::write_text(dump / "000003" / "data", "stamp 12 1e9\n");
   CHECK_THROWS_WITH(read_mission(dump), Contains("data:1: stamp needs seconds and nanoseconds"));
 }
@@ -389,18 +389,18 @@ TEST_CASE("savers: of hdl_graph_slam's fixed nodes only the anchor is left out",
   CHECK(mission.graph.priors().size() == 3);
   CHECK(mission.problems.count("node without scan") == 2);
   CHECK(mission.problems.count("odometry chain broken") == 0);
-  CHECK(mission.problems.count("fixed node without key frame taken for an anchor") == 0);
+  CHECK(mission.problems.count("fixed node without key frame, treated as an anchor") == 0);
 
   // Without the file that names it, the fixed ones are used, which is reported.
   fs::remove(dump / "special_nodes.csv");
   const Mission guessed = read_mission(dump);
   CHECK(guessed.graph.nodes().size() == 11);
   CHECK(guessed.graph.contains(5));
-  CHECK(guessed.problems.count("fixed node without key frame taken for an anchor") == 2);
+  CHECK(guessed.problems.count("fixed node without key frame, treated as an anchor") == 2);
   CHECK(guessed.problems.count("edge between fixed nodes left out") == 1);
   MissionOptions strict;
   strict.strict = true;
-  CHECK_THROWS_WITH(read_mission(dump, strict), Contains("taken for an anchor"));
+  CHECK_THROWS_WITH(read_mission(dump, strict), Contains("treated as an anchor"));
   testing::write_text(dump / "special_nodes.csv", "anchor_node x\n");
   CHECK_THROWS_WITH(read_mission(dump), Contains("special_nodes.csv:1: anchor_node needs the id"));
 }

@@ -73,8 +73,8 @@ TEST_CASE("trajectory: the form is recognised by the contents", "[io][trajectory
   CHECK(g2o.format == TrajectoryFormat::kG2o);
   CHECK(g2o.keys == std::vector<Key>{make_key('a', 1)});
   CHECK_THROWS_WITH(read("1 2 3\n"), Contains("t.txt:1: 3 values, expected 8"));
-  CHECK_THROWS_WITH(read("# only this\n"), Contains("holds no pose"));
-  CHECK_THROWS_WITH(read(""), Contains("holds no pose"));
+  CHECK_THROWS_WITH(read("# only this\n"), Contains("has no poses"));
+  CHECK_THROWS_WITH(read(""), Contains("has no poses"));
 }
 
 TEST_CASE("trajectory: stamps in any notation are read to the nanosecond", "[io][trajectory]") {
@@ -86,9 +86,9 @@ TEST_CASE("trajectory: stamps in any notation are read to the nanosecond", "[io]
   CHECK(read("-15e-10" + pose).stamps_ns[0] == -2);
   CHECK(read("7" + pose).stamps_ns[0] == 7000000000);
   CHECK(read("1e-30" + pose).stamps_ns[0] == 0);
-  CHECK_THROWS_WITH(read("1567410201745204700" + pose), Contains("is no stamp in seconds"));
-  CHECK_THROWS_WITH(read("x" + pose), Contains("is no stamp in seconds"));
-  CHECK_THROWS_WITH(read("nan" + pose), Contains("is no stamp in seconds"));
+  CHECK_THROWS_WITH(read("1567410201745204700" + pose), Contains("is not a stamp in seconds"));
+  CHECK_THROWS_WITH(read("x" + pose), Contains("is not a stamp in seconds"));
+  CHECK_THROWS_WITH(read("nan" + pose), Contains("is not a stamp in seconds"));
 }
 
 TEST_CASE("trajectory: the id of a node may follow a TUM pose", "[io][trajectory]") {
@@ -109,9 +109,9 @@ TEST_CASE("trajectory: bad poses are refused with their line, small flaws counte
                     Contains("t.txt:2: a TUM pose needs 8 values, found 4"));
   CHECK_THROWS_WITH(read("1 0 0 0 0 1 0 0 0 0 1 0\n1 0\n"),
                     Contains("t.txt:2: a KITTI pose needs 12 values, found 2"));
-  CHECK_THROWS_WITH(read("2 0 0 0 0 1 0 0 0 0 1 0\n"), Contains("no rotation matrix"));
-  CHECK_THROWS_WITH(read("1 0 0 0 0 1 0 0 0 0 -1 0\n"), Contains("no rotation matrix"));
-  CHECK_THROWS_WITH(read("0 0 0 0 0 0 0 0 0 0 0 0\n"), Contains("no rotation matrix"));
+  CHECK_THROWS_WITH(read("2 0 0 0 0 1 0 0 0 0 1 0\n"), Contains("not a rotation matrix"));
+  CHECK_THROWS_WITH(read("1 0 0 0 0 1 0 0 0 0 -1 0\n"), Contains("not a rotation matrix"));
+  CHECK_THROWS_WITH(read("0 0 0 0 0 0 0 0 0 0 0 0\n"), Contains("not a rotation matrix"));
   CHECK(read("1 0 0 0 0 0 0 1.1\n").problems.count("non-unit quaternion") == 1);
   const Trajectory off = read("1.01 0 0 0 0 1 0 0 0 0 1 0\n");
   CHECK(off.problems.count("rotation not orthonormal") == 1);
@@ -120,9 +120,9 @@ TEST_CASE("trajectory: bad poses are refused with their line, small flaws counte
 
 TEST_CASE("trajectory: TUM poses are sorted by stamp, and flaws of stamps are counted", "[io][trajectory]") {
   const std::string pose = " 0 0 0 0 0 1\n";
-  const char* const unsorted = "pose before the one above it, sorted by stamp";
-  const char* const twice = "stamp that comes twice, perhaps written with too few digits";
-  const char* const without_seconds = "stamps without their seconds, perhaps";
+  const char* const unsorted = "pose with a stamp before the preceding one, sorted";
+  const char* const twice = "repeated stamp, perhaps written with too few digits";
+  const char* const without_seconds = "stamps that may lack their seconds";
   Trajectory t = read("103 3" + pose + "101 1" + pose + "102 2" + pose + "100 0" + pose);
   for (std::size_t i = 0; i < 4; ++i) {
     CHECK(t.keys[i] == i);

@@ -320,7 +320,7 @@ TEST_CASE("joining: bad input is named", "[joining][error]") {
   };
   SECTION("a key twice") {
     team.components[1].keys.push_back(make_key('a', 1));
-    CHECK_THROWS_WITH(find(), Contains("key a1 is of two components"));
+    CHECK_THROWS_WITH(find(), Contains("key a1 belongs to two components"));
   }
   SECTION("no key frames") {
     team.components[1].keys.clear();

@@ -76,7 +76,7 @@ TEST_CASE("team: places with nothing in common stay apart, and the error says wh
   config.mission.frames = "auto";
   config.joining.max_pairs = 300;
   CHECK_THROWS_WITH(read_team({folder / "one", folder / "two"}, config, false, pool),
-                    Contains("0 of 2 joined; tunnel-3 is apart: ") &&
+                    Contains("0 of 2 joined; tunnel-3 is not joined: ") &&
                         Contains("pairs computed, best overlap") && Contains("--frames FILE"));
   config.mission.frames = "common";
   const Team team = read_team({folder / "one", folder / "two"}, config, true, pool);

@@ -218,7 +218,7 @@ TEST_CASE("module: a key that a place database was not given is a problem that n
   REQUIRE(module.wait());
   REQUIRE(module.statistics().problems > 0);
   REQUIRE(module.statistics().last_problems.back() ==
-          "place recognition: place database \"first_place\" has found key a777, which it was not given");
+          "place recognition: place database \"first_place\" returned key a777, which was not added to it");
 }
 
 }  // namespace loopwise

@@ -293,7 +293,7 @@ TEST_CASE("planar: information is kept as the plane has it, however it comes in"
   edge.information = Matrix6d::Identity();
   edge.information(0, 2) = edge.information(2, 0) = 0.5;
   tied.add_edge(edge);
-  CHECK_THROWS_WITH(tied.set_planar(), Contains("edge 0 to 1") && Contains("ties z"));
+  CHECK_THROWS_WITH(tied.set_planar(), Contains("edge 0 to 1") && Contains("couples z"));
   CHECK_FALSE(tied.planar());
   CHECK(tied.edges()[0].information == edge.information);
 }

@@ -236,10 +236,10 @@ TEST_CASE("queue: handing out foreign candidates is an error, and nothing is los
   REQUIRE(queue.add(candidates(0, 10)).empty());
 
   control.extra = candidates(77, 1);
-  REQUIRE_THROWS_WITH(queue.take(4), "wrong: take(): handed out candidate 77, which is not pending");
+  REQUIRE_THROWS_WITH(queue.take(4), "wrong: take(): returned candidate 77, which is not pending");
   control.extra = candidates(3, 1);
   control.extra.push_back(control.extra.front());
-  REQUIRE_THROWS_WITH(queue.take(4), "wrong: take(): handed out candidate 3, which is not pending");
+  REQUIRE_THROWS_WITH(queue.take(4), "wrong: take(): returned candidate 3, which is not pending");
   control.extra = candidates(0, 5);
   control.at_most = 5;
   REQUIRE_THROWS_WITH(queue.take(4), Contains("which was not requested"));

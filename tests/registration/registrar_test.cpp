@@ -196,10 +196,8 @@ TEST_CASE("registrar: a scan that is missing or cannot be read is a reason", "[r
     if (key == 2) throw IoError("2.pcd", "truncated");
     return key == 0 ? drive.scans.at(0) : nullptr;
   });
-  for (const auto& [from, to, text] :
-       std::vector<std::tuple<Key, Key, std::string>>{{1, 0, "scan 1: there is none"},
-                                                      {0, 1, "scan 1: there is none"},
-                                                      {2, 0, "scan 2: 2.pcd: truncated"}}) {
+  for (const auto& [from, to, text] : std::vector<std::tuple<Key, Key, std::string>>{
+           {1, 0, "scan 1: is missing"}, {0, 1, "scan 1: is missing"}, {2, 0, "scan 2: 2.pcd: truncated"}}) {
     const RegistrationResult result = registrar->compute(pair_task(from, to, 0));
     require_sound(result);
     REQUIRE(result.reason == RejectionReason::kMissingScan);

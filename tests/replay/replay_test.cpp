@@ -698,8 +698,8 @@ TEST_CASE("config: sections, presets and assignments; errors name section and fi
       {R"({"generation": {"preset": "none"}})", "preset = \"none\""},
       {R"({"generation": {"radius_min_m": 90}})", "generation.radius_min_m"},
       {R"({"prioritization": {"method": "best"}})", "best"},
-      {R"({"replay": {"method": "obs"}})", "its name is prioritization.method now"},
-      {R"({"replay": {"seed": 2}})", "its name is engine.seed now"},
+      {R"({"replay": {"method": "obs"}})", "it is now called prioritization.method"},
+      {R"({"replay": {"seed": 2}})", "it is now called engine.seed"},
       {R"([])", "object"}};
   for (const auto& [text, part] : bad) {
     CAPTURE(text);

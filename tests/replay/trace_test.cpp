@@ -301,7 +301,7 @@ TEST_CASE("trace: a run with prioritisers of the user's own is repeated with the
   REQUIRE(again.handed_out.at(0).first == "random");
   REQUIRE(again.computed.size() > 10);
   // Without them other pairs are chosen, which have no results.
-  REQUIRE_THROWS_WITH(replay_trace(folder / "trace.jsonl"), Contains("has a result but was not begun"));
+  REQUIRE_THROWS_WITH(replay_trace(folder / "trace.jsonl"), Contains("has a result but was not started"));
 }
 
 TEST_CASE("trace: an observer of events that throws is reported, and the module continues",

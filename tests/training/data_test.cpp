@@ -155,7 +155,7 @@ TEST_CASE("data: bad files are refused by name", "[train][error]") {
   REQUIRE_THROWS_WITH(read_data_set(folder.path()), Contains("no missions"));
   for (const char* outside : {"../other.cbor", "/etc/passwd", "missions/../../x", ""}) {
     write_data_set(folder.path(), {{"walk", "walks", outside, false}}, {});
-    REQUIRE_THROWS_WITH(read_data_set(folder.path()), Contains("leads out of the data's folder"));
+    REQUIRE_THROWS_WITH(read_data_set(folder.path()), Contains("is outside of the data's folder"));
   }
   loopwise::testing::write_text(folder / "dataset.json", "{\"format\": \"loopwise-training-data\", \"ver");
   REQUIRE_THROWS_AS(read_data_set(folder.path()), InputError);

@@ -243,8 +243,8 @@ using KeyPairs = std::set<std::pair<Key, Key>>;
 /// neighbours, those that contradict the odometry (beyond quantile 0.9999 of chi-squared) become loop
 /// closures, which robust optimisation may reject. Edges that fit the nodes' poses are tried first, then the
 /// others in their order. An edge is odometry if it agrees with all odometry edges before it. \returns
-/// problems with the place of the first: "edge that contradicts odometry taken for a loop closure", "odometry
-/// chain broken", "robot whose keys have a jump of 2^47 or more".
+/// problems with the place of the first: "edge that contradicts the odometry, treated as a loop closure",
+/// "odometry chain broken", "robot whose keys have a jump of 2^47 or more".
 LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots);
 /// The same, with odometry defined by these pairs. \throws InputError naming a pair without an edge or with a
 /// landmark.

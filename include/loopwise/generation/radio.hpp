@@ -65,7 +65,7 @@ class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
                                                    double time_s);
 
   /// All readings of some nodes: those of one node and beacon must come together. Repeated readings are
-  /// ignored. Readings without a robot's node are counted ("radio reading of no robot's node").
+  /// ignored. Readings without a robot's node are counted ("radio reading at a node of no robot").
   [[nodiscard]] std::vector<LoopCandidate> on_radio(const PoseGraph& graph,
                                                     const std::vector<RadioReading>& readings, double time_s);
 

@@ -60,10 +60,10 @@ enum class BinLayout {
 ///
 /// Counted in `problems`: "point not finite" and "point out of range" (beyond 1e7 m; both dropped), "unusable
 /// normals" (if one is not of unit length, the field is left out: many programs write zeros), "intensity not
-/// finite" (set to 0), "viewpoint ignored", "empty file" (.bin), "points unlike the layout" (.bin), "point
-/// rounded to a float far from zero" (beyond 16 km floats are 2 mm apart or more; counted if this applies to
-/// most points), "no line end after the last line" (ascii). Normals are oriented towards the sensor, which is
-/// assumed at PointCloud::origin.
+/// finite" (set to 0), "viewpoint ignored", "empty file" (.bin), "points that do not fit the layout" (.bin),
+/// "point rounded to a float far from zero" (beyond 16 km floats are 2 mm apart or more; counted if this
+/// applies to most points), "no line end after the last line" (ascii). Normals are oriented towards the
+/// sensor, which is assumed at PointCloud::origin.
 ///
 /// The sizes in a header are compared with the length of the file before any allocation.
 /// \throws IoError; InputError naming the file (for the lines of ascii data: ParseError) if it is truncated,

@@ -56,10 +56,10 @@ struct SelectedKeyFrame {
 /// Counted: "odometry stamps run backwards, sorted", "sweep stamps run backwards, sorted", "odometry pose of
 /// a repeated stamp left out", "sweep of a repeated stamp left out", "odometry pose not finite left out",
 /// "stamp out of range left out", "sweep without odometry near in time left out", "sweep with the pose of
-/// another moment" (by more than 1 ms), "odometry pose without a
-/// sweep near in time", "odometry is missing for a while" and "sweeps are missing for a while" (more than 1 s
+/// another time" (by more than 1 ms), "odometry pose without a
+/// sweep near in time", "gap in the odometry" and "gap in the sweeps" (more than 1 s
 /// and ten times the usual interval, in which the sensor has moved by the distance of key frames), "odometry
-/// jumps" (by more than 1 m, faster than 50 m/s), "sweep beyond the bound of a submap left out".
+/// jumps" (by more than 1 m, faster than 50 m/s), "sweep beyond submap_sweeps left out of a submap".
 ///
 /// \throws InputError naming the source if no sweep has a pose, with the range of both stamps
 [[nodiscard]] LOOPWISE_EXPORT std::vector<SelectedKeyFrame> choose_key_frames(const RobotStream& stream,

@@ -276,7 +276,7 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// **g2o file**: the graph; its first node gets a prior if the file has no prior.
 ///
 /// **g2o_pcd folder**: result.g2o, else the only g2o file that is not the truth, and clouds beside it, in a
-/// subfolder or in a zip archive, named KEY (a number of 64 bits, or a letter and an index) or pc_N: the N-th
+/// subfolder or in a zip archive, named KEY (a 64-bit number, or a letter and an index) or pc_N: the N-th
 /// by key, or as in keys.csv (`key,file,stamp_ns`, no header). Ids in the graph may lack the robot's
 /// character if all of them belong to one robot, which options.robot_character or the names of the clouds
 /// give. Closures in the graph are kept, like those of a mission folder. Nodes under capital letters or 'u'
@@ -301,7 +301,7 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// **The data set's folder**: rosbag/ if this build reads bags, else g2o_pcd/; with ground_truth/.
 ///
 /// **Sweeps with poses**: a sequence of KITTI's odometry data (velodyne/, times.txt, calib.txt, poses of the
-/// camera), or clouds named by their stamps beside a trajectory in TUM's form. They become key frames, see
+/// camera), or clouds named by their stamps beside a trajectory in TUM format. They become key frames, see
 /// choose_key_frames(). options.poses names another file with the poses.
 ///
 /// **Files of other programs**: GLIM's submaps, key frames of FAST-LIO-SAM-QN, sessions of Voxel-SLAM, poses
@@ -316,22 +316,22 @@ LOOPWISE_EXPORT Problems classify_edges(PoseGraph& graph, const Robots& robots, 
 /// graph not used", "closure of the session's own graph left out", "edge that contradicts the session's
 /// odometry left out", "repeated odometry of the session's graph left out", "odometry missing in the
 /// session's graph", "odometry taken from the optimised poses", "scans are counted from 1", "scans may be
-/// counted from 1". Dumps of hdl_graph_slam also: "edge to a fixed node that is no key frame made a prior",
-/// "fixed node without key frame taken for an anchor", "edge between fixed nodes left out", "key frame
-/// without node left out", "key frame's WORD not used". Bags also: "message cannot be read", "message at time
-/// 0 left out", "bag altered in a place that is not read", "node without stamp", "node without usable pose",
-/// "edge without node", "edge without pose", "unusable edge", "repeated edge with other numbers", "covariance
-/// absent", "unusable covariance", "odometry covariance looks swapped", "odometry not between consecutive
-/// nodes", "unusable range factor", "unusable gravity factor", "gravity factor that points up left out",
-/// "range factor of a landmark left out", "landmark left out", "landmark by ranges alone gets a prior", "edge
-/// of unknown type left out", "odometry messages not used", "ground truth of an unknown robot", "topic of
-/// unknown encoding left out", "topic without message definition left out", "bag not listed in metadata.yaml
-/// left out", "messages missing from the summary", "message of an unknown topic left out", "several topics of
-/// poses, one is taken", "several topics of clouds, one is taken", "clouds taken to be in the frame whose
-/// poses are recorded", "clouds in the frame of the odometry are moved back to the robot", "frame of clouds
-/// changes, that of the first is taken", "empty cloud left out", "odometry pose unusable", "message without
-/// stamp, that of its record is taken", "truth in another frame". \throws IoError; ParseError or InputError
-/// naming file and line or key; OptionError; StoppedError
+/// counted from 1". Dumps of hdl_graph_slam also: "edge to a fixed node without key frame, converted to a
+/// prior", "fixed node without key frame, treated as an anchor", "edge between fixed nodes left out", "key
+/// frame without node left out", "key frame's WORD not used". Bags also: "message cannot be read", "message
+/// at time 0 left out", "bag altered in a part that is not read", "node without stamp", "node without usable
+/// pose", "edge without node", "edge without pose", "unusable edge", "repeated edge with other numbers",
+/// "covariance absent", "unusable covariance", "odometry covariance looks swapped", "odometry not between
+/// consecutive nodes", "unusable range factor", "unusable gravity factor", "gravity factor that points up
+/// left out", "range factor of a landmark left out", "landmark left out", "landmark with ranges only, given a
+/// prior", "edge of unknown type left out", "odometry messages not used", "ground truth of an unknown robot",
+/// "topic of unknown encoding left out", "topic without message definition left out", "bag not listed in
+/// metadata.yaml left out", "messages missing from the summary", "message of an unknown topic left out",
+/// "several topics of poses, one is used", "several topics of clouds, one is used", "clouds assumed to be in
+/// the frame whose poses are recorded", "clouds in the frame of the odometry, transformed to the frame of the
+/// robot", "frame of clouds changes, the first is used", "empty cloud left out", "odometry pose unusable",
+/// "message without stamp, the time of its record is used", "truth in another frame". \throws IoError;
+/// ParseError or InputError naming file and line or key; OptionError; StoppedError
 [[nodiscard]] LOOPWISE_EXPORT Mission read_mission(const std::filesystem::path& path,
                                                    const MissionOptions& options = {},
                                                    const ProgressCallback& progress = {},

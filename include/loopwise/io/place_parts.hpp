@@ -29,7 +29,7 @@ struct MissionPart {
 /// The mission with its parts moved to the common frame, and with `closures` as edges that robust
 /// optimisation may reject. A landmark moves with the part of the first key frame that an edge or a range
 /// connects it to. Robots without a part are left out with all their data, counted as "robot left out: its
-/// frame is not known".
+/// frame is unknown".
 /// \param mission as it was read
 /// \param parts of the mission; no robot is in two of them
 /// \param closures between nodes of the parts

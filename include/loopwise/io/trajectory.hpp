@@ -43,9 +43,9 @@ struct Trajectory {
 };
 
 /// Reads any of the three formats, recognised by the contents. A g2o file needs no edges. Comments start with
-/// '#'. Counted: "non-unit quaternion", "rotation not orthonormal" (both repaired); of TUM files "pose before
-/// the one above it, sorted by stamp", "stamp that comes twice, perhaps written with too few digits", "stamps
-/// without their seconds, perhaps" (they lie in the first second and do not ascend).
+/// '#'. Counted: "non-unit quaternion", "rotation not orthonormal" (both repaired); of TUM files "pose with a
+/// stamp before the preceding one, sorted", "repeated stamp, perhaps written with too few digits", "stamps
+/// that may lack their seconds" (they are in the first second and not ascending).
 /// \throws IoError; ParseError naming the line; InputError if there is no pose.
 [[nodiscard]] LOOPWISE_EXPORT Trajectory read_trajectory(const std::filesystem::path& path);
 /// As read_trajectory(), for this format only.

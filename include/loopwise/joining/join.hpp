@@ -135,7 +135,7 @@ struct ComponentFrame {
   /// Covariance of the pose of the component's first key frame in that frame: right perturbation, m and rad.
   /// Zero for the first component.
   Matrix6d covariance = Matrix6d::Zero();
-  std::string reason;  ///< For people: how it was joined, or why it is apart.
+  std::string reason;  ///< For people: how it was joined, or why it was not.
 };
 
 /// The result of find_frames().
@@ -147,7 +147,7 @@ struct JoinResult {
   bool stopped = false;                ///< A stop was requested. Components without a tie so far stay apart.
 };
 
-/// "2 of 3 joined; c is apart: 214 pairs computed, best overlap 0.21", with `components` naming them.
+/// "2 of 3 joined; c is not joined: 214 pairs computed, best overlap 0.21", with `components` naming them.
 [[nodiscard]] LOOPWISE_EXPORT std::string to_string(const JoinResult& result,
                                                     const std::vector<JoinComponent>& components);
 
