@@ -17,7 +17,7 @@ namespace {
 
 constexpr std::size_t kCacheBytes = std::size_t{64} << 20;
 
-std::unique_ptr<PlaceDatabase> made(PlaceKind kind) {
+std::unique_ptr<PlaceDatabase> make_database(PlaceKind kind) {
   return kind == PlaceKind::kScanContext ? make_scan_context_database() : make_density_place_database();
 }
 
@@ -48,31 +48,32 @@ AppearanceGenerator::AppearanceGenerator(const AppearanceOptions& options, Robot
     : options_(options), robots_(std::move(robots)), database_(std::move(database)) {
   validate(options_);
   if (!scans) throw InputError("candidates by appearance need the scans");
-  if (!database_) database_ = made(options_.descriptor);
+  if (!database_) database_ = make_database(options_.descriptor);
   // NOLINTNEXTLINE(modernize-make-unique): an aggregate
   scans_.reset(new Scans{std::move(scans), options_.voxel_m, problems_});
 }
 
 AppearanceGenerator::~AppearanceGenerator() = default;
 
-AppearanceGenerator::Station AppearanceGenerator::station_of(const PoseGraph& graph, Key key) {
-  if (const auto known = stations_.find(key); known != stations_.end()) return known->second;
-  Station station;
+AppearanceGenerator::PathPosition AppearanceGenerator::path_position_of(const PoseGraph& graph, Key key) {
+  if (const auto known = path_positions_.find(key); known != path_positions_.end()) return known->second;
+  PathPosition position;
   const auto before = OdometryWalk(graph, robots_, key, false).next();
-  const auto tied = before ? stations_.find(graph.nodes()[before->node].key) : stations_.end();
-  if (tied != stations_.end()) {
-    station = tied->second;
-    station.path_m += before->T_start_here.translation().norm();
+  const auto previous =
+      before ? path_positions_.find(graph.nodes()[before->node].key) : path_positions_.end();
+  if (previous != path_positions_.end()) {
+    position = previous->second;
+    position.path_m += before->T_start_here.translation().norm();
   } else {
-    station.piece = last_place_m_.size();
+    position.piece = last_place_m_.size();
     last_place_m_.push_back(-std::numeric_limits<double>::infinity());
   }
-  return stations_[key] = station;
+  return path_positions_[key] = position;
 }
 
 std::vector<LoopCandidate> AppearanceGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
   if (robots_.is_landmark(key) || !graph.contains(key) || database_->find(key)) return {};
-  const Station here = station_of(graph, key);
+  const PathPosition here = path_position_of(graph, key);
   if (here.path_m - last_place_m_[here.piece] < options_.spacing_m) return {};
   PlaceSubmapOptions submap_options;
   submap_options.path_m = options_.path_m;
@@ -84,9 +85,10 @@ std::vector<LoopCandidate> AppearanceGenerator::on_node(const PoseGraph& graph, 
   if (!place)
     throw InputError("place database \"" + std::string(database_->name()) + "\": describe() returned null");
   const auto found = database_->search(*place, static_cast<std::size_t>(options_.per_place), [&](Key other) {
-    const auto there = stations_.find(other);
-    return there != stations_.end() && (there->second.piece != here.piece ||
-                                        std::abs(there->second.path_m - here.path_m) >= options_.apart_m);
+    const auto there = path_positions_.find(other);
+    return there != path_positions_.end() &&
+           (there->second.piece != here.piece ||
+            std::abs(there->second.path_m - here.path_m) >= options_.apart_m);
   });
   database_->insert(key, place);
   level_[key] = submap.rotation;

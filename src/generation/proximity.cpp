@@ -170,12 +170,13 @@ bool ProximityGenerator::takes_part(const PoseGraph& graph, Key key) const {
 
 std::vector<LoopCandidate> ProximityGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
   if (robots_.is_landmark(key)) return {};
-  if (takes_part(graph, key)) return take_in(graph, key, time_s);
+  if (takes_part(graph, key)) return add_participant(graph, key, time_s);
   left_out_[robots_.of(key)].emplace(robots_.node_index(key), key);
   return {};
 }
 
-std::vector<LoopCandidate> ProximityGenerator::take_in(const PoseGraph& graph, Key key, double time_s) {
+std::vector<LoopCandidate> ProximityGenerator::add_participant(const PoseGraph& graph, Key key,
+                                                               double time_s) {
   const Entry entry{key, robots_.of(key), robots_.node_index(key), graph.node(key).pose.translation()};
   // The largest radius of any older node bounds the visited cells. Within one robot the index gap can exceed
   // the node's own index if nodes arrive out of order.
@@ -237,7 +238,7 @@ std::vector<LoopCandidate> ProximityGenerator::on_moved(const PoseGraph& graph, 
         ++other;
         continue;
       }
-      const std::vector<LoopCandidate> own = take_in(graph, other->second, time_s);
+      const std::vector<LoopCandidate> own = add_participant(graph, other->second, time_s);
       candidates.insert(candidates.end(), own.begin(), own.end());
       other = left_out_[robot].erase(other);
     }

@@ -42,8 +42,8 @@ std::vector<LoopCandidate> RadioGenerator::on_drop(const PoseGraph& graph, const
     return {};
   }
   try {
-    take_up(graph, waiting_at(drop.beacon), time_s);
-  } catch (...) {  // its passages are still waiting
+    process_detections(graph, waiting_at(drop.beacon), time_s);
+  } catch (...) {  // its detections are still waiting
     beacons_.erase(found);
     throw;
   }
@@ -61,7 +61,7 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
       problems_.add("radio reading at a node of no robot", "node " + key_name(reading.key));
     }
   }
-  std::vector<Passage> heard;
+  std::vector<Detection> detections;
   for (const auto& [which, group] : groups) {
     const double loss = mean_path_loss_db(group);
     if (!(loss > 0.0)) {
@@ -70,7 +70,7 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
       continue;
     }
     if (!(loss < options_.max_loss_db)) continue;
-    heard.push_back(which);
+    detections.push_back(which);
     waiting_nodes_[which.second].insert(which.first);
     waiting_by_arrival_.emplace(arrivals_, which);
     if (waiting_.emplace(which, arrivals_).second) {
@@ -79,31 +79,31 @@ std::vector<LoopCandidate> RadioGenerator::on_radio(const PoseGraph& graph,
       waiting_by_arrival_.erase(arrivals_);
     }
   }
-  take_up(graph, std::move(heard), time_s);
+  process_detections(graph, std::move(detections), time_s);
   while (waiting_.size() > static_cast<std::size_t>(options_.max_waiting)) drop_oldest();
   return std::exchange(proposals_, {});
 }
 
 std::vector<LoopCandidate> RadioGenerator::on_node(const PoseGraph& graph, Key key, double time_s) {
   (void)graph.index_of(key);  // throws on an unknown one
-  std::vector<Passage> passages;
+  std::vector<Detection> detections;
   for (const auto& [name, beacon] : beacons_) {
     if (beacon.drop.drop_key != key) continue;
-    const std::vector<Passage> here = waiting_at(name);
-    passages.insert(passages.end(), here.begin(), here.end());
+    const std::vector<Detection> here = waiting_at(name);
+    detections.insert(detections.end(), here.begin(), here.end());
   }
   for (auto i = waiting_.lower_bound({key, ""}); i != waiting_.end() && i->first.first == key; ++i)
-    passages.push_back(i->first);
-  take_up(graph, std::move(passages), time_s);
+    detections.push_back(i->first);
+  process_detections(graph, std::move(detections), time_s);
   return std::exchange(proposals_, {});
 }
 
-std::vector<RadioGenerator::Passage> RadioGenerator::waiting_at(const std::string& beacon) const {
-  std::vector<Passage> passages;
+std::vector<RadioGenerator::Detection> RadioGenerator::waiting_at(const std::string& beacon) const {
+  std::vector<Detection> detections;
   const auto nodes = waiting_nodes_.find(beacon);
-  if (nodes == waiting_nodes_.end()) return passages;
-  for (const Key key : nodes->second) passages.emplace_back(key, beacon);
-  return passages;
+  if (nodes == waiting_nodes_.end()) return detections;
+  for (const Key key : nodes->second) detections.emplace_back(key, beacon);
+  return detections;
 }
 
 void RadioGenerator::drop_oldest() {
@@ -116,29 +116,31 @@ void RadioGenerator::drop_oldest() {
   waiting_by_arrival_.erase(oldest);
 }
 
-void RadioGenerator::take_up(const PoseGraph& graph, std::vector<Passage> passages, double time_s) {
-  std::vector<std::pair<std::int64_t, Passage>> known;  // by the nodes' stamps
-  for (Passage& passage : passages) {
-    const auto beacon = beacons_.find(passage.second);
+void RadioGenerator::process_detections(const PoseGraph& graph, std::vector<Detection> detections,
+                                        double time_s) {
+  std::vector<std::pair<std::int64_t, Detection>> known;  // by the nodes' stamps
+  for (Detection& detection : detections) {
+    const auto beacon = beacons_.find(detection.second);
     if (beacon == beacons_.end() || !graph.contains(beacon->second.drop.drop_key)) continue;
-    const auto node = graph.find(passage.first);
-    if (node) known.emplace_back(graph.nodes()[*node].stamp_ns, std::move(passage));
+    const auto node = graph.find(detection.first);
+    if (node) known.emplace_back(graph.nodes()[*node].stamp_ns, std::move(detection));
   }
   std::sort(known.begin(), known.end());
   known.erase(std::unique(known.begin(), known.end()), known.end());
-  for (const auto& [stamp, passage] : known) pass(graph, beacons_.at(passage.second), passage.first, time_s);
-  // Passages stop waiting only here, after all calls of pass(). If one throws, the caller can repeat them
-  // all. Nothing below allocates.
-  for (const auto& [stamp, passage] : known) {
-    const auto waiting = waiting_.find(passage);
+  for (const auto& [stamp, detection] : known)
+    process_detection(graph, beacons_.at(detection.second), detection.first, time_s);
+  // Detections stop waiting only here, after all calls of process_detection(). If one throws, the caller can
+  // repeat them all. Nothing below allocates.
+  for (const auto& [stamp, detection] : known) {
+    const auto waiting = waiting_.find(detection);
     if (waiting == waiting_.end()) continue;
-    waiting_nodes_.at(passage.second).erase(passage.first);
+    waiting_nodes_.at(detection.second).erase(detection.first);
     waiting_by_arrival_.erase(waiting->second);
     waiting_.erase(waiting);
   }
 }
 
-void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s) {
+void RadioGenerator::process_detection(const PoseGraph& graph, Beacon& beacon, Key key, double time_s) {
   if (key == beacon.drop.drop_key || beacon.seen.count(key) != 0) return;
   const std::size_t robot = robots_.of(key);
   const std::uint64_t index = robots_.node_index(key);
@@ -192,7 +194,7 @@ void RadioGenerator::pass(const PoseGraph& graph, Beacon& beacon, Key key, doubl
     if (f == own) continue;
     for (const Key other : beacon.fly_bys[f].nodes) propose(other);
   }
-  beacon.seen.insert(key);  // last, so that a pass that threw is repeated
+  beacon.seen.insert(key);  // last, so that a detection that threw is repeated
 }
 
 }  // namespace loopwise

@@ -87,18 +87,18 @@ class LOOPWISE_EXPORT AppearanceGenerator final : public CandidateGenerator {
 
  private:
   /// Where a node lies on its robot's path.
-  struct Station {
-    std::size_t piece = 0;  ///< Of a path that odometry ties together.
+  struct PathPosition {
+    std::size_t piece = 0;  ///< Of a path that odometry connects.
     double path_m = 0.0;    ///< From the piece's begin.
   };
   struct Scans;
-  [[nodiscard]] Station station_of(const PoseGraph& graph, Key key);
+  [[nodiscard]] PathPosition path_position_of(const PoseGraph& graph, Key key);
 
   AppearanceOptions options_;
   Robots robots_;
   std::unique_ptr<PlaceDatabase> database_;
   std::unique_ptr<Scans> scans_;
-  std::unordered_map<Key, Station> stations_;
+  std::unordered_map<Key, PathPosition> path_positions_;
   std::unordered_map<Key, Eigen::Matrix3d> level_;  ///< Of the places.
   std::vector<double> last_place_m_;                ///< By piece; infinite before the first.
   Problems problems_;

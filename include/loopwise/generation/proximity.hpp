@@ -88,8 +88,8 @@ class LOOPWISE_EXPORT ProximityGenerator final : public CandidateGenerator {
   };
   /// Whether a node is far enough from those before and after it on its robot's path that take part.
   [[nodiscard]] bool takes_part(const PoseGraph& graph, Key key) const;
-  /// A node takes part from now on. \returns what is near it
-  std::vector<LoopCandidate> take_in(const PoseGraph& graph, Key key, double time_s);
+  /// Adds a node that takes part from now on. \returns its candidates
+  std::vector<LoopCandidate> add_participant(const PoseGraph& graph, Key key, double time_s);
   using Cell = Eigen::Vector3i;
   struct CellHash {
     std::size_t operator()(const Cell& cell) const;

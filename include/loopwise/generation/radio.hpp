@@ -92,22 +92,22 @@ class LOOPWISE_EXPORT RadioGenerator final : public CandidateGenerator {
     std::set<Key> seen;
   };
 
-  using Passage = std::pair<Key, std::string>;  ///< A node and the beacon that it is near to.
-  /// Those of the passages whose node, beacon and drop are known now.
-  void take_up(const PoseGraph& graph, std::vector<Passage> passages, double time_s);
-  [[nodiscard]] std::vector<Passage> waiting_at(const std::string& beacon) const;
+  using Detection = std::pair<Key, std::string>;  ///< A node and the beacon that it is near to.
+  /// Processes those detections whose node, beacon and drop are known now.
+  void process_detections(const PoseGraph& graph, std::vector<Detection> detections, double time_s);
+  [[nodiscard]] std::vector<Detection> waiting_at(const std::string& beacon) const;
   void drop_oldest();
-  void pass(const PoseGraph& graph, Beacon& beacon, Key key, double time_s);
+  void process_detection(const PoseGraph& graph, Beacon& beacon, Key key, double time_s);
 
   RadioOptions options_;
   Robots robots_;
   std::map<std::string, Beacon> beacons_;
-  std::map<Passage, std::size_t> waiting_;              ///< -> number of arrival.
-  std::map<std::size_t, Passage> waiting_by_arrival_;   ///< The same.
-  std::map<std::string, std::set<Key>> waiting_nodes_;  ///< The same, by beacon.
+  std::map<Detection, std::size_t> waiting_;             ///< -> number of arrival.
+  std::map<std::size_t, Detection> waiting_by_arrival_;  ///< The same.
+  std::map<std::string, std::set<Key>> waiting_nodes_;   ///< The same, by beacon.
   std::size_t arrivals_ = 0;
   std::set<std::pair<Key, Key>> proposed_;
-  std::vector<LoopCandidate> proposals_;  ///< Of passes since candidates were last returned.
+  std::vector<LoopCandidate> proposals_;  ///< Of detections since candidates were last returned.
   Problems problems_;
 };
 
