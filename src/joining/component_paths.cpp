@@ -40,18 +40,18 @@ ComponentPaths::ComponentPaths(const PoseGraph& graph, const std::vector<JoinCom
   const double margin2 = options.odometry_margin * options.odometry_margin;
   std::size_t path = 0;
   for (std::size_t c = 0; c < components.size(); ++c) {
-    const std::size_t first = stations_.size();
+    const std::size_t first = nodes_.size();
     for (const Key key : components[c].keys) {
       const std::size_t node = graph.index_of(key);
-      Station here;
+      PathNode here;
       here.key = key;
       here.component = c;
       here.pose = graph.nodes()[node].pose;
-      const bool at_start = stations_.size() == first;
+      const bool at_start = nodes_.size() == first;
       const std::optional<Drift> step =
-          at_start ? std::nullopt : stated(graph, graph.index_of(stations_.back().key), node);
+          at_start ? std::nullopt : stated(graph, graph.index_of(nodes_.back().key), node);
       if (step) {
-        const Station& last = stations_.back();
+        const PathNode& last = nodes_.back();
         const double length = (here.pose.translation() - last.pose.translation()).norm();
         here.path = last.path;
         here.path_length_m = last.path_length_m + length;
@@ -61,11 +61,11 @@ ComponentPaths::ComponentPaths(const PoseGraph& graph, const std::vector<JoinCom
       } else {
         here.path = path++;
       }
-      if (!number_.emplace(key, stations_.size()).second)
+      if (!number_.emplace(key, nodes_.size()).second)
         throw InputError("key " + key_name(key) + " belongs to two components");
-      stations_.push_back(here);
+      nodes_.push_back(here);
     }
-    ranges_.emplace_back(first, stations_.size());
+    ranges_.emplace_back(first, nodes_.size());
   }
 }
 
@@ -76,7 +76,7 @@ std::size_t ComponentPaths::of(Key key) const {
 }
 
 Drift ComponentPaths::between(std::size_t a, std::size_t b) const {
-  const Station &x = stations_[a], &y = stations_[b];
+  const PathNode &x = nodes_[a], &y = nodes_[b];
   const double distance = (x.pose.translation() - y.pose.translation()).norm();
   Drift out;
   if (x.path == y.path) {

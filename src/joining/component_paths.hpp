@@ -29,7 +29,7 @@ struct Drift {
 };
 
 /// A key frame of a component.
-struct Station {
+struct PathNode {
   Key key = 0;
   std::size_t component = 0;
   std::size_t path = 0;      ///< Stretch of unbroken odometry, numbered over all components.
@@ -46,11 +46,11 @@ class ComponentPaths {
                  const JoinOptions& options);
 
   [[nodiscard]] std::size_t components() const { return ranges_.size(); }
-  [[nodiscard]] const std::vector<Station>& stations() const { return stations_; }
-  [[nodiscard]] const Station& operator[](std::size_t station) const { return stations_[station]; }
+  [[nodiscard]] const std::vector<PathNode>& nodes() const { return nodes_; }
+  [[nodiscard]] const PathNode& operator[](std::size_t station) const { return nodes_[station]; }
   [[nodiscard]] std::size_t begin(std::size_t component) const { return ranges_[component].first; }
   [[nodiscard]] std::size_t end(std::size_t component) const { return ranges_[component].second; }
-  /// Number of the key's station. \throws UnknownKeyError
+  /// Number of the key's node. \throws UnknownKeyError
   [[nodiscard]] std::size_t of(Key key) const;
   [[nodiscard]] bool contains(Key key) const { return number_.count(key) != 0; }
 
@@ -59,7 +59,7 @@ class ComponentPaths {
 
  private:
   double drift_m2_per_m_ = 0.0, drift_rad2_per_m_ = 0.0;
-  std::vector<Station> stations_;
+  std::vector<PathNode> nodes_;
   std::vector<std::pair<std::size_t, std::size_t>> ranges_;
   std::unordered_map<Key, std::size_t> number_;
 };

@@ -70,17 +70,17 @@ std::vector<std::size_t> ClosureSet::largest_group(const std::vector<std::size_t
 }
 
 std::size_t ClosureSet::places(const std::vector<std::size_t>& group, double place_m) const {
-  std::vector<std::size_t> counted;
+  std::vector<std::size_t> distinct;
   const auto apart = [&](std::size_t x, std::size_t y) {
     return (paths_[x].pose.translation() - paths_[y].pose.translation()).norm() > place_m;
   };
   for (const std::size_t i : group) {
-    const bool is_new = std::all_of(counted.begin(), counted.end(), [&](std::size_t j) {
+    const bool is_new = std::all_of(distinct.begin(), distinct.end(), [&](std::size_t j) {
       return apart(closures_[i].a, closures_[j].a) && apart(closures_[i].b, closures_[j].b);
     });
-    if (is_new) counted.push_back(i);
+    if (is_new) distinct.push_back(i);
   }
-  return counted.size();
+  return distinct.size();
 }
 
 Eigen::Isometry3d ClosureSet::frame(std::size_t i) const {

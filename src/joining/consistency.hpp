@@ -10,7 +10,7 @@
 
 namespace loopwise::joining {
 
-/// A closure between two components by the numbers of its stations.
+/// A closure between two components by the numbers of its nodes.
 struct PairClosure {
   std::size_t b = 0;    ///< LoopClosure::from
   std::size_t a = 0;    ///< LoopClosure::to

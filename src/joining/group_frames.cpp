@@ -14,7 +14,7 @@
 namespace loopwise::joining {
 namespace {
 
-/// Relative pose of two stations of a component, with the uncertainty of the drift between them.
+/// Relative pose of two nodes of a component, with the uncertainty of the drift between them.
 Edge path_edge(const ComponentPaths& paths, std::size_t from, std::size_t to) {
   constexpr double kLeast_m2 = 1e-4, kLeast_rad2 = 1e-6;
   Drift drift = paths.between(from, to);
@@ -53,8 +53,8 @@ PoseGraph graph_of(const ComponentPaths& paths, const std::vector<std::size_t>& 
       node.pose = paths[s].pose;
       graph.add_node(node);
       if (s == paths.begin(member)) continue;
-      const bool goes_on = paths[s - 1].path == paths[s].path;
-      graph.add_edge(path_edge(paths, goes_on ? s - 1 : paths.begin(member), s));
+      const bool continues_path = paths[s - 1].path == paths[s].path;
+      graph.add_edge(path_edge(paths, continues_path ? s - 1 : paths.begin(member), s));
     }
   }
   constexpr double kAnchor = 1e8;  // 0.1 mm and 0.1 mrad

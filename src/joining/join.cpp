@@ -48,10 +48,10 @@ std::vector<std::size_t> joined_ties(const std::vector<Tie>& ties, const std::ve
   return out;
 }
 
-/// Gives up ties of a group that the joint optimisation contradicts, and ties with little more support than
+/// Drops the ties of a group that the joint optimisation contradicts, and ties with little more support than
 /// these: one of them is false, and it is unknown which one. \returns whether there were any
-bool give_up_contradictions(std::vector<Tie>& ties, const std::vector<std::size_t>& numbers,
-                            const GroupFrames& frames) {
+bool drop_contradictory_ties(std::vector<Tie>& ties, const std::vector<std::size_t>& numbers,
+                             const GroupFrames& frames) {
   constexpr double kKept = 0.5, kByFar = 2.0;
   std::size_t strongest = 0;
   for (std::size_t i = 0; i < numbers.size(); ++i) {
@@ -66,8 +66,9 @@ bool give_up_contradictions(std::vector<Tie>& ties, const std::vector<std::size_
   for (std::size_t i = 0; i < numbers.size(); ++i) {
     Tie& tie = ties[numbers[i]];
     const bool contradicts = frames.kept[i] < kKept;
-    const bool doubtful = static_cast<double>(tie.confirmed) < kByFar * static_cast<double>(strongest);
-    if (!contradicts && !doubtful) continue;
+    const bool weakly_supported =
+        static_cast<double>(tie.confirmed) < kByFar * static_cast<double>(strongest);
+    if (!contradicts && !weakly_supported) continue;
     tie.joined = false;
     tie.reason = std::to_string(tie.closures.size()) +
                  " closures agree, but they contradict the closures between " + "other components";
@@ -76,8 +77,8 @@ bool give_up_contradictions(std::vector<Tie>& ties, const std::vector<std::size_
 }
 
 /// Text for a component that is not joined. If there is only one tie, only the later component describes it.
-std::string apart_text(const std::vector<JoinComponent>& components, const std::vector<Tie>& ties,
-                       std::size_t component) {
+std::string reason_not_joined(const std::vector<JoinComponent>& components, const std::vector<Tie>& ties,
+                              std::size_t component) {
   std::size_t computed = 0;
   double overlap = 0.0;
   const Tie* best = nullptr;
@@ -89,16 +90,16 @@ std::string apart_text(const std::vector<JoinComponent>& components, const std::
   }
   std::string text =
       std::to_string(computed) + " pairs computed, best overlap " + std::to_string(overlap).substr(0, 4);
-  const bool said_elsewhere = best != nullptr && best->a == component && ties.size() == 1;
-  if (best != nullptr && best->closures.size() > 1 && !said_elsewhere) {
+  const bool described_elsewhere = best != nullptr && best->a == component && ties.size() == 1;
+  if (best != nullptr && best->closures.size() > 1 && !described_elsewhere) {
     const std::size_t other = best->a == component ? best->b : best->a;
     text += "; with " + components[other].name + " " + best->reason;
   }
   return text;
 }
 
-std::string joined_text(const std::vector<JoinComponent>& components, const std::vector<Tie>& ties,
-                        std::size_t component) {
+std::string reason_joined(const std::vector<JoinComponent>& components, const std::vector<Tie>& ties,
+                          std::size_t component) {
   std::string text;
   for (const Tie& tie : ties) {
     if (!tie.joined || (tie.a != component && tie.b != component)) continue;
@@ -108,7 +109,7 @@ std::string joined_text(const std::vector<JoinComponent>& components, const std:
   return text;
 }
 
-/// Computes the frames of all groups, after giving up ties that contradict each other.
+/// Computes the frames of all groups, after dropping ties that contradict each other.
 void set_frames(JoinResult& result, const ComponentPaths& paths, const StopToken& stop) {
   for (bool settled = false; !settled;) {
     settled = true;
@@ -124,7 +125,7 @@ void set_frames(JoinResult& result, const ComponentPaths& paths, const StopToken
       ties.reserve(numbers.size());
       for (const std::size_t t : numbers) ties.push_back(&result.ties[t]);
       const GroupFrames frames = joining::optimize_group(paths, members, ties, stop);
-      if (give_up_contradictions(result.ties, numbers, frames)) {
+      if (drop_contradictory_ties(result.ties, numbers, frames)) {
         settled = false;
         break;
       }
@@ -174,8 +175,8 @@ JoinResult find_frames(const PoseGraph& graph, const Robots& robots,
   result.stopped = stop.stop_requested();
   set_frames(result, paths, stop);
   for (std::size_t c = 0; c < components.size(); ++c) {
-    const std::string joined = joined_text(components, result.ties, c);
-    result.frames[c].reason = joined.empty() ? apart_text(components, result.ties, c) : joined;
+    const std::string joined = reason_joined(components, result.ties, c);
+    result.frames[c].reason = joined.empty() ? reason_not_joined(components, result.ties, c) : joined;
   }
   return result;
 }

@@ -13,24 +13,23 @@ namespace loopwise::joining {
 namespace {
 
 /// Proposed pairs of the two components, most similar first.
-std::vector<std::pair<StationPair, double>> proposed(const ComponentPaths& paths, std::size_t a,
-                                                     std::size_t b,
-                                                     const std::vector<ProposedPair>& proposals) {
-  std::map<StationPair, double> best;
+std::vector<std::pair<NodePair, double>> proposed(const ComponentPaths& paths, std::size_t a, std::size_t b,
+                                                  const std::vector<ProposedPair>& proposals) {
+  std::map<NodePair, double> best;
   for (const ProposedPair& proposal : proposals) {
     if (!paths.contains(proposal.from) || !paths.contains(proposal.to)) continue;
     std::size_t x = paths.of(proposal.from), y = paths.of(proposal.to);
     if (paths[x].component == a) std::swap(x, y);
     if (paths[x].component != b || paths[y].component != a) continue;
-    const auto [entry, is_new] = best.emplace(StationPair{x, y}, proposal.similarity);
+    const auto [entry, is_new] = best.emplace(NodePair{x, y}, proposal.similarity);
     if (!is_new) entry->second = std::max(entry->second, proposal.similarity);
   }
-  std::vector<std::pair<StationPair, double>> out(best.begin(), best.end());
+  std::vector<std::pair<NodePair, double>> out(best.begin(), best.end());
   std::stable_sort(out.begin(), out.end(), [](const auto& x, const auto& y) { return x.second > y.second; });
   return out;
 }
 
-/// Stations of a component at least `step_m` apart along their paths.
+/// Nodes of a component at least `step_m` apart along their paths.
 std::vector<std::size_t> thinned(const ComponentPaths& paths, std::size_t component, double step_m) {
   std::vector<std::size_t> out;
   for (std::size_t s = paths.begin(component); s < paths.end(component); ++s) {
@@ -43,23 +42,22 @@ std::vector<std::size_t> thinned(const ComponentPaths& paths, std::size_t compon
 
 }  // namespace
 
-std::vector<StationPair> ordered_pairs(const ComponentPaths& paths, std::size_t a, std::size_t b,
-                                       const std::vector<ProposedPair>& proposals,
-                                       const JoinOptions& options) {
+std::vector<NodePair> ordered_pairs(const ComponentPaths& paths, std::size_t a, std::size_t b,
+                                    const std::vector<ProposedPair>& proposals, const JoinOptions& options) {
   const auto cell = [&](std::size_t station) {
     return std::pair(paths[station].path,
                      static_cast<std::int64_t>(paths[station].path_length_m / options.place_m));
   };
   // Neighbouring key frames look alike, so the second-best pair of two places follows the best pairs of all.
   std::map<std::pair<std::pair<std::size_t, std::int64_t>, std::pair<std::size_t, std::int64_t>>, int> taken;
-  std::vector<std::pair<int, StationPair>> ranked;
+  std::vector<std::pair<int, NodePair>> ranked;
   for (const auto& [pair, similarity] : proposed(paths, a, b, proposals)) {
     ranked.emplace_back(taken[{cell(pair.first), cell(pair.second)}]++, pair);
   }
   std::stable_sort(ranked.begin(), ranked.end(),
                    [](const auto& x, const auto& y) { return x.first < y.first; });
   const auto most = static_cast<std::size_t>(options.max_pairs);
-  std::vector<StationPair> order;
+  std::vector<NodePair> order;
   order.reserve(ranked.size());
   for (const auto& [rank, pair] : ranked) order.push_back(pair);
   if (order.size() < most) {
@@ -70,14 +68,14 @@ std::vector<StationPair> ordered_pairs(const ComponentPaths& paths, std::size_t 
       of_a = thinned(paths, a, step_m);
       of_b = thinned(paths, b, step_m);
     }
-    std::vector<StationPair> spread;
+    std::vector<NodePair> spread;
     for (const std::size_t x : of_b) {
       for (const std::size_t y : of_a) spread.emplace_back(x, y);
     }
     Rng rng(pair_seed(0, paths[paths.begin(a)].key, paths[paths.begin(b)].key));
     rng.shuffle(spread);
-    const std::set<StationPair> known(order.begin(), order.end());
-    for (const StationPair& pair : spread) {
+    const std::set<NodePair> known(order.begin(), order.end());
+    for (const NodePair& pair : spread) {
       if (known.count(pair) == 0) order.push_back(pair);
     }
   }

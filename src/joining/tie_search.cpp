@@ -41,15 +41,15 @@ TieSearch::TieSearch(const SearchContext& context, std::size_t a, std::size_t b,
       name_(std::move(name)),
       closures_(context.paths, chi_squared_quantile(context.options.inlier_probability, 6)) {}
 
-void TieSearch::compute(const std::vector<StationPair>& pairs) {
+void TieSearch::compute(const std::vector<NodePair>& pairs) {
   TaskOptions task_options;
   task_options.use_guess = false;
   task_options.source_neighbours = static_cast<int>(context_.options.neighbours);
   task_options.target_neighbours = static_cast<int>(context_.options.neighbours);
-  std::vector<StationPair> fresh;
+  std::vector<NodePair> fresh;
   std::vector<RegistrationTask> tasks;
-  std::set<StationPair> seen;
-  for (const StationPair& pair : pairs) {
+  std::set<NodePair> seen;
+  for (const NodePair& pair : pairs) {
     if (outcomes_.count(pair) != 0 || !seen.insert(pair).second) continue;
     LoopCandidate candidate;
     candidate.from = context_.paths[pair.first].key;
@@ -78,13 +78,13 @@ void TieSearch::compute(const std::vector<StationPair>& pairs) {
 }
 
 /// The key frame of a that, according to a closure, is nearest to key frame b, or farthest but within reach.
-std::optional<StationPair> TieSearch::near_pair(std::size_t b, const PairClosure& by, double reach_m,
-                                                bool farthest) const {
+std::optional<NodePair> TieSearch::near_pair(std::size_t b, const PairClosure& by, double reach_m,
+                                             bool farthest) const {
   const ComponentPaths& paths = context_.paths;
   // Chains through the closure, because odometry has the least drift near it.
   const Eigen::Isometry3d T_by = by.closure.T_from_to.inverse();
   const Eigen::Isometry3d T_a_b = paths[by.a].pose * T_by * paths[by.b].pose.inverse() * paths[b].pose;
-  std::optional<StationPair> best;
+  std::optional<NodePair> best;
   double best_m = farthest ? 0.0 : reach_m;
   for (std::size_t a = paths.begin(a_); a < paths.end(a_); ++a) {
     const double away_m = std::abs(paths[a].path_length_m - paths[by.a].path_length_m);
@@ -94,7 +94,7 @@ std::optional<StationPair> TieSearch::near_pair(std::size_t b, const PairClosure
     const bool better = farthest ? distance > best_m && distance <= reach_m : distance < best_m;
     if (!better || se3::rotation_angle(T_by.inverse() * T) > kSameHeading_rad) continue;
     best_m = distance;
-    best = StationPair{b, a};
+    best = NodePair{b, a};
   }
   return best;
 }
@@ -111,16 +111,16 @@ double TieSearch::distance_of(const std::vector<std::size_t>& group, double shar
 
 /// One pair for each key frame of b: with the nearest key frame of a, or with the farthest that the
 /// registration can still align.
-std::vector<StationPair> TieSearch::near_pairs(const std::vector<std::size_t>& group, bool farthest) const {
+std::vector<NodePair> TieSearch::near_pairs(const std::vector<std::size_t>& group, bool farthest) const {
   const ComponentPaths& paths = context_.paths;
   const double reach_m = farthest ? 1.25 * distance_of(group, 0.8) + 1.0
                                   : std::max(context_.options.near_m, distance_of(group, 0.5));
-  std::vector<StationPair> out;
+  std::vector<NodePair> out;
   for (std::size_t b = paths.begin(b_); b < paths.end(b_); ++b) {
     // Tries the nearest closures along the path first, until one puts a key frame of a near this one.
     std::vector<std::pair<double, std::size_t>> nearest;
     for (const std::size_t i : group) {
-      const Station& at = paths[closures_[i].b];
+      const PathNode& at = paths[closures_[i].b];
       const double away_m = std::abs(at.path_length_m - paths[b].path_length_m);
       if (at.path == paths[b].path && away_m <= context_.options.reach_m) nearest.emplace_back(away_m, i);
     }
@@ -135,17 +135,17 @@ std::vector<StationPair> TieSearch::near_pairs(const std::vector<std::size_t>& g
   }
   const std::size_t most = farthest ? kMostTested / 2 : kMostTested;
   if (out.size() <= most) return out;
-  std::vector<StationPair> thinned;
+  std::vector<NodePair> thinned;
   for (std::size_t i = 0; i < most; ++i) thinned.push_back(out[i * out.size() / most]);
   return thinned;
 }
 
 void TieSearch::confirm(Hypothesis& hypothesis) {
-  const std::vector<StationPair> pairs = near_pairs(hypothesis.group, /*farthest=*/false);
+  const std::vector<NodePair> pairs = near_pairs(hypothesis.group, /*farthest=*/false);
   compute(pairs);
   compute(near_pairs(hypothesis.group, /*farthest=*/true));
   hypothesis.tested = hypothesis.confirmed = 0;
-  for (const StationPair& pair : pairs) {
+  for (const NodePair& pair : pairs) {
     const auto outcome = outcomes_.find(pair);
     if (outcome == outcomes_.end() || !outcome->second.counts) continue;
     ++hypothesis.tested;
@@ -250,7 +250,7 @@ void TieSearch::judge(Tie& tie, const Hypothesis& best, const Hypothesis& rival)
   }
 }
 
-Tie TieSearch::run(const std::vector<StationPair>& order) {
+Tie TieSearch::run(const std::vector<NodePair>& order) {
   Tie tie;
   tie.a = a_;
   tie.b = b_;

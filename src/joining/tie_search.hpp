@@ -32,15 +32,14 @@ struct SearchContext {
   const StopToken& stop;
 };
 
-/// Stations of b and a that may have seen the same place.
-using StationPair = std::pair<std::size_t, std::size_t>;
+/// Nodes of b and a that may have seen the same place.
+using NodePair = std::pair<std::size_t, std::size_t>;
 
 /// Pairs between components a and b in the order in which they are registered: proposed ones by similarity,
 /// the best of each two places first, then pairs that spread over both paths. At most options.max_pairs.
-[[nodiscard]] std::vector<StationPair> ordered_pairs(const ComponentPaths& paths, std::size_t a,
-                                                     std::size_t b,
-                                                     const std::vector<ProposedPair>& proposals,
-                                                     const JoinOptions& options);
+[[nodiscard]] std::vector<NodePair> ordered_pairs(const ComponentPaths& paths, std::size_t a, std::size_t b,
+                                                  const std::vector<ProposedPair>& proposals,
+                                                  const JoinOptions& options);
 
 /// Closures that agree on a frame, and the results of pairs that test this frame.
 struct Hypothesis {
@@ -58,7 +57,7 @@ class TieSearch {
  public:
   TieSearch(const SearchContext& context, std::size_t a, std::size_t b, std::string name);
   /// Registers pairs in this order and judges. Ends early when a stop is requested.
-  [[nodiscard]] Tie run(const std::vector<StationPair>& order);
+  [[nodiscard]] Tie run(const std::vector<NodePair>& order);
 
  private:
   struct Outcome {
@@ -66,11 +65,10 @@ class TieSearch {
     std::optional<std::size_t> closure;  ///< Number in closures_, if verified.
   };
 
-  void compute(const std::vector<StationPair>& pairs);
-  [[nodiscard]] std::vector<StationPair> near_pairs(const std::vector<std::size_t>& group,
-                                                    bool farthest) const;
-  [[nodiscard]] std::optional<StationPair> near_pair(std::size_t b, const PairClosure& by, double reach_m,
-                                                     bool farthest) const;
+  void compute(const std::vector<NodePair>& pairs);
+  [[nodiscard]] std::vector<NodePair> near_pairs(const std::vector<std::size_t>& group, bool farthest) const;
+  [[nodiscard]] std::optional<NodePair> near_pair(std::size_t b, const PairClosure& by, double reach_m,
+                                                  bool farthest) const;
   [[nodiscard]] double distance_of(const std::vector<std::size_t>& group, double share) const;
   void confirm(Hypothesis& hypothesis);
   [[nodiscard]] std::vector<std::size_t> against(const std::vector<std::size_t>& group) const;
@@ -84,7 +82,7 @@ class TieSearch {
   std::size_t a_, b_;
   std::string name_;
   ClosureSet closures_;
-  std::map<StationPair, Outcome> outcomes_;
+  std::map<NodePair, Outcome> outcomes_;
   std::size_t planned_ = 0;
   double best_overlap_ = 0.0;
 };
