@@ -8,36 +8,36 @@
 namespace loopwise {
 
 AppliedDecisions apply_decisions(PoseGraph& graph, const std::vector<ClosureDecision>& decisions) {
-  struct Word {
+  struct Entry {
     ClosureDecision decision;
     bool matched = false;
   };
   using Pair = std::pair<Key, Key>;
-  std::map<Pair, Word> words;
+  std::map<Pair, Entry> entries;
   for (const ClosureDecision& decision : decisions) {
-    words[std::minmax(decision.from, decision.to)] = {decision};
+    entries[std::minmax(decision.from, decision.to)] = {decision};
   }
-  const auto word_on = [&words](const Edge& edge) -> Word* {
+  const auto entry_of = [&entries](const Edge& edge) -> Entry* {
     if (edge.kind != EdgeKind::kLoopClosure) return nullptr;
-    const auto found = words.find(std::minmax(edge.from, edge.to));
-    return found == words.end() ? nullptr : &found->second;
+    const auto found = entries.find(std::minmax(edge.from, edge.to));
+    return found == entries.end() ? nullptr : &found->second;
   };
 
   AppliedDecisions applied;
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
-    Word* word = word_on(graph.edges()[e]);
-    if (word == nullptr) continue;
-    word->matched = true;
-    if (!word->decision.accepted) continue;
+    Entry* entry = entry_of(graph.edges()[e]);
+    if (entry == nullptr) continue;
+    entry->matched = true;
+    if (!entry->decision.accepted) continue;
     graph.set_trusted(e, true);
     ++applied.trusted;
   }
   applied.removed = graph.remove_edges_if([&](const Edge& edge) {
-    const Word* word = word_on(edge);
-    return word != nullptr && !word->decision.accepted;
+    const Entry* entry = entry_of(edge);
+    return entry != nullptr && !entry->decision.accepted;
   });
-  for (const auto& [pair, word] : words) {
-    if (!word.matched) applied.without_match.push_back(word.decision);
+  for (const auto& [pair, entry] : entries) {
+    if (!entry.matched) applied.without_match.push_back(entry.decision);
   }
   return applied;
 }

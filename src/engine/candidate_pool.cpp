@@ -79,10 +79,10 @@ void CandidatePool::take_recognition(CandidateId id, LoopCandidate from) {
   if (pending == nullptr || pending->recognition) return;
   const LoopCandidate candidate = recognised(*pending);
   pending_.set(id, candidate);
-  const auto put_off =
+  const auto deferred =
       std::find_if(redundant_.begin(), redundant_.end(), [id](const LoopCandidate& c) { return c.id == id; });
-  if (put_off != redundant_.end()) {
-    *put_off = candidate;
+  if (deferred != redundant_.end()) {
+    *deferred = candidate;
     return;
   }
   queue_.remove({id});  // the prioritisers' copies have no recognition

@@ -87,11 +87,11 @@ void Engine::Impl::on(RegistrationResult& result) {
 }
 
 void Engine::Impl::take(const LoopClosure& closure) {
-  const Word word = word_on(closure.from, closure.to);
-  if (word == Word::kRejected) return;
+  const Verdict verdict = verdict_on(closure.from, closure.to);
+  if (verdict == Verdict::kRejected) return;
   try {
     const std::size_t edge = change_graph().add_closure(closure);
-    if (word == Word::kAccepted) change_graph().set_trusted(edge, true);
+    if (verdict == Verdict::kAccepted) change_graph().set_trusted(edge, true);
   } catch (const Error& error) {
     problem("closure refused", key_name(closure.from) + " - " + key_name(closure.to) + ": " + error.what());
     return;
@@ -113,10 +113,10 @@ void Engine::Impl::on(event::BatchDone& event) {
   start_estimate();
 }
 
-Engine::Impl::Word Engine::Impl::word_on(Key a, Key b) const {
+Engine::Impl::Verdict Engine::Impl::verdict_on(Key a, Key b) const {
   const auto found = decided_.find(pair_of(a, b));
-  if (found == decided_.end()) return Word::kNone;
-  return found->second ? Word::kAccepted : Word::kRejected;
+  if (found == decided_.end()) return Verdict::kNone;
+  return found->second ? Verdict::kAccepted : Verdict::kRejected;
 }
 
 void Engine::Impl::on(ClosureDecision& decision) {

@@ -98,10 +98,10 @@ void Engine::Impl::add_factors(const std::vector<Factor>& factors) {
     }
     const Edge* edge = std::get_if<Edge>(&factor);
     const bool decided = edge != nullptr && edge->kind == EdgeKind::kLoopClosure;
-    const Word word = decided ? word_on(edge->from, edge->to) : Word::kNone;
-    if (word == Word::kRejected) continue;
+    const Verdict verdict = decided ? verdict_on(edge->from, edge->to) : Verdict::kNone;
+    if (verdict == Verdict::kRejected) continue;
     add_factor(change_graph(), factor);
-    if (word == Word::kAccepted) change_graph().set_trusted(graph_.edges().size() - 1, true);
+    if (verdict == Verdict::kAccepted) change_graph().set_trusted(graph_.edges().size() - 1, true);
     const auto* prior = std::get_if<PriorFactor>(&factor);
     if (edge != nullptr && edge->kind == EdgeKind::kOdometry) {
       move(placement_.tie(graph_, *edge));
@@ -158,7 +158,8 @@ void Engine::Impl::on(event::Candidates& event) {
 void Engine::Impl::propose(std::vector<LoopCandidate> candidates) {
   if (candidates.empty() || !prioritizes_) return;
   const auto left_out = [this](const LoopCandidate& c) {
-    return (options_.thin > 1 && !kept_by_thinning(options_, c)) || word_on(c.from, c.to) == Word::kRejected;
+    return (options_.thin > 1 && !kept_by_thinning(options_, c)) ||
+           verdict_on(c.from, c.to) == Verdict::kRejected;
   };
   if (options_.thin > 1 || !decided_.empty()) {
     candidates.erase(std::remove_if(candidates.begin(), candidates.end(), left_out), candidates.end());

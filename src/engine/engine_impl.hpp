@@ -145,8 +145,8 @@ class Engine::Impl {
   void on(event::BatchDone& event);
   void on(ClosureDecision& decision);
   /// A person's decision on a pair.
-  enum class Word { kNone, kAccepted, kRejected };
-  [[nodiscard]] Word word_on(Key a, Key b) const;
+  enum class Verdict { kNone, kAccepted, kRejected };
+  [[nodiscard]] Verdict verdict_on(Key a, Key b) const;
 
   // ---- estimates
 
@@ -155,8 +155,8 @@ class Engine::Impl {
   void on(event::Optimized& event);
 
   /// Whether the estimate contradicts factors that arrived while it was computed.
-  [[nodiscard]] bool is_torn(const std::vector<Eigen::Isometry3d>& estimated,
-                             std::size_t edges_estimated) const;
+  [[nodiscard]] bool contradicts_new_factors(const std::vector<Eigen::Isometry3d>& estimated,
+                                             std::size_t edges_estimated) const;
   void on(ExternalEstimate& estimate);
 
   /// Sets the poses of the named nodes. Every other node of a robot moves with the last named node before it.
@@ -177,7 +177,7 @@ class Engine::Impl {
   std::unordered_set<Key> moved_since_job_;  // since the last job of the back end began
   bool removed_since_job_ = false;           // whether closures were removed since then
   // Rejected candidates whose nodes may still move relative to each other, by each of the two nodes.
-  std::unordered_map<Key, std::vector<LoopCandidate>> rejected_apart_;
+  std::unordered_map<Key, std::vector<LoopCandidate>> revocable_rejections_;
   std::vector<LoopCandidate> forgotten_;             // rejections that are no longer valid
   std::unordered_set<CandidateId> moved_meanwhile_;  // of in_computation_
 };

@@ -58,13 +58,13 @@ void Engine::Impl::on(event::Optimized& event) {
       if (moved_since_job_.count(key) == 0) named.emplace(key, poses[i]);
     }
     move_nodes(named);
-    if (is_torn(poses, event.gnc.weights.size())) wants_estimate_ = true;
+    if (contradicts_new_factors(poses, event.gnc.weights.size())) wants_estimate_ = true;
   }
   publish();
 }
 
-bool Engine::Impl::is_torn(const std::vector<Eigen::Isometry3d>& estimated,
-                           std::size_t edges_estimated) const {
+bool Engine::Impl::contradicts_new_factors(const std::vector<Eigen::Isometry3d>& estimated,
+                                           std::size_t edges_estimated) const {
   if (moved_since_job_.empty()) return false;
   const auto placed = [this](Key key) { return moved_since_job_.count(key) != 0; };
   // Odometry alone only repeats the former pose of its group.

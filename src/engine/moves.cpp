@@ -31,7 +31,7 @@ void Engine::Impl::forget_outcomes(const std::vector<Key>& group, const Eigen::I
   constexpr double kSame_m = 0.01, kSame_rad = 0.002;  // changes below this do not matter to a registration
   const bool turns = se3::rotation_angle(correction) > kSame_rad;
   const std::unordered_set<Key> moving(group.begin(), group.end());
-  const auto parted = [&](const LoopCandidate& c) {
+  const auto moved_relative = [&](const LoopCandidate& c) {
     const bool from = moving.count(c.from) != 0, to = moving.count(c.to) != 0;
     if (from == to) return false;
     const Eigen::Vector3d t = graph_.node(from ? c.from : c.to).pose.translation();
@@ -39,22 +39,22 @@ void Engine::Impl::forget_outcomes(const std::vector<Key>& group, const Eigen::I
   };
   std::vector<LoopCandidate> forgotten;
   for (const Key key : group) {
-    const auto found = rejected_apart_.find(key);
-    if (found == rejected_apart_.end()) continue;
-    std::copy_if(found->second.begin(), found->second.end(), std::back_inserter(forgotten), parted);
+    const auto found = revocable_rejections_.find(key);
+    if (found == revocable_rejections_.end()) continue;
+    std::copy_if(found->second.begin(), found->second.end(), std::back_inserter(forgotten), moved_relative);
   }
   for (const auto& [id, candidate] : in_computation_) {
-    if (parted(candidate)) moved_meanwhile_.insert(id);
+    if (moved_relative(candidate)) moved_meanwhile_.insert(id);
   }
   for (const LoopCandidate& candidate : forgotten) {
     for (const Key end : {candidate.from, candidate.to}) {
-      const auto at = rejected_apart_.find(end);
-      if (at == rejected_apart_.end()) continue;
+      const auto at = revocable_rejections_.find(end);
+      if (at == revocable_rejections_.end()) continue;
       std::vector<LoopCandidate>& kept = at->second;
       kept.erase(std::remove_if(kept.begin(), kept.end(),
                                 [&](const LoopCandidate& c) { return c.id == candidate.id; }),
                  kept.end());
-      if (kept.empty()) rejected_apart_.erase(at);
+      if (kept.empty()) revocable_rejections_.erase(at);
     }
   }
   forgotten_.insert(forgotten_.end(), forgotten.begin(), forgotten.end());
@@ -65,7 +65,7 @@ void Engine::Impl::keep_rejected(const LoopCandidate& candidate, bool moved_mean
     moved_.push_back(candidate.from);
     forgotten_.push_back(candidate);
   } else if (placement_.apart(candidate.from, candidate.to)) {
-    for (const Key end : {candidate.from, candidate.to}) rejected_apart_[end].push_back(candidate);
+    for (const Key end : {candidate.from, candidate.to}) revocable_rejections_[end].push_back(candidate);
   }
 }
 
@@ -73,7 +73,7 @@ void Engine::Impl::propose_moved() {
   std::vector<KeyPair> pairs;
   std::vector<LoopCandidate> again;
   for (LoopCandidate& candidate : forgotten_) {
-    if (word_on(candidate.from, candidate.to) == Word::kRejected) continue;
+    if (verdict_on(candidate.from, candidate.to) == Verdict::kRejected) continue;
     pairs.emplace_back(candidate.from, candidate.to);
     if (candidate.source == CandidateSource::kProximity) continue;
     candidate.distance_m =
