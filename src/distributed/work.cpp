@@ -28,10 +28,10 @@ using detail::kRequest;
 
 /// Sleeps between polls for messages, at first briefly, then longer. A waiting thread must leave its
 /// processor to the computing threads, and MPI's blocking calls do not.
-class Patience {
+class PollBackoff {
  public:
   void reset() { next_ = kShortest; }
-  void rest() {
+  void wait() {
     std::this_thread::sleep_for(next_);
     next_ = std::min(next_ * 2, kLongest);
   }
@@ -50,7 +50,7 @@ std::string with_number(std::size_t number, std::string_view bytes) {
   return out;
 }
 
-std::size_t take_number(std::string_view& bytes, int from) {
+std::size_t read_number(std::string_view& bytes, int from) {
   std::uint64_t n = 0;
   if (bytes.size() < sizeof n) throw Error("rank " + std::to_string(from) + ": a message was cut short");
   std::memcpy(&n, bytes.data(), sizeof n);
@@ -146,7 +146,7 @@ WorkServer::WorkServer(Transport& transport, std::string_view greeting, const Wo
   std::set<int> silent;
   for (int rank = 1; rank < transport.size(); ++rank) silent.insert(rank);
   const Stopwatch watch;
-  Patience patience;
+  PollBackoff backoff;
   std::exception_ptr failure;
   while (!silent.empty()) {
     const std::optional<Message> message = transport_.receive();
@@ -155,10 +155,10 @@ WorkServer::WorkServer(Transport& transport, std::string_view greeting, const Wo
         throw Error("rank " + std::to_string(*silent.begin()) + " has not answered within " +
                     seconds_text(options_.start_limit_s));
       }
-      patience.rest();
+      backoff.wait();
       continue;
     }
-    patience.reset();
+    backoff.reset();
     silent.erase(message->from);
     if (failure) continue;  // all ranks are heard first: each that has sent a message waits for kEnd
     try {
@@ -201,16 +201,16 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
 
   const auto serve = [&] {
     const auto ranks = static_cast<std::size_t>(transport_.size());
-    std::vector<std::set<std::size_t>> owed(ranks);
-    std::vector<double> heard(ranks, 0.0);
+    std::vector<std::set<std::size_t>> pending_answers(ranks);
+    std::vector<double> last_answer_s(ranks, 0.0);
     const Stopwatch watch;
-    Patience patience;
-    const auto give = [&](int rank) {
-      auto& own = owed[static_cast<std::size_t>(rank)];
+    PollBackoff backoff;
+    const auto send_requests = [&](int rank) {
+      auto& own = pending_answers[static_cast<std::size_t>(rank)];
       while (own.size() < static_cast<std::size_t>(options_.ahead)) {
         const auto i = round.next(rank);
         if (!i) return;
-        if (own.empty()) heard[static_cast<std::size_t>(rank)] = watch.seconds();
+        if (own.empty()) last_answer_s[static_cast<std::size_t>(rank)] = watch.seconds();
         own.insert(*i);
         const std::string message = with_number(*i, work[*i].request);
         transport_.send(rank, kRequest, message);
@@ -221,22 +221,22 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
     const auto take = [&](const Message& message) {
       if (message.tag == kFailure) throw_failure(message);
       std::string_view bytes = message.bytes;
-      const std::size_t i = take_number(bytes, message.from);
-      if (message.tag != kAnswer || owed[static_cast<std::size_t>(message.from)].erase(i) == 0) {
+      const std::size_t i = read_number(bytes, message.from);
+      if (message.tag != kAnswer || pending_answers[static_cast<std::size_t>(message.from)].erase(i) == 0) {
         throw Error("rank " + std::to_string(message.from) + " sent an answer without a request");
       }
-      heard[static_cast<std::size_t>(message.from)] = watch.seconds();
+      last_answer_s[static_cast<std::size_t>(message.from)] = watch.seconds();
       ++statistics_.done[static_cast<std::size_t>(message.from)];
       ++statistics_.answers;
       statistics_.answer_bytes += message.bytes.size();
       there(message.from, i, bytes);
     };
     try {
-      for (int rank = 1; rank < transport_.size(); ++rank) give(rank);
+      for (int rank = 1; rank < transport_.size(); ++rank) send_requests(rank);
       while (true) {
         if (stop.stop_requested()) round.close();
-        const bool waits =
-            std::any_of(owed.begin(), owed.end(), [](const auto& own) { return !own.empty(); });
+        const bool waits = std::any_of(pending_answers.begin(), pending_answers.end(),
+                                       [](const auto& own) { return !own.empty(); });
         if (!waits && round.exhausted()) return;
         bool any = false;
         while (const std::optional<Message> message = transport_.receive()) {
@@ -244,10 +244,10 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
           take(*message);
           if (stop.stop_requested())
             round.close();  // also here: answers may arrive faster than this loop reads them
-          give(message->from);
+          send_requests(message->from);
         }
         if (any) {
-          patience.reset();
+          backoff.reset();
           continue;
         }
         {
@@ -255,13 +255,15 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
           if (failure) return;  // this rank's own work failed, so the others are not waited for
         }
         for (std::size_t rank = 1; rank < ranks; ++rank) {
-          if (!owed[rank].empty() && watch.seconds() - heard[rank] > options_.time_limit_s) {
-            throw Error("rank " + std::to_string(rank) + " has " + std::to_string(owed[rank].size()) +
+          if (!pending_answers[rank].empty() &&
+              watch.seconds() - last_answer_s[rank] > options_.time_limit_s) {
+            throw Error("rank " + std::to_string(rank) + " has " +
+                        std::to_string(pending_answers[rank].size()) +
                         " unanswered requests and has sent no answer for " +
                         seconds_text(options_.time_limit_s) + ": it is dead or hangs");
           }
         }
-        patience.rest();
+        backoff.wait();
       }
     } catch (...) {
       fail();
@@ -297,18 +299,18 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
 void serve_work(Transport& transport, std::string_view greeting,
                 const std::function<std::string(std::string_view request)>& answer) {
   transport.send(0, kGreeting, greeting);
-  Patience patience;
+  PollBackoff backoff;
   while (true) {
     const std::optional<Message> message = transport.receive();
     if (!message) {
-      patience.rest();
+      backoff.wait();
       continue;
     }
-    patience.reset();
+    backoff.reset();
     if (message->tag == kEnd) return;
     if (message->tag != kRequest) throw Error("rank 0 sent a message that is not a request");
     std::string_view request = message->bytes;
-    const std::size_t i = take_number(request, message->from);
+    const std::size_t i = read_number(request, message->from);
     try {
       transport.send(0, kAnswer, with_number(i, answer(request)));
     } catch (const std::exception& error) {
