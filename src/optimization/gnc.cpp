@@ -161,7 +161,7 @@ class Starts {
       in_doubt = static_cast<double>(left_out_confirmed(problem)) > (1.0 + given_.gnc.warm_growth) * before;
     }
     out.result.start = GncStart::kLastResult;
-    take(std::move(out));
+    keep_better(std::move(out));
     return !in_doubt;
   }
 
@@ -169,9 +169,9 @@ class Starts {
   /// doubt: the confirmed closures are many, it keeps almost all of them, and it contradicts every closure
   /// that it excludes
   bool from_confirmed() {
-    std::vector<char> allowed(gross_.aside.size());
+    std::vector<char> allowed(gross_.excluded.size());
     for (std::size_t k = 0; k < allowed.size(); ++k) {
-      allowed[k] = known_inlier(given_.graph.edges()[k]) || gross_.aside[k] != 0 ? 0 : 1;
+      allowed[k] = known_inlier(given_.graph.edges()[k]) || gross_.excluded[k] != 0 ? 0 : 1;
     }
     const std::vector<char> confirmed = confirmed_of(allowed);
     const auto open = std::count(allowed.begin(), allowed.end(), 1);
@@ -188,21 +188,21 @@ class Starts {
     const bool beyond_doubt = static_cast<double>(lost) <= kMostConfirmedLost * static_cast<double>(seeds) &&
                               solver.unexplained(allowed).empty() && left_out_confirmed(problem) <= lost;
     out.result.start = GncStart::kConfirmed;
-    take(std::move(out));
+    keep_better(std::move(out));
     return beyond_doubt;
   }
 
-  void from_first_estimate() { take(solved_from(gross_, given_.start, GncStart::kFirstEstimate)); }
+  void from_first_estimate() { keep_better(solved_from(gross_, given_.start, GncStart::kFirstEstimate)); }
 
   /// Starts from the chordal estimate of the closures that odometry does not rule out.
   void from_chordal() {
-    std::vector<char> chosen(gross_.aside.size());
-    for (std::size_t k = 0; k < chosen.size(); ++k) chosen[k] = gross_.aside[k] != 0 ? 0 : 1;
+    std::vector<char> chosen(gross_.excluded.size());
+    for (std::size_t k = 0; k < chosen.size(); ++k) chosen[k] = gross_.excluded[k] != 0 ? 0 : 1;
     PoseProblem problem = problem_;
     Solution out = chordal_of(problem, chosen);
     RobustSolver(given_, gross_, problem, equations_, out.poses).solve(out.result);
     out.result.start = GncStart::kChordal;
-    take(std::move(out));
+    keep_better(std::move(out));
   }
 
   /// Continues from the best solution with odometry as uncertain as its closures show it to be, and admits
@@ -218,20 +218,20 @@ class Starts {
     }
     Solution stated = *best_;
     if (!refine(true) || given_.stop.stop_requested()) return;
-    Solution from_below = std::move(*best_);
+    Solution from_stated = std::move(*best_);
     best_ = std::move(stated);
-    OdometryVariances doubted;
+    OdometryVariances inflated;
     for (std::size_t k = 0; k < problem_.edges(); ++k) {
       // As a standard deviation this is the geometric mean of the stated value and the largest allowed one.
       if (given_.graph.edges()[k].kind == EdgeKind::kOdometry)
-        doubted[chains_[given_.graph.ends(k).from]] = given_.gnc.odometry_margin;
+        inflated[chains_[given_.graph.ends(k).from]] = given_.gnc.odometry_margin;
     }
-    const bool finished = solve_with(std::move(doubted)) && refine(true);
-    if (finished && from_below.result.inliers < best_->result.inliers) {
-      spend(from_below.result);
+    const bool finished = solve_with(std::move(inflated)) && refine(true);
+    if (finished && from_stated.result.inliers < best_->result.inliers) {
+      count_discarded(from_stated.result);
     } else {
-      spend(best_->result);
-      best_ = std::move(from_below);
+      count_discarded(best_->result);
+      best_ = std::move(from_stated);
     }
   }
 
@@ -246,7 +246,7 @@ class Starts {
             ? find_gross_outliers(given_.graph, d2_, probability, given_.gnc.odometry_margin)
             : find_gross_outliers(given_.graph, innovations(scaled.given().graph, scaled.given().forest),
                                   probability);
-    if (fewer.aside == gross_.aside) return;
+    if (fewer.excluded == gross_.excluded) return;
     Solution out;
     out.poses = given_.start;
     out.odometry_variances = variances;
@@ -258,8 +258,9 @@ class Starts {
       ++kept;
       lost += out.result.weights[k] <= kKept ? 1 : 0;
     }
-    if (static_cast<double>(lost) > kMostGivenUp * static_cast<double>(kept)) return spend(out.result);
-    take(std::move(out));
+    if (static_cast<double>(lost) > kMostGivenUp * static_cast<double>(kept))
+      return count_discarded(out.result);
+    keep_better(std::move(out));
     if (best_->result.start == GncStart::kDoubtedOdometry) refine(true);
   }
 
@@ -291,20 +292,20 @@ class Starts {
     RobustSolver(scaled.given(), gross_, problem, equations_, out.poses).solve_from(kept, {}, out.result);
     out.result.start = best_->result.start;
     if (out.result.optimization.termination == Termination::kStopped) {
-      spend(out.result);
+      count_discarded(out.result);
       return false;
     }
     forget();
-    take(std::move(out));
+    keep_better(std::move(out));
     return true;
   }
 
   [[nodiscard]] bool has_solution() const { return best_.has_value(); }
-  [[nodiscard]] bool leaves_closures_out() const { return best_->result.outliers > 0; }
+  [[nodiscard]] bool excludes_closures() const { return best_->result.outliers > 0; }
   /// Whether the best solution excludes closures that the stated odometry rules out.
-  [[nodiscard]] bool leaves_out_what_odometry_rules_out() const {
-    for (std::size_t k = 0; k < gross_.aside.size(); ++k) {
-      if (gross_.aside[k] != 0 && best_->result.weights[k] <= kKept) return true;
+  [[nodiscard]] bool excludes_gross_outliers() const {
+    for (std::size_t k = 0; k < gross_.excluded.size(); ++k) {
+      if (gross_.excluded[k] != 0 && best_->result.weights[k] <= kKept) return true;
     }
     return false;
   }
@@ -316,7 +317,7 @@ class Starts {
   }
   /// Discards the best solution; its iterations still count.
   void forget() {
-    if (best_) spend(best_->result);
+    if (best_) count_discarded(best_->result);
     best_.reset();
   }
   /// Writes the odometry scales and weights to the best result.
@@ -340,9 +341,9 @@ class Starts {
   /// The best solution, with the iterations of all starts.
   [[nodiscard]] Solution best() && {
     GncResult& result = best_->result;
-    result.outer_iterations += spent_.outer_iterations;
-    result.optimization.iterations += spent_.optimization.iterations;
-    result.optimization.factorizations += spent_.optimization.factorizations;
+    result.outer_iterations += discarded_counts_.outer_iterations;
+    result.optimization.iterations += discarded_counts_.optimization.iterations;
+    result.optimization.factorizations += discarded_counts_.optimization.factorizations;
     return std::move(*best_);
   }
 
@@ -419,22 +420,22 @@ class Starts {
   }
 
   /// Keeps the solution of the lower truncated cost. The iterations of the other one still count.
-  void take(Solution&& other) {
+  void keep_better(Solution&& other) {
     other.freedom = equations_.freedom();
     const bool stopped = other.result.optimization.termination == Termination::kStopped;
     if (!best_ || other.result.truncated_cost < (1.0 - kEqual) * best_->result.truncated_cost) {
       forget();
       best_ = std::move(other);
     } else {
-      spend(other.result);
+      count_discarded(other.result);
     }
     if (stopped) set_termination(Termination::kStopped, best_->result.optimization);
   }
 
-  void spend(const GncResult& left) {
-    spent_.outer_iterations += left.outer_iterations;
-    spent_.optimization.iterations += left.optimization.iterations;
-    spent_.optimization.factorizations += left.optimization.factorizations;
+  void count_discarded(const GncResult& discarded) {
+    discarded_counts_.outer_iterations += discarded.outer_iterations;
+    discarded_counts_.optimization.iterations += discarded.optimization.iterations;
+    discarded_counts_.optimization.factorizations += discarded.optimization.factorizations;
   }
 
   const RobustProblem& given_;
@@ -444,7 +445,7 @@ class Starts {
   const std::vector<double> d2_;             // innovations, by edge
   const GrossOutliers gross_;
   std::optional<Solution> best_;
-  GncResult spent_;  // counts of solutions that are not the best
+  GncResult discarded_counts_;  // counts of solutions that are not the best
 };
 
 /// Cost with all weights 1.
@@ -462,11 +463,11 @@ void solve_from_all(const RobustProblem& given, Starts& starts) {
   if (several && starts.from_confirmed()) return;
   if (!starts.has_solution() || !stopped()) starts.from_first_estimate();
   if (!several) return;
-  if (starts.leaves_closures_out() && given.options.initialization != Initialization::kChordal && !stopped())
+  if (starts.excludes_closures() && given.options.initialization != Initialization::kChordal && !stopped())
     starts.from_chordal();
   if (given.gnc.odometry_margin <= 1.0) return;
   if (!stopped()) starts.rescale_odometry();
-  if (starts.leaves_out_what_odometry_rules_out() && !stopped()) starts.from_doubted_odometry();
+  if (starts.excludes_gross_outliers() && !stopped()) starts.from_doubted_odometry();
   if (!stopped()) starts.refine(false);
 }
 

@@ -78,7 +78,7 @@ IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve() {
   }
   for (const std::uint32_t p : visited) {
     for (int k = 0; k < 6; ++k)
-      step.largest = std::max(step.largest, std::abs(at(p)[k]) * cholesky.firmness(p, k));
+      step.largest = std::max(step.largest, std::abs(at(p)[k]) * cholesky.sqrt_diagonal(p, k));
   }
   return step;
 }

@@ -38,7 +38,7 @@ void IncrementalCholesky::analyze(std::size_t variables, const std::vector<Block
     variable_at_[position_[v]] = v;
   }
   index_.resize(variables);
-  firmness_.resize(6 * variables);
+  sqrt_diagonals_.resize(6 * variables);
   owner_.resize(variables);
   const FrontShape shape = symbolic.front_shape();
   fronts_.resize(shape.parent.size());
@@ -61,7 +61,7 @@ void IncrementalCholesky::append() {
   position_.push_back(position);
   variable_at_.push_back(position);
   index_.push_back(0);
-  firmness_.resize(6 * position_.size());
+  sqrt_diagonals_.resize(6 * position_.size());
   const bool widens = fronts_.size() > first_appended_ && fronts_.back().rows.empty() &&
                       fronts_.back().end - fronts_.back().first < kAppendedWidth;
   if (!widens) {
@@ -159,7 +159,7 @@ bool IncrementalCholesky::finish(std::uint32_t s) {
   diagonal_.resize(static_cast<std::size_t>(w));
   for (int j = 0; j < w; ++j) {
     diagonal_[static_cast<std::size_t>(j)] = pivot(j);
-    firmness_[6 * std::size_t{front.first} + static_cast<std::size_t>(j)] = std::sqrt(pivot(j));
+    sqrt_diagonals_[6 * std::size_t{front.first} + static_cast<std::size_t>(j)] = std::sqrt(pivot(j));
   }
   for (const std::uint32_t child : front.children) {
     const Front& from = fronts_[child];
@@ -206,9 +206,9 @@ void IncrementalCholesky::solve(const std::vector<std::uint32_t>& nonzero, doubl
     if (on_path_[s] != 0) return true;
     return std::any_of(fronts_[s].rows.begin(), fronts_[s].rows.end(), [&](std::uint32_t row) {
       const double* value = x.data() + 6 * std::size_t{row};
-      const double* firmness = firmness_.data() + 6 * std::size_t{row};
+      const double* sqrt_diagonal = sqrt_diagonals_.data() + 6 * std::size_t{row};
       for (int k = 0; k < 6; ++k) {
-        if (std::abs(value[k]) * firmness[k] > tolerance) return true;
+        if (std::abs(value[k]) * sqrt_diagonal[k] > tolerance) return true;
       }
       return false;
     });

@@ -51,15 +51,15 @@ class IncrementalCholesky {
   /// Solves for a right-hand side with few non-zero blocks.
   /// \param nonzero positions of the non-zero blocks of x
   /// \param tolerance the solution is not continued down the elimination tree where its elements, times
-  ///        firmness(), are below this
+  ///        sqrt_diagonal(), are below this
   /// \param x six values per position: the right-hand side, then the solution
   /// \param visited the positions for which the solution was computed
   void solve(const std::vector<std::uint32_t>& nonzero, double tolerance, std::vector<double>& x,
              std::vector<std::uint32_t>& visited);
 
   /// Square root of element k of the matrix's diagonal at a position.
-  [[nodiscard]] double firmness(std::uint32_t position, int k) const {
-    return firmness_[6 * std::size_t{position} + static_cast<std::size_t>(k)];
+  [[nodiscard]] double sqrt_diagonal(std::uint32_t position, int k) const {
+    return sqrt_diagonals_[6 * std::size_t{position} + static_cast<std::size_t>(k)];
   }
 
   /// Operations of one complete factorisation.
@@ -97,7 +97,7 @@ class IncrementalCholesky {
   std::vector<double> diagonal_, gathered_;  ///< Workspace
   std::vector<char> on_path_;                ///< Workspace, by front
   std::size_t first_appended_ = 0;           ///< Front; the fronts before it are from the analysis
-  std::vector<double> firmness_;  ///< Six values per position: square roots of the matrix's diagonal
+  std::vector<double> sqrt_diagonals_;  ///< Six values per position: square roots of the matrix's diagonal
   double flops_spent_ = 0.0;
 };
 

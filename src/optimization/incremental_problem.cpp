@@ -68,7 +68,7 @@ std::uint32_t IncrementalProblem::add_factor(Kind kind, std::size_t index, std::
 }
 
 /// Adds the nodes and factors that `graph` has gained since the last call.
-void IncrementalProblem::know_additions() {
+void IncrementalProblem::register_additions() {
   for (std::size_t i = poses.size(); i < graph.nodes().size(); ++i) {
     poses.push_back(pose_of(graph.nodes()[i]));
     factors_of_.emplace_back();
@@ -76,7 +76,7 @@ void IncrementalProblem::know_additions() {
     diagonals_.emplace_back(Matrix6d::Zero());
   }
   open_.grow(poses.size());
-  while (edge_factor_.size() < graph.edges().size()) know_edge(edge_factor_.size());
+  while (edge_factor_.size() < graph.edges().size()) register_edge(edge_factor_.size());
   for (; known_priors_ < graph.priors().size(); ++known_priors_) {
     const std::uint32_t node = number(graph.priors()[known_priors_].key);
     waiting_.push_back(add_factor(Kind::kPrior, known_priors_, kFixed, node));
@@ -93,7 +93,7 @@ void IncrementalProblem::know_additions() {
   reweighted_.clear();
 }
 
-void IncrementalProblem::know_edge(std::size_t edge) {
+void IncrementalProblem::register_edge(std::size_t edge) {
   const PoseGraph::Ends ends = graph.ends(edge);
   edge_factor_.push_back(add_factor(Kind::kEdge, edge, static_cast<std::uint32_t>(ends.from),
                                     static_cast<std::uint32_t>(ends.to)));
@@ -219,7 +219,7 @@ void IncrementalProblem::reopen(const Factor& f) {
 }
 
 bool IncrementalProblem::absorb() {
-  know_additions();
+  register_additions();
   if (reorder_is_due()) {
     reorder();
     return true;
@@ -234,10 +234,10 @@ bool IncrementalProblem::absorb() {
     held_at_.push_back(kFixed);
     held_.push_back(0);
   }
-  for (const std::uint32_t k : waiting_) take_in(k);
+  for (const std::uint32_t k : waiting_) apply_factor(k);
   waiting_.clear();
   sum_cost();
-  if (came_apart_) {
+  if (edge_removed_) {
     find_components();
   } else {
     hold_components(first);
@@ -253,13 +253,13 @@ bool IncrementalProblem::reorder_is_due() {
          static_cast<double>(waiting_.size()) > kMostNewFactors * static_cast<double>(factors_.size());
 }
 
-void IncrementalProblem::take_in(std::uint32_t k) {
+void IncrementalProblem::apply_factor(std::uint32_t k) {
   Factor& f = factors_[k];
   const bool was_active = active_[k] != 0;
   deactivate(k);
   if (f.kind == Kind::kEdge) f.weight = graph.edges()[f.index].weight;
   if (f.weight == 0.0) {
-    came_apart_ |= was_active;
+    edge_removed_ |= was_active;
     return;
   }
   if (f.from != kFixed) cholesky_.insert(f.from, f.to);
@@ -273,7 +273,7 @@ void IncrementalProblem::take_in(std::uint32_t k) {
 }
 
 void IncrementalProblem::reorder() {
-  know_additions();
+  register_additions();
   sound_ = false;
   for (const std::uint32_t k : waiting_) {
     Factor& f = factors_[k];
@@ -334,7 +334,7 @@ void IncrementalProblem::join(const Factor& f) {
 }
 
 void IncrementalProblem::find_components() {
-  came_apart_ = false;
+  edge_removed_ = false;
   components_ = DisjointSets(poses.size());
   has_prior_.assign(poses.size(), 0);
   const std::vector<char> held_before = held_;

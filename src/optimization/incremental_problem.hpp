@@ -116,10 +116,10 @@ class IncrementalProblem {
   void deactivate(std::uint32_t k);
   void reopen(const Factor& f);
 
-  void know_additions();
-  void know_edge(std::size_t edge);
+  void register_additions();
+  void register_edge(std::size_t edge);
   [[nodiscard]] bool reorder_is_due();
-  void take_in(std::uint32_t k);
+  void apply_factor(std::uint32_t k);
   void join(const Factor& f);
   void find_components();
   void hold_components(std::uint32_t first);
@@ -140,7 +140,7 @@ class IncrementalProblem {
   std::vector<char> has_prior_;         // by component's root
   std::vector<std::uint32_t> held_at_;  // by component's root without a prior: the node that holds it
   std::vector<char> held_;              // by node
-  bool came_apart_ = false;             // an edge was removed, so components may have separated
+  bool edge_removed_ = false;           // an edge was removed, so components may have separated
 
   IncrementalCholesky cholesky_;
   std::vector<Matrix6d> diagonals_;  // by node: its block of the Hessian

@@ -39,7 +39,7 @@ GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<doub
   }
   const double threshold =
       odometry_margin * odometry_margin * gross.scale * chi_squared_quantile(probability, dof);
-  for (std::size_t k = 0; k < d2.size(); ++k) gross.aside[k] = d2[k] > threshold ? 1 : 0;
+  for (std::size_t k = 0; k < d2.size(); ++k) gross.excluded[k] = d2[k] > threshold ? 1 : 0;
   return gross;
 }
 
@@ -58,7 +58,7 @@ constexpr double kLeastGain = 1e-9;
 constexpr std::size_t kMostExact = 256;
 
 /// Whether the poses of two nodes depend on each other: they are in one component, or priors hold both.
-bool tied(const Freedom& freedom, std::size_t a, std::size_t b) {
+bool are_connected(const Freedom& freedom, std::size_t a, std::size_t b) {
   const auto is_anchored = [&](std::size_t node) {
     const std::uint32_t component = freedom.component[node];
     return component != Freedom::kFixed &&
@@ -110,11 +110,11 @@ void RobustSolver::solve(GncResult& result) {
     case RobustKernel::kGncTls:
       graduate();
       truncate();
-      grow(gross_.aside);
+      grow(gross_.excluded);
       break;
     case RobustKernel::kTls:
       truncate();
-      grow(gross_.aside);
+      grow(gross_.excluded);
       break;
     case RobustKernel::kCauchy:
     case RobustKernel::kGemanMcClure:
@@ -135,13 +135,13 @@ void RobustSolver::solve_from(const std::vector<char>& chosen, const std::vector
 }
 
 void RobustSolver::evaluate() {
-  by_all_.clear();
+  contradicts_covariance_.clear();
   for (std::size_t i = 0; i < closures_.size(); ++i) r2_[i] = problem_.squared_residual(closures_[i], poses_);
 }
 
 /// Whether the closure is excluded for now; it returns when the estimate agrees with it.
-bool RobustSolver::set_aside(std::size_t i) const {
-  return gross_.aside[closures_[i]] != 0 && r2_[i] > c2_;
+bool RobustSolver::is_gross_outlier(std::size_t i) const {
+  return gross_.excluded[closures_[i]] != 0 && r2_[i] > c2_;
 }
 
 /// Sets the weights of the closures. A weight within the tolerance of 0 becomes 0, so that the closure leaves
@@ -150,7 +150,7 @@ template <class Weight>
 double RobustSolver::set_weights(Weight&& weight) {
   double change = 0.0;
   for (std::size_t i = 0; i < closures_.size(); ++i) {
-    double w = set_aside(i) ? 0.0 : weight(r2_[i]);
+    double w = is_gross_outlier(i) ? 0.0 : weight(r2_[i]);
     if (w <= gnc_.weight_tolerance) w = 0.0;
     change = std::max(change, std::abs(w - problem_.weight[closures_[i]]));
     problem_.weight[closures_[i]] = w;
@@ -176,7 +176,7 @@ void RobustSolver::descend_fully() {
   StepControl control;
   control.damping = options_.initial_damping;
   descend(control);
-  bring_back();
+  realign_held_components();
 }
 
 /// Whether a stop was requested, so that the result is incomplete even if the last descent converged.
@@ -190,7 +190,7 @@ bool RobustSolver::stopped() {
 void RobustSolver::graduate() {
   double largest = 0.0;
   for (std::size_t i = 0; i < r2_.size(); ++i) {
-    if (!set_aside(i)) largest = std::max(largest, r2_[i]);
+    if (!is_gross_outlier(i)) largest = std::max(largest, r2_[i]);
   }
   double mu = c2_ / (2.0 * std::min(largest, kFarthestStart * c2_) - c2_);
   StepControl control;
@@ -240,7 +240,7 @@ void RobustSolver::grow(const std::vector<char>& may_grow) {
     std::vector<std::size_t> agreeing = agreeing_with_kept(tried);
     bool better = false;
     while (!agreeing.empty() && !better && attempts++ < kGrowthAttempts && !stopped()) {
-      better = let_in(agreeing);
+      better = try_to_admit(agreeing);
       stale = !better;
       if (!better) agreeing.resize(agreeing.size() == 1 ? 0 : (agreeing.size() + 3) / 4);
     }
@@ -252,7 +252,7 @@ void RobustSolver::grow(const std::vector<char>& may_grow) {
 
 /// Tries the minimum with these closures too. If its truncated cost is not lower, restores poses and weights;
 /// the equations are then out of date. \returns whether the cost is lower
-bool RobustSolver::let_in(const std::vector<std::size_t>& closures) {
+bool RobustSolver::try_to_admit(const std::vector<std::size_t>& closures) {
   const std::vector<Pose> poses = poses_;
   const std::vector<double> weights = problem_.weight;
   const double cost = truncated_cost();
@@ -291,9 +291,9 @@ std::vector<std::size_t> RobustSolver::agreeing_with_kept(const std::vector<char
   }
   std::vector<std::size_t> edges;
   for (const std::size_t i : agreeing) edges.push_back(closures_[i]);
-  if (trusts_information_) test_by_all(edges);
+  if (trusts_information_) test_by_covariance(edges);
   agreeing.erase(std::remove_if(agreeing.begin(), agreeing.end(),
-                                [&](std::size_t i) { return contradicted_by_all(closures_[i]); }),
+                                [&](std::size_t i) { return contradicts_covariance(closures_[i]); }),
                  agreeing.end());
   std::stable_sort(agreeing.begin(), agreeing.end(),
                    [&](std::size_t a, std::size_t b) { return variance[a] < variance[b]; });
@@ -307,7 +307,7 @@ std::vector<char> RobustSolver::plausible(const std::vector<char>& known,
   for (const std::size_t k : closures_) chosen[k] = kept[k];
   const OdometryForest rests_on = forest_of(chosen);
   for (const std::size_t k : closures_) {
-    if (known[k] == 0) chosen[k] = gross_.aside[k] != 0 || contradicted(k, rests_on) ? 0 : 1;
+    if (known[k] == 0) chosen[k] = gross_.excluded[k] != 0 || contradicted(k, rests_on) ? 0 : 1;
   }
   return chosen;
 }
@@ -318,19 +318,19 @@ std::vector<std::size_t> RobustSolver::unexplained(const std::vector<char>& amon
   for (const std::size_t k : closures_) {
     if (among[k] != 0 && problem_.weight[k] <= kKept && !contradicted(k, rests_on)) out.push_back(k);
   }
-  test_by_all(out);
-  out.erase(std::remove_if(out.begin(), out.end(), [&](std::size_t k) { return contradicted_by_all(k); }),
+  test_by_covariance(out);
+  out.erase(std::remove_if(out.begin(), out.end(), [&](std::size_t k) { return contradicts_covariance(k); }),
             out.end());
   return out;
 }
 
 /// Tests which of these closures contradict the covariance of the whole solution. Tests nothing if there are
 /// too many.
-void RobustSolver::test_by_all(const std::vector<std::size_t>& edges) {
+void RobustSolver::test_by_covariance(const std::vector<std::size_t>& edges) {
   if (edges.size() > kMostExact || stopped()) return;
   std::vector<std::size_t> open;
   for (const std::size_t k : edges) {
-    if (by_all_.find(k) == by_all_.end()) open.push_back(k);
+    if (contradicts_covariance_.find(k) == contradicts_covariance_.end()) open.push_back(k);
   }
   if (open.empty() || !factorize_here()) return;
   const Freedom& freedom = equations_.freedom();
@@ -348,8 +348,8 @@ void RobustSolver::test_by_all(const std::vector<std::size_t>& edges) {
     }
     const Matrix6d P = equations_.hessian().inverse_between(ends);
     // A closure between independent components cannot contradict anything.
-    by_all_[k] =
-        tied(freedom, from, to) &&
+    contradicts_covariance_[k] =
+        are_connected(freedom, from, to) &&
         squared_innovation(problem_.information(k), P, problem_.residual(k, poses_)) > gross_.scale * c2_;
   }
 }
@@ -366,10 +366,10 @@ bool RobustSolver::factorize_here() {
          equations_.hessian().smallest_pivot().first >= kSingularPivot;
 }
 
-/// The result of test_by_all().
-bool RobustSolver::contradicted_by_all(std::size_t edge) const {
-  const auto found = by_all_.find(edge);
-  return found != by_all_.end() && found->second;
+/// The result of test_by_covariance().
+bool RobustSolver::contradicts_covariance(std::size_t edge) const {
+  const auto found = contradicts_covariance_.find(edge);
+  return found != contradicts_covariance_.end() && found->second;
 }
 
 /// The forest over the known inliers and these closures.
@@ -405,12 +405,12 @@ void RobustSolver::reweight() {
   StepControl last;
   if (!stopped()) descend(last);
   equations_.set_structure(problem_);  // needed if a stop came before the first descent
-  bring_back();
+  realign_held_components();
 }
 
 /// A component may have moved before it lost its last connection to a prior. Moves the whole component, at no
 /// cost, so that its held node is again at the first estimate.
-void RobustSolver::bring_back() {
+void RobustSolver::realign_held_components() {
   const Freedom& freedom = equations_.freedom();
   for (const std::size_t held : freedom.held) {
     const Pose& now = poses_[held];

@@ -16,8 +16,8 @@ namespace loopwise::detail {
 
 /// The closures that the known inliers alone rule out.
 struct GrossOutliers {
-  std::vector<char> aside;  ///< By edge
-  double scale = 1.0;       ///< Variance of the noise relative to the stated one; at most 1
+  std::vector<char> excluded;  ///< By edge
+  double scale = 1.0;          ///< Variance of the noise relative to the stated one; at most 1
 };
 
 /// Finds the closures to exclude before any factorisation, from the innovations d² (innovation.hpp).
@@ -59,7 +59,7 @@ class RobustSolver {
 
  private:
   void evaluate();
-  [[nodiscard]] bool set_aside(std::size_t i) const;
+  [[nodiscard]] bool is_gross_outlier(std::size_t i) const;
   template <class Weight>
   double set_weights(Weight&& weight);
   void descend(StepControl& control);
@@ -68,17 +68,17 @@ class RobustSolver {
   void graduate();
   void truncate(bool at_minimum = false);
   void grow(const std::vector<char>& may_grow);
-  bool let_in(const std::vector<std::size_t>& closures);
+  bool try_to_admit(const std::vector<std::size_t>& closures);
   [[nodiscard]] std::vector<std::size_t> agreeing_with_kept(const std::vector<char>& tried);
   void reweight();
-  void bring_back();
+  void realign_held_components();
   void report(GncResult& result);
   [[nodiscard]] double truncated_cost() const;
 
   [[nodiscard]] OdometryForest forest_of(std::vector<char> closures) const;
   [[nodiscard]] bool factorize_here();
-  void test_by_all(const std::vector<std::size_t>& edges);
-  [[nodiscard]] bool contradicted_by_all(std::size_t edge) const;
+  void test_by_covariance(const std::vector<std::size_t>& edges);
+  [[nodiscard]] bool contradicts_covariance(std::size_t edge) const;
   [[nodiscard]] OdometryForest forest_of_kept() const;
   [[nodiscard]] bool contradicted(std::size_t edge, const OdometryForest& rests_on) const;
 
@@ -94,9 +94,10 @@ class RobustSolver {
   const GrossOutliers& gross_;
   NeighbourInnovations neighbours_;
   const double c2_;
-  std::vector<std::size_t> closures_;             // edges that are not known inliers
-  std::vector<double> r2_;                        // by closure
-  std::unordered_map<std::size_t, bool> by_all_;  // results of test_by_all() by edge, at the present poses
+  std::vector<std::size_t> closures_;  // edges that are not known inliers
+  std::vector<double> r2_;             // by closure
+  // Results of test_by_covariance() by edge, at the present poses.
+  std::unordered_map<std::size_t, bool> contradicts_covariance_;
   OptimizationResult total_;
   int outer_ = 0;
   bool stopped_ = false;
