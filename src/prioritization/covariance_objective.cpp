@@ -198,8 +198,8 @@ struct CovarianceObjective::Impl {
     const Matrix6d half = 0.5 * Q * own.M * Q.transpose();
     const std::size_t n = factor.free_nodes();
     y.assign(x.size(), 0.0);
-    const std::size_t counted = options.trace == TraceKind::kFull ? 36 : 18;
-    for (std::size_t k = 0; k < n; ++k) std::copy_n(x.data() + 36 * k, counted, y.data() + 36 * k);
+    const std::size_t trace_values = options.trace == TraceKind::kFull ? 36 : 18;
+    for (std::size_t k = 0; k < n; ++k) std::copy_n(x.data() + 36 * k, trace_values, y.data() + 36 * k);
     factor.solve<6>(y);
     std::vector<double> both(2 * x.size());
     for (std::size_t k = 0; k < n; ++k) {
@@ -247,9 +247,9 @@ struct CovarianceObjective::Impl {
       std::vector<double> a, b;
       factor.closure_columns<kWidth>(terms.data(), a);
       b.assign(a.size(), 0.0);
-      const std::size_t counted = options.trace == TraceKind::kFull ? kRows : kRows / 2;
+      const std::size_t trace_values = options.trace == TraceKind::kFull ? kRows : kRows / 2;
       for (std::size_t k = 0; k < factor.free_nodes(); ++k) {
-        std::copy_n(a.data() + kRows * k, counted, b.data() + kRows * k);
+        std::copy_n(a.data() + kRows * k, trace_values, b.data() + kRows * k);
       }
       factor.solve<kWidth>(b);
       for (std::size_t r = begin; r < closures.terms.size(); ++r) {

@@ -78,10 +78,10 @@ struct Computed {
   std::uint32_t group = 0;
   Key from = 0, to = 0;
   CandidateEvidence evidence;
-  double by_evidence = 0.0;  // chance to be verified
-  double said = 0.0;         // the same, including the results of its group
-  double right = 0.0;        // chance to be right if verified, by evidence
-  double counted = 0.0;      // expected number of right closures while it was in flight
+  double by_evidence = 0.0;        // chance to be verified
+  double chance_verified = 0.0;    // the same, including the results of its group
+  double right = 0.0;              // chance to be right if verified, by evidence
+  double expected_closures = 0.0;  // expected number of right closures while it was in flight
   bool verified = false, refuted = false;
 };
 
@@ -194,9 +194,9 @@ struct ExpectedPrioritizer::Impl {
     Computed computed = found->second;
     in_flight_.erase(found);
     computed.verified = result.verified();
-    calibration_.add(computed.said, computed.verified);
+    calibration_.add(computed.chance_verified, computed.verified);
     Group& group = groups_[computed.group];
-    group.in_flight = std::max(0.0, group.in_flight - computed.counted);
+    group.in_flight = std::max(0.0, group.in_flight - computed.expected_closures);
     note(computed);
   }
 
@@ -236,7 +236,7 @@ struct ExpectedPrioritizer::Impl {
     const auto found = in_flight_.find(id);
     if (found == in_flight_.end()) return;
     Group& group = groups_[found->second.group];
-    group.in_flight = std::max(0.0, group.in_flight - found->second.counted);
+    group.in_flight = std::max(0.0, group.in_flight - found->second.expected_closures);
     in_flight_.erase(found);
   }
 
@@ -362,8 +362,9 @@ struct ExpectedPrioritizer::Impl {
   }
 
   /// A chance by evidence, corrected by the ratio of observed to expected successes of the group.
-  [[nodiscard]] double with_group(double by_evidence, double came, double expected) const {
-    const double factor = options_.use_places ? (came + kPlaceStrength) / (expected + kPlaceStrength) : 1.0;
+  [[nodiscard]] double with_group(double by_evidence, double observed, double expected) const {
+    const double factor =
+        options_.use_places ? (observed + kPlaceStrength) / (expected + kPlaceStrength) : 1.0;
     return std::min(kMostChance, by_evidence * factor);
   }
   [[nodiscard]] double chance(const Group& group, double by_evidence) const {
@@ -494,10 +495,10 @@ struct ExpectedPrioritizer::Impl {
     computed.to = candidate.to;
     computed.evidence = of_best;
     computed.by_evidence = verified_.probability(of_best);
-    computed.said = chance(group, computed.by_evidence);
+    computed.chance_verified = chance(group, computed.by_evidence);
     computed.right = right_.probability(of_best);
-    computed.counted = computed.said * chance_right(group);
-    group.in_flight += computed.counted;
+    computed.expected_closures = computed.chance_verified * chance_right(group);
+    group.in_flight += computed.expected_closures;
     in_flight_[candidate.id] = computed;
     erase(group, best);
     return candidate;

@@ -33,13 +33,13 @@ RelativeSketch::RelativeSketch(const PoseGraph& graph, const ClosureModelOptions
   U_.assign(nodes * 6 * probes_, 0.0F);
   V_.assign(nodes * 6 * probes_, 0.0F);
   const double scale = 1.0 / std::sqrt(static_cast<double>(probes_));
-  const std::size_t counted = options.trace == TraceKind::kTranslation ? 3 : 6;
+  const std::size_t trace_rows = options.trace == TraceKind::kTranslation ? 3 : 6;
   ThreadPool pool(options.threads);
   pool.for_each(2 * groups, [&](std::size_t task) {
     const std::size_t group = task / 2;
     const bool of_trace = task % 2 != 0;
     std::vector<double> x;
-    fill_probes(x, factor.free_nodes(), kWidth, of_trace ? counted : 6, scale,
+    fill_probes(x, factor.free_nodes(), kWidth, of_trace ? trace_rows : 6, scale,
                 Rng(combine_seeds(combine_seeds(seed, group), of_trace ? 1 : 0)));
     of_trace ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
     std::vector<float>& out = of_trace ? V_ : U_;

@@ -46,12 +46,12 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
   ThreadPool pool(options.threads);
   pool.for_each(2 * groups, [&](std::size_t task) {
     const std::size_t group = task / 2;
-    const bool counted = task % 2 != 0;
-    std::vector<double>& x = counted ? V[group] : U[group];
+    const bool of_trace = task % 2 != 0;
+    std::vector<double>& x = of_trace ? V[group] : U[group];
     detail::fill_probes(x, factor.free_nodes(), kWidth,
-                        counted && options.trace == TraceKind::kTranslation ? 3 : 6, scale,
-                        Rng(combine_seeds(combine_seeds(seed, group), counted ? 1 : 0)));
-    counted ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
+                        of_trace && options.trace == TraceKind::kTranslation ? 3 : 6, scale,
+                        Rng(combine_seeds(combine_seeds(seed, group), of_trace ? 1 : 0)));
+    of_trace ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
   });
 
   pool.for_each((candidates.size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
