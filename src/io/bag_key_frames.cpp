@@ -191,8 +191,8 @@ class Reader {
     }
   }
 
-  void use(std::size_t connection, const std::string& for_what) {
-    uses_[connection] = for_what;
+  void use(std::size_t connection, const std::string& purpose) {
+    uses_[connection] = purpose;
     robot_of_[connection] = robots_.size();
   }
 
@@ -201,7 +201,7 @@ class Reader {
     bags_.for_each([&](std::size_t connection) { return uses_.count(connection) != 0; },
                    [&](const Message& message) {
                      try {
-                       if (!take(message)) return false;
+                       if (!add_message(message)) return false;
                        robots_[robot_of_.at(message.connection)].source.kept.push_back(kept++);
                        return true;
                      } catch (const InputError& error) {
@@ -214,7 +214,7 @@ class Reader {
   }
 
   /// Takes a message. Returns whether it is a sweep, which has to be fetched later.
-  bool take(const Message& recorded) {
+  bool add_message(const Message& recorded) {
     const std::size_t i = recorded.connection;
     const Connection& connection = decoder_.connection(i);
     const ros1::Value message = decoder_.message(i, recorded.bytes);
@@ -235,7 +235,7 @@ class Reader {
       problems_.add("message without stamp, the time of its record is used", where(i));
     const std::int64_t stamp = lamp::stamp_of(message, recorded.stamp_ns);
     const std::string frame = frame_name(message.at("header").at("frame_id").text());
-    if (kind == StreamKind::kCloud) return take_cloud(of, message, frame, stamp, where(i));
+    if (kind == StreamKind::kCloud) return add_cloud(of, message, frame, stamp, where(i));
     if (of.stream.odometry.empty()) {
       of.world = frame;
       if (kind == StreamKind::kOdometry) of.body = frame_name(message.at("child_frame_id").text());
@@ -248,8 +248,8 @@ class Reader {
     return false;
   }
 
-  bool take_cloud(Recorded& of, const ros1::Value& message, const std::string& frame, std::int64_t stamp,
-                  const std::string& where) {
+  bool add_cloud(Recorded& of, const ros1::Value& message, const std::string& frame, std::int64_t stamp,
+                 const std::string& where) {
     ros1::check_point_cloud2("cloud", message);
     if (message.at("width").unsigned_integer() * message.at("height").unsigned_integer() == 0) {
       problems_.add("empty cloud left out", where);
@@ -308,7 +308,7 @@ class Reader {
       return;
     }
     truth_.add_truth_to(mission);
-    if (!mission.ground_truth.empty()) parts::lay_truth_on_nodes(mission, truth_source_);
+    if (!mission.ground_truth.empty()) parts::align_truth_to_nodes(mission, truth_source_);
   }
 
   BagSet bags_;

@@ -58,8 +58,8 @@ bool is_lamp(MessageKind kind) {
 }
 
 /// Passes a message other than a scan to the gatherer.
-void take(lamp::Gatherer& gatherer, const std::string& where, const bags::Connection& connection,
-          const std::string& source, const ros1::Value& message, std::int64_t recorded_ns) {
+void add_message(lamp::Gatherer& gatherer, const std::string& where, const bags::Connection& connection,
+                 const std::string& source, const ros1::Value& message, std::int64_t recorded_ns) {
   switch (lamp::message_kind(connection.type)) {
     case MessageKind::kPoseGraph:
       gatherer.add_graph(where, connection.topic, recorded_ns, message);
@@ -147,7 +147,7 @@ Mission read_graphs(const BagSet& bags, const bags::Recording& recording, const 
   const auto scans = std::make_shared<BagScans>(bags, recording.files);
   std::size_t kept = 0;
   /// Returns whether the scan has to be fetched later.
-  const auto take_scan = [&](const std::string& where, std::size_t connection, const ros1::Value& message) {
+  const auto add_scan = [&](const std::string& where, std::size_t connection, const ros1::Value& message) {
     const Key key = message.at("key").unsigned_integer();
     if (scans->has(key)) {
       problems.add("repeated scan", where + ": " + key_name(key));
@@ -165,10 +165,10 @@ Mission read_graphs(const BagSet& bags, const bags::Recording& recording, const 
                           try {
                             const ros1::Value value = decoder.message(message.connection, message.bytes);
                             if (lamp::message_kind(connection.type) == MessageKind::kKeyedScan) {
-                              return take_scan(where, message.connection, value);
+                              return add_scan(where, message.connection, value);
                             }
-                            take(gatherer, where, connection, bag.filename().string(), value,
-                                 message.stamp_ns);
+                            add_message(gatherer, where, connection, bag.filename().string(), value,
+                                        message.stamp_ns);
                           } catch (const InputError& error) {
                             problems.add_altered("message cannot be read", where + ": " + error.what());
                           }
@@ -238,8 +238,8 @@ void read_bag_truth(Mission& mission, const std::vector<fs::path>& files, const 
         const fs::path& bag = files[connection.bag];
         const std::string where = bag.string() + ": " + connection.topic;
         try {
-          take(gatherer, where, connection, bag.filename().string(),
-               decoder.message(message.connection, message.bytes), message.stamp_ns);
+          add_message(gatherer, where, connection, bag.filename().string(),
+                      decoder.message(message.connection, message.bytes), message.stamp_ns);
         } catch (const InputError& error) {
           mission.problems.add_altered("message cannot be read", where + ": " + error.what());
         }

@@ -24,7 +24,7 @@ bool is_cloud(const StreamTopic& topic) {
 }
 
 template <class Is>
-Topics those(const Topics& topics, Is&& is) {
+Topics topics_where(const Topics& topics, Is&& is) {
   Topics out;
   std::copy_if(topics.begin(), topics.end(), std::back_inserter(out), is);
   return out;
@@ -38,7 +38,7 @@ bool is_named(const StreamTopic& topic, const std::string& wanted) {
   return name.size() >= tail.size() && name.compare(name.size() - tail.size(), tail.size(), tail) == 0;
 }
 
-bool sounds_like_truth(const std::string& name) {
+bool has_truth_name(const std::string& name) {
   std::string word;
   std::set<std::string> words;
   for (const char c : name + "/") {
@@ -55,13 +55,13 @@ bool sounds_like_truth(const std::string& name) {
 /// Among the topics for which `is` is true, keeps only those with the wanted name.
 template <class Is>
 void keep_named(Topics& topics, const std::string& wanted, const char* option, Is&& is,
-                const std::string& name, const std::string& what_there_is) {
+                const std::string& name, const std::string& available_topics) {
   if (wanted.empty()) return;
   const auto other = [&](const StreamTopic& topic) { return is(topic) && !is_named(topic, wanted); };
   topics.erase(std::remove_if(topics.begin(), topics.end(), other), topics.end());
   if (std::none_of(topics.begin(), topics.end(), is)) {
     throw InputError(name + ": no topic for mission." + option + " = " + text::quoted(wanted) +
-                     " of a type that it takes; the recording has " + what_there_is);
+                     " of a type that it takes; the recording has " + available_topics);
   }
 }
 
@@ -138,28 +138,30 @@ StreamKind stream_kind(const std::string& type) {
 }
 
 ChosenTopics choose_topics(const Topics& topics, const Recording& recording, const MissionOptions& options,
-                           const std::string& name, const std::string& what_there_is, Problems& problems) {
+                           const std::string& name, const std::string& available_topics, Problems& problems) {
   const auto is_truth = [&](const StreamTopic& topic) {
-    return is_pose(topic) && (options.truth_topic.empty() ? sounds_like_truth(topic.name)
-                                                          : is_named(topic, options.truth_topic));
+    return is_pose(topic) &&
+           (options.truth_topic.empty() ? has_truth_name(topic.name) : is_named(topic, options.truth_topic));
   };
   ChosenTopics chosen;
-  chosen.truth = those(topics, is_truth);
+  chosen.truth = topics_where(topics, is_truth);
   if (chosen.truth.empty() && !options.truth_topic.empty()) {
     throw InputError(name + ": no topic of poses for mission.truth_topic = " +
-                     text::quoted(options.truth_topic) + "; the recording has " + what_there_is);
+                     text::quoted(options.truth_topic) + "; the recording has " + available_topics);
   }
-  Topics rest = those(topics, [&](const StreamTopic& topic) { return !is_truth(topic); });
-  keep_named(rest, options.odometry_topic, "odometry_topic", is_pose, name, what_there_is);
-  keep_named(rest, options.cloud_topic, "cloud_topic", is_cloud, name, what_there_is);
+  Topics rest = topics_where(topics, [&](const StreamTopic& topic) { return !is_truth(topic); });
+  keep_named(rest, options.odometry_topic, "odometry_topic", is_pose, name, available_topics);
+  keep_named(rest, options.cloud_topic, "cloud_topic", is_cloud, name, available_topics);
 
   std::set<std::string> names;
   for (const Group& group : robots_among(rest, recording)) {
     RobotTopics robot;
     robot.name = group.name.empty() ? "robot" : group.name;
     for (int n = 2; !names.insert(robot.name).second; ++n) robot.name = group.name + "_" + std::to_string(n);
-    robot.poses = best_of(those(group.topics, is_pose), robot.name, "poses", "--odometry-topic", problems);
-    robot.clouds = best_of(those(group.topics, is_cloud), robot.name, "clouds", "--cloud-topic", problems);
+    robot.poses =
+        best_of(topics_where(group.topics, is_pose), robot.name, "poses", "--odometry-topic", problems);
+    robot.clouds =
+        best_of(topics_where(group.topics, is_cloud), robot.name, "clouds", "--cloud-topic", problems);
     chosen.robots.push_back(std::move(robot));
   }
   if (chosen.robots.empty()) {
@@ -167,7 +169,7 @@ ChosenTopics choose_topics(const Topics& topics, const Recording& recording, con
         name +
         ": no mission in it: expected pose_graph_msgs/PoseGraph and KeyedScan, or nav_msgs/Odometry "
         "or geometry_msgs/PoseStamped with sensor_msgs/PointCloud2; the recording has " +
-        what_there_is);
+        available_topics);
   }
   return chosen;
 }

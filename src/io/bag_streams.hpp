@@ -50,6 +50,6 @@ struct ChosenTopics {
 /// \throws InputError if an option names no topic of its kind, or no robot has both
 [[nodiscard]] ChosenTopics choose_topics(const std::vector<StreamTopic>& topics, const Recording& recording,
                                          const MissionOptions& options, const std::string& name,
-                                         const std::string& what_there_is, Problems& problems);
+                                         const std::string& available_topics, Problems& problems);
 
 }  // namespace loopwise::bags

@@ -75,7 +75,7 @@ std::string truncated(const std::string& file, std::uint64_t points, std::size_t
 }
 
 /// Reads the origin of the points from a comment, where our writers put it.
-void take_origin(std::string_view comment, const text::Place& place, std::optional<Eigen::Vector3d>& origin) {
+void read_origin(std::string_view comment, const text::Place& place, std::optional<Eigen::Vector3d>& origin) {
   while (!comment.empty() && (comment.front() == '#' || comment.front() == ' ')) comment.remove_prefix(1);
   if (comment.substr(0, kOriginComment.size()) != kOriginComment) return;
   comment.remove_prefix(kOriginComment.size());
@@ -132,7 +132,7 @@ bool is_moved_viewpoint(const Words& words) {
 }
 
 /// Reads one line but DATA.
-void take_pcd_line(std::string_view keyword, const Words& words, const text::Place& place, PcdLines& lines,
+void read_pcd_line(std::string_view keyword, const Words& words, const text::Place& place, PcdLines& lines,
                    PcdHeader& header) {
   const auto one_count = [&] {
     if (words.size() != 1) place.fail(std::string(keyword) + " needs one value");
@@ -207,14 +207,14 @@ PcdHeader read_pcd_header(const std::string& file, std::string_view contents) {
   text::Lines lines(contents);
   for (std::string_view line; header.data_line == 0 && lines.next(line);) {
     const text::Place place{file, lines.number()};
-    if (!line.empty() && line.front() == '#') take_origin(line, place, header.origin);
+    if (!line.empty() && line.front() == '#') read_origin(line, place, header.origin);
     const std::string_view keyword = text::next_word(line);
     if (keyword.empty()) continue;
     Words words;
     for (std::string_view w = text::next_word(line); !w.empty(); w = text::next_word(line))
       words.push_back(w);
     if (keyword != "DATA") {
-      take_pcd_line(keyword, words, place, found, header);
+      read_pcd_line(keyword, words, place, found, header);
       continue;
     }
     header.encoding = pcd_encoding(words, place);
@@ -331,7 +331,7 @@ PlyHeader read_ply_header(const std::string& file, std::string_view contents) {
   while (lines.next(line)) {
     const text::Place place{file, lines.number()};
     const std::string_view keyword = text::next_word(line);
-    if (keyword == "comment") take_origin(line, place, header.origin);
+    if (keyword == "comment") read_origin(line, place, header.origin);
     if (keyword.empty() || keyword == "comment" || keyword == "obj_info") continue;
     if (keyword == "format") {
       const std::string_view word = text::next_word(line);

@@ -12,9 +12,9 @@ namespace loopwise::points {
 namespace {
 
 /// Fewer points do not suffice to recognise a layout.
-constexpr std::size_t kFewestJudged = 20;
-constexpr std::size_t kMostJudged = 2000;
-constexpr double kMostUnlike = 0.05;  // share of the points
+constexpr std::size_t kMinSampled = 20;
+constexpr std::size_t kMaxSampled = 2000;
+constexpr double kMaxImplausible = 0.05;  // share of the points
 
 Layout layout_of(BinLayout name, const std::string& file) {
   Layout layout;
@@ -71,7 +71,7 @@ Layout layout_of(BinLayout name, const std::string& file) {
 /// Whether a field may have the value. Misread bits give numbers that are far too large or far too small. A
 /// level beam of a simulated lidar also gives a small number: its sine is a rounding error, 1e-16 of the
 /// range.
-bool likely(const std::string& field, double value) {
+bool is_plausible(const std::string& field, double value) {
   constexpr double kTiny = 1e-20, kFarthest_m = 1e7, kBrightest = 1e6, kRings = 1024.0;
   if (std::isnan(value)) return true;  // no echo
   if (value != 0.0 && std::abs(value) < kTiny) return false;
@@ -82,14 +82,14 @@ bool likely(const std::string& field, double value) {
   return std::isfinite(value);
 }
 
-struct Look {
-  double unlike = 0.0;  ///< Share of the points with a value that a field cannot have.
-  double step_m = 0.0;  ///< Median distance of successive points, small for a true layout.
+struct LayoutFit {
+  double implausible = 0.0;  ///< Share of the points with a value that a field cannot have.
+  double step_m = 0.0;       ///< Median distance of successive points, small for a true layout.
 };
 
-Look look_at(const Layout& layout, std::string_view contents) {
+LayoutFit layout_fit(const Layout& layout, std::string_view contents) {
   const std::size_t count = contents.size() / layout.point_size;
-  const std::size_t judged = std::min(count, kMostJudged);
+  const std::size_t sampled = std::min(count, kMaxSampled);
   const auto value = [&](std::size_t point, const Field& field) {
     return load(field.scalar, contents.data() + point * layout.point_size + field.offset, big_endian_host());
   };
@@ -97,28 +97,29 @@ Look look_at(const Layout& layout, std::string_view contents) {
     return Eigen::Vector3d(value(point, layout.fields[0]), value(point, layout.fields[1]),
                            value(point, layout.fields[2]));
   };
-  std::size_t unlike = 0;
+  std::size_t implausible = 0;
   std::vector<double> steps;
-  for (std::size_t k = 0; k < judged; ++k) {
+  for (std::size_t k = 0; k < sampled; ++k) {
     // Random points: a regular stride would always meet the same field of another layout.
-    const std::size_t point = judged == count ? k : static_cast<std::size_t>(mix64(k) % count);
-    unlike += std::all_of(layout.fields.begin(), layout.fields.end(),
-                          [&](const Field& field) { return likely(field.name, value(point, field)); })
-                  ? 0
-                  : 1;
+    const std::size_t point = sampled == count ? k : static_cast<std::size_t>(mix64(k) % count);
+    implausible +=
+        std::all_of(layout.fields.begin(), layout.fields.end(),
+                    [&](const Field& field) { return is_plausible(field.name, value(point, field)); })
+            ? 0
+            : 1;
     if (point + 1 == count) continue;
     const double step = (position(point + 1) - position(point)).norm();
     if (std::isfinite(step)) steps.push_back(step);
   }
-  Look look;
-  look.unlike = judged == 0 ? 0.0 : static_cast<double>(unlike) / static_cast<double>(judged);
-  look.step_m = std::numeric_limits<double>::infinity();
+  LayoutFit fit;
+  fit.implausible = sampled == 0 ? 0.0 : static_cast<double>(implausible) / static_cast<double>(sampled);
+  fit.step_m = std::numeric_limits<double>::infinity();
   if (!steps.empty()) {
     const auto middle = steps.begin() + static_cast<std::ptrdiff_t>(steps.size() / 2);
     std::nth_element(steps.begin(), middle, steps.end());
-    look.step_m = *middle;
+    fit.step_m = *middle;
   }
-  return look;
+  return fit;
 }
 
 /// The layout that fits the bytes best and gives the smoothest sweep; kAuto if no layout fits.
@@ -129,10 +130,10 @@ BinLayout best_fit(const std::string& file, std::string_view contents) {
     if (name == BinLayout::kAuto) continue;
     const Layout layout = layout_of(name, file);
     if (contents.size() % layout.point_size != 0) continue;
-    const Look look = look_at(layout, contents);
-    if (look.unlike > kMostUnlike || !(look.step_m < least_m)) continue;
+    const LayoutFit fit = layout_fit(layout, contents);
+    if (fit.implausible > kMaxImplausible || !(fit.step_m < least_m)) continue;
     best = name;
-    least_m = look.step_m;
+    least_m = fit.step_m;
   }
   return best;
 }
@@ -167,10 +168,10 @@ CloudFile read_bin(const std::string& name, std::string_view contents, BinLayout
         "): " + (guessed ? advice(name, contents) : "the file is cut short or has another layout"));
   }
   const std::size_t count = contents.size() / layout.point_size;
-  const double unlike = count < kFewestJudged ? 0.0 : look_at(layout, contents).unlike;
-  if (unlike > kMostUnlike) {
+  const double implausible = count < kMinSampled ? 0.0 : layout_fit(layout, contents).implausible;
+  if (implausible > kMaxImplausible) {
     const std::string why =
-        percent(unlike) + " of the points have values that are impossible for x, y, z and intensity";
+        percent(implausible) + " of the points have values that are impossible for x, y, z and intensity";
     if (guessed) throw InputError(name + ": " + why + " (" + word + "): " + advice(name, contents));
     builder.add_problem("points that do not fit the layout", name + ": " + why + " (" + word + ")");
   }

@@ -237,7 +237,7 @@ class Reader {
   }
 
   /// Whether a factor is unusable because its node is a vertex of a kind that is not read.
-  bool hangs_on_other_vertex(std::string_view tag, std::size_t line, Key key) {
+  bool has_unsupported_vertex(std::string_view tag, std::size_t line, Key key) {
     const auto other = other_vertices_.find(key);
     if (other == other_vertices_.end() || out_.graph.contains(key)) return false;
     out_.problems.add_altered(std::string(tag) + " of " + other->second + " left out",
@@ -246,7 +246,7 @@ class Reader {
   }
 
   /// Whether a factor in an unfinished file precedes its node, which was never written.
-  bool hangs_on_missing_vertex(std::size_t line, Key key) {
+  bool has_missing_vertex(std::size_t line, Key key) {
     if (!unfinished_ || out_.graph.contains(key)) return false;
     out_.problems.add_altered("edge to a missing vertex left out",
                               text::Place{file_, line}.str() + ": vertex " + std::to_string(key));
@@ -254,7 +254,7 @@ class Reader {
   }
 
   /// Whether the edge joins a vertex to itself. Place recognition may find the current place of the robot.
-  bool begins_where_it_ends(const EdgeLine& line) {
+  bool is_self_loop(const EdgeLine& line) {
     if (line.from != line.to || !out_.graph.contains(line.from)) return false;
     out_.problems.add_altered("edge from a vertex to itself left out",
                               text::Place{file_, line.line}.str() + ": vertex " + std::to_string(line.from));
@@ -322,7 +322,7 @@ class Reader {
   }
 
   /// A factor of zero information has no effect, but would seem to connect its nodes.
-  bool says_nothing(const Matrix6d& information, const char* what, std::size_t line) {
+  bool is_uninformative(const Matrix6d& information, const char* what, std::size_t line) {
     if (!information.isZero(0.0)) return false;
     out_.problems.add_altered(std::string(what) + " of zero information left out",
                               text::Place{file_, line}.str());
@@ -331,17 +331,17 @@ class Reader {
 
   void add_priors() {
     for (const PriorLine& line : priors_) {
-      if (hangs_on_other_vertex(form_->prior, line.line, line.key)) continue;
+      if (has_unsupported_vertex(form_->prior, line.line, line.key)) continue;
       PriorFactor prior;
       prior.key = line.key;
       prior.pose = pose(line.numbers.data(), line.line);
       prior.information = information(line.numbers, line.line);
-      if (says_nothing(prior.information, "prior", line.line)) continue;
+      if (is_uninformative(prior.information, "prior", line.line)) continue;
       if (form_ == &kSpatial) fold_offset(line, prior);
       add(line.line, [&] { out_.graph.add_prior(prior); });
     }
     for (const FixLine& line : fixed_) {
-      if (hangs_on_other_vertex("FIX", line.line, line.key)) continue;
+      if (has_unsupported_vertex("FIX", line.line, line.key)) continue;
       out_.fixed.push_back(line.key);
       add(line.line, [&] {
         out_.graph.add_prior(
@@ -368,10 +368,10 @@ class Reader {
     seen.reserve(edges_.size());
     for (std::size_t i = 0; i < edges_.size(); ++i) {
       const EdgeLine& line = edges_[i];
-      const bool cannot_be_used = hangs_on_other_vertex(form_->edge, line.line, line.from) ||
-                                  hangs_on_other_vertex(form_->edge, line.line, line.to) ||
-                                  hangs_on_missing_vertex(line.line, line.from) ||
-                                  hangs_on_missing_vertex(line.line, line.to) || begins_where_it_ends(line);
+      const bool cannot_be_used = has_unsupported_vertex(form_->edge, line.line, line.from) ||
+                                  has_unsupported_vertex(form_->edge, line.line, line.to) ||
+                                  has_missing_vertex(line.line, line.from) ||
+                                  has_missing_vertex(line.line, line.to) || is_self_loop(line);
       if (cannot_be_used) continue;
       Edge edge;
       edge.from = line.from;
@@ -379,7 +379,7 @@ class Reader {
       edge.T_from_to = pose(line.numbers.data(), line.line);
       if (line.has_information) {
         edge.information = information(line.numbers, line.line);
-        if (says_nothing(edge.information, "edge", line.line)) continue;
+        if (is_uninformative(edge.information, "edge", line.line)) continue;
       } else {
         out_.without_information.push_back(out_.graph.edges().size());
         out_.problems.add_altered("edge without information", text::Place{file_, line.line}.str());

@@ -185,7 +185,7 @@ class Mcap : public Storage {
       if (opening.stop.stop_requested()) throw StoppedError("reading " + name_ + " was stopped");
       const std::size_t size = record_size(at, file_.size(), op);
       try {
-        take(op, at, size);
+        scan_record(op, at, size);
       } catch (const InputError& error) {
         fail(at, error.what());
       }
@@ -202,19 +202,19 @@ class Mcap : public Storage {
   }
 
   /// Processes a record of the file.
-  void take(unsigned char op, std::uint64_t at, std::size_t size) {
+  void scan_record(unsigned char op, std::uint64_t at, std::size_t size) {
     std::string bytes;
     switch (op) {
       case 0:
         throw InputError("a record of kind 0: the file is damaged");
       case kChunk:
-        take_chunk(at);
+        scan_chunk(at);
         return;
       case kMessage:
         if (size > kLargestPiece)
           throw InputError("a message of " + std::to_string(size) + " bytes is too large");
         file_.read(at + kRecordHead, std::min(size, kMessageHead), bytes);
-        take_message(bytes, {0, at, kNoChunk, 0});
+        add_message(bytes, {0, at, kNoChunk, 0});
         return;
       case kHeader:
       case kSchema:
@@ -223,14 +223,14 @@ class Mcap : public Storage {
         if (size > kLargestRecord)
           throw InputError("a record of " + std::to_string(size) + " bytes is too large");
         file_.read(at + kRecordHead, size, bytes);
-        take_description(op, bytes);
+        add_description(op, bytes);
         return;
       default:  // attachments, indexes and records of later versions
         return;
     }
   }
 
-  void take_description(unsigned char op, std::string_view bytes) {
+  void add_description(unsigned char op, std::string_view bytes) {
     Fields fields(bytes);
     if (op == kStatistics) expected_ = fields.number<std::uint64_t>();
     if (op == kSchema) {
@@ -262,7 +262,7 @@ class Mcap : public Storage {
         rosbag2_connection(bag_, topic, described.name, encoding, described.encoding, described.definition));
   }
 
-  void take_message(std::string_view bytes, Entry entry) {
+  void add_message(std::string_view bytes, Entry entry) {
     const MessageHead head = message_head(Fields(bytes));
     const auto channel = channels_.find(head.channel);
     if (channel == channels_.end())
@@ -299,7 +299,7 @@ class Mcap : public Storage {
     chunk_at_ = at;
   }
 
-  void take_chunk(std::uint64_t at) {
+  void scan_chunk(std::uint64_t at) {
     load_chunk(at);
     const std::string_view all = chunk_;
     for (std::size_t offset = 0; offset < all.size();) {
@@ -307,8 +307,8 @@ class Mcap : public Storage {
         Fields fields(all.substr(offset));
         const auto op = fields.number<unsigned char>();
         const std::string_view bytes = fields.bytes(fields.number<std::uint64_t>());
-        if (op == kMessage) take_message(bytes, {0, at, static_cast<std::uint32_t>(offset), 0});
-        if (op == kSchema || op == kChannel) take_description(op, bytes);
+        if (op == kMessage) add_message(bytes, {0, at, static_cast<std::uint32_t>(offset), 0});
+        if (op == kSchema || op == kChannel) add_description(op, bytes);
         offset = all.size() - fields.left();
       } catch (const InputError& error) {
         throw InputError("chunk, byte " + std::to_string(offset) + ": " + error.what());

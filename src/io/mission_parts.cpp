@@ -77,11 +77,11 @@ Stamps first_sightings(const PoseGraph& graph, const Robots& robots, const Stamp
 
 void complete_priors(const PoseGraph& graph, const Robots& robots, const MissionOptions& options,
                      const std::string& name, std::vector<PriorFactor>& priors, Problems& problems) {
-  std::set<std::size_t> tied;
-  for (const PriorFactor& prior : priors) tied.insert(robots.of(prior.key));
+  std::set<std::size_t> with_prior;
+  for (const PriorFactor& prior : priors) with_prior.insert(robots.of(prior.key));
   const std::vector<Key> firsts = first_nodes(graph, robots);
   for (const Key key : firsts) {
-    if (tied.count(robots.of(key)) != 0) continue;
+    if (with_prior.count(robots.of(key)) != 0) continue;
     priors.push_back(default_prior(graph, key, options));
     // The frame of a single robot is its own, so no guess is involved.
     if (firsts.size() > 1) problems.add("no prior given", name + ": node " + key_name(key) + " gets one");
@@ -132,8 +132,8 @@ std::string name_of(const fs::path& path) {
 
 std::string recording_name(const fs::path& path) {
   const std::string name = name_of(path);
-  const bool says_form = name == "g2o_pcd" || name == "rosbag" || name == "bags" || name == "pose_graph";
-  return says_form && fs::is_directory(path)
+  const bool names_format = name == "g2o_pcd" || name == "rosbag" || name == "bags" || name == "pose_graph";
+  return names_format && fs::is_directory(path)
              ? name_of(fs::absolute(path / "").lexically_normal().parent_path() / "..")
              : name;
 }
@@ -255,15 +255,15 @@ void align_truth(Mission& mission) {
   const auto& [key, first] = *mission.ground_truth.begin();
   Eigen::Isometry3d T = se3::normalized(mission.graph.node(key).pose * first.inverse());
   if (count >= 3) {
-    const Eigen::Matrix4d laid = Eigen::umeyama(truth, nodes, false);
-    if (laid.allFinite()) T = se3::normalized(Eigen::Isometry3d(laid));
+    const Eigen::Matrix4d alignment = Eigen::umeyama(truth, nodes, false);
+    if (alignment.allFinite()) T = se3::normalized(Eigen::Isometry3d(alignment));
   }
   for (auto& entry : mission.ground_truth) entry.second = se3::normalized(T * entry.second);
 }
 
 }  // namespace
 
-void lay_truth_on_nodes(Mission& mission, const std::string& source) {
+void align_truth_to_nodes(Mission& mission, const std::string& source) {
   if (mission.ground_truth.empty()) return;
   const auto& [key, first] = *mission.ground_truth.begin();
   constexpr double kNear_m = 0.5, kNear_rad = 0.1;

@@ -135,7 +135,7 @@ void set_scans(Mission& mission, const std::vector<Key>& keys, ScanStore::CloudS
 void set_ground_truth(Mission& mission, std::map<Key, Eigen::Isometry3d> truth);
 /// Aligns the truth with the nodes if it does not begin at them (0.5 m, 0.1 rad), because it is in another
 /// frame then. Uses least squares of the positions, or the first pose if there are too few. Counted.
-void lay_truth_on_nodes(Mission& mission, const std::string& source);
+void align_truth_to_nodes(Mission& mission, const std::string& source);
 /// Sets the reference. Drops and counts poses without a node.
 void set_reference(Mission& mission, std::map<Key, Eigen::Isometry3d> reference);
 

@@ -210,7 +210,7 @@ class Reader {
     set_reference(mission, std::move(optimized_));
     if (!truth_.empty()) {
       set_ground_truth(mission, std::move(truth_));
-      lay_truth_on_nodes(mission, name_);
+      align_truth_to_nodes(mission, name_);
     }
     if (scans_.empty()) {
       mission.problems.add_altered("no lidar scan in the database",

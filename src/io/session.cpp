@@ -27,7 +27,7 @@ struct Step {
 
 /// The text without a last line that has no line end: the program was stopped while it wrote that line,
 /// perhaps within the last number. A single line is kept, because users may write a file of one pose by hand.
-std::string whole_lines(std::string contents, const std::string& name, Problems& problems) {
+std::string complete_lines(std::string contents, const std::string& name, Problems& problems) {
   const std::size_t last = contents.rfind('\n') + 1;
   std::string_view line = std::string_view(contents).substr(last);
   if (last == 0 || text::next_word(line).empty()) return contents;
@@ -45,7 +45,7 @@ bool is_blank_file(const std::string& contents) {
 /// one.
 std::optional<Poses> read_poses(const fs::path& file, Problems& problems) {
   if (!fs::is_regular_file(file)) return std::nullopt;
-  const std::string contents = whole_lines(read_file(file), file.string(), problems);
+  const std::string contents = complete_lines(read_file(file), file.string(), problems);
   if (is_blank_file(contents)) {
     problems.add_altered("empty file not used", file.string());
     return std::nullopt;
@@ -64,7 +64,7 @@ Step step_between(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const 
 std::vector<std::int64_t> read_times(const fs::path& file, Problems& problems) {
   std::vector<std::int64_t> stamps;
   if (!fs::is_regular_file(file)) return stamps;
-  const std::string name = file.string(), contents = whole_lines(read_file(file), name, problems);
+  const std::string name = file.string(), contents = complete_lines(read_file(file), name, problems);
   text::Lines lines(contents);
   for (std::string_view line; lines.next(line);) {
     const std::string_view word = text::next_word(line);
