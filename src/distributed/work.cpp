@@ -11,6 +11,7 @@
 #include <optional>
 #include <set>
 #include <thread>
+#include <utility>
 
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
@@ -185,6 +186,79 @@ WorkServer::~WorkServer() {
   }
 }
 
+namespace {
+
+/// Requests to the other ranks that have no answer yet.
+class OpenRequests {
+ public:
+  OpenRequests(Transport& transport, const std::vector<Work>& work, const WorkOptions& options,
+               WorkStatistics& statistics)
+      : transport_(transport),
+        work_(work),
+        options_(options),
+        statistics_(statistics),
+        pending_(static_cast<std::size_t>(transport.size())),
+        last_answer_s_(pending_.size(), 0.0) {}
+
+  /// Whether an answer is missing.
+  [[nodiscard]] bool any() const {
+    return std::any_of(pending_.begin(), pending_.end(), [](const auto& own) { return !own.empty(); });
+  }
+
+  /// Sends pieces of `next(rank)` until the rank has as many as it gets in advance.
+  template <class Next>
+  void send(int rank, Next&& next) {
+    auto& own = pending_[static_cast<std::size_t>(rank)];
+    while (own.size() < static_cast<std::size_t>(options_.ahead)) {
+      const std::optional<std::size_t> i = next(rank);
+      if (!i) return;
+      if (own.empty()) last_answer_s_[static_cast<std::size_t>(rank)] = watch_.seconds();
+      own.insert(*i);
+      const std::string message = with_number(*i, work_[*i].request);
+      transport_.send(rank, kRequest, message);
+      ++statistics_.requests;
+      statistics_.request_bytes += message.size();
+    }
+  }
+
+  /// Removes the request of an answer. \returns its piece and the bytes of the answer \throws Error
+  std::pair<std::size_t, std::string_view> take(const Message& message) {
+    if (message.tag == kFailure) throw_failure(message);
+    std::string_view bytes = message.bytes;
+    const std::size_t i = read_number(bytes, message.from);
+    const auto rank = static_cast<std::size_t>(message.from);
+    if (message.tag != kAnswer || pending_[rank].erase(i) == 0)
+      throw Error("rank " + std::to_string(message.from) + " sent an answer without a request");
+    last_answer_s_[rank] = watch_.seconds();
+    ++statistics_.done[rank];
+    ++statistics_.answers;
+    statistics_.answer_bytes += message.bytes.size();
+    return {i, bytes};
+  }
+
+  /// \throws Error naming a rank that has not answered for too long
+  void check_time() const {
+    for (std::size_t rank = 1; rank < pending_.size(); ++rank) {
+      if (pending_[rank].empty() || watch_.seconds() - last_answer_s_[rank] <= options_.time_limit_s)
+        continue;
+      throw Error("rank " + std::to_string(rank) + " has " + std::to_string(pending_[rank].size()) +
+                  " unanswered requests and has sent no answer for " + seconds_text(options_.time_limit_s) +
+                  ": it is dead or hangs");
+    }
+  }
+
+ private:
+  Transport& transport_;
+  const std::vector<Work>& work_;
+  const WorkOptions& options_;
+  WorkStatistics& statistics_;
+  std::vector<std::set<std::size_t>> pending_;  ///< By rank.
+  std::vector<double> last_answer_s_;           ///< By rank.
+  Stopwatch watch_;
+};
+
+}  // namespace
+
 void WorkServer::run(const std::vector<Work>& work, int local_workers,
                      const std::function<void(std::size_t)>& here,
                      const std::function<void(int, std::size_t, std::string_view)>& there,
@@ -199,70 +273,34 @@ void WorkServer::run(const std::vector<Work>& work, int local_workers,
     round.close();
   };
 
+  const auto has_failed = [&] {
+    const std::lock_guard<std::mutex> lock(mutex);
+    return failure != nullptr;
+  };
   const auto serve = [&] {
-    const auto ranks = static_cast<std::size_t>(transport_.size());
-    std::vector<std::set<std::size_t>> pending_answers(ranks);
-    std::vector<double> last_answer_s(ranks, 0.0);
-    const Stopwatch watch;
+    OpenRequests requests(transport_, work, options_, statistics_);
     PollBackoff backoff;
-    const auto send_requests = [&](int rank) {
-      auto& own = pending_answers[static_cast<std::size_t>(rank)];
-      while (own.size() < static_cast<std::size_t>(options_.ahead)) {
-        const auto i = round.next(rank);
-        if (!i) return;
-        if (own.empty()) last_answer_s[static_cast<std::size_t>(rank)] = watch.seconds();
-        own.insert(*i);
-        const std::string message = with_number(*i, work[*i].request);
-        transport_.send(rank, kRequest, message);
-        ++statistics_.requests;
-        statistics_.request_bytes += message.size();
-      }
-    };
-    const auto take = [&](const Message& message) {
-      if (message.tag == kFailure) throw_failure(message);
-      std::string_view bytes = message.bytes;
-      const std::size_t i = read_number(bytes, message.from);
-      if (message.tag != kAnswer || pending_answers[static_cast<std::size_t>(message.from)].erase(i) == 0) {
-        throw Error("rank " + std::to_string(message.from) + " sent an answer without a request");
-      }
-      last_answer_s[static_cast<std::size_t>(message.from)] = watch.seconds();
-      ++statistics_.done[static_cast<std::size_t>(message.from)];
-      ++statistics_.answers;
-      statistics_.answer_bytes += message.bytes.size();
-      there(message.from, i, bytes);
-    };
+    const auto next = [&](int rank) { return round.next(rank); };
     try {
-      for (int rank = 1; rank < transport_.size(); ++rank) send_requests(rank);
+      for (int rank = 1; rank < transport_.size(); ++rank) requests.send(rank, next);
       while (true) {
         if (stop.stop_requested()) round.close();
-        const bool waits = std::any_of(pending_answers.begin(), pending_answers.end(),
-                                       [](const auto& own) { return !own.empty(); });
-        if (!waits && round.exhausted()) return;
+        if (!requests.any() && round.exhausted()) return;
         bool any = false;
         while (const std::optional<Message> message = transport_.receive()) {
           any = true;
-          take(*message);
+          const auto [i, answer] = requests.take(*message);
+          there(message->from, i, answer);
           if (stop.stop_requested())
             round.close();  // also here: answers may arrive faster than this loop reads them
-          send_requests(message->from);
+          requests.send(message->from, next);
         }
         if (any) {
           backoff.reset();
           continue;
         }
-        {
-          const std::lock_guard<std::mutex> lock(mutex);
-          if (failure) return;  // this rank's own work failed, so the others are not waited for
-        }
-        for (std::size_t rank = 1; rank < ranks; ++rank) {
-          if (!pending_answers[rank].empty() &&
-              watch.seconds() - last_answer_s[rank] > options_.time_limit_s) {
-            throw Error("rank " + std::to_string(rank) + " has " +
-                        std::to_string(pending_answers[rank].size()) +
-                        " unanswered requests and has sent no answer for " +
-                        seconds_text(options_.time_limit_s) + ": it is dead or hangs");
-          }
-        }
+        if (has_failed()) return;  // this rank's own work failed, so the others are not waited for
+        requests.check_time();
         backoff.wait();
       }
     } catch (...) {
