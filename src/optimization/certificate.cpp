@@ -281,8 +281,9 @@ class Summary {
                       out_.cost, out_.best_cost);
         break;
       default:
-        std::snprintf(text, sizeof text, "the lowest isotropic chordal cost is between %.9g and %.9g%s",
-                      out_.lower_bound, out_.best_cost, reason());
+        std::snprintf(text, sizeof text, "the lowest isotropic chordal cost is between %.9g and %.9g",
+                      out_.lower_bound, out_.best_cost);
+        return std::string(text) + reason() + reduced;
     }
     return text + reduced;
   }
