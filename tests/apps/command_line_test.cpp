@@ -618,7 +618,7 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
 
   // Results that failed because of memory or a file are computed again.
   std::istringstream lines(outcomes);
-  std::string line, unlucky;
+  std::string line, with_failures;
   for (std::size_t number = 0; std::getline(lines, line); ++number) {
     if (number > 0 && number % 2 == 0) {
       Json outcome = parse_json(line, "outcome");
@@ -627,9 +627,9 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
       outcome.erase("closure");
       line = outcome.dump();
     }
-    unlucky += line + "\n";
+    with_failures += line + "\n";
   }
-  testing::write_text(folder / "two" / "outcomes.jsonl", unlucky);
+  testing::write_text(folder / "two" / "outcomes.jsonl", with_failures);
   REQUIRE_THAT(run_program(replay("two", {"--resume"})).err,
                Contains("with 6 registrations already computed"));
   same_results("two");

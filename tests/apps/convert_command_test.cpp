@@ -76,10 +76,10 @@ TEST_CASE("convert: round trips, and other commands on the result", "[apps][conv
 
   const Json tum = json_of({"convert", m, "-o", (folder / "tum").string(), "--to", "tum"});
   CHECK(tum["left_out"].size() == 4);
-  const ProgramRun said = run_program({"convert", m, "-o", (folder / "tum2").string(), "--to", "tum"});
-  CHECK_THAT(said.err,
+  const ProgramRun tum_run = run_program({"convert", m, "-o", (folder / "tum2").string(), "--to", "tum"});
+  CHECK_THAT(tum_run.err,
              Contains("tum files hold the robots' poses and stamps alone; the mission also has: edge x 8"));
-  CHECK_THAT(said.err, !Contains("left out") && !Contains("times"));
+  CHECK_THAT(tum_run.err, !Contains("left out") && !Contains("times"));
   CHECK(json_of({"evaluate", (folder / "tum" / "a.tum").string(),
                  (folder / "tum" / "a_truth.tum").string()})["poses"] == 5);
 }

@@ -118,16 +118,17 @@ TEST_CASE("truth: --truth gives the true poses", "[apps][truth]") {
     more.insert(more.end(), few.begin(), few.end());
     return json_of(more);
   };
-  const Json judged = replayed("judged", {"--truth", truth}), plain = replayed("plain", {});
-  CHECK(judged["truth"]["file"] == truth);
-  CHECK(judged["ate_m"]["optimized"].get<double>() < 0.5);
-  CHECK(judged["closures"]["true_inliers"].is_number());
-  CHECK(judged["reference"]["poses"] == 8);
+  const Json evaluated = replayed("evaluated", {"--truth", truth}), plain = replayed("plain", {});
+  CHECK(evaluated["truth"]["file"] == truth);
+  CHECK(evaluated["ate_m"]["optimized"].get<double>() < 0.5);
+  CHECK(evaluated["closures"]["true_inliers"].is_number());
+  CHECK(evaluated["reference"]["poses"] == 8);
   // The ground truth does not change results.
   for (const char* file : {"graph.g2o", "journal.jsonl"})
-    CHECK(testing::read_text(folder / "judged" / file) == testing::read_text(folder / "plain" / file));
-  CHECK(json_of({"evaluate", (folder / "judged" / "trajectories" / "0.tum").string(), truth})["ate_m"]["mean"]
-            .get<double>() == Approx(judged["ate_m"]["optimized"].get<double>()).epsilon(1e-6));
+    CHECK(testing::read_text(folder / "evaluated" / file) == testing::read_text(folder / "plain" / file));
+  CHECK(json_of(
+            {"evaluate", (folder / "evaluated" / "trajectories" / "0.tum").string(), truth})["ate_m"]["mean"]
+            .get<double>() == Approx(evaluated["ate_m"]["optimized"].get<double>()).epsilon(1e-6));
 
   const Json study =
       json_of({"study", "ablation", session, "-o", (folder / "study").string(), "--truth", truth, "--methods",
@@ -150,7 +151,7 @@ TEST_CASE("truth: --truth gives the true poses", "[apps][truth]") {
     CHECK_THAT(run.err, Contains(why));
   };
   fails({"info", session, "--truth", "b=" + truth}, 2, "no robot is called \"b\", the robots are 0");
-  fails({"report", (folder / "judged").string(), "-o", (folder / "r.html").string(), "--truth", truth}, 2,
+  fails({"report", (folder / "evaluated").string(), "-o", (folder / "r.html").string(), "--truth", truth}, 2,
         "--truth needs --mission");
 }
 
@@ -229,9 +230,9 @@ TEST_CASE("truth: without it, maps are compared at common revisits", "[apps][tru
   // A yard of 24 m has two path sections: too few, so a warning is printed and no interval.
   CHECK(whole["enough_for_interval"] == false);
   CHECK(whole["difference_interval_95"][0].is_null());
-  const ProgramRun said = run_program({"evaluate", "--map", (folder / "whole.g2o").string(), recording});
-  CHECK_THAT(said.err, Contains("too few for a confidence interval"));
-  CHECK_THAT(said.out, !Contains("95 %") && !Contains("-0.0") && Contains("an upper bound"));
+  const ProgramRun shown = run_program({"evaluate", "--map", (folder / "whole.g2o").string(), recording});
+  CHECK_THAT(shown.err, Contains("too few for a confidence interval"));
+  CHECK_THAT(shown.out, !Contains("95 %") && !Contains("-0.0") && Contains("an upper bound"));
   // An estimate with the same poses but fewer nodes is as good.
   const Json part = json_of({"evaluate", "--map", write_estimate("part.g2o", 8, 0), recording});
   CHECK(part["revisits"].get<int>() > 0);

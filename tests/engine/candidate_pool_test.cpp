@@ -127,9 +127,9 @@ TEST_CASE("pool: age, waiting time and the cap expire candidates with a reason",
 TEST_CASE("pool: a prioritiser that throws loses no candidate, and no candidate stays pending for ever",
           "[engine][pool][error]") {
   /// Like arrival, except for one function that throws on request.
-  class Fragile final : public Prioritizer {
+  class ThrowingPrioritizer final : public Prioritizer {
    public:
-    std::string_view name() const override { return "fragile"; }
+    std::string_view name() const override { return "throwing"; }
     std::vector<Refusal> add(const std::vector<LoopCandidate>& c) override {
       const std::vector<Refusal> refused = inner_.add(c);
       if (throws_in_add) throw Error("add");
@@ -153,22 +153,22 @@ TEST_CASE("pool: a prioritiser that throws loses no candidate, and no candidate 
   };
   std::vector<std::unique_ptr<Prioritizer>> prioritizers;
   prioritizers.push_back(std::make_unique<ArrivalPrioritizer>());
-  auto fragile = std::make_unique<Fragile>();
-  Fragile& control = *fragile;
-  prioritizers.push_back(std::move(fragile));
+  auto throwing = std::make_unique<ThrowingPrioritizer>();
+  ThrowingPrioritizer& control = *throwing;
+  prioritizers.push_back(std::move(throwing));
   CandidatePool pool({}, RoundRobinQueue(std::move(prioritizers)));
   for (Key key = 1; key <= 9; ++key) pool.on_scan(scan_of(key));
 
   pool.add({pair(5, 1), pair(5, 2), pair(5, 3)});
   control.throws_in_add = control.throws_in_remove = true;
-  REQUIRE_THROWS_WITH(pool.add({pair(6, 1), pair(6, 2)}), "fragile: add(): add");
+  REQUIRE_THROWS_WITH(pool.add({pair(6, 1), pair(6, 2)}), "throwing: add(): add");
   control.throws_in_add = control.throws_in_remove = false;
   REQUIRE(pool.accounting().balanced());
   REQUIRE(pool.accounting().pending == 3);
   REQUIRE(pool.pruned_reasons().at("prioritizer_failed") == 2);
 
   control.throws_in_take = true;
-  REQUIRE_THROWS_WITH(pool.take(3), "fragile: take(): take");
+  REQUIRE_THROWS_WITH(pool.take(3), "throwing: take(): take");
   control.throws_in_take = false;
   REQUIRE(pool.accounting().pending == 3);
   REQUIRE(pool.accounting().in_flight == 0);

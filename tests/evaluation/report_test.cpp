@@ -274,14 +274,14 @@ void make_old(const Run& run, const std::string& problem) {
 
 TEST_CASE("report: a truth given later evaluates the run", "[evaluation][report]") {
   const Mission right = testing::two_circles();
-  Mission untrue = right;
-  untrue.ground_truth.clear();
-  const Run knew(right), did_not(untrue);
-  const Json before = made({did_not.folder.path()}, {untrue}).at("runs").at(0);
+  Mission mission_without_truth = right;
+  mission_without_truth.ground_truth.clear();
+  const Run with_truth(right), without_truth(mission_without_truth);
+  const Json before = made({without_truth.folder.path()}, {mission_without_truth}).at("runs").at(0);
   REQUIRE(before.at("summary").at("truth").is_null());
   REQUIRE(before.at("summary").at("residuals").at("closures").get<int>() > 10);
-  const Json after = made({did_not.folder.path()}, {right}).at("runs").at(0);
-  const Json expected = made({knew.folder.path()}, {right}).at("runs").at(0).at("summary");
+  const Json after = made({without_truth.folder.path()}, {right}).at("runs").at(0);
+  const Json expected = made({with_truth.folder.path()}, {right}).at("runs").at(0).at("summary");
   const Json& summary = after.at("summary");
   REQUIRE(summary.at("closures") == expected.at("closures"));
   for (const char* name : {"ate_m", "ate_rad", "ate_se3_m", "ate_rmse_m"}) {
@@ -299,7 +299,7 @@ TEST_CASE("report: a truth given later evaluates the run", "[evaluation][report]
   // The same truth, given by a file, changes nothing.
   Mission again = right;
   again.truth_file = "again.tum";
-  const Json same = made({knew.folder.path()}, {again}).at("runs").at(0);
+  const Json same = made({with_truth.folder.path()}, {again}).at("runs").at(0);
   REQUIRE(same.at("summary") == expected);
   REQUIRE(same.at("history").at("columns").contains("ate_m"));
   REQUIRE_FALSE(Contains("errors over time are not known").match(notes(same)));
@@ -308,13 +308,13 @@ TEST_CASE("report: a truth given later evaluates the run", "[evaluation][report]
   Mission given = right;
   given.truth_file = "better.tum";
   for (auto& [key, pose] : given.ground_truth) pose.translation().z() += 7.0;
-  const Json moved = made({knew.folder.path()}, {given}).at("runs").at(0).at("summary");
+  const Json moved = made({with_truth.folder.path()}, {given}).at("runs").at(0).at("summary");
   // The estimate itself is off by as much as it was before.
   const double own_m = expected.at("ate_m").at("optimized").get<double>();
   REQUIRE(own_m < 2.0);
   REQUIRE(std::abs(moved.at("ate_m").at("optimized").get<double>() - 7.0) <= own_m + 1e-6);
-  testing::fs::remove_all(did_not.folder / "trajectories");
-  const Json bare = made({did_not.folder.path()}, {right}).at("runs").at(0);
+  testing::fs::remove_all(without_truth.folder / "trajectories");
+  const Json bare = made({without_truth.folder.path()}, {right}).at("runs").at(0);
   REQUIRE(bare.at("summary").at("truth").is_null());
   REQUIRE(Contains("not judged by the mission's truth").match(notes(bare)));
 }

@@ -58,38 +58,38 @@ TEST_CASE("BoundedCache returns nulls and exceptions without storing them", "[ca
 }
 
 /// A key whose n-th copy fails to allocate.
-struct DearKey {
-  DearKey() = default;
-  explicit DearKey(int v) : value(v) {}
-  DearKey(const DearKey& other) : value(other.value) {
+struct ThrowingKey {
+  ThrowingKey() = default;
+  explicit ThrowingKey(int v) : value(v) {}
+  ThrowingKey(const ThrowingKey& other) : value(other.value) {
     if (copies_left > 0 && --copies_left == 0) throw std::bad_alloc();
   }
-  DearKey& operator=(const DearKey&) = default;
-  bool operator==(const DearKey& other) const { return value == other.value; }
+  ThrowingKey& operator=(const ThrowingKey&) = default;
+  bool operator==(const ThrowingKey& other) const { return value == other.value; }
   int value = 0;
   static int copies_left;
 };
-int DearKey::copies_left = 0;
-struct DearKeyHash {
-  std::size_t operator()(const DearKey& key) const { return std::hash<int>()(key.value); }
+int ThrowingKey::copies_left = 0;
+struct ThrowingKeyHash {
+  std::size_t operator()(const ThrowingKey& key) const { return std::hash<int>()(key.value); }
 };
 
 TEST_CASE("BoundedCache: an allocation failure at any point changes nothing", "[cache][error]") {
-  const auto make_dear = [](const DearKey& key) { return std::make_shared<const Item>(Item{key.value}); };
+  const auto make_item = [](const ThrowingKey& key) { return std::make_shared<const Item>(Item{key.value}); };
   int failed = 0;
   for (int at = 1; at < 10; ++at) {
     CAPTURE(at);
-    BoundedCache<DearKey, Item, DearKeyHash> cache(20);
-    for (const int key : {1, 2}) REQUIRE(cache.get(DearKey(key), make_dear)->key == key);
-    DearKey::copies_left = at;
+    BoundedCache<ThrowingKey, Item, ThrowingKeyHash> cache(20);
+    for (const int key : {1, 2}) REQUIRE(cache.get(ThrowingKey(key), make_item)->key == key);
+    ThrowingKey::copies_left = at;
     try {
-      (void)cache.get(DearKey(3), make_dear);
+      (void)cache.get(ThrowingKey(3), make_item);
     } catch (const std::bad_alloc&) {
       ++failed;
     }
-    DearKey::copies_left = 0;
+    ThrowingKey::copies_left = 0;
     // With an unfinished entry, other threads would wait for ever, or use an invalid iterator.
-    for (const int key : {3, 1, 2, 3}) REQUIRE(cache.get(DearKey(key), make_dear)->key == key);
+    for (const int key : {3, 1, 2, 3}) REQUIRE(cache.get(ThrowingKey(key), make_item)->key == key);
     REQUIRE(cache.bytes() == 20);
     REQUIRE(cache.size() == 2);
   }

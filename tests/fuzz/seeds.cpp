@@ -165,7 +165,7 @@ Seeds io_seeds() {
   all["bag_chunk"] = {{"none", sized(0, 5, "bytes")}};
   all["bag"] = {{"none", bag(messages)}};
 #ifdef LOOPWISE_FUZZ_ROSBAG
-  const std::string text = "a text that is said again: a text that is said again";
+  const std::string text = "a text that is repeated: a text that is repeated";
   all["bag_chunk"].push_back({"bz2", sized(1, text.size(), compressed("bz2", text))});
   all["bag_chunk"].push_back({"lz4", sized(2, text.size(), compressed("lz4", text))});
   for (const std::string how : {"bz2", "lz4"}) all["bag"].push_back({how, bag(messages, {how})});

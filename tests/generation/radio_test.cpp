@@ -33,7 +33,7 @@ BeaconDrop dropped(const std::string& beacon, char robot, std::uint64_t index) {
 }
 
 /// Two receivers with this mean loss.
-std::vector<RadioReading> heard(Key key, const std::string& beacon, double loss_db = 50.0) {
+std::vector<RadioReading> readings_of(Key key, const std::string& beacon, double loss_db = 50.0) {
   return {{key, beacon, 28.0, "0", 28.0 - loss_db - 3.0}, {key, beacon, 28.0, "1", 28.0 - loss_db + 3.0}};
 }
 
@@ -46,7 +46,7 @@ class Fixture {
     note(generator.on_drop(graph, dropped(beacon, robot, index), 1.0));
   }
   Pairs hear(char robot, std::uint64_t index, const std::string& beacon = "x", double loss_db = 50.0) {
-    return note(generator.on_radio(graph, heard(make_key(robot, index), beacon, loss_db), 2.0));
+    return note(generator.on_radio(graph, readings_of(make_key(robot, index), beacon, loss_db), 2.0));
   }
   Pairs note(const std::vector<LoopCandidate>& candidates) {
     Pairs out;
@@ -145,8 +145,8 @@ TEST_CASE("radio: several beacons at once, a pair proposed by two of them once",
   f.drop("x", 'a', 0);
   f.drop("y", 'a', 2);
   const auto both = [&](char robot, std::uint64_t index) {
-    auto readings = heard(make_key(robot, index), "x");
-    for (const RadioReading& r : heard(make_key(robot, index), "y")) readings.push_back(r);
+    auto readings = readings_of(make_key(robot, index), "x");
+    for (const RadioReading& r : readings_of(make_key(robot, index), "y")) readings.push_back(r);
     return f.note(f.generator.on_radio(f.graph, readings, 1.0));
   };
   REQUIRE(both('b', 10) == Pairs{{"b10", "a0"}, {"b10", "a2"}});
@@ -168,14 +168,15 @@ TEST_CASE("radio: waits for late data", "[generation][radio]") {
     const auto note = [&](const std::vector<LoopCandidate>& more) {
       found.insert(found.end(), more.begin(), more.end());
     };
-    note(generator.on_radio(graph, heard(make_key('b', 10), "x"), 1.0));
-    note(generator.on_radio(graph, heard(make_key('b', 2), "x"), 1.0));  // before the drop, as will turn out
+    note(generator.on_radio(graph, readings_of(make_key('b', 10), "x"), 1.0));
+    note(generator.on_radio(graph, readings_of(make_key('b', 2), "x"),
+                            1.0));  // before the drop, as will turn out
     for (const int step : order) {
       if (step == 0) {
         graph.add_node(node);
         note(generator.on_node(graph, node.key, 1.0));
       } else if (step == 1) {
-        note(generator.on_radio(graph, heard(node.key, "x"), 1.0));
+        note(generator.on_radio(graph, readings_of(node.key, "x"), 1.0));
       } else {
         note(generator.on_drop(graph, dropped("x", 'a', 5), 1.0));
       }
@@ -197,8 +198,8 @@ TEST_CASE("radio: unknown nodes and beacons, repeated words", "[generation][radi
   Fixture f(options);
   REQUIRE(f.hear('b', 10, "never dropped").empty());
   REQUIRE(f.generator.waiting() == 1);
-  REQUIRE(f.note(f.generator.on_radio(f.graph, heard(make_key('b', 5000), "x"), 1.0)).empty());
-  REQUIRE(f.note(f.generator.on_radio(f.graph, heard(make_key('z', 1), "x"), 1.0)).empty());
+  REQUIRE(f.note(f.generator.on_radio(f.graph, readings_of(make_key('b', 5000), "x"), 1.0)).empty());
+  REQUIRE(f.note(f.generator.on_radio(f.graph, readings_of(make_key('z', 1), "x"), 1.0)).empty());
   REQUIRE(f.generator.problems().count("radio reading at a node of no robot") == 2);
   REQUIRE(f.generator.waiting() == 2);
   REQUIRE(f.hear('b', 11, "never dropped").empty());  // the oldest goes

@@ -325,17 +325,17 @@ TEST_CASE("convert: a target is complete or absent", "[io][convert][error]") {
   const StopSource stop;
   ConvertOptions options;
   options.stop = stop.token();
-  std::size_t told = 0;
+  std::size_t calls = 0;
   options.progress = [&](const Progress& p) {
     CHECK(p.total == 8);
-    if (++told == 3) stop.request_stop();
+    if (++calls == 3) stop.request_stop();
   };
   fs::create_directories(folder / "empty");
   CHECK_THROWS_AS(convert_mission(mission, folder / "new", format, options), StoppedError);
   CHECK_FALSE(fs::exists(folder / "new"));
   CHECK_THROWS_AS(convert_mission(mission, folder / "empty", format, options), StoppedError);
   CHECK(fs::is_empty(folder / "empty"));
-  CHECK(told == 3);
+  CHECK(calls == 3);
 
   // A killed conversion leaves all files except the last one.
   static_cast<void>(convert_mission(mission, folder / "killed", format));

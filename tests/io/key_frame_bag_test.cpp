@@ -111,7 +111,7 @@ TEST_CASE("bags: the truth is a topic", "[io][bag][key_frames]") {
   const Mission mission = read_mission(folder / "lio", options);
   check_key_frames(mission, expected_of(folder / "lio"), 1.0);
   REQUIRE(mission.ground_truth.size() == mission.graph.nodes().size());
-  // It is the odometry in another frame, and was laid on it.
+  // It is the odometry in another frame, and was aligned to it.
   CHECK(mission.truth_is_aligned);
   CHECK(mission.problems.count("truth in another frame") == 1);
   for (const Node& node : mission.graph.nodes())

@@ -250,12 +250,13 @@ TEST_CASE("bags: scans are read by many threads at once", "[io][bag][thread]") {
 TEST_CASE("bags: reports progress and obeys a stop request", "[io][bag]") {
   const TemporaryFolder folder;
   if (!lamp_data("bags", folder / "p", "--robots c")) return;
-  std::vector<Progress> told;
-  static_cast<void>(read_mission(folder / "p" / "rosbag", {}, [&](const Progress& p) { told.push_back(p); }));
-  REQUIRE_FALSE(told.empty());
-  CHECK_THAT(told.front().stage, Contains("checking"));
-  CHECK_THAT(told.back().stage, Contains("reading"));
-  CHECK(told.back().done == told.back().total);
+  std::vector<Progress> reports;
+  static_cast<void>(
+      read_mission(folder / "p" / "rosbag", {}, [&](const Progress& p) { reports.push_back(p); }));
+  REQUIRE_FALSE(reports.empty());
+  CHECK_THAT(reports.front().stage, Contains("checking"));
+  CHECK_THAT(reports.back().stage, Contains("reading"));
+  CHECK(reports.back().done == reports.back().total);
   const StopSource stop;
   stop.request_stop();
   CHECK_THROWS_AS(read_mission(folder / "p" / "rosbag", {}, {}, stop.token()), StoppedError);
@@ -394,7 +395,7 @@ TEST_CASE("g2o_pcd: ids that lost their robots' characters", "[io][g2o_pcd]") {
     check_truth(mission, expected);
     check_scans(mission, expected);
   }
-  SECTION("are told by an option") {
+  SECTION("are given by an option") {
     REQUIRE(lamp_data("g2o_pcd", folder / "bare", "--robots c --ids small --names index"));
     const Mission bare = read_mission(folder / "bare");
     CHECK(bare.graph.contains(2));

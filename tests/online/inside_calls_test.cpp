@@ -15,11 +15,11 @@
 
 namespace loopwise {
 
+using testing::CallbackPrioritizer;
 using testing::given;
 using testing::key_frames;
 using testing::module_options;
 using testing::OracleRegistrar;
-using testing::TellingPrioritizer;
 using testing::two_circles;
 using testing::with_oracle;
 
@@ -98,16 +98,16 @@ TEST_CASE("module: calls that would wait for themselves throw, the others are al
     must_throw(wait);
     read_all();
   }));
-  TellingPrioritizer::Heard heard;
-  heard.take = [&, once = false]() mutable {
+  CallbackPrioritizer::Callbacks calls;
+  calls.take = [&, once = false]() mutable {
     if (std::exchange(once, true)) return;
     must_throw(wait);
     read_all();
   };
-  heard.scan = [&, once = false](Key) mutable {  // while the module's graph is locked for the others
+  calls.scan = [&, once = false](Key) mutable {  // while the module's graph is locked for the others
     if (!std::exchange(once, true)) read_all();
   };
-  parts.prioritizers.push_back(std::make_unique<TellingPrioritizer>(heard));
+  parts.prioritizers.push_back(std::make_unique<CallbackPrioritizer>(calls));
   LoopClosureModule module(mission.robots, module_options(), callbacks, std::move(parts));
   self = &module;
   for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));

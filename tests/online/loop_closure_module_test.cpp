@@ -21,12 +21,12 @@ namespace loopwise {
 namespace {
 
 using testing::between;
+using testing::CallbackPrioritizer;
 using testing::factors;
 using testing::given;
 using testing::key_frames;
 using testing::module_options;
 using testing::OracleRegistrar;
-using testing::TellingPrioritizer;
 using testing::two_circles;
 using testing::with_oracle;
 
@@ -102,11 +102,11 @@ TEST_CASE("module: closes loops, keeps account, reports every event", "[online][
 
 TEST_CASE("module: a registrar of the user's own gets the clouds that the module keeps", "[online][module]") {
   /// Verifies pairs whose clouds are both there.
-  class Looking final : public Registrar {
+  class CloudCheckingRegistrar final : public Registrar {
    public:
-    Looking(ScanLoader scans, std::map<Key, Eigen::Isometry3d> truth)
+    CloudCheckingRegistrar(ScanLoader scans, std::map<Key, Eigen::Isometry3d> truth)
         : scans_(std::move(scans)), oracle_(std::move(truth), 0.0, 0.0) {}
-    [[nodiscard]] std::string_view name() const override { return "looking"; }
+    [[nodiscard]] std::string_view name() const override { return "cloud_checking"; }
     [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
       if (!scans_(task.candidate.from) || !scans_(task.candidate.to)) throw InputError("a cloud is missing");
       return oracle_.compute(task);
@@ -119,7 +119,7 @@ TEST_CASE("module: a registrar of the user's own gets the clouds that the module
   const Mission mission = two_circles(1, 12);
   ModuleParts parts;
   parts.registrar = [&](const ScanLoader& scans) {
-    return std::make_shared<const Looking>(scans, mission.ground_truth);
+    return std::make_shared<const CloudCheckingRegistrar>(scans, mission.ground_truth);
   };
   ModuleOptions options = module_options();
   options.engine.generation.skip_recent = 3;
@@ -275,11 +275,11 @@ TEST_CASE("module: odometry and priors give their nodes poses, in any order of a
 namespace {
 
 /// The truth for a task whose guess is within a metre of it, and no closure otherwise.
-class DoubtingRegistrar final : public Registrar {
+class GuessCheckingRegistrar final : public Registrar {
  public:
-  explicit DoubtingRegistrar(const std::map<Key, Eigen::Isometry3d>& truth)
+  explicit GuessCheckingRegistrar(const std::map<Key, Eigen::Isometry3d>& truth)
       : truth_(truth), oracle_(truth, 0.0, 0.0) {}
-  [[nodiscard]] std::string_view name() const override { return "doubting"; }
+  [[nodiscard]] std::string_view name() const override { return "guess_checking"; }
   [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
     const LoopCandidate& c = task.candidate;
     const Eigen::Isometry3d truth = truth_.at(c.from).inverse() * truth_.at(c.to);
@@ -326,7 +326,7 @@ TEST_CASE("module: pairs rejected at the former pose of a node are computed agai
       options.threads = 1;
       options.engine.generation.skip_recent = 3;
       ModuleParts parts;
-      parts.registrar = given(std::make_shared<DoubtingRegistrar>(mission.ground_truth));
+      parts.registrar = given(std::make_shared<GuessCheckingRegistrar>(mission.ground_truth));
       LoopClosureModule running(mission.robots, options, callbacks, std::move(parts));
       module = &running;
       for (KeyFrame frame : frames) {
@@ -797,12 +797,12 @@ TEST_CASE("module: a failing prioritiser is reported and does not stop the other
           "[online][module][error]") {
   const Mission mission = two_circles(1, 12);
   ModuleParts parts = with_oracle(mission);
-  TellingPrioritizer::Heard heard;
-  heard.scan = [](Key key) {
+  CallbackPrioritizer::Callbacks calls;
+  calls.scan = [](Key key) {
     if (key == make_key('a', 3)) throw std::runtime_error("no scan");
   };
-  heard.graph = [] { throw std::runtime_error("no graph"); };
-  parts.prioritizers.push_back(std::make_unique<TellingPrioritizer>(heard));
+  calls.graph = [] { throw std::runtime_error("no graph"); };
+  parts.prioritizers.push_back(std::make_unique<CallbackPrioritizer>(calls));
   LoopClosureModule module(mission.robots, module_options(), {}, std::move(parts));
   for (const KeyFrame& frame : key_frames(mission)) REQUIRE(module.add_key_frame(frame));
   REQUIRE(module.wait());
@@ -815,8 +815,8 @@ TEST_CASE("module: a failing prioritiser is reported and does not stop the other
   REQUIRE(statistics.last_problems.size() == std::min<std::size_t>(statistics.problems, 20));
   for (const std::string& problem : statistics.last_problems) {
     CAPTURE(problem);
-    const bool named = problem == "prioritisation: telling: on_graph(): no graph" ||
-                       problem == "prioritisation: telling: on_scan(): no scan";
+    const bool named = problem == "prioritisation: callback: on_graph(): no graph" ||
+                       problem == "prioritisation: callback: on_scan(): no scan";
     REQUIRE(named);
   }
 }
@@ -825,11 +825,11 @@ TEST_CASE("module: without memory it stops with one problem, and stays readable"
   const Mission mission = two_circles(1, 12);
   const std::vector<KeyFrame> frames = key_frames(mission);
   ModuleParts parts = with_oracle(mission);
-  TellingPrioritizer::Heard heard;
-  heard.scan = [&](Key key) {
+  CallbackPrioritizer::Callbacks calls;
+  calls.scan = [&](Key key) {
     if (key == frames[8].node.key) throw std::bad_alloc();
   };
-  parts.prioritizers.push_back(std::make_unique<TellingPrioritizer>(heard));
+  parts.prioritizers.push_back(std::make_unique<CallbackPrioritizer>(calls));
   std::vector<std::string> problems;
   ModuleCallbacks callbacks;
   callbacks.on_problem = [&](const std::string& text) { problems.push_back(text); };
@@ -984,21 +984,21 @@ TEST_CASE("module: a registration that hangs is reported, the others continue, a
   REQUIRE(module.add_candidates(candidates));
   const auto account = [&] { return module.statistics().candidates; };
   // On a busy machine others may be overdue too, but they return.
-  const auto told = [&] {
+  const auto is_reported = [&] {
     const std::lock_guard<std::mutex> lock(mutex);
     return std::any_of(problems.begin(), problems.end(), [](const std::string& text) {
       return (Contains("b2") && Contains("a2") && Contains("is still running")).match(text);
     });
   };
-  for (int i = 0; i < 60000 && !(account().computed == 9 && module.statistics().overdue_now == 1 && told());
-       ++i)
+  for (int i = 0;
+       i < 60000 && !(account().computed == 9 && module.statistics().overdue_now == 1 && is_reported()); ++i)
     std::this_thread::sleep_for(std::chrono::milliseconds(1));
   REQUIRE(account().computed == 9);
   REQUIRE(account().in_flight == 1);
   REQUIRE(account().balanced());
   REQUIRE(module.statistics().overdue >= 1);
   REQUIRE(module.statistics().overdue_now == 1);
-  REQUIRE(told());
+  REQUIRE(is_reported());
   if (released) {
     registrar->release();
     REQUIRE(module.wait());
@@ -1021,15 +1021,15 @@ TEST_CASE("module: a registration that hangs is reported, the others continue, a
 namespace {
 
 /// A registrar with faults: it stalls at times, rejects most pairs, and throws at times.
-class MoodyRegistrar final : public Registrar {
+class FaultyRegistrar final : public Registrar {
  public:
-  explicit MoodyRegistrar(std::atomic<std::size_t>& computed) : computed_(computed) {}
-  [[nodiscard]] std::string_view name() const override { return "moody"; }
+  explicit FaultyRegistrar(std::atomic<std::size_t>& computed) : computed_(computed) {}
+  [[nodiscard]] std::string_view name() const override { return "faulty"; }
   [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
     ++computed_;
     Rng rng(task.seed);
     if (rng.uniform() < 0.01) std::this_thread::sleep_for(std::chrono::milliseconds(2));
-    if (rng.uniform() < 0.01) throw std::runtime_error("moody");
+    if (rng.uniform() < 0.01) throw std::runtime_error("faulty");
     RegistrationResult result;
     result.candidate = task.candidate;
     if (rng.uniform() < 0.99 || !task.guess_from_to) {
@@ -1065,7 +1065,7 @@ TEST_CASE("module: four producers, ten thousand key frames, stalls: nothing is l
   ModuleCallbacks callbacks;
   callbacks.on_result = [&](const RegistrationResult&) { ++results; };
   ModuleParts parts;
-  parts.registrar = given(std::make_shared<MoodyRegistrar>(computed));
+  parts.registrar = given(std::make_shared<FaultyRegistrar>(computed));
   LoopClosureModule module(robots, options, callbacks, std::move(parts));
   const auto cloud = std::make_shared<const PointCloud>(PointCloud{{Eigen::Vector3f::UnitX()}, {}, {}});
   std::atomic<std::size_t> taken{0};
@@ -1135,7 +1135,7 @@ TEST_CASE("module: a stop at any time loses no accepted event", "[online][module
     ModuleCallbacks callbacks;
     callbacks.on_result = [&](const RegistrationResult&) { ++results; };
     ModuleParts parts;
-    parts.registrar = given(std::make_shared<MoodyRegistrar>(computed));
+    parts.registrar = given(std::make_shared<FaultyRegistrar>(computed));
     LoopClosureModule module(mission.robots, options, callbacks, std::move(parts));
     std::vector<std::thread> producers;
     for (std::size_t p = 0; p < 2; ++p) {

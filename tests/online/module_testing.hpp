@@ -53,28 +53,28 @@ namespace loopwise::testing {
 }
 
 /// Reports its calls to functions of the test, and fails if they throw.
-class TellingPrioritizer final : public Prioritizer {
+class CallbackPrioritizer final : public Prioritizer {
  public:
-  struct Heard {
+  struct Callbacks {
     std::function<void(Key)> scan = [](Key) {};
     std::function<void()> graph = [] {}, take = [] {};
   };
-  explicit TellingPrioritizer(Heard heard) : heard_(std::move(heard)) {}
-  [[nodiscard]] std::string_view name() const override { return "telling"; }
+  explicit CallbackPrioritizer(Callbacks calls) : callbacks_(std::move(calls)) {}
+  [[nodiscard]] std::string_view name() const override { return "callback"; }
   std::vector<Refusal> add(const std::vector<LoopCandidate>& candidates) override {
     return arrival_.add(candidates);
   }
   void remove(const std::vector<CandidateId>& ids) override { arrival_.remove(ids); }
-  void on_scan(const KeyedScan& scan) override { heard_.scan(scan.key); }
-  void on_graph(const PoseGraph&) override { heard_.graph(); }
+  void on_scan(const KeyedScan& scan) override { callbacks_.scan(scan.key); }
+  void on_graph(const PoseGraph&) override { callbacks_.graph(); }
   [[nodiscard]] std::vector<LoopCandidate> take(std::size_t count) override {
-    heard_.take();
+    callbacks_.take();
     return arrival_.take(count);
   }
   [[nodiscard]] std::size_t size() const override { return arrival_.size(); }
 
  private:
-  const Heard heard_;
+  const Callbacks callbacks_;
   ArrivalPrioritizer arrival_;
 };
 

@@ -324,7 +324,7 @@ TEST_CASE("certify: priors", "[optimization][certificate]") {
     REQUIRE(same.cost == Approx(c.cost).epsilon(1e-7));
     REQUIRE(testing::difference(same.poses[5], c.poses[4]) < 1e-6);
   }
-  SECTION("firm ones cost digits of the bound, which is said") {
+  SECTION("firm ones cost digits of the bound, which is reported") {
     for (const double sigma : {1e-3, 1e-5, 1e-8}) {
       PoseGraph held = plain;
       for (const std::size_t i : {0u, 29u})

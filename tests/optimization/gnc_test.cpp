@@ -395,16 +395,16 @@ TEST_CASE("gnc: closures that all agree are kept where odometry is worse than it
     GncOptions gnc;
     gnc.second_start = true;
     gnc.odometry_margin = 1.0;
-    const GncResult trusting = optimize_gnc(graph, options, gnc);
-    lost += trusting.inliers >= kRight ? 0 : kRight - trusting.inliers;
+    const GncResult without_margin = optimize_gnc(graph, options, gnc);
+    lost += without_margin.inliers >= kRight ? 0 : kRight - without_margin.inliers;
     gnc.odometry_margin = 3.0;
-    const GncResult doubting = optimize_gnc(graph, options, gnc);
-    CAPTURE(trusting.inliers);
-    REQUIRE(doubting.inliers >= kRight - 3);  // measured at least 58
-    for (std::size_t e = doubting.weights.size() - kRandom; e < doubting.weights.size(); ++e) {
-      REQUIRE(doubting.weights[e] == 0.0);
+    const GncResult with_margin = optimize_gnc(graph, options, gnc);
+    CAPTURE(without_margin.inliers);
+    REQUIRE(with_margin.inliers >= kRight - 3);  // measured at least 58
+    for (std::size_t e = with_margin.weights.size() - kRandom; e < with_margin.weights.size(); ++e) {
+      REQUIRE(with_margin.weights[e] == 0.0);
     }
-    REQUIRE(doubting.truncated_cost <= trusting.truncated_cost);
+    REQUIRE(with_margin.truncated_cost <= without_margin.truncated_cost);
   }
   CAPTURE(lost);
   REQUIRE(lost > 300);  // measured all 600

@@ -144,12 +144,12 @@ TEST_CASE("odometry scale: right closures that stated odometry contradicts stay"
   for (std::uint64_t seed = 41; seed <= 46; ++seed) {
     CAPTURE(seed);
     const Team robots = team(seed, {1.0, 2.5, 2.5}, 60);
-    const GncResult trusting = solve(robots, 1.0), doubting = solve(robots, 3.0);
-    CHECK(trusting.odometry_scales.empty());
-    lost_before += trusting.outliers;
-    lost += doubting.outliers;
-    error_before += mean_error(trusting, robots);
-    error += mean_error(doubting, robots);
+    const GncResult without_margin = solve(robots, 1.0), with_margin = solve(robots, 3.0);
+    CHECK(without_margin.odometry_scales.empty());
+    lost_before += without_margin.outliers;
+    lost += with_margin.outliers;
+    error_before += mean_error(without_margin, robots);
+    error += mean_error(with_margin, robots);
   }
   CAPTURE(lost_before, lost, error_before, error);
   CHECK(lost * 5 < lost_before);

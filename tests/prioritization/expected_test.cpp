@@ -222,7 +222,7 @@ TEST_CASE("expected: predictions and results are kept for the calibration", "[pr
 }
 
 TEST_CASE("expected: results of other prioritisers count too", "[prioritization][expected]") {
-  const auto share_of_first_half = [](bool told) {
+  const auto share_of_first_half = [](bool use_results) {
     ExpectedOptions options;
     options.gain_exponent = 0.0;
     ExpectedPrioritizer expected(options, {}, parse_robots("a,b"), {}, 3);
@@ -235,7 +235,7 @@ TEST_CASE("expected: results of other prioritisers count too", "[prioritization]
     }
     expected.remove(others);
     for (const CandidateId id : others) {
-      if (told) expected.on_result(result_of(all[id], index_of(all[id].from) < kNodes / 2));
+      if (use_results) expected.on_result(result_of(all[id], index_of(all[id].from) < kNodes / 2));
     }
     expected.on_graph(two_streets());
     std::size_t first_half = 0;

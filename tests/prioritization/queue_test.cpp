@@ -34,9 +34,9 @@ std::vector<CandidateId> ids(const std::vector<LoopCandidate>& all) {
 }
 
 /// Wants the candidates that `keep` selects, highest id first.
-class Picky final : public Prioritizer {
+class SelectivePrioritizer final : public Prioritizer {
  public:
-  Picky(std::string name, std::function<bool(CandidateId)> keep)
+  SelectivePrioritizer(std::string name, std::function<bool(CandidateId)> keep)
       : name_(std::move(name)), keep_(std::move(keep)) {}
   std::string_view name() const override { return name_; }
   std::vector<Refusal> add(const std::vector<LoopCandidate>& all) override {
@@ -67,8 +67,8 @@ RoundRobinQueue queue_of(std::unique_ptr<P>... prioritizers) {
   return RoundRobinQueue(std::move(all));
 }
 
-std::unique_ptr<Picky> picky(const std::string& name, std::function<bool(CandidateId)> keep) {
-  return std::make_unique<Picky>(name, std::move(keep));
+std::unique_ptr<SelectivePrioritizer> picky(const std::string& name, std::function<bool(CandidateId)> keep) {
+  return std::make_unique<SelectivePrioritizer>(name, std::move(keep));
 }
 
 }  // namespace
@@ -111,7 +111,7 @@ TEST_CASE("queue: a failing prioritiser does not affect the others", "[prioritiz
   struct Counting final : Prioritizer {
     explicit Counting(bool all_fail) : fails(all_fail) {}
     void count() {
-      ++told;
+      ++calls;
       if (fails) throw std::runtime_error("failed");
     }
     std::string_view name() const override { return "counting"; }
@@ -123,7 +123,7 @@ TEST_CASE("queue: a failing prioritiser does not affect the others", "[prioritiz
     std::vector<LoopCandidate> take(std::size_t) override { return {}; }
     std::size_t size() const override { return 0; }
     const bool fails;
-    int told = 0;
+    int calls = 0;
   };
   auto first = std::make_unique<Counting>(true), second = std::make_unique<Counting>(false);
   const Counting& other = *second;
@@ -132,7 +132,7 @@ TEST_CASE("queue: a failing prioritiser does not affect the others", "[prioritiz
   REQUIRE_THROWS_AS(queue.on_scan(KeyedScan{}), std::runtime_error);
   REQUIRE_THROWS_AS(queue.on_result(RegistrationResult{}), std::runtime_error);
   REQUIRE_THROWS_AS(queue.remove({1}), std::runtime_error);
-  REQUIRE(other.told == 4);
+  REQUIRE(other.calls == 4);
 }
 
 TEST_CASE("queue: improvements count even if another prioritiser fails", "[prioritization][queue]") {

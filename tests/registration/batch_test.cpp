@@ -99,8 +99,8 @@ TEST_CASE("compute_or_fail: every exception becomes a result with its message", 
 
 TEST_CASE("compute_or_fail: the result has the candidate of the task, not that of the registrar",
           "[batch][error]") {
-  struct Forgetful final : Registrar {
-    [[nodiscard]] std::string_view name() const override { return "forgetful"; }
+  struct ResultWithoutCandidate final : Registrar {
+    [[nodiscard]] std::string_view name() const override { return "without_candidate"; }
     [[nodiscard]] RegistrationResult compute(const RegistrationTask&) const override {
       RegistrationResult result;
       result.reason = RejectionReason::kLowOverlap;
@@ -110,7 +110,7 @@ TEST_CASE("compute_or_fail: the result has the candidate of the task, not that o
   RegistrationTask task = pair_task(5, 3, 1);
   task.candidate.id = 9;
   task.candidate.source = CandidateSource::kUser;
-  const RegistrationResult result = compute_or_fail(Forgetful(), task);
+  const RegistrationResult result = compute_or_fail(ResultWithoutCandidate(), task);
   REQUIRE(result.candidate.id == 9);
   REQUIRE(result.candidate.from == 5);
   REQUIRE(result.candidate.to == 3);

@@ -144,10 +144,10 @@ TEST_CASE("live replay: registrations are kept if the back end fails", "[replay]
   REQUIRE_FALSE(result.computed.empty());
   REQUIRE(result.computed.size() == result.accounting.computed);
   REQUIRE(result.graph.nodes().size() == mission.graph.nodes().size());
-  bool told = false;
+  bool reported = false;
   for (const Problem& problem : result.problems.all())
-    told = told || Contains("the back end failed").match(problem.example);
-  REQUIRE(told);
+    reported = reported || Contains("the back end failed").match(problem.example);
+  REQUIRE(reported);
   for (const Eigen::Isometry3d& pose : result.graph.poses()) REQUIRE(pose.matrix().allFinite());
 }
 

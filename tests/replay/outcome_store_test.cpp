@@ -455,9 +455,9 @@ TEST_CASE("outcome store: outcomes that failed because of a file, memory or time
   const Mission mission = two_circles();
   const TemporaryFolder folder;
   const std::vector<RegistrationTask> tasks = tasks_of(mission, 1);
-  class Unlucky final : public Registrar {
+  class FailingRegistrar final : public Registrar {
    public:
-    std::string_view name() const override { return "unlucky"; }
+    std::string_view name() const override { return "failing"; }
     RegistrationResult compute(const RegistrationTask& task) const override {
       RegistrationResult result;
       result.candidate = task.candidate;
@@ -468,13 +468,13 @@ TEST_CASE("outcome store: outcomes that failed because of a file, memory or time
                                          RejectionReason::kTimeLimit, RejectionReason::kLowOverlap};
     mutable std::size_t calls = 0;
   };
-  const auto unlucky = std::make_shared<Unlucky>();
+  const auto failing = std::make_shared<FailingRegistrar>();
   for (int run = 0; run < 6; ++run) {
-    const StoredRegistrar store = stored(mission, unlucky, folder.path());
-    const RejectionReason expected = unlucky->reasons.at(std::min(run, 3));
+    const StoredRegistrar store = stored(mission, failing, folder.path());
+    const RejectionReason expected = failing->reasons.at(std::min(run, 3));
     REQUIRE(store.compute(tasks[0]).reason == expected);
   }
-  REQUIRE(unlucky->calls == 4);
+  REQUIRE(failing->calls == 4);
 }
 
 TEST_CASE("outcome store: a replay is the same with it, without it, and again",

@@ -407,10 +407,10 @@ TEST_CASE("replay: a run that continues from outcomes equals an uninterrupted on
 TEST_CASE("replay: an outcome of the same pair from another guess is computed again",
           "[replay][replay][resume]") {
   /// What it gives depends on the guess, as registrations do in the last digits.
-  class Guessing final : public Registrar {
+  class GuessDependentRegistrar final : public Registrar {
    public:
-    explicit Guessing(const Mission& mission) : oracle_(mission.ground_truth) {}
-    std::string_view name() const override { return "guessing"; }
+    explicit GuessDependentRegistrar(const Mission& mission) : oracle_(mission.ground_truth) {}
+    std::string_view name() const override { return "guess_dependent"; }
     RegistrationResult compute(const RegistrationTask& task) const override {
       RegistrationResult result = oracle_.compute(task);
       if (result.closure) result.closure->T_from_to.translation() += 1e-3 * task.guess_from_to->translation();
@@ -422,7 +422,7 @@ TEST_CASE("replay: an outcome of the same pair from another guess is computed ag
   };
   const Mission mission = two_circles();
   const ReplayOptions config = fast_config("obs");
-  const auto registrar = std::make_shared<Guessing>(mission);
+  const auto registrar = std::make_shared<GuessDependentRegistrar>(mission);
   const Recorded whole = run_replay(mission, config, 1, {}, registrar);
   const Recorded other = run_replay(mission, fast_config("random"), 1, {}, registrar);
   const auto known_of = [](const Recorded& run) {

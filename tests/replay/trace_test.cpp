@@ -36,10 +36,10 @@ bool same(const PoseGraph& a, const PoseGraph& b) {
 }
 
 /// Now and then slow, now and then without a closure.
-class UnevenRegistrar final : public Registrar {
+class VariableRegistrar final : public Registrar {
  public:
-  explicit UnevenRegistrar(std::map<Key, Eigen::Isometry3d> truth) : oracle_(std::move(truth)) {}
-  [[nodiscard]] std::string_view name() const override { return "uneven"; }
+  explicit VariableRegistrar(std::map<Key, Eigen::Isometry3d> truth) : oracle_(std::move(truth)) {}
+  [[nodiscard]] std::string_view name() const override { return "variable"; }
   [[nodiscard]] RegistrationResult compute(const RegistrationTask& task) const override {
     Rng rng(task.seed);
     if (rng.uniform() < 0.05) std::this_thread::sleep_for(std::chrono::milliseconds(1));
@@ -146,7 +146,7 @@ TEST_CASE("trace: a recorded run of the module is repeated to the bit", "[replay
     std::ofstream file(path);
     TraceWriter trace(mission.robots, options, [&](const std::string& line) { file << line << "\n"; });
     ModuleParts parts;
-    parts.registrar = given(std::make_shared<UnevenRegistrar>(mission.ground_truth));
+    parts.registrar = given(std::make_shared<VariableRegistrar>(mission.ground_truth));
     parts.on_event = [&](const HandledEvent& handled) { trace.add(handled); };
     LoopClosureModule module(mission.robots, options, callbacks, std::move(parts));
     std::vector<std::thread> producers;

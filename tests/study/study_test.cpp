@@ -35,12 +35,12 @@ StudyOptions small_study(const TemporaryFolder& folder, const std::string& name)
   return options;
 }
 
-struct Heard {
+struct RecordedHooks {
   std::vector<std::string> notes;
   std::size_t progress = 0, computed = 0;
   StudyHooks hooks;
 
-  Heard() {
+  RecordedHooks() {
     hooks.note = [this](const std::string& text) { notes.push_back(text); };
     hooks.progress = [this](const Progress&) { ++progress; };
     hooks.outcomes = [this](const OutcomeStoreStatistics& s) { computed = s.computed; };
@@ -58,7 +58,7 @@ TEST_CASE("study: a function returns its tables, and uses finished runs again", 
   const StudyOptions options = small_study(folder, "ablation");
   AblationOptions wanted;
   wanted.methods = {"baseline", "random"};
-  Heard first;
+  RecordedHooks first;
   const auto report = ablation(options, wanted, first.hooks);
   REQUIRE(report);
   REQUIRE(lines_of(report->csv) == 1 + 2);
@@ -70,7 +70,7 @@ TEST_CASE("study: a function returns its tables, and uses finished runs again", 
   CHECK(first.computed > 0);
   REQUIRE(testing::fs::exists(options.folder / "ablation_timings.csv"));
 
-  Heard again;
+  RecordedHooks again;
   const auto same = ablation(options, wanted, again.hooks);
   REQUIRE(same);
   REQUIRE(same->json == report->json);
@@ -92,10 +92,10 @@ TEST_CASE("study: budget and rssi as functions", "[study]") {
 
   RssiOptions robots;
   robots.methods = {"baseline"};
-  Heard heard;
+  RecordedHooks recorded;
   std::vector<std::string> warnings;
-  heard.hooks.warn = [&](const std::string& text) { warnings.push_back(text); };
-  const auto table = rssi(small_study(folder, "rssi"), robots, heard.hooks);
+  recorded.hooks.warn = [&](const std::string& text) { warnings.push_back(text); };
+  const auto table = rssi(small_study(folder, "rssi"), robots, recorded.hooks);
   REQUIRE(table);
   REQUIRE(lines_of(table->csv) == 1 + 2 * 2);  // two robots by odometry and by the method
   REQUIRE(warnings.size() == 1);
@@ -107,11 +107,11 @@ TEST_CASE("study: a stopped study returns no tables; errors name the bad option"
   const StudyOptions options = small_study(folder, "stopped");
   StopSource stop;
   stop.request_stop();
-  Heard heard;
-  heard.hooks.stop = stop.token();
-  REQUIRE_FALSE(ablation(options, {}, heard.hooks));
-  REQUIRE(heard.notes.size() == 1);
-  CHECK_THAT(heard.notes.front(), Contains("interrupted: 0 of 5 runs are kept"));
+  RecordedHooks recorded;
+  recorded.hooks.stop = stop.token();
+  REQUIRE_FALSE(ablation(options, {}, recorded.hooks));
+  REQUIRE(recorded.notes.size() == 1);
+  CHECK_THAT(recorded.notes.front(), Contains("interrupted: 0 of 5 runs are kept"));
 
   AblationOptions twice;
   twice.methods = {"full", "gi+obs"};

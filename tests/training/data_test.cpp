@@ -211,9 +211,9 @@ TEST_CASE("judge: exact ways are below the others", "[train]") {
   options.sets = 12;
   options.evaluations = 400;
   options.swaps = 20;
-  const std::vector<Judgement> judged = judge(small_record("walk", 4), {}, options);
+  const std::vector<Judgement> judgements = judge(small_record("walk", 4), {}, options);
   std::map<std::string, double> mean;
-  for (const Judgement& j : judged) {
+  for (const Judgement& j : judgements) {
     REQUIRE(j.chosen > 0.0);
     REQUIRE(j.chosen <= 1.0);
     mean[j.method] += j.chosen;
@@ -225,7 +225,7 @@ TEST_CASE("judge: exact ways are below the others", "[train]") {
   }
   REQUIRE(mean.at("exact annealing") <= mean.at("random"));
   REQUIRE(mean.at("exact greedy") <= mean.at("separated"));
-  const JudgementTables tables = summarize(judged);
+  const JudgementTables tables = summarize(judgements);
   REQUIRE_THAT(tables.markdown, Contains("exact annealing"));
   REQUIRE(parse_json(tables.json, "tables").size() == 5);
 }

@@ -38,12 +38,12 @@ TEST_CASE("loopwise-train: from data to a judgement", "[train][program]") {
   fs::rename(run + "/checkpoint.cbor", folder / "aside");
   REQUIRE(run_program({"fit", data, "-o", run, "--epochs", "2", "--resume"}).status == 2);
   fs::rename(folder / "aside", run + "/checkpoint.cbor");
-  const ProgramRun judged =
+  const ProgramRun judge_run =
       run_program({"evaluate", data, run + "/weights.json", "--quiet", "--set", "judge.set_sizes=3", "--set",
                    "judge.sets=5", "--set", "judge.evaluations=150", "--set", "judge.swaps=10"});
-  CAPTURE(judged.err);
-  REQUIRE(judged.status == 0);
-  REQUIRE_THAT(judged.out, Contains("| 3 | weights |"));
+  CAPTURE(judge_run.err);
+  REQUIRE(judge_run.status == 0);
+  REQUIRE_THAT(judge_run.out, Contains("| 3 | weights |"));
   // What was trained with is not tested.
   const ProgramRun other = run_program({"evaluate", data, run + "/weights.json", "--split-seed", "2"});
   if (other.status != 0) {
