@@ -19,7 +19,7 @@ namespace loopwise {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-/// A fit to many samples needs no prior, but for terms that no sample has.
+/// A fit to many samples needs no prior, except for terms that no sample has.
 constexpr double kFitStrength = 1.0;
 
 using Evidence = std::map<std::pair<Key, Key>, CandidateEvidence>;
@@ -69,7 +69,7 @@ class RecordingPrioritizer final : public Prioritizer {
   std::unordered_map<Key, ScanSignature> signatures_;
 };
 
-/// The samples that an outcome is of, with their outcomes.
+/// The samples to which an outcome applies, with their outcomes.
 std::vector<std::pair<CandidateEvidence, bool>> labelled(const AcceptanceSamples& mission,
                                                          AcceptanceOutcome outcome) {
   std::vector<std::pair<CandidateEvidence, bool>> out;
@@ -97,7 +97,7 @@ AcceptanceModel fitted(const std::vector<std::pair<CandidateEvidence, bool>>& sa
   return model;
 }
 
-/// Where the other missions allow no fit.
+/// The score if the other missions allow no fit.
 AcceptanceScore unscored(const AcceptanceSamples& mission, AcceptanceOutcome outcome) {
   AcceptanceScore score;
   score.mission = mission.mission;
@@ -192,7 +192,7 @@ double roc_auc(const std::vector<double>& scores, const std::vector<bool>& posit
   std::vector<std::size_t> order(scores.size());
   std::iota(order.begin(), order.end(), std::size_t{0});
   std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return scores[a] < scores[b]; });
-  // Mann–Whitney: ranks of the positive ones, ties at their mean.
+  // Mann–Whitney: ranks of the positive samples; equal scores get their mean rank.
   double rank_sum = 0.0, count = 0.0;
   for (std::size_t begin = 0; begin < order.size();) {
     std::size_t end = begin;

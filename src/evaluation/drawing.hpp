@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What the pictures from above share: the page, its scale, text that is safe in an SVG.
+/// Common parts of the pictures from above: the page, its scale, text that is safe in an SVG.
 #pragma once
 
 #include <algorithm>
@@ -16,7 +16,7 @@ namespace loopwise::drawing {
 
 inline constexpr double kWidth = 1000.0;  // of the drawing, pixels
 inline constexpr double kMargin = 40.0;
-/// Okabe and Ito's colours, which readers with any colour vision tell apart.
+/// Okabe and Ito's colours, which readers with any colour vision can distinguish.
 inline constexpr std::array<const char*, 6> kRobotColours{"#0072b2", "#d55e00", "#009e73",
                                                           "#cc79a7", "#e69f00", "#56b4e9"};
 
@@ -25,7 +25,7 @@ inline constexpr std::array<const char*, 6> kRobotColours{"#0072b2", "#d55e00", 
   return kRobotColours[robot % kRobotColours.size()];
 }
 
-/// Where the world's x and y lie on the page.
+/// Maps the world's x and y to the page.
 class Page {
  public:
   explicit Page(const std::vector<Eigen::Vector2d>& points) {
@@ -48,7 +48,8 @@ class Page {
   double top_ = 0.0, scale_ = 1.0, height_ = 0.0;
 };
 
-/// Appends formatted numbers. Text from outside goes through escaped() and +=, as it may be of any length.
+/// Appends formatted numbers. Text from outside goes through escaped() and +=, because it may have any
+/// length.
 template <class... Values>
 void put(std::string& out, const char* format, Values... values) {
   std::array<char, 512> text{};

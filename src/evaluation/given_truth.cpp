@@ -18,14 +18,14 @@ namespace loopwise {
 namespace {
 
 constexpr double kSameStamp_s = 0.02;  // as evaluate_trajectory() of two files
-constexpr double kStart_m = 10.0;      // odometry is good so far
+constexpr double kStart_m = 10.0;      // odometry is accurate up to this path length
 constexpr double kSameAngle_rad = 2.0 * 0.017453292519943295;
 constexpr double kBaseline_m = 5.0;    // well above the noise of a pose
 constexpr double kBodyMismatch = 0.5;  // of a displacement: 29 degrees
 
 using NodesByKey = std::map<Key, const Node*>;
 
-/// The robots that own key frames, with these.
+/// The robots that own key frames, with their key frames.
 std::map<std::size_t, NodesByKey> nodes_by_robot(const Mission& mission) {
   std::map<std::size_t, NodesByKey> robots;
   for (const Node& node : mission.graph.nodes()) {
@@ -39,7 +39,7 @@ struct TruthFile {
   std::optional<std::size_t> robot;
 };
 
-/// "ROBOT=PATH" or a path, which may hold '=' itself.
+/// "ROBOT=PATH" or a path, which may contain '=' itself.
 TruthFile parse_file(const Mission& mission, const std::string& text) {
   const std::size_t at = text.find('=');
   if (at == std::string::npos || std::filesystem::exists(text)) return {text, std::nullopt};
@@ -143,10 +143,10 @@ PosesByKey read_truth_file(const TruthFile& file, Mission& mission, const Missio
   return by_stamp(file, truth, nodes, options.truth_max_time_difference_s);
 }
 
-/// What the beginning of a robot's path says of the frame of the truth.
+/// Whether the truth has the frame of the nodes, by the beginning of a robot's path.
 enum class Frame { kSame, kOther, kUnknown };
 
-/// Positions are compared one by one, orientations in their mean: those of a truth may be noisy.
+/// Compares positions one by one, and the mean of the orientations, because those of a truth may be noisy.
 Frame frame_of(const NodesByKey& nodes, const PosesByKey& truth) {
   const Node* last = nullptr;
   double path_m = 0.0;
@@ -169,7 +169,7 @@ Frame frame_of(const NodesByKey& nodes, const PosesByKey& truth) {
   return angle_rad > kSameAngle_rad ? Frame::kOther : Frame::kSame;
 }
 
-/// Whether the truth begins where the nodes do, of each robot of which it knows the beginning.
+/// Whether the truth begins at the nodes, for each robot whose beginning it has.
 bool begins_with_nodes(Mission& mission, const PosesByKey& truth) {
   bool some_same = false, some_other = false;
   std::vector<std::string> unknown;
@@ -191,9 +191,9 @@ bool begins_with_nodes(Mission& mission, const PosesByKey& truth) {
   return same;
 }
 
-/// How far the displacements that the bodies see differ between truth and nodes, by their length: the median
-/// over pairs that are a baseline apart. Neither the frame nor slow drift changes it. Nothing if no path is
-/// long enough.
+/// Difference of the displacements in the body frame between truth and nodes, relative to their length: the
+/// median over pairs that are a baseline apart. Neither the frame nor slow drift changes it. Empty if no path
+/// is long enough.
 std::optional<double> body_mismatch(const Mission& mission, const PosesByKey& truth) {
   std::vector<double> mismatches;
   for (const auto& [robot, nodes] : nodes_by_robot(mission)) {
@@ -231,7 +231,7 @@ void require_own_stamps(const Mission& mission, const std::string& file, const M
   };
   if (options.start_together && mission.kind == MissionKind::kJoined)
     refuse("those of the mission were moved (--start-together): join without it");
-  // A bag leaves the stamp at 0, which pairs with nothing.
+  // In a bag the stamp is 0, which matches no pose.
   const bool is_bag = mission.kind == MissionKind::kBags || mission.kind == MissionKind::kLampZip;
   for (const Problem& problem : mission.problems.all()) {
     const bool invented =
@@ -263,7 +263,7 @@ void set_truth(Mission& mission, const std::vector<std::string>& files, const Mi
   mission.truth_is_aligned = !begins_with_nodes(mission, truth);
   if (mission.truth_is_aligned) {
     mission.problems.add("truth in another frame",
-                         names + ": laid on the mission, errors are those after alignment");
+                         names + ": aligned to the nodes, so errors are those after alignment");
     const Eigen::Isometry3d T = align(truth, poses_by_key(mission.graph), Alignment::kSe3).T_truth_estimate;
     for (auto& [key, pose] : truth) pose = se3::normalized(T * pose);
   }

@@ -26,7 +26,7 @@ struct VerifiedClosure {
   double weight = 0.0;
 };
 
-/// Nothing if the file is absent or lacks a column.
+/// Empty if the file is missing or lacks a column.
 std::optional<std::vector<VerifiedClosure>> read_verified(const fs::path& file) {
   if (!fs::exists(file)) return std::nullopt;
   const std::vector<std::string> names = csv_header(file);
@@ -57,7 +57,7 @@ bool is_null_at(const Json& summary, const char* name) {
   return !summary.contains(name) || summary[name].is_null();
 }
 
-/// What a reader of sessions noted, and no other.
+/// Whether a reader of sessions noted the problem, and no other reader.
 bool is_of_session(const Json& summary) {
   if (!summary.contains("problems") || !summary["problems"].is_array()) return false;
   return std::any_of(summary["problems"].begin(), summary["problems"].end(), [](const Json& problem) {
@@ -66,7 +66,7 @@ bool is_of_session(const Json& summary) {
   });
 }
 
-/// From the folder's files. Nothing if it lacks one.
+/// From the folder's files. Empty if one is missing.
 std::optional<RunEvaluation> evaluate_folder(const fs::path& folder, const Mission& mission) {
   const auto closures = read_verified(folder / "closures.csv");
   if (!closures || !fs::exists(folder / "graph.g2o")) return std::nullopt;
@@ -94,7 +94,7 @@ std::optional<RunEvaluation> evaluate_folder(const fs::path& folder, const Missi
   return evaluation;
 }
 
-/// Whether two summaries say the same of the errors, but for the digits that the run's files keep.
+/// Whether two summaries have the same errors, up to the digits that the run's files store.
 bool is_judged_alike(const Json& a, const Json& b) {
   const auto number = [](const Json& summary, const char* section,
                          const char* name) -> std::optional<double> {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Runs judged after they ended, from what their folders hold. Private to evaluation.
+/// Evaluates runs after their end, from the files in their folders. Private to evaluation.
 #pragma once
 
 #include <filesystem>
@@ -12,13 +12,13 @@
 
 namespace loopwise {
 
-/// Judges a run by its mission, if that has a truth which the run did not know, or another one; null if no
-/// mission is given. Runs of before references took a session's own optimised poses for the truth: what they
-/// call errors become differences. \returns whether `summary` says other things of errors than it did
+/// Evaluates a run with its mission, if that has a truth that the run did not have, or another one; null if
+/// no mission is given. Old runs, from before references existed, used a session's own optimised poses as the
+/// truth: their errors become differences. \returns whether the errors in `summary` have changed
 bool judge_run(const std::filesystem::path& folder, const Mission* mission, Json& summary,
                std::vector<std::string>& notes);
 
-/// Whether a column of history.csv is of what the run took for the truth.
+/// Whether a column of history.csv depends on the poses that the run used as the truth.
 [[nodiscard]] bool is_judgement(const std::string& column);
 
 }  // namespace loopwise

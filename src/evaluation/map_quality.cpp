@@ -54,7 +54,7 @@ double share_where_registered(const Mission& mission, const std::vector<ProvenRe
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
-/// Where a map puts the older node of a revisit, seen from the newer one.
+/// The pose of the older node of a revisit in the frame of the newer one, by a map.
 std::optional<Eigen::Isometry3d> T_from_to(const PosesByKey& poses, const ProvenRevisit& revisit) {
   const auto from = poses.find(revisit.from), to = poses.find(revisit.to);
   if (from == poses.end() || to == poses.end()) return std::nullopt;
@@ -95,7 +95,7 @@ void compare_thickness(MapQuality& quality, const Mission& mission, const PosesB
       compare_paired(quality.thickness_after.each_m, quality.thickness_before.each_m, groups);
 }
 
-/// How the registrations judge pairs that the estimate alone puts near each other.
+/// Results of registering pairs that the estimate alone puts near each other.
 void judge_near_pairs(MapQuality& quality, const Mission& mission, const PosesByKey& after,
                       const Revisits& pairs, const std::vector<ProvenRevisit>& proven) {
   const auto between_robots = [&](Key a, Key b) { return mission.robots.of(a) != mission.robots.of(b); };
@@ -119,7 +119,7 @@ Json json_of(const Displacement& d) {
 Json json_of(const NearPairs& near) {
   return {{"pairs", near.pairs}, {"proven", near.proven}, {"median_m", number(near.median_m)}};
 }
-/// Without enough independent revisits nothing is known of it.
+/// Without enough independent revisits the quality is unknown.
 Json interval_json(const MapQuality& quality, const Interval& interval) {
   const bool enough = quality.enough();
   return {enough ? number(interval.low) : Json(), enough ? number(interval.high) : Json()};

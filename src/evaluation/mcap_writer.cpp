@@ -31,7 +31,7 @@ std::string record(std::uint8_t opcode, const std::string& content) {
   return bytes.text();
 }
 
-/// A map of numbers with its length in bytes before it.
+/// A map of numbers, preceded by its length in bytes.
 std::string map_text(const std::map<std::uint16_t, std::uint64_t>& map) {
   McapBytes entries;
   for (const auto& [key, value] : map) entries.number(key).number(value);

@@ -12,7 +12,7 @@
 
 namespace loopwise {
 
-/// Appends numbers in little-endian order and strings with their lengths, as MCAP has them.
+/// Appends numbers in little-endian order and strings with their lengths, as MCAP stores them.
 class McapBytes {
  public:
   template <class T>
@@ -59,7 +59,7 @@ class McapWriter {
  private:
   struct ChunkIndex {
     std::uint64_t begin_ns, end_ns, offset, length, index_length, size;
-    std::map<std::uint16_t, std::uint64_t> indexes;  // by channel: where its message index lies
+    std::map<std::uint16_t, std::uint64_t> indexes;  // by channel: offset of its message index
   };
 
   void write(const std::string& bytes);

@@ -17,7 +17,7 @@ constexpr double kRow = 22.0;  // of the legend
 /// One robot's nodes in the order of their keys.
 using Path = std::vector<std::pair<Key, Eigen::Vector2d>>;
 
-/// By odometry, or where `known` has the nodes if it is given.
+/// By odometry, or by `known` if it is given.
 std::vector<Path> paths(const Mission& mission, const PosesByKey* known) {
   std::vector<Path> result(mission.robots.size());
   for (const Node& node : mission.graph.nodes()) {

@@ -46,7 +46,7 @@ namespace {
 /// Places of a candidate's nodes, the newer first.
 using Pair = std::pair<std::size_t, std::size_t>;
 
-/// A candidate as the truth and its scans have it.
+/// Properties of a candidate by the truth and by its scans.
 struct Seen {
   bool valid = false;
   bool near = false;
@@ -65,7 +65,7 @@ std::vector<const Node*> by_arrival(const Mission& mission) {
   return nodes;
 }
 
-/// A uniform sample of all candidates (Vitter's algorithm R), which are counted.
+/// A uniform sample of all candidates (Vitter's algorithm R), and their number.
 std::vector<Pair> draw_pairs(const Mission& mission, const std::vector<const Node*>& nodes,
                              const CandidateStatisticsOptions& options, std::uint64_t& candidates) {
   std::vector<std::size_t> robot(nodes.size());
@@ -102,13 +102,13 @@ Seen look_at(const Mission& mission, Key from, Key to, const CandidateStatistics
     source = mission.scans->load(from);
     target = mission.scans->load(to);
   } catch (const Error&) {
-    return {};  // the store keeps it among its problems
+    return {};  // the store has counted the problem
   }
   if (!source || !target || source->empty() || target->empty()) return {};
   const Eigen::Isometry3d relative = truth_to->second.inverse() * truth_from->second;
   const Eigen::Isometry3f T_to_from = relative.cast<float>();
   const KdTree tree(target->points);
-  // A share is known well enough from some points of a whole sweep.
+  // Some points of a sweep are enough to estimate the share.
   constexpr std::size_t kMostQueries = 2000;
   const std::size_t stride = 1 + (source->size() - 1) / kMostQueries;
   std::size_t shared = 0, queries = 0;

@@ -55,7 +55,7 @@ std::shared_ptr<const PointCloud> scan_of(const ScanStore& scans, Key key) {
   try {
     return scans.load(key);
   } catch (const Error&) {
-    return nullptr;  // the store keeps it among its problems
+    return nullptr;  // the store has counted the problem
   }
 }
 
@@ -75,7 +75,7 @@ std::vector<SharedPlane> shared_planes(const PointCloud& from, const PointCloud&
   }
   for (const Eigen::Vector3f& p : to.points) {
     if (!(p.norm() < kFar_m)) continue;
-    // Other cells can have no plane.
+    // Other cells have too few points for a plane.
     const auto cell = cells.find(cell_of(T_from_to * p.cast<double>()));
     if (cell != cells.end()) cell->second.second.push_back(p.cast<double>());
   }

@@ -45,11 +45,11 @@ constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
 
 // One run.
 
-/// What a mission adds to its runs, made once.
+/// Data that a mission adds to its runs, computed once.
 struct MissionView {
   const Mission* mission = nullptr;
   bool used = false;
-  std::map<Key, double> observability;  ///< λ_min by the largest of all, for nodes with a scan.
+  std::map<Key, double> observability;  ///< λ_min divided by the largest, for nodes with a scan.
 };
 
 std::map<Key, double> observability_of(const Mission& mission, const FeatureOptions& options,
@@ -81,7 +81,7 @@ std::map<Key, double> observability_of(const Mission& mission, const FeatureOpti
   return scores;
 }
 
-/// a - b, of which the integers may not hold the difference.
+/// a - b; the integers may be too small for the difference.
 double difference_ns(std::int64_t a, std::int64_t b) {
   const auto x = static_cast<std::uint64_t>(a), y = static_cast<std::uint64_t>(b);
   return a >= b ? static_cast<double>(x - y) : -static_cast<double>(y - x);
@@ -101,13 +101,13 @@ class RunReader {
   [[nodiscard]] const std::string& mission_name() const { return mission_name_; }
   [[nodiscard]] const Json& summary() const { return summary_; }
 
-  /// Judges the run by the mission where that knows more than the run did.
+  /// Evaluates the run with the mission if this has data that the run did not have.
   void judge(const Mission* mission) { is_judged_anew_ = judge_run(folder_, mission, summary_, notes_); }
 
   void note(const std::string& text) { notes_.push_back(text); }
   [[nodiscard]] const std::vector<std::string>& notes() const { return notes_; }
 
-  /// A section of the options that the run had; defaults where it has none that this version knows.
+  /// A section of the run's options; defaults if this version does not know them.
   template <class Options>
   [[nodiscard]] Options section(const char* name) const {
     Options options;
@@ -167,7 +167,7 @@ class RunReader {
  private:
   [[nodiscard]] bool has_journal() const { return fs::exists(folder_ / "journal.jsonl"); }
 
-  /// Read when it is first asked for.
+  /// Read on the first call.
   [[nodiscard]] const RunJournal& journal() {
     if (!journal_) journal_ = read_run_journal(folder_ / "journal.jsonl");
     return *journal_;
@@ -295,7 +295,7 @@ class RunReader {
     const Eigen::Vector3f shift = (map.origin - origin).cast<float>();
     for (Eigen::Vector3f& p : map.points) p += shift;
     std::vector<std::size_t> chosen = drawn(map.size(), options_.map_points, combine_seeds(options_.seed, 1));
-    // A few far points would cost all others their resolution.
+    // A few far points would reduce the resolution of all others.
     Eigen::Vector3d low = Eigen::Vector3d::Zero(), high = Eigen::Vector3d::Zero();
     for (int axis = 0; axis < 3 && !chosen.empty(); ++axis) {
       std::vector<double> values;
@@ -340,7 +340,7 @@ class RunReader {
       const auto nearest = tree.nearest(p);
       robot.push_back(nearest ? owner[nearest->index] : std::uint8_t{0});
       const double score = nearest ? scores[nearest->index] : kNan;
-      observability.push_back(  // 255: not known
+      observability.push_back(  // 255: unknown
           std::isfinite(score) ? static_cast<std::uint8_t>(std::lround(254.0 * std::clamp(score, 0.0, 1.0)))
                                : std::uint8_t{255});
     }
@@ -355,7 +355,7 @@ class RunReader {
 
   using Pairs = std::vector<std::pair<Key, Key>>;
 
-  /// Pairs of which a node is not in the graph are not drawn.
+  /// Pairs with a node that is not in the graph are not drawn.
   [[nodiscard]] Json pair_layer(const Pairs& pairs, const std::map<Key, std::uint32_t>& place,
                                 std::uint64_t stream) const {
     Pairs known;

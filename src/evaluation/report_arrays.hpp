@@ -33,7 +33,7 @@ inline std::string base64(const unsigned char* bytes, std::size_t count) {
   return text;
 }
 
-/// Little-endian, as every browser's typed arrays in practice.
+/// Little-endian, like the typed arrays of all common browsers.
 template <class T>
 std::string base64(const std::vector<T>& values) {
   static_assert(std::is_arithmetic_v<T>, "numbers");
@@ -50,7 +50,7 @@ std::string base64(const std::vector<T>& values) {
   return base64(bytes.data(), bytes.size());
 }
 
-/// Positions of at most `limit` of `total` items, ascending, every set of them as likely (Knuth's algorithm
+/// Positions of at most `limit` of `total` items, ascending; all sets are equally likely (Knuth's algorithm
 /// S).
 inline std::vector<std::size_t> drawn(std::size_t total, std::int64_t limit, std::uint64_t seed) {
   const auto most = std::min(total, static_cast<std::size_t>(limit));

@@ -27,7 +27,7 @@ std::string report_page(std::string_view data) {
   const std::size_t at = page.find(kMark);
   std::string out(page.substr(0, at));
   out.reserve(page.size() + data.size() + data.size() / 16);
-  // In JSON '<' stands in strings alone: as an escape it can end no element and begin no comment.
+  // In JSON '<' occurs only in strings. As an escape it cannot end an element or begin a comment.
   for (const char c : data) {
     if (c == '<') {
       out += "\\u003c";
@@ -42,7 +42,7 @@ std::string report_page(std::string_view data) {
 Report write_report(const std::filesystem::path& file, const std::vector<std::filesystem::path>& folders,
                     const std::vector<Mission>& missions, const ReportOptions& options, ThreadPool& threads,
                     const ProgressCallback& progress) {
-  if (!report_pages_built()) static_cast<void>(report_page("{}"));  // says why before the work
+  if (!report_pages_built()) static_cast<void>(report_page("{}"));  // throws before the work
   Report report = make_report(folders, missions, options, threads, progress);
   write_file(file, report_page(report.data));
   return report;

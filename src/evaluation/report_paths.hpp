@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The robots' paths of a run, and what runs are called.
+/// The robots' paths of a run, and the names of runs.
 #pragma once
 
 #include <cstdint>
@@ -22,12 +22,12 @@ struct RobotPath {
   std::vector<Eigen::Isometry3d> odometry;
 };
 
-/// The trajectories name robots and hold stamps, the graph holds keys: a robot's file is the one that goes
-/// through the positions of the next keys in order. Keys that no file goes through belong to the robot of
-/// their character.
+/// The trajectories have names of robots and stamps, the graph has keys: the file of a robot is the one with
+/// the positions of the next keys in order. Keys whose positions are in no file belong to the robot of their
+/// character.
 [[nodiscard]] std::vector<RobotPath> robot_paths(const std::filesystem::path& folder, const PoseGraph& graph);
 
-/// The shortest tails of the paths that differ: "a/run" and "b/run" keep both words.
+/// The shortest ends of the paths that are different: "a/run" and "b/run" keep both parts.
 [[nodiscard]] std::vector<std::string> labels_of(const std::vector<std::filesystem::path>& folders);
 
 }  // namespace loopwise

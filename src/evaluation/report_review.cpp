@@ -22,13 +22,13 @@ constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
 constexpr std::int64_t kScanPoints = 600;
 constexpr double kDegreesPerRadian = 180.0 / 3.14159265358979323846;
 
-/// A closure with how far the estimate moves it.
+/// A closure and its displacement by the estimate.
 struct Item {
   ReviewedClosure closure;
   double off_m = 0.0, off_rad = 0.0;
 };
 
-/// As far as the ends of a 10 m lever move: one figure for translation and rotation.
+/// Displacement of the ends of a 10 m lever: one number for translation and rotation.
 double disagreement(const Item& item) {
   constexpr double kLever_m = 10.0;
   return item.off_m + kLever_m * item.off_rad;
@@ -42,7 +42,7 @@ Json matrix_json(const Eigen::Isometry3d& T) {
   return numbers;
 }
 
-/// NaN is no JSON.
+/// JSON has no NaN.
 Json number_json(double value) {
   return std::isfinite(value) ? Json(value) : Json(nullptr);
 }
@@ -81,7 +81,7 @@ class Scans {
           run_.mission.scans->has(key) ? run_.mission.scans->load(key) : nullptr;
       if (!cloud || cloud->empty()) return false;
       json_[name] = scan_json(*cloud, combine_seeds(seed_, key));
-    } catch (const Error&) {  // the store counts it
+    } catch (const Error&) {  // the store has counted the problem
       return false;
     }
     return true;

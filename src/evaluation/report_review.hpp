@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Closures of a run for a person to look at: both scans, laid on each other in three ways.
+/// Closures of a run for a person to look at: both scans, aligned in three ways.
 #pragma once
 
 #include <cstddef>
@@ -16,7 +16,7 @@
 
 namespace loopwise {
 
-/// A verified closure as closures.csv has it. Figures may be NaN.
+/// A verified closure of closures.csv. Numbers may be NaN.
 struct ReviewedClosure {
   Key from = 0, to = 0;
   Eigen::Isometry3d T_from_to = Eigen::Isometry3d::Identity();
@@ -25,18 +25,18 @@ struct ReviewedClosure {
   double time_s = 0.0;
 };
 
-/// What a review needs to know of the run.
+/// Input of a review.
 struct ReviewedRun {
   const PoseGraph& graph;                            ///< At the last estimate.
-  const std::map<Key, Eigen::Isometry3d>& odometry;  ///< Of the nodes where it is known.
+  const std::map<Key, Eigen::Isometry3d>& odometry;  ///< Of the nodes with known odometry.
   const std::map<Key, std::uint32_t>& place;         ///< Number of each node that the page shows.
   const Mission& mission;                            ///< With the scans.
 };
 
-/// The closures to look at first: those that the back end has left out, then those that the estimate moves
-/// most. Each has the relative pose by odometry, by the registration and by the estimate as 3x4 matrices, row
-/// by row, in the frame of `from`; scans are points in the body frame, quantised to 16 bits.
-/// Null if no closure is left whose nodes and scans are there.
+/// The closures to review first: those that the back end has excluded, then those with the largest
+/// displacement by the estimate. Each has the relative pose by odometry, by the registration and by the
+/// estimate as 3x4 matrices, row by row, in the frame of `from`; scans are points in the body frame,
+/// quantised to 16 bits. Null if there is no closure with nodes and scans.
 [[nodiscard]] Json review_json(std::vector<ReviewedClosure> closures, const ReviewedRun& run,
                                const ReportOptions& options);
 

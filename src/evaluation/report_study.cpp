@@ -41,7 +41,7 @@ std::vector<std::string> csv_header(const fs::path& path) {
   std::string name;
   for (const char c : line + ",") {
     if (c == ',') {
-      try {  // names become keys of an object, and two that differ in such bytes alone would be one there
+      try {  // names become keys of an object, where two that differ only in such bytes would be equal
         static_cast<void>(Json(name).dump());
       } catch (const Json::type_error&) {
         throw ParseError(path.string(), 1, "the name of a column is not UTF-8");
@@ -59,11 +59,11 @@ namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
-/// Says of what kind a run of a study is: runs that differ in mission and seed alone are repetitions.
+/// Columns of the kind of a run: runs that differ only in mission and seed are repetitions.
 const std::vector<std::string> kVariant{"world",   "method", "registration_time_s", "refused_time_share",
                                         "workers", "thin",   "after_mission",       "truth_alignment"};
 
-/// What tables and units of earlier versions, which lack them, have in columns of kVariant.
+/// Values for columns of kVariant that tables and units of earlier versions lack.
 Json former(const std::string& name) {
   if (name == "refused_time_share") return 1.0;
   if (name == "truth_alignment") return "none";
@@ -77,7 +77,7 @@ struct StudyMoment {
 
 /// A run of a study over time.
 struct StudyCurve {
-  Json run = Json::object();  ///< The columns of runs.csv that say which it is, as far as known.
+  Json run = Json::object();  ///< The columns of runs.csv that identify it, as far as known.
   std::vector<StudyMoment> moments;
 };
 
@@ -96,7 +96,7 @@ std::vector<StudyCurve> read_curves(const fs::path& path) {
       about.push_back(column(name));
   }
   const std::size_t end = column("mission_end_s"), time = column("time_s");
-  // The rows of a run stand together, in order of time. Missions of one name are distinguished by that alone.
+  // The rows of a run are consecutive, in order of time. Only this distinguishes missions of one name.
   std::vector<std::string> last;
   double last_time_s = 0.0;
   std::vector<StudyCurve> curves;
@@ -119,7 +119,7 @@ std::vector<StudyCurve> read_curves(const fs::path& path) {
   return curves;
 }
 
-/// From what a study keeps of each run. A file that is not what this version writes is passed over.
+/// From the files that a study keeps for each run. Files of another format are skipped.
 std::vector<StudyCurve> read_units(const fs::path& folder) {
   std::vector<fs::path> paths;
   if (fs::is_directory(folder)) {
@@ -236,8 +236,8 @@ Json rows_of(const fs::path& path, std::vector<std::string>& names) {
   return rows;
 }
 
-/// Of the units in the folder, which may be of other studies or of earlier options, those that the rows are
-/// of: the same run with the same error, each once.
+/// The units that belong to the rows: the same run with the same error, each once. The folder may also have
+/// units of other studies or of earlier options.
 std::vector<StudyCurve> units_of(const Json& rows, const fs::path& folder) {
   const auto which = [](const Json& row) {
     Json key = Json::array();
@@ -260,7 +260,7 @@ std::vector<StudyCurve> units_of(const Json& rows, const fs::path& folder) {
   return curves;
 }
 
-/// Where each run ended.
+/// The end of each run.
 Json rows_of(const std::vector<StudyCurve>& curves, std::vector<std::string>& names) {
   Json rows = Json::array();
   for (const StudyCurve& curve : curves) {

@@ -6,7 +6,8 @@
 namespace loopwise::ros2 {
 namespace {
 
-/// Common Data Representation: each number stands at a multiple of its size, counted after the first 4 bytes.
+/// Common Data Representation: each number is at a multiple of its size, counted from the end of the first 4
+/// bytes.
 class Cdr {
  public:
   template <class T>
@@ -50,7 +51,7 @@ constexpr const char* kPoint = "float64 x\nfloat64 y\nfloat64 z\n";
 constexpr const char* kQuaternion = "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n";
 constexpr const char* kPose = "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n";
 
-/// A type within another, as definitions of bags have it.
+/// A type within another, in the format of definitions in bags.
 std::string part(const std::string& name, const std::string& definition) {
   return std::string(80, '=') + "\nMSG: " + name + "\n" + definition;
 }

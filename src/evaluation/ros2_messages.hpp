@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The ROS 2 messages that a run is shown with: their CDR bytes (little-endian, XCDR1) and definitions.
+/// The ROS 2 messages that show a run: their CDR bytes (little-endian, XCDR1) and definitions.
 #pragma once
 
 #include <array>
@@ -20,7 +20,7 @@ struct Header {
   std::string frame;
 };
 
-/// A type's name as MCAP has it, and its definition with those of all types within.
+/// A type's name in the format of MCAP, and its definition with those of all types within.
 struct MessageType {
   const char* name;
   std::string definition;

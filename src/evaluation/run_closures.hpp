@@ -12,7 +12,7 @@
 
 namespace loopwise {
 
-/// A candidate that was computed. Figures that are not known are NaN.
+/// A candidate that was computed. Unknown numbers are NaN.
 struct RunClosure {
   Key from = 0, to = 0;
   bool verified = false;

@@ -41,7 +41,8 @@ Json robots_json(const TrajectoryErrors& odometry, const TrajectoryErrors& optim
   Json robots = Json::object();
   const auto put = [&robots](const char* which, const TrajectoryErrors& errors) {
     for (const RobotErrors& robot : errors.robots) {
-      if (!robots.contains(robot.name)) robots[robot.name] = Json::object();  // not from null by indexing
+      // A null must not become an object by indexing.
+      if (!robots.contains(robot.name)) robots[robot.name] = Json::object();
       Json& entry = robots[robot.name];
       entry["poses"] = robot.poses;
       entry["path_length_m"] = robot.path_length_m;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What summary.json says of errors, differences and residuals: by a replay, and again by a report that knows
-/// a truth which the replay did not. Private to evaluation.
+/// Errors, differences and residuals in summary.json. A replay writes them, and a report with a truth that
+/// the replay did not have writes them again. Private to evaluation.
 #pragma once
 
 #include <vector>
@@ -11,7 +11,7 @@
 
 namespace loopwise {
 
-/// Fills in all of an evaluation but `closures`. \param kept closures that the back end kept
+/// Sets all fields of an evaluation except `closures`. \param kept closures that the back end kept
 void judge_poses(const Mission& mission, const PosesByKey& optimized, const PosesByKey& odometry,
                  const std::vector<LoopClosure>& kept, RunEvaluation& evaluation);
 

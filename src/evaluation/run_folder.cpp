@@ -42,7 +42,7 @@ std::vector<double> weights_of(const ReplayResult& result) {
   return weights;
 }
 
-/// Shortest text that reads back to the same bits; "nan" where there is no figure.
+/// Shortest text that reads back to the same bits; "nan" for NaN.
 std::string figure(double value) {
   if (std::isnan(value)) return "nan";
   char text[32];
@@ -166,7 +166,7 @@ Eigen::Vector3d map_origin(const PoseGraph& graph) {
 
 StitchedMap stitch_map(const PoseGraph& graph, const ScanStore& scans, double voxel_m, const StopToken& stop,
                        const ProgressCallback& progress, double max_range_m) {
-  // Thinned again whenever it has doubled: the memory stays near that of the final map.
+  // Thinned again each time its size has doubled: the memory stays near that of the final map.
   constexpr std::size_t kSmall = 1000000;
   StitchedMap out;
   PointCloud& map = out.cloud;
@@ -178,7 +178,7 @@ StitchedMap stitch_map(const PoseGraph& graph, const ScanStore& scans, double vo
     try {
       scan = scans.load(node.key);
     } catch (const Error&) {
-      continue;  // the store counts it among its problems
+      continue;  // the store has counted the problem
     }
     if (!scan) continue;
     const PointCloud near = within_range(*scan, max_range_m);

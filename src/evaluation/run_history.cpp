@@ -7,7 +7,7 @@
 namespace loopwise {
 namespace {
 
-/// Rows in between, where no batch ends for this long.
+/// Longest time without a row, s.
 constexpr double kInterval = 10.0;
 
 }  // namespace
@@ -45,7 +45,7 @@ void RunHistory::add(const ReplayMoment& moment) {
 
   std::size_t known = 0;
   double estimate_m = 0.0, odometry_m = 0.0;
-  // One in another frame says nothing of the estimate of a moment.
+  // A truth in another frame is of no use for the estimate of a moment.
   for (std::size_t i = 0; i < moment.graph.nodes().size() && !mission_.truth_is_aligned; ++i) {
     const auto truth = mission_.ground_truth.find(moment.graph.nodes()[i].key);
     if (truth == mission_.ground_truth.end()) continue;

@@ -13,7 +13,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// The word that a line gives first, which is the event; lines are long, and most are of no interest here.
+/// The first value of a line, which is the event. Lines are long, and most are not needed here.
 std::string event_name(const std::string& line) {
   const std::size_t colon = line.find(":\"");
   if (colon == std::string::npos) return {};
@@ -21,7 +21,7 @@ std::string event_name(const std::string& line) {
   return end == std::string::npos ? std::string() : line.substr(begin, end - begin);
 }
 
-/// 0 where there is no count of that name.
+/// 0 if there is no count of that name.
 std::uint64_t count(const Json& in, const char* name) {
   const auto found = in.find(name);
   return found != in.end() && found->is_number_unsigned() ? found->get<std::uint64_t>() : 0;

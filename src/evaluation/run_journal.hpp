@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// What a report takes from a run's journal.
+/// The parts of a run's journal that a report uses.
 #pragma once
 
 #include <cstdint>
@@ -25,8 +25,8 @@ struct RunJournal {
   std::vector<std::pair<Key, Key>> candidates;  ///< Those that were selected, batch by batch.
 };
 
-/// Lines that are no events, as a killed run may leave at its end, are passed over. `name` is for messages.
-/// \throws ParseError for a batch whose keys are none, IoError
+/// Lines that are not events, such as the last one of a killed run, are skipped. `name` is for messages.
+/// \throws ParseError for a batch with invalid keys, IoError
 [[nodiscard]] RunJournal parse_run_journal(std::istream& in, const std::string& name);
 
 /// \throws IoError, ParseError

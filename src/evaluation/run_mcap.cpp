@@ -30,7 +30,7 @@ namespace fs = std::filesystem;
 
 constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
 
-/// A file that appears whole under its name, or not at all.
+/// A file that gets its name only when it is complete.
 class WholeFile {
  public:
   explicit WholeFile(fs::path path)
@@ -59,10 +59,10 @@ class WholeFile {
   bool is_done_ = false;
 };
 
-/// What happens at a time: a key frame of a robot, or a closure.
+/// An event: a key frame of a robot, or a closure.
 struct Moment {
   std::int64_t time_ns;
-  std::size_t robot;  // of closures: behind the last robot
+  std::size_t robot;  // of closures: the number of robots
   std::size_t index;
   bool operator<(const Moment& other) const {
     return std::tie(time_ns, robot, index) < std::tie(other.time_ns, other.robot, other.index);
@@ -192,7 +192,7 @@ class RunRecording {
     std::shared_ptr<const PointCloud> cloud;
     try {
       if (mission_.scans->has(key)) cloud = mission_.scans->load(key);
-    } catch (const Error&) {  // the store has the reason
+    } catch (const Error&) {  // the store has counted the problem
     }
     if (!cloud) {
       ++missing_scans_;

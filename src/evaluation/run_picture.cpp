@@ -46,10 +46,10 @@ std::vector<Eigen::Vector2d> thinned(const PointCloud& map, const Page& page) {
 
 using Paths = std::vector<std::map<Key, Eigen::Vector2d>>;  // by robot
 
-/// What the picture shows of poses, seen from above.
+/// The poses of the picture, seen from above.
 struct Ways {
   Paths optimized, odometry, truth, reference;
-  std::vector<Eigen::Vector2d> extent;  ///< Of what robots' paths and the map cover.
+  std::vector<Eigen::Vector2d> extent;  ///< Bounds of the robots' paths and the map.
 };
 
 Ways ways_of(const Mission& mission, const ReplayResult& result, const PointCloud& map) {
@@ -71,7 +71,7 @@ Ways ways_of(const Mission& mission, const ReplayResult& result, const PointClou
       ways.reference[robot][key] = flat(known->second);
     }
   }
-  // The map's middle 99 %: a few far points must not shrink all else.
+  // The middle 99 % of the map, so that a few far points do not shrink the rest.
   for (const int axis : {0, 1}) {
     std::vector<float> values;
     for (const Eigen::Vector3f& p : map.points) values.push_back(p[axis]);

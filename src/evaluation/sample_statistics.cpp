@@ -61,7 +61,7 @@ Interval bootstrap(const std::vector<std::vector<double>>& groups, const Bootstr
   return {sorted_quantile(of_resamples, tail), sorted_quantile(of_resamples, 1.0 - tail)};
 }
 
-/// Each value a group of its own.
+/// One group for each value.
 std::vector<std::vector<double>> singles(const std::vector<double>& values) {
   std::vector<std::vector<double>> groups;
   groups.reserve(values.size());

@@ -42,18 +42,19 @@ std::vector<PathNode> path_nodes(const Mission& mission, const PosesByKey& poses
   return nodes;
 }
 
-/// Path between two nodes, m: that of their robot, or of both from their starts, which share a frame. Poses
-/// over a short path say nothing of a map, so neither do robots side by side at the start.
+/// Path between two nodes, m: along the path of their robot, or along both paths from their starts, which
+/// share a frame. Nodes with a short path between them are no evidence on a map, and neither are robots side
+/// by side at the start.
 double loop_m(const PathNode& a, const PathNode& b) {
   return a.robot == b.robot ? std::abs(a.along_m - b.along_m) : a.along_m + b.along_m;
 }
 
-/// How far apart two nodes of a revisit may be.
+/// Maximum distance of two nodes of a revisit.
 double reach_m(const SurfaceAgreementOptions& options, double loop_m) {
   return std::max(options.reach_m, std::min(options.reach_m + options.drift * loop_m, options.reach_most_m));
 }
 
-/// Nodes in cells that are as large as the reach.
+/// Nodes in cells of the size of the reach.
 class NearNodes {
  public:
   NearNodes(const std::vector<PathNode>& nodes, double reach_m) : nodes_(nodes), reach_m_(reach_m) {
@@ -101,7 +102,8 @@ bool is_revisit(const PathNode& a, const PathNode& b, const SurfaceAgreementOpti
   return loop >= options.apart_m && (a.position - b.position).norm() <= reach_m(options, loop);
 }
 
-/// Of the pairs that `is_wanted` accepts those in the middle of as many equal stretches as options.pairs.
+/// Selects options.pairs of the pairs that `is_wanted` accepts, evenly: the middle one of each of as many
+/// equal parts.
 template <class IsWanted>
 Revisits drawn_pairs(const std::vector<PathNode>& nodes, const SurfaceAgreementOptions& options,
                      IsWanted&& is_wanted) {
@@ -153,7 +155,7 @@ Surface surface_of(const ScanStore& scans, Key key) {
   try {
     surface.cloud = scans.load(key);
   } catch (const Error&) {
-    // The store keeps it among its problems.
+    // The store has counted the problem.
   }
   if (surface.cloud && surface.cloud->empty()) surface.cloud = nullptr;
   if (surface.cloud) surface.tree = KdTree(surface.cloud->points);

@@ -14,7 +14,7 @@ namespace {
 
 constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
-/// A node that both trajectories hold.
+/// A node that is in both trajectories.
 struct Pair {
   Key key;
   Eigen::Isometry3d estimate;
@@ -25,7 +25,7 @@ void check_pose(const char* which, Key key, const Eigen::Isometry3d& pose) {
   const std::string name =
       std::string(which) + ": the pose of key " + std::to_string(key) + " (" + key_name(key) + ")";
   if (!pose.matrix().allFinite()) throw InputError(name + " is not finite");
-  // Poses of text files with few digits pass; scaled or mirrored ones do not.
+  // Accepts poses of text files with few digits; rejects scaled or mirrored ones.
   if (se3::rotation_defect(pose.linear()) > 1e-3) throw InputError(name + " has no rotation");
 }
 
@@ -45,7 +45,7 @@ std::vector<Pair> common_poses(const PosesByKey& estimate, const PosesByKey& tru
   return pairs;
 }
 
-/// The rotation R that maximises tr(R M), M with singular values given in falling order.
+/// The rotation R that maximises tr(R M), M by its singular values in descending order.
 Eigen::Matrix3d best_rotation(const Eigen::JacobiSVD<Eigen::Matrix3d>& svd) {
   Eigen::Vector3d signs(1.0, 1.0, 1.0);
   if (svd.matrixU().determinant() * svd.matrixV().determinant() < 0.0) signs.z() = -1.0;
@@ -82,13 +82,13 @@ AlignmentResult align_pairs(const std::vector<Pair>& pairs, Alignment alignment)
   const Eigen::JacobiSVD<Eigen::Matrix3d> svd(positions, Eigen::ComputeFullU | Eigen::ComputeFullV);
   const Eigen::Vector3d spread = svd.singularValues();
 
-  // A single direction of more than rounding: on a line 100 m long, a few millimetres across are already a
-  // plane.
+  // Below this share, the spread across a line is rounding. On a line 100 m long, a few millimetres across
+  // already determine a plane.
   constexpr double kLineBelow = 1e-9;
   constexpr double kPointBelow = 1e-12;
   const double scale = estimate_mean.squaredNorm() + truth_mean.squaredNorm();
-  // Errors larger than the path is wide say nothing about the rotation about it: best_rotation() would fit
-  // noise.
+  // Errors larger than the width of the path do not determine the rotation about it: best_rotation() would
+  // fit noise.
   const auto is_line_within_errors = [&] {
     const double residual = x2 + y2 - 2.0 * (best_rotation(svd) * positions).trace();
     return spread[1] + spread[2] < residual;
@@ -117,7 +117,7 @@ AlignmentResult align_pairs(const std::vector<Pair>& pairs, Alignment alignment)
   return out;
 }
 
-/// Errors and path lengths of pairs of nodes on one robot's way, as they are met.
+/// Errors and path lengths of pairs of nodes on one robot's path, in order.
 struct RelativeSamples {
   std::vector<double> translation_m, rotation_rad, length_m;
 
@@ -134,7 +134,7 @@ struct RelativeSamples {
   }
 };
 
-/// Mean of errors[k] / lengths[k] over the lengths ≥ shortest; NaN if there are none.
+/// Mean of errors[k] / lengths[k] over the lengths ≥ shortest; NaN without any.
 double mean_ratio(const std::vector<double>& errors, const std::vector<double>& lengths, double shortest) {
   double sum = 0.0;
   std::size_t count = 0;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// The paper's Table I over worlds and seeds, and what the order of computation is worth.
+// The paper's Table I over worlds and seeds, and the value of the order of computation.
 #include <algorithm>
 #include <functional>
 #include <limits>
@@ -22,10 +22,10 @@ namespace loopwise::study {
 namespace {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
-/// The rows of odometry alone, which needs no run of its own.
+/// Name of the rows of odometry alone, which need no run of their own.
 constexpr const char* kOdometry = "odom";
 
-/// A figure of one run, by what it is called in tables and files.
+/// A figure of one run, with its names in tables and files.
 struct Column {
   std::string name;  ///< In CSV and JSON.
   std::string title;
@@ -118,7 +118,7 @@ class Figures {
     }
   }
 
-  /// Of each of these missions, all seeds.
+  /// All seeds of each of these missions.
   [[nodiscard]] std::vector<std::vector<double>> grouped(const std::string& method, const std::string& column,
                                                          const std::vector<std::size_t>& missions) const {
     std::vector<std::vector<double>> groups;
@@ -137,7 +137,7 @@ class Figures {
     }
     return all;
   }
-  /// One value a mission, the mean over its seeds: missions are what is independent.
+  /// One value for each mission, the mean over its seeds: only missions are independent.
   [[nodiscard]] std::vector<double> by_mission(const std::string& method, const std::string& column,
                                                std::size_t missions) const {
     std::vector<double> all;
@@ -167,11 +167,11 @@ std::string runs_csv(const Study& study, const std::vector<StudyUnit>& units,
   return csv.text();
 }
 
-/// What the tables are made of, and the two forms that they take.
+/// The data of the tables, and their two formats.
 struct Tables {
   std::vector<Column> columns;
   Figures figures;
-  std::vector<std::string> methods;  ///< Odometry alone first, unless it is asked for in another place.
+  std::vector<std::string> methods;  ///< Odometry alone is first, unless another place is requested.
   std::vector<World> worlds;
   std::size_t missions;
   Json json;
@@ -211,7 +211,7 @@ void add_world(Tables& t, const World& world) {
   t.text += "\n## " + describe(world) + "\n\n" + markdown_table(rows);
 }
 
-/// What the figures of maps are, and for how many runs they say nothing.
+/// Explains the figures of maps, and counts the runs without such figures.
 std::string map_text(const std::vector<UnitResult>& results) {
   const auto weak = std::count_if(results.begin(), results.end(), [](const UnitResult& result) {
     const Json quality = result.summary.value("map_quality", Json());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// Errors against what may be computed: on larger computers, later in the mission, and after it until
+// Errors against the amount of computation: on larger computers, later in the mission, and after it until
 // everything is computed.
 #include <algorithm>
 #include <limits>
@@ -23,11 +23,11 @@ constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 /// Moments after the mission, in units of its duration.
 constexpr double kAfter[] = {1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0};
 
-/// What a unit is within the study.
+/// The role of a unit in the study.
 struct Role {
   std::string method;
   std::int64_t workers = 0;
-  bool everything = false;  ///< Goes on after the mission until nothing is pending.
+  bool everything = false;  ///< Continues after the mission until nothing is pending.
   bool operator<(const Role& other) const {
     return std::tie(everything, workers, method) < std::tie(other.everything, other.workers, other.method);
   }
@@ -120,8 +120,8 @@ class Budget {
     if (thin_ > 1 && !goes_on())
       throw OptionError(
           "--thin thins what is computed after the mission, which --everything none leaves out");
-    // The everything-run comes after the mission in any case: the computer decides how soon, not what it
-    // finds.
+    // The run that computes everything ends after the mission in any case. The computer determines its
+    // duration, not its results.
     const std::int64_t configured = study.config().replay.cost.workers;
     const bool has_usual =
         std::find(wanted.workers.begin(), wanted.workers.end(), configured) != wanted.workers.end();
@@ -152,7 +152,7 @@ class Budget {
     return units;
   }
 
-  /// Of what units() gave. `results` must outlive this object.
+  /// The results of units(). `results` must outlive this object.
   [[nodiscard]] StudyReport report(const std::vector<StudyUnit>& units,
                                    const std::vector<UnitResult>& results) {
     for (std::size_t i = 0; i < units.size(); ++i) {
@@ -267,7 +267,7 @@ void Budget::add_end(const World& world, Json& of_world) {
   text_ += markdown_table(rows);
 }
 
-/// Over time: within the mission every way, after it the run that goes on.
+/// Over time: within the mission every way of computing, after it the run that continues.
 void Budget::add_during(const World& world, Json& of_world) {
   std::vector<std::vector<std::string>> rows{{"share of the mission", "odometry"}};
   for (const Role& role : roles_) {

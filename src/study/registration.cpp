@@ -15,8 +15,8 @@
 namespace loopwise::study {
 namespace {
 
-/// Share of the source's points with a point of the target within 0.5 m under T_to_from. Both as the
-/// registrars have them: downsampled, the target with the neighbours that they would merge.
+/// Share of the source's points with a point of the target within 0.5 m under T_to_from. Both are as in
+/// the registrars: downsampled, the target with the neighbours that they would merge.
 double true_overlap(FeatureCache& features, const RegistrationTask& task,
                     const Eigen::Isometry3d& T_to_from) {
   const auto source = features.get(task.candidate.from);
@@ -38,7 +38,7 @@ double true_overlap(FeatureCache& features, const RegistrationTask& task,
   return static_cast<double>(near) / static_cast<double>(source->cloud.size());
 }
 
-/// Pairs with what registrars are given of them.
+/// Pairs with the input of the registrars.
 struct Sample {
   std::vector<StudyPair> pairs;
   std::vector<RegistrationTask> tasks;

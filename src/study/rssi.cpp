@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-// The paper's Table II: each robot's errors by odometry, with closures at radio beacons alone, and with all.
+// The paper's Table II: each robot's errors by odometry, with closures at radio beacons only, and with all.
 #include <algorithm>
 #include <map>
 #include <optional>

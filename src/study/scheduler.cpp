@@ -26,7 +26,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Missions while units need them: read by the first, let go after the last.
+/// Missions while units need them: the first unit reads them, the last one releases them.
 class LoadedMissions {
  public:
   LoadedMissions(const std::vector<StudyMission>& missions, const Config& config,
@@ -120,7 +120,7 @@ std::vector<std::uint64_t> Study::seeds() const {
   return seeds;
 }
 
-/// What is left to compute, and where it goes.
+/// The units to compute, and the destination of their results.
 struct Study::Open {
   const std::vector<StudyUnit>& units;
   const std::vector<std::size_t>& numbers;  ///< Of the units that are not finished, mission by mission.
@@ -138,7 +138,7 @@ void Study::run_here(const Open& open, const StopToken& stop) {
   LoadedMissions loaded(missions_, config(), open.store);
   for (const std::size_t i : open.numbers) loaded.expect(open.units[i].mission);
   std::mutex mutex;                       // of all below
-  std::map<std::size_t, Problems> flaws;  // of each mission's scans, by now
+  std::map<std::size_t, Problems> flaws;  // of each mission's scans, so far
   std::size_t next = 0, done = open.units.size() - open.numbers.size();
   std::exception_ptr failure;
   StopSource failed;
@@ -183,7 +183,7 @@ void Study::run_here(const Open& open, const StopToken& stop) {
   const int count = std::min(resolve_threads(options_.threads), static_cast<int>(open.numbers.size()));
   try {
     for (int t = 1; t < count; ++t) threads.emplace_back(work);
-  } catch (const std::exception& error) {  // those that there are do all
+  } catch (const std::exception& error) {  // the existing threads do all
     const std::lock_guard<std::mutex> lock(mutex);
     warn(std::string("no more threads: ") + error.what());
   }
@@ -213,7 +213,7 @@ void Study::run_on_ranks(const Open& open, const StopToken& stop) {
   }
   WorkOptions limits;
   limits.time_limit_s = options_.rank_time_limit_s;
-  limits.ahead = 1;  // a rank that waits for a moment costs less than a run that waits for a rank
+  limits.ahead = 1;  // a rank that waits briefly costs less than a run that waits for a rank
   WorkServer server(*options_.job, greeting(open.units), limits);
   std::mutex mutex;  // of all below
   std::map<std::size_t, std::shared_ptr<const LoadedMission>> loaded;
@@ -255,7 +255,7 @@ void Study::serve(const std::vector<StudyUnit>& units, const StopToken& stop) {
   std::pair<std::size_t, std::shared_ptr<const LoadedMission>> last;
   std::shared_ptr<OutcomeStore> store;
   serve_work(*options_.job, greeting(units), [&](std::string_view request) {
-    // Not before: it lies in the folder that rank 0 looks at first.
+    // Only now, because it is in the folder that rank 0 checks first.
     if (!store) store = open_outcomes();
     const std::size_t i = std::stoul(std::string(request));
     const StudyUnit& unit = units.at(i);
@@ -299,9 +299,9 @@ std::optional<std::vector<UnitResult>> Study::run(const std::vector<StudyUnit>& 
     serve(units, stop);
     return std::nullopt;
   }
-  // Other ranks wait for their end, also where all is finished.
+  // Other ranks wait for their end, even if all units are finished.
   if (!open.empty() || options_.job != nullptr) {
-    // Missions one after the other: no more than needed are in memory, and units of one share its pairs.
+    // One mission after the other: memory holds only the needed ones, and units of a mission share its pairs.
     std::stable_sort(open.begin(), open.end(),
                      [&](std::size_t a, std::size_t b) { return units[a].mission < units[b].mission; });
     const Open work{units, open, files, results, open_outcomes()};

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The units of a study in parallel, on threads or on the ranks of a job, kept one by one so that a study
-/// that was ended goes on.
+/// The units of a study in parallel, on threads or on the ranks of a job, stored one by one so that an
+/// interrupted study can continue.
 #pragma once
 
 #include <cstdint>
@@ -26,15 +26,15 @@ class Study {
 
   [[nodiscard]] const std::vector<StudyMission>& missions() const { return missions_; }
   [[nodiscard]] const Config& config() const { return options_.config; }
-  /// Of the replays: that of the configuration and those after it.
+  /// Of the replays: the seed of the configuration and the following ones.
   [[nodiscard]] std::vector<std::uint64_t> seeds() const;
 
   void warn(const std::string& text) const;
 
-  /// The results of all units, in their order, computed on StudyOptions::threads threads unless they are
-  /// there. A unit runs on one thread; its result depends neither on their number nor on what else runs.
-  /// Nothing if interrupted: what was finished is kept. Nothing either on ranks but the first of a job: they
-  /// compute for it.
+  /// The results of all units, in their order. Missing ones are computed on StudyOptions::threads threads. A
+  /// unit runs on one thread; its result depends neither on the number of threads nor on other units. Empty
+  /// if interrupted, but finished units are kept. Also empty on all ranks of a job except the first, because
+  /// they compute for it.
   [[nodiscard]] std::optional<std::vector<UnitResult>> run(const std::vector<StudyUnit>& units);
 
  private:
@@ -59,7 +59,7 @@ class Study {
                                                      const std::vector<std::string>& methods,
                                                      std::optional<std::int64_t> workers);
 
-/// What the files of a study say about how it was made.
+/// The provenance in the files of a study.
 [[nodiscard]] Json study_json(const Study& study);
 
 }  // namespace loopwise::study

@@ -16,21 +16,21 @@ namespace loopwise::study {
 
 /// "0.123 (0.100–0.150)": median and quartiles; without the brackets for one value.
 [[nodiscard]] std::string cell(const Quartiles& q, int decimals);
-/// "0.123 (0.100 to 0.150)", without the brackets where nothing is known of the interval; that itself, or
-/// "-".
+/// "0.123 (0.100 to 0.150)", without the brackets if the interval is unknown.
 [[nodiscard]] std::string cell(double value, const Interval& interval, int decimals);
+/// "0.100 to 0.150", or "-" if the interval is unknown.
 [[nodiscard]] std::string text_of(const Interval& interval, int decimals);
 
 /// Shortest text that reads back to the same bits; empty for NaN.
 [[nodiscard]] std::string number_text(double value);
 
-/// The columns that say which run a row is of, and their values.
+/// The columns that identify the run of a row, and their values.
 [[nodiscard]] std::vector<std::string> run_columns();
 [[nodiscard]] std::vector<std::string> run_cells(const Study& study, const StudyUnit& unit,
                                                  const UnitResult& result);
 
-/// The names as to_string(Method) has them: "full" for "gi+obs". \throws OptionError if the list is empty,
-/// or a name is unknown or repeated.
+/// The names in the format of to_string(Method): "full" for "gi+obs". \throws OptionError if the list is
+/// empty, or a name is unknown or repeated.
 [[nodiscard]] std::vector<std::string> canonical_methods(const std::vector<std::string>& methods);
 
 /// The object of this name within another; created empty if missing. Indexing a JSON null makes it an object,
@@ -58,10 +58,10 @@ struct World {
 /// "tunnel: 5 missions, parameters e7c1510012d8".
 [[nodiscard]] std::string describe(const World& world);
 
-/// Where ATE is measured: "in the common frame without alignment", unless truths stand in other frames.
+/// Frame of the ATE: "in the common frame without alignment", unless truths are in other frames.
 [[nodiscard]] std::string frame_text(const std::vector<StudyMission>& missions);
 
-/// How missions were replayed, in a sentence.
+/// A sentence on the replays of the missions.
 [[nodiscard]] std::string budget_text(const Config& config);
 
 }  // namespace loopwise::study

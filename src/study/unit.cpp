@@ -62,7 +62,7 @@ Json unit_json(const StudyMission& about, const Mission& mission, const ReplayOp
   const RunEvaluation evaluation = evaluate_run(mission, result);
   Json summary = parse_json(run_summary_json(mission, options, result, evaluation), "summary");
   summary.erase("seconds");
-  // Scans are read by all units of a mission: which of them meets a flaw first is chance.
+  // All units of a mission read its scans; which of them finds a flaw first depends on timing.
   summary.erase("problems");
   std::vector<RegistrationResult> results;
   std::vector<double> weights;
@@ -85,7 +85,7 @@ Json unit_json(const StudyMission& about, const Mission& mission, const ReplayOp
                         std::move(summary), history.rows());
 }
 
-/// The map of a run against that of its odometry.
+/// Compares the map of a run with the map by its odometry.
 MapQuality judge_map(const LoadedMission& loaded, const ReplayOptions& options, const ReplayResult& result,
                      ThreadPool& pool, const StopToken& stop) {
   PosesByKey before, after;
@@ -129,7 +129,7 @@ StudyMission describe(const StudySource& source, const Mission& mission) {
                                   ? fs::path(path).parent_path()
                                   : fs::path(path));
   for (const std::string& given : source.truth) {
-    // "ROBOT=FILE" as set_truth() reads it: whose poses they are counts, not where the file lies.
+    // "ROBOT=FILE" as set_truth() reads it: the robot matters, not the path of the file.
     const std::size_t at = fs::exists(given) ? std::string::npos : given.find('=');
     const ContentHash of_file = hash_of_files(at == std::string::npos ? given : given.substr(at + 1));
     out.content = ContentHasher()
@@ -219,7 +219,7 @@ UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
     write_file(files.seconds, Json(unit.seconds).dump() + "\n");
     write_file(files.result, text + "\n");
   }
-  // As it will be read the next time.
+  // In the form in which the next study will read it.
   const std::string name = files.result.string();
   return parse_unit_file(parse_json(text, name), name);
 }

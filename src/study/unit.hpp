@@ -25,16 +25,16 @@
 
 namespace loopwise::study {
 
-/// A mission that a study looks at.
+/// A mission of a study.
 struct StudyMission {
   StudySource source;
   std::string name;
   std::string world;  ///< Missions of one world are repetitions: provenance's options.world, else the name.
-  std::string seed;   ///< That it was made with; empty if not known.
-  std::string parameters_sha256;  ///< Of the world's parameters; empty if not known.
+  std::string seed;   ///< Of its simulation; empty if unknown.
+  std::string parameters_sha256;  ///< Of the world's parameters; empty if unknown.
   bool has_radio = false;
   bool truth_is_aligned = false;  ///< Its errors are those after alignment, see Mission.
-  ContentHash content;            ///< Of all files, given truth included.
+  ContentHash content;            ///< Of all files, including a given truth.
 };
 [[nodiscard]] StudyMission describe(const StudySource& source, const Mission& mission);
 
@@ -43,7 +43,7 @@ struct StudyUnit {
   std::size_t mission = 0;  ///< Place in Study::missions().
   std::string label;        ///< For people and folders: "full", "full-w50".
   Config config;
-  bool map_quality = false;  ///< Its map is judged at revisits too.
+  bool map_quality = false;  ///< Its map is also evaluated at revisits.
 };
 
 /// A unit's files within the study's folder.
@@ -53,7 +53,7 @@ struct UnitFiles {
 [[nodiscard]] UnitFiles files_of(const std::filesystem::path& folder, const StudyMission& mission,
                                  const StudyUnit& unit);
 
-/// A mission in memory with what its units share.
+/// A mission in memory with the data that its units share.
 struct LoadedMission {
   Mission mission;
   Registration registration;
@@ -61,26 +61,26 @@ struct LoadedMission {
 [[nodiscard]] std::shared_ptr<const LoadedMission> load(const StudyMission& mission, const Config& config,
                                                         const std::shared_ptr<OutcomeStore>& store);
 
-/// A unit that was computed, as it is kept and sent.
+/// The result of a unit in the form that is stored and sent.
 struct ComputedUnit {
   Json json;
   double seconds = 0.0;
   /// Problems of this run that another may not have, see depends_on_circumstances(): scans that could not be
-  /// read, registrations that failed. Nothing, usually.
+  /// read, registrations that failed. Usually empty.
   std::vector<std::string> not_repeatable;
 };
 
-/// Computes one unit on one thread. Nothing if it was stopped.
+/// Computes one unit on one thread. Empty if it was stopped.
 [[nodiscard]] std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMission& about,
                                                   const StudyUnit& unit, const UnitFiles& files,
                                                   bool keep_run, const StopToken& stop,
                                                   const ProgressCallback& progress);
 
-/// Writes the files of a unit. A run that is not repeatable goes into this study's tables with a warning, but
-/// the next one computes it again.
+/// Writes the files of a unit. A run that is not repeatable is in this study's tables with a warning, but the
+/// next study computes it again.
 [[nodiscard]] UnitResult keep(const ComputedUnit& unit, const UnitFiles& files);
 
-/// What keep() wrote; nothing if it was not finished, lacks what the unit asks for, or the file is broken.
+/// Reads the file of keep(). Empty if it is unfinished, lacks requested figures, or is damaged.
 [[nodiscard]] std::optional<UnitResult> finished(const StudyUnit& unit, const UnitFiles& files,
                                                  bool with_run);
 

@@ -13,7 +13,7 @@
 
 namespace loopwise::study {
 
-inline constexpr int kUnitFormat = 1;  ///< To be raised when what units say changes.
+inline constexpr int kUnitFormat = 1;  ///< Increase it when the contents of unit files change.
 
 /// Result of a unit: its summary without wall times, and the history.
 struct UnitResult {
@@ -21,10 +21,10 @@ struct UnitResult {
   std::vector<HistoryRow> history;
 };
 
-/// The file's contents. `mission` says which it is of.
+/// The file's contents. `mission` identifies the unit's mission.
 [[nodiscard]] Json unit_file_json(Json mission, Json summary, const std::vector<HistoryRow>& history);
 
-/// \throws InputError naming `name` and what is not as unit_file_json() writes it
+/// \throws InputError naming `name` and the part that unit_file_json() would write differently
 [[nodiscard]] UnitResult parse_unit_file(const Json& unit, const std::string& name);
 
 /// A number of a unit's summary, by the path of its names; NaN if missing.

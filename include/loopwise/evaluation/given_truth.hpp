@@ -25,15 +25,15 @@ namespace loopwise {
 /// "ground truth without node".
 ///
 /// \throws IoError; ParseError naming file and line; OptionError naming an unknown robot; InputError if a
-///         file holds no pose of any node, does not say whose poses it holds, pairs by stamps that the
+///         file has no pose of any node, does not name the robot of its poses, pairs by stamps that the
 ///         mission does not have, see require_own_stamps(), or has orientations that are not those of the
 ///         nodes, as of a camera or of GPS, which has no orientations; also if options.strict and a line of
 ///         a file had to be repaired
 LOOPWISE_EXPORT void set_truth(Mission& mission, const std::vector<std::string>& files,
                                const MissionOptions& options = {});
 
-/// For what compares with the truth. \throws InputError saying what to do if the mission, read from `path`,
-/// has no ground truth
+/// Checks for ground truth before a comparison. \throws InputError with the remedy if the mission, read from
+/// `path`, has no ground truth
 LOOPWISE_EXPORT void require_truth(const std::string& path, const Mission& mission);
 
 /// Checks the stamps of the nodes before pairing with the poses of `file`. \throws InputError with the remedy

@@ -52,11 +52,11 @@ struct MeanThickness {
   double mean_m = std::numeric_limits<double>::quiet_NaN();  ///< Over the revisits; NaN without any.
 };
 
-/// With fewer pairs of stretches of path, an interval of a difference says nothing.
+/// With fewer pairs of stretches of path, an interval of a difference is meaningless.
 inline constexpr std::size_t kLeastStretches = 8;
 
-/// Pairs that are near by the poses of the estimate and no revisits by those of the recording, and how many
-/// of them a registration proves.
+/// Pairs that are near by the poses of the estimate but not revisits by those of the recording, and the
+/// number of them that a registration proves.
 struct NearPairs {
   std::size_t pairs = 0;   ///< Near by the estimate alone, and registered.
   std::size_t proven = 0;  ///< Their registration succeeded.
@@ -85,7 +85,7 @@ struct MapQuality {
 
   /// Whether there are enough independent revisits for an interval.
   [[nodiscard]] bool enough() const { return stretches >= kLeastStretches; }
-  /// The reason why the figures say nothing, or little, of the map; empty if they do.
+  /// The reason why the figures are no or little evidence on the map; empty if they are evidence.
   [[nodiscard]] LOOPWISE_EXPORT std::string not_meaningful() const;
 };
 

@@ -39,7 +39,7 @@ struct SharedPlane {
   [[nodiscard]] LOOPWISE_EXPORT double thickness_m(const Eigen::Isometry3d& T_from_to) const;
 };
 
-/// The planes that both scans of a revisit fill where its registration lays them on each other: cells of 1 m
+/// The planes that both scans of a revisit have after its registration aligned them: cells of 1 m
 /// with at least 4 points of each scan, flat in both together. Fixed by the registration, they are the same
 /// surfaces for every map.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<SharedPlane> shared_planes(const PointCloud& from,

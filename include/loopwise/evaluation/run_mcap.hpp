@@ -42,8 +42,8 @@ struct McapResult {
 /// Writes a run as one MCAP file of ROS 2 messages for viewers, over mission time, in the frame of the
 /// mission: for each robot `/ROBOT/scan` (sensor_msgs/PointCloud2, at the pose of the estimate),
 /// `/ROBOT/path` and `/ROBOT/odometry` (nav_msgs/Path); `/closures` (visualization_msgs/MarkerArray) has a
-/// line for each verified closure from the time on at which it came, those that robust optimisation left out
-/// in red. Poses are those of the last estimate: estimates on the way are not recorded.
+/// line for each verified closure from the time of its result on, those that robust optimisation excluded in
+/// red. Poses are those of the last estimate: estimates on the way are not recorded.
 /// \param file is replaced in one step
 /// \param run folder of a replay
 /// \param mission of that replay, for the scans

@@ -55,7 +55,7 @@ using Revisits = std::vector<std::pair<Key, Key>>;
 [[nodiscard]] LOOPWISE_EXPORT Revisits find_revisits(const Mission& mission, const PosesByKey& poses,
                                                      const SurfaceAgreementOptions& options = {});
 
-/// Revisits by these poses that are no revisits by `former`: places that `poses` alone lay on each other.
+/// Revisits by these poses that are not revisits by `former`: places that only `poses` put at one position.
 /// \throws OptionError
 [[nodiscard]] LOOPWISE_EXPORT Revisits find_new_revisits(const Mission& mission, const PosesByKey& poses,
                                                          const SurfaceAgreementOptions& options,
