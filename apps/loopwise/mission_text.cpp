@@ -178,7 +178,7 @@ void add_drift(const Mission& mission, Json& json, std::string& text) {
 void add_topics(const Mission& mission, Json& json, std::string& text) {
   if (mission.topics.empty()) return;
   Json all = Json::array();
-  std::vector<std::vector<std::string>> rows{{"topic", "type", "messages", "taken for"}};
+  std::vector<std::vector<std::string>> rows{{"topic", "type", "messages", "used as"}};
   for (const RecordedTopic& topic : mission.topics) {
     all.push_back(
         {{"name", topic.name}, {"type", topic.type}, {"messages", topic.messages}, {"use", topic.use}});

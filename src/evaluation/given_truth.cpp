@@ -184,9 +184,9 @@ bool begins_with_nodes(Mission& mission, const PosesByKey& truth) {
   }
   const bool same = some_same && !some_other;
   for (const std::string& name : unknown) {
-    mission.problems.add("truth begins late", "robot " + name + ": no true pose within the first 10 m, " +
-                                                  (same ? "taken to stand in the frame of the others'"
-                                                        : "its frame is not known"));
+    mission.problems.add("truth begins late",
+                         "robot " + name + ": no true pose within the first 10 m, " +
+                             (same ? "assumed to be in the frame of the others" : "its frame is unknown"));
   }
   return same;
 }

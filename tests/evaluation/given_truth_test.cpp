@@ -209,7 +209,7 @@ TEST_CASE("given truth: a late beginning is reported", "[evaluation][truth]") {
   CHECK(mission.problems.count("truth begins late") == 1);
   CHECK_THAT(
       mission.problems.all().front().example,
-      Contains("robot b: no true pose within the first 10 m, taken to stand in the frame of the others'"));
+      Contains("robot b: no true pose within the first 10 m, assumed to be in the frame of the others"));
   // Alone it does not determine the frame.
   mission = without_truth();
   set_truth(mission, {late('b', 15)});
