@@ -255,7 +255,7 @@ class DensityPlaceDatabase final : public PlaceDatabase {
     const DensityPlace& query = places_.own(place, name());
     std::vector<PlaceMatch> matches;
     for (const Hypothesis& hypothesis : hypotheses(query, std::max(k, compared()), filter)) {
-      if (auto match = judged(query, hypothesis)) matches.push_back(*match);
+      if (auto match = accepted_match(query, hypothesis)) matches.push_back(*match);
     }
     keep_best(matches, k);
     return matches;
@@ -341,8 +341,8 @@ class DensityPlaceDatabase final : public PlaceDatabase {
     return most;
   }
 
-  [[nodiscard]] std::optional<PlaceMatch> judged(const DensityPlace& query,
-                                                 const Hypothesis& hypothesis) const {
+  [[nodiscard]] std::optional<PlaceMatch> accepted_match(const DensityPlace& query,
+                                                         const Hypothesis& hypothesis) const {
     const DensityPlace& other = places_[hypothesis.place];
     Refined pose{hypothesis.T_query_match, hypothesis.support, kNear_m};
     for (const float near_m : {1.5F * kNear_m, kNear_m})

@@ -34,7 +34,7 @@ Matrix6d scaled(const Matrix6d& information, const Vector6d& d) {
   return d.cwiseInverse().asDiagonal() * information * d.cwiseInverse().asDiagonal();
 }
 
-Matrix6d clipped_as_it_stands(const Matrix6d& information) {
+Matrix6d clipped_without_scaling(const Matrix6d& information) {
   const double largest = information.cwiseAbs().maxCoeff();
   const Solver solver(information / largest);
   Matrix6d clipped = with_eigenvalues(solver.eigenvectors(), solver.eigenvalues());
@@ -62,7 +62,7 @@ SoundInformation nearest_information(const Matrix6d& information) {
     if (unit.allFinite() && Solver(unit, Eigen::EigenvaluesOnly).eigenvalues().minCoeff() > -kRounding)
       return {clipped_with_unit_diagonal(information), InformationFlaw::kRounded};
   }
-  SoundInformation nearest{clipped_as_it_stands(information), InformationFlaw::kIndefinite};
+  SoundInformation nearest{clipped_without_scaling(information), InformationFlaw::kIndefinite};
   // Rounding of the decomposition may be large relative to the smallest elements of the diagonal.
   if (check_information(nearest.matrix) != nullptr)
     nearest.matrix = clipped_with_unit_diagonal(nearest.matrix);

@@ -255,20 +255,20 @@ Tie TieSearch::run(const std::vector<NodePair>& order) {
   tie.a = a_;
   tie.b = b_;
   planned_ = order.size();
-  std::size_t judged = 0;
+  std::size_t judged_closures = 0;
   for (std::size_t begin = 0; begin < order.size() && !context_.stop.stop_requested();) {
     const std::size_t end = std::min(order.size(), begin + kBatch);
     compute({order.begin() + static_cast<std::ptrdiff_t>(begin),
              order.begin() + static_cast<std::ptrdiff_t>(end)});
     begin = end;
     const bool due = begin == order.size() || begin >= static_cast<std::size_t>(context_.options.min_pairs);
-    if (!due || closures_.size() == judged) continue;
+    if (!due || closures_.size() == judged_closures) continue;
     const auto [best, rival] = hypotheses();
-    judged = closures_.size();
+    judged_closures = closures_.size();
     judge(tie, best, rival);
     if (tie.joined) return tie;
   }
-  if (judged == 0) judge(tie, {}, {});  // no closure, or stopped early
+  if (judged_closures == 0) judge(tie, {}, {});  // no closure, or stopped early
   tie.computed = outcomes_.size();
   tie.best_overlap = best_overlap_;
   return tie;

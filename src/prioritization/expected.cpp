@@ -28,7 +28,7 @@ using detail::GroupMember;
 
 constexpr double kMoved_m = 0.15,
                  kMoved_rad = 0.02;  // change of a group's guess after which its overlaps are predicted again
-constexpr std::size_t kLookedAt = 4;      // members whose overlap represents a group
+constexpr std::size_t kMaxExamined = 4;   // members whose overlap represents a group
 constexpr std::size_t kMostMembers = 64;  // bound on the members among which the best is chosen
 constexpr double kPlaceStrength = 2.0;    // weight of the chance by evidence, in results
 constexpr double kRefreshed = 1.05;       // growth of the graph after which gains are sketched again
@@ -331,12 +331,12 @@ struct ExpectedPrioritizer::Impl {
     if (has_moved) {
       for (GroupMember& member : group.members) member.overlap = -1.0F;
     }
-    const std::size_t n = group.members.size(), looked = std::min(n, kLookedAt);
+    const std::size_t n = group.members.size(), examined = std::min(n, kMaxExamined);
     GroupMember& middle = group.members[n / 2];
     make_gain(group, middle.from, middle.to);
     double best = -1.0;
-    for (std::size_t k = 0; k < looked; ++k) {
-      GroupMember& member = group.members[(2 * k + 1) * n / (2 * looked)];
+    for (std::size_t k = 0; k < examined; ++k) {
+      GroupMember& member = group.members[(2 * k + 1) * n / (2 * examined)];
       const CandidateEvidence evidence = evidence_of(member);
       const double p = verified_.probability(evidence) * right_of(evidence);
       if (p <= best) continue;
@@ -380,10 +380,10 @@ struct ExpectedPrioritizer::Impl {
   [[nodiscard]] double value(const Group& group) const {
     const double p = chance(group, verified_.probability(group.evidence)) * chance_right(group);
     if (options_.gain_exponent <= 0.0) return p;
-    const double had =
+    const double present =
         group.believed() - std::min(group.believed(), group.closures_in_sketch) + group.in_flight;
-    const double gain =
-        group.connecting ? largest_gain_ * p / (1.0 + had) : group.gain.of(had + p) - group.gain.of(had);
+    const double gain = group.connecting ? largest_gain_ * p / (1.0 + present)
+                                         : group.gain.of(present + p) - group.gain.of(present);
     return std::pow(std::max(gain / p, 1e-30), options_.gain_exponent) * p;
   }
 
@@ -505,13 +505,13 @@ struct ExpectedPrioritizer::Impl {
   }
 
   std::vector<Refusal> give_up(double now_s) {
-    std::vector<Refusal> gone;
-    if (options_.max_wait_s <= 0.0) return gone;
+    std::vector<Refusal> refused;
+    if (options_.max_wait_s <= 0.0) return refused;
     while (!unknown_.empty() && now_s - unknown_.begin()->second.time_s > options_.max_wait_s) {
-      gone.push_back({unknown_.begin()->first, "missing_node"});
+      refused.push_back({unknown_.begin()->first, "missing_node"});
       unknown_.erase(unknown_.begin());
     }
-    return gone;
+    return refused;
   }
 
   const ExpectedOptions options_;

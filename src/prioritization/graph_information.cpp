@@ -121,14 +121,14 @@ void GraphInformationPrioritizer::on_result(const RegistrationResult& result) {
 }
 
 std::vector<Refusal> GraphInformationPrioritizer::give_up(double now_s) {
-  std::vector<Refusal> gone;
-  if (options_.max_wait_s <= 0.0) return gone;
+  std::vector<Refusal> refused;
+  if (options_.max_wait_s <= 0.0) return refused;
   while (!unknown_.empty() && now_s - unknown_.begin()->second.time_s > options_.max_wait_s) {
-    gone.push_back({unknown_.begin()->first, "missing_node"});
+    refused.push_back({unknown_.begin()->first, "missing_node"});
     held_.erase(unknown_.begin()->first);
     unknown_.erase(unknown_.begin());
   }
-  return gone;
+  return refused;
 }
 
 ClosureModel GraphInformationPrioritizer::model() const {

@@ -114,22 +114,22 @@ void RoundRobinQueue::improve(std::size_t count, const StopToken& stop,
 }
 
 std::vector<Refusal> RoundRobinQueue::give_up(double now_s) {
-  std::vector<Refusal> gone;
+  std::vector<Refusal> refused;
   try {
     each(prioritizers_, "give_up", [&](Prioritizer& prioritizer) {
       for (Refusal& refusal : prioritizer.give_up(now_s)) {
         std::size_t* holders = holders_.find(refusal.id);
         if (holders == nullptr || --*holders > 0) continue;
         holders_.erase(refusal.id);
-        gone.push_back(std::move(refusal));
+        refused.push_back(std::move(refusal));
       }
     });
   } catch (const std::bad_alloc&) {
     throw;
   } catch (...) {
-    if (gone.empty()) throw;  // otherwise these are reported now, and the next call throws again
+    if (refused.empty()) throw;  // otherwise these are reported now, and the next call throws again
   }
-  return gone;
+  return refused;
 }
 
 std::vector<LoopCandidate> RoundRobinQueue::take(std::size_t count) {

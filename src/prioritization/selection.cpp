@@ -246,8 +246,8 @@ void SimulatedAnnealing::run(std::uint64_t evaluations, const StopToken& stop) {
     const std::size_t place = choose_partner(out);
     const std::size_t in = outside_[place];
     const double change = objective_.swap_change(out, in);
-    const double luck = rng_.uniform();
-    if (!(change < 0.0 || (T > 0.0 && std::exp(-change / T) > luck))) continue;
+    const double draw = rng_.uniform();
+    if (!(change < 0.0 || (T > 0.0 && std::exp(-change / T) > draw))) continue;
     objective_.swap(out, in);
     outside_[place] = out;
     ++accepted_;

@@ -310,9 +310,9 @@ void OutcomeStore::drop_oldest(const File* own) {
   std::uint64_t total = file_bytes_;  // the final size of this process's file
   for (const std::uint64_t number : files_in(folder_)) {
     const fs::path path = file_path(folder_, number);
-    std::error_code gone;
-    const std::uint64_t size = fs::file_size(path, gone);
-    if (gone || path == own->path()) continue;
+    std::error_code ignored;
+    const std::uint64_t size = fs::file_size(path, ignored);
+    if (ignored || path == own->path()) continue;
     others.emplace_back(path, size);
     total += size;
   }

@@ -64,10 +64,10 @@ std::vector<LoopCandidate> all_candidates(const Mission& mission, const ReplayOp
   for (const Arrival& arrival : mission_feed(mission, options)) {
     for (const BeaconDrop& drop : arrival.drops) feed(drop, arrival.time_s);
     if (!arrival.readings.empty()) feed(event::Radio{arrival.readings}, arrival.time_s);
-    KeyFrame as_it_stands;  // without its odometry, which would move it
-    as_it_stands.node = arrival.frame.node;
+    KeyFrame without_odometry;  // without its odometry, which would move it
+    without_odometry.node = arrival.frame.node;
     if (!arrival.candidates.empty()) feed(event::Candidates{arrival.candidates}, arrival.time_s);
-    feed(as_it_stands, arrival.time_s);
+    feed(without_odometry, arrival.time_s);
     feed(event::Scan{{arrival.frame.node.key, arrival.frame.node.stamp_ns, any_cloud}}, arrival.time_s);
   }
   std::set<KeyPair> known;

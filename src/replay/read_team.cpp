@@ -215,13 +215,13 @@ Mission placed_team(const Mission& mission, const TeamFrames& frames) {
 Team read_team(const std::vector<std::filesystem::path>& paths, const Config& config, bool find,
                ThreadPool& threads, const ProgressCallback& progress, const StopToken& stop) {
   MissionOptions options = config.mission;
-  const bool wanted = options.frames == "auto", as_they_stand = options.frames == "common";
-  if (wanted || as_they_stand) options.frames.clear();
+  const bool wanted = options.frames == "auto", in_common_frame = options.frames == "common";
+  if (wanted || in_common_frame) options.frames.clear();
   Team team;
   team.mission = read_missions(paths, options, progress, stop);
   const bool apart = team.mission.problems.count(kWithoutFrame) > 0;
-  if (as_they_stand) team.mission.problems = without(team.mission.problems, {kWithoutFrame});
-  if (wanted || (find && !as_they_stand && apart && !team.mission.scans->empty())) {
+  if (in_common_frame) team.mission.problems = without(team.mission.problems, {kWithoutFrame});
+  if (wanted || (find && !in_common_frame && apart && !team.mission.scans->empty())) {
     team.frames = find_team_frames(team.mission, config, threads, progress, stop);
     team.mission = placed_team(team.mission, *team.frames);
   }

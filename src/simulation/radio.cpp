@@ -166,14 +166,14 @@ Eigen::Vector3d beacon_position(const std::vector<Drive>& team, const Drop& drop
   return position;
 }
 
-std::vector<Heard> listen(const RayCaster& caster, WorldKind kind, const std::vector<Drive>& team,
-                          const std::vector<Drop>& drops, std::uint64_t seed, ThreadPool& pool) {
+std::vector<Reception> receptions_of(const RayCaster& caster, WorldKind kind, const std::vector<Drive>& team,
+                                     const std::vector<Drop>& drops, std::uint64_t seed, ThreadPool& pool) {
   const parameters::RadioWorld& radio = radio_world(kind);
   std::vector<std::pair<std::size_t, std::size_t>> nodes;
   for (std::size_t r = 0; r < team.size(); ++r) {
     for (std::size_t k = 0; k < team[r].waypoints.size(); ++k) nodes.emplace_back(r, k);
   }
-  std::vector<std::vector<Heard>> heard(nodes.size());
+  std::vector<std::vector<Reception>> receptions(nodes.size());
   pool.for_each(nodes.size(), [&](std::size_t n) {
     const auto [robot, node] = nodes[n];
     const Eigen::Vector3d here = team[robot].waypoints[node].T_world_body.translation();
@@ -185,7 +185,7 @@ std::vector<Heard> listen(const RayCaster& caster, WorldKind kind, const std::ve
       const double distance = (there - here).norm();
       if (distance > parameters::kRadioRange) continue;
       Rng rng(combine_seeds(combine_seeds(seed, d), (static_cast<std::uint64_t>(robot) << 32) | node));
-      Heard h{robot, node, d, {}, distance, count_walls(caster, there, here)};
+      Reception h{robot, node, d, {}, distance, count_walls(caster, there, here)};
       // Shadowing depends on the place alone, so a robot that returns measures the same shadowing.
       const double shadowing =
           parameters::kShadowingSigmaDb *
@@ -202,12 +202,12 @@ std::vector<Heard> listen(const RayCaster& caster, WorldKind kind, const std::ve
         h.receive_dbm.push_back(missed ? std::numeric_limits<double>::quiet_NaN() : power);
         any = any || !missed;
       }
-      if (any) heard[n].push_back(std::move(h));
+      if (any) receptions[n].push_back(std::move(h));
     }
   });
-  std::vector<Heard> all;
-  for (auto& part : heard) {
-    for (Heard& h : part) all.push_back(std::move(h));
+  std::vector<Reception> all;
+  for (auto& part : receptions) {
+    for (Reception& h : part) all.push_back(std::move(h));
   }
   return all;
 }

@@ -36,7 +36,7 @@ struct Drop {
                                                                std::uint64_t seed);
 
 /// One receiver's reading of a beacon at a node; NaN if it was missed.
-struct Heard {
+struct Reception {
   std::size_t robot;
   std::size_t node;
   std::size_t drop;
@@ -47,9 +47,10 @@ struct Heard {
 
 /// Readings of each beacon by all robots after its drop, by robot, node and beacon. A reading that all
 /// receivers missed is left out.
-[[nodiscard]] std::vector<Heard> listen(const RayCaster& caster, WorldKind kind,
-                                        const std::vector<Drive>& team, const std::vector<Drop>& drops,
-                                        std::uint64_t seed, ThreadPool& pool);
+[[nodiscard]] std::vector<Reception> receptions_of(const RayCaster& caster, WorldKind kind,
+                                                   const std::vector<Drive>& team,
+                                                   const std::vector<Drop>& drops, std::uint64_t seed,
+                                                   ThreadPool& pool);
 
 /// Position of the beacon of a drop.
 [[nodiscard]] Eigen::Vector3d beacon_position(const std::vector<Drive>& team, const Drop& drop);

@@ -147,7 +147,7 @@ class Maker {
     stop_here(stop_);
     mission().start_ns = parameters::kEpochSeconds * 1'000'000'000LL;
     for (std::size_t r = 0; r < team_.size(); ++r) add_robot_graph(r);
-    hear_beacons(pool);
+    receive_beacons(pool);
     stop_here(stop_);
     describe();
     return std::move(result_);
@@ -171,7 +171,7 @@ class Maker {
   void cast_scans(ThreadPool& pool);
   [[nodiscard]] PriorFactor first_prior(std::size_t robot, const Eigen::Isometry3d& truth) const;
   void add_robot_graph(std::size_t robot);
-  void hear_beacons(ThreadPool& pool);
+  void receive_beacons(ThreadPool& pool);
   void describe();
 
   std::uint64_t seed_;
@@ -322,7 +322,7 @@ void Maker::add_robot_graph(std::size_t r) {
   }
 }
 
-void Maker::hear_beacons(ThreadPool& pool) {
+void Maker::receive_beacons(ThreadPool& pool) {
   for (std::size_t d = 0; d < drops_.size(); ++d) {
     const std::string name = "beacon-" + std::to_string(d + 1);
     const Key key = node_key(drops_[d].robot, drops_[d].node);
@@ -331,7 +331,8 @@ void Maker::hear_beacons(ThreadPool& pool) {
   }
   if (drops_.empty()) return;
   Reporter report(progress_, "simulating radio readings", 1);
-  for (const sim::Heard& h : sim::listen(*caster_, options().world, team_, drops_, stream(kRadio), pool)) {
+  for (const sim::Reception& h :
+       sim::receptions_of(*caster_, options().world, team_, drops_, stream(kRadio), pool)) {
     for (std::size_t k = 0; k < h.receive_dbm.size(); ++k) {
       mission().radio.push_back({node_key(h.robot, h.node), mission().beacons[h.drop].beacon,
                                  parameters::kTransmitDbm, std::to_string(k), h.receive_dbm[k]});
