@@ -253,7 +253,7 @@ TEST_CASE("ros messages: fields are found by the definition", "[io][bag][ros]") 
     CAPTURE(size);
     CHECK_THROWS_AS(ros1::Value(schema, std::string_view(bytes).substr(0, size)), InputError);
   }
-  CHECK_THROWS_WITH(ros1::Value(schema, bytes + "x"), Contains("its definition takes"));
+  CHECK_THROWS_WITH(ros1::Value(schema, bytes + "x"), Contains("its definition needs"));
   // Counts that the bytes cannot hold, and that no sum may overflow.
   for (std::size_t at = 0; at + 4 <= bytes.size(); ++at) {
     std::string damaged = bytes;

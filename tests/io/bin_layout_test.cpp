@@ -158,7 +158,7 @@ TEST_CASE("bin layout: a wrong one that is named is read and reported", "[io][cl
   const CloudFile wrong = read_cloud(folder / "a.bin", BinLayout::kXyzi);
   CHECK(wrong.problems.count("points that do not fit the layout") == 1);
   CHECK_THROWS_WITH(read_cloud(folder / "a.bin", BinLayout::kHeliprOuster),
-                    Contains("points of 26 bytes (helipr_ouster)"));
+                    Contains("point size of 26 bytes (helipr_ouster)"));
 }
 
 TEST_CASE("bin layout: a file that fits no layout is refused with the remedies", "[io][cloud][error]") {

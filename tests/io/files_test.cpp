@@ -153,7 +153,7 @@ TEST_CASE("csv: errors name file, line and column", "[io][csv][error]") {
   const CsvTable bad = table("key,name,value\n-1,1.5,inf\n18446744073709551616,,x\n");
   CHECK_THROWS_WITH(bad.key(0, 0), Contains("t.csv:2: column \"key\": \"-1\" is not a key"));
   CHECK_THROWS_WITH(bad.key(1, 0), Contains("t.csv:3: column \"key\""));
-  CHECK_THROWS_WITH(bad.integer(0, 1), Contains("column \"name\": \"1.5\" is not a whole number"));
+  CHECK_THROWS_WITH(bad.integer(0, 1), Contains("column \"name\": \"1.5\" is not a 64-bit whole number"));
   CHECK_THROWS_WITH(bad.number(0, 2), Contains("column \"value\": \"inf\" is not finite"));
   CHECK_THROWS_WITH(bad.number(1, 2), Contains("t.csv:3: column \"value\": \"x\" is not a number"));
   CHECK_THROWS_WITH(bad.number(1, 1), Contains("column \"name\""));

@@ -136,10 +136,10 @@ TEST_CASE("bags: a base station's graphs, closures, other factors and radio", "[
   CHECK(mission.radio[2].receive_dbm == -60.0);
 
   CHECK(kinds_of(mission.problems) ==
-        std::vector<std::string>{
-            "beacon drop without node", "edge of unknown type left out", "landmark left out",
-            "repeated radio reading of a node, the nearest in time is used",
-            "radio reading of a beacon that was not dropped", "range factor of a landmark left out"});
+        std::vector<std::string>{"beacon drop without node", "edge of unknown type left out",
+                                 "landmark left out", "radio reading of a beacon that was not dropped",
+                                 "range factor of a landmark left out",
+                                 "repeated radio reading of a node, the nearest in time is used"});
 }
 
 TEST_CASE("bags: ranges, gravity, artifacts and anchors give the expected optimum", "[io][bag]") {

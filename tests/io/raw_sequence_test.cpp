@@ -108,7 +108,7 @@ TEST_CASE("KITTI: flaws of a sequence are counted or errors", "[io][kitti][error
   }
   SECTION("lines that are no pose, no time, no calibration") {
     testing::write_text(sequence / "times.txt", "0\nten\n");
-    CHECK_THROWS_WITH(read_mission(sequence), Contains("times.txt:2") && Contains("no stamp"));
+    CHECK_THROWS_WITH(read_mission(sequence), Contains("times.txt:2") && Contains("not a stamp"));
     testing::write_text(sequence / "calib.txt", "P0: 1 2\nTr: 1 2 3\n");
     CHECK_THROWS_WITH(read_mission(sequence), Contains("calib.txt:2") && Contains("12 values"));
   }

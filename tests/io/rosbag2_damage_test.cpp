@@ -79,7 +79,7 @@ TEST_CASE("rosbag2: false sizes are found before memory is allocated", "[io][bag
   CHECK_THAT(with(header + 1, std::uint64_t{1} << 40), Contains("cut short"));
   CHECK_THAT(with(header + 9 + 16, std::uint64_t{1} << 40),
              Contains(place + "a chunk of 1099511627776 bytes"));
-  CHECK_THAT(with(header + 9 + 16, 100), Contains(place) && Contains("more than the 100 bytes"));
+  CHECK_THAT(with(header + 9 + 16, 100), Contains(place) && Contains("more than the allowed 100 bytes"));
   CHECK_THAT(with(header + 9 + 16, 200'000'000), Contains("its header says 200000000"));
 }
 

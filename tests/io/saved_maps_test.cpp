@@ -117,7 +117,7 @@ TEST_CASE("FAST-LIO-SAM-QN: scans by row, stamps of the TUM file", "[io][saved_m
   fs::remove(folder / "seq" / "scans" / "000004.pcd");
   CHECK(read_mission(folder / "seq").problems.count("node without scan") == 1);
   testing::write_text(folder / "seq" / "poses_tum.txt", "2 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 1\n");
-  CHECK_THROWS_WITH(read_mission(folder / "seq"), Contains("poses_tum.txt") && Contains("backwards"));
+  CHECK_THROWS_WITH(read_mission(folder / "seq"), Contains("poses_tum.txt") && Contains("not ascending"));
 }
 
 TEST_CASE("HBA: seven numbers a line, the scalar first", "[io][saved_map][hba]") {
