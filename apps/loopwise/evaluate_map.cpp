@@ -105,7 +105,7 @@ void warn_of_weakness(const MapQuality& q, Console& console) {
   }
 }
 
-/// The recording is then not what the run began with.
+/// Warns if the run started from other odometry than that of the recording.
 void warn_of_noise(const std::string& estimate, const std::string& recording, Console& console) {
   if (graph_of_run(estimate).empty()) return;
   const Json summary = read_json_file(std::filesystem::path(estimate) / "summary.json");
@@ -118,7 +118,7 @@ void warn_of_noise(const std::string& estimate, const std::string& recording, Co
   }
 }
 
-/// In the summary of a run, from which reports take it.
+/// Adds the quality to the summary of a run, where reports find it.
 void keep(const std::string& estimate, const Mission& mission, const MapQuality& quality, Console& console) {
   if (graph_of_run(estimate).empty()) return;
   const std::filesystem::path file = std::filesystem::path(estimate) / "summary.json";
@@ -128,8 +128,8 @@ void keep(const std::string& estimate, const Mission& mission, const MapQuality&
                                  ? summary["mission"].get<std::string>()
                                  : "";
     if (name != mission.name) {
-      console.warn(file.string() + ": not kept there, the run is of the mission \"" + name + "\", not of \"" +
-                   mission.name + "\"");
+      console.warn(file.string() + ": the quality is not added, because the run is of the mission \"" + name +
+                   "\", not of \"" + mission.name + "\"");
       return;
     }
     keep_map_quality(estimate, quality);

@@ -160,7 +160,8 @@ std::string MapQuality::not_meaningful() const {
   }
   if (enough()) return "";
   return "revisits at " + std::to_string(stretches) + " pairs of stretches of path, fewer than " +
-         std::to_string(kLeastStretches) + ": too few for an interval, the figures are of these places alone";
+         std::to_string(kLeastStretches) +
+         ": too few for a confidence interval; the figures hold for these places only";
 }
 
 SurfaceAgreementOptions map_quality_options() {
