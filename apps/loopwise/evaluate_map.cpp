@@ -42,9 +42,9 @@ std::string line_of(const char* what, const Displacement& d) {
 }
 
 /// Mean and, if it is known, the interval of a difference.
-std::string difference_text(const MapQuality& q, const PairedComparison& difference) {
+std::string difference_text(bool enough, const PairedComparison& difference) {
   std::string text = signed_text(difference.mean_difference, 3) + " m";
-  if (q.enough()) {
+  if (enough) {
     text += ", 95 % interval " + signed_text(difference.difference.low, 3) + " to " +
             signed_text(difference.difference.high, 3);
   }
@@ -68,7 +68,7 @@ std::string text_of(const MapQuality& q) {
                      " pairs of stretches of path, on " + fixed(100.0 * q.coverage, 0) +
                      " % of the path\ndisplacement of the poses from the registrations:\n";
   text += line_of("  recording  ", q.before) + line_of("  estimate   ", q.after);
-  text += "difference   " + difference_text(q, q.difference) + "\n";
+  text += "difference   " + difference_text(q.enough(), q.difference) + "\n";
   if (q.planes == 0) {
     text += "thickness    not known: no plane has enough points of both scans\n";
   } else {
@@ -76,7 +76,7 @@ std::string text_of(const MapQuality& q) {
             " planes): " + fixed(q.thickness_before.mean_m, 3) + " m by the recording, " +
             fixed(q.thickness_after.mean_m, 3) + " m by the estimate, " +
             fixed(q.thickness_registered.mean_m, 3) + " m by the registrations; difference " +
-            difference_text(q, q.thickness_difference) + "\n";
+            difference_text(q.enough_planes(), q.thickness_difference) + "\n";
   }
   text += "on surfaces  " + fixed(100.0 * q.share_before, 1) +
           " % of points within 0.12 m of the other scan by the recording's poses, " +

@@ -122,6 +122,12 @@ void Run::warn_about_mission() {
     if (!settled) problems.add(problem.kind, problem.example, problem.count);
   }
   console_.warn(problems);
+  if (options_.missions.size() > 1 && mission().robots.size() > 1 && !team_.frames &&
+      config_.mission.frames.empty()) {
+    console_.note(
+        "frames: the poses of all sources count as poses in one frame; --frames auto finds the frames from "
+        "the scans");
+  }
   const auto& edges = mission().graph.edges();
   const auto recorded = static_cast<std::size_t>(std::count_if(
       edges.begin(), edges.end(), [](const Edge& edge) { return edge.kind == EdgeKind::kLoopClosure; }));

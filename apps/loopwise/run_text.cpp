@@ -167,7 +167,7 @@ std::string results_text(const Robots& robots, const ReplayOptions& options, con
           fixed(result.optimization_s, 1) + " s optimisation, " + fixed(result.decision_s, 1) +
           " s candidates and their order, method " + to_string(options.prioritization.method) + "\n";
   if (result.interrupted) return text;
-  if (threads > 0 && a.pending > 0) {
+  if (threads > 0 && a.pending > 0 && virtual_clock) {  // a live run shows by itself what it computes
     const std::string all = forecast_text(forecast_cost(result), threads);
     if (!all.empty()) text += "all of them  " + all + "\n";
   }

@@ -86,7 +86,12 @@ void compare_thickness(MapQuality& quality, const Mission& mission, const PosesB
                        const PosesByKey& after, const std::vector<std::size_t>& groups,
                        const StopToken& stop) {
   const auto planes = shared_planes(mission, quality.revisits, stop);
-  for (const std::vector<SharedPlane>& own : planes) quality.planes += own.size();
+  std::set<std::size_t> stretches;
+  for (std::size_t i = 0; i < planes.size(); ++i) {
+    quality.planes += planes[i].size();
+    if (!planes[i].empty()) stretches.insert(groups[i]);
+  }
+  quality.plane_stretches = stretches.size();
   const auto by = [&](auto&& pose_of) { return mean_thickness(planes, quality.revisits, pose_of); };
   quality.thickness_before = by([&](const ProvenRevisit& r) { return T_from_to(before, r); });
   quality.thickness_after = by([&](const ProvenRevisit& r) { return T_from_to(after, r); });
@@ -120,8 +125,7 @@ Json json_of(const NearPairs& near) {
   return {{"pairs", near.pairs}, {"proven", near.proven}, {"median_m", number(near.median_m)}};
 }
 /// Without enough independent revisits the quality is unknown.
-Json interval_json(const MapQuality& quality, const Interval& interval) {
-  const bool enough = quality.enough();
+Json interval_json(bool enough, const Interval& interval) {
   return {enough ? number(interval.low) : Json(), enough ? number(interval.high) : Json()};
 }
 
@@ -135,13 +139,14 @@ Json to_json(const MapQuality& q) {
           {"enough_for_interval", q.enough()},
           {"displacement_m", {{"recording", json_of(q.before)}, {"estimate", json_of(q.after)}}},
           {"difference_m", number(q.difference.mean_difference)},
-          {"difference_interval_95", interval_json(q, q.difference.difference)},
+          {"difference_interval_95", interval_json(q.enough(), q.difference.difference)},
           {"planes", q.planes},
           {"thickness_m",
            {{"recording", number(q.thickness_before.mean_m)},
             {"estimate", number(q.thickness_after.mean_m)},
             {"registered", number(q.thickness_registered.mean_m)}}},
-          {"thickness_difference_interval_95", interval_json(q, q.thickness_difference.difference)},
+          {"thickness_difference_interval_95",
+           interval_json(q.enough_planes(), q.thickness_difference.difference)},
           {"share_on_surfaces",
            {{"recording", number(q.share_before)},
             {"estimate", number(q.share_after)},

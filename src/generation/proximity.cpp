@@ -47,7 +47,8 @@ void validate_proximity(const ProximityOptions& options) {
   const bool is_default = options.radius_min_m == ProximityOptions().radius_min_m;
   if (!is_default && options.radius_min_m > radius_bound(options)) {
     throw OptionError("radius_min_m = " + std::to_string(options.radius_min_m) +
-                      ", must be <= radius_max_m = " + std::to_string(options.radius_max_m));
+                      ", must be <= radius_max_m = " + std::to_string(options.radius_max_m) +
+                      ": set both for a larger radius");
   }
 }
 

@@ -152,7 +152,7 @@ void read_pcd_line(std::string_view keyword, const Words& words, const text::Pla
   } else if (keyword == "HEIGHT") {
     lines.height = one_count();
   } else if (keyword == "VIEWPOINT") {
-    header.moved_viewpoint = is_moved_viewpoint(words);
+    header.moved_viewpoint = header.moved_viewpoint || is_moved_viewpoint(words);
   } else if (keyword == "POINTS") {
     lines.points = one_count();
   } else if (keyword != "VERSION") {

@@ -186,6 +186,7 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
   ReplayResult result =
       MissionReplay(loaded.mission, unit.config.replay, loaded.registration).run(one, hooks);
   if (result.interrupted) return std::nullopt;
+  const double seconds = watch.seconds();
   std::optional<MapQuality> quality;
   if (unit.map_quality) quality = judge_map(loaded, unit.config.replay, result, one, stop);
   if (stop.stop_requested()) return std::nullopt;
@@ -203,13 +204,14 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
   ComputedUnit computed{unit_json(about, loaded.mission, unit.config.replay, result, history), 0.0, {}};
   if (quality)
     computed.json["summary"]["map_quality"] = parse_json(map_quality_json(*quality), "map quality");
+  if (quality && !keep_run) add_scan_problems(result, *loaded.mission.scans);
   for (const Problem& problem : result.problems.all()) {
     for (const char* kind : {"scan cannot be read", "neighbour's scan cannot be read", "registration failed",
                              "registration reached its time limit"}) {
       if (problem.kind == kind) computed.not_repeatable.push_back(to_string(problem));
     }
   }
-  computed.seconds = watch.seconds();
+  computed.seconds = seconds;
   return computed;
 }
 

@@ -76,6 +76,7 @@ struct MapQuality {
   double share_after = 0.0;       ///< The same by the estimate's poses.
   double share_registered = 0.0;  ///< The same by the registrations: as much as can be reached.
   std::size_t planes = 0;         ///< Pieces of planes that both scans of a revisit saw.
+  std::size_t plane_stretches = 0;        ///< Pairs of stretches of path at which these revisits lie.
   MeanThickness thickness_before;         ///< Of these planes by the recording.
   MeanThickness thickness_after;          ///< The same by the estimate.
   MeanThickness thickness_registered;     ///< The same by the registrations: as little as can be reached.
@@ -85,6 +86,8 @@ struct MapQuality {
 
   /// Whether there are enough independent revisits for an interval.
   [[nodiscard]] bool enough() const { return stretches >= kLeastStretches; }
+  /// The same for the thickness, which only revisits with planes have.
+  [[nodiscard]] bool enough_planes() const { return plane_stretches >= kLeastStretches; }
   /// The reason why the figures are no or little evidence on the map; empty if they are evidence.
   [[nodiscard]] LOOPWISE_EXPORT std::string not_meaningful() const;
 };
