@@ -18,6 +18,7 @@
 #include "cloud_points.hpp"
 #include "convert_parts.hpp"
 #include "mission_parts.hpp"
+#include "renamed_graph.hpp"
 #include "text.hpp"
 
 namespace loopwise {
@@ -164,35 +165,6 @@ class FullKeys {
   std::string letters_;  // by robot
 };
 
-/// The graph with the keys of the files.
-PoseGraph renamed(const PoseGraph& graph, const FullKeys& keys) {
-  PoseGraph out;
-  out.set_planar(graph.planar());
-  for (Node node : graph.nodes()) {
-    node.key = keys.of(node.key);
-    out.add_node(node);
-  }
-  for (PriorFactor prior : graph.priors()) {
-    prior.key = keys.of(prior.key);
-    out.add_prior(prior);
-  }
-  for (Edge edge : graph.edges()) {
-    edge.from = keys.of(edge.from);
-    edge.to = keys.of(edge.to);
-    out.add_edge(edge);
-  }
-  for (RangeFactor range : graph.ranges()) {
-    range.from = keys.of(range.from);
-    range.to = keys.of(range.to);
-    out.add_range(range);
-  }
-  for (GravityFactor gravity : graph.gravities()) {
-    gravity.key = keys.of(gravity.key);
-    out.add_gravity(gravity);
-  }
-  return out;
-}
-
 PoseGraph renamed_truth(const Mission& mission, const FullKeys& keys) {
   PoseGraph truth;
   // The truth of a 2D graph may be a survey in 3D.
@@ -255,7 +227,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
     parts::make_folder(folder / "ground_truth");
     write_g2o(folder / "ground_truth" / kGraph, truth);
   }
-  const PoseGraph graph = renamed(mission.graph, keys);
+  const PoseGraph graph = parts::renamed(mission.graph, [&](Key key) { return keys.of(key); });
   if (!graph.ranges().empty()) write_file(folder / parts::kRanges, parts::ranges_text(graph));
   if (!graph.gravities().empty()) write_file(folder / parts::kGravity, parts::gravity_text(graph));
   const parts::OdometryList odometry = parts::odometry_list(graph, keys.robots());

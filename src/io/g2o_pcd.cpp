@@ -10,6 +10,7 @@
 #include "bag.hpp"
 #include "cloud_files.hpp"
 #include "hdl_graph_slam.hpp"
+#include "renamed_graph.hpp"
 #include "zip_archive.hpp"
 
 namespace loopwise::parts {
@@ -153,35 +154,6 @@ std::map<Key, Key> full_keys(const PoseGraph& graph, const NamedClouds& clouds, 
   return full;
 }
 
-PoseGraph renamed(const PoseGraph& graph, const std::map<Key, Key>& full) {
-  if (full.empty()) return graph;
-  PoseGraph out;
-  out.set_planar(graph.planar());
-  for (Node node : graph.nodes()) {
-    node.key = full.at(node.key);
-    out.add_node(node);
-  }
-  for (PriorFactor prior : graph.priors()) {
-    prior.key = full.at(prior.key);
-    out.add_prior(prior);
-  }
-  for (Edge edge : graph.edges()) {
-    edge.from = full.at(edge.from);
-    edge.to = full.at(edge.to);
-    out.add_edge(edge);
-  }
-  for (RangeFactor range : graph.ranges()) {
-    range.from = full.at(range.from);
-    range.to = full.at(range.to);
-    out.add_range(range);
-  }
-  for (GravityFactor gravity : graph.gravities()) {
-    gravity.key = full.at(gravity.key);
-    out.add_gravity(gravity);
-  }
-  return out;
-}
-
 /// Characters of landmarks. A character belongs to a robot if clouds or odometry have it.
 std::set<char> landmark_characters(const PoseGraph& graph, const NamedClouds& clouds) {
   std::set<char> characters;
@@ -232,7 +204,8 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   const Found found = folders ? clouds_of_key_frames(*folders) : find_clouds(folder, mission.problems);
   const std::map<Key, Key> full = of_team ? keys_of_team(*folders, g2o.graph, file.string())
                                           : full_keys(g2o.graph, found.clouds, file.string(), options);
-  const PoseGraph graph = renamed(g2o.graph, full);
+  const PoseGraph graph =
+      full.empty() ? g2o.graph : parts::renamed(g2o.graph, [&](Key key) { return full.at(key); });
   const Robots robots = of_team ? Robots(folders->robots) : Robots::from_keys(graph.keys());
   mission.robots =
       robots_of(graph, options, with_landmarks(robots, landmark_characters(graph, found.clouds)));

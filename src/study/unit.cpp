@@ -227,8 +227,12 @@ UnitResult keep(const ComputedUnit& unit, const UnitFiles& files) {
 }
 
 std::optional<UnitResult> finished(const StudyUnit& unit, const UnitFiles& files, bool with_run) {
-  if (with_run && !fs::exists(files.run / "summary.json")) return std::nullopt;
   try {
+    if (with_run) {
+      // A run that an earlier study kept may lack the quality of its map.
+      const Json summary = read_json_file(files.run / "summary.json");
+      if (unit.map_quality && !summary.contains("map_quality")) return std::nullopt;
+    }
     UnitResult result = parse_unit_file(read_json_file(files.result), files.result.string());
     if (unit.map_quality && !result.summary.contains("map_quality")) return std::nullopt;
     return result;

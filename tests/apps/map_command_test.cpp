@@ -169,7 +169,10 @@ TEST_CASE("study ablation --map-quality: maps are judged beside the errors", "[a
     return run;
   };
   REQUIRE_THAT(study({}).out, !Contains("displacement"));
-  // A run that was not judged is computed again, and kept.
+  // A run that was kept without being judged, and one that was judged without being kept, do not make up for
+  // one that is both.
+  study({"--keep-runs"});
+  study({"--map-quality"});
   const ProgramRun judged = study({"--map-quality", "--keep-runs"});
   REQUIRE_THAT(judged.err, !Contains("finished already"));
   REQUIRE_THAT(judged.out, Contains("| displacement there, m |") &&
