@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Options structs describe their own fields once: the comment above a field says what it means, and a static
-/// member template lists the fields with their bounds:
+/// Options structs describe their own fields once: a static member template lists the fields with their
+/// bounds and, in a project of your own, their texts:
 ///
-///     struct ProximityOptions {
-///       /// Search radius gained per node index, m.
+///     struct SearchOptions {
 ///       double rate_m = 0.2;
 ///
 ///       template <class Self, class Visitor>
 ///       static void visit(Self& self, Visitor&& field) {
-///         field("rate_m", self.rate_m, at_least(0.0));
+///         field("rate_m", self.rate_m, at_least(0.0), "Search radius gained per node index, m.");
 ///       }
 ///     };
 ///
@@ -18,9 +17,10 @@
 /// a std::vector<double>, or a std::vector of such an enum with the overloads `parse_option(name, text,
 /// field)` and `option_text(field)`.
 ///
-/// The build compiles the comments of Loopwise's own headers into the library. Options structs of other
-/// projects pass a text to describe() as a fourth argument: `field("rate_m", self.rate_m, at_least(0.0),
-/// "Search radius, m.")`. A visitor gives that argument the default `std::string_view text = {}`.
+/// Loopwise's own headers have the text as a comment above the field instead, which its build compiles into
+/// the library; comments of other projects are not read, and without the fourth argument the text is empty.
+/// A visitor gives that argument the default `std::string_view text = {}`. describe(), to_json() and
+/// set_option() are in io/json_options.hpp.
 #pragma once
 
 #include <cmath>

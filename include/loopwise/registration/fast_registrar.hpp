@@ -16,7 +16,7 @@ namespace loopwise {
 struct FastRegistrarOptions {
   /// Radius of the FPFH descriptors, m.
   double fpfh_radius_m = 2.5;
-  /// Number of neighbours within the radius, evenly sampled, that form a histogram.
+  /// Maximum number of neighbours within the radius, evenly sampled, that form a histogram.
   int fpfh_neighbours = 40;
   /// Maximum number of key points per scan. They are drawn evenly from all directions of surfaces.
   int key_points = 1000;
@@ -44,8 +44,8 @@ struct FastRegistrarOptions {
   /// more than 1 m or 5 degrees away and outside the covariance of the closure. The fit is min(1,
   /// consistency) + ln(share of points on surfaces) / 10.
   double ambiguous_margin = 0.15;
-  /// Sets the standard deviation along an axis from a shift of 1 m. If this share of the points that
-  /// constrain the axis stays on surfaces, the standard deviation is half of max_sigma_m. Smaller shares give
+  /// The source is shifted by 1 m along each axis. If this share of the points that constrain the axis still
+  /// lies on surfaces, the standard deviation along the axis is half of max_sigma_m. Smaller shares give
   /// smaller values, smoothly.
   double free_share = 0.5;
   /// Maximum distance of matched points in the first pass, m.
@@ -58,9 +58,10 @@ struct FastRegistrarOptions {
   int fine_points = 2000;
   /// Memory for submaps, MB. The descriptors of submaps and those of scans get as much each.
   double max_descriptor_mb = 256.0;
-  ClosureTestOptions tests = default_tests();  ///< Fields of the same section.
+  /// Bounds of the tests. In files and on the command line they are fields of fast_registrar.
+  ClosureTestOptions tests = default_tests();
 
-  /// These bounds differ from those of the reference. Consistency is decisive here, so scans may extend
+  /// These bounds differ from those of PclRegistrar. Consistency is decisive here, so scans may extend
   /// further beyond each other.
   [[nodiscard]] static ClosureTestOptions default_tests() {
     ClosureTestOptions tests;
