@@ -47,9 +47,7 @@ py::dict edges_dict(const PoseGraph& graph) {
   return out;
 }
 
-}  // namespace
-
-void bind_core(py::module_& module) {
+void bind_keys(py::module_& module) {
   module.def("key", &key_from, py::arg("name"), "The 64-bit key of \"a12\", or of a number.");
   module.def(
       "make_key",
@@ -75,16 +73,10 @@ void bind_core(py::module_& module) {
                                return names;
                              })
       .def("of", &Robots::of, py::arg("key"), "Number of the robot that owns the key.");
+}
 
-  py::class_<PoseGraph>(
-      module, "PoseGraph",
-      "Poses and the measurements between them. Poses are (4, 4), T_world_body; covariances and "
-      "information have the order translation, rotation.")
-      .def(py::init<>())
-      .def("__len__", [](const PoseGraph& graph) { return graph.nodes().size(); })
-      .def("__contains__",
-           [](const PoseGraph& graph, const py::object& key) { return graph.contains(key_from(key)); })
-      .def("copy", [](const PoseGraph& graph) { return PoseGraph(graph); })
+void bind_factors(py::class_<PoseGraph>& graph) {
+  graph
       .def(
           "add_node",
           [](PoseGraph& graph, const py::object& key, const py::object& pose, std::int64_t stamp_ns) {
@@ -146,7 +138,11 @@ void bind_core(py::module_& module) {
           py::arg("robots") = py::none(),
           "Edges between neighbours of one robot become odometry, all others loop closures. Returns flaws of "
           "the "
-          "odometry, such as a broken chain.")
+          "odometry, such as a broken chain.");
+}
+
+void bind_contents(py::class_<PoseGraph>& graph) {
+  graph
       .def(
           "index_of",
           [](const PoseGraph& graph, const py::object& key) { return graph.index_of(key_from(key)); },
@@ -181,7 +177,23 @@ void bind_core(py::module_& module) {
             for (std::size_t e = 0; e < weights.size(); ++e) graph.set_weight(e, weights[e]);
           },
           py::arg("weights"), "One for each edge, in [0, 1].");
+}
 
+void bind_pose_graph(py::module_& module) {
+  py::class_<PoseGraph> graph(
+      module, "PoseGraph",
+      "Poses and the measurements between them. Poses are (4, 4), T_world_body; covariances and "
+      "information have the order translation, rotation.");
+  graph.def(py::init<>())
+      .def("__len__", [](const PoseGraph& graph) { return graph.nodes().size(); })
+      .def("__contains__",
+           [](const PoseGraph& graph, const py::object& key) { return graph.contains(key_from(key)); })
+      .def("copy", [](const PoseGraph& graph) { return PoseGraph(graph); });
+  bind_factors(graph);
+  bind_contents(graph);
+}
+
+void bind_candidates(py::module_& module) {
   py::enum_<CandidateSource>(module, "CandidateSource")
       .value("PROXIMITY", CandidateSource::kProximity)
       .value("RADIO", CandidateSource::kRadio)
@@ -207,7 +219,9 @@ void bind_core(py::module_& module) {
         return "<LoopCandidate " + std::to_string(c.id) + ": " + key_name(c.from) + " to " + key_name(c.to) +
                ">";
       });
+}
 
+void bind_results(py::module_& module) {
   py::class_<LoopClosure>(module, "LoopClosure", "A computed candidate that passed all tests.")
       .def_readonly("from_key", &LoopClosure::from)
       .def_readonly("to_key", &LoopClosure::to)
@@ -232,6 +246,15 @@ void bind_core(py::module_& module) {
       .def_readonly("fitness_m2", &RegistrationResult::gicp_fitness_m2)
       .def_readonly("overlap", &RegistrationResult::overlap)
       .def_property_readonly("seconds", &RegistrationResult::seconds);
+}
+
+}  // namespace
+
+void bind_core(py::module_& module) {
+  bind_keys(module);
+  bind_pose_graph(module);
+  bind_candidates(module);
+  bind_results(module);
 }
 
 }  // namespace loopwise::python

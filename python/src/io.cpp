@@ -56,9 +56,7 @@ PosesByKey poses_by_key(const py::object& value) {
   return poses;
 }
 
-}  // namespace
-
-void bind_io(py::module_& module) {
+void bind_mission(py::module_& module) {
   py::class_<Mission, std::shared_ptr<Mission>>(
       module, "Mission", "Everything recorded of a run of a team of robots, in one common frame.")
       .def(py::init<>())
@@ -95,7 +93,9 @@ void bind_io(py::module_& module) {
             return cloud_dict(*cloud);
           },
           py::arg("key"), "points (n, 3), normals and intensities or None; body frame, m");
+}
 
+void bind_mission_files(py::module_& module) {
   module.def(
       "read_mission",
       [](const std::filesystem::path& path, const py::object& options) {
@@ -124,6 +124,9 @@ void bind_io(py::module_& module) {
         write_mission(folder, mission);
       },
       py::arg("folder"), py::arg("mission"));
+}
+
+void bind_data_files(py::module_& module) {
   module.def(
       "read_g2o",
       [](const std::filesystem::path& path) {
@@ -161,7 +164,9 @@ void bind_io(py::module_& module) {
         write_tum(path, stamped);
       },
       py::arg("path"), py::arg("stamps_ns"), py::arg("poses"));
+}
 
+void bind_errors(py::module_& module) {
   module.def(
       "trajectory_errors",
       [](const py::object& estimate, const py::object& truth, const std::string& alignment) {
@@ -175,6 +180,15 @@ void bind_io(py::module_& module) {
       },
       py::arg("estimate"), py::arg("truth"), py::arg("alignment") = "none",
       "Errors of a graph or a dictionary of poses against another; alignment none, first or se3.");
+}
+
+}  // namespace
+
+void bind_io(py::module_& module) {
+  bind_mission(module);
+  bind_mission_files(module);
+  bind_data_files(module);
+  bind_errors(module);
 }
 
 }  // namespace loopwise::python

@@ -26,9 +26,7 @@ std::vector<std::size_t> nodes_without_factors(const PoseGraph& graph) {
   return nodes;
 }
 
-}  // namespace
-
-void bind_optimization(py::module_& module) {
+void bind_estimates(py::module_& module) {
   py::class_<OptimizationResult>(module, "OptimizationResult")
       .def_property_readonly(
           "poses", [](const OptimizationResult& r) { return poses_array(r.poses); },
@@ -73,6 +71,9 @@ void bind_optimization(py::module_& module) {
           "(n, 6, 6), order translation, rotation, body frame")
       .def_readonly("trace_translation", &Marginals::trace_translation)
       .def_readonly("trace_full", &Marginals::trace_full);
+}
+
+void bind_certificate(py::module_& module) {
   py::class_<Certificate>(module, "Certificate")
       .def_property_readonly(
           "status", [](const Certificate& c) { return enum_name(c.status); },
@@ -97,7 +98,9 @@ void bind_optimization(py::module_& module) {
       .def_readonly("certified_components", &Certificate::certified_components)
       .def_readonly("reduced_factors", &Certificate::reduced_factors)
       .def_readonly("seconds", &Certificate::seconds);
+}
 
+void bind_optimizers(py::module_& module) {
   module.def(
       "optimize",
       [](const PoseGraph& graph, const py::object& options) {
@@ -148,6 +151,14 @@ void bind_optimization(py::module_& module) {
       py::arg("graph"),
       "Marginal covariances of all poses. They are zero for the first node of a component without a prior, "
       "which is fixed, and NaN for nodes without any factor. The traces leave both out.");
+}
+
+}  // namespace
+
+void bind_optimization(py::module_& module) {
+  bind_estimates(module);
+  bind_certificate(module);
+  bind_optimizers(module);
 }
 
 }  // namespace loopwise::python

@@ -16,9 +16,7 @@ Eigen::Map<const Eigen::Matrix3Xd> columns_of(const Doubles& array, const char* 
   return {array.data(), 3, static_cast<Eigen::Index>(array.shape(0))};
 }
 
-}  // namespace
-
-void bind_registration(py::module_& module) {
+void bind_register(py::module_& module) {
   module.def(
       "register",
       [](const Floats& source, const Floats& target, const py::object& guess, const std::string& registrar,
@@ -64,7 +62,9 @@ void bind_registration(py::module_& module) {
       "target) "
       "gives the inverse. The covariance is that of T_target_source (right perturbation, in the frame of the "
       "source). A pair that cannot be aligned is a result with a reason, not an exception.");
+}
 
+void bind_align_result(py::module_& module) {
   py::class_<AlignResult>(module, "AlignResult", "The result of align().")
       .def_readonly("success", &AlignResult::success, "the alignment has passed all tests")
       .def_property_readonly(
@@ -87,7 +87,9 @@ void bind_registration(py::module_& module) {
         return "<AlignResult: " +
                (r.success ? std::string("success") : enum_name(r.reason) + ", " + r.message) + ">";
       });
+}
 
+void bind_align(py::module_& module) {
   module.def(
       "align",
       [](const Doubles& target, const Doubles& source, const py::object& guess, const py::object& options) {
@@ -107,6 +109,14 @@ void bind_registration(py::module_& module) {
       "frame "
       "of the target, as does `guess`. Rows that are not finite are dropped and counted. Options of the "
       "sections \"fast_registrar\" and \"features\".");
+}
+
+}  // namespace
+
+void bind_registration(py::module_& module) {
+  bind_register(module);
+  bind_align_result(module);
+  bind_align(module);
 }
 
 }  // namespace loopwise::python
