@@ -117,6 +117,16 @@ function(loopwise_add_component name)
   endif()
   set_target_properties(${target} PROPERTIES EXPORT_NAME ${name} POSITION_INDEPENDENT_CODE ON
                         VERSION ${PROJECT_VERSION} SOVERSION ${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR})
+  set_target_properties(${target} PROPERTIES UNITY_BUILD ${LOOPWISE_UNITY_BUILD} UNITY_BUILD_BATCH_SIZE 8)
+  if(LOOPWISE_UNITY_BUILD)
+    # Types of one source in members of a class that only this source defines: correct, but no longer in the main file.
+    target_compile_options(${target} PRIVATE $<$<CXX_COMPILER_ID:GNU>:-Wno-subobject-linkage>)
+  endif()
+  foreach(source IN LISTS ARG_SOURCES)
+    if(source MATCHES "_kernels\\.cpp$")  # one file per instruction set defines the same names
+      set_source_files_properties(${source} PROPERTIES SKIP_UNITY_BUILD_INCLUSION ON)
+    endif()
+  endforeach()
   target_compile_features(${target} PUBLIC cxx_std_17)
   target_include_directories(${target} PUBLIC
     $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}/include> $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>)
