@@ -12,13 +12,12 @@
 namespace loopwise {
 namespace {
 
-std::shared_ptr<const PointCloud> finite_cloud(const std::vector<Eigen::Vector3d>& points, const char* name,
-                                               std::size_t& dropped) {
+std::shared_ptr<const PointCloud> finite_cloud(PointView points, const char* name, std::size_t& dropped) {
   constexpr double kCoarse_m = 16384.0;  // floats beyond are at least 2 mm apart
   auto cloud = std::make_shared<PointCloud>();
   cloud->points.reserve(points.size());
-  for (const Eigen::Vector3d& point : points) {
-    const Eigen::Vector3f single = point.cast<float>();
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Eigen::Vector3f single = points[i].cast<float>();
     if (single.allFinite()) cloud->points.push_back(single);
   }
   dropped = points.size() - cloud->size();
@@ -32,8 +31,7 @@ std::shared_ptr<const PointCloud> finite_cloud(const std::vector<Eigen::Vector3d
 
 }  // namespace
 
-AlignResult align_points(const std::vector<Eigen::Vector3d>& target,
-                         const std::vector<Eigen::Vector3d>& source, const AlignOptions& options) {
+AlignResult align(PointView target, PointView source, const AlignOptions& options) {
   constexpr Key kTarget = 0, kSource = 1;
   if (!(options.time_limit_s >= 0.0)) {
     throw OptionError("align: time_limit_s = " + std::to_string(options.time_limit_s) + ", must be >= 0");

@@ -11,8 +11,9 @@ namespace loopwise {
 
 /// Median of each coordinate, over at most 4096 points drawn evenly. Unlike a mean or a bounding box, it is
 /// robust to a few distant points. Points that are not finite are ignored; without finite points it is zero.
-template <class Point>
-[[nodiscard]] Eigen::Vector3d robust_centre(const std::vector<Point>& points) {
+/// \param points vector of Eigen vectors, or PointView
+template <class Points>
+[[nodiscard]] Eigen::Vector3d robust_centre(const Points& points) {
   constexpr std::size_t kLookedAt = 4096;
   const std::size_t count = std::min(points.size(), kLookedAt);
   std::vector<double> values;
@@ -21,7 +22,7 @@ template <class Point>
   for (Eigen::Index axis = 0; axis < 3; ++axis) {
     values.clear();
     for (std::size_t k = 0; k < count; ++k) {
-      const Point& point = points[k * points.size() / count];
+      const auto& point = points[k * points.size() / count];
       if (point.allFinite()) values.push_back(static_cast<double>(point[axis]));
     }
     if (values.empty()) break;
