@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <array>
-#include <numeric>
 #include <string>
 
 #include <loopwise/core/error.hpp>
@@ -76,17 +75,26 @@ class RadiusVisitor {
 
 }  // namespace
 
-KdTree::KdTree(const std::vector<Eigen::Vector3f>& points) : size_(points.size()) {
-  if (size_ == 0) return;
-  if (size_ >= (std::size_t{1} << 31)) {
-    throw InputError("a kd-tree holds less than 2^31 points, got " + std::to_string(size_));
+KdTree::KdTree(PointView points) : cloud_size_(points.size()) {
+  if (cloud_size_ >= (std::size_t{1} << 31)) {
+    throw InputError("a kd-tree holds less than 2^31 points, got " + std::to_string(cloud_size_));
   }
+  detail::check_precision(points, "KdTree: the cloud");
+  detail::with_points(points, [this](const auto& array) { build(array); });
+}
+
+template <class Points>
+void KdTree::build(const Points& points) {
+  original_.reserve(cloud_size_);
+  for (std::uint32_t i = 0; i < cloud_size_; ++i) {
+    if (points[i].allFinite()) original_.push_back(i);
+  }
+  size_ = original_.size();
+  if (size_ == 0) return;
   while (((size_ - 1) >> depth_) + 1 > kMaxLeaf) ++depth_;
   const std::size_t leaves = std::size_t{1} << depth_;
   splits_.resize(leaves - 1);
   leaf_begin_.resize(leaves + 1);
-  original_.resize(size_);
-  std::iota(original_.begin(), original_.end(), 0U);
 
   struct Task {
     std::size_t node, begin, end;
@@ -129,7 +137,7 @@ KdTree::KdTree(const std::vector<Eigen::Vector3f>& points) : size_(points.size()
   y_.resize(size_);
   z_.resize(size_);
   for (std::size_t i = 0; i < size_; ++i) {
-    const Eigen::Vector3f& p = points[original_[i]];
+    const Eigen::Vector3f p = points[original_[i]];
     x_[i] = p.x();
     y_[i] = p.y();
     z_[i] = p.z();

@@ -23,9 +23,9 @@ struct Cell {
 /// Farther than any map extends. The bound keeps the conversion to an integer defined for all finite floats.
 constexpr double kMaxCell = 2e9;
 
-Cell cell_of(const Eigen::Vector3f& point, double inverse_edge) {
+Cell cell_of(const Eigen::Vector3d& point, double inverse_edge) {
   const auto along = [&](Eigen::Index axis) {
-    const double cell = std::floor(static_cast<double>(point[axis]) * inverse_edge);
+    const double cell = std::floor(point[axis] * inverse_edge);
     return static_cast<std::int32_t>(std::clamp(cell, -kMaxCell, kMaxCell));
   };
   return {along(0), along(1), along(2)};
@@ -128,7 +128,7 @@ PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m) {
   for (std::size_t i = 0; i < cloud.size(); ++i) {
     const Eigen::Vector3f& point = cloud.points[i];
     if (!point.allFinite()) continue;
-    const std::size_t number = table.number(cell_of(point, 1.0 / voxel_m));
+    const std::size_t number = table.number(cell_of(point.cast<double>(), 1.0 / voxel_m));
     if (number == sums.size()) sums.emplace_back();
     Sum& sum = sums[number];
     sum.point += point.cast<double>();
@@ -150,6 +150,27 @@ PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m) {
     }
     if (with_intensities) out.intensities.push_back(static_cast<float>(sum.intensity / sum.count));
   }
+  return out;
+}
+
+PointCloud voxel_downsample(PointView points, double voxel_m) {
+  detail::check_bounds("voxel_m", voxel_m, above(0.0));
+  constexpr double kCoarse_m = 16384.0;  // floats beyond are at least 2 mm apart
+  PointCloud out;
+  const Eigen::Vector3d centre = robust_centre(points);
+  if (centre.norm() > kCoarse_m) out.origin = centre.array().round();
+  CellTable table(points.size());
+  std::vector<Sum> sums;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Eigen::Vector3d point = points[i];
+    if (!point.allFinite()) continue;
+    const std::size_t number = table.number(cell_of(point, 1.0 / voxel_m));
+    if (number == sums.size()) sums.emplace_back();
+    sums[number].point += point;
+    ++sums[number].count;
+  }
+  out.points.reserve(sums.size());
+  for (const Sum& sum : sums) out.points.push_back((sum.point / sum.count - out.origin).cast<float>());
   return out;
 }
 

@@ -124,6 +124,31 @@ TEST_CASE("voxel filter: one mean point a cube, in the order of the first points
   }
 }
 
+TEST_CASE("voxel filter: clouds of other types have the same mean points", "[voxel][differential]") {
+  Rng rng(4);
+  PointCloud cloud = random_cloud(rng, 3000, 3.0);
+  std::vector<Eigen::Vector3d> wide;
+  for (std::size_t i = 0; i < cloud.size(); ++i) {
+    if (i % 50 == 0) cloud.points[i].y() = std::numeric_limits<float>::quiet_NaN();
+    wide.push_back(cloud.points[i].cast<double>());
+  }
+  const PointCloud out = voxel_downsample(wide, 0.5);
+  REQUIRE(out.points == voxel_downsample(cloud, 0.5).points);
+  REQUIRE(out.points == voxel_downsample(cloud.points, 0.5).points);
+  REQUIRE(out.origin.isZero(0.0));
+
+  // Means of digits that a float does not have, relative to an origin of whole metres.
+  const Eigen::Vector3d offset(5e5, -4e6, 100.0);
+  for (Eigen::Vector3d& p : wide) p += offset;
+  const PointCloud world = voxel_downsample(wide, 0.5);
+  REQUIRE(world.size() == out.size());
+  REQUIRE(world.origin == Eigen::Vector3d(world.origin.array().round()));
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    const Eigen::Vector3d p = world.origin + world.points[i].cast<double>() - offset;
+    REQUIRE((p - out.points[i].cast<double>()).norm() < 1e-5);
+  }
+}
+
 TEST_CASE("voxel filter: a cloud sparser than the grid stays as it is", "[voxel]") {
   PointCloud cloud;
   for (int i = 0; i < 600; ++i) cloud.points.emplace_back(static_cast<float>(600 - i), 0.3F, -0.7F);

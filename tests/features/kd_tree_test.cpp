@@ -2,6 +2,7 @@
 #include <loopwise/features/kd_tree.hpp>
 
 #include <algorithm>
+#include <limits>
 
 #include <loopwise/core/random.hpp>
 #include "testing.hpp"
@@ -96,6 +97,50 @@ TEST_CASE("KdTree without points finds nothing", "[kd_tree]") {
     tree.within(Eigen::Vector3f::Zero(), 3.0F, found);
     REQUIRE(found.empty());
   }
+}
+
+TEST_CASE("KdTree leaves out points that are not finite and keeps the indices of the others",
+          "[kd_tree][differential]") {
+  const int kind = GENERATE(range(0, 6));
+  CAPTURE(kind);
+  Rng rng(static_cast<std::uint64_t>(kind));
+  Points points = cloud(kind, 500, rng);
+  for (std::size_t i = 0; i < points.size(); i += 7) {
+    points[i][static_cast<Eigen::Index>(i % 3)] =
+        i % 2 == 0 ? std::numeric_limits<float>::quiet_NaN() : -std::numeric_limits<float>::infinity();
+  }
+  std::vector<Eigen::Vector3d> wide;  // the same in another type
+  Points kept;
+  std::vector<std::uint32_t> indices;
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
+    wide.push_back(points[i].cast<double>());
+    if (!points[i].allFinite()) continue;
+    kept.push_back(points[i]);
+    indices.push_back(i);
+  }
+  const KdTree tree(points);
+  REQUIRE(tree.size() == 428);
+  REQUIRE(tree.cloud_size() == 500);
+  std::vector<Neighbour> found;
+  for (int q = 0; q < 30; ++q) {
+    const Eigen::Vector3f query = cloud(kind, 1, rng)[0];
+    std::vector<Neighbour> expected = by_brute_force(kept, query);
+    for (Neighbour& n : expected) n.index = indices[n.index];  // rising, so that ties keep their order
+    tree.nearest(query, 1000, found);
+    require_same(found, expected, 428);
+    if (kind != 5) {
+      KdTree(wide).nearest(query, 1000, found);
+      require_same(found, expected, 428);
+    }
+    Eigen::Vector3f gap = query;
+    gap[q % 3] = std::numeric_limits<float>::quiet_NaN();
+    REQUIRE_FALSE(tree.nearest(gap).has_value());
+    tree.nearest(gap, 3, found);
+    REQUIRE(found.empty());
+    tree.within(gap, 1e6F, found);
+    REQUIRE(found.empty());
+  }
+  if (kind == 5) REQUIRE_THROWS_WITH(KdTree(wide), Contains("subtract an offset from its points"));
 }
 
 }  // namespace

@@ -5,6 +5,7 @@
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/point_cloud.hpp>
 
 namespace loopwise {
 
@@ -20,6 +21,12 @@ namespace loopwise {
 /// input alone, and a cloud with at most one point in each cube is unchanged. Points that are not finite are
 /// left out. O(n). \throws OptionError unless voxel_m > 0.
 [[nodiscard]] LOOPWISE_EXPORT PointCloud voxel_downsample(const PointCloud& cloud, double voxel_m);
+
+/// The same for a cloud of any type, which is read in place: the mean positions alone, m. If the median of
+/// the points is more than 16 km from zero, as in world coordinates, the result has an origin there, and its
+/// points keep their digits relative to it; otherwise the origin is zero. \throws OptionError unless voxel_m
+/// > 0.
+[[nodiscard]] LOOPWISE_EXPORT PointCloud voxel_downsample(PointView points, double voxel_m);
 
 /// voxel_downsample for sparse scans too: a cloud of at most `min_points` points keeps all of them. If the
 /// grid leaves fewer points, its edge is halved, up to three times, until it leaves enough.
