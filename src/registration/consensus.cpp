@@ -5,10 +5,12 @@
 #include <cmath>
 #include <cstdint>
 #include <numeric>
+#include <string>
 
 #include <Eigen/SVD>
 
 #include <loopwise/core/bit_matrix.hpp>
+#include <loopwise/core/error.hpp>
 
 #include "sort_falling.hpp"
 
@@ -57,6 +59,10 @@ constexpr float kNormalTolerance = 0.45F;
 /// Matches by coordinate, so that they are compared with SIMD: source, target, source normal, target normal.
 using Columns = Eigen::Array<float, Eigen::Dynamic, 12>;
 
+bool has_normals(const Match& match) {
+  return !match.source_normal.isZero(0.0F) && !match.target_normal.isZero(0.0F);
+}
+
 std::vector<std::size_t> inliers_of(const std::vector<Match>& matches, const Columns& m,
                                     const Eigen::Isometry3d& T, double tolerance_m,
                                     Eigen::ArrayXf& sq_distances) {
@@ -70,7 +76,7 @@ std::vector<std::size_t> inliers_of(const std::vector<Match>& matches, const Col
   for (std::size_t i = 0; i < matches.size(); ++i) {
     if (sq_distances[static_cast<Eigen::Index>(i)] > sq_tolerance) continue;
     const Match& match = matches[i];
-    if ((R * match.source_normal).dot(match.target_normal) < 0.7F) continue;
+    if ((R * match.source_normal).dot(match.target_normal) < 0.7F && has_normals(match)) continue;
     inliers.push_back(i);
   }
   return inliers;
@@ -86,11 +92,13 @@ Columns columns_of(const std::vector<Match>& matches) {
   for (std::size_t i = 0; i < matches.size(); ++i) {
     m.row(static_cast<Eigen::Index>(i)) << matches[i].source.transpose(), matches[i].target.transpose(),
         matches[i].source_normal.transpose(), matches[i].target_normal.transpose();
+    // One normal alone says nothing. With both zero, the angles to the normals of other matches are equal.
+    if (!has_normals(matches[i])) m.row(static_cast<Eigen::Index>(i)).tail<6>().setZero();
   }
   return m;
 }
 
-/// Which matches are compatible with each other, see find_consensus().
+/// Which matches are compatible with each other, see consensus().
 BitMatrix compatibility(const Columns& m, float tolerance_m) {
   BitMatrix compatible(static_cast<std::size_t>(m.rows()));
   Eigen::ArrayXf source_m(m.rows()), target_m(m.rows()), turn(m.rows());
@@ -223,6 +231,21 @@ Consensus find_consensus(const std::vector<Match>& matches, double tolerance_m, 
   sort_falling(hypotheses, [](const Hypothesis& h) { return h.inliers; });
   if (hypotheses.size() > count) hypotheses.resize(count);
   return consensus;
+}
+
+Consensus consensus(const std::vector<Match>& matches, const ConsensusOptions& options,
+                    const PoseFilter& allowed) {
+  validate(options);
+  for (std::size_t i = 0; i < matches.size(); ++i) {
+    const Match& match = matches[i];
+    if (match.source.allFinite() && match.target.allFinite() && match.source_normal.allFinite() &&
+        match.target_normal.allFinite()) {
+      continue;
+    }
+    throw InputError("consensus: match " + std::to_string(i) + " is not finite: leave it out");
+  }
+  return find_consensus(matches, options.tolerance_m, static_cast<std::size_t>(options.max_hypotheses),
+                        allowed);
 }
 
 }  // namespace loopwise

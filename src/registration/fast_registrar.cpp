@@ -19,6 +19,7 @@
 #include "pose_search.hpp"
 #include "side.hpp"
 #include "sort_falling.hpp"
+#include "surface.hpp"
 
 namespace loopwise {
 namespace {
@@ -64,7 +65,7 @@ ScanKeyPoints describe(const ScanFeatures& scan, const FastRegistrarOptions& opt
   const auto drawn = draw_balanced(
       scan.cloud, std::min(static_cast<std::size_t>(options.key_points), std::max(share, kFewKeys)));
   ScanKeyPoints keys;
-  keys.descriptors = compute_fpfh(scan.cloud, scan.tree, drawn, options.fpfh_radius_m,
+  keys.descriptors = compute_fpfh(surface_of(scan.cloud), scan.tree, drawn, options.fpfh_radius_m,
                                   static_cast<std::size_t>(options.fpfh_neighbours));
   Eigen::Index kept = 0;
   for (Eigen::Index i = 0; i < keys.descriptors.cols(); ++i) {
@@ -76,16 +77,11 @@ ScanKeyPoints describe(const ScanFeatures& scan, const FastRegistrarOptions& opt
   return keys;
 }
 
-/// Matches of similar descriptors: mutual ones first, then the others, each by falling similarity.
+/// Matches of similar descriptors, best first.
 std::vector<Match> match(const KeyPoints& source, const KeyPoints& target, std::size_t max_matches) {
-  std::vector<DescriptorMatch> found = match_descriptors(source.descriptors, target.descriptors);
-  std::stable_sort(found.begin(), found.end(), [](const DescriptorMatch& a, const DescriptorMatch& b) {
-    return a.mutual != b.mutual ? a.mutual : a.similarity > b.similarity;
-  });
-  if (found.size() > max_matches) found.resize(max_matches);
   std::vector<Match> matches;
-  matches.reserve(found.size());
-  for (const DescriptorMatch& m : found) {
+  for (const DescriptorMatch& m :
+       best_matches(most_similar(target.descriptors, source.descriptors), max_matches)) {
     matches.push_back({source.points[m.source], target.points[m.target], source.normals[m.source],
                        target.normals[m.target]});
   }

@@ -3,6 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numeric>
+#include <string>
+
+#include <loopwise/core/error.hpp>
+#include <loopwise/features/normals.hpp>
+
+#include "surface.hpp"
 
 namespace loopwise {
 namespace {
@@ -52,10 +59,10 @@ void add_pair(const Eigen::Vector3f& p, const Eigen::Vector3f& np, const Eigen::
   histogram[2 * kBins + bin(0.5F * (phi + 1.0F))] += weight;
 }
 
-}  // namespace
-
-Descriptors compute_fpfh(const PointCloud& cloud, const KdTree& tree, const std::vector<std::uint32_t>& keys,
-                         double radius_m, std::size_t max_neighbours) {
+/// See fpfh().
+template <class Surface>
+Descriptors describe(const Surface& cloud, const KdTree& tree, const std::vector<std::uint32_t>& keys,
+                     double radius_m, std::size_t max_neighbours) {
   const auto radius = static_cast<float>(radius_m);
   std::vector<Neighbour> found;
   const auto neighbours = [&](std::uint32_t i) {
@@ -69,9 +76,9 @@ Descriptors compute_fpfh(const PointCloud& cloud, const KdTree& tree, const std:
   };
 
   // Simple histograms, made when a key point's neighbourhood first needs them.
-  std::vector<std::int32_t> simple_of(cloud.size(), -1);
+  std::vector<std::int32_t> simple_of(tree.cloud_size(), -1);
   std::vector<Histogram, Eigen::aligned_allocator<Histogram>> simple;
-  simple.reserve(std::min(cloud.size(), keys.size() * max_neighbours));
+  simple.reserve(std::min(tree.cloud_size(), keys.size() * max_neighbours));
   std::vector<Neighbour> of_key;
   Descriptors out(kFpfhSize, static_cast<Eigen::Index>(keys.size()));
   for (std::size_t k = 0; k < keys.size(); ++k) {
@@ -103,6 +110,37 @@ Descriptors compute_fpfh(const PointCloud& cloud, const KdTree& tree, const std:
         total > 0.0F ? Histogram((sum / total).cwiseSqrt()) : Histogram::Zero();
   }
   return out;
+}
+
+}  // namespace
+
+Descriptors compute_fpfh(const PointNormalView& cloud, const KdTree& tree,
+                         const std::vector<std::uint32_t>& keys, double radius_m,
+                         std::size_t max_neighbours) {
+  if (is_array(cloud)) return describe(arrays_of(cloud), tree, keys, radius_m, max_neighbours);
+  return describe(SurfaceReader(cloud), tree, keys, radius_m, max_neighbours);
+}
+
+Descriptors fpfh(const PointNormalView& cloud, const KdTree& tree, const FpfhOptions& options) {
+  std::vector<std::uint32_t> all(cloud.size());
+  std::iota(all.begin(), all.end(), 0U);
+  return fpfh(cloud, tree, options, all);
+}
+
+Descriptors fpfh(const PointNormalView& cloud, const KdTree& tree, const FpfhOptions& options,
+                 const std::vector<std::uint32_t>& keys) {
+  validate(options);
+  detail::check_tree("fpfh", tree, cloud.points());
+  for (const std::uint32_t key : keys) {
+    if (key < cloud.size()) continue;
+    throw InputError("fpfh: key point " + std::to_string(key) + " of a cloud of " +
+                     std::to_string(cloud.size()) + " points: keys are indices of points");
+  }
+  const auto max_neighbours = static_cast<std::size_t>(options.max_neighbours);
+  if (!check_normals("fpfh", cloud)) {
+    return describe(SurfaceReader(cloud), tree, keys, options.radius_m, max_neighbours);
+  }
+  return compute_fpfh(cloud, tree, keys, options.radius_m, max_neighbours);
 }
 
 }  // namespace loopwise

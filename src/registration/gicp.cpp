@@ -8,9 +8,14 @@
 
 #include <Eigen/Cholesky>
 
+#include <loopwise/core/error.hpp>
+#include <loopwise/core/robust_centre.hpp>
 #include <loopwise/core/se3.hpp>
+#include <loopwise/features/normals.hpp>
 
+#include "normal_bins.hpp"
 #include "normal_equations.hpp"
+#include "surface.hpp"
 
 namespace loopwise {
 
@@ -23,10 +28,12 @@ std::vector<GicpPass> gicp_passes(double coarse_reach_m, double fine_reach_m, st
           {fine_reach_m, fine_points, 30, 1e-3, 1e-4}};
 }
 
-GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_centre,
-                       const std::vector<std::uint32_t>& order, const PointCloud& target,
-                       const KdTree& target_tree, const Eigen::Isometry3d& start,
-                       const std::vector<GicpPass>& passes) {
+namespace {
+
+template <class Surface>
+GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
+                  const std::vector<std::uint32_t>& order, const Surface& target, const KdTree& target_tree,
+                  const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) {
   GicpResult result;
   result.T_target_source = start;
 
@@ -45,7 +52,7 @@ GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_c
       NormalEquations equations(sq_scale);
       for (std::size_t k = 0; k < count; ++k) {
         const std::uint32_t i = order[k];
-        const Eigen::Vector3d moved = T * source.points[i].cast<double>();
+        const Eigen::Vector3d moved = T * source.points[i].template cast<double>();
         const Eigen::Vector3f query = moved.cast<float>();
         float bound = reach;
         if (last[k] != kNone) {
@@ -55,12 +62,14 @@ GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_c
         const std::optional<Neighbour> nearest = target_tree.nearest(query, bound);
         if (!nearest) continue;
         last[k] = nearest->index;
-        const Eigen::Vector3d m = T.linear() * source.normals[i].cast<double>();
-        const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
+        const Eigen::Vector3d m = T.linear() * source.normals[i].template cast<double>();
+        const Eigen::Vector3d n = target.normals[nearest->index].template cast<double>();
         if (n.dot(m) < 0.0) continue;  // the other face of a wall
-        const Eigen::Vector3d d = moved - target.points[nearest->index].cast<double>();
+        const Eigen::Vector3d d = moved - target.points[nearest->index].template cast<double>();
         equations.add(d, moved - centre, n, m);
       }
+      result.points_used = count;
+      result.matches = equations.count();
       if (equations.count() < 6) return result;
       equations.finish();
       Matrix6d H = equations.H();
@@ -82,6 +91,51 @@ GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_c
     }
   }
   return result;
+}
+
+/// The source points that take part: at most `count`, spread over the directions of surfaces.
+std::vector<std::uint32_t> draw_points(const PointNormalView& source, std::size_t count) {
+  std::vector<std::uint32_t> order = draw_balanced(source, count);
+  const auto gap = [&](std::uint32_t i) { return !source.points()[i].allFinite(); };
+  order.erase(std::remove_if(order.begin(), order.end(), gap), order.end());
+  return order;
+}
+
+}  // namespace
+
+GicpResult refine_gicp(const PointNormalView& source, const Eigen::Vector3d& source_centre,
+                       const std::vector<std::uint32_t>& order, const PointNormalView& target,
+                       const KdTree& target_tree, const Eigen::Isometry3d& start,
+                       const std::vector<GicpPass>& passes) {
+  if (is_array(source) && is_array(target)) {
+    return refine(arrays_of(source), source_centre, order, arrays_of(target), target_tree, start, passes);
+  }
+  return refine(SurfaceReader(source), source_centre, order, SurfaceReader(target), target_tree, start,
+                passes);
+}
+
+GicpResult gicp(const PointNormalView& target, const KdTree& target_tree, const PointNormalView& source,
+                const Eigen::Isometry3d& guess_target_source, const GicpOptions& options) {
+  validate(options);
+  detail::check_tree("gicp", target_tree, target.points());
+  detail::check_precision(source.points(), "gicp: the source");
+  if (!(se3::rotation_defect(guess_target_source.linear()) <= 1e-3 &&
+        guess_target_source.matrix().allFinite())) {
+    throw InputError("gicp: the guess is not a rigid transform");
+  }
+  const bool target_known = check_normals("gicp: target", target);
+  const bool source_known = check_normals("gicp: source", source);
+  const auto coarse = static_cast<std::size_t>(options.coarse_points);
+  const auto fine = static_cast<std::size_t>(options.fine_points);
+  const std::vector<std::uint32_t> order = draw_points(source, std::max(coarse, fine));
+  const Eigen::Vector3d centre = robust_centre(source.points());
+  const Eigen::Isometry3d start = se3::normalized(guess_target_source);
+  const std::vector<GicpPass> passes =
+      gicp_passes(options.coarse_reach_m, options.fine_reach_m, coarse, fine);
+  if (target_known && source_known) {
+    return refine_gicp(source, centre, order, target, target_tree, start, passes);
+  }
+  return refine(SurfaceReader(source), centre, order, SurfaceReader(target), target_tree, start, passes);
 }
 
 }  // namespace loopwise

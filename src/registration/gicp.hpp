@@ -6,8 +6,7 @@
 
 #include <Eigen/Geometry>
 
-#include <loopwise/core/keyed_scan.hpp>
-#include <loopwise/features/kd_tree.hpp>
+#include <loopwise/registration/gicp.hpp>
 
 namespace loopwise {
 
@@ -24,17 +23,11 @@ struct GicpPass {
 [[nodiscard]] std::vector<GicpPass> gicp_passes(double coarse_reach_m, double fine_reach_m,
                                                 std::size_t coarse_points, std::size_t fine_points);
 
-struct GicpResult {
-  Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();
-  bool converged = false;  ///< The last step was within five times the bounds at which the pass ends.
-  int iterations = 0;
-};
-
-/// Generalized ICP (Segal, Haehnel, Thrun, RSS 2009) with covariances from normals, by Gauss-Newton with
-/// analytic Jacobians and a Geman-McClure kernel of a third of the reach. `order` lists the source points
-/// that take part. Steps rotate about `source_centre`, so that clouds far from the origin keep their digits.
-[[nodiscard]] GicpResult refine_gicp(const PointCloud& source, const Eigen::Vector3d& source_centre,
-                                     const std::vector<std::uint32_t>& order, const PointCloud& target,
+/// The refinement of gicp() by these passes, without its checks: a Gauss-Newton method whose kernel is a
+/// third of the reach. `order` lists the source points that take part. Steps rotate about `source_centre`, so
+/// that clouds far from the origin keep their digits.
+[[nodiscard]] GicpResult refine_gicp(const PointNormalView& source, const Eigen::Vector3d& source_centre,
+                                     const std::vector<std::uint32_t>& order, const PointNormalView& target,
                                      const KdTree& target_tree, const Eigen::Isometry3d& start,
                                      const std::vector<GicpPass>& passes);
 

@@ -4,6 +4,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <string>
+#include <utility>
+
+#include <loopwise/core/error.hpp>
+
+#include "surface.hpp"
 
 #if defined(__x86_64__) && defined(__GNUC__)
 #include <immintrin.h>
@@ -162,8 +168,8 @@ PackedDescriptors::PackedDescriptors(const Descriptors& descriptors)
   }
 }
 
-std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
-                                               const PackedDescriptors& target, bool portable) {
+std::vector<DescriptorMatch> most_similar(const PackedDescriptors& target, const PackedDescriptors& source,
+                                          bool portable) {
   const Compare compare = portable ? compare_portable : compare_fast;
   std::vector<DescriptorMatch> matches;
   if (source.size() == 0 || target.size() == 0) return matches;
@@ -206,6 +212,42 @@ std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
     match.mutual = of_targets.source[match.target] == static_cast<std::int32_t>(match.source);
   }
   return matches;
+}
+
+std::vector<DescriptorMatch> best_matches(std::vector<DescriptorMatch> matches, std::size_t max_matches) {
+  std::stable_sort(matches.begin(), matches.end(), [](const DescriptorMatch& a, const DescriptorMatch& b) {
+    return a.mutual != b.mutual ? a.mutual : a.similarity > b.similarity;
+  });
+  if (matches.size() > max_matches) matches.resize(max_matches);
+  return matches;
+}
+
+std::vector<DescriptorMatch> match_descriptors(const Descriptors& target, const Descriptors& source,
+                                               std::size_t max_matches) {
+  std::vector<DescriptorMatch> matches = most_similar(PackedDescriptors(target), PackedDescriptors(source));
+  // A zero column has the similarity 0 to all others.
+  matches.erase(std::remove_if(matches.begin(), matches.end(),
+                               [](const DescriptorMatch& match) { return match.similarity <= 0; }),
+                matches.end());
+  return best_matches(std::move(matches), max_matches);
+}
+
+std::vector<Match> matched_points(const PointNormalView& target, const PointNormalView& source,
+                                  const std::vector<DescriptorMatch>& matches) {
+  const SurfaceReader to(target), from(source);
+  std::vector<Match> out;
+  out.reserve(matches.size());
+  for (const DescriptorMatch& match : matches) {
+    if (match.source >= source.size() || match.target >= target.size()) {
+      throw InputError("matched_points: a match joins the points " + std::to_string(match.source) +
+                       " of the source and " + std::to_string(match.target) + " of the target, which have " +
+                       std::to_string(source.size()) + " and " + std::to_string(target.size()) +
+                       " points: pass the clouds that were described, target first");
+    }
+    out.push_back({from.points[match.source], to.points[match.target], from.normals[match.source],
+                   to.normals[match.target]});
+  }
+  return out;
 }
 
 }  // namespace loopwise

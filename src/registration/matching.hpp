@@ -5,7 +5,7 @@
 #include <cstdint>
 #include <vector>
 
-#include "fpfh.hpp"
+#include <loopwise/registration/matching.hpp>
 
 namespace loopwise {
 
@@ -35,18 +35,14 @@ class PackedDescriptors {
   std::vector<std::int16_t> packed_;
 };
 
-/// A source descriptor and the most similar target descriptor.
-struct DescriptorMatch {
-  std::uint32_t source = 0;
-  std::uint32_t target = 0;
-  std::int32_t similarity = 0;  ///< Scalar product, 2^28 for equal ones.
-  bool mutual = false;          ///< The source descriptor is also the most similar one to the target's.
-};
-
 /// One match for each source descriptor, in their order; the first of equal ones. Empty if a side is empty.
 /// \param portable does without instructions that only some processors have; the result is the same
-[[nodiscard]] std::vector<DescriptorMatch> match_descriptors(const PackedDescriptors& source,
-                                                             const PackedDescriptors& target,
-                                                             bool portable = false);
+[[nodiscard]] std::vector<DescriptorMatch> most_similar(const PackedDescriptors& target,
+                                                        const PackedDescriptors& source,
+                                                        bool portable = false);
+
+/// The first `max_matches` of the order of match_descriptors().
+[[nodiscard]] std::vector<DescriptorMatch> best_matches(std::vector<DescriptorMatch> matches,
+                                                        std::size_t max_matches);
 
 }  // namespace loopwise

@@ -6,13 +6,17 @@
 
 #include <loopwise/core/random.hpp>
 
-namespace loopwise {
+#include "surface.hpp"
 
-std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud, std::size_t count) {
+namespace loopwise {
+namespace {
+
+template <class Normals>
+std::vector<std::uint32_t> draw(const Normals& normals, std::size_t size, std::size_t count) {
   std::array<std::vector<std::uint32_t>, kNormalBins> by_direction;
-  for (std::uint32_t i = 0; i < cloud.size(); ++i) by_direction[normal_bin(cloud.normals[i])].push_back(i);
+  for (std::uint32_t i = 0; i < size; ++i) by_direction[normal_bin(normals[i])].push_back(i);
   by_direction[kUnknownNormal].clear();
-  Rng rng(cloud.size());
+  Rng rng(size);
   std::size_t available = 0;
   for (auto& indices : by_direction) {
     rng.shuffle(indices);
@@ -29,6 +33,16 @@ std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud, std::size_t co
     }
   }
   return drawn;
+}
+
+}  // namespace
+
+std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud, std::size_t count) {
+  return draw(cloud.normals, cloud.size(), count);
+}
+
+std::vector<std::uint32_t> draw_balanced(const PointNormalView& cloud, std::size_t count) {
+  return draw(SurfaceReader(cloud).normals, cloud.size(), count);
 }
 
 }  // namespace loopwise

@@ -9,6 +9,7 @@
 
 #include <loopwise/core/export.hpp>
 #include <loopwise/core/keyed_scan.hpp>
+#include <loopwise/core/point_cloud.hpp>
 
 namespace loopwise {
 
@@ -35,5 +36,8 @@ inline constexpr std::size_t kUnknownNormal = 13;
 /// of the result is spread like the whole. Depends on the cloud alone.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<std::uint32_t> draw_balanced(const PointCloud& cloud,
                                                                        std::size_t count);
+
+/// The same for a cloud in any memory. Normals that are not finite are unknown.
+[[nodiscard]] std::vector<std::uint32_t> draw_balanced(const PointNormalView& cloud, std::size_t count);
 
 }  // namespace loopwise

@@ -10,6 +10,7 @@
 #include "pose_scores.hpp"
 #include "rivals.hpp"
 #include "sort_falling.hpp"
+#include "surface.hpp"
 
 namespace loopwise {
 namespace {
@@ -115,8 +116,8 @@ double PoseSearch::share_of(const Eigen::Isometry3d& T_target_source, std::size_
 }
 
 GicpResult PoseSearch::gicp(const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) const {
-  return refine_gicp(source_.submap.cloud(), source_.centre, source_.order, target_.submap.cloud(),
-                     target_.submap.tree(), start, passes);
+  return refine_gicp(surface_of(source_.submap.cloud()), source_.centre, source_.order,
+                     surface_of(target_.submap.cloud()), target_.submap.tree(), start, passes);
 }
 
 AlignmentFigures PoseSearch::figures_of(const Eigen::Isometry3d& T_target_source,

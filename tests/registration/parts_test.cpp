@@ -16,6 +16,7 @@
 
 #include <loopwise/core/robust_centre.hpp>
 #include <loopwise/features/feature_cache.hpp>
+#include <loopwise/registration/fast_registrar.hpp>
 
 namespace loopwise {
 namespace {
@@ -266,7 +267,7 @@ TEST_CASE("NormalEquations: the sums of the matrices", "[parts][property]") {
   }
 }
 
-TEST_CASE("match_descriptors: the most similar of all, as by comparing each with each", "[parts][property]") {
+TEST_CASE("most_similar: the most similar of all, as by comparing each with each", "[parts][property]") {
   Rng rng(41);
   for (const auto& [sources, targets] :
        std::vector<std::pair<int, int>>{{0, 5}, {5, 0}, {1, 1}, {3, 9}, {61, 50}}) {
@@ -278,9 +279,9 @@ TEST_CASE("match_descriptors: the most similar of all, as by comparing each with
       return d;
     };
     const Descriptors a = draw(sources), b = draw(targets);
-    const auto matches = match_descriptors(PackedDescriptors(a), PackedDescriptors(b));
+    const auto matches = most_similar(PackedDescriptors(b), PackedDescriptors(a));
     REQUIRE(matches.size() == (targets == 0 ? 0U : static_cast<std::size_t>(sources)));
-    const auto portable = match_descriptors(PackedDescriptors(a), PackedDescriptors(b), true);
+    const auto portable = most_similar(PackedDescriptors(b), PackedDescriptors(a), true);
     const auto same = [](const DescriptorMatch& m, const DescriptorMatch& p) {
       return m.source == p.source && m.target == p.target && m.similarity == p.similarity &&
              m.mutual == p.mutual;
@@ -345,6 +346,47 @@ TEST_CASE("refine_gicp: the last match as a bound changes nothing", "[parts][pro
                                           Eigen::Isometry3d::Identity(), {six});
   REQUIRE(together.iterations == 6);
   REQUIRE(together.T_target_source.matrix() == apart.matrix());
+}
+
+TEST_CASE("building blocks: the functions of FastRegistrar with their checks", "[parts][differential]") {
+  Rng rng(48);
+  const testing::Scene scene(48);
+  const ScanFeatures target = compute_features(*scene.scan(testing::ground_pose(0, 0, 0), 6000, rng), {});
+  const ScanFeatures source =
+      compute_features(*scene.scan(testing::ground_pose(0.4, 0.2, 0.1), 6000, rng), {});
+  std::vector<std::uint32_t> all(target.cloud.size());
+  std::iota(all.begin(), all.end(), 0U);
+  const FpfhOptions described;
+  const Descriptors descriptors = fpfh(target.cloud, target.tree);
+  REQUIRE(descriptors == compute_fpfh(target.cloud, target.tree, all, described.radius_m,
+                                      static_cast<std::size_t>(described.max_neighbours)));
+  const auto matches = match_descriptors(descriptors, fpfh(source.cloud, source.tree));
+  const std::vector<Match> points = matched_points(target.cloud, source.cloud, matches);
+  const ConsensusOptions agreed;
+  const Consensus found = consensus(points);
+  const Consensus same =
+      find_consensus(points, agreed.tolerance_m, static_cast<std::size_t>(agreed.max_hypotheses));
+  REQUIRE(found.hypotheses.size() == same.hypotheses.size());
+  for (std::size_t i = 0; i < found.hypotheses.size(); ++i) {
+    REQUIRE(found.hypotheses[i].T_target_source.matrix() == same.hypotheses[i].T_target_source.matrix());
+  }
+  const GicpOptions refined;
+  const GicpResult result = gicp(target.cloud, target.tree, source.cloud);
+  REQUIRE(result.T_target_source.matrix() ==
+          refine_gicp(source.cloud, robust_centre(source.cloud.points), draw_balanced(source.cloud, 2000),
+                      target.cloud, target.tree, Eigen::Isometry3d::Identity(),
+                      gicp_passes(refined.coarse_reach_m, refined.fine_reach_m, 300, 2000))
+              .T_target_source.matrix());
+  // The options' defaults are those of the registrar.
+  const FastRegistrarOptions fast;
+  REQUIRE(described.radius_m == fast.fpfh_radius_m);
+  REQUIRE(described.max_neighbours == fast.fpfh_neighbours);
+  REQUIRE(agreed.tolerance_m == fast.match_tolerance_m);
+  REQUIRE(agreed.max_hypotheses == fast.hypotheses);
+  REQUIRE(refined.coarse_reach_m == fast.coarse_reach_m);
+  REQUIRE(refined.fine_reach_m == fast.fine_reach_m);
+  REQUIRE(refined.coarse_points == fast.coarse_points);
+  REQUIRE(refined.fine_points == fast.fine_points);
 }
 
 }  // namespace
