@@ -14,6 +14,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/planar.hpp>
+#include <loopwise/core/priors.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/io/atomic_file.hpp>
 
@@ -27,7 +28,6 @@ namespace loopwise {
 namespace {
 
 constexpr const char* kWanted = "a g2o graph";
-constexpr double kFixedSigma = 1e-4;
 constexpr std::size_t kPoseNumbers = 7;
 constexpr std::size_t kFactorNumbers = 28;  // a pose and the upper triangle of a 6x6 matrix
 
@@ -343,10 +343,7 @@ class Reader {
     for (const FixLine& line : fixed_) {
       if (has_unsupported_vertex("FIX", line.line, line.key)) continue;
       out_.fixed.push_back(line.key);
-      add(line.line, [&] {
-        out_.graph.add_prior(
-            {line.key, out_.graph.node(line.key).pose, Matrix6d::Identity() / (kFixedSigma * kFixedSigma)});
-      });
+      add(line.line, [&] { out_.graph.add_prior(prior_at(out_.graph, line.key)); });
     }
   }
 
