@@ -8,9 +8,11 @@
 
 #include <nlohmann/json.hpp>
 
+#include <loopwise/core/content_hash.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/json_options.hpp>
+#include <loopwise/replay/code_version.hpp>
 
 namespace loopwise {
 namespace {
@@ -39,7 +41,44 @@ std::string difference(const std::string& before, const std::string& now) {
   return "other options";
 }
 
+ContentHash hash_of(const PoseGraph& graph) {
+  ContentHasher hasher;
+  const auto add_pose = [&hasher](const Eigen::Isometry3d& pose) {
+    for (const double value : pose.matrix().reshaped()) hasher.number(value);
+  };
+  for (const Node& node : graph.nodes()) {
+    hasher.integer(node.key).integer(static_cast<std::uint64_t>(node.stamp_ns));
+    add_pose(node.pose);
+  }
+  for (const Edge& edge : graph.edges()) {
+    hasher.integer(edge.from).integer(edge.to);
+    add_pose(edge.T_from_to);
+  }
+  return hasher.finish();
+}
+
+/// Starts the file with the outcomes of the run to resume.
+KeptOutcomes started(const std::filesystem::path& path, const std::string& fingerprint, bool resume) {
+  KeptOutcomes kept;
+  if (resume && std::filesystem::exists(path))
+    kept = parse_outcomes(read_file(path), fingerprint, path.string());
+  write_file(path, fingerprint + "\n" + kept.lines);
+  kept.lines.clear();
+  return kept;
+}
+
 }  // namespace
+
+std::string run_fingerprint(const Mission& mission, const Config& config) {
+  Json json = Json::object();
+  json["mission"] = mission.name;
+  json["graph"] = to_string(hash_of(mission.graph));
+  json["scans"] = mission.scans->size();
+  json["options"] = parse_json(config_json(config), "options");
+  json["content"] = to_string(ContentHasher().text(config_key(config)).finish());
+  json["code"] = replay_code_version();
+  return json_text(json);
+}
 
 KeptOutcomes parse_outcomes(const std::string& contents, const std::string& fingerprint,
                             const std::string& name) {
@@ -75,19 +114,11 @@ void finish_log(std::ofstream& log, const std::filesystem::path& path) {
   flush_file(path);
 }
 
-OutcomeFile::OutcomeFile(std::filesystem::path path, const std::string& fingerprint, bool resume)
-    : path_(std::move(path)) {
-  if (resume && std::filesystem::exists(path_))
-    kept_ = parse_outcomes(read_file(path_), fingerprint, path_.string());
-  write_file(path_, fingerprint + "\n" + kept_.lines);
-  kept_.lines.clear();
-  out_.open(path_, std::ios::app | std::ios::binary);
-  if (!out_) throw IoError(path_.string(), "cannot be written");
-}
+OutcomeFile::OutcomeFile(const std::filesystem::path& path, const std::string& fingerprint, bool resume)
+    : kept_(started(path, fingerprint, resume)), log_(path, LineLog::Mode::kAppend) {}
 
 void OutcomeFile::add(const RegistrationResult& result) {
-  out_ << outcome_line(result) + "\n" << std::flush;
-  if (!out_) throw IoError(path_.string(), "cannot be written");
+  log_.add(outcome_line(result));
 }
 
 }  // namespace loopwise

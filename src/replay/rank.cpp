@@ -11,6 +11,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/engine/engine.hpp>
 #include <loopwise/engine/scan_insight.hpp>
+#include <loopwise/io/csv.hpp>
 
 #include "mission_feed.hpp"
 
@@ -204,6 +205,17 @@ Ranking rank_candidates(const Mission& mission, const ReplayOptions& replay,
     if (!s.rank) out.candidates.push_back(s);
   }
   return out;
+}
+
+std::string ranking_csv(const Ranking& ranking) {
+  CsvText csv({"rank", "from", "to", "source", "distance_m", "observability_from", "observability_to",
+               "gain_m2", "connecting", "refused"});
+  for (const CandidateScores& s : ranking.candidates) {
+    csv.row(s.rank ? std::to_string(*s.rank) : "", s.candidate.from, s.candidate.to,
+            enum_name(s.candidate.source), s.candidate.distance_m, s.observability_from, s.observability_to,
+            s.gain_m2, s.connecting ? 1 : 0, s.refused);
+  }
+  return csv.text();
 }
 
 }  // namespace loopwise

@@ -173,6 +173,17 @@ class TraceRun {
 
 }  // namespace
 
+TraceHeader read_trace_header(const std::filesystem::path& file) {
+  std::ifstream in(file, std::ios::binary);
+  std::string line;
+  if (!in || !std::getline(in, line)) throw IoError(file.string(), "cannot be read");
+  try {
+    return parse_trace_header(line);
+  } catch (const Error& error) {
+    throw ParseError(file.string(), 1, error.what());
+  }
+}
+
 ReplayResult replay_trace(const std::filesystem::path& file, const ReplayHooks& hooks,
                           const PrioritizerFactory& prioritizers) {
   return TraceRun(file, hooks, prioritizers).execute();

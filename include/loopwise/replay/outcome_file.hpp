@@ -9,9 +9,16 @@
 #include <string>
 
 #include <loopwise/core/export.hpp>
+#include <loopwise/io/line_log.hpp>
+#include <loopwise/io/mission.hpp>
+#include <loopwise/replay/config.hpp>
 #include <loopwise/replay/replay.hpp>
 
 namespace loopwise {
+
+/// All input that determines the outcomes of a run, except the contents of the scans, as one line of JSON: a
+/// run is resumed only with the same fingerprint.
+[[nodiscard]] LOOPWISE_EXPORT std::string run_fingerprint(const Mission& mission, const Config& config);
 
 /// Contents of a file of outcomes.
 struct KeptOutcomes {
@@ -36,7 +43,7 @@ LOOPWISE_EXPORT void finish_log(std::ofstream& log, const std::filesystem::path&
 class LOOPWISE_EXPORT OutcomeFile {
  public:
   /// Starts the file, or reads its contents if the run is resumed. \throws IoError; as parse_outcomes()
-  OutcomeFile(std::filesystem::path path, const std::string& fingerprint, bool resume);
+  OutcomeFile(const std::filesystem::path& path, const std::string& fingerprint, bool resume);
 
   /// Outcomes that were in the file at the start.
   [[nodiscard]] const KnownOutcomes& known() const { return kept_.known; }
@@ -47,12 +54,11 @@ class LOOPWISE_EXPORT OutcomeFile {
   void add(const RegistrationResult& result);
 
   /// Ends the file after the last outcome, and returns when it is on the disk. \throws IoError
-  void finish() { finish_log(out_, path_); }
+  void finish() { log_.finish(); }
 
  private:
-  std::filesystem::path path_;
   KeptOutcomes kept_;
-  std::ofstream out_;
+  LineLog log_;
 };
 
 }  // namespace loopwise

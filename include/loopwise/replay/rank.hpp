@@ -50,6 +50,10 @@ struct Ranking {
   std::string problem;                         ///< Why the trace is missing; empty if it exists.
 };
 
+/// A row for every candidate in the order of the ranking: rank (empty if there is no rank), from, to, source,
+/// distance_m, observability_from, observability_to, gain_m2, connecting (1 or 0) and refused.
+[[nodiscard]] LOOPWISE_EXPORT std::string ranking_csv(const Ranking& ranking);
+
 /// All candidates of a mission's graph at its current poses, in the order of their generation, numbered from
 /// 0. Pairs with an edge are left out; pairs of radio beacons are included if the method uses them.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<LoopCandidate> all_candidates(const Mission& mission,

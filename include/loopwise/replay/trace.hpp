@@ -19,10 +19,8 @@ namespace loopwise {
 
 /// Makes the lines of a trace. Call add() from ModuleParts::on_event:
 ///
-///     TraceWriter trace(robots, options, [&](const std::string& line) {
-///       file << line << std::endl;  // flushed, because traces are for the time after a crash
-///       if (!file) throw IoError("run.trace", "cannot be written");
-///     });
+///     LineLog file("run.trace");  // each line is flushed, because traces are for the time after a crash
+///     TraceWriter trace(robots, options, [&](const std::string& line) { file.add(line); });
 ///     parts.on_event = [&](const HandledEvent& handled) { trace.add(handled); };
 ///
 /// Writer and file must outlive the module. The first line holds the version, the robots and the options,
@@ -61,6 +59,8 @@ struct TraceEvent {
 
 /// Reads the first line of a trace. \throws InputError, OptionError
 [[nodiscard]] LOOPWISE_EXPORT TraceHeader parse_trace_header(const std::string& line);
+/// Reads the header of a trace file. \throws IoError; ParseError naming the file
+[[nodiscard]] LOOPWISE_EXPORT TraceHeader read_trace_header(const std::filesystem::path& file);
 /// Reads any other line. \throws InputError, OptionError
 [[nodiscard]] LOOPWISE_EXPORT TraceEvent parse_trace_event(const std::string& line);
 
