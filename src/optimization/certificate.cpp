@@ -353,6 +353,16 @@ Certificate certify(const PoseGraph& graph, const CertificateOptions& options, c
   return out;
 }
 
+OptimizationResult continued(const OptimizationResult& first, OptimizationResult continuation) {
+  continuation.cost_initial = first.cost_initial;
+  continuation.gradient_initial = first.gradient_initial;
+  continuation.initialization = first.initialization;
+  continuation.iterations += first.iterations;
+  continuation.factorizations += first.factorizations;
+  continuation.trace.insert(continuation.trace.begin(), first.trace.begin(), first.trace.end());
+  return continuation;
+}
+
 CertifiedEstimate optimize_certified(const PoseGraph& graph, const OptimizerOptions& optimizer,
                                      const CertificateOptions& options, const StopToken& stop) {
   // Two costs of one minimum differ by the optimiser's tolerances.

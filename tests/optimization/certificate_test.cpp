@@ -580,6 +580,37 @@ TEST_CASE("optimize_certified: leaves a local minimum, and stays at the global o
   REQUIRE(unsupported.certificate.status == CertificateStatus::kUnsupported);
 }
 
+TEST_CASE("certify: a result and its continuation count as one optimisation", "[optimization][certificate]") {
+  OptimizationResult first, second;
+  first.cost_initial = 9.0;
+  first.cost = 4.0;
+  first.gradient_initial = 5.0;
+  first.initialization = Initialization::kChordal;
+  first.iterations = 3;
+  first.factorizations = 4;
+  first.trace.resize(3);
+  first.trace[0].cost = 8.0;
+  second.cost_initial = 4.0;
+  second.cost = 1.0;
+  second.gradient_initial = 2.0;
+  second.iterations = 2;
+  second.factorizations = 1;
+  second.converged = true;
+  second.trace.resize(2);
+  second.trace[1].cost = 1.0;
+  const OptimizationResult both = continued(first, second);
+  REQUIRE(both.cost_initial == 9.0);
+  REQUIRE(both.gradient_initial == 5.0);
+  REQUIRE(both.initialization == Initialization::kChordal);
+  REQUIRE(both.cost == 1.0);
+  REQUIRE(both.converged);
+  REQUIRE(both.iterations == 5);
+  REQUIRE(both.factorizations == 5);
+  REQUIRE(both.trace.size() == 5);
+  REQUIRE(both.trace.front().cost == 8.0);
+  REQUIRE(both.trace.back().cost == 1.0);
+}
+
 TEST_CASE("certify: known optima of the shared graphs", "[optimization][certificate][data]") {
   // SE-Sync's cost is twice ours: 1.687e3 and 1.263 for the first two (Rosen et al., IJRR 2019, table of the
   // large graphs). More digits and the small graphs are as computed here.

@@ -114,6 +114,11 @@ struct CertifiedEstimate {
   Certificate certificate;  ///< Of `poses`.
 };
 
+/// The result of an optimisation and its continuation from the poses of the first as one: it begins as the
+/// first and ends as the second, with the steps of both. For CertifiedEstimate::optimization.
+[[nodiscard]] LOOPWISE_EXPORT OptimizationResult continued(const OptimizationResult& first,
+                                                           OptimizationResult continuation);
+
 /// Certifies the graph's poses, the result of an optimisation, minimises ½ Σ w rᵀΩr from the lowest poses of
 /// the certificate, and repeats this with the result if it is lower. The weights of the edges do not change.
 /// \throws OptionError; Error if a factor of the matrices would be too large
