@@ -13,7 +13,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
-#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/json_values.hpp>
 #include <loopwise/registration/batch.hpp>
 #include <loopwise/registration/task.hpp>
 #include <loopwise/replay/registration.hpp>
@@ -114,19 +114,17 @@ void judge_near_pairs(MapQuality& quality, const Mission& mission, const PosesBy
                                  displacement(after, proven_between).median_m};
 }
 
-Json number(double value) {
-  return std::isfinite(value) ? Json(value) : Json();
-}
 Json json_of(const Displacement& d) {
-  return {
-      {"mean", number(d.mean_m)}, {"median", number(d.median_m)}, {"worst_tenth", number(d.worst_tenth_m)}};
+  return {{"mean", number_or_null(d.mean_m)},
+          {"median", number_or_null(d.median_m)},
+          {"worst_tenth", number_or_null(d.worst_tenth_m)}};
 }
 Json json_of(const NearPairs& near) {
-  return {{"pairs", near.pairs}, {"proven", near.proven}, {"median_m", number(near.median_m)}};
+  return {{"pairs", near.pairs}, {"proven", near.proven}, {"median_m", number_or_null(near.median_m)}};
 }
 /// Without enough independent revisits the quality is unknown.
 Json interval_json(bool enough, const Interval& interval) {
-  return {enough ? number(interval.low) : Json(), enough ? number(interval.high) : Json()};
+  return {enough ? number_or_null(interval.low) : Json(), enough ? number_or_null(interval.high) : Json()};
 }
 
 Json to_json(const MapQuality& q) {
@@ -135,22 +133,22 @@ Json to_json(const MapQuality& q) {
           {"pairs", q.pairs},
           {"revisits", q.revisits.size()},
           {"stretches", q.stretches},
-          {"coverage", number(q.coverage)},
+          {"coverage", number_or_null(q.coverage)},
           {"enough_for_interval", q.enough()},
           {"displacement_m", {{"recording", json_of(q.before)}, {"estimate", json_of(q.after)}}},
-          {"difference_m", number(q.difference.mean_difference)},
+          {"difference_m", number_or_null(q.difference.mean_difference)},
           {"difference_interval_95", interval_json(q.enough(), q.difference.difference)},
           {"planes", q.planes},
           {"thickness_m",
-           {{"recording", number(q.thickness_before.mean_m)},
-            {"estimate", number(q.thickness_after.mean_m)},
-            {"registered", number(q.thickness_registered.mean_m)}}},
+           {{"recording", number_or_null(q.thickness_before.mean_m)},
+            {"estimate", number_or_null(q.thickness_after.mean_m)},
+            {"registered", number_or_null(q.thickness_registered.mean_m)}}},
           {"thickness_difference_interval_95",
            interval_json(q.enough_planes(), q.thickness_difference.difference)},
           {"share_on_surfaces",
-           {{"recording", number(q.share_before)},
-            {"estimate", number(q.share_after)},
-            {"registered", number(q.share_registered)}}},
+           {{"recording", number_or_null(q.share_before)},
+            {"estimate", number_or_null(q.share_after)},
+            {"registered", number_or_null(q.share_registered)}}},
           {"near_by_estimate", json_of(q.near)},
           {"near_by_estimate_between_robots", json_of(q.near_between_robots)}};
 }
@@ -221,6 +219,14 @@ Displacement displacement(const PosesByKey& poses, const std::vector<ProvenRevis
   out.median_m = quantile(known, 0.5);
   out.worst_tenth_m = quantile(known, 0.9);
   return out;
+}
+
+Revisits closure_pairs(const PoseGraph& graph) {
+  Revisits pairs;
+  for (const Edge& edge : graph.edges()) {
+    if (edge.kind == EdgeKind::kLoopClosure) pairs.emplace_back(edge.from, edge.to);
+  }
+  return pairs;
 }
 
 MapQuality map_quality(const Mission& mission, const PosesByKey& before, const PosesByKey& after,

@@ -2,7 +2,6 @@
 #include "report_review.hpp"
 
 #include <algorithm>
-#include <cmath>
 #include <limits>
 #include <memory>
 #include <string>
@@ -12,6 +11,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/se3.hpp>
+#include <loopwise/io/json_values.hpp>
 
 #include "report_arrays.hpp"
 
@@ -35,16 +35,7 @@ double disagreement(const Item& item) {
 }
 
 Json matrix_json(const Eigen::Isometry3d& T) {
-  Json numbers = Json::array();
-  for (int row = 0; row < 3; ++row) {
-    for (int column = 0; column < 4; ++column) numbers.push_back(T.matrix()(row, column));
-  }
-  return numbers;
-}
-
-/// JSON has no NaN.
-Json number_json(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
+  return row_major_json(T.matrix().topRows<3>());
 }
 
 Json scan_json(const PointCloud& cloud, std::uint64_t seed) {
@@ -124,9 +115,9 @@ Json closure_json(const Item& item, const ReviewedRun& run) {
   return {{"from", run.place.at(closure.from)},
           {"to", run.place.at(closure.to)},
           {"keys", {std::to_string(closure.from), std::to_string(closure.to)}},
-          {"weight", number_json(closure.weight)},
-          {"overlap", number_json(closure.overlap)},
-          {"time_s", number_json(closure.time_s)},
+          {"weight", number_or_null(closure.weight)},
+          {"overlap", number_or_null(closure.overlap)},
+          {"time_s", number_or_null(closure.time_s)},
           {"off_m", item.off_m},
           {"off_deg", item.off_rad * kDegreesPerRadian},
           {"odometry", has_odometry ? matrix_json(from->second.inverse() * to->second) : Json(nullptr)},

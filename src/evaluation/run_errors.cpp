@@ -5,6 +5,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "errors_json.hpp"
+
 namespace loopwise {
 namespace {
 
@@ -21,10 +23,6 @@ ClosureResiduals residuals_of(const std::vector<LoopClosure>& kept, const PosesB
     }
   }
   return {statistics(m), statistics(rad)};
-}
-
-Json statistics_json(const Statistics& s) {
-  return {{"rmse", s.rmse}, {"mean", s.mean}, {"median", s.median}, {"max", s.max}};
 }
 
 Json relative_json(const RelativeErrors& e) {

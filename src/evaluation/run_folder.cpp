@@ -18,7 +18,9 @@
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/g2o.hpp>
 #include <loopwise/io/json_options.hpp>
+#include <loopwise/io/json_values.hpp>
 #include <loopwise/io/mission.hpp>
+#include <loopwise/io/output_folder.hpp>
 #include <loopwise/io/trajectory.hpp>
 
 #include "run_errors.hpp"
@@ -87,8 +89,7 @@ Json calibration_json(const Calibration& calibration) {
                      {"expected", bin.expected / static_cast<double>(bin.count)},
                      {"verified", static_cast<double>(bin.verified) / static_cast<double>(bin.count)}});
   }
-  const double brier = calibration.brier();
-  return {{"brier", std::isnan(brier) ? Json(nullptr) : Json(brier)}, {"table", table}};
+  return {{"brier", number_or_null(calibration.brier())}, {"table", table}};
 }
 
 }  // namespace
@@ -130,11 +131,8 @@ std::string run_summary_json(const Mission& mission, const ReplayOptions& option
                      {"registration", result.registration_s},
                      {"optimization", result.optimization_s}};
   json["options"] = parse_json(options_json(options), "options");
-  Json problems = Json::array();
-  for (const Problems* list : {&mission.problems, &result.problems}) {
-    for (const Problem& problem : list->all()) problems.push_back(to_string(problem));
-  }
-  json["problems"] = problems;
+  json["problems"] = problems_json(mission.problems);
+  for (Json& problem : problems_json(result.problems)) json["problems"].push_back(std::move(problem));
   return json_text(json, 2) + "\n";
 }
 
@@ -204,6 +202,26 @@ void add_scan_problems(ReplayResult& result, const ScanStore& scans) {
     const std::size_t known = result.problems.count(problem.kind);
     if (problem.count > known) result.problems.add(problem.kind, problem.example, problem.count - known);
   }
+}
+
+PointCloud map_of_run(const Mission& mission, ReplayResult& result, double voxel_m, const StopToken& stop,
+                      const ProgressCallback& progress, double max_range_m) {
+  StitchedMap map = stitch_map(result.graph, *mission.scans, voxel_m, stop, progress, max_range_m);
+  result.problems.add(map.problems);
+  add_scan_problems(result, *mission.scans);
+  return std::move(map.cloud);
+}
+
+void remove_run_results(const std::filesystem::path& folder) {
+  for (const char* name : {"summary.json", "odometry.csv", "map.pcd", "map.ply", "picture.svg"})
+    remove_former(folder / name);
+  // The earlier run may have had other robots.
+  if (!std::filesystem::is_directory(folder / "trajectories")) return;
+  std::vector<std::filesystem::path> trajectories;
+  for (const auto& entry : std::filesystem::directory_iterator(folder / "trajectories")) {
+    if (entry.path().extension() == ".tum") trajectories.push_back(entry.path());
+  }
+  for (const std::filesystem::path& file : trajectories) remove_former(file);
 }
 
 void write_run_folder(const std::filesystem::path& folder, const Mission& mission,

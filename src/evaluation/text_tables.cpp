@@ -14,6 +14,10 @@ std::string fixed(double value, int decimals) {
   return text;
 }
 
+std::string counted(std::size_t count, const std::string& noun, const std::string& several) {
+  return std::to_string(count) + " " + (count == 1 ? noun : several.empty() ? noun + "s" : several);
+}
+
 std::string table(const std::vector<std::vector<std::string>>& rows) {
   std::vector<std::size_t> widths;
   for (const auto& row : rows) {

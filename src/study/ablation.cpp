@@ -266,10 +266,10 @@ void add_reductions(Tables& t) {
             100.0 * (1.0 - quartiles(t.figures.of(method, "ate_m", world.missions)).median / of_other);
         sum += reduction;
         row.push_back(fixed(reduction, 1));
-        entry[world.name] = number_json(reduction);
+        entry[world.name] = number_or_null(reduction);
       }
       const double mean = sum / static_cast<double>(t.worlds.size());
-      entry["mean"] = number_json(mean);
+      entry["mean"] = number_or_null(mean);
       row.push_back(fixed(mean, 1));
       rows.push_back(row);
     }

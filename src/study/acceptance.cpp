@@ -65,9 +65,9 @@ Json scores_json(const AcceptanceFit& fit) {
     rows.push_back({{"mission", score.mission},
                     {"samples", score.count},
                     {"positive", score.positive},
-                    {"auc", number_json(score.auc)},
-                    {"auc_by_distance", number_json(score.auc_by_distance)},
-                    {"brier", number_json(score.brier)}});
+                    {"auc", number_or_null(score.auc)},
+                    {"auc_by_distance", number_or_null(score.auc_by_distance)},
+                    {"brier", number_or_null(score.brier)}});
   }
   return rows;
 }

@@ -15,29 +15,29 @@ Json to_json(const PairSummary& s) {
   return {{"pairs", s.pairs},
           {"overlapping", s.overlapping},
           {"recalled", s.recalled},
-          {"recall", number_json(s.recall)},
+          {"recall", number_or_null(s.recall)},
           {"accepted", s.accepted},
           {"wrong", s.wrong},
           {"false_accepts", s.false_accepts},
-          {"false_accept_bound_95", number_json(s.false_accept_bound)},
+          {"false_accept_bound_95", number_or_null(s.false_accept_bound)},
           {"error",
-           {{"median_m", number_json(s.median_m)},
-            {"median_rad", number_json(s.median_rad)},
-            {"max_m", number_json(s.largest_m)}}},
+           {{"median_m", number_or_null(s.median_m)},
+            {"median_rad", number_or_null(s.median_rad)},
+            {"max_m", number_or_null(s.largest_m)}}},
           {"normalized_error",
-           {{"mean", number_json(s.mean_squared_error)},
-            {"beyond_5_percent_point", number_json(s.beyond_5)},
-            {"beyond_95_percent_point", number_json(s.beyond_95)},
-            {"beyond_999_permille_point", number_json(s.beyond_999)},
+           {{"mean", number_or_null(s.mean_squared_error)},
+            {"beyond_5_percent_point", number_or_null(s.beyond_5)},
+            {"beyond_95_percent_point", number_or_null(s.beyond_95)},
+            {"beyond_999_permille_point", number_or_null(s.beyond_999)},
             {"degenerate", s.degenerate},
-            {"degenerate_beyond_95_percent_point", number_json(s.degenerate_beyond_95)}}},
+            {"degenerate_beyond_95_percent_point", number_or_null(s.degenerate_beyond_95)}}},
           {"milliseconds",
-           {{"features", number_json(s.features_ms)},
-            {"global", number_json(s.global_ms)},
-            {"refine", number_json(s.refine_ms)},
-            {"accepted", number_json(s.accepted_ms)},
-            {"rejected", number_json(s.rejected_ms)},
-            {"mean", number_json(s.mean_ms)}}}};
+           {{"features", number_or_null(s.features_ms)},
+            {"global", number_or_null(s.global_ms)},
+            {"refine", number_or_null(s.refine_ms)},
+            {"accepted", number_or_null(s.accepted_ms)},
+            {"rejected", number_or_null(s.rejected_ms)},
+            {"mean", number_or_null(s.mean_ms)}}}};
 }
 
 const std::vector<std::string> kColumns{"registrar", "pairs",  "overlapping", "recall %",   "accepted",
@@ -118,7 +118,7 @@ RegistrationReport report_registration(const RegistrationStudy& study, const std
       Json cell = to_json(within);
       cell["property"] = stratum.property;
       cell["from"] = stratum.from;
-      cell["to"] = number_json(stratum.to);
+      cell["to"] = number_or_null(stratum.to);
       entry["strata"].push_back(cell);
       table_rows.push_back(row(stratum.property + " " + range(stratum), within));
     }

@@ -67,10 +67,6 @@ std::vector<std::string> canonical_methods(const std::vector<std::string>& metho
   return canonical;
 }
 
-Json number_json(double value) {
-  return std::isfinite(value) ? Json(value) : Json();
-}
-
 Json& object_at(Json& parent, const std::string& name) {
   if (!parent.contains(name)) parent[name] = Json::object();
   return parent[name];
@@ -79,21 +75,21 @@ Json& object_at(Json& parent, const std::string& name) {
 Json quartiles_json(const std::vector<double>& values) {
   const Quartiles q = quartiles(values);
   return {{"count", q.count},
-          {"median", number_json(q.median)},
-          {"lower_quartile", number_json(q.lower)},
-          {"upper_quartile", number_json(q.upper)}};
+          {"median", number_or_null(q.median)},
+          {"lower_quartile", number_or_null(q.lower)},
+          {"upper_quartile", number_or_null(q.upper)}};
 }
 
 Json interval_json(const Interval& interval) {
-  return {number_json(interval.low), number_json(interval.high)};
+  return {number_or_null(interval.low), number_or_null(interval.high)};
 }
 
 Json comparison_json(const PairedComparison& c) {
   return {{"missions", c.count},
           {"better", c.better},
-          {"mean_difference_m", number_json(c.mean_difference)},
+          {"mean_difference_m", number_or_null(c.mean_difference)},
           {"difference_interval_95_m", interval_json(c.difference)},
-          {"ratio", number_json(c.ratio)},
+          {"ratio", number_or_null(c.ratio)},
           {"ratio_interval_95", interval_json(c.ratio_interval)}};
 }
 
@@ -111,10 +107,6 @@ std::vector<World> worlds_of(const std::vector<StudyMission>& missions) {
     }
   }
   return worlds;
-}
-
-std::string counted(std::size_t count, const std::string& what) {
-  return std::to_string(count) + " " + what + (count == 1 ? "" : "s");
 }
 
 std::string describe(const World& world) {

@@ -8,7 +8,7 @@
 
 #include <loopwise/evaluation/sample_statistics.hpp>
 #include <loopwise/evaluation/text_tables.hpp>
-#include <loopwise/io/json_options.hpp>
+#include <loopwise/io/json_values.hpp>
 
 #include "scheduler.hpp"
 
@@ -37,8 +37,6 @@ namespace loopwise::study {
 /// but without memory the library leaves a value that cannot be destroyed.
 [[nodiscard]] Json& object_at(Json& parent, const std::string& name);
 
-/// Null unless finite.
-[[nodiscard]] Json number_json(double value);
 [[nodiscard]] Json quartiles_json(const std::vector<double>& values);
 [[nodiscard]] Json interval_json(const Interval& interval);
 [[nodiscard]] Json comparison_json(const PairedComparison& c);
@@ -51,9 +49,6 @@ struct World {
 };
 /// In the order of their first missions.
 [[nodiscard]] std::vector<World> worlds_of(const std::vector<StudyMission>& missions);
-
-/// "1 mission", "5 missions".
-[[nodiscard]] std::string counted(std::size_t count, const std::string& what);
 
 /// "tunnel: 5 missions, parameters e7c1510012d8".
 [[nodiscard]] std::string describe(const World& world);

@@ -13,8 +13,8 @@
 #include <loopwise/evaluation/run_folder.hpp>
 #include <loopwise/evaluation/run_history.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/line_log.hpp>
 #include <loopwise/replay/code_version.hpp>
-#include <loopwise/replay/outcome_file.hpp>
 #include <loopwise/replay/replay.hpp>
 
 namespace loopwise::study {
@@ -94,11 +94,7 @@ MapQuality judge_map(const LoadedMission& loaded, const ReplayOptions& options, 
     before[node.key] = result.odometry[i];
     after[node.key] = node.pose;
   }
-  Revisits used;
-  for (const Edge& edge : result.graph.edges()) {
-    if (edge.kind == EdgeKind::kLoopClosure) used.emplace_back(edge.from, edge.to);
-  }
-  return map_quality(loaded.mission, before, after, used, options, pool, stop, {},
+  return map_quality(loaded.mission, before, after, closure_pairs(result.graph), options, pool, stop, {},
                      loaded.registration.registrar.get());
 }
 
@@ -175,12 +171,12 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
   hooks.moment = [&](const ReplayMoment& moment) { history.add(moment); };
   hooks.stop = stop;
   hooks.progress = progress;
-  std::ofstream journal;
+  std::optional<LineLog> journal;
   if (keep_run) {
     fs::create_directories(files.run);
     fs::remove(files.run / "summary.json");
-    journal.open(files.run / "journal.jsonl", std::ios::binary | std::ios::trunc);
-    hooks.journal = [&](const std::string& line) { journal << line << "\n"; };
+    journal.emplace(files.run / "journal.jsonl");
+    hooks.journal = [&](const std::string& line) { journal->add(line); };
   }
   ThreadPool one(1);
   ReplayResult result =
@@ -191,14 +187,12 @@ std::optional<ComputedUnit> compute(const LoadedMission& loaded, const StudyMiss
   if (unit.map_quality) quality = judge_map(loaded, unit.config.replay, result, one, stop);
   if (stop.stop_requested()) return std::nullopt;
   if (keep_run) {
-    finish_log(journal, files.run / "journal.jsonl");
-    const StitchedMap map = stitch_map(result.graph, *loaded.mission.scans, kMapVoxel_m, stop, {},
-                                       unit.config.replay.registration.features.max_range_m);
+    journal->finish();
+    const PointCloud map = map_of_run(loaded.mission, result, kMapVoxel_m, stop, {},
+                                      unit.config.replay.registration.features.max_range_m);
     if (stop.stop_requested()) return std::nullopt;
-    result.problems.add(map.problems);
-    add_scan_problems(result, *loaded.mission.scans);
     write_run_folder(files.run, loaded.mission, unit.config.replay, result,
-                     evaluate_run(loaded.mission, result), history.rows(), map.cloud);
+                     evaluate_run(loaded.mission, result), history.rows(), map);
     if (quality) keep_map_quality(files.run, *quality);
   }
   ComputedUnit computed{unit_json(about, loaded.mission, unit.config.replay, result, history), 0.0, {}};

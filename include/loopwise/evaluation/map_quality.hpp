@@ -92,6 +92,9 @@ struct MapQuality {
   [[nodiscard]] LOOPWISE_EXPORT std::string not_meaningful() const;
 };
 
+/// The pairs of nodes that loop closures of the graph join, as the edges have them.
+[[nodiscard]] LOOPWISE_EXPORT Revisits closure_pairs(const PoseGraph& graph);
+
 /// Judges the poses `after` of an estimate against `before`, those of the recording. Pairs of `used`, the
 /// closures that the estimate was made of, do not count. `registrar` as of prove_revisits().
 /// \throws OptionError
@@ -104,6 +107,13 @@ struct MapQuality {
 
 /// The figures as a JSON object, as `loopwise evaluate --map` prints them; null for unknown numbers.
 [[nodiscard]] LOOPWISE_EXPORT std::string map_quality_json(const MapQuality& quality);
+
+/// The figures as text, as `loopwise evaluate --map` prints them.
+[[nodiscard]] LOOPWISE_EXPORT std::string map_quality_text(const MapQuality& quality);
+
+/// A sentence if registrations contradict the estimate at many places, i.e. its map is probably wrong;
+/// otherwise empty.
+[[nodiscard]] LOOPWISE_EXPORT std::string map_quality_warning(const MapQuality& quality);
 
 /// Adds the figures to summary.json of a run's folder, as `map_quality`, in place of former ones.
 /// \throws IoError; ParseError, InputError on a summary that is no object

@@ -79,6 +79,16 @@ struct StitchedMap {
 /// between.
 LOOPWISE_EXPORT void add_scan_problems(ReplayResult& result, const ScanStore& scans);
 
+/// The map of a run, as from stitch_map(). Adds the problems of the map and of its scans to the result.
+[[nodiscard]] LOOPWISE_EXPORT PointCloud map_of_run(const Mission& mission, ReplayResult& result,
+                                                    double voxel_m, const StopToken& stop = {},
+                                                    const ProgressCallback& progress = {},
+                                                    double max_range_m = FeatureOptions().max_range_m);
+
+/// Removes results of an earlier run that write_run_folder() does not always replace, such as trajectories of
+/// other robots. Other files stay. \throws IoError
+LOOPWISE_EXPORT void remove_run_results(const std::filesystem::path& folder);
+
 /// Writes the results of a run into an existing folder: graph.g2o, trajectories/ROBOT.tum (optimised),
 /// trajectories/ROBOT_odometry.tum, closures.csv, history.csv, map.pcd (if `map` is not empty), picture.svg
 /// (both about map_origin(), which summary.json and a comment in map.pcd state) and, last, summary.json:

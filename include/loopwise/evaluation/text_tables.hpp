@@ -3,6 +3,7 @@
 /// Numbers and tables as text.
 #pragma once
 
+#include <cstddef>
 #include <string>
 #include <vector>
 
@@ -12,6 +13,10 @@ namespace loopwise {
 
 /// "12.3" with the given number of decimals; "-" for NaN.
 [[nodiscard]] LOOPWISE_EXPORT std::string fixed(double value, int decimals);
+
+/// A count with its noun: "1 closure", "3 closures"; `several` is the plural if it is not formed by an s.
+[[nodiscard]] LOOPWISE_EXPORT std::string counted(std::size_t count, const std::string& noun,
+                                                  const std::string& several = "");
 
 /// Rows of equal length as text in columns, the first row underlined.
 [[nodiscard]] LOOPWISE_EXPORT std::string table(const std::vector<std::vector<std::string>>& rows);
