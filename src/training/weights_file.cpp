@@ -32,4 +32,18 @@ void write_weights(const std::filesystem::path& path, NetworkKind kind, const Te
   write_file(path, text + "\n}\n");
 }
 
+std::set<std::string> missions_of_weights(const std::filesystem::path& path) {
+  std::set<std::string> out;
+  const Json json = read_json_file(path);
+  if (!json.is_object() || !json.contains("__meta__")) return out;
+  const Json& meta = json["__meta__"];
+  if (!meta.is_object() || !meta.contains("missions") || !meta["missions"].is_object()) return out;
+  for (const auto& [role, names] : meta["missions"].items()) {
+    for (const Json& name : names) {
+      if (name.is_string()) out.insert(name.get<std::string>());
+    }
+  }
+  return out;
+}
+
 }  // namespace loopwise::training

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -35,5 +36,9 @@ using Tensors = std::map<std::string, PlainTensor>;
 /// `meta` becomes `__meta__`, with `kind` as its first entry.
 LOOPWISE_EXPORT void write_weights(const std::filesystem::path& path, NetworkKind kind,
                                    const Tensors& tensors, const std::string& meta_json);
+
+/// Names of the missions that a network was trained on and validated with, according to `__meta__` of its
+/// file; empty if the file does not name any. \throws IoError, ParseError
+[[nodiscard]] LOOPWISE_EXPORT std::set<std::string> missions_of_weights(const std::filesystem::path& path);
 
 }  // namespace loopwise::training
