@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include <algorithm>
-#include <cmath>
-
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/convert.hpp>
+#include <loopwise/io/output_folder.hpp>
 
 #include "command.hpp"
+#include "mission_options.hpp"
+#include "pose_text.hpp"
 #include "team.hpp"
 
 namespace loopwise::cli {
@@ -15,44 +15,28 @@ namespace {
 
 struct Options {
   CommonOptions common;
-  std::string map, session, output, bin_layout;
+  std::string map, session, output;
+  MissionArguments reading;
 };
-
-std::string rows_text(const Eigen::Isometry3d& T) {
-  std::string rows;
-  for (int r = 0; r < 4; ++r) {
-    for (int c = 0; c < 4; ++c) {
-      const std::string value = fixed(T(r, c), 6);
-      rows += std::string(value.size() < 13 ? 13 - value.size() : 1, ' ') + value;
-    }
-    rows += "\n";
-  }
-  return rows;
-}
 
 /// Writes the joined mission. If that fails, the partial output is removed.
 std::size_t write_joined(const Mission& mission, const Options& options, Console& console,
                          const StopToken& stop) {
-  const bool existed = std::filesystem::exists(options.output);
-  prepare_output_folder(options.output, false, "");
+  NewFolder folder(options.output);
   ConvertOptions convert;
   convert.threads = thread_count(options.common);
   convert.progress = console.progress_callback();
   convert.stop = stop;
-  try {
-    return convert_mission(mission, options.output, MissionFormat::kMission, convert).scans;
-  } catch (...) {
-    std::error_code ignored;
-    if (!existed) std::filesystem::remove(options.output, ignored);
-    throw;
-  }
+  const std::size_t scans = convert_mission(mission, options.output, MissionFormat::kMission, convert).scans;
+  folder.keep();
+  return scans;
 }
 
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
-  apply_bin_layout(options.bin_layout, config);
+  apply(options.reading, config);
   if (!options.output.empty()) refuse_recording(options.output, {options.map, options.session});
   MissionOptions reading = config.mission;
   reading.frames.clear();
@@ -72,7 +56,7 @@ int run(const Options& options) {
   if (placed) {
     const Eigen::Isometry3d& T = frames.result.frames.back().pose;
     json["T_map_session"] = json["components"].back()["T_common_component"];
-    text += "T_map_session\n" + rows_text(T) + frames_text(frames);
+    text += "T_map_session\n" + matrix_rows(T, 6) + frames_text(frames);
     mission = placed_team(mission, frames);
     console.warn(mission.problems);
     if (!options.output.empty()) {
@@ -107,9 +91,8 @@ void add_align(CLI::App& app, Action& chosen) {
   command->add_option("-o,--output", options->output, "Folder for the joined mission: a new one, or empty")
       ->type_name("DST")
       ->check(not_standard_output());
-  add_bin_layout_option(*command, options->bin_layout);
-  add_common_options(*command, options->common);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+  add_bin_layout_option(*command, options->reading.bin_layout);
+  finish_command(*command, options, run, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -2,10 +2,13 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/mission_summary.hpp>
 #include <loopwise/io/convert.hpp>
-#include <loopwise/io/mission.hpp>
+#include <loopwise/io/json_values.hpp>
+#include <loopwise/io/output_folder.hpp>
 
 #include "command.hpp"
+#include "mission_options.hpp"
 #include "team.hpp"
 
 namespace loopwise::cli {
@@ -14,25 +17,15 @@ namespace {
 struct Options {
   CommonOptions common;
   std::vector<std::string> sources;
-  std::string output, to = "mission", encoding = "binary_compressed", robots, frames, bin_layout;
-  bool start_together = false;
+  std::string output, to = "mission", encoding = "binary_compressed";
+  MissionArguments reading;
 };
-
-Json problems_json(const Problems& problems) {
-  Json json = Json::array();
-  for (const Problem& problem : problems.all()) json.push_back(to_string(problem));
-  return json;
-}
 
 /// One sentence on everything that a file of poses leaves out of a mission.
 std::string trajectories_hold(MissionFormat format, const Problems& left_out) {
-  constexpr std::string_view kSuffix = " left out";
   std::string others;
   for (const Problem& problem : left_out.all()) {
-    std::string what = problem.kind;
-    if (what.size() > kSuffix.size() && what.substr(what.size() - kSuffix.size()) == kSuffix)
-      what.resize(what.size() - kSuffix.size());
-    others += (others.empty() ? "" : ", ") + what +
+    others += (others.empty() ? "" : ", ") + problem.kind.substr(0, problem.kind.rfind(" left out")) +
               (problem.count > 1 ? " x " + std::to_string(problem.count) : "");
   }
   return enum_name(format) + " files hold the robots' poses" +
@@ -50,80 +43,73 @@ MissionFormat format_of(const std::string& word) {
   return parse_enum<MissionFormat>("--to", word);
 }
 
+/// Reads the sources and writes the mission. An output folder made here is removed if that fails.
+ConvertResult write_converted(const Options& options, MissionFormat format, const Config& config, Team& team,
+                              Console& console, const StopToken& stop) {
+  const ConvertOptions convert{parse_enum<PcdEncoding>("--encoding", options.encoding),
+                               thread_count(options.common), console.progress_callback(), stop};
+  NewFolder folder(options.output);
+  const std::vector<std::filesystem::path> paths(options.sources.begin(), options.sources.end());
+  ThreadPool threads(convert.threads);
+  team = read_team(paths, config, /*find=*/false, threads, convert.progress, stop);
+  console.warn(team.mission.problems);
+  ConvertResult result = convert_mission(team.mission, options.output, format, convert);
+  folder.keep();
+  return result;
+}
+
+void print_conversion(const Options& options, const Team& team, const ConvertResult& result) {
+  const MissionSummary s = summarize_mission(team.mission);
+  Json robots = Json::array();
+  std::size_t landmarks = 0;
+  for (const RobotSummary& robot : s.robots) {
+    if (!robot.landmarks) robots.push_back(robot.name);
+    if (robot.landmarks) landmarks += robot.nodes;
+  }
+  Json json = {{"kind", enum_name(s.kind)},
+               {"to", options.to},
+               {"folder", options.output},
+               {"name", s.name},
+               {"robots", robots},
+               {"nodes", s.nodes},
+               {"landmarks", landmarks},
+               {"edges", s.edges},
+               {"priors", s.priors},
+               {"ranges", s.ranges},
+               {"gravity", s.gravity},
+               {"scans", result.scans},
+               {"ground_truth", s.ground_truth},
+               {"reference", s.reference},
+               {"radio_readings", s.radio_readings},
+               {"beacons", s.beacons},
+               {"left_out", problems_json(result.left_out)},
+               {"problems", problems_json(s.problems)}};
+  if (team.frames) json["frames"] = frames_json(*team.frames);
+  print_results(options.common, json,
+                enum_name(s.kind) + " \"" + s.name + "\" to " + options.to + ": " +
+                    std::to_string(robots.size()) + " robots, " + std::to_string(s.nodes) + " nodes" +
+                    (landmarks > 0 ? " (" + std::to_string(landmarks) + " landmarks), " : ", ") +
+                    std::to_string(s.edges) + " edges, " + std::to_string(result.scans) + " scans, " +
+                    std::to_string(s.ground_truth) + " true poses\n" +
+                    (team.frames ? frames_text(*team.frames) : "") + "folder       " + options.output + "\n");
+}
+
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
-  if (!options.robots.empty()) config.mission.robots = options.robots;
-  if (!options.frames.empty()) config.mission.frames = options.frames;
-  if (options.start_together) config.mission.start_together = true;
-  apply_bin_layout(options.bin_layout, config);
+  apply(options.reading, config);
   if (config.mission.frames != "auto") config.mission.scan_cache_mb = 0.0;  // each scan is used once
   const MissionFormat format = format_of(options.to);
-  ConvertOptions convert;
-  convert.encoding = parse_enum<PcdEncoding>("--encoding", options.encoding);
-  convert.threads = thread_count(options.common);
-  convert.progress = console.progress_callback();
-  convert.stop = interrupt.token();
-  const bool existed = std::filesystem::exists(options.output);
-  prepare_output_folder(options.output, false, "");
-
   Team team;
-  Mission& mission = team.mission;
-  ConvertResult result;
-  try {
-    const std::vector<std::filesystem::path> paths(options.sources.begin(), options.sources.end());
-    ThreadPool threads(convert.threads);
-    team = read_team(paths, config, /*find=*/false, threads, console.progress_callback(), interrupt.token());
-    console.warn(mission.problems);
-    result = convert_mission(mission, options.output, format, convert);
-  } catch (...) {
-    std::error_code ignored;
-    if (!existed) std::filesystem::remove(options.output, ignored);
-    throw;
-  }
-  console.warn(mission.scans->problems());
+  const ConvertResult result = write_converted(options, format, config, team, console, interrupt.token());
+  console.warn(team.mission.scans->problems());
   if (format == MissionFormat::kTum || format == MissionFormat::kKitti) {
     console.note(trajectories_hold(format, result.left_out));
   } else {
     for (const Problem& problem : result.left_out.all()) console.note(to_string(problem));
   }
-
-  Problems problems = mission.problems;
-  problems.add(mission.scans->problems());
-  Json robots = Json::array();
-  std::size_t landmarks = 0;
-  for (const Robot& robot : mission.robots.all()) {
-    if (!robot.landmarks) robots.push_back(robot.name);
-  }
-  for (const Node& node : mission.graph.nodes()) landmarks += mission.robots.is_landmark(node.key) ? 1 : 0;
-  Json json = {{"kind", enum_name(mission.kind)},
-               {"to", options.to},
-               {"folder", options.output},
-               {"name", mission.name},
-               {"robots", robots},
-               {"nodes", mission.graph.nodes().size()},
-               {"landmarks", landmarks},
-               {"edges", mission.graph.edges().size()},
-               {"priors", mission.graph.priors().size()},
-               {"ranges", mission.graph.ranges().size()},
-               {"gravity", mission.graph.gravities().size()},
-               {"scans", result.scans},
-               {"ground_truth", mission.ground_truth.size()},
-               {"reference", mission.reference.size()},
-               {"radio_readings", mission.radio.size()},
-               {"beacons", mission.beacons.size()},
-               {"left_out", problems_json(result.left_out)},
-               {"problems", problems_json(problems)}};
-  std::string text =
-      enum_name(mission.kind) + " \"" + mission.name + "\" to " + options.to + ": " +
-      std::to_string(robots.size()) + " robots, " + std::to_string(mission.graph.nodes().size()) + " nodes" +
-      (landmarks > 0 ? " (" + std::to_string(landmarks) + " landmarks), " : ", ") +
-      std::to_string(mission.graph.edges().size()) + " edges, " + std::to_string(result.scans) + " scans, " +
-      std::to_string(mission.ground_truth.size()) + " true poses\n" +
-      (team.frames ? frames_text(*team.frames) : "") + "folder       " + options.output + "\n";
-  if (team.frames) json["frames"] = frames_json(*team.frames);
-  print_results(options.common, json, text);
+  print_conversion(options, team, result);
   return kDone;
 }
 
@@ -134,8 +120,7 @@ void add_convert(CLI::App& app, Action& chosen) {
   CLI::App* command = app.add_subcommand("convert", "Write recorded data in another form");
   command->footer(
       "Reads what every command reads: mission folders, sessions, g2o files, g2o_pcd folders, bags, "
-      "maps "
-      "that\n"
+      "maps that\n"
       "LAMP saved. Several bags are one recording; several missions become one mission.\n"
       "  loopwise convert tunnel/rosbag -o tunnel_mission\n"
       "  loopwise convert session1 session2 session3 -o team --frames frames.csv\n"
@@ -154,13 +139,11 @@ void add_convert(CLI::App& app, Action& chosen) {
       ->add_option("--encoding", options->encoding,
                    "Of the clouds: ascii, binary or binary_compressed (default)")
       ->type_name("WORD");
-  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
-      ->type_name("LIST");
-  add_joining_options(*command, options->frames, options->start_together);
-  add_bin_layout_option(*command, options->bin_layout);
+  add_robots_option(*command, options->reading.robots);
+  add_joining_options(*command, options->reading);
+  add_bin_layout_option(*command, options->reading.bin_layout);
   add_key_frame_options(*command, options->common);
-  add_common_options(*command, options->common);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+  finish_command(*command, options, run, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -3,7 +3,7 @@
 
 #include <string>
 
-#include "command.hpp"
+#include "common/common_options.hpp"
 
 namespace loopwise::cli {
 

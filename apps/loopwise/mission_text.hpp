@@ -1,24 +1,19 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// The output of `loopwise info` for a mission, as text and as JSON.
+/// Parts of the output of `loopwise info`, some of which `loopwise simulate` prints too.
 #pragma once
 
-#include <cstddef>
 #include <string>
 
+#include <loopwise/evaluation/mission_statistics.hpp>
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/io/mission.hpp>
 
 namespace loopwise::cli {
 
-/// Points of the scans that were read.
-struct PointCounts {
-  std::size_t scans = 0, total = 0, fewest = 0, most = 0;
-};
-
-/// Sets the figures of robots, graph, scans, truth and radio.
-void describe_mission(const Mission& mission, const PointCounts& points, const Problems& problems, Json& json,
-                      std::string& text);
+/// Adds the number of candidates by proximity, and the number of those that saw the same place.
+void add_candidates(const Mission& mission, const CandidateStatisticsOptions& options, Json& json,
+                    std::string& text);
 /// Adds the drift of odometry, if ground truth is known.
 void add_drift(const Mission& mission, Json& json, std::string& text);
 /// Adds the topics of the bags and the data taken from each.

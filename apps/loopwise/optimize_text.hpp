@@ -3,17 +3,13 @@
 #pragma once
 
 #include <string>
-#include <vector>
-
-#include <nlohmann/json.hpp>
 
 #include <loopwise/core/pose_graph.hpp>
+#include <loopwise/io/json_options.hpp>
 #include <loopwise/optimization/certificate.hpp>
 #include <loopwise/optimization/gnc.hpp>
 #include <loopwise/optimization/marginals.hpp>
 #include <loopwise/optimization/optimizer.hpp>
-
-#include "command.hpp"
 
 namespace loopwise::cli {
 
@@ -23,17 +19,16 @@ struct Times {
 };
 
 /// Table of the cost of every step.
-std::string trace_table(const OptimizationResult& result);
-/// A line for every robot whose odometry is worse than stated.
-std::string odometry_text(const GncResult& gnc);
-/// Writes rows edge, from, to, weight, kind, in the order of the graph's edges.
-void write_weights(const std::string& path, const PoseGraph& graph, const std::vector<double>& weights);
-/// Writes a row for every node: the upper triangle of its covariance, translation before rotation.
-void write_marginals(const std::string& path, const PoseGraph& graph, const Marginals& marginals);
-Json certificate_json(const CertifiedEstimate& estimate);
+[[nodiscard]] std::string trace_table(const OptimizationResult& result);
+[[nodiscard]] Json gnc_json(const GncResult& gnc);
+/// Counts of closures, and a line for every robot whose odometry is worse than stated.
+[[nodiscard]] std::string gnc_text(const GncResult& gnc);
+[[nodiscard]] std::string marginals_text(const Marginals& marginals);
+[[nodiscard]] Json certificate_json(const CertifiedEstimate& estimate);
 /// \param robust whether the certified problem has the weights of robust optimisation
-std::string certificate_text(const CertifiedEstimate& estimate, bool robust);
-Json head_json(const PoseGraph& graph, const OptimizationResult& result, const Times& at, double total);
-std::string head_text(const PoseGraph& graph, const OptimizationResult& result, double seconds);
+[[nodiscard]] std::string certificate_text(const CertifiedEstimate& estimate, bool robust);
+[[nodiscard]] Json head_json(const PoseGraph& graph, const OptimizationResult& result, const Times& at,
+                             double total);
+[[nodiscard]] std::string head_text(const PoseGraph& graph, const OptimizationResult& result, double seconds);
 
 }  // namespace loopwise::cli

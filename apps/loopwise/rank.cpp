@@ -1,47 +1,49 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include <cmath>
+#include <cstdint>
+#include <optional>
 
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/atomic_file.hpp>
-#include <loopwise/io/csv.hpp>
 #include <loopwise/replay/rank.hpp>
 
 #include "command.hpp"
+#include "mission_options.hpp"
+#include "ranking_text.hpp"
+#include "replay_arguments.hpp"
 
 namespace loopwise::cli {
 namespace {
 
 struct Options {
   CommonOptions common;
-  std::string mission, output, method, preset, candidates, robots, odometry, decisions, bin_layout;
+  std::string mission, output, method, preset, candidates, decisions;
+  MissionArguments reading;
   std::optional<std::int64_t> batch;
   std::optional<std::uint64_t> seed;
   RankOptions rank;
 };
 
-constexpr std::size_t kShown = 20;
-
-Json number(double value) {
-  return std::isfinite(value) ? Json(value) : Json(nullptr);
+Config configured(const Options& options) {
+  Config config = load_config(options.common);
+  ReplayOptions& replay = config.replay;
+  if (!options.preset.empty()) replay.engine.generation = proximity_preset(options.preset);
+  if (!options.candidates.empty()) replay.candidates = options.candidates;
+  apply(options.reading, config);
+  if (!options.decisions.empty()) replay.decisions = options.decisions;
+  if (!options.method.empty()) replay.prioritization.method = parse_method(options.method);
+  if (options.batch) replay.batch = *options.batch;
+  if (options.seed) replay.engine.seed = *options.seed;
+  replay.prioritization.closure_model.threads = thread_count(options.common);
+  validate_config(config);
+  return config;
 }
 
 int run(const Options& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
-  Config config = load_config(options.common);
-  if (!options.preset.empty()) config.replay.engine.generation = proximity_preset(options.preset);
-  if (!options.candidates.empty()) config.replay.candidates = options.candidates;
-  if (!options.robots.empty()) config.mission.robots = options.robots;
-  set_odometry(options.odometry, config);
-  if (!options.decisions.empty()) config.replay.decisions = options.decisions;
-  apply_bin_layout(options.bin_layout, config);
-  if (!options.method.empty()) config.replay.prioritization.method = parse_method(options.method);
-  if (options.batch) config.replay.batch = *options.batch;
-  if (options.seed) config.replay.engine.seed = *options.seed;
-  config.replay.prioritization.closure_model.threads = thread_count(options.common);
-  validate_config(config);
+  const Config config = configured(options);
   const Mission mission =
       read_mission(options.mission, config.mission, console.progress_callback(), interrupt.token());
   console.warn(mission.problems);
@@ -56,54 +58,11 @@ int run(const Options& options) {
   console.warn(mission.scans->problems());
   if (features) console.warn(features->problems());
 
-  if (!options.output.empty()) {
-    CsvText csv({"rank", "from", "to", "source", "distance_m", "observability_from", "observability_to",
-                 "gain_m2", "connecting", "refused"});
-    for (const CandidateScores& s : ranking.candidates) {
-      csv.row(s.rank ? std::to_string(*s.rank) : "", s.candidate.from, s.candidate.to,
-              enum_name(s.candidate.source), s.candidate.distance_m, s.observability_from, s.observability_to,
-              s.gain_m2, s.connecting ? 1 : 0, s.refused);
-    }
-    write_file(options.output, csv.text());
-  }
-
-  Json json = Json::object();
-  json["mission"] = mission.name;
-  json["method"] = to_string(config.replay.prioritization.method);
-  json["seed"] = config.replay.engine.seed;
-  json["candidates"] = ranking.candidates.size();
-  json["ranked"] = ranking.ranked;
-  json["refused"] = ranking.refused;
-  json["gains_exact"] = ranking.gains_exact;
-  json["trace_m2"] = {{"now", number(ranking.trace_m2)}, {"with_ranked", number(ranking.trace_ranked_m2)}};
-  json["order"] = Json::array();
-  std::vector<std::vector<std::string>> rows{
-      {"rank", "from", "to", "source", "distance", "observability", "gain (m²)"}};
-  for (const CandidateScores& s : ranking.candidates) {
-    if (!s.rank) break;
-    json["order"].push_back({{"rank", *s.rank},
-                             {"from", std::to_string(s.candidate.from)},
-                             {"to", std::to_string(s.candidate.to)},
-                             {"source", enum_name(s.candidate.source)},
-                             {"distance_m", s.candidate.distance_m},
-                             {"observability", {number(s.observability_from), number(s.observability_to)}},
-                             {"gain_m2", number(s.gain_m2)},
-                             {"connecting", s.connecting}});
-    if (*s.rank > kShown) continue;
-    rows.push_back({std::to_string(*s.rank), key_name(s.candidate.from), key_name(s.candidate.to),
-                    enum_name(s.candidate.source), fixed(s.candidate.distance_m, 1),
-                    fixed(s.observability_from + s.observability_to, 3),
-                    s.connecting ? "connects" : fixed(s.gain_m2, 4)});
-  }
-  std::string text = table(rows);
-  if (ranking.ranked > kShown) text += "... " + std::to_string(ranking.ranked - kShown) + " more ranked\n";
-  text += std::to_string(ranking.candidates.size()) + " candidates, " + std::to_string(ranking.ranked) +
-          " ranked by method " + to_string(config.replay.prioritization.method);
-  for (const auto& [reason, count] : ranking.refused)
-    text += ", " + std::to_string(count) + " refused: " + reason;
-  text += "\ntrace of the covariances " + fixed(ranking.trace_m2, 4) + " m² now, " +
-          fixed(ranking.trace_ranked_m2, 4) + " m² with closures at the ranked\n";
-  print_results(options.common, json, text);
+  if (!options.output.empty()) write_file(options.output, ranking_csv(ranking));
+  const std::string method = to_string(config.replay.prioritization.method);
+  Json json = {{"mission", mission.name}, {"method", method}, {"seed", config.replay.engine.seed}};
+  json.update(ranking_json(ranking));
+  print_results(options.common, json, ranking_text(ranking, method));
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 
@@ -131,7 +90,7 @@ void add_rank(CLI::App& app, Action& chosen) {
           "--method", options->method,
           "expected (default), likely, obs, gi, full, rssi, random, baseline, or several joined by +")
       ->type_name("M");
-  command->add_option("--batch", options->batch, "Candidates per batch")->type_name("B");
+  add_batch_option(*command, options->batch);
   command->add_option("--count", options->rank.count, "Candidates to rank (default: one batch)")
       ->type_name("N")
       ->check(not_negative());
@@ -140,26 +99,19 @@ void add_rank(CLI::App& app, Action& chosen) {
                    "Sets that graph information may try for each batch (default 1000)")
       ->type_name("N")
       ->check(not_negative());
-  command
-      ->add_option("--preset", options->preset,
-                   "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
-      ->type_name("NAME");
+  add_preset_option(*command, options->preset);
   command
       ->add_option("--candidates", options->candidates,
                    "Pairs of another place recognition, which are candidates too: CSV with from,to and "
                    "optionally score and x,y,z,qx,qy,qz,qw")
       ->type_name("FILE");
-  add_bin_layout_option(*command, options->bin_layout);
-  command->add_option("--robots", options->robots, "Robots by ranges of ids or by characters")
-      ->type_name("LIST");
-  add_odometry_option(*command, options->odometry);
+  add_bin_layout_option(*command, options->reading.bin_layout);
+  add_robots_option(*command, options->reading.robots);
+  add_odometry_option(*command, options->reading.odometry);
   add_decisions_option(*command, options->decisions);
-  command->add_option("--seed", options->seed, "Seed of all random draws (default 1)")
-      ->type_name("S")
-      ->check(not_negative());
+  add_seed_option(*command, options->seed);
   add_key_frame_options(*command, options->common);
-  add_common_options(*command, options->common);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+  finish_command(*command, options, run, chosen);
 }
 
 }  // namespace loopwise::cli

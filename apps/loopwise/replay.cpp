@@ -8,6 +8,8 @@
 #include <loopwise/distributed/transport.hpp>
 #endif
 
+#include "command.hpp"
+#include "mission_options.hpp"
 #include "replay_command.hpp"
 
 namespace loopwise::cli {
@@ -77,9 +79,6 @@ Config configured(const ReplayCommand& o) {
   apply(o.replay, config);
   if (o.method) config.replay.prioritization.method = parse_method(*o.method);
   if (o.workers) config.replay.cost.workers = *o.workers;
-  if (!o.frames.empty()) config.mission.frames = o.frames;
-  if (o.start_together) config.mission.start_together = true;
-  apply_bin_layout(o.bin_layout, config);
   if (o.after_mission) config.replay.after_mission = true;
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
   if (o.clock == "real" && o.job != nullptr)
@@ -133,17 +132,16 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
                    "random, baseline "
                    "(arrival), odom (computes nothing), or several joined by +")
       ->type_name("M");
-  add_joining_options(*command, options->frames, options->start_together);
+  add_joining_options(*command, options->replay.reading);
   add_truth_option(*command, options->truth);
-  add_bin_layout_option(*command, options->bin_layout);
+  add_bin_layout_option(*command, options->replay.reading.bin_layout);
   add_replay_arguments(*command, options->replay);
   command->get_option("--outcomes-mb")->needs("--outcomes");
   add_clock_options(*command, *options);
   add_run_options(*command, *options);
   exclude_with_trace(*command);
   add_key_frame_options(*command, options->common);
-  add_common_options(*command, options->common);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+  finish_command(*command, options, run, chosen);
 }
 
 }  // namespace loopwise::cli

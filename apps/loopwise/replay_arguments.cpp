@@ -5,11 +5,19 @@
 
 namespace loopwise::cli {
 
-void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
+void add_preset_option(CLI::App& command, std::string& preset) {
   command
-      .add_option("--preset", arguments.preset,
+      .add_option("--preset", preset,
                   "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
       ->type_name("NAME");
+}
+
+void add_batch_option(CLI::App& command, std::optional<std::int64_t>& batch) {
+  command.add_option("--batch", batch, "Candidates per batch")->type_name("B");
+}
+
+void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
+  add_preset_option(command, arguments.preset);
   command
       .add_option("--skip-recent", arguments.skip_recent, "Least index gap between two nodes of one robot")
       ->type_name("N");
@@ -22,7 +30,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
                    "Also propose nodes that look alike, at any distance in the estimate");
   command.add_option("--thin", arguments.thin, "Keep one candidate in N, drawn by pair and seed")
       ->type_name("N");
-  command.add_option("--batch", arguments.batch, "Candidates per batch")->type_name("B");
+  add_batch_option(command, arguments.batch);
   command
       .add_option("--registration-time", arguments.registration_time,
                   "Mission time of one registration on one worker, s (default 1.3), or the word measured: "
@@ -55,13 +63,10 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
                   "Bound of that folder, MB; the oldest outcomes are removed first (default 4096)")
       ->type_name("MB")
       ->check(CLI::Range(1.0, 1e9));
-  command.add_option("--robots", arguments.robots, "Robots by ranges of ids or by characters")
-      ->type_name("LIST");
-  add_odometry_option(command, arguments.odometry);
+  add_robots_option(command, arguments.reading.robots);
+  add_odometry_option(command, arguments.reading.odometry);
   add_decisions_option(command, arguments.decisions);
-  command.add_option("--seed", arguments.seed, "Seed of all random draws (default 1)")
-      ->type_name("S")
-      ->check(not_negative());
+  add_seed_option(command, arguments.seed);
 #ifdef LOOPWISE_HAS_MPI
   command
       .add_option(
@@ -79,8 +84,7 @@ void apply(const ReplayArguments& a, Config& config) {
   if (!a.candidates.empty()) replay.candidates = a.candidates;
   if (a.appearance) replay.appearance.enabled = true;
   if (a.skip_recent) replay.engine.generation.skip_recent = *a.skip_recent;
-  if (!a.robots.empty()) config.mission.robots = a.robots;
-  set_odometry(a.odometry, config);
+  apply(a.reading, config);
   if (!a.decisions.empty()) replay.decisions = a.decisions;
   if (!a.guess.empty()) replay.engine.guess = parse_enum<GuessSource>("--guess", a.guess);
   if (!a.registrar.empty()) {
@@ -101,6 +105,11 @@ void apply(const ReplayArguments& a, Config& config) {
     replay.odometry_noise_rad_per_m = a.odometry_noise[1];
   }
   if (a.seed) replay.engine.seed = *a.seed;
+}
+
+std::shared_ptr<OutcomeStore> open_store(const ReplayArguments& arguments) {
+  if (arguments.outcomes.empty()) return nullptr;
+  return std::make_shared<OutcomeStore>(arguments.outcomes, arguments.outcomes_bound);
 }
 
 void note_outcomes(Console& console, const OutcomeStoreStatistics& statistics) {

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
 #include <cmath>
 #include <functional>
 #include <mutex>
@@ -10,7 +11,6 @@
 #include <loopwise/distributed/registration.hpp>
 #include <loopwise/replay/replay.hpp>
 
-#include "console.hpp"
 #include "replay_command.hpp"
 
 namespace loopwise::cli {
@@ -59,7 +59,18 @@ int serve(const ReplayCommand& options) {
   }
 }
 
-void note_ranks(Console& console, const WorkStatistics& statistics, Json& json) {
+std::shared_ptr<WorkServer> use_ranks(const ReplayCommand& options, const Mission& mission,
+                                      const ReplayOptions& replay,
+                                      const std::shared_ptr<const Registrar>& registrar, ReplayHooks& hooks) {
+  WorkOptions limits;
+  if (options.replay.rank_time_limit_s) limits.time_limit_s = *options.replay.rank_time_limit_s;
+  auto server = std::make_shared<WorkServer>(*options.job, replay_greeting(mission, replay), limits);
+  hooks.compute = distributed_batches(server, registrar, std::max(1, options.common.threads));
+  return server;
+}
+
+void note_ranks(Console& console, const WorkServer& server, Json& json) {
+  const WorkStatistics statistics = server.statistics();
   const auto mean = [](std::size_t bytes, std::size_t messages) {
     return messages == 0 ? 0.0 : static_cast<double>(bytes) / static_cast<double>(messages);
   };

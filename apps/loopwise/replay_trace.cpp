@@ -1,33 +1,19 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include <fstream>
-
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/run_folder.hpp>
+#include <loopwise/evaluation/run_text.hpp>
+#include <loopwise/io/output_folder.hpp>
 #include <loopwise/replay/trace.hpp>
 
-#include "console.hpp"
 #include "replay_command.hpp"
-#include "run_text.hpp"
 
 namespace loopwise::cli {
 namespace {
 
 namespace fs = std::filesystem;
-
-/// Reads the first line of a trace.
-TraceHeader trace_header(const fs::path& file) {
-  std::ifstream in(file, std::ios::binary);
-  std::string line;
-  if (!in || !std::getline(in, line)) throw IoError(file.string(), "cannot be read");
-  try {
-    return parse_trace_header(line);
-  } catch (const Error& error) {
-    throw ParseError(file.string(), 1, error.what());
-  }
-}
 
 /// The mission of a trace alone: nodes without scans and ground truth.
 Mission mission_of(const TraceHeader& header, const fs::path& file) {
@@ -43,7 +29,7 @@ int run_trace(const ReplayCommand& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   const Config config = configured(options);
-  const TraceHeader header = trace_header(options.trace);
+  const TraceHeader header = read_trace_header(options.trace);
   ReplayOptions recorded;
   recorded.engine = header.options.engine;
   recorded.prioritization = header.options.prioritization;
@@ -62,7 +48,7 @@ int run_trace(const ReplayCommand& options) {
   sources.push_back(options.trace);
   refuse_recording(folder, sources);
   prepare_output_folder(folder, options.overwrite, "; --overwrite replaces it");
-  remove_former_results(folder);
+  remove_run_results(folder);
   for (const char* name : {"journal.jsonl", "outcomes.jsonl"})
     remove_former(folder / name);  // it has neither
   ReplayHooks hooks;
@@ -72,18 +58,16 @@ int run_trace(const ReplayCommand& options) {
   hooks.stop = interrupt.token();
   ReplayResult result = replay_trace(options.trace, hooks);
   const RunEvaluation evaluation = evaluate_run(mission, result);
-  const StitchedMap map = stitch_map(result.graph, *mission.scans, options.map_voxel_m, hooks.stop,
-                                     console.progress_callback(), header.options.features.max_range_m);
-  result.problems.add(map.problems);
-  add_scan_problems(result, *mission.scans);
+  const PointCloud map = map_of_run(mission, result, options.map_voxel_m, hooks.stop,
+                                    console.progress_callback(), header.options.features.max_range_m);
   console.warn(result.problems);
-  if (options.map_ply && !map.cloud.empty() && !interrupt.interrupted())
-    write_ply(folder / "map.ply", map.cloud);
-  write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map.cloud);
-  print_results(
-      options.common, parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
-      results_text(mission.robots, recorded, result, evaluation, /*threads=*/0, /*virtual_clock=*/false) +
-          "results      " + folder.string() + "\n");
+  if (options.map_ply && !map.empty() && !interrupt.interrupted()) write_ply(folder / "map.ply", map);
+  write_run_folder(folder, mission, recorded, result, evaluation, history.rows(), map);
+  print_results(options.common,
+                parse_json(run_summary_json(mission, recorded, result, evaluation), "summary"),
+                run_results_text(mission.robots, recorded, result, evaluation,
+                                 {/*threads=*/0, /*virtual_clock=*/false}) +
+                    "results      " + folder.string() + "\n");
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 

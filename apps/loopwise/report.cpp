@@ -5,8 +5,10 @@
 #include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/report.hpp>
 #include <loopwise/evaluation/run_mcap.hpp>
+#include <loopwise/evaluation/text_tables.hpp>
 
 #include "command.hpp"
+#include "mission_options.hpp"
 
 namespace loopwise::cli {
 namespace {
@@ -20,10 +22,6 @@ struct Options {
   std::string mcap;
   ReportOptions report;
 };
-
-std::string counted(std::size_t count, const char* one, const char* several) {
-  return std::to_string(count) + " " + (count == 1 ? one : several);
-}
 
 /// Writes a single run with its mission as a recording for viewers.
 int write_mcap(const Options& options, const std::vector<Mission>& missions, Console& console) {
@@ -39,8 +37,8 @@ int write_mcap(const Options& options, const std::vector<Mission>& missions, Con
                      {"closures", result.closures},
                      {"notes", result.notes}};
   print_results(options.common, json,
-                "mcap " + options.mcap + ": " + counted(result.scans, "scan", "scans") + ", " +
-                    counted(result.closures, "closure", "closures") + ", " + std::to_string(result.messages) +
+                "mcap " + options.mcap + ": " + counted(result.scans, "scan") + ", " +
+                    counted(result.closures, "closure") + ", " + std::to_string(result.messages) +
                     " messages\n");
   return kDone;
 }
@@ -68,7 +66,7 @@ int run(const Options& options) {
   const Json json = {{"report", options.output},  {"bytes", bytes},      {"runs", report.runs},
                      {"studies", report.studies}, {"maps", report.maps}, {"notes", report.notes}};
   print_results(options.common, json,
-                "report " + options.output + ": " + counted(report.runs, "run", "runs") +
+                "report " + options.output + ": " + counted(report.runs, "run") +
                     (report.studies > 0 ? ", " + counted(report.studies, "study", "studies") : "") + ", " +
                     fixed(static_cast<double>(bytes) * 1e-6, 1) + " MB. Open it in any browser.\n");
   return kDone;
@@ -122,8 +120,7 @@ void add_report(CLI::App& app, Action& chosen) {
       ->type_name("S")
       ->check(not_negative());
   add_key_frame_options(*command, options->common);
-  add_common_options(*command, options->common);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+  finish_command(*command, options, run, chosen);
 }
 
 }  // namespace loopwise::cli

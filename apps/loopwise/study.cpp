@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include "command.hpp"
 #include "study_arguments.hpp"
 
 namespace loopwise::cli {
@@ -8,7 +9,8 @@ void add_study(CLI::App& app, Action& chosen, Transport* job) {
       app.add_subcommand("study", "Measure the system, or a part of it, against ground truth");
   command->require_subcommand(1);
   add_replay_studies(*command, chosen, job);
-  add_registration_studies(*command, chosen);
+  add_registration_study(*command, chosen);
+  add_acceptance_study(*command, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -4,16 +4,20 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include <loopwise/study/study.hpp>
 
-#include "command.hpp"
+#include "common/common_options.hpp"
+#include "common/console.hpp"
 #include "replay_arguments.hpp"
 
 namespace loopwise::cli {
 
+/// Options of a study of replays.
 struct StudyArguments {
   CommonOptions common;
   ReplayArguments replay;
@@ -37,7 +41,9 @@ void add_study_arguments(CLI::App& command, StudyArguments& arguments);
 
 /// Adds `study ablation`, `study budget` and `study rssi`.
 void add_replay_studies(CLI::App& app, Action& chosen, Transport* job);
-/// Adds `study registration` and `study acceptance`.
-void add_registration_studies(CLI::App& app, Action& chosen);
+/// Adds `study registration`.
+void add_registration_study(CLI::App& app, Action& chosen);
+/// Adds `study acceptance`.
+void add_acceptance_study(CLI::App& app, Action& chosen);
 
 }  // namespace loopwise::cli

@@ -5,7 +5,8 @@
 
 #include <nlohmann/json.hpp>
 
-#include "command.hpp"
+#include <loopwise/evaluation/text_tables.hpp>
+#include <loopwise/io/json_values.hpp>
 
 namespace loopwise::cli {
 namespace {
@@ -25,14 +26,6 @@ std::string pose_text(const ComponentFrame& frame) {
          fixed(sigma_rad * kDegrees, 2) + " deg by the stated odometry";
 }
 
-Json matrix_json(const Eigen::Isometry3d& pose) {
-  Json list = Json::array();
-  for (int r = 0; r < 4; ++r) {
-    for (int c = 0; c < 4; ++c) list.push_back(pose(r, c));
-  }
-  return list;
-}
-
 Json tie_json(const TeamFrames& frames, const Tie& tie) {
   return {{"a", frames.components[tie.a].name},
           {"b", frames.components[tie.b].name},
@@ -49,7 +42,7 @@ Json tie_json(const TeamFrames& frames, const Tie& tie) {
           {"best_overlap", tie.best_overlap},
           {"sigma_m", tie.sigma_m},
           {"sigma_rad", tie.sigma_rad},
-          {"T_a_b", tie.T_a_b ? matrix_json(*tie.T_a_b) : Json()}};
+          {"T_a_b", tie.T_a_b ? row_major_json(tie.T_a_b->matrix()) : Json()}};
 }
 
 bool is_joined(const TeamFrames& frames, std::size_t component) {
@@ -91,7 +84,7 @@ Json frames_json(const TeamFrames& frames) {
     components.push_back({{"name", frames.components[c].name},
                           {"joined", joined},
                           {"group", frame.group},
-                          {"T_common_component", joined ? matrix_json(frame.pose) : Json()},
+                          {"T_common_component", joined ? row_major_json(frame.pose.matrix()) : Json()},
                           {"sigmas", joined ? sigmas : Json()},
                           {"reason", frame.reason}});
   }

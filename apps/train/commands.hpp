@@ -7,7 +7,8 @@
 
 #include <nlohmann/json.hpp>
 
-#include "loopwise/command.hpp"
+#include "common/common_options.hpp"
+#include "common/console.hpp"
 
 namespace loopwise::training {
 

@@ -7,7 +7,9 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/io/atomic_file.hpp>
+#include <loopwise/io/json_values.hpp>
 #include <loopwise/training/judge.hpp>
+#include <loopwise/training/weights.hpp>
 
 #include "commands.hpp"
 
@@ -21,19 +23,29 @@ struct Options {
   std::uint64_t split_seed = 1;
 };
 
-/// Missions that a network was trained on, according to its file.
-std::set<std::string> seen_by(const std::string& file) {
-  std::set<std::string> out;
-  const Json json = read_json_file(file);
-  if (!json.is_object() || !json.contains("__meta__")) return out;
-  const Json& meta = json["__meta__"];
-  if (!meta.is_object() || !meta.contains("missions") || !meta["missions"].is_object()) return out;
-  for (const auto& [role, names] : meta["missions"].items()) {
-    for (const Json& name : names) {
-      if (name.is_string()) out.insert(name.get<std::string>());
+/// Reads the networks. \throws OptionError; InputError if a network was trained on a tested mission
+std::vector<Judged> read_networks(const Options& options, const DataSet& data,
+                                  const std::vector<std::size_t>& tested) {
+  std::vector<Judged> networks;
+  for (std::size_t k = 0; k < options.weights.size(); ++k) {
+    networks.push_back(read_judged(options.weights[k]));
+    if (!options.names.empty()) networks.back().name = options.names[k];
+    for (std::size_t other = 0; other < k; ++other) {
+      if (networks[other].name == networks.back().name) {
+        throw OptionError("two weights files are named " + networks.back().name +
+                          "; --name tells them apart");
+      }
+    }
+    const std::string& argument = options.weights[k];
+    const std::set<std::string> seen = missions_of_weights(
+        networks.back().features == GnnFeatures::kLamp ? argument.substr(0, argument.size() - 5) : argument);
+    for (const std::size_t i : tested) {
+      if (seen.count(data.entries[i].name) == 0) continue;
+      throw InputError(argument + ": was trained with mission " + data.entries[i].name +
+                       ", which is to be tested; --split-seed must be that of its training");
     }
   }
-  return out;
+  return networks;
 }
 
 int run(const Options& options) {
@@ -51,26 +63,7 @@ int run(const Options& options) {
   for (std::size_t i = 0; i < roles.size(); ++i) {
     if (roles[i] == Role::kTest) tested.push_back(i);
   }
-  std::vector<Judged> networks;
-  for (std::size_t k = 0; k < options.weights.size(); ++k) {
-    networks.push_back(read_judged(options.weights[k]));
-    if (!options.names.empty()) networks.back().name = options.names[k];
-    for (std::size_t other = 0; other < k; ++other) {
-      if (networks[other].name == networks.back().name) {
-        throw OptionError("two weights files are named " + networks.back().name +
-                          "; --name tells them apart");
-      }
-    }
-    const std::string& argument = options.weights[k];
-    const std::set<std::string> seen = seen_by(
-        networks.back().features == GnnFeatures::kLamp ? argument.substr(0, argument.size() - 5) : argument);
-    for (const std::size_t i : tested) {
-      if (seen.count(data.entries[i].name) == 0) continue;
-      throw InputError(argument + ": was trained with mission " + data.entries[i].name +
-                       ", which is to be tested; --split-seed must be that of its training");
-    }
-  }
-
+  const std::vector<Judged> networks = read_networks(options, data, tested);
   std::vector<std::vector<Judgement>> results(tested.size());
   std::mutex mutex;
   std::size_t done = 0;
@@ -91,7 +84,6 @@ int run(const Options& options) {
   for (const auto& result : results) all.insert(all.end(), result.begin(), result.end());
   const JudgementTables tables = summarize(all);
   Json graphs = Json::array();
-  const auto number = [](double value) { return std::isfinite(value) ? Json(value) : Json(); };
   for (const Judgement& j : all) {
     graphs.push_back({{"mission", j.mission},
                       {"group", j.group},
@@ -100,11 +92,11 @@ int run(const Options& options) {
                       {"nodes", j.nodes},
                       {"set_size", j.set_size},
                       {"method", j.method},
-                      {"log_error", number(j.log_error)},
-                      {"spearman_mixed", number(j.spearman_mixed)},
-                      {"spearman_fixed", number(j.spearman_fixed)},
-                      {"signs", number(j.signs)},
-                      {"chosen", number(j.chosen)}});
+                      {"log_error", number_or_null(j.log_error)},
+                      {"spearman_mixed", number_or_null(j.spearman_mixed)},
+                      {"spearman_fixed", number_or_null(j.spearman_fixed)},
+                      {"signs", number_or_null(j.signs)},
+                      {"chosen", number_or_null(j.chosen)}});
   }
   if (!options.markdown.empty()) write_file(options.markdown, tables.markdown);
   cli::print_results(
@@ -147,8 +139,7 @@ void add_evaluate(CLI::App& app, Action& chosen) {
   command->add_option("--markdown", options->markdown, "Write the tables to FILE")
       ->type_name("FILE")
       ->check(cli::not_standard_output());
-  cli::add_common_options(*command, options->common);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+  cli::finish_command(*command, options, run, chosen);
 }
 
 }  // namespace loopwise::training

@@ -2,8 +2,10 @@
 #include <nlohmann/json.hpp>
 
 #include <loopwise/core/error.hpp>
+#include <loopwise/evaluation/text_tables.hpp>
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
+#include <loopwise/io/output_folder.hpp>
 
 #include "commands.hpp"
 #include "trainer.hpp"
@@ -139,12 +141,9 @@ void add_fit(CLI::App& app, Action& chosen) {
   command->add_option("--epochs", options->epochs, "Bound on epochs (default 40)")->type_name("N");
   command->add_option("--patience", options->patience, "Epochs without a better validation (default 10)")
       ->type_name("N");
-  command->add_option("--seed", options->seed, "Seed of all random draws (default 1)")
-      ->type_name("S")
-      ->check(cli::not_negative());
+  cli::add_seed_option(*command, options->seed);
   command->add_flag("--resume", options->resume, "Continue an interrupted training");
-  cli::add_common_options(*command, options->common);
-  command->callback([options, &chosen] { chosen = [options] { return run(*options); }; });
+  cli::finish_command(*command, options, run, chosen);
 }
 
 }  // namespace loopwise::training

@@ -2,7 +2,7 @@
 #include <loopwise/core/version.hpp>
 
 #include "commands.hpp"
-#include "loopwise/reference.hpp"
+#include "common/reference.hpp"
 
 namespace {
 

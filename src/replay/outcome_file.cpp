@@ -108,12 +108,6 @@ KeptOutcomes parse_outcomes(const std::string& contents, const std::string& fing
   return kept;
 }
 
-void finish_log(std::ofstream& log, const std::filesystem::path& path) {
-  log.close();
-  if (!log) throw IoError(path.string(), "cannot be written");
-  flush_file(path);
-}
-
 OutcomeFile::OutcomeFile(const std::filesystem::path& path, const std::string& fingerprint, bool resume)
     : kept_(started(path, fingerprint, resume)), log_(path, LineLog::Mode::kAppend) {}
 

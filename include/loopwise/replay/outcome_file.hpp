@@ -5,7 +5,6 @@
 
 #include <cstddef>
 #include <filesystem>
-#include <fstream>
 #include <string>
 
 #include <loopwise/core/export.hpp>
@@ -35,9 +34,6 @@ struct KeptOutcomes {
 [[nodiscard]] LOOPWISE_EXPORT KeptOutcomes parse_outcomes(const std::string& contents,
                                                           const std::string& fingerprint,
                                                           const std::string& name);
-
-/// Closes a file that was written line by line, and returns when it is on the disk. \throws IoError
-LOOPWISE_EXPORT void finish_log(std::ofstream& log, const std::filesystem::path& path);
 
 /// The file of outcomes of a running replay. Each outcome is written as a line when it is computed.
 class LOOPWISE_EXPORT OutcomeFile {

@@ -5,17 +5,13 @@
 #pragma once
 
 #include <filesystem>
-#include <map>
-#include <string>
-#include <vector>
 
-#include "command.hpp"
+#include <CLI/CLI.hpp>
+
+#include "action.hpp"
+#include "reference_pages.hpp"
 
 namespace loopwise::cli {
-
-/// Possible values, by option ("--method") or name of a positional ("world"). A value that ends in '=' is
-/// incomplete.
-using ValueWords = std::map<std::string, std::vector<std::string>>;
 
 /// Adds the command `reference DIR`, which help does not list; the build runs it.
 void add_reference(CLI::App& app, Action& chosen, const ValueWords& words);

@@ -11,9 +11,6 @@
 
 namespace loopwise::cli {
 
-/// A count with its noun: "1 closure", "3 closures".
-std::string counted(std::size_t count, const std::string& noun);
-
 /// Output to standard error: progress, warnings and notes. Results go to standard output, never through this
 /// class.
 class Console {
