@@ -13,7 +13,7 @@
 
 namespace loopwise::cli {
 
-void add_common_options(CLI::App& command, CommonOptions& options) {
+void add_common_options(Command& command, CommonOptions& options) {
   command.add_option("--json", options.json, "Write the results as JSON to FILE (- for standard output)")
       ->type_name("FILE");
   command.add_option("--config", options.config, "Read options from a JSON file (see 'loopwise config')")
@@ -27,32 +27,28 @@ void add_common_options(CLI::App& command, CommonOptions& options) {
   command
       .add_option("--threads", options.threads, "Threads; 0 takes all processors. Never changes the results")
       ->type_name("N")
-      ->check(CLI::Range(0, 4096));
+      ->check(in_range(0, 4096));
   command.add_flag("--strict", options.strict,
                    "Input is an error if a measurement would be repaired, guessed or left out");
   command.add_flag("--quiet", options.quiet, "No progress and no notes; warnings and errors remain");
 }
 
-CLI::Validator not_negative() {
-  return CLI::Validator(
-      [](std::string& text) -> std::string {
-        std::uint64_t value = 0;
-        const auto parsed = std::from_chars(text.data(), text.data() + text.size(), value);
-        if (!text.empty() && text.front() == '-') return text + " is negative, must be >= 0";
-        if (parsed.ec == std::errc::result_out_of_range) return text + " exceeds 64 bits";
-        return {};
-      },
-      "");
+Check not_negative() {
+  return Check([](const std::string& text) -> std::string {
+    std::uint64_t value = 0;
+    const auto parsed = std::from_chars(text.data(), text.data() + text.size(), value);
+    if (!text.empty() && text.front() == '-') return text + " is negative, must be >= 0";
+    if (parsed.ec == std::errc::result_out_of_range) return text + " exceeds 64 bits";
+    return {};
+  });
 }
 
-CLI::Validator not_standard_output() {
-  return CLI::Validator(
-      [](std::string& path) -> std::string {
-        if (path != "-") return {};
-        return "\"-\" is standard output, which gets the results: give a file name (./- for a file of that "
-               "name; --json - prints the results as JSON)";
-      },
-      "");
+Check not_standard_output() {
+  return Check([](const std::string& path) -> std::string {
+    if (path != "-") return {};
+    return "\"-\" is standard output, which gets the results: give a file name (./- for a file of that "
+           "name; --json - prints the results as JSON)";
+  });
 }
 
 Config load_config(const CommonOptions& options, const Config& defaults) {

@@ -7,12 +7,11 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
-
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/replay/config.hpp>
 
 #include "action.hpp"
+#include "command_line.hpp"
 
 namespace loopwise::cli {
 
@@ -28,12 +27,12 @@ struct CommonOptions {
 };
 
 /// Adds the options of CommonOptions to a command.
-void add_common_options(CLI::App& command, CommonOptions& options);
+void add_common_options(Command& command, CommonOptions& options);
 
 /// Adds the options of CommonOptions after those of the command, and makes `run` its action. `run` returns
 /// the exit status.
 template <class Options>
-void finish_command(CLI::App& command, const std::shared_ptr<Options>& options, int (*run)(const Options&),
+void finish_command(Command& command, const std::shared_ptr<Options>& options, int (*run)(const Options&),
                     Action& chosen) {
   add_common_options(command, options->common);
   command.callback([options, run, &chosen] { chosen = [options, run] { return run(*options); }; });
@@ -41,14 +40,14 @@ void finish_command(CLI::App& command, const std::shared_ptr<Options>& options, 
 
 /// Check of an option for a whole number. Without it, a negative number would wrap round, and one that is too
 /// large would become the largest.
-[[nodiscard]] CLI::Validator not_negative();
+[[nodiscard]] Check not_negative();
 /// Check of an option that names a file or folder to write. It refuses "-", because results go to standard
 /// output.
-[[nodiscard]] CLI::Validator not_standard_output();
+[[nodiscard]] Check not_standard_output();
 
 /// Adds --seed. \param seed a number, or an optional one
 template <class Seed>
-void add_seed_option(CLI::App& command, Seed& seed) {
+void add_seed_option(Command& command, Seed& seed) {
   command.add_option("--seed", seed, "Seed of all random draws (default 1)")
       ->type_name("S")
       ->check(not_negative());

@@ -12,7 +12,7 @@
 
 namespace loopwise::cli {
 
-void write_reference(const CLI::App& app, const ValueWords& words, const std::filesystem::path& folder) {
+void write_reference(const Command& app, const ValueWords& words, const std::filesystem::path& folder) {
   const CommandPage root = program_page(app, words);
   const std::string name = root.path[0];
   const std::filesystem::path manuals = folder / "man" / "man1",
@@ -30,10 +30,10 @@ void write_reference(const CLI::App& app, const ValueWords& words, const std::fi
   write_file(fish / (name + ".fish"), fish_completion(root));
 }
 
-void add_reference(CLI::App& app, Action& chosen, const ValueWords& words) {
+void add_reference(Command& app, Action& chosen, const ValueWords& words) {
   const auto folder = std::make_shared<std::string>();
-  CLI::App* command = app.add_subcommand("reference", "Write manual pages and completion for shells");
-  command->group("");  // for the build, not for users
+  Command* command = app.add_subcommand("reference", "Write manual pages and completion for shells");
+  command->hide();  // for the build, not for users
   command->add_option("folder", *folder, "Tree as of /usr/share")->type_name("DIR")->required();
   command->callback([folder, words, &app, &chosen] {
     chosen = [folder, words, &app] {

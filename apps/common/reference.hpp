@@ -6,18 +6,17 @@
 
 #include <filesystem>
 
-#include <CLI/CLI.hpp>
-
 #include "action.hpp"
+#include "command_line.hpp"
 #include "reference_pages.hpp"
 
 namespace loopwise::cli {
 
 /// Adds the command `reference DIR`, which help does not list; the build runs it.
-void add_reference(CLI::App& app, Action& chosen, const ValueWords& words);
+void add_reference(Command& app, Action& chosen, const ValueWords& words);
 
 /// Writes folder/man/man1/*.1, folder/bash-completion/completions/NAME, folder/zsh/site-functions/_NAME and
 /// folder/fish/vendor_completions.d/NAME.fish: the tree of /usr/share. \throws IoError
-void write_reference(const CLI::App& app, const ValueWords& words, const std::filesystem::path& folder);
+void write_reference(const Command& app, const ValueWords& words, const std::filesystem::path& folder);
 
 }  // namespace loopwise::cli

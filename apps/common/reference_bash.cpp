@@ -19,15 +19,15 @@ std::string bash_completion(const CommandPage& root) {
       values += "    " + value_patterns(page, option) + ")\n";
       if (kind == ValueKind::kWords) {
         if (option.words.front().back() == '=') values += "      compopt -o nospace\n";
-        values += "      mapfile -t COMPREPLY < <(compgen -W \"" + CLI::detail::join(option.words, " ") +
+        values += "      mapfile -t COMPREPLY < <(compgen -W \"" + join(option.words, " ") +
                   "\" -- \"$current\")\n";
       } else if (kind == ValueKind::kFile) {
         values += "      compopt -o default\n";
       }
       values += "      return ;;\n";
     }
-    options += "    \"" + page.joined(" ") + "\")\n      options=\"" + CLI::detail::join(names, " ") +
-               "\"\n      words=\"" + CLI::detail::join(page.plain_words(), " ") + "\" ;;\n";
+    options += "    \"" + page.joined(" ") + "\")\n      options=\"" + join(names, " ") +
+               "\"\n      words=\"" + join(page.plain_words(), " ") + "\" ;;\n";
   });
   return "# bash completion for " + name + ", made by the program itself\n" + function +
          "() {\n"

@@ -17,14 +17,14 @@ std::string fish_completion(const CommandPage& root) {
     std::string here = seen;
     if (!below.empty()) {
       here += (seen.empty() ? "not __fish_seen_subcommand_from " : "; and not __fish_seen_subcommand_from ") +
-              CLI::detail::join(below, " ");
+              join(below, " ");
     }
     const std::string begin = "complete -c " + name + " -n " + quoted(here);
     for (const CommandPage& command : page.commands) {
       out += begin + " -f -a " + command.path.back() + " -d " + quoted(command.text) + "\n";
     }
     if (page.commands.empty() && !page.plain_words().empty()) {
-      out += begin + " -f -a " + quoted(CLI::detail::join(page.plain_words(), " ")) + "\n";
+      out += begin + " -f -a " + quoted(join(page.plain_words(), " ")) + "\n";
     }
     for (const OptionPage& option : page.options) {
       out += begin;
@@ -34,7 +34,7 @@ std::string fish_completion(const CommandPage& root) {
       if (!option.value.empty()) {
         const ValueKind kind = option.value_kind();
         out += kind == ValueKind::kFile ? " -r" : " -x";
-        if (kind == ValueKind::kWords) out += " -a " + quoted(CLI::detail::join(option.words, " "));
+        if (kind == ValueKind::kWords) out += " -a " + quoted(join(option.words, " "));
       }
       out += " -d " + quoted(option.text) + "\n";
     }

@@ -4,6 +4,8 @@
 #include <algorithm>
 #include <utility>
 
+#include <CLI/CLI.hpp>
+
 namespace loopwise::cli {
 namespace {
 
@@ -79,6 +81,12 @@ CommandPage command_page(const CLI::App& app, const ValueWords& words, std::vect
 
 }  // namespace
 
+std::string join(const std::vector<std::string>& words, const std::string& between) {
+  std::string out;
+  for (const std::string& word : words) out += (&word == &words.front() ? "" : between) + word;
+  return out;
+}
+
 ValueKind OptionPage::value_kind() const {
   if (!words.empty()) return ValueKind::kWords;
   return may_be_file(value) ? ValueKind::kFile : ValueKind::kOther;
@@ -90,8 +98,8 @@ std::vector<std::string> CommandPage::plain_words() const {
   return names.empty() && !positionals.empty() ? positionals[0].words : names;
 }
 
-CommandPage program_page(const CLI::App& app, const ValueWords& words) {
-  return command_page(app, words, {});
+CommandPage program_page(const Command& program, const ValueWords& words) {
+  return command_page(program.parser(), words, {});
 }
 
 }  // namespace loopwise::cli

@@ -7,13 +7,16 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
+#include "command_line.hpp"
 
 namespace loopwise::cli {
 
 /// Possible values, by option ("--method") or name of a positional ("world"). A value that ends in '=' is
 /// incomplete.
 using ValueWords = std::map<std::string, std::vector<std::string>>;
+
+/// The words with `between` between them.
+[[nodiscard]] std::string join(const std::vector<std::string>& words, const std::string& between);
 
 /// The kind of a value: a word of a list, a file or folder, or another value.
 enum class ValueKind { kWords, kFile, kOther };
@@ -39,12 +42,12 @@ struct CommandPage {
   std::vector<CommandPage> commands;
 
   /// The path with `by` between its words.
-  [[nodiscard]] std::string joined(const std::string& by) const { return CLI::detail::join(path, by); }
+  [[nodiscard]] std::string joined(const std::string& by) const { return join(path, by); }
   /// Words for arguments without a name: subcommands, or the values of the first positional.
   [[nodiscard]] std::vector<std::string> plain_words() const;
 };
 
 /// The page of a program, from its options, commands and their texts.
-[[nodiscard]] CommandPage program_page(const CLI::App& app, const ValueWords& words);
+[[nodiscard]] CommandPage program_page(const Command& program, const ValueWords& words);
 
 }  // namespace loopwise::cli

@@ -25,8 +25,8 @@ std::string zsh_completion(const CommandPage& root) {
       values += "  " + value_patterns(page, option) + ")\n";
       if (kind == ValueKind::kWords) {
         const bool open = option.words.front().back() == '=';
-        values += std::string("    compadd ") + (open ? "-S '' " : "") + "-- " +
-                  CLI::detail::join(option.words, " ") + "\n";
+        values +=
+            std::string("    compadd ") + (open ? "-S '' " : "") + "-- " + join(option.words, " ") + "\n";
       } else if (kind == ValueKind::kFile) {
         values += "    _files\n";
       }

@@ -48,9 +48,9 @@ int run(const AcceptanceArguments& a) {
 
 }  // namespace
 
-void add_acceptance_study(CLI::App& app, Action& chosen) {
+void add_acceptance_study(Command& app, Action& chosen) {
   const auto options = std::make_shared<AcceptanceArguments>();
-  CLI::App* command =
+  Command* command =
       app.add_subcommand("acceptance", "Fit the chances of method expected to missions, and judge the fit");
   command->footer(
       "Replays each mission with candidates in random order and fits how likely a candidate is verified, "

@@ -75,9 +75,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_align(CLI::App& app, Action& chosen) {
+void add_align(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("align", "Place a new session in an existing map");
+  Command* command = app.add_subcommand("align", "Place a new session in an existing map");
   command->footer(
       "Finds T_map_session from the scans alone, however far apart the two frames are, and writes both as "
       "one mission.\n"

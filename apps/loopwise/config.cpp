@@ -74,18 +74,18 @@ Every option of a configuration file, as `loopwise config --markdown` prints the
 
 }  // namespace
 
-void add_config(CLI::App& app, Action& chosen) {
+void add_config(Command& app, Action& chosen) {
   struct Options {
     CommonOptions common;
     bool describe = false, markdown = false;
   };
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("config", "Print every option with its default");
+  Command* command = app.add_subcommand("config", "Print every option with its default");
   command->footer(
       "Prints a configuration that --config takes: the defaults, changed by --config and --set.\n"
       "  loopwise config > my.json\n"
       "  loopwise config --describe        every option with bounds and meaning");
-  CLI::Option* describe =
+  Argument* describe =
       command->add_flag("--describe", options->describe, "A table with bounds and meaning instead");
   command->add_flag("--markdown", options->markdown, "The same as a page in Markdown (docs/configuration.md)")
       ->excludes(describe);

@@ -115,9 +115,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_convert(CLI::App& app, Action& chosen) {
+void add_convert(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("convert", "Write recorded data in another form");
+  Command* command = app.add_subcommand("convert", "Write recorded data in another form");
   command->footer(
       "Reads what every command reads: mission folders, sessions, g2o files, g2o_pcd folders, bags, "
       "maps that\n"

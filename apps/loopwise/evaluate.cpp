@@ -87,9 +87,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_evaluate(CLI::App& app, Action& chosen) {
+void add_evaluate(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("evaluate", "Errors of a trajectory against the truth");
+  Command* command = app.add_subcommand("evaluate", "Errors of a trajectory against the truth");
   command->footer(
       "Both may be TUM (paired by stamp), KITTI (by row) or g2o (by key), the estimate a run's folder, and "
       "both\n"
@@ -107,21 +107,21 @@ void add_evaluate(CLI::App& app, Action& chosen) {
   command->add_option("truth", options->truth, "True trajectory or graph, or a recording")
       ->required()
       ->type_name("TRUTH");
-  CLI::Option* const alignment =
+  Argument* const alignment =
       command
           ->add_option("--alignment", options->alignment,
                        "none: common frame; first: first poses agree; se3: best rigid motion (default none)")
           ->type_name("WORD");
-  CLI::Option* const map = command->add_flag(
+  Argument* const map = command->add_flag(
       "--map", options->map,
       "Without truth: how well scans of TRUTH, a recording, agree at revisits, by its own poses and "
       "by those of ESTIMATE");
   add_robots_option(*command, options->robots);
-  CLI::Option* const gap = command
-                               ->add_option("--max-time-difference", options->max_time_difference_s,
-                                            "TUM: largest gap of paired stamps, s (default 0.02)")
-                               ->type_name("S")
-                               ->check(CLI::NonNegativeNumber);
+  Argument* const gap = command
+                            ->add_option("--max-time-difference", options->max_time_difference_s,
+                                         "TUM: largest gap of paired stamps, s (default 0.02)")
+                            ->type_name("S")
+                            ->check(non_negative_number());
   map->excludes(alignment)->excludes(gap);
   add_key_frame_options(*command, options->common);
   finish_command(*command, options, run, chosen);

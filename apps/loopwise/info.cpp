@@ -103,9 +103,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_info(CLI::App& app, Action& chosen) {
+void add_info(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("info", "Describe a mission, session, graph or cloud");
+  Command* command = app.add_subcommand("info", "Describe a mission, session, graph or cloud");
   command->footer("  loopwise info my_mission --picture my_mission.svg");
   command
       ->add_option("path", options->paths,
@@ -124,7 +124,7 @@ void add_info(CLI::App& app, Action& chosen) {
   command
       ->add_option("--timed", options->timed,
                    "Candidates to register, to estimate the time of all of them; 0: no estimate (default 40)")
-      ->check(CLI::Range(0, 1000000))
+      ->check(in_range(0, 1000000))
       ->type_name("N");
   add_joining_options(*command, options->reading);
   add_truth_option(*command, options->truth);

@@ -23,10 +23,9 @@ bool is_first([[maybe_unused]] const loopwise::Transport& job) {
 #endif
 }
 
-void describe(CLI::App& app) {
+void describe(loopwise::cli::Command& app) {
   app.set_version_flag("--version", "loopwise " + std::string(loopwise::version()));
-  app.require_subcommand(1);
-  app.failure_message(CLI::FailureMessage::simple);
+  app.require_subcommand();
   app.footer(
       "Examples:\n"
       "  loopwise info my_mission                               contents of a recording\n"
@@ -41,7 +40,7 @@ void describe(CLI::App& app) {
       "Results go to standard output, everything else to standard error.");
 }
 
-void add_commands(CLI::App& app, loopwise::cli::Action& chosen, loopwise::Transport* job) {
+void add_commands(loopwise::cli::Command& app, loopwise::cli::Action& chosen, loopwise::Transport* job) {
   using namespace loopwise::cli;
   add_info(app, chosen);
   add_convert(app, chosen);
@@ -63,7 +62,7 @@ void add_commands(CLI::App& app, loopwise::cli::Action& chosen, loopwise::Transp
 int run_program(int argc, char** argv) {
   using namespace loopwise;
   using namespace loopwise::cli;
-  CLI::App app{
+  Command app{
       "Decides which loop closures of a multi-robot lidar SLAM system are worth computing, computes them,\n"
       "and keeps the map consistent.",
       "loopwise"};

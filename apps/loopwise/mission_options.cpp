@@ -18,11 +18,11 @@ void apply(const MissionArguments& arguments, Config& config) {
     mission.bin_layout = parse_enum<BinLayout>("--bin-layout", arguments.bin_layout);
 }
 
-void add_robots_option(CLI::App& command, std::string& robots) {
+void add_robots_option(Command& command, std::string& robots) {
   command.add_option("--robots", robots, "Robots by ranges of ids or by characters")->type_name("LIST");
 }
 
-void add_odometry_option(CLI::App& command, std::string& odometry) {
+void add_odometry_option(Command& command, std::string& odometry) {
   command
       .add_option("--odometry", odometry,
                   "Which edges are odometry: a file with two keys per line, or the word consecutive: those "
@@ -30,14 +30,14 @@ void add_odometry_option(CLI::App& command, std::string& odometry) {
       ->type_name("FILE");
 }
 
-void add_decisions_option(CLI::App& command, std::string& decisions) {
+void add_decisions_option(Command& command, std::string& decisions) {
   command
       .add_option("--decisions", decisions,
                   "Closures that a person has accepted or rejected: a file that the report has saved")
       ->type_name("decisions.csv");
 }
 
-void add_bin_layout_option(CLI::App& command, std::string& layout) {
+void add_bin_layout_option(Command& command, std::string& layout) {
   command
       .add_option("--bin-layout", layout,
                   "Points of .bin files: auto (default), xyz, xyzi, xyzir, xyzirt, xyz_double, xyzi_double, "
@@ -45,7 +45,7 @@ void add_bin_layout_option(CLI::App& command, std::string& layout) {
       ->type_name("WORD");
 }
 
-void add_joining_options(CLI::App& command, MissionArguments& arguments) {
+void add_joining_options(Command& command, MissionArguments& arguments) {
   command
       .add_option("--frames", arguments.frames,
                   "Several missions: pose of each one's frame in the common frame, CSV "
@@ -56,7 +56,7 @@ void add_joining_options(CLI::App& command, MissionArguments& arguments) {
                    "Several missions: all begin at the same time");
 }
 
-void add_key_frame_options(CLI::App& command, CommonOptions& options) {
+void add_key_frame_options(Command& command, CommonOptions& options) {
   const auto assign = [&options](const char* field) {
     return [&options, field](const std::string& value) {
       options.reading.push_back("mission." + std::string(field) + "=" + value);
@@ -101,7 +101,7 @@ void add_key_frame_options(CLI::App& command, CommonOptions& options) {
       ->type_name("NAME");
 }
 
-void add_truth_option(CLI::App& command, std::vector<std::string>& truth) {
+void add_truth_option(Command& command, std::vector<std::string>& truth) {
   command
       .add_option("--truth", truth,
                   "True poses of the nodes, TUM, KITTI or g2o, in place of recorded ones; for several robots "

@@ -87,9 +87,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_optimize(CLI::App& app, Action& chosen) {
+void add_optimize(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("optimize", "Optimise a pose graph, robustly if asked");
+  Command* command = app.add_subcommand("optimize", "Optimise a pose graph, robustly if asked");
   command->footer(
       "Edges between neighbours of one robot are odometry. Robust optimisation keeps them; where odometry is "
       "worse\n"
@@ -110,7 +110,7 @@ void add_optimize(CLI::App& app, Action& chosen) {
       ->add_option("--inlier-probability", options->inlier_probability,
                    "Share of true closures that --gnc keeps, by the chi-squared test (default 0.99)")
       ->type_name("P")
-      ->check(CLI::Range(1e-6, 1.0 - 1e-12));
+      ->check(in_range(1e-6, 1.0 - 1e-12));
   command
       ->add_option("--initialization", options->initialization,
                    "First estimate: auto (the cheapest), file, odometry or chordal")

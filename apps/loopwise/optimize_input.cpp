@@ -27,7 +27,7 @@ void decide(PoseGraph& graph, const std::string& path, Console& console) {
 
 }  // namespace
 
-void add_graph_options(CLI::App& command, OptimizeInput& input) {
+void add_graph_options(Command& command, OptimizeInput& input) {
   add_odometry_option(command, input.reading.odometry);
   add_decisions_option(command, input.decisions);
   command.add_option("--robots", input.reading.robots, "Robots by ranges of ids or by characters")

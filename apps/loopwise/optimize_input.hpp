@@ -7,12 +7,11 @@
 #include <string>
 #include <vector>
 
-#include <CLI/CLI.hpp>
-
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/stop_token.hpp>
 #include <loopwise/io/mission.hpp>
 
+#include "common/command_line.hpp"
 #include "common/console.hpp"
 #include "mission_options.hpp"
 
@@ -27,7 +26,7 @@ struct OptimizeInput {
 };
 
 /// Adds --odometry, --decisions, --robots and --prior.
-void add_graph_options(CLI::App& command, OptimizeInput& input);
+void add_graph_options(Command& command, OptimizeInput& input);
 
 /// The configuration with the given options. The default options of the optimiser are not those of a growing
 /// graph, because a file has no earlier estimate. \throws OptionError

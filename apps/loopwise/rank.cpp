@@ -68,9 +68,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_rank(CLI::App& app, Action& chosen) {
+void add_rank(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("rank", "List the loop candidates of a mission with their scores");
+  Command* command = app.add_subcommand("rank", "List the loop candidates of a mission with their scores");
   command->footer(
       "Shows in which order a method would compute the candidates, and why. The graph is used unchanged: "
       "a\n"

@@ -111,9 +111,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_register(CLI::App& app, Action& chosen) {
+void add_register(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("register", "Align two point clouds");
+  Command* command = app.add_subcommand("register", "Align two point clouds");
   command->footer(
       "Finds T_target_source, which maps points of the source into the frame of the target. Clouds are .pcd, "
       ".ply or\n"

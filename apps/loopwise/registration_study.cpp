@@ -50,9 +50,9 @@ int run(const RegistrationArguments& a) {
 
 }  // namespace
 
-void add_registration_study(CLI::App& app, Action& chosen) {
+void add_registration_study(Command& app, Action& chosen) {
   const auto options = std::make_shared<RegistrationArguments>();
-  CLI::App* command =
+  Command* command =
       app.add_subcommand("registration", "Recall, false accepts, errors and times of the registrars");
   command->footer(
       "Candidates of the mission, by proximity of its odometry, drawn uniformly. Overlapping: at the true "

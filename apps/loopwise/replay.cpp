@@ -26,7 +26,7 @@ int run(const ReplayCommand& options) {
   return run_replay(options);
 }
 
-void add_clock_options(CLI::App& command, ReplayCommand& options) {
+void add_clock_options(Command& command, ReplayCommand& options) {
   command
       .add_option(
           "--clock", options.clock,
@@ -34,7 +34,7 @@ void add_clock_options(CLI::App& command, ReplayCommand& options) {
       ->type_name("WORD");
   command.add_option("--rate", options.rate, "Real clock: mission seconds per second (default 1)")
       ->type_name("R")
-      ->check(CLI::PositiveNumber);
+      ->check(positive_number());
   command
       .add_option("--record-trace", options.record_trace,
                   "Real clock: record all events in this file, from which --trace repeats the run to the bit")
@@ -46,7 +46,7 @@ void add_clock_options(CLI::App& command, ReplayCommand& options) {
       ->type_name("FILE");
 }
 
-void add_run_options(CLI::App& command, ReplayCommand& options) {
+void add_run_options(Command& command, ReplayCommand& options) {
   command
       .add_option("--workers", options.workers, "Registrations at a time on the mission's clock (default 10)")
       ->type_name("N");
@@ -55,15 +55,15 @@ void add_run_options(CLI::App& command, ReplayCommand& options) {
   command.add_flag("--map-ply", options.map_ply, "Write the map as binary PLY too, map.ply");
   command.add_option("--map-voxel", options.map_voxel_m, "Voxel of map.pcd, m (default 0.2)")
       ->type_name("M")
-      ->check(CLI::PositiveNumber);
+      ->check(positive_number());
   command.add_flag("--resume", options.resume, "Continue a run that was interrupted or killed in DIR");
   command.add_flag("--overwrite", options.overwrite,
                    "Replace the results of an earlier run in DIR; other files stay");
 }
 
 /// A trace determines all of these options.
-void exclude_with_trace(CLI::App& command) {
-  CLI::Option* trace = command.get_option("--trace");
+void exclude_with_trace(Command& command) {
+  Argument* trace = command.get_option("--trace");
   for (const char* other :
        {"--method", "--clock", "--rate", "--record-trace", "--workers", "--after-mission", "--resume",
         "--preset", "--skip-recent", "--thin", "--batch", "--registration-time", "--gi-evaluation-time",
@@ -102,10 +102,10 @@ Config configured(const ReplayCommand& o) {
   return config;
 }
 
-void add_replay(CLI::App& app, Action& chosen, Transport* job) {
+void add_replay(Command& app, Action& chosen, Transport* job) {
   const auto options = std::make_shared<ReplayCommand>();
   options->job = job;
-  CLI::App* command = app.add_subcommand("replay", "Replay a recorded mission and find its loop closures");
+  Command* command = app.add_subcommand("replay", "Replay a recorded mission and find its loop closures");
   command->footer(
       "Key frames arrive at their recorded times; each registration takes --registration-time of mission "
       "time on one\n"
@@ -136,7 +136,7 @@ void add_replay(CLI::App& app, Action& chosen, Transport* job) {
   add_truth_option(*command, options->truth);
   add_bin_layout_option(*command, options->replay.reading.bin_layout);
   add_replay_arguments(*command, options->replay);
-  command->get_option("--outcomes-mb")->needs("--outcomes");
+  command->get_option("--outcomes-mb")->needs(command->get_option("--outcomes"));
   add_clock_options(*command, *options);
   add_run_options(*command, *options);
   exclude_with_trace(*command);

@@ -5,18 +5,18 @@
 
 namespace loopwise::cli {
 
-void add_preset_option(CLI::App& command, std::string& preset) {
+void add_preset_option(Command& command, std::string& preset) {
   command
       .add_option("--preset", preset,
                   "Which nodes are candidates: paper, lamp_2022_01, lamp_base (default) or lamp_robot")
       ->type_name("NAME");
 }
 
-void add_batch_option(CLI::App& command, std::optional<std::int64_t>& batch) {
+void add_batch_option(Command& command, std::optional<std::int64_t>& batch) {
   command.add_option("--batch", batch, "Candidates per batch")->type_name("B");
 }
 
-void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
+void add_replay_arguments(Command& command, ReplayArguments& arguments) {
   add_preset_option(command, arguments.preset);
   command
       .add_option("--skip-recent", arguments.skip_recent, "Least index gap between two nodes of one robot")
@@ -62,7 +62,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
       .add_option("--outcomes-mb", arguments.outcomes_bound.max_mb,
                   "Bound of that folder, MB; the oldest outcomes are removed first (default 4096)")
       ->type_name("MB")
-      ->check(CLI::Range(1.0, 1e9));
+      ->check(in_range(1.0, 1e9));
   add_robots_option(command, arguments.reading.robots);
   add_odometry_option(command, arguments.reading.odometry);
   add_decisions_option(command, arguments.decisions);
@@ -74,7 +74,7 @@ void add_replay_arguments(CLI::App& command, ReplayArguments& arguments) {
           "Time after which a rank of an MPI job without an answer counts as dead, s (default: replays "
           "600, studies, whose answers are whole runs, 86400)")
       ->type_name("S")
-      ->check(CLI::PositiveNumber);
+      ->check(positive_number());
 #endif
 }
 

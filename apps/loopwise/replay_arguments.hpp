@@ -30,11 +30,11 @@ struct ReplayArguments {
 };
 
 /// Adds --preset.
-void add_preset_option(CLI::App& command, std::string& preset);
+void add_preset_option(Command& command, std::string& preset);
 /// Adds --batch.
-void add_batch_option(CLI::App& command, std::optional<std::int64_t>& batch);
+void add_batch_option(Command& command, std::optional<std::int64_t>& batch);
 /// Adds all options of ReplayArguments, except those for joining several sources.
-void add_replay_arguments(CLI::App& command, ReplayArguments& arguments);
+void add_replay_arguments(Command& command, ReplayArguments& arguments);
 
 /// Writes the given options to the configuration. \throws OptionError
 void apply(const ReplayArguments& arguments, Config& config);

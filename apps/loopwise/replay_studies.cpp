@@ -11,22 +11,22 @@ struct Options {
   Study study;
 };
 
-void add_methods(CLI::App& command, std::vector<std::string>& methods, const std::string& meaning) {
+void add_methods(Command& command, std::vector<std::string>& methods, const std::string& meaning) {
   command.add_option("--methods", methods, meaning)
       ->delimiter(',')
       ->allow_extra_args(false)
       ->type_name("LIST");
 }
 
-void add_workers(CLI::App& command, std::optional<std::int64_t>& workers) {
+void add_workers(Command& command, std::optional<std::int64_t>& workers) {
   command.add_option("--workers", workers, "Registrations at a time on the mission's clock (default 10)")
       ->type_name("N");
 }
 
-void add_ablation(CLI::App& app, Action& chosen, Transport* job) {
+void add_ablation(Command& app, Action& chosen, Transport* job) {
   const auto options = std::make_shared<Options<study::AblationOptions>>();
   options->arguments.job = job;
-  CLI::App* command =
+  Command* command =
       app.add_subcommand("ablation", "Methods side by side over missions and seeds: the paper's Table I");
   command->footer(
       "Missions of one world are its repetitions. Every finished run is kept: the same command continues "
@@ -48,10 +48,10 @@ void add_ablation(CLI::App& app, Action& chosen, Transport* job) {
   });
 }
 
-void add_budget(CLI::App& app, Action& chosen, Transport* job) {
+void add_budget(Command& app, Action& chosen, Transport* job) {
   const auto options = std::make_shared<Options<study::BudgetOptions>>();
   options->arguments.job = job;
-  CLI::App* command = app.add_subcommand(
+  Command* command = app.add_subcommand(
       "budget", "Errors against computation: computers, mission time, everything computed");
   command->footer(
       "  loopwise study budget tunnel-* -o budget --workers 2,10,50\n"
@@ -81,10 +81,10 @@ void add_budget(CLI::App& app, Action& chosen, Transport* job) {
   });
 }
 
-void add_rssi(CLI::App& app, Action& chosen, Transport* job) {
+void add_rssi(Command& app, Action& chosen, Transport* job) {
   const auto options = std::make_shared<Options<study::RssiOptions>>();
   options->arguments.job = job;
-  CLI::App* command =
+  Command* command =
       app.add_subcommand("rssi", "Errors of each robot with closures at radio beacons: the paper's Table II");
   command->footer(
       "  loopwise study rssi finals-* -o rssi\n"
@@ -105,7 +105,7 @@ void add_rssi(CLI::App& app, Action& chosen, Transport* job) {
 
 }  // namespace
 
-void add_replay_studies(CLI::App& app, Action& chosen, Transport* job) {
+void add_replay_studies(Command& app, Action& chosen, Transport* job) {
   add_ablation(app, chosen, job);
   add_budget(app, chosen, job);
   add_rssi(app, chosen, job);

@@ -74,9 +74,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_report(CLI::App& app, Action& chosen) {
+void add_report(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("report", "Runs side by side as one page for any browser");
+  Command* command = app.add_subcommand("report", "Runs side by side as one page for any browser");
   command->footer(
       "The page holds a map to turn and zoom, charts over mission time, tables and options, and loads "
       "nothing\n"

@@ -93,10 +93,10 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_simulate(CLI::App& app, Action& chosen) {
+void add_simulate(Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
   SimulationOptions& simulation = options->simulation;
-  CLI::App* command =
+  Command* command =
       app.add_subcommand("simulate", "Make a mission in an underground world, with ground truth");
   command->footer(
       "The same world, seed and options give the same mission. Lengths and teams are those of the paper "

@@ -5,7 +5,7 @@
 
 namespace loopwise::cli {
 
-void add_study_arguments(CLI::App& command, StudyArguments& arguments) {
+void add_study_arguments(Command& command, StudyArguments& arguments) {
   command
       .add_option("missions", arguments.missions,
                   "Missions with ground truth, own or given by --truth; those of one world are repetitions")
@@ -19,7 +19,7 @@ void add_study_arguments(CLI::App& command, StudyArguments& arguments) {
       .add_option("--seeds", arguments.seeds,
                   "Replay each mission with this many seeds, from --seed on (default 1)")
       ->type_name("N")
-      ->check(CLI::Range(1, 100000));
+      ->check(in_range(1, 100000));
   add_truth_option(command, arguments.truth);
   add_replay_arguments(command, arguments.replay);
   command.add_flag("--keep-runs", arguments.keep_runs,

@@ -28,7 +28,7 @@ struct StudyArguments {
   bool resume = false;
   Transport* job = nullptr;
 };
-void add_study_arguments(CLI::App& command, StudyArguments& arguments);
+void add_study_arguments(Command& command, StudyArguments& arguments);
 
 /// \throws OptionError
 [[nodiscard]] study::StudyOptions study_options(const StudyArguments& arguments);
@@ -40,10 +40,10 @@ void add_study_arguments(CLI::App& command, StudyArguments& arguments);
                                 const study::StudyOptions&, const study::StudyHooks&)>& run);
 
 /// Adds `study ablation`, `study budget` and `study rssi`.
-void add_replay_studies(CLI::App& app, Action& chosen, Transport* job);
+void add_replay_studies(Command& app, Action& chosen, Transport* job);
 /// Adds `study registration`.
-void add_registration_study(CLI::App& app, Action& chosen);
+void add_registration_study(Command& app, Action& chosen);
 /// Adds `study acceptance`.
-void add_acceptance_study(CLI::App& app, Action& chosen);
+void add_acceptance_study(Command& app, Action& chosen);
 
 }  // namespace loopwise::cli

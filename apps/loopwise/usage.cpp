@@ -6,6 +6,8 @@
 #include <string>
 #include <vector>
 
+#include <CLI/CLI.hpp>
+
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/names.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
@@ -60,7 +62,8 @@ void require_command(const CLI::App& app, int argc, char** argv) {
 
 }  // namespace
 
-std::optional<int> parse(CLI::App& app, int argc, char** argv, bool first) {
+std::optional<int> parse(Command& program, int argc, char** argv, bool first) {
+  CLI::App& app = program.parser();
   try {
     require_command(app, argc, argv);
   } catch (const OptionError& error) {

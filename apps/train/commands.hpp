@@ -40,8 +40,8 @@ void load_section(const CommonOptions& common, const std::string& section, Optio
   validate(options);
 }
 
-void add_data(CLI::App& app, Action& chosen);
-void add_fit(CLI::App& app, Action& chosen);
-void add_evaluate(CLI::App& app, Action& chosen);
+void add_data(cli::Command& app, Action& chosen);
+void add_fit(cli::Command& app, Action& chosen);
+void add_evaluate(cli::Command& app, Action& chosen);
 
 }  // namespace loopwise::training

@@ -46,9 +46,10 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_data(CLI::App& app, Action& chosen) {
+void add_data(cli::Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("data", "Make data: missions, graphs of them, sets solved exactly");
+  cli::Command* command =
+      app.add_subcommand("data", "Make data: missions, graphs of them, sets solved exactly");
   command->footer(
       "Without missions, simulates some: each world with each seed, lengths in turn. Those of "
       "--other-lengths "
@@ -73,7 +74,7 @@ void add_data(CLI::App& app, Action& chosen) {
       ->type_name("LIST");
   command->add_option("--seeds", options->sources.seeds, "Missions of each world (default 12)")
       ->type_name("N")
-      ->check(CLI::Range(0, 100000));
+      ->check(cli::in_range(0, 100000));
   command
       ->add_option("--first-seed", options->sources.first_seed,
                    "Seed of the first mission of each world (default 1)")
@@ -91,7 +92,7 @@ void add_data(CLI::App& app, Action& chosen) {
   command
       ->add_option("--other-seeds", options->sources.other_seeds, "Missions of each such length (default 2)")
       ->type_name("N")
-      ->check(CLI::Range(0, 100000));
+      ->check(cli::in_range(0, 100000));
   command->add_flag("--resume", options->resume, "Continue interrupted data");
   cli::finish_command(*command, options, run, chosen);
 }

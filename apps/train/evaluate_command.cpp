@@ -108,9 +108,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_evaluate(CLI::App& app, Action& chosen) {
+void add_evaluate(cli::Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command =
+  cli::Command* command =
       app.add_subcommand("evaluate", "Judge networks on the missions of the data that are for the test");
   command->footer(
       "error of log e: median of |log(guessed / exact trace)| over sets of (a). Rank correlation (Spearman) "

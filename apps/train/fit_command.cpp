@@ -117,9 +117,9 @@ int run(const Options& options) {
 
 }  // namespace
 
-void add_fit(CLI::App& app, Action& chosen) {
+void add_fit(cli::Command& app, Action& chosen) {
   const auto options = std::make_shared<Options>();
-  CLI::App* command = app.add_subcommand("fit", "Train a network; the result is a weights file");
+  cli::Command* command = app.add_subcommand("fit", "Train a network; the result is a weights file");
   command->footer(
       "Writes weights.json (of the epoch with the best validation), history.csv and checkpoint.cbor after "
       "each "

@@ -8,13 +8,12 @@ namespace {
 
 int run_program(int argc, char** argv) {
   using namespace loopwise;
-  CLI::App app{
+  cli::Command app{
       "Trains the networks that predict the uncertainty of a pose graph with a set of loop closures, "
       "and\ncompares them with exact values.",
       "loopwise-train"};
   app.set_version_flag("--version", "loopwise-train " + std::string(version()));
-  app.require_subcommand(1);
-  app.failure_message(CLI::FailureMessage::simple);
+  app.require_subcommand();
   app.footer(
       "Examples:\n"
       "  loopwise-train data -o data                            simulate missions, solve sets exactly\n"
@@ -27,11 +26,7 @@ int run_program(int argc, char** argv) {
   training::add_fit(app, chosen);
   training::add_evaluate(app, chosen);
   cli::add_reference(app, chosen, {});
-  try {
-    app.parse(argc, argv);
-  } catch (const CLI::ParseError& error) {
-    return app.exit(error) == 0 ? cli::kDone : cli::kBadUsage;
-  }
+  if (const auto status = app.parse(argc, argv)) return *status == 0 ? cli::kDone : cli::kBadUsage;
   return cli::run_action(chosen, "loopwise-train");
 }
 
