@@ -5,25 +5,23 @@
 
 #include <loopwise/core/error.hpp>
 
+#include "letters.hpp"
+
 namespace loopwise {
 namespace {
 
 constexpr Key kLabelledIndexMask = (Key{1} << kKeyLabelShift) - 1;
 
-bool is_letter(char c) {
-  return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
-}
-
 }  // namespace
 
 char key_label(Key key) {
   const char label = static_cast<char>(key >> kKeyLabelShift);
-  return is_letter(key_character(key)) && is_letter(label) ? label : '\0';
+  return detail::is_letter(key_character(key)) && detail::is_letter(label) ? label : '\0';
 }
 
 std::string key_name(Key key) {
   const char character = key_character(key);
-  if (!is_letter(character)) return std::to_string(key);
+  if (!detail::is_letter(character)) return std::to_string(key);
   const char label = key_label(key);
   if (label == '\0') return std::string(1, character) + std::to_string(key_index(key));
   return std::string{character, label} + std::to_string(key & kLabelledIndexMask);
@@ -31,7 +29,7 @@ std::string key_name(Key key) {
 
 Key parse_key(std::string_view text) {
   std::size_t letters = 0;
-  while (letters < 2 && letters < text.size() && is_letter(text[letters])) ++letters;
+  while (letters < 2 && letters < text.size() && detail::is_letter(text[letters])) ++letters;
   const std::string_view digits = text.substr(letters);
   constexpr Key kLargest[] = {~Key{0}, kKeyIndexMask, kLabelledIndexMask};
   std::uint64_t number = 0;

@@ -7,12 +7,10 @@
 
 #include <loopwise/core/error.hpp>
 
+#include "letters.hpp"
+
 namespace loopwise {
 namespace {
-
-bool is_letter(char c) {
-  return (c >= 'a' && c <= 'z') || (c >= 'A' && c <= 'Z');
-}
 
 /// The robot whose keys have this character and this label below it.
 Robot robot_of_label(char character, unsigned char label, std::string name) {
@@ -51,7 +49,7 @@ Robots Robots::from_keys(const std::vector<Key>& keys) {
   std::vector<Robot> robots;
   for (const auto& [character, of_character] : labels) {
     // A character that is not a letter is named by its number. Plain integer keys get the name "0".
-    const bool letter = is_letter(character);
+    const bool letter = detail::is_letter(character);
     const std::string name =
         letter ? std::string(1, character) : std::to_string(static_cast<unsigned char>(character));
     if (labelled.count(character) == 0) {
@@ -60,7 +58,7 @@ Robots Robots::from_keys(const std::vector<Key>& keys) {
     }
     for (const unsigned char label : of_character) {
       const std::string suffix = label == 0 ? ""
-                                 : is_letter(static_cast<char>(label))
+                                 : detail::is_letter(static_cast<char>(label))
                                      ? std::string(1, static_cast<char>(label))
                                      : std::to_string(label);
       robots.push_back(robot_of_label(character, label, name + suffix));
@@ -112,9 +110,9 @@ Robots parse_robots(std::string_view text) {
     try {
       if (dash != std::string_view::npos) {
         robots.push_back({name, parse_key(range.substr(0, dash)), parse_key(range.substr(dash + 1))});
-      } else if (range.size() == 1 && is_letter(range[0])) {
+      } else if (range.size() == 1 && detail::is_letter(range[0])) {
         robots.push_back(robot_of_character(range[0], part.size() == 1 ? std::string(part) : name));
-      } else if (range.size() == 2 && is_letter(range[0]) && is_letter(range[1])) {
+      } else if (range.size() == 2 && detail::is_letter(range[0]) && detail::is_letter(range[1])) {
         robots.push_back(robot_of_label(range[0], static_cast<unsigned char>(range[1]),
                                         part.size() == 2 ? std::string(part) : name));
       } else {

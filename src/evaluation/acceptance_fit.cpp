@@ -15,10 +15,11 @@
 #include <loopwise/features/scan_signature.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 
+#include "../core/constants.hpp"
+
 namespace loopwise {
 namespace {
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 /// A fit to many samples needs no prior, except for terms that no sample has.
 constexpr double kFitStrength = 1.0;
 

@@ -18,6 +18,8 @@
 #include <loopwise/registration/task.hpp>
 #include <loopwise/replay/registration.hpp>
 
+#include "../core/constants.hpp"
+
 namespace loopwise {
 namespace {
 
@@ -51,8 +53,6 @@ double share_where_registered(const Mission& mission, const std::vector<ProvenRe
   }
   return count == 0 ? std::numeric_limits<double>::quiet_NaN() : sum / static_cast<double>(count);
 }
-
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 /// The pose of the older node of a revisit in the frame of the newer one, by a map.
 std::optional<Eigen::Isometry3d> T_from_to(const PosesByKey& poses, const ProvenRevisit& revisit) {

@@ -44,7 +44,7 @@ std::vector<RobotDrift> odometry_drift(const Mission& mission) {
 namespace {
 
 /// Places of a candidate's nodes, the newer first.
-using Pair = std::pair<std::size_t, std::size_t>;
+using IndexPair = std::pair<std::size_t, std::size_t>;
 
 /// Properties of a candidate by the truth and by its scans.
 struct Seen {
@@ -66,15 +66,15 @@ std::vector<const Node*> by_arrival(const Mission& mission) {
 }
 
 /// A uniform sample of all candidates (Vitter's algorithm R), and their number.
-std::vector<Pair> draw_pairs(const Mission& mission, const std::vector<const Node*>& nodes,
-                             const CandidateStatisticsOptions& options, std::uint64_t& candidates) {
+std::vector<IndexPair> draw_pairs(const Mission& mission, const std::vector<const Node*>& nodes,
+                                  const CandidateStatisticsOptions& options, std::uint64_t& candidates) {
   std::vector<std::size_t> robot(nodes.size());
   std::vector<std::uint64_t> index(nodes.size());
   for (std::size_t i = 0; i < nodes.size(); ++i) {
     robot[i] = mission.robots.of(nodes[i]->key);
     index[i] = mission.robots.node_index(nodes[i]->key);
   }
-  std::vector<Pair> chosen;
+  std::vector<IndexPair> chosen;
   Rng rng(0x5eed);
   const double sq_radius = options.radius_m * options.radius_m;
   for (std::size_t i = 0; i < nodes.size(); ++i) {
@@ -126,7 +126,7 @@ CandidateStatistics candidate_statistics(const Mission& mission, const Candidate
   CandidateStatistics result;
   const std::vector<const Node*> nodes = by_arrival(mission);
   std::uint64_t candidates = 0;
-  const std::vector<Pair> chosen = draw_pairs(mission, nodes, options, candidates);
+  const std::vector<IndexPair> chosen = draw_pairs(mission, nodes, options, candidates);
   result.candidates = candidates;
   std::vector<Seen> seen(chosen.size());
   ThreadPool pool(options.threads);

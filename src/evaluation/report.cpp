@@ -26,6 +26,7 @@
 #include <loopwise/io/json_options.hpp>
 #include <loopwise/replay/config.hpp>
 
+#include "../core/constants.hpp"
 #include "judged_run.hpp"
 #include "report_arrays.hpp"
 #include "report_parts.hpp"
@@ -39,9 +40,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 constexpr std::size_t kHistoryRows = 2000;
-constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
 
 // One run.
 
@@ -391,7 +390,9 @@ class RunReader {
     if (has_closures_) {
       Pairs rejected, kept, outliers;
       for (const RunClosure& row : rows_) {
-        Pairs& to = !row.verified ? rejected : row.weight > kInlierWeight ? kept : outliers;
+        Pairs& to = !row.verified                                          ? rejected
+                    : row.weight > ClosureClassOptions().gnc_inlier_weight ? kept
+                                                                           : outliers;
         to.emplace_back(row.from, row.to);
       }
       layers["kept"] = pair_layer(kept, place, 2);

@@ -13,14 +13,13 @@
 #include <loopwise/core/se3.hpp>
 #include <loopwise/io/json_values.hpp>
 
+#include "../core/constants.hpp"
 #include "report_arrays.hpp"
 
 namespace loopwise {
 namespace {
 
-constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
 constexpr std::int64_t kScanPoints = 600;
-constexpr double kDegreesPerRadian = 180.0 / 3.14159265358979323846;
 
 /// A closure and its displacement by the estimate.
 struct Item {
@@ -100,7 +99,8 @@ std::vector<Item> most_doubtful_first(std::vector<ReviewedClosure> closures, con
     items.push_back(std::move(item));
   }
   std::stable_sort(items.begin(), items.end(), [](const Item& a, const Item& b) {
-    const bool a_kept = a.closure.weight > kInlierWeight, b_kept = b.closure.weight > kInlierWeight;
+    const bool a_kept = a.closure.weight > ClosureClassOptions().gnc_inlier_weight,
+               b_kept = b.closure.weight > ClosureClassOptions().gnc_inlier_weight;
     return a_kept != b_kept ? b_kept : disagreement(a) > disagreement(b);
   });
   return items;

@@ -15,6 +15,7 @@
 #include <loopwise/io/atomic_file.hpp>
 #include <loopwise/io/csv.hpp>
 
+#include "../core/constants.hpp"
 #include "report_parts.hpp"
 
 namespace loopwise {
@@ -56,8 +57,6 @@ std::vector<std::string> csv_header(const fs::path& path) {
 }
 
 namespace {
-
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 /// Columns of the kind of a run: runs that differ only in mission and seed are repetitions.
 const std::vector<std::string> kVariant{"world",   "method", "registration_time_s", "refused_time_share",

@@ -23,12 +23,11 @@
 #include <loopwise/io/output_folder.hpp>
 #include <loopwise/io/trajectory.hpp>
 
+#include "../core/constants.hpp"
 #include "run_errors.hpp"
 
 namespace loopwise {
 namespace {
-
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 PosesByKey odometry_poses(const ReplayResult& result) {
   PosesByKey poses;

@@ -11,7 +11,7 @@
 namespace loopwise {
 namespace {
 
-using Json = nlohmann::json;
+using UnorderedJson = nlohmann::json;
 
 /// The first value of a line, which is the event. Lines are long, and most are not needed here.
 std::string event_name(const std::string& line) {
@@ -22,22 +22,22 @@ std::string event_name(const std::string& line) {
 }
 
 /// 0 if there is no count of that name.
-std::uint64_t count(const Json& in, const char* name) {
+std::uint64_t count(const UnorderedJson& in, const char* name) {
   const auto found = in.find(name);
   return found != in.end() && found->is_number_unsigned() ? found->get<std::uint64_t>() : 0;
 }
 
-void add_candidates(RunJournal& journal, const Json& event) {
+void add_candidates(RunJournal& journal, const UnorderedJson& event) {
   const auto pairs = event.find("pairs");
   if (pairs == event.end() || !pairs->is_array()) return;
-  for (const Json& pair : *pairs) {
+  for (const UnorderedJson& pair : *pairs) {
     if (!pair.is_array() || pair.size() != 2 || !pair[0].is_string() || !pair[1].is_string()) continue;
     journal.candidates.emplace_back(parse_key(pair[0].get_ref<const std::string&>()),
                                     parse_key(pair[1].get_ref<const std::string&>()));
   }
 }
 
-void add_moment(RunJournal& journal, const Json& event, std::uint64_t inliers) {
+void add_moment(RunJournal& journal, const UnorderedJson& event, std::uint64_t inliers) {
   const auto account = event.find("account"), time = event.find("time_s");
   if (account == event.end() || !account->is_object() || time == event.end() || !time->is_number()) return;
   const std::uint64_t generated = count(*account, "generated");
@@ -61,7 +61,7 @@ RunJournal parse_run_journal(std::istream& in, const std::string& name) {
   for (std::size_t number = 1; std::getline(in, line); ++number) {
     const std::string event = event_name(line);
     if (event != "batch" && event != "estimate" && event != "end") continue;
-    const Json json = Json::parse(line, nullptr, false);
+    const UnorderedJson json = UnorderedJson::parse(line, nullptr, false);
     const auto said = json.find("event");
     if (!json.is_object() || said == json.end() || *said != event) continue;
     if (event == "estimate") inliers = count(json, "inliers");

@@ -28,8 +28,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kInlierWeight = 0.5;  // as ClosureClassOptions
-
 /// A file that gets its name only when it is complete.
 class WholeFile {
  public:
@@ -210,7 +208,7 @@ class RunRecording {
 
   [[nodiscard]] std::string closure_message(const Moment& moment) const {
     const RunClosure& closure = closures_[moment.index];
-    const bool kept = closure.weight > kInlierWeight;
+    const bool kept = closure.weight > ClosureClassOptions().gnc_inlier_weight;
     ros2::LineList line;
     line.name = kept ? "kept" : "left_out";
     line.id = static_cast<std::int32_t>(moment.index);

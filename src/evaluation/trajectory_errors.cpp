@@ -9,10 +9,10 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/se3.hpp>
 
+#include "../core/constants.hpp"
+
 namespace loopwise {
 namespace {
-
-constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
 /// A node that is in both trajectories.
 struct Pair {
@@ -152,7 +152,7 @@ RelativeErrors summarize(const RelativeSamples& samples, double distance_m, doub
   out.translation_m = statistics(samples.translation_m);
   out.rotation_rad = statistics(samples.rotation_rad);
   out.translation_percent = 100.0 * mean_ratio(samples.translation_m, samples.length_m, min_path_m);
-  out.rotation_deg_per_m = kDegrees * mean_ratio(samples.rotation_rad, samples.length_m, min_path_m);
+  out.rotation_deg_per_m = kDegreesPerRadian * mean_ratio(samples.rotation_rad, samples.length_m, min_path_m);
   return out;
 }
 
@@ -253,7 +253,7 @@ TrajectoryErrors evaluate_trajectory(const PosesByKey& estimate, const PosesByKe
     errors.ate_rad = statistics(slice(ate_rad));
     errors.step = summarize(steps, 0.0, options.min_path_m);
     errors.translation_percent = 100.0 * mean_ratio(slice(ate_m), path, options.min_path_m);
-    errors.rotation_deg_per_m = kDegrees * mean_ratio(slice(ate_rad), path, options.min_path_m);
+    errors.rotation_deg_per_m = kDegreesPerRadian * mean_ratio(slice(ate_rad), path, options.min_path_m);
     out.robots.push_back(errors);
 
     all_steps.add(steps);

@@ -9,14 +9,13 @@
 #include <loopwise/evaluation/text_tables.hpp>
 #include <loopwise/io/json_options.hpp>
 
+#include "../core/constants.hpp"
 #include "errors_json.hpp"
 
 namespace loopwise {
 namespace {
 
-constexpr double kDegrees = 57.29577951308232;
-
-Json relative_json(const RelativeErrors& e) {
+Json step_errors_json(const RelativeErrors& e) {
   return {{"count", e.translation_m.count},
           {"translation_m", statistics_json(e.translation_m)},
           {"rotation_rad", statistics_json(e.rotation_rad)},
@@ -29,7 +28,7 @@ Json robot_json(const RobotErrors& robot) {
           {"path_length_m", robot.path_length_m},
           {"ate_m", statistics_json(robot.ate_m)},
           {"ate_rad", statistics_json(robot.ate_rad)},
-          {"rpe", relative_json(robot.step)},
+          {"rpe", step_errors_json(robot.step)},
           {"translation_percent", robot.translation_percent},
           {"rotation_deg_per_m", robot.rotation_deg_per_m}};
 }
@@ -40,8 +39,8 @@ std::vector<std::string> row(const RobotErrors& e) {
           fixed(e.path_length_m, 1),
           fixed(e.ate_m.mean, 3),
           fixed(e.ate_m.max, 3),
-          fixed(e.ate_rad.mean * kDegrees, 3),
-          fixed(e.ate_rad.max * kDegrees, 3),
+          fixed(e.ate_rad.mean * kDegreesPerRadian, 3),
+          fixed(e.ate_rad.max * kDegreesPerRadian, 3),
           fixed(e.translation_percent, 2),
           fixed(e.rotation_deg_per_m, 3)};
 }
@@ -51,7 +50,7 @@ std::vector<std::string> row(const RobotErrors& e) {
 std::string trajectory_errors_json(const TrajectoryErrors& errors) {
   Json distances = Json::array();
   for (const RelativeErrors& e : errors.by_distance) {
-    distances.push_back(relative_json(e));
+    distances.push_back(step_errors_json(e));
     distances.back()["distance_m"] = e.distance_m;
   }
   Json robots = Json::object();
@@ -60,7 +59,7 @@ std::string trajectory_errors_json(const TrajectoryErrors& errors) {
                     {"alignment", enum_name(errors.alignment)},
                     {"ate_m", statistics_json(errors.ate_m)},
                     {"ate_rad", statistics_json(errors.ate_rad)},
-                    {"rpe", relative_json(errors.step)},
+                    {"rpe", step_errors_json(errors.step)},
                     {"rpe_by_distance", distances},
                     {"robots", robots}});
 }

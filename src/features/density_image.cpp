@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "density_image.hpp"
 
+#include "../core/constants.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -102,8 +104,6 @@ bool direction(const Image& image, const Corner& corner, float& angle) {
 }
 
 constexpr int kBins = 4, kDirections = 8, kLength = kBins * kBins * kDirections;
-constexpr float kPi = 3.14159265F;
-
 /// Histograms of gradient directions around a corner, minus their mean. The frame rotates with the corner's
 /// direction (Lowe 2004).
 Eigen::VectorXf surroundings(const Image& gx, const Image& gy, const Corner& corner, float angle) {
@@ -122,7 +122,7 @@ Eigen::VectorXf surroundings(const Image& gx, const Image& gy, const Corner& cor
       const float u = (c * fx + s * fy) / kBin + 0.5F * kBins - 0.5F;
       const float v = (c * fy - s * fx) / kBin + 0.5F * kBins - 0.5F;
       if (u <= -1.0F || v <= -1.0F || u >= kBins || v >= kBins) continue;
-      float turn = (std::atan2(gy(x, y), gx(x, y)) - angle) / (2.0F * kPi);
+      float turn = (std::atan2(gy(x, y), gx(x, y)) - angle) / (2.0F * kPiFloat);
       turn = (turn - std::floor(turn)) * kDirections;
       const float u0 = std::floor(u), v0 = std::floor(v), d0 = std::floor(turn);
       for (int corner_bin = 0; corner_bin < 8; ++corner_bin) {

@@ -7,16 +7,15 @@
 
 #include <loopwise/features/place.hpp>
 
+#include "../core/constants.hpp"
 #include "density_image.hpp"
 #include "place_store.hpp"
 
 namespace loopwise {
 namespace {
 
-constexpr float kPi = 3.14159265F;
-
 float wrapped(float angle) {
-  return angle - 2.0F * kPi * std::round(angle / (2.0F * kPi));
+  return angle - 2.0F * kPiFloat * std::round(angle / (2.0F * kPiFloat));
 }
 
 /// A pose of one level frame in another, seen from above.
@@ -332,7 +331,7 @@ class DensityPlaceDatabase final : public PlaceDatabase {
     std::array<int, kYaws> votes{};
     for (std::size_t i = 0; i < count; ++i) {
       const float turn =
-          (query.features[hits[i].query].angle - match.features[hits[i].match].angle) / (2.0F * kPi);
+          (query.features[hits[i].query].angle - match.features[hits[i].match].angle) / (2.0F * kPiFloat);
       const int bin = static_cast<int>((turn - std::floor(turn)) * kYaws) % kYaws;
       ++votes[static_cast<std::size_t>(bin)];
     }

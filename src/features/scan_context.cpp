@@ -3,13 +3,12 @@
 
 #include <loopwise/features/place.hpp>
 
+#include "../core/constants.hpp"
 #include "density_image.hpp"
 #include "place_store.hpp"
 
 namespace loopwise {
 namespace {
-
-constexpr double kPi = 3.14159265358979323846;
 
 struct ScanContext final : PlaceDescriptor {
   Eigen::MatrixXf columns;  // a column per sector, of unit length or zero

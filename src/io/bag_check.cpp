@@ -32,7 +32,7 @@ constexpr std::size_t kLargestHeader = std::size_t{16} << 20;
 constexpr std::size_t kIndexEntry = 12, kCountEntry = 8;
 
 template <class T>
-T load(std::string_view bytes) {
+T load_little_endian(std::string_view bytes) {
   T value = 0;
   for (std::size_t i = sizeof(T); i-- > 0;)
     value = static_cast<T>(value << 8 | static_cast<unsigned char>(bytes[i]));
@@ -46,7 +46,7 @@ class Header {
   explicit Header(std::string_view bytes) {
     while (!bytes.empty()) {
       if (bytes.size() < 4) throw InputError("a header field is cut short");
-      const std::size_t size = load<std::uint32_t>(bytes);
+      const std::size_t size = load_little_endian<std::uint32_t>(bytes);
       bytes.remove_prefix(4);
       if (size > bytes.size()) {
         throw InputError("a header field of " + std::to_string(size) + " bytes, " +
@@ -79,7 +79,7 @@ class Header {
       throw InputError("header field " + std::string(name) + " has " + std::to_string(value.size()) +
                        " bytes, must have " + std::to_string(sizeof(T)));
     }
-    return load<T>(value);
+    return load_little_endian<T>(value);
   }
   [[nodiscard]] unsigned char op() const { return number<unsigned char>("op"); }
   [[nodiscard]] bool operator==(const Header& other) const { return fields_ == other.fields_; }
@@ -114,7 +114,8 @@ struct Stamp {
 };
 
 Stamp stamp_of(std::string_view bytes) {
-  const Stamp stamp{load<std::uint32_t>(bytes), load<std::uint32_t>(bytes.substr(4))};
+  const Stamp stamp{load_little_endian<std::uint32_t>(bytes),
+                    load_little_endian<std::uint32_t>(bytes.substr(4))};
   if (stamp.nsec >= 1'000'000'000)
     throw InputError("a time has " + std::to_string(stamp.nsec) + " ns, must be < 10^9");
   return stamp;
@@ -218,14 +219,14 @@ class Walk {
     std::string bytes;
     room(at, 4, "a record");
     file_.read(at, 4, bytes);
-    const std::size_t header_size = load<std::uint32_t>(bytes);
+    const std::size_t header_size = load_little_endian<std::uint32_t>(bytes);
     room(at + 4, header_size, "a record's header");
     if (header_size > kLargestHeader) fail(at, "a header of " + std::to_string(header_size) + " bytes");
     file_.read(at + 4, header_size, bytes);
     Record record{at, at_place(at, [&] { return Header(bytes); }), 0, 0};
     room(at + 4 + header_size, 4, "a record's length");
     file_.read(at + 4 + header_size, 4, bytes);
-    record.data_size = load<std::uint32_t>(bytes);
+    record.data_size = load_little_endian<std::uint32_t>(bytes);
     record.data_at = at + 8 + header_size;
     room(record.data_at, record.data_size, "data");
     return record;
@@ -271,7 +272,7 @@ class Walk {
     for (std::size_t at = 0; at < contents.size();) {
       const auto take = [&](std::size_t& from) {
         if (contents.size() - from < 4) throw InputError("a record in the chunk is cut short");
-        const std::size_t size = load<std::uint32_t>(contents.substr(from));
+        const std::size_t size = load_little_endian<std::uint32_t>(contents.substr(from));
         from += 4;
         if (size > contents.size() - from) {
           throw InputError("a record in the chunk needs " + std::to_string(size) + " bytes, " +
@@ -315,11 +316,12 @@ class Walk {
     for (std::size_t i = 0; i < count; ++i) {
       const std::string_view entry = std::string_view(bytes).substr(i * kIndexEntry, kIndexEntry);
       const Stamp stamp = stamp_of(entry);
-      const auto start = starts_.find(load<std::uint32_t>(entry.substr(8)));
+      const auto start = starts_.find(load_little_endian<std::uint32_t>(entry.substr(8)));
       // An index may not point to the connection before a message either: the library then reads the next
       // record as a message without a check for the end of the chunk.
       if (start == starts_.end()) {
-        throw InputError("the index points to byte " + std::to_string(load<std::uint32_t>(entry.substr(8))) +
+        throw InputError("the index points to byte " +
+                         std::to_string(load_little_endian<std::uint32_t>(entry.substr(8))) +
                          " of the chunk, where there is no message");
       }
       Message& message = messages_[start->second];
@@ -402,7 +404,7 @@ class Walk {
     file_.read(record.data_at, record.data_size, bytes);
     std::vector<std::uint32_t> counted;
     for (std::size_t i = 0; i < count; ++i) {
-      counted.push_back(load<std::uint32_t>(std::string_view(bytes).substr(i * kCountEntry)));
+      counted.push_back(load_little_endian<std::uint32_t>(std::string_view(bytes).substr(i * kCountEntry)));
     }
     std::vector<std::uint32_t> indexed = chunk->indexed;
     std::sort(counted.begin(), counted.end());

@@ -13,7 +13,7 @@
 namespace loopwise::bags {
 namespace {
 
-constexpr const char* kDamaged = "compressed data are damaged";
+constexpr const char* kDamagedChunk = "compressed data are damaged";
 
 std::uint32_t little_endian(std::string_view bytes) {
   std::uint32_t value = 0;
@@ -44,10 +44,10 @@ std::string inflate_bz2(std::string_view data, std::size_t size) {
     out.resize(filled + room - stream.avail_out);
     if (result == BZ_STREAM_END) break;
     if (result != BZ_OK || out.size() > size || (stream.avail_in == 0 && stream.avail_out > 0)) {
-      throw InputError(kDamaged);
+      throw InputError(kDamagedChunk);
     }
   }
-  if (out.size() != size || stream.avail_in != 0) throw InputError(kDamaged);
+  if (out.size() != size || stream.avail_in != 0) throw InputError(kDamagedChunk);
   return out;
 }
 
@@ -55,32 +55,32 @@ std::string inflate_bz2(std::string_view data, std::size_t size) {
 /// two, so the frame is checked here first.
 void check_lz4_frame(std::string_view data) {
   constexpr std::size_t kHeader = 7, kSize = 4, kChecksum = 4;
-  if (data.size() < kHeader + kSize + kChecksum) throw InputError(kDamaged);
+  if (data.size() < kHeader + kSize + kChecksum) throw InputError(kDamagedChunk);
   const auto largest_id = static_cast<unsigned char>(data[5]) >> 4 & 7;
-  if (little_endian(data) != 0x184D2204 || largest_id < 4) throw InputError(kDamaged);
+  if (little_endian(data) != 0x184D2204 || largest_id < 4) throw InputError(kDamagedChunk);
   const std::size_t largest = std::size_t{1} << (8 + 2 * largest_id);  // 4: 64 kB, 7: 4 MB
   std::string_view rest = data.substr(kHeader);
   while (true) {
-    if (rest.size() < kSize) throw InputError(kDamaged);
+    if (rest.size() < kSize) throw InputError(kDamagedChunk);
     const std::size_t block = little_endian(rest) & 0x7FFFFFFF;
     rest.remove_prefix(kSize);
     if (block == 0) break;
-    if (block > largest || block > rest.size()) throw InputError(kDamaged);
+    if (block > largest || block > rest.size()) throw InputError(kDamagedChunk);
     rest.remove_prefix(block);
   }
-  if (rest.size() != kChecksum) throw InputError(kDamaged);
+  if (rest.size() != kChecksum) throw InputError(kDamagedChunk);
 }
 
 std::string inflate_lz4(std::string_view data, std::size_t size) {
   check_lz4_frame(data);
   // One byte of lz4 expands to at most 255 bytes.
-  if (size / 255 > data.size()) throw InputError(kDamaged);
+  if (size / 255 > data.size()) throw InputError(kDamagedChunk);
   std::string in(data), out(size, '\0');
   char none = 0;
   auto filled = static_cast<unsigned>(size);
   const int result = roslz4_buffToBuffDecompress(in.data(), static_cast<unsigned>(in.size()),
                                                  size > 0 ? out.data() : &none, &filled);
-  if (result != ROSLZ4_OK || filled != size) throw InputError(kDamaged);
+  if (result != ROSLZ4_OK || filled != size) throw InputError(kDamagedChunk);
   return out;
 }
 

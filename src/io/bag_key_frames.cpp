@@ -112,9 +112,10 @@ class Sweeps {
   std::vector<SweepSource> sources_;
 };
 
-class Reader {
+class KeyFrameReader {
  public:
-  Reader(BagSet bags, const Recording& recording, const MissionOptions& options, const parts::Work& work)
+  KeyFrameReader(BagSet bags, const Recording& recording, const MissionOptions& options,
+                 const parts::Work& work)
       : bags_(std::move(bags)),
         recording_(recording),
         options_(options),
@@ -329,7 +330,7 @@ class Reader {
 
 Mission read_key_frames(BagSet bags, const Recording& recording, const MissionOptions& options,
                         const parts::Work& work) {
-  return Reader(std::move(bags), recording, options, work).run(recording.files.front().string());
+  return KeyFrameReader(std::move(bags), recording, options, work).run(recording.files.front().string());
 }
 
 }  // namespace loopwise::bags

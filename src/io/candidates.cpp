@@ -14,7 +14,7 @@
 namespace loopwise {
 namespace {
 
-constexpr std::array<const char*, 7> kPose{"x", "y", "z", "qx", "qy", "qz", "qw"};
+constexpr std::array<const char*, 7> kPoseColumns{"x", "y", "z", "qx", "qy", "qz", "qw"};
 
 /// Column names in the first line that is not blank.
 std::vector<std::string> header_of(std::string_view text, const std::string& source) {
@@ -36,19 +36,19 @@ std::vector<std::string> header_of(std::string_view text, const std::string& sou
   };
   const auto known = [&](const std::string& name) {
     return name == "from" || name == "to" || name == "score" ||
-           std::find(kPose.begin(), kPose.end(), name) != kPose.end();
+           std::find(kPoseColumns.begin(), kPoseColumns.end(), name) != kPoseColumns.end();
   };
-  const bool pose = std::any_of(kPose.begin(), kPose.end(), has);
+  const bool pose = std::any_of(kPoseColumns.begin(), kPoseColumns.end(), has);
   if (!has("from") || !has("to") || !std::all_of(names.begin(), names.end(), known) ||
-      pose != std::all_of(kPose.begin(), kPose.end(), has)) {
+      pose != std::all_of(kPoseColumns.begin(), kPoseColumns.end(), has)) {
     throw ParseError(source, 1, "expected the columns from,to and optionally score and x,y,z,qx,qy,qz,qw");
   }
   return names;
 }
 
-class Reader {
+class CandidateReader {
  public:
-  Reader(std::string_view text, const std::string& source)
+  CandidateReader(std::string_view text, const std::string& source)
       : names_(header_of(text, source)), table_(CsvTable::parse(text, source, names_)) {}
 
   [[nodiscard]] std::vector<LoopCandidate> read() const {
@@ -82,10 +82,10 @@ class Reader {
   }
 
   [[nodiscard]] std::optional<Eigen::Isometry3d> pose(std::size_t row) const {
-    std::array<double, kPose.size()> v{};
+    std::array<double, kPoseColumns.size()> v{};
     std::size_t given = 0;
     for (std::size_t i = 0; i < v.size(); ++i) {
-      v[i] = table_.number_or_nan(row, *column(kPose[i]));
+      v[i] = table_.number_or_nan(row, *column(kPoseColumns[i]));
       given += std::isnan(v[i]) ? 0 : 1;
     }
     if (given == 0) return std::nullopt;
@@ -107,7 +107,7 @@ class Reader {
 }  // namespace
 
 std::vector<LoopCandidate> parse_candidates(std::string_view text, const std::string& source) {
-  return Reader(text, source).read();
+  return CandidateReader(text, source).read();
 }
 
 std::vector<LoopCandidate> read_candidates(const std::filesystem::path& path) {

@@ -145,7 +145,7 @@ namespace loopwise::cdr {
 namespace {
 
 constexpr std::string_view kHeader = "MSG: std_msgs/Header\ntime stamp\nstring frame_id\n";
-constexpr std::string_view kPose =
+constexpr std::string_view kPoseParts =
     "MSG: geometry_msgs/Pose\nPoint position\nQuaternion orientation\n===\n"
     "MSG: geometry_msgs/Point\nfloat64 x\nfloat64 y\nfloat64 z\n===\n"
     "MSG: geometry_msgs/Quaternion\nfloat64 x\nfloat64 y\nfloat64 z\nfloat64 w\n";
@@ -228,17 +228,18 @@ std::string ros1_definition(std::string_view definition) {
 std::string known_definition(const std::string& type) {
   if (type == "sensor_msgs/PointCloud2") return definition_of(kCloudFields, {kHeader, kPointField});
   if (type == "geometry_msgs/PoseStamped")
-    return definition_of("Header header\nPose pose\n", {kHeader, kPose});
+    return definition_of("Header header\nPose pose\n", {kHeader, kPoseParts});
   if (type == "geometry_msgs/PoseWithCovarianceStamped")
-    return definition_of("Header header\nPoseWithCovariance pose\n", {kHeader, kPoseWithCovariance, kPose});
+    return definition_of("Header header\nPoseWithCovariance pose\n",
+                         {kHeader, kPoseWithCovariance, kPoseParts});
   if (type == "nav_msgs/Odometry") {
     return definition_of(
         "Header header\nstring child_frame_id\ngeometry_msgs/PoseWithCovariance pose\n"
         "geometry_msgs/TwistWithCovariance twist\n",
-        {kHeader, kPoseWithCovariance, kPose, kTwist});
+        {kHeader, kPoseWithCovariance, kPoseParts, kTwist});
   }
   if (type == "tf2_msgs/TFMessage")
-    return definition_of("geometry_msgs/TransformStamped[] transforms\n", {kHeader, kTransform, kPose});
+    return definition_of("geometry_msgs/TransformStamped[] transforms\n", {kHeader, kTransform, kPoseParts});
   if (type == "pose_graph_msgs/KeyedScan") {
     return definition_of(
         "uint64 key\nsensor_msgs/PointCloud2 scan\n",
@@ -246,11 +247,11 @@ std::string known_definition(const std::string& type) {
   }
   if (type == "pose_graph_msgs/PoseGraph") {
     return definition_of("Header header\nbool incremental\nPoseGraphNode[] nodes\nPoseGraphEdge[] edges\n",
-                         {kHeader, kGraphParts, kPose});
+                         {kHeader, kGraphParts, kPoseParts});
   }
   if (type == "pose_graph_msgs/CommNodeStatus") {
     return definition_of("Header header\nCommNodeInfo[] remaining\nCommNodeInfo[] dropped\n",
-                         {kHeader, kBeacon, kPose});
+                         {kHeader, kBeacon, kPoseParts});
   }
   return {};
 }

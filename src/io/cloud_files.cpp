@@ -21,11 +21,6 @@ std::string last_part(const std::string& path) {
   return path.substr(path.find_last_of("/\\") + 1);
 }
 
-bool has_only_digits(const std::string& text) {
-  return !text.empty() &&
-         std::all_of(text.begin(), text.end(), [](unsigned char c) { return std::isdigit(c); });
-}
-
 }  // namespace
 
 std::optional<std::size_t> FileSource::find(const std::string& name) const {
@@ -103,13 +98,13 @@ NamedClouds name_clouds(const FileSource& files, const KeyTable& table, Problems
     const auto listed = table.key_of.find(name);
     if (listed != table.key_of.end()) {
       key = listed->second;
-    } else if (stem.rfind("pc_", 0) == 0 && has_only_digits(stem.substr(3)) &&
+    } else if (stem.rfind("pc_", 0) == 0 && text::has_only_digits(stem.substr(3)) &&
                text::parse_id(stem.substr(3), key) == nullptr) {
       list = &clouds.by_number;
     } else {
-      const bool letter = stem.size() > 1 && has_only_digits(stem.substr(1));
+      const bool letter = stem.size() > 1 && text::has_only_digits(stem.substr(1));
       try {
-        if (!letter && !has_only_digits(stem)) throw InputError("no key");
+        if (!letter && !text::has_only_digits(stem)) throw InputError("no key");
         key = parse_key(stem);
       } catch (const InputError&) {
         problems.add("foreign file in scans", files.path(i));

@@ -26,7 +26,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kGraph = "result.g2o";
+constexpr const char* kResultGraph = "result.g2o";
 constexpr const char* kClouds = "pcd";
 
 /// Creates a folder of this process beside the target folder.
@@ -225,7 +225,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   write_file(folder / "keys.csv", table);
   if (const PoseGraph truth = renamed_truth(mission, keys); !truth.empty()) {
     parts::make_folder(folder / "ground_truth");
-    write_g2o(folder / "ground_truth" / kGraph, truth);
+    write_g2o(folder / "ground_truth" / kResultGraph, truth);
   }
   const PoseGraph graph = parts::renamed(mission.graph, [&](Key key) { return keys.of(key); });
   if (!graph.ranges().empty()) write_file(folder / parts::kRanges, parts::ranges_text(graph));
@@ -234,7 +234,7 @@ ConvertResult write_g2o_pcd(const Mission& mission, const fs::path& folder, cons
   if (!odometry.text.empty()) write_file(folder / parts::kOdometry, odometry.text);
   count_lost_kinds(odometry, mission.name, result.left_out);
   flush_file_system(folder);  // clouds first, because the graph marks the mission as complete
-  write_g2o(folder / kGraph, graph);
+  write_g2o(folder / kResultGraph, graph);
   return result;
 }
 

@@ -72,7 +72,7 @@ const Mark* mark_of(std::string_view text) {
   return nullptr;
 }
 
-bool is_number(std::string_view word) {
+bool is_decimal(std::string_view word) {
   double value = 0.0;
   return text::parse_double(word, value) == text::Number::kOk;
 }
@@ -89,9 +89,9 @@ FileKind kind_of_text(std::string_view beginning) {
       if (first.substr(0, tag.size()) == tag) return FileKind::kG2o;
     }
     std::size_t words = 1;
-    bool numbers = is_number(first);
+    bool numbers = is_decimal(first);
     for (std::string_view word; !(word = text::next_word(line)).empty(); ++words)
-      numbers = numbers && is_number(word);
+      numbers = numbers && is_decimal(word);
     // A line that is cut off is not judged.
     if (!numbers || !(lines.ended() || beginning.size() < kKindBytes)) return FileKind::kUnknown;
     return words == 8 || words == 9 ? FileKind::kTum : words == 12 ? FileKind::kKitti : FileKind::kUnknown;

@@ -27,7 +27,7 @@
 namespace loopwise {
 namespace {
 
-constexpr const char* kWanted = "a g2o graph";
+constexpr const char* kWantedGraph = "a g2o graph";
 constexpr std::size_t kPoseNumbers = 7;
 constexpr std::size_t kFactorNumbers = 28;  // a pose and the upper triangle of a 6x6 matrix
 
@@ -68,13 +68,13 @@ struct OffsetLine {
   Eigen::Isometry3d offset;
 };
 
-class Reader {
+class GraphReader {
  public:
-  explicit Reader(std::string file, bool unfinished = false)
+  explicit GraphReader(std::string file, bool unfinished = false)
       : file_(std::move(file)), unfinished_(unfinished) {}
 
   G2oFile read(std::string_view contents) {
-    refuse_foreign(contents, file_, {FileKind::kG2o, FileKind::kEmpty}, kWanted);
+    refuse_foreign(contents, file_, {FileKind::kG2o, FileKind::kEmpty}, kWantedGraph);
     text::Lines lines(contents);
     for (std::string_view line; lines.next(line);) {
       line_ = lines.number();
@@ -548,16 +548,16 @@ std::string g2o_text(const PoseGraph& graph, const std::vector<PriorFactor>& pri
 }
 
 G2oFile parse_g2o(std::string_view text, const std::string& source) {
-  return Reader(source).read(text);
+  return GraphReader(source).read(text);
 }
 
 G2oFile parse_unfinished_g2o(std::string_view text, const std::string& source) {
-  return Reader(source, true).read(text);
+  return GraphReader(source, true).read(text);
 }
 
 G2oFile read_g2o(const std::filesystem::path& path) {
   // Checked before a large recording is read as a whole.
-  refuse_foreign_file(path, {FileKind::kG2o, FileKind::kEmpty}, kWanted);
+  refuse_foreign_file(path, {FileKind::kG2o, FileKind::kEmpty}, kWantedGraph);
   return parse_g2o(read_file(path), path.string());
 }
 

@@ -38,7 +38,7 @@ Eigen::Isometry3d T_odom_imu(const GlimSubmap& submap, std::size_t frame) {
 
 /// Motion from the origin of one submap to that of the next. Within the submaps it follows the program's
 /// alignment of frames, and between them odometry.
-std::optional<Eigen::Isometry3d> step_between(const GlimSubmap& a, const GlimSubmap& b) {
+std::optional<Eigen::Isometry3d> step_between_submaps(const GlimSubmap& a, const GlimSubmap& b) {
   if (a.T_odom_lidar.empty() || b.T_odom_lidar.empty()) return std::nullopt;
   const Eigen::Isometry3d between = T_odom_imu(a, a.T_odom_lidar.size() - 1).inverse() * T_odom_imu(b, 0);
   return a.T_origin_last * between * b.T_origin_first.inverse();
@@ -56,7 +56,7 @@ struct Graph {
   std::size_t factors = 0;
 };
 
-Graph read_graph(const fs::path& file) {
+Graph read_graph_file(const fs::path& file) {
   Graph graph;
   const std::string name = file.string(), contents = read_file(file);
   text::Lines lines(contents);
@@ -124,7 +124,7 @@ Mission read_glim(const fs::path& folder, const MissionOptions& options) {
   Problems problems;
   SavedFrames frames;
   frames.source = folder / "graph.txt";
-  const Graph graph = read_graph(frames.source);
+  const Graph graph = read_graph_file(frames.source);
   problems.add("factor of GLIM's own graph left out",
                frames.source.string() + ": its closures are in graph.bin, which is not read", graph.factors);
   std::vector<GlimSubmap> submaps;
@@ -138,7 +138,7 @@ Mission read_glim(const fs::path& folder, const MissionOptions& options) {
     GlimSubmap submap = parse_glim_submap(read_file(file), file.string(), problems);
     frames.numbers.push_back(i);
     frames.poses.push_back(submap.T_world_origin);
-    if (!submaps.empty()) frames.steps.push_back(step_between(submaps.back(), submap));
+    if (!submaps.empty()) frames.steps.push_back(step_between_submaps(submaps.back(), submap));
     all_stamps = all_stamps && !submap.stamps_ns.empty();
     // The origin of a submap is at its middle frame.
     if (all_stamps) frames.stamps_ns.push_back(submap.stamps_ns[submap.stamps_ns.size() / 2]);

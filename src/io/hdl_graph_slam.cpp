@@ -34,11 +34,6 @@ constexpr std::string_view kUnused[] = {"floor_coeffs", "utm_coord", "accelerati
 
 constexpr std::string_view kNameless = "\"\"";  // as mrg_slam writes the name of a robot without one
 
-bool is_number(const std::string& name) {
-  return !name.empty() &&
-         std::all_of(name.begin(), name.end(), [](unsigned char c) { return std::isdigit(c); });
-}
-
 /// Ids in lines `anchor_node ID`; -1 stands for no node.
 std::optional<std::set<Key>> read_anchors(const fs::path& file) {
   if (!fs::is_regular_file(file)) return std::nullopt;
@@ -96,7 +91,7 @@ std::optional<KeyFrameFolders> find_key_frame_folders(const fs::path& folder, Pr
   std::map<Key, std::string> owner;
   for (const fs::path& entry : parts::entries(folder)) {
     const std::string number = entry.filename().string();
-    if (!is_number(number) || !fs::is_regular_file(entry / "data")) continue;
+    if (!text::has_only_digits(number) || !fs::is_regular_file(entry / "data")) continue;
     const fs::path file = entry / "data";
     const KeyFrameData data = parse_key_frame_data(file.string(), read_file(file), problems);
     if (!data.id) {
@@ -152,7 +147,7 @@ KeyFrameFolders find_team_key_frames(const fs::path& folder, Problems& problems)
   found.files.where = place.string();
   std::map<std::string, std::vector<std::pair<std::int64_t, Key>>> by_robot;
   for (const fs::path& file : parts::entries(place)) {
-    if (file.extension() != ".txt" || !is_number(file.stem().string())) continue;
+    if (file.extension() != ".txt" || !text::has_only_digits(file.stem().string())) continue;
     const KeyFrameData data = parse_key_frame_data(file.string(), read_file(file), problems);
     if (!data.id) {
       problems.add_altered("key frame without node left out", file.string());

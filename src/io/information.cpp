@@ -12,7 +12,7 @@ namespace loopwise {
 namespace {
 
 // Six printed digits leave a semi-definite matrix indefinite by about 1e-6 of its diagonal.
-constexpr double kRounding = 1e-5;
+constexpr double kRelativeRounding = 1e-5;
 // A diagonal element below this share of the largest is rounding of the decomposition.
 constexpr double kNegligible = 1e-15;
 
@@ -59,7 +59,8 @@ SoundInformation nearest_information(const Matrix6d& information) {
   const Vector6d diagonal = information.diagonal();
   if (diagonal.minCoeff() >= 0.0 && diagonal.maxCoeff() > 0.0) {
     const Matrix6d unit = scaled(information, scale_of(information));
-    if (unit.allFinite() && Solver(unit, Eigen::EigenvaluesOnly).eigenvalues().minCoeff() > -kRounding)
+    if (unit.allFinite() &&
+        Solver(unit, Eigen::EigenvaluesOnly).eigenvalues().minCoeff() > -kRelativeRounding)
       return {clipped_with_unit_diagonal(information), InformationFlaw::kRounded};
   }
   SoundInformation nearest{clipped_without_scaling(information), InformationFlaw::kIndefinite};

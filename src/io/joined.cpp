@@ -21,7 +21,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kLetters = 26;
+constexpr std::size_t kRobotLetters = 26;
 
 std::string first_line(const std::string& contents) {
   text::Lines lines(contents);
@@ -230,8 +230,8 @@ void Joiner::name_robots(std::size_t source) {
   const std::vector<Key> firsts = first_nodes(mission.graph, mission.robots);
   if (firsts.empty()) throw InputError(mission.path.string() + ": has no key frames");
   const std::size_t first_letter = source_of_letter_.size();
-  if (first_letter + firsts.size() > kLetters) {
-    throw InputError("more than " + std::to_string(kLetters) +
+  if (first_letter + firsts.size() > kRobotLetters) {
+    throw InputError("more than " + std::to_string(kRobotLetters) +
                      " robots cannot be joined, because each needs a letter");
   }
   letter_of_robot_.clear();

@@ -19,7 +19,7 @@ namespace loopwise {
 namespace {
 
 /// Values are copied, compared and written recursively, so deeper values could overflow the stack.
-constexpr int kDeepest = 200;
+constexpr int kDeepestJson = 200;
 
 std::size_t line_of(std::string_view text, std::size_t byte) {
   const auto end = text.begin() + static_cast<std::ptrdiff_t>(std::min(byte, text.size()));
@@ -74,8 +74,8 @@ Json parse_json(std::string_view text, const std::string& name) {
   const auto watch = [&](int depth, Json::parse_event_t event, Json& value) {
     const bool opens =
         event == Json::parse_event_t::object_start || event == Json::parse_event_t::array_start;
-    if (depth + (opens ? 1 : 0) > kDeepest)
-      throw InputError(name + ": nested more than " + std::to_string(kDeepest) + " deep");
+    if (depth + (opens ? 1 : 0) > kDeepestJson)
+      throw InputError(name + ": nested more than " + std::to_string(kDeepestJson) + " deep");
     if (event == Json::parse_event_t::object_start) open.emplace_back();
     if (event == Json::parse_event_t::object_end) open.pop_back();
     if (event == Json::parse_event_t::key && repeated.empty()) {

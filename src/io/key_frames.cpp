@@ -17,7 +17,7 @@
 namespace loopwise {
 namespace {
 
-constexpr std::size_t kLetters = 26;
+constexpr std::size_t kStreamLetters = 26;
 constexpr double kLeastGap_s = 1.0;     // robots that send only key poses have steps of about a second
 constexpr double kUsualGaps = 10.0;     // times the usual interval
 constexpr double kLongestStep_s = 1.0;  // poses are not interpolated over longer steps
@@ -351,9 +351,9 @@ Mission make_key_frame_mission(const std::vector<RobotStream>& streams, SweepRea
                                const MissionOptions& options) {
   validate(options);
   if (streams.empty()) throw InputError("no stream of odometry and sweeps");
-  if (streams.size() > kLetters) {
+  if (streams.size() > kStreamLetters) {
     throw InputError(streams.front().source + ": " + std::to_string(streams.size()) + " robots, at most " +
-                     std::to_string(kLetters) + " can be read, because each needs a letter");
+                     std::to_string(kStreamLetters) + " can be read, because each needs a letter");
   }
   Mission mission;
   Parts made;

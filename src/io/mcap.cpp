@@ -16,7 +16,7 @@ namespace loopwise::bags {
 namespace {
 
 constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
-enum Op : unsigned char {
+enum McapOp : unsigned char {
   kHeader = 0x01,
   kFooter = 0x02,
   kSchema = 0x03,

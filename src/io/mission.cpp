@@ -26,7 +26,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kWanted = "a mission (folder, g2o graph, bag of ROS 1 or 2, or zip archive of LAMP)";
+constexpr const char* kWantedMission =
+    "a mission (folder, g2o graph, bag of ROS 1 or 2, or zip archive of LAMP)";
 
 bool has_file(const fs::path& folder, const char* name) {
   return fs::is_regular_file(folder / name);
@@ -336,7 +337,7 @@ Matrix6d odometry_information(const Eigen::Isometry3d& T, const MissionOptions& 
 namespace {
 
 /// The folder of a mission. The folder of a data set stands for the most complete form of its data.
-fs::path resolved(const fs::path& path) {
+fs::path mission_in(const fs::path& path) {
   if (path.filename() == "mission.json" || path.filename() == "metadata.yaml")
     return path.has_parent_path() ? path.parent_path() : fs::path(".");
   if (!fs::is_directory(path) || has_file(path, "mission.json")) return path;
@@ -362,7 +363,7 @@ bool is_sqlite_file(const fs::path& path) {
 }
 
 bool is_bag_file(const fs::path& path) {
-  if (path.filename() == "metadata.yaml") return bags::is_rosbag2_folder(resolved(path));
+  if (path.filename() == "metadata.yaml") return bags::is_rosbag2_folder(mission_in(path));
   // A file that is compressed with zstd may contain anything, so its name decides.
   const bool is_packed = bags::is_bag_name(path) && parts::begins_with(path, "\x28\xb5\x2f\xfd");
   return is_packed || parts::begins_with(path, "#ROSBAG") || parts::begins_with(path, "\x89MCAP0\r\n") ||
@@ -391,10 +392,10 @@ MissionKind mission_kind(const fs::path& path) {
     if (fs::is_regular_file(status) && is_bag_file(path)) return MissionKind::kBags;
     if (fs::is_regular_file(status) && parts::begins_with(path, "PK\x03\x04")) return MissionKind::kLampZip;
     if (is_open3d_file(path)) return MissionKind::kOpen3d;
-    refuse_foreign_file(path, {FileKind::kG2o}, kWanted);
+    refuse_foreign_file(path, {FileKind::kG2o}, kWantedMission);
     return MissionKind::kG2o;
   }
-  const fs::path folder = resolved(path);
+  const fs::path folder = mission_in(path);
   if (has_file(folder, "mission.json")) return MissionKind::kMission;
   if (has_file(folder, parts::kUnfinished)) {
     throw InputError(
@@ -468,7 +469,7 @@ Mission read_as_named(const fs::path& path, const MissionOptions& options, const
                       const StopToken& stop) {
   const parts::Work work{progress, stop};
   const MissionKind kind = mission_kind(path);
-  const fs::path place = resolved(path);
+  const fs::path place = mission_in(path);
   switch (kind) {
     case MissionKind::kMission:
       return parts::read_mission_folder(place, options);
@@ -538,7 +539,7 @@ Mission read_missions(const std::vector<fs::path>& paths, const MissionOptions& 
   }
   std::vector<fs::path> bag_paths;
   for (const fs::path& path : paths) {
-    if (mission_kind(path) == MissionKind::kBags) bag_paths.push_back(resolved(path));
+    if (mission_kind(path) == MissionKind::kBags) bag_paths.push_back(mission_in(path));
   }
   const bool one_recording = bag_paths.size() == paths.size();
   if (one_recording && (!options.frames.empty() || options.start_together)) {

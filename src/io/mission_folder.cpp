@@ -48,9 +48,9 @@ struct Files {
 };
 
 /// Reads mission.json; every error names the file and the path of the value in it.
-class Description {
+class FolderDescription {
  public:
-  explicit Description(const fs::path& file) : file_(file.string()), json_(read_json_file(file)) {
+  explicit FolderDescription(const fs::path& file) : file_(file.string()), json_(read_json_file(file)) {
     only(json_, "",
          {"format", "version", "name", "frame", "clock", "robots", "communication_gaps", "provenance",
           "files"});
@@ -312,7 +312,7 @@ std::vector<BeaconDrop> read_beacons(const fs::path& file, const PoseGraph& grap
     drop.beacon = table.text(row, 0);
     if (drop.beacon.empty()) table.fail(row, 0, "is empty");
     if (!names.insert(drop.beacon).second) table.fail(row, 0, "beacon " + drop.beacon + " is dropped twice");
-    const auto robot = Description::find_robot(robots, table.text(row, 1));
+    const auto robot = FolderDescription::find_robot(robots, table.text(row, 1));
     if (!robot) table.fail(row, 1, text::quoted(table.text(row, 1)) + " is not a robot of the mission");
     drop.robot = *robot;
     drop.drop_key = table.key(row, 2);
@@ -348,7 +348,7 @@ std::optional<Vector6d> sigmas_of(const Matrix6d& information) {
 namespace parts {
 
 Mission read_mission_folder(const fs::path& folder, const MissionOptions& options) {
-  const Description description(folder / "mission.json");
+  const FolderDescription description(folder / "mission.json");
   const Files files = description.files();
   const auto present = [&](const fs::path& file) {
     std::error_code unknown;  // parts::exists() reports it

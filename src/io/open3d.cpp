@@ -19,7 +19,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kGraph = "PoseGraph";
+constexpr const char* kGraphClass = "PoseGraph";
 
 std::vector<double> numbers_of(const Json& object, const char* key, std::size_t count,
                                const std::string& where) {
@@ -37,7 +37,7 @@ std::vector<double> numbers_of(const Json& object, const char* key, std::size_t 
 }
 
 /// A 4×4 matrix in column-major order.
-Eigen::Isometry3d pose_of(const Json& object, const char* key, const std::string& where, Problems& problems) {
+Eigen::Isometry3d pose_in(const Json& object, const char* key, const std::string& where, Problems& problems) {
   const std::vector<double> v = numbers_of(object, key, 16, where);
   double rows[12];
   for (std::size_t i = 0; i < 12; ++i) rows[i] = v[(i % 4) * 4 + i / 4];
@@ -77,7 +77,7 @@ void add_edge(const Json& json, const std::string& where, PoseGraph& graph, Prob
     problems.add_altered("edge from a vertex to itself left out", where);
     return;
   }
-  const Eigen::Isometry3d T = pose_of(json, "transformation", where, problems);
+  const Eigen::Isometry3d T = pose_in(json, "transformation", where, problems);
   graph.add_edge({target, source, T, information_of(json, T, where, problems)});
 }
 
@@ -116,7 +116,7 @@ bool looks_like_open3d(std::string_view beginning) {
 
 PoseGraph parse_open3d(std::string_view contents, const std::string& name, Problems& problems) {
   const Json json = parse_json(contents, name);
-  if (!json.is_object() || json.value("class_name", Json()) != kGraph)
+  if (!json.is_object() || json.value("class_name", Json()) != kGraphClass)
     throw InputError(name + ": class_name must be \"PoseGraph\"");
   for (const char* key : {"nodes", "edges"}) {
     if (!json.contains(key) || !json[key].is_array()) throw InputError(name + ": " + key + " must be a list");
@@ -125,7 +125,7 @@ PoseGraph parse_open3d(std::string_view contents, const std::string& name, Probl
   PoseGraph graph;
   Node node;
   for (const Json& entry : json["nodes"]) {
-    node.pose = pose_of(entry, "pose", name + ": node " + std::to_string(node.key), problems);
+    node.pose = pose_in(entry, "pose", name + ": node " + std::to_string(node.key), problems);
     graph.add_node(node);
     ++node.key;
   }

@@ -20,21 +20,17 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::int64_t kSecond_ns = 1'000'000'000;
+constexpr std::int64_t kNsPerSecond = 1'000'000'000;
 constexpr std::int64_t kKittiInterval_ns = 100'000'000;  // its lidar turns ten times a second
-
-bool is_number(std::string_view word) {
-  return !word.empty() &&
-         std::all_of(word.begin(), word.end(), [](unsigned char c) { return std::isdigit(c); });
-}
 
 /// Converts a whole number of s, ms, µs or ns since 1970 to ns. Its digits show the unit (years 1973 to
 /// 2286).
 std::optional<std::int64_t> ns_of_digits(std::string_view digits) {
   std::int64_t value = 0;
-  if (!is_number(digits) || digits[0] == '0' || !text::parse_int64(digits, value)) return std::nullopt;
+  if (!text::has_only_digits(digits) || digits[0] == '0' || !text::parse_int64(digits, value))
+    return std::nullopt;
   for (const auto& [least, unit_ns] :
-       {std::pair<std::size_t, std::int64_t>{9, kSecond_ns}, {12, 1'000'000}, {15, 1'000}, {18, 1}}) {
+       {std::pair<std::size_t, std::int64_t>{9, kNsPerSecond}, {12, 1'000'000}, {15, 1'000}, {18, 1}}) {
     if (digits.size() != least && digits.size() != least + 1) continue;
     if (value > 4'600'000'000'000'000'000 / unit_ns) return std::nullopt;
     return value * unit_ns;
@@ -45,11 +41,11 @@ std::optional<std::int64_t> ns_of_digits(std::string_view digits) {
 /// SECONDS and a whole number of NANOSECONDS.
 std::optional<std::int64_t> ns_of_pair(std::string_view seconds, std::string_view nanoseconds) {
   std::int64_t s = 0, ns = 0;
-  if (!is_number(seconds) || seconds.size() > 10 || !is_number(nanoseconds) || nanoseconds.size() > 9 ||
-      !text::parse_int64(seconds, s) || !text::parse_int64(nanoseconds, ns))
+  if (!text::has_only_digits(seconds) || seconds.size() > 10 || !text::has_only_digits(nanoseconds) ||
+      nanoseconds.size() > 9 || !text::parse_int64(seconds, s) || !text::parse_int64(nanoseconds, ns))
     return std::nullopt;
   if (s > 4'600'000'000) return std::nullopt;
-  return s * kSecond_ns + ns;
+  return s * kNsPerSecond + ns;
 }
 
 Trajectory with_form(const fs::path& file, TrajectoryFormat form, Problems& problems) {
@@ -60,7 +56,7 @@ Trajectory with_form(const fs::path& file, TrajectoryFormat form, Problems& prob
 }
 
 /// Number of words in the first line that is not blank, a comment or a header of names.
-std::size_t columns_of(const fs::path& file) {
+std::size_t columns_in(const fs::path& file) {
   std::string contents = read_file(file);
   std::replace(contents.begin(), contents.end(), ',', ' ');
   text::Lines lines(contents);
@@ -209,7 +205,7 @@ KittiPoses kitti_poses(const fs::path& folder, const MissionOptions& options) {
 std::vector<StampedPose> lidar_poses(const fs::path& file, const std::vector<std::int64_t>& times,
                                      const std::optional<Eigen::Isometry3d>& T_camera_lidar,
                                      Problems& problems) {
-  const std::size_t columns = columns_of(file);
+  const std::size_t columns = columns_in(file);
   const bool is_rows = columns == 12;
   std::vector<StampedPose> poses =
       stamped(with_form(file, is_rows ? TrajectoryFormat::kKitti : TrajectoryFormat::kTum, problems), times,
@@ -252,7 +248,7 @@ Mission read_kitti_sequence(const fs::path& folder, const MissionOptions& option
       folder / "velodyne",
       [](const std::string& stem) -> std::optional<std::uint64_t> {
         std::uint64_t row = 0;
-        if (!is_number(stem) || text::parse_id(stem, row) != nullptr || row > 1'000'000'000)
+        if (!text::has_only_digits(stem) || text::parse_id(stem, row) != nullptr || row > 1'000'000'000)
           return std::nullopt;
         return row;
       },
@@ -299,7 +295,7 @@ std::optional<std::int64_t> stamp_of_name(std::string_view stem) {
   const std::size_t at = stem.find_first_of("._-");
   if (at == std::string_view::npos || at < 9) return std::nullopt;
   const std::string_view seconds = stem.substr(0, at), rest = stem.substr(at + 1);
-  if (!is_number(seconds) || !is_number(rest)) return std::nullopt;
+  if (!text::has_only_digits(seconds) || !text::has_only_digits(rest)) return std::nullopt;
   if (stem[at] != '.') return ns_of_pair(seconds, rest);
   return seconds.size() <= 10 ? text::parse_seconds_ns(stem) : std::nullopt;
 }
@@ -350,9 +346,9 @@ Trajectory parse_stamped_poses(const std::string& contents, const std::string& n
     const auto pair = count == 9 ? ns_of_pair(first, second) : std::nullopt;
     const auto whole = pair ? pair : first.size() >= 12 ? ns_of_digits(first) : std::nullopt;
     if (!names && whole) {
-      std::string fraction = std::to_string(*whole % kSecond_ns);
+      std::string fraction = std::to_string(*whole % kNsPerSecond);
       fraction.insert(0, 9 - fraction.size(), '0');
-      plain += std::to_string(*whole / kSecond_ns) + "." + fraction + std::string(pair ? look : rest);
+      plain += std::to_string(*whole / kNsPerSecond) + "." + fraction + std::string(pair ? look : rest);
     } else {
       plain += words;
     }
@@ -373,7 +369,7 @@ fs::path poses_of_clouds(const fs::path& folder, const fs::path& clouds, const M
     for (const fs::path& file : entries(place)) {
       const fs::path ending = file.extension();
       if (!fs::is_regular_file(file) || (ending != ".txt" && ending != ".tum" && ending != ".csv")) continue;
-      const std::size_t columns = columns_of(file);
+      const std::size_t columns = columns_in(file);
       if (columns == 8 || columns == 9) found.push_back(file);
     }
   }
@@ -393,7 +389,7 @@ Mission read_stamped_clouds(const fs::path& folder, const MissionOptions& option
   Problems problems;
   const fs::path place = stamped_clouds_of(folder);
   const fs::path file = poses_of_clouds(folder, place, options);
-  if (columns_of(file) == 12) {
+  if (columns_in(file) == 12) {
     throw InputError(
         file.string() +
         ": KITTI rows have no stamps, and the clouds are named by stamps: poses in TUM format are "

@@ -17,7 +17,7 @@ namespace {
 /// overflow.
 constexpr std::uint64_t kLargest = std::uint64_t{1} << 40;
 /// Largest depth of types within types. Types of ROS are less than ten deep.
-constexpr int kDeepest = 100;
+constexpr int kDeepestType = 100;
 
 struct Name {
   std::string_view name;
@@ -155,7 +155,7 @@ void Schema::measure(std::size_t number, int depth) {
   if (types_[number].measured == Type::Measured::kYes) return;
   if (types_[number].measured == Type::Measured::kNow)
     fail("type " + types_[number].name + " contains itself");
-  if (depth > kDeepest) fail("types are nested more than " + std::to_string(kDeepest) + " deep");
+  if (depth > kDeepestType) fail("types are nested more than " + std::to_string(kDeepestType) + " deep");
   types_[number].measured = Type::Measured::kNow;
   std::uint64_t least = 0;
   bool fixed = true;

@@ -33,7 +33,7 @@ enum LinkType { kNeighbor = 0, kUserClosure = 4, kVirtualClosure = 5, kNeighborM
 
 /// Reads the rows of a 3x4 matrix of floats. Empty if the blob is empty or the null matrix, which stands for
 /// no pose.
-std::optional<Eigen::Isometry3d> pose_of(std::string_view blob) {
+std::optional<Eigen::Isometry3d> pose_in_blob(std::string_view blob) {
   std::array<float, 12> v{};
   if (blob.size() != sizeof v) return std::nullopt;
   std::memcpy(v.data(), blob.data(), sizeof v);
@@ -100,7 +100,7 @@ ScanInfo scan_info_of(std::string_view blob) {
   const float format = before == 7 ? v[0] : before == 3 ? v[2] : 0.0F;
   if (!(format >= 0.0F && format < 100.0F)) throw InputError("its scan is of an unknown format");
   info.format = static_cast<int>(format);
-  const auto T = pose_of(blob.substr(before * sizeof(float)));
+  const auto T = pose_in_blob(blob.substr(before * sizeof(float)));
   if (!T) throw InputError("the pose of its lidar on the robot is invalid");
   info.T_body_lidar = *T;
   return info;
@@ -174,9 +174,9 @@ struct StoredNode {
 };
 
 /// Reads all tables except the scans.
-class Reader {
+class DatabaseReader {
  public:
-  Reader(const fs::path& file, const MissionOptions& options, const Work& work)
+  DatabaseReader(const fs::path& file, const MissionOptions& options, const Work& work)
       : name_(file.string()), database_(file, name_, work.stop), options_(options) {
     if (work.progress) work.progress({"checking " + name_, 0, 0, ""});
     database_.checked([&] {
@@ -248,7 +248,7 @@ class Reader {
         continue;
       }
       if (seen.count(std::minmax(from, to)) != 0) continue;
-      const auto T = pose_of(rows.bytes(3));
+      const auto T = pose_in_blob(rows.bytes(3));
       if (!T) {
         problems_.add_altered("link without a pose left out", place(from, to));
         continue;
@@ -283,7 +283,7 @@ class Reader {
     constexpr std::int64_t kInvalid = -9;  // weight of nodes that the program gave up
     while (rows.next()) {
       const std::int64_t id = rows.integer(0, "the id of a node");
-      const auto pose = pose_of(rows.bytes(4));
+      const auto pose = pose_in_blob(rows.bytes(4));
       const std::string where = name_ + ": node " + std::to_string(id);
       if (id <= 0 || !pose || rows.number(2) <= static_cast<double>(kInvalid)) {
         problems_.add_altered("node without odometry left out", where);
@@ -299,7 +299,7 @@ class Reader {
       nodes_.push_back({key, rows.integer(1, "map_id of a node"), *pose});
       const double stamp_ns = rows.number(3) * 1e9;
       if (stamp_ns > 0.0 && stamp_ns < 4.6e18) stamps_.emplace(key, std::llround(stamp_ns));
-      if (const auto truth = pose_of(rows.bytes(5))) truth_.emplace(key, *truth);
+      if (const auto truth = pose_in_blob(rows.bytes(5))) truth_.emplace(key, *truth);
     }
     if (nodes_.empty()) throw InputError("has no node with odometry and a link");
   }
@@ -316,8 +316,8 @@ class Reader {
     for (std::size_t i = 0; i < ids.count; ++i) {
       std::int32_t id = 0;
       std::memcpy(&id, ids.bytes.data() + 4 * i, sizeof id);
-      const auto pose =
-          pose_of(std::string_view(poses.bytes).substr(i * kPose * sizeof(float), kPose * sizeof(float)));
+      const auto pose = pose_in_blob(
+          std::string_view(poses.bytes).substr(i * kPose * sizeof(float), kPose * sizeof(float)));
       if (pose && id > 0) optimized_.emplace(static_cast<Key>(id), *pose);
     }
   }
@@ -478,7 +478,7 @@ Mission read_rtabmap(const fs::path& path, const MissionOptions& options, const 
     if (databases.empty()) throw InputError(path.string() + ": has no database of RTAB-Map");
     file = databases.front();
   }
-  return Reader(file, options, work).mission(path, file);
+  return DatabaseReader(file, options, work).mission(path, file);
 }
 
 }  // namespace loopwise::parts

@@ -18,11 +18,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-bool has_file(const fs::path& folder, const char* name) {
+bool holds_file(const fs::path& folder, const char* name) {
   return fs::is_regular_file(folder / name);
 }
 
-std::string beginning_of(const fs::path& file) {
+std::string first_bytes(const fs::path& file) {
   constexpr std::size_t kEnough = 4096;
   std::ifstream in(file, std::ios::binary);
   if (!in) throw IoError(file.string(), "cannot be opened");
@@ -34,19 +34,19 @@ std::string beginning_of(const fs::path& file) {
 
 /// The file of HBA is named JSON, but contains seven numbers per line.
 bool is_hba(const fs::path& folder) {
-  if (!has_file(folder, "pose.json") || !fs::is_directory(folder / "pcd")) return false;
-  const std::string text = beginning_of(folder / "pose.json");
+  if (!holds_file(folder, "pose.json") || !fs::is_directory(folder / "pcd")) return false;
+  const std::string text = first_bytes(folder / "pose.json");
   const std::size_t first = text.find_first_not_of(" \t\r\n");
   return first != std::string::npos &&
          (std::isdigit(static_cast<unsigned char>(text[first])) != 0 || text[first] == '-');
 }
 
 bool is_voxel_slam(const fs::path& folder) {
-  if (has_file(folder, "alidarState.txt")) return true;
-  if (!has_file(folder, "edge.txt")) return false;
+  if (holds_file(folder, "alidarState.txt")) return true;
+  if (!holds_file(folder, "edge.txt")) return false;
   const std::vector<fs::path> all = entries(folder);
   return std::any_of(all.begin(), all.end(), [](const fs::path& entry) {
-    return fs::is_directory(entry) && has_file(entry, "alidarState.txt");
+    return fs::is_directory(entry) && holds_file(entry, "alidarState.txt");
   });
 }
 
@@ -54,7 +54,7 @@ bool has_open3d(const fs::path& folder) {
   const std::vector<fs::path> all = entries(folder);
   return std::any_of(all.begin(), all.end(), [](const fs::path& entry) {
     return entry.extension() == ".json" && fs::is_regular_file(entry) &&
-           looks_like_open3d(beginning_of(entry));
+           looks_like_open3d(first_bytes(entry));
   });
 }
 
@@ -79,7 +79,7 @@ std::vector<Key> rows(std::size_t count) {
 Mission read_fast_lio_sam(const fs::path& folder, const MissionOptions& options) {
   Problems problems;
   SavedFrames frames;
-  const bool has_stamps = has_file(folder, "poses_tum.txt");
+  const bool has_stamps = holds_file(folder, "poses_tum.txt");
   frames.source = folder / (has_stamps ? "poses_tum.txt" : "poses_kitti.txt");
   Trajectory poses =
       read_trajectory(frames.source, has_stamps ? TrajectoryFormat::kTum : TrajectoryFormat::kKitti);
@@ -202,15 +202,15 @@ std::vector<fs::path> rtabmap_databases(const fs::path& folder) {
 }
 
 std::optional<MissionKind> saved_map_kind(const fs::path& folder) {
-  if (has_file(folder, "result.g2o")) return std::nullopt;  // a g2o_pcd folder
-  if (has_file(folder, "graph.txt") && begins_with(folder / "graph.txt", "num_submaps:"))
+  if (holds_file(folder, "result.g2o")) return std::nullopt;  // a g2o_pcd folder
+  if (holds_file(folder, "graph.txt") && begins_with(folder / "graph.txt", "num_submaps:"))
     return MissionKind::kGlim;
   if (fs::is_directory(folder / "scans") &&
-      (has_file(folder, "poses_tum.txt") || has_file(folder, "poses_kitti.txt")))
+      (holds_file(folder, "poses_tum.txt") || holds_file(folder, "poses_kitti.txt")))
     return MissionKind::kFastLioSamQn;
   if (is_hba(folder)) return MissionKind::kHba;
   if (is_voxel_slam(folder)) return MissionKind::kVoxelSlam;
-  if (has_file(folder, "local_map_graph.g2o") || has_file(folder / "local_maps", "local_map_graph.g2o"))
+  if (holds_file(folder, "local_map_graph.g2o") || holds_file(folder / "local_maps", "local_map_graph.g2o"))
     return MissionKind::kKissSlam;
   if (has_open3d(folder)) return MissionKind::kOpen3d;
   return std::nullopt;

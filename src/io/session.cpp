@@ -61,7 +61,7 @@ Step step_between(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b, const 
 }
 
 /// Stamps by row; empty if the file is missing or empty.
-std::vector<std::int64_t> read_times(const fs::path& file, Problems& problems) {
+std::vector<std::int64_t> read_time_rows(const fs::path& file, Problems& problems) {
   std::vector<std::int64_t> stamps;
   if (!fs::is_regular_file(file)) return stamps;
   const std::string name = file.string(), contents = complete_lines(read_file(file), name, problems);
@@ -84,8 +84,8 @@ bool may_belong_together(std::size_t a, std::size_t b) {
 }
 
 /// The session's own graph, if its vertices are the rows of the poses.
-std::optional<PoseGraph> read_graph(const fs::path& file, std::size_t rows, const MissionOptions& options,
-                                    Problems& problems) {
+std::optional<PoseGraph> read_session_graph(const fs::path& file, std::size_t rows,
+                                            const MissionOptions& options, Problems& problems) {
   if (!fs::is_regular_file(file)) return std::nullopt;
   const std::string contents = read_file(file);
   if (is_blank_file(contents)) {
@@ -150,21 +150,21 @@ struct SessionFiles {
 };
 
 constexpr const char* kOptimized = "optimized_poses.txt";
-constexpr const char* kOdometry = "odom_poses.txt";
+constexpr const char* kOdometryPoses = "odom_poses.txt";
 constexpr const char* kTimes = "times.txt";
-constexpr const char* kGraph = "singlesession_posegraph.g2o";
+constexpr const char* kSessionGraph = "singlesession_posegraph.g2o";
 
 SessionFiles read_files(const fs::path& folder, const MissionOptions& options, Problems& problems) {
   SessionFiles session;
   session.optimized = read_poses(folder / kOptimized, problems);
-  session.odometry = read_poses(folder / kOdometry, problems);
+  session.odometry = read_poses(folder / kOdometryPoses, problems);
   if (!session.optimized && !session.odometry) {
-    const fs::path file = folder / (fs::is_regular_file(folder / kOptimized) ? kOptimized : kOdometry);
+    const fs::path file = folder / (fs::is_regular_file(folder / kOptimized) ? kOptimized : kOdometryPoses);
     throw InputError(file.string() + ": has no poses: the session was stopped before its poses were saved");
   }
-  session.stamps = read_times(folder / kTimes, problems);
+  session.stamps = read_time_rows(folder / kTimes, problems);
   if (!session.odometry)
-    session.graph = read_graph(folder / kGraph, session.optimized->size(), options, problems);
+    session.graph = read_session_graph(folder / kSessionGraph, session.optimized->size(), options, problems);
   return session;
 }
 
@@ -179,9 +179,9 @@ Rows count_rows(const SessionFiles& session, const fs::path& folder, Problems& p
     if (rows > 0) files.emplace_back((folder / name).string(), rows);
   };
   add(kOptimized, session.optimized ? session.optimized->size() : 0);
-  add(kOdometry, session.odometry ? session.odometry->size() : 0);
+  add(kOdometryPoses, session.odometry ? session.odometry->size() : 0);
   add(kTimes, session.stamps.size());
-  add(kGraph, session.graph ? session.graph->nodes().size() : 0);
+  add(kSessionGraph, session.graph ? session.graph->nodes().size() : 0);
   const auto [least, most] = std::minmax_element(
       files.begin(), files.end(), [](const auto& a, const auto& b) { return a.second < b.second; });
   if (!may_belong_together(least->second, most->second)) {
@@ -201,7 +201,7 @@ Rows count_rows(const SessionFiles& session, const fs::path& folder, Problems& p
 std::vector<Step> odometry_steps(const SessionFiles& session, std::size_t rows, const fs::path& folder,
                                  const MissionOptions& options, Problems& problems) {
   const Poses& poses = session.odometry ? *session.odometry : *session.optimized;
-  const std::string own_graph = (folder / kGraph).string();
+  const std::string own_graph = (folder / kSessionGraph).string();
   std::vector<std::optional<Step>> given(rows - 1);
   if (session.graph) given = steps_of_graph(*session.graph, rows, own_graph, problems);
   const bool any_given =

@@ -269,4 +269,8 @@ void append_pose(std::string& out, const Eigen::Isometry3d& pose, char separator
   append(out, q.w());
 }
 
+bool has_only_digits(std::string_view text) {
+  return !text.empty() && std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
+}
+
 }  // namespace loopwise::text

@@ -112,4 +112,7 @@ void append(std::string& out, std::uint64_t value);
 /// "x y z qx qy qz qw", qw ≥ 0.
 void append_pose(std::string& out, const Eigen::Isometry3d& pose, char separator = ' ');
 
+/// Whether the text is not empty and has no other characters than digits.
+[[nodiscard]] bool has_only_digits(std::string_view text);
+
 }  // namespace loopwise::text

@@ -20,7 +20,7 @@
 namespace loopwise {
 namespace {
 
-constexpr const char* kWanted = "a trajectory in TUM or KITTI format or a g2o graph";
+constexpr const char* kWantedTrajectory = "a trajectory in TUM or KITTI format or a g2o graph";
 constexpr std::initializer_list<FileKind> kTrajectories = {FileKind::kTum, FileKind::kKitti, FileKind::kG2o,
                                                            FileKind::kEmpty};
 constexpr std::size_t kTumNumbers = 8;
@@ -56,7 +56,7 @@ void read_tum_line(std::string_view line, const text::Place& place, Trajectory& 
   if (found != kTumNumbers && !has_id)
     place.fail("a TUM pose needs 8 values, found " + std::to_string(found));
   const auto ns = text::parse_seconds_ns(stamp);
-  if (!ns) place.fail(text::quoted(stamp) + " is not a stamp in seconds");
+  if (!ns) place.fail(text::quoted(stamp) + " is not a stamp in seconds_text");
   const text::Pose pose = text::pose_of(values, place);
   if (!pose.was_unit) out.problems.add_altered("non-unit quaternion", place.str());
   out.stamps_ns.push_back(*ns);
@@ -72,7 +72,7 @@ void read_kitti_line(std::string_view line, const text::Place& place, Trajectory
   out.poses.push_back(rigid.pose);
 }
 
-std::string seconds(std::int64_t stamp_ns) {
+std::string seconds_text(std::int64_t stamp_ns) {
   constexpr std::uint64_t kSecond = 1'000'000'000;
   const auto bits = static_cast<std::uint64_t>(stamp_ns);
   const std::uint64_t ns = stamp_ns < 0 ? std::uint64_t{0} - bits : bits;
@@ -94,7 +94,7 @@ void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& line
   constexpr std::int64_t kSecond = 1'000'000'000;
   const std::vector<std::int64_t> read = out.stamps_ns;
   const auto place = [&](std::size_t i) {
-    return text::Place{file, lines[i]}.str() + ": " + seconds(read[i]);
+    return text::Place{file, lines[i]}.str() + ": " + seconds_text(read[i]);
   };
   for (std::size_t i = 1; i < read.size(); ++i) {
     if (read[i] < read[i - 1])
@@ -110,7 +110,7 @@ void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& line
   }
   const bool sorted = std::is_sorted(read.begin(), read.end());
   if (!sorted && out.stamps_ns.front() >= 0 && out.stamps_ns.back() < kSecond) {
-    out.problems.add("stamps that may lack their seconds",
+    out.problems.add("stamps that may lack their seconds_text",
                      file + ": all are between 0 and 1 s and not ascending");
   }
 }
@@ -233,12 +233,12 @@ IndexPairs pair_by_stamp(const Trajectory& estimate, const Trajectory& truth, do
 
 std::string span(const Trajectory& trajectory) {
   const auto [first, last] = std::minmax_element(trajectory.stamps_ns.begin(), trajectory.stamps_ns.end());
-  return seconds(*first) + " to " + seconds(*last) + " s";
+  return seconds_text(*first) + " to " + seconds_text(*last) + " s";
 }
 
 /// Name of a pose in messages.
 std::string name_of(const Trajectory& trajectory, std::size_t i, bool by_stamp) {
-  return by_stamp ? "stamp " + seconds(trajectory.stamps_ns[i]) : key_name(trajectory.keys[i]);
+  return by_stamp ? "stamp " + seconds_text(trajectory.stamps_ns[i]) : key_name(trajectory.keys[i]);
 }
 
 /// Whether every key of the g2o file is a row of the other file.
@@ -249,17 +249,17 @@ bool keys_are_rows(const Trajectory& g2o, const Trajectory& rows) {
 }  // namespace
 
 Trajectory parse_trajectory(std::string_view text, const std::string& source) {
-  refuse_foreign(text, source, kTrajectories, kWanted);
+  refuse_foreign(text, source, kTrajectories, kWantedTrajectory);
   return parse_trajectory(text, source, recognise(source, text));
 }
 
 Trajectory parse_trajectory(std::string_view text, const std::string& source, TrajectoryFormat format) {
-  refuse_foreign(text, source, kTrajectories, kWanted);
+  refuse_foreign(text, source, kTrajectories, kWantedTrajectory);
   return format == TrajectoryFormat::kG2o ? read_vertices(source, text) : read_lines(source, text, format);
 }
 
 Trajectory read_trajectory(const std::filesystem::path& path) {
-  refuse_foreign_file(path, kTrajectories, kWanted);
+  refuse_foreign_file(path, kTrajectories, kWantedTrajectory);
   return parse_trajectory(read_file(path), path.string());
 }
 
@@ -283,7 +283,7 @@ std::vector<Eigen::Isometry3d> read_kitti(const std::filesystem::path& path) {
 void write_tum(const std::filesystem::path& path, const std::vector<StampedPose>& poses) {
   std::string out;
   for (const StampedPose& stamped : poses) {
-    out += seconds(stamped.stamp_ns) + ' ';
+    out += seconds_text(stamped.stamp_ns) + ' ';
     text::append_pose(out, stamped.pose);
     out += '\n';
   }

@@ -17,7 +17,7 @@ constexpr double kFactorizationsPerOrder = 8.0;
 constexpr double kMostNewNodes = 0.1;
 constexpr double kMostNewFactors = 0.1;
 /// Added to the diagonal of the Hessian at a held node, so that no step moves it.
-constexpr double kHeld = 1e30;
+constexpr double kHeldInformation = 1e30;
 
 Pose inverse_of(const Pose& pose) {
   return {pose.R.transpose(), -(pose.R.transpose() * pose.t)};
@@ -308,7 +308,8 @@ bool IncrementalProblem::factorize() {
   const double before = cholesky_.flops_spent();
   sound_ = false;
   sound_ = cholesky_.refactorize([this](std::uint32_t node, auto&& add) {
-    add(node, held(node) ? Matrix6d(diagonals_[node] + kHeld * Matrix6d::Identity()) : diagonals_[node]);
+    add(node,
+        held(node) ? Matrix6d(diagonals_[node] + kHeldInformation * Matrix6d::Identity()) : diagonals_[node]);
     for (const std::uint32_t k : factors_of_[node]) {
       const Factor& f = factors_[k];
       if (active_[k] == 0) continue;

@@ -19,7 +19,7 @@ namespace {
 
 constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
 
-double steps(std::uint32_t a, std::uint32_t b) {
+double steps_between(std::uint32_t a, std::uint32_t b) {
   return std::abs(static_cast<double>(a) - b);
 }
 
@@ -79,9 +79,9 @@ void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {
   });
 }
 
-/// The kept closure with the fewest steps of odometry at both ends. It must have a lower variance than the
-/// limit, and fewer steps than the direct path between the ends. The search is bounded, because distant
-/// closures give little information.
+/// The kept closure with the fewest steps_between of odometry at both ends. It must have a lower variance
+/// than the limit, and fewer steps_between than the direct path between the ends. The search is bounded,
+/// because distant closures give little information.
 const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from, std::size_t to,
                                                                 double variance_limit) const {
   constexpr int kMostSeen = 10000;  // to either side
@@ -91,13 +91,14 @@ const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from
       kept_.begin(), kept_.end(), std::tie(root, other_root, place),
       [](const Kept& k, const auto& at) { return std::tie(k.root, k.other_root, k.place) < at; });
   const Kept* best = nullptr;
-  double fewest = root == other_root ? steps(place, other_place) : std::numeric_limits<double>::infinity();
+  double fewest =
+      root == other_root ? steps_between(place, other_place) : std::numeric_limits<double>::infinity();
   int seen = 0;
   // \returns whether the next one may be nearer.
   const auto consider = [&](const Kept& k) {
     if (k.root != root || k.other_root != other_root || ++seen > kMostSeen) return false;
-    const double at_this_end = steps(k.place, place);
-    const double all = at_this_end + steps(k.other_place, other_place);
+    const double at_this_end = steps_between(k.place, place);
+    const double all = at_this_end + steps_between(k.other_place, other_place);
     if (all < fewest && k.variance < variance_limit) {
       fewest = all;
       best = &k;

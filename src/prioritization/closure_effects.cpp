@@ -23,7 +23,7 @@ using Eigen::Index;
 /// Variances below this (m²) belong to nodes with a fixed pose.
 constexpr double kHeldVariance = 1e-14;
 /// Candidates per task of the pool.
-constexpr std::size_t kChunk = 64;
+constexpr std::size_t kPairsPerTask = 64;
 
 Eigen::Matrix3d world_covariance(const Node& node, const Matrix6d& covariance) {
   if (!covariance.allFinite()) return Eigen::Matrix3d::Zero();
@@ -214,9 +214,10 @@ ClosureEffects closure_effects(const PoseGraph& graph, const std::vector<LoopCan
   out.connecting.resize(candidates.size());
   const detail::ClosureFactor& factor = closures.factor();
   ThreadPool pool(options.threads);
-  pool.for_each((candidates.size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
+  pool.for_each((candidates.size() + kPairsPerTask - 1) / kPairsPerTask, [&](std::size_t chunk) {
     std::vector<double> x;
-    for (std::size_t c = chunk * kChunk; c < std::min(candidates.size(), (chunk + 1) * kChunk); ++c) {
+    for (std::size_t c = chunk * kPairsPerTask; c < std::min(candidates.size(), (chunk + 1) * kPairsPerTask);
+         ++c) {
       add_places(closures.terms[c], static_cast<Index>(c), chains, world, closure_variance, out);
       if (!closures.terms.inert(c) && out.trace_m2 > 0.0) add_gain(closures, factor, c, graph, x, out);
     }

@@ -33,7 +33,7 @@ constexpr std::size_t kMostMembers = 64;  // bound on the members among which th
 constexpr double kPlaceStrength = 2.0;    // weight of the chance by evidence, in results
 constexpr double kRefreshed = 1.05;       // growth of the graph after which gains are sketched again
 constexpr double kMostChance = 0.98;
-constexpr std::size_t kChunk = 256;           // groups per task of the pool
+constexpr std::size_t kGroupsPerTask = 256;   // groups per task of the pool
 constexpr std::size_t kRefreshBudget = 8192;  // bound on groups with an old value that one take() updates
 
 struct KeyPairHash {
@@ -409,9 +409,10 @@ struct ExpectedPrioritizer::Impl {
     for (std::uint32_t g = 0; g < groups_.size(); ++g) {
       if (!groups_[g].members.empty() && !groups_[g].looked_at) fresh.push_back(g);
     }
-    const std::size_t chunks = (fresh.size() + kChunk - 1) / kChunk;
+    const std::size_t chunks = (fresh.size() + kGroupsPerTask - 1) / kGroupsPerTask;
     pool_.for_each(chunks, [&](std::size_t chunk) {
-      for (std::size_t k = chunk * kChunk; k < std::min(fresh.size(), (chunk + 1) * kChunk); ++k) {
+      for (std::size_t k = chunk * kGroupsPerTask; k < std::min(fresh.size(), (chunk + 1) * kGroupsPerTask);
+           ++k) {
         look_at(groups_[fresh[k]], /*has_moved=*/false);
       }
     });

@@ -16,18 +16,18 @@ using detail::ClosureFactor;
 using detail::ClosureSet;
 using detail::ClosureTerm;
 template <int Width>
-using Rows = Eigen::Matrix<double, 6, Width, Eigen::RowMajor>;
+using LogDetRows = Eigen::Matrix<double, 6, Width, Eigen::RowMajor>;
 
-constexpr double kLostPivot = 1e-9;
-constexpr std::size_t kValueRefresh = 64;
-constexpr std::size_t kChunk = 64;
+constexpr double kLogDetLostPivot = 1e-9;
+constexpr std::size_t kLogDetValueRefresh = 64;
+constexpr std::size_t kLogDetChunk = 64;
 
 /// log det of a positive definite matrix, or nothing if rounding dominates it.
 std::optional<double> log_det(const Matrix6d& m) {
   const Eigen::LLT<Matrix6d> cholesky(m);
   if (cholesky.info() != Eigen::Success) return std::nullopt;
   const Vector6d pivots = cholesky.matrixLLT().diagonal();
-  if (pivots.cwiseAbs2().minCoeff() < kLostPivot) return std::nullopt;
+  if (pivots.cwiseAbs2().minCoeff() < kLogDetLostPivot) return std::nullopt;
   return 2.0 * pivots.array().log().sum();
 }
 
@@ -47,7 +47,7 @@ struct LogDetObjective::Impl {
 
   void moved(double change) {
     if (value) *value += change;
-    if (++moves >= kValueRefresh) value.reset();
+    if (++moves >= kLogDetValueRefresh) value.reset();
     closures.changed();
   }
 
@@ -56,7 +56,7 @@ struct LogDetObjective::Impl {
                                std::vector<double>& columns) const {
     const ClosureTerm* term = &closures.terms[candidate];
     factor.closure_columns<6>(&term, columns);
-    Rows<6> S;
+    LogDetRows<6> S;
     factor.apply<6>(*term, columns, S.data());
     const Matrix6d W = closures.whitener(candidate);
     const Matrix6d s = W * S * W.transpose();
@@ -152,9 +152,9 @@ std::vector<double> LogDetObjective::add_changes() {
   if (m.tracked.empty()) {
     const ClosureFactor& factor = m.closures.factor();
     m.tracked.assign(count, Matrix6d::Zero());
-    m.pool.for_each((count + kChunk - 1) / kChunk, [&](std::size_t chunk) {
+    m.pool.for_each((count + kLogDetChunk - 1) / kLogDetChunk, [&](std::size_t chunk) {
       std::vector<double> own;
-      for (std::size_t i = chunk * kChunk; i < std::min(count, (chunk + 1) * kChunk); ++i) {
+      for (std::size_t i = chunk * kLogDetChunk; i < std::min(count, (chunk + 1) * kLogDetChunk); ++i) {
         if (!m.closures.terms.inert(i)) m.tracked[i] = m.block(factor, i, own);
       }
     });
@@ -187,10 +187,10 @@ void LogDetObjective::add(std::size_t candidate) {
     // S of every other candidate decreases by (JX)(JX)ᵀ, with X = ΣJᵀ whitened by I + S of the new closure.
     const Matrix6d Q = Eigen::LLT<Matrix6d>(Matrix6d::Identity() + own).matrixL().solve(Matrix6d::Identity());
     const Matrix6d T = m.closures.whitener(candidate).transpose() * Q.transpose();
-    m.pool.for_each((size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
-      for (std::size_t i = chunk * kChunk; i < std::min(size(), (chunk + 1) * kChunk); ++i) {
+    m.pool.for_each((size() + kLogDetChunk - 1) / kLogDetChunk, [&](std::size_t chunk) {
+      for (std::size_t i = chunk * kLogDetChunk; i < std::min(size(), (chunk + 1) * kLogDetChunk); ++i) {
         if (m.closures.terms.inert(i)) continue;
-        Rows<6> J;
+        LogDetRows<6> J;
         factor.apply<6>(m.closures.terms[i], m.x, J.data());
         const Matrix6d s = m.closures.whitener(i) * J * T;
         m.tracked[i].noalias() -= s.lazyProduct(s.transpose());

@@ -16,15 +16,15 @@
 namespace loopwise::detail {
 namespace {
 
-constexpr int kWidth = 16;  // probes per solve
-using Rows = Eigen::Matrix<float, 6, Eigen::Dynamic, Eigen::RowMajor>;
+constexpr int kProbesPerSolve = 16;  // probes per solve
+using SketchRows = Eigen::Matrix<float, 6, Eigen::Dynamic, Eigen::RowMajor>;
 
 }  // namespace
 
 RelativeSketch::RelativeSketch(const PoseGraph& graph, const ClosureModelOptions& options, std::size_t probes,
                                std::uint64_t seed) {
-  const std::size_t groups = (probes + kWidth - 1) / kWidth;
-  probes_ = groups * kWidth;
+  const std::size_t groups = (probes + kProbesPerSolve - 1) / kProbesPerSolve;
+  probes_ = groups * kProbesPerSolve;
   whitening_ << Eigen::Vector3d::Constant(1.0 / options.sigma_m),
       Eigen::Vector3d::Constant(1.0 / options.sigma_rad);
   ClosureFactor factor(graph);
@@ -39,16 +39,17 @@ RelativeSketch::RelativeSketch(const PoseGraph& graph, const ClosureModelOptions
     const std::size_t group = task / 2;
     const bool of_trace = task % 2 != 0;
     std::vector<double> x;
-    fill_probes(x, factor.free_nodes(), kWidth, of_trace ? trace_rows : 6, scale,
+    fill_probes(x, factor.free_nodes(), kProbesPerSolve, of_trace ? trace_rows : 6, scale,
                 Rng(combine_seeds(combine_seeds(seed, group), of_trace ? 1 : 0)));
-    of_trace ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
+    of_trace ? factor.solve<kProbesPerSolve>(x) : factor.solve_root<kProbesPerSolve>(x);
     std::vector<float>& out = of_trace ? V_ : U_;
     for (std::size_t node = 0; node < nodes; ++node) {
-      const double* rows = factor.rows_of(x, node, kWidth);
+      const double* rows = factor.rows_of(x, node, kProbesPerSolve);
       if (rows == nullptr) continue;
       for (std::size_t row = 0; row < 6; ++row) {
-        float* to = out.data() + (node * 6 + row) * probes_ + group * kWidth;
-        for (std::size_t k = 0; k < kWidth; ++k) to[k] = static_cast<float>(rows[row * kWidth + k]);
+        float* to = out.data() + (node * 6 + row) * probes_ + group * kProbesPerSolve;
+        for (std::size_t k = 0; k < kProbesPerSolve; ++k)
+          to[k] = static_cast<float>(rows[row * kProbesPerSolve + k]);
       }
     }
   });
@@ -62,9 +63,9 @@ RepeatedGain RelativeSketch::gain(std::size_t from, std::size_t to,
   const Eigen::Matrix<float, 6, 6> adjoint = se3::adjoint(T_to_from).cast<float>();
   const auto columns = static_cast<Eigen::Index>(probes_);
   const auto effect = [&](const std::vector<float>& x) {
-    const Eigen::Map<const Rows> at_from(x.data() + from * 6 * probes_, 6, columns);
-    const Eigen::Map<const Rows> at_to(x.data() + to * 6 * probes_, 6, columns);
-    Rows rows = at_to;
+    const Eigen::Map<const SketchRows> at_from(x.data() + from * 6 * probes_, 6, columns);
+    const Eigen::Map<const SketchRows> at_to(x.data() + to * 6 * probes_, 6, columns);
+    SketchRows rows = at_to;
     rows.noalias() -= adjoint * at_from;
     return Matrix6d((rows * rows.transpose()).cast<double>());
   };

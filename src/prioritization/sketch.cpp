@@ -20,10 +20,10 @@
 namespace loopwise {
 namespace {
 
-constexpr int kWidth = 16;  // probes per solve
-constexpr std::size_t kChunk = 4096;
+constexpr int kSketchWidth = 16;  // probes per solve
+constexpr std::size_t kCandidatesPerTask = 4096;
 
-using Probes = Eigen::Matrix<double, 6, kWidth, Eigen::RowMajor>;
+using Probes = Eigen::Matrix<double, 6, kSketchWidth, Eigen::RowMajor>;
 
 /// Calls visit(i, blocks) for every candidate that does not connect components, with estimates of S and M
 /// from random probes. They are for its closure at full information, added to the bare graph. Several threads
@@ -39,24 +39,24 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
   detail::ClosureFactor factor(graph);
   factor.factorize({}, whitening.information);
 
-  // Probes are in groups of kWidth; the signs of a group depend only on (seed, group).
-  const std::size_t groups = (probes + kWidth - 1) / kWidth;
-  const double scale = 1.0 / std::sqrt(static_cast<double>(groups * kWidth));
+  // Probes are in groups of kSketchWidth; the signs of a group depend only on (seed, group).
+  const std::size_t groups = (probes + kSketchWidth - 1) / kSketchWidth;
+  const double scale = 1.0 / std::sqrt(static_cast<double>(groups * kSketchWidth));
   std::vector<std::vector<double>> U(groups), V(groups);
   ThreadPool pool(options.threads);
   pool.for_each(2 * groups, [&](std::size_t task) {
     const std::size_t group = task / 2;
     const bool of_trace = task % 2 != 0;
     std::vector<double>& x = of_trace ? V[group] : U[group];
-    detail::fill_probes(x, factor.free_nodes(), kWidth,
+    detail::fill_probes(x, factor.free_nodes(), kSketchWidth,
                         of_trace && options.trace == TraceKind::kTranslation ? 3 : 6, scale,
                         Rng(combine_seeds(combine_seeds(seed, group), of_trace ? 1 : 0)));
-    of_trace ? factor.solve<kWidth>(x) : factor.solve_root<kWidth>(x);
+    of_trace ? factor.solve<kSketchWidth>(x) : factor.solve_root<kSketchWidth>(x);
   });
 
-  pool.for_each((candidates.size() + kChunk - 1) / kChunk, [&](std::size_t chunk) {
-    const std::size_t end = std::min(candidates.size(), (chunk + 1) * kChunk);
-    for (std::size_t i = chunk * kChunk; i < end; ++i) {
+  pool.for_each((candidates.size() + kCandidatesPerTask - 1) / kCandidatesPerTask, [&](std::size_t chunk) {
+    const std::size_t end = std::min(candidates.size(), (chunk + 1) * kCandidatesPerTask);
+    for (std::size_t i = chunk * kCandidatesPerTask; i < end; ++i) {
       const std::size_t from = graph.index_of(candidates[i].from), to = graph.index_of(candidates[i].to);
       if (parts.connecting(from, to)) continue;
       detail::ClosureTerm term;
@@ -66,8 +66,8 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
       detail::GainBlocks blocks;
       for (std::size_t g = 0; g < groups; ++g) {
         Probes u, v;
-        factor.apply<kWidth>(term, U[g], u.data());
-        factor.apply<kWidth>(term, V[g], v.data());
+        factor.apply<kSketchWidth>(term, U[g], u.data());
+        factor.apply<kSketchWidth>(term, V[g], v.data());
         blocks.S.noalias() += u.lazyProduct(u.transpose());
         blocks.M.noalias() += v.lazyProduct(v.transpose());
       }

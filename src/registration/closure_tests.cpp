@@ -14,7 +14,7 @@ namespace loopwise {
 namespace {
 
 /// Cosine of the angle within which two normals agree.
-constexpr float kAgreeing = 0.7F;
+constexpr float kAgreeingShare = 0.7F;
 
 /// max_sigma of each coordinate. In these units, a free direction has variance 1 or more.
 Vector6d units(const ClosureTestOptions& options) {
@@ -77,7 +77,7 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
     const Eigen::Vector3d n = target.normals[nearest->index].cast<double>();
     const Eigen::Vector3d m =
         bin == kUnknownNormal ? n : Eigen::Vector3d(T_to_from.linear() * source.normals[i].cast<double>());
-    if (!n.isZero() && n.dot(m) < static_cast<double>(kAgreeing)) continue;
+    if (!n.isZero() && n.dot(m) < static_cast<double>(kAgreeingShare)) continue;
     ++agreeing[bin];
     if (n.isZero()) continue;
     const double distance = n.dot(y - target.points[nearest->index].cast<double>());
@@ -136,7 +136,7 @@ SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree, const Cl
     if (other.sq_distance_m2 > reach * reach) continue;
     ++near;
     const Eigen::Vector3f& n = cloud.normals[other.index];
-    if (n.dot(cloud.normals[i]) < kAgreeing) continue;
+    if (n.dot(cloud.normals[i]) < kAgreeingShare) continue;
     ++neighbours;
     if (std::abs(n.dot(cloud.points[i] - cloud.points[other.index])) < within) ++on_plane;
   }

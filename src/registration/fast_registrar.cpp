@@ -11,6 +11,7 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/robust_centre.hpp>
+#include "../core/constants.hpp"
 #include "consensus.hpp"
 #include "fpfh.hpp"
 #include "matching.hpp"
@@ -24,8 +25,6 @@
 namespace loopwise {
 namespace {
 
-constexpr double kPi = 3.14159265358979323846;
-constexpr double kDegree = kPi / 180.0;
 constexpr std::size_t kFewKeys = 200;  // of a scan at least, for any share
 
 /// Key points of one side in the centre's frame.

@@ -73,14 +73,14 @@ ScanDescriptors compute_descriptors(const PointCloud& cloud, const PclRegistrarO
 }
 
 /// Key points of a submap in the centre's frame, with their descriptors.
-struct KeyPoints {
+struct PclKeyPoints {
   std::vector<Eigen::Vector3d> points;
   std::vector<Descriptor> descriptors;
 };
 
 /// The `count` nearest of `all` to `query`, nearest first; equal distances by index.
-std::vector<std::uint32_t> similar(const Descriptor& query, const std::vector<Descriptor>& all,
-                                   std::size_t count) {
+std::vector<std::uint32_t> similar_descriptors(const Descriptor& query, const std::vector<Descriptor>& all,
+                                               std::size_t count) {
   std::vector<std::pair<float, std::uint32_t>> best;
   best.reserve(count + 1);
   for (std::uint32_t i = 0; i < all.size(); ++i) {
@@ -107,7 +107,7 @@ Eigen::Isometry3d fit(const std::array<Eigen::Vector3d, 3>& from, const std::arr
 
 /// Sample consensus initial alignment: the hypothesis with the least truncated error over the source's key
 /// points.
-Eigen::Isometry3d initial_alignment(const KeyPoints& source, const KeyPoints& target,
+Eigen::Isometry3d initial_alignment(const PclKeyPoints& source, const PclKeyPoints& target,
                                     const KdTree& target_tree,
                                     const std::optional<Eigen::Isometry3d>& guess_to_from, std::uint64_t seed,
                                     const PclRegistrarOptions& options) {
@@ -144,8 +144,8 @@ Eigen::Isometry3d initial_alignment(const KeyPoints& source, const KeyPoints& ta
     for (std::size_t i = 0; i < 3; ++i) {
       auto& choices = matches[sample[i]];
       if (choices.empty()) {
-        choices = similar(source.descriptors[sample[i]], target.descriptors,
-                          static_cast<std::size_t>(options.sac_randomness));
+        choices = similar_descriptors(source.descriptors[sample[i]], target.descriptors,
+                                      static_cast<std::size_t>(options.sac_randomness));
       }
       from[i] = source.points[sample[i]];
       to[i] = target.points[choices[static_cast<std::size_t>(rng.below(choices.size()))]];
@@ -224,8 +224,8 @@ struct PclRegistrar::Impl {
   PclRegistrarOptions options;
   mutable BoundedCache<Key, ScanDescriptors> descriptors;
 
-  [[nodiscard]] KeyPoints key_points(const Submap& submap) const {
-    KeyPoints out;
+  [[nodiscard]] PclKeyPoints key_points(const Submap& submap) const {
+    PclKeyPoints out;
     for (const Part& part : submap.parts()) {
       const auto scan = descriptors.get(part.key, [&](Key) {
         return std::make_shared<const ScanDescriptors>(compute_descriptors(part.features->cloud, options));
@@ -275,7 +275,7 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
     return reject(RejectionReason::kTooFewPoints,
                   std::to_string(fewest) + " points, must be >= " + std::to_string(options.tests.min_points));
   }
-  const KeyPoints source_keys = impl_->key_points(*source), target_keys = impl_->key_points(*target);
+  const PclKeyPoints source_keys = impl_->key_points(*source), target_keys = impl_->key_points(*target);
   result.features_s = features_watch.seconds();
   if (std::min(source_keys.points.size(), target_keys.points.size()) < 3) {
     return reject(RejectionReason::kTooFewPoints, "fewer than 3 key points with a normal and neighbours");

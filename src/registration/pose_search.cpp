@@ -7,6 +7,7 @@
 
 #include <loopwise/core/se3.hpp>
 
+#include "../core/constants.hpp"
 #include "pose_scores.hpp"
 #include "rivals.hpp"
 #include "sort_falling.hpp"
@@ -14,9 +15,6 @@
 
 namespace loopwise {
 namespace {
-
-constexpr double kPi = 3.14159265358979323846;
-constexpr double kDegree = kPi / 180.0;
 
 // Weight of the share of points on surfaces. It is low, because in a periodic hall two scans share less at
 // the true pose than at a pose that puts one sensor at the other. Surfaces that only one scan sees hardly

@@ -1,6 +1,8 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "range_image.hpp"
 
+#include "../core/constants.hpp"
+
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -9,14 +11,14 @@ namespace loopwise {
 namespace {
 
 constexpr int kColumns = 90, kRows = 45;
-constexpr float kPi = 3.14159265358979F;
 constexpr float kMarginM = 0.5F, kMarginShare = 0.05F;
 
 std::size_t cell_of(const Eigen::Vector3f& p, float range) {
   const float azimuth = std::atan2(p.y(), p.x());
   const float elevation = std::asin(std::clamp(p.z() / range, -1.0F, 1.0F));
-  const int column = static_cast<int>((azimuth + kPi) * (static_cast<float>(kColumns) / (2.0F * kPi)));
-  const int row = static_cast<int>((elevation + 0.5F * kPi) * (static_cast<float>(kRows) / kPi));
+  const int column =
+      static_cast<int>((azimuth + kPiFloat) * (static_cast<float>(kColumns) / (2.0F * kPiFloat)));
+  const int row = static_cast<int>((elevation + 0.5F * kPiFloat) * (static_cast<float>(kRows) / kPiFloat));
   return static_cast<std::size_t>(std::clamp(column, 0, kColumns - 1) * kRows +
                                   std::clamp(row, 0, kRows - 1));
 }

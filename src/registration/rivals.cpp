@@ -10,14 +10,14 @@
 
 #include <loopwise/core/se3.hpp>
 
+#include "../core/constants.hpp"
 #include "sort_falling.hpp"
 
 namespace loopwise {
 namespace {
 
-constexpr float kPi = 3.14159265358979F;
 constexpr std::size_t kPoints = 200;  // of each side; their pairs vote
-constexpr int kBins = 120;            // of the compass, 3 degrees each
+constexpr int kCompassBins = 120;     // of the compass, 3 degrees each
 
 /// Surface points about a common centre, with the vertical as z.
 struct Elements {
@@ -47,17 +47,18 @@ Eigen::Vector3d vertical_of(const Side& side) {
 }
 
 /// Number of steep surfaces that face each direction of the compass, smoothed over three bins.
-using Compass = std::array<float, kBins>;
+using Compass = std::array<float, kCompassBins>;
 
 Compass compass(const Elements& elements) {
   Compass counts{}, smooth{};
   for (const Eigen::Vector3f& n : elements.normals) {
     if (std::abs(n.z()) > 0.7F) continue;
-    const float turn = std::atan2(n.y(), n.x()) / (2.0F * kPi) + 1.0F;
-    counts[static_cast<std::size_t>(turn * kBins) % kBins] += 1.0F;
+    const float turn = std::atan2(n.y(), n.x()) / (2.0F * kPiFloat) + 1.0F;
+    counts[static_cast<std::size_t>(turn * kCompassBins) % kCompassBins] += 1.0F;
   }
-  for (std::size_t i = 0; i < kBins; ++i) {
-    smooth[i] = counts[i] + 0.5F * (counts[(i + 1) % kBins] + counts[(i + kBins - 1) % kBins]);
+  for (std::size_t i = 0; i < kCompassBins; ++i) {
+    smooth[i] =
+        counts[i] + 0.5F * (counts[(i + 1) % kCompassBins] + counts[(i + kCompassBins - 1) % kCompassBins]);
   }
   return smooth;
 }
@@ -72,22 +73,24 @@ struct Turn {
 void add_turns(const Compass& source, const Compass& target, bool half_turns, std::size_t most,
                std::vector<Turn>& turns) {
   float own = 0.0F;  // at the found pose
-  for (std::size_t i = 0; i < kBins; ++i) own += source[i] * target[i];
-  std::array<float, kBins> correlation{};
-  for (std::size_t shift = 0; shift < kBins; ++shift) {
-    for (std::size_t i = 0; i < kBins; ++i) {
+  for (std::size_t i = 0; i < kCompassBins; ++i) own += source[i] * target[i];
+  std::array<float, kCompassBins> correlation{};
+  for (std::size_t shift = 0; shift < kCompassBins; ++shift) {
+    for (std::size_t i = 0; i < kCompassBins; ++i) {
       // A half turn about the axis at azimuth ψ/2 carries azimuth α to ψ − α.
-      const std::size_t from = half_turns ? (2 * kBins - 1 - i) % kBins : i;
-      correlation[shift] += source[from] * target[(i + shift) % kBins];
+      const std::size_t from = half_turns ? (2 * kCompassBins - 1 - i) % kCompassBins : i;
+      correlation[shift] += source[from] * target[(i + shift) % kCompassBins];
     }
   }
   std::vector<Turn> found;
-  for (std::size_t shift = 0; shift < kBins; ++shift) {
+  for (std::size_t shift = 0; shift < kCompassBins; ++shift) {
     const float here = correlation[shift];
     if (2.0F * here < own) continue;
     if (shift == 0 && !half_turns) continue;  // the turn of the found pose, which is always used
-    if (here < correlation[(shift + 1) % kBins] || here <= correlation[(shift + kBins - 1) % kBins]) continue;
-    const float angle = 2.0F * kPi * static_cast<float>(shift) / kBins;
+    if (here < correlation[(shift + 1) % kCompassBins] ||
+        here <= correlation[(shift + kCompassBins - 1) % kCompassBins])
+      continue;
+    const float angle = 2.0F * kPiFloat * static_cast<float>(shift) / kCompassBins;
     Turn turn;
     turn.agreement = here;
     turn.R = Eigen::AngleAxisf(angle, Eigen::Vector3f::UnitZ()).toRotationMatrix();

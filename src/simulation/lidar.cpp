@@ -7,14 +7,13 @@
 
 #include <loopwise/core/random.hpp>
 
+#include "../core/constants.hpp"
 #include "parameters.hpp"
 
 namespace loopwise::simulation_detail {
 namespace {
 
 namespace parameters = simulation_parameters;
-constexpr double kPi = 3.14159265358979323846;
-
 const parameters::Lidar& model(LidarKind kind) {
   return kind == LidarKind::kVlp16 ? parameters::kVlp16 : parameters::kOs1_64;
 }
@@ -55,7 +54,7 @@ std::size_t count_voxels(const PointCloud& cloud, double leaf, std::vector<std::
   return count;
 }
 
-float rounded(double x) {
+float rounded_to_float(double x) {
   return static_cast<float>(std::round(x * 1024.0) / 1024.0);
 }
 
@@ -144,7 +143,8 @@ PointCloud thin(const PointCloud& cloud, int points, std::uint64_t seed) {
     }
     const Eigen::Vector3d mean = sum / static_cast<double>(j - i);
     centroids.push_back({combine_seeds(seed, voxels[i].first), voxels[i].first,
-                         Eigen::Vector3f(rounded(mean.x()), rounded(mean.y()), rounded(mean.z()))});
+                         Eigen::Vector3f(rounded_to_float(mean.x()), rounded_to_float(mean.y()),
+                                         rounded_to_float(mean.z()))});
     i = j;
   }
   const auto keep = static_cast<std::size_t>(points);

@@ -12,10 +12,10 @@
 #include <loopwise/features/normals.hpp>
 #include <loopwise/features/observability.hpp>
 
+#include "../core/constants.hpp"
+
 namespace loopwise {
 namespace {
-
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 ScoreQuartiles quartiles(std::vector<double> values) {
   std::sort(values.begin(), values.end());

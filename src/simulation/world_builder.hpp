@@ -15,6 +15,7 @@
 #include <loopwise/core/random.hpp>
 #include <loopwise/simulation/world.hpp>
 
+#include "../core/constants.hpp"
 #include "parameters.hpp"
 #include "surface.hpp"
 
@@ -23,7 +24,6 @@ namespace loopwise::simulation_detail {
 namespace parameters = simulation_parameters;
 using PlaceKind = RouteGraph::PlaceKind;
 
-inline constexpr double kPi = 3.14159265358979323846;
 inline constexpr double kWallClearance = 0.9;  ///< From a robot's centre to a wall, at least, m.
 
 inline double draw(Rng& rng, const parameters::Range& range) {

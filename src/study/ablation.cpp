@@ -15,13 +15,13 @@
 #include <loopwise/io/csv.hpp>
 #include <loopwise/study/study.hpp>
 
+#include "../core/constants.hpp"
 #include "scheduler.hpp"
 #include "tables.hpp"
 
 namespace loopwise::study {
 namespace {
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 /// Name of the rows of odometry alone, which need no run of their own.
 constexpr const char* kOdometry = "odom";
 

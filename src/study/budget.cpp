@@ -13,13 +13,13 @@
 #include <loopwise/io/csv.hpp>
 #include <loopwise/study/study.hpp>
 
+#include "../core/constants.hpp"
 #include "scheduler.hpp"
 #include "tables.hpp"
 
 namespace loopwise::study {
 namespace {
 
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 /// Moments after the mission, in units of its duration.
 constexpr double kAfter[] = {1.0, 1.25, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0, 12.0, 16.0};
 

@@ -11,10 +11,10 @@
 
 #include <loopwise/core/se3.hpp>
 
+#include "../core/constants.hpp"
+
 namespace loopwise::study {
 namespace {
-
-constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
 double median(std::vector<double> values) {
   if (values.empty()) return kNan;
@@ -23,7 +23,7 @@ double median(std::vector<double> values) {
   return *middle;
 }
 
-double share(std::size_t count, std::size_t total) {
+double share_of_total(std::size_t count, std::size_t total) {
   return total == 0 ? kNan : static_cast<double>(count) / static_cast<double>(total);
 }
 
@@ -53,7 +53,7 @@ PairOutcome judge(const RegistrationResult& result, const Eigen::Isometry3d& tru
 
 double upper_bound_95(std::size_t count, std::size_t total) {
   if (count >= total) return 1.0;
-  // The share at which `count` or fewer of `total` have a chance of 5 %.
+  // The share_of_total at which `count` or fewer of `total` have a chance of 5 %.
   const auto chance = [&](double p) {
     double sum = 0.0;
     for (std::size_t k = 0; k <= count; ++k) {
@@ -106,16 +106,16 @@ PairSummary summarize(const std::vector<StudyPair>& pairs, const std::vector<Pai
     if (outcome.squared_mahalanobis > 12.5916) ++beyond_95;
     if (outcome.squared_mahalanobis > 22.4577) ++beyond_999;
   }
-  out.recall = share(out.recalled, out.overlapping);
+  out.recall = share_of_total(out.recalled, out.overlapping);
   out.false_accept_bound = upper_bound_95(out.false_accepts, out.pairs);
   out.median_m = median(m);
   out.median_rad = median(rad);
   out.largest_m = m.empty() ? kNan : *std::max_element(m.begin(), m.end());
   out.mean_squared_error = m.empty() ? kNan : squared / static_cast<double>(m.size());
-  out.beyond_5 = share(beyond_5, m.size());
-  out.beyond_95 = share(beyond_95, m.size());
-  out.beyond_999 = share(beyond_999, m.size());
-  out.degenerate_beyond_95 = share(degenerate_beyond, out.degenerate);
+  out.beyond_5 = share_of_total(beyond_5, m.size());
+  out.beyond_95 = share_of_total(beyond_95, m.size());
+  out.beyond_999 = share_of_total(beyond_999, m.size());
+  out.degenerate_beyond_95 = share_of_total(degenerate_beyond, out.degenerate);
   out.features_ms = median(features);
   out.global_ms = median(global);
   out.refine_ms = median(refine);

@@ -9,7 +9,7 @@
 namespace loopwise::study {
 namespace {
 
-constexpr std::size_t kColumns = 11;
+constexpr std::size_t kUnitColumns = 11;
 
 double number_or_nan(const Json& json) {
   return json.is_number() ? json.get<double>() : std::numeric_limits<double>::quiet_NaN();
@@ -39,7 +39,7 @@ UnitResult parse_unit_file(const Json& unit, const std::string& name) {
   if (!rows.is_array()) fail("history is missing");
   UnitResult out{summary, {}};
   for (const Json& r : rows) {
-    if (!r.is_array() || r.size() != kColumns) fail("a row of history has not its columns");
+    if (!r.is_array() || r.size() != kUnitColumns) fail("a row of history has not its columns");
     const auto count = [&](std::size_t c) {
       if (!r[c].is_number_unsigned()) fail("a count of history is not a natural number");
       return r[c].get<std::size_t>();

@@ -13,7 +13,7 @@
 namespace loopwise::training {
 namespace {
 
-constexpr int kVersion = 1;
+constexpr int kFileVersion = 1;
 
 using Packed = nlohmann::json;
 
@@ -240,7 +240,7 @@ Packed pack_mission(const MissionData& data, const std::string& made_with) {
   Packed graphs = Packed::array();
   for (const TrainingGraph& graph : data.graphs) graphs.push_back(pack_training_graph(graph));
   return {{"format", "loopwise-training-mission"},
-          {"version", kVersion},
+          {"version", kFileVersion},
           {"made_with", made_with},
           {"name", data.record.name},
           {"group", data.record.group},
@@ -265,7 +265,7 @@ void write_mission_data(const std::filesystem::path& path, const MissionData& da
 bool has_mission_data(const std::filesystem::path& path, const std::string& made_with) {
   if (!std::filesystem::exists(path)) return false;
   try {
-    const Packed all = read_packed(path, "loopwise-training-mission", kVersion);
+    const Packed all = read_packed(path, "loopwise-training-mission", kFileVersion);
     return Field(path.string(), all)["made_with"].text() == made_with;
   } catch (const InputError&) {
     return false;
@@ -273,7 +273,7 @@ bool has_mission_data(const std::filesystem::path& path, const std::string& made
 }
 
 MissionData read_mission_data(const std::filesystem::path& path) {
-  const Packed all = read_packed(path, "loopwise-training-mission", kVersion);
+  const Packed all = read_packed(path, "loopwise-training-mission", kFileVersion);
   const Field field(path.string(), all);
   MissionData out;
   out.record.name = field["name"].text();
@@ -310,7 +310,7 @@ void write_data_set(const std::filesystem::path& folder, const std::vector<DataS
                         {"file", entry.file}});
   }
   const Json all = {{"format", "loopwise-training-data"},
-                    {"version", kVersion},
+                    {"version", kFileVersion},
                     {"options", to_json(options)},
                     {"missions", missions}};
   write_file(folder / "dataset.json", all.dump(1) + "\n");
@@ -329,7 +329,7 @@ DataSet read_data_set(const std::filesystem::path& folder) {
   const auto bad = [&](const std::string& why) { throw InputError(path.string() + ": " + why); };
   try {
     if (json.at("format") != "loopwise-training-data") bad("not a data set");
-    if (json.at("version") != kVersion) bad("of another version: make the data again");
+    if (json.at("version") != kFileVersion) bad("of another version: make the data again");
     apply_json(json.at("options"), "options", out.options);
     for (const Json& mission : json.at("missions")) {
       out.entries.push_back({mission.at("name").get<std::string>(), mission.at("group").get<std::string>(),
