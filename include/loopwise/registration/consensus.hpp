@@ -60,9 +60,11 @@ struct ConsensusOptions {
 /// shares with its compatible matches (second-order compatibility: Chen et al., SC2-PCR, CVPR 2022). This
 /// separates the few true matches from random ones. The matches of highest rank each give one hypothesis, the
 /// rigid transform with the least sum of squares (Umeyama 1991). No random numbers. O(n²·n/64) time and n²/8
-/// bytes for n matches: thousands of them take seconds. \param matches hardly any needs to be right \param
-/// options tolerance and number of poses \param allowed a pose for which it returns false is left out; an
-/// empty function allows every pose \throws OptionError; InputError if a match is not finite
+/// bytes for n matches: thousands of them take seconds.
+/// \param matches hardly any needs to be right
+/// \param options tolerance and number of poses
+/// \param allowed a pose for which it returns false is left out; an empty function allows every pose
+/// \throws OptionError; InputError if a match is not finite
 [[nodiscard]] LOOPWISE_EXPORT Consensus consensus(const std::vector<Match>& matches,
                                                   const ConsensusOptions& options = {},
                                                   const PoseFilter& allowed = {});

@@ -39,9 +39,11 @@ struct FpfhOptions {
 /// three histograms of 11 bins over the angles between a point's normal and those of its neighbours. Columns
 /// are unit vectors of square roots of frequencies, so that their distance is Hellinger's. They do not change
 /// with the pose of the sensor. The column of a point that is not finite or has no neighbours with known
-/// normals is zero. Serial; deterministic. \param cloud points and normals, read in place \param tree of the
-/// points \param options radius and neighbours \throws OptionError; InputError if the tree is that of another
-/// cloud or a normal is not of unit length
+/// normals is zero. Serial; deterministic.
+/// \param cloud points and normals, read in place
+/// \param tree of the points
+/// \param options radius and neighbours
+/// \throws OptionError; InputError if the tree is that of another cloud or a normal is not of unit length
 [[nodiscard]] LOOPWISE_EXPORT Descriptors fpfh(const PointNormalView& cloud, const KdTree& tree,
                                                const FpfhOptions& options = {});
 

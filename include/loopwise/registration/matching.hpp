@@ -24,9 +24,10 @@ struct DescriptorMatch {
 
 /// For each source descriptor the most similar target descriptor, by comparison of all pairs with SIMD:
 /// mutual matches first, then the others, each by falling similarity; equal ones in the order of the source.
-/// Zero columns have no match. Deterministic, with the same matches on every processor. \param target
-/// descriptors of the target, see fpfh() \param source descriptors of the source \param max_matches length of
-/// the result at most
+/// Zero columns have no match. Deterministic, with the same matches on every processor.
+/// \param target descriptors of the target, see fpfh()
+/// \param source descriptors of the source
+/// \param max_matches length of the result at most
 [[nodiscard]] LOOPWISE_EXPORT std::vector<DescriptorMatch> match_descriptors(const Descriptors& target,
                                                                              const Descriptors& source,
                                                                              std::size_t max_matches = 1000);
