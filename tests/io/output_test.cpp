@@ -2,6 +2,8 @@
 // Files and folders that programs write: logs, folders for results, tables of an optimisation.
 #include <cmath>
 
+#include <nlohmann/json.hpp>
+
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/csv.hpp>
 #include <loopwise/io/graph_tables.hpp>

@@ -26,7 +26,7 @@ TEST_CASE("cloud origins: a pose about other points maps the same points", "[reg
   REQUIRE_FALSE(common.zero());
   for (const CloudOrigins& other : {common, files}) {
     const Eigen::Isometry3d converted = other.pose_from(kFar, T);
-    // Measured: 2e-9 m, the rounding of doubles at 5000 km; a wrong sign is off by metres.
+    // The bound is above the rounding of doubles at 5000 km, 1e-9 m; a wrong sign is off by metres.
     REQUIRE((mapped(other, converted, p) - mapped(kFar, T, p)).norm() < 1e-7);
     REQUIRE(testing::difference(kFar.pose_from(other, converted), T) < 1e-7);
   }
