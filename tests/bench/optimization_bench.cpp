@@ -5,15 +5,16 @@
 ///   loopwise_optimization_bench gnc DATA/gnc [CLEAN.g2o]  robust optimisation of each file
 ///   loopwise_optimization_bench sizes [LARGEST [SMALLEST [FILE.svg]]]  generated graphs of growing size
 ///   loopwise_optimization_bench groups              false closures that agree in groups
-///   loopwise_optimization_bench hard [SEED]         generated graphs with many false closures, random and in
-///                                                   groups, and information that is wrong
+///   loopwise_optimization_bench hard [SEED [FOLDER [FILTER]]]  generated graphs and the files of a folder
+///   with
+///                                                   many false closures, random and in groups, and
+///                                                   information that is wrong
 ///   loopwise_optimization_bench batches [POSES [SEED]]  closures and poses that arrive in batches
 ///   loopwise_optimization_bench certify FILE...     the certificate of global optimality on g2o files
 ///   loopwise_optimization_bench planar DATA/rrr     2D graphs of real robots, judged by their truth
 /// Times are processor time of the one thread that works, so that a busy machine shows less. They are
 /// medians; those of `files` are taken in turns with the peers'.
 #include <sys/resource.h>
-#include <time.h>
 
 #include <algorithm>
 #include <array>
@@ -38,7 +39,9 @@
 #include "optimization_ceres.hpp"
 #include "optimization_certify.hpp"
 #include "optimization_graphs.hpp"
+#include "optimization_hard.hpp"
 #include "optimization_incremental.hpp"
+#include "optimization_judge.hpp"
 #include "optimization_planar.hpp"
 #include "pose_problem.hpp"
 
@@ -48,12 +51,6 @@ namespace {
 constexpr int kRounds = 11;
 /// Of graphs that grow large and of files that take seconds.
 constexpr int kFewRounds = 5;
-
-double thread_seconds() {
-  timespec t{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
-}
 
 /// Milliseconds, median; long work runs once.
 double median_ms(const std::function<void()>& work) {
@@ -186,17 +183,6 @@ class Yardstick {
   std::vector<cholmod_factor*> factors_;
 };
 
-std::vector<std::filesystem::path> g2o_files(const std::string& folder) {
-  std::vector<std::filesystem::path> files;
-  for (const auto& entry : std::filesystem::directory_iterator(folder)) {
-    const std::string name = entry.path().filename().string();
-    if (entry.path().extension() == ".g2o" && name.find("truth") == std::string::npos)
-      files.push_back(entry.path());
-  }
-  std::sort(files.begin(), files.end());
-  return files;
-}
-
 void compare_files(const std::string& folder) {
   std::printf("%-16s %8s %8s | %5s %9s %7s | %5s %9s %7s | %9s %7s %10s %7s\n", "file", "F ms", "own ms",
               "fact", "ours ms", "/F/fact", "iter", "Ceres ms", "ratio", "marg ms", "/F", "Ceres ms",
@@ -232,46 +218,13 @@ void compare_files(const std::string& folder) {
   }
 }
 
-struct Verdict {
-  double recall = 1.0, precision = 1.0;
-};
-
-/// Of false closures found and of those found to be false.
-Verdict judge(const BenchGraph& graph, const std::function<bool(std::size_t)>& kept) {
-  double found = 0, right = 0, all = 0;
-  for (std::size_t e = 0; e < graph.is_false.size(); ++e) {
-    if (known_inlier(graph.graph.edges()[e])) continue;
-    all += graph.is_false[e] ? 1 : 0;
-    if (kept(e)) continue;
-    ++found;
-    right += graph.is_false[e] ? 1 : 0;
-  }
-  return {all > 0 ? right / all : 1.0, found > 0 ? right / found : 1.0};
-}
-
-PoseGraph without_false(const BenchGraph& graph) {
-  PoseGraph clean = graph.graph;
-  for (std::size_t e = 0; e < graph.is_false.size(); ++e) clean.set_weight(e, graph.is_false[e] ? 0.0 : 1.0);
-  return clean;
-}
-
-double mean_distance(const std::vector<Eigen::Isometry3d>& a, const std::vector<Eigen::Isometry3d>& b) {
-  double sum = 0.0;
-  for (std::size_t i = 0; i < a.size(); ++i) sum += (a[i].translation() - b[i].translation()).norm();
-  return sum / static_cast<double>(a.size());
-}
-
 /// ½ Σ min(r², c²) at the optimum of the true closures; odometry and priors are not truncated.
 double truncated_cost_of_labels(const BenchGraph& graph, const std::vector<Eigen::Isometry3d>& clean) {
   const double c2 = chi_squared_quantile(GncOptions().inlier_probability, 6);
-  PoseGraph at = graph.graph;
-  at.set_poses(clean);
   double cost = 0.0;
-  for (std::size_t e = 0; e < at.edges().size(); ++e) {
-    const Edge& edge = at.edges()[e];
-    const Vector6d r = edge_residual(edge, clean[at.ends(e).from], clean[at.ends(e).to]);
-    const double r2 = r.dot(edge.information * r);
-    cost += 0.5 * (known_inlier(edge) ? r2 : std::min(r2, c2));
+  for (std::size_t e = 0; e < graph.graph.edges().size(); ++e) {
+    const double r2 = squared_residual(graph.graph, e, clean);
+    cost += 0.5 * (known_inlier(graph.graph.edges()[e]) ? r2 : std::min(r2, c2));
   }
   return cost;
 }
@@ -302,89 +255,12 @@ void compare_gnc(const std::string& folder, const std::string& clean) {
   if (clean.empty()) return;
   for (const int percent : {10, 30, 50}) {
     BenchGraph graph = read_bench_graph(clean);
-    const auto closures = static_cast<std::size_t>(
-        std::count_if(graph.graph.edges().begin(), graph.graph.edges().end(),
-                      [](const Edge& edge) { return edge.kind == EdgeKind::kLoopClosure; }));
-    const std::size_t count =
-        closures * static_cast<std::size_t>(percent) / static_cast<std::size_t>(100 - percent);
+    const std::size_t count = closures_of(graph.graph) * static_cast<std::size_t>(percent) /
+                              static_cast<std::size_t>(100 - percent);
     add_random_false(graph, count, static_cast<std::uint64_t>(percent));
     graph.name += " + " + std::to_string(count);
     show_gnc(graph);
   }
-}
-
-/// Right and false closures of a graph, and the information that it states times a factor.
-BenchGraph with_information(const BenchGraph& graph, double of_odometry, double of_closures) {
-  BenchGraph out = graph;
-  out.graph = PoseGraph();
-  for (const Node& node : graph.graph.nodes()) out.graph.add_node(node);
-  for (const PriorFactor& prior : graph.graph.priors()) out.graph.add_prior(prior);
-  for (Edge edge : graph.graph.edges()) {
-    edge.information *= known_inlier(edge) ? of_odometry : of_closures;
-    out.graph.add_edge(edge);
-  }
-  return out;
-}
-
-/// One line: the result, and whether the solution with the labelled closures costs less. Right closures
-/// beyond the threshold at that solution are not counted.
-void show_hard(const BenchGraph& graph, const std::string& what, int& failures) {
-  const PoseGraph clean_graph = without_false(graph);
-  double start = thread_seconds();
-  const std::vector<Eigen::Isometry3d> clean = optimize(clean_graph).poses;
-  const double clean_ms = 1e3 * (thread_seconds() - start);
-  const double c2 = chi_squared_quantile(GncOptions().inlier_probability, 6);
-  std::vector<char> beyond(graph.is_false.size(), 0);
-  for (std::size_t e = 0; e < beyond.size(); ++e) {
-    const Edge& edge = graph.graph.edges()[e];
-    const Vector6d r = edge_residual(edge, clean[graph.graph.ends(e).from], clean[graph.graph.ends(e).to]);
-    beyond[e] = !graph.is_false[e] && r.dot(edge.information * r) > c2 ? 1 : 0;
-  }
-  start = thread_seconds();
-  const GncResult result = optimize_gnc(graph.graph);
-  const double ms = 1e3 * (thread_seconds() - start);
-  const Verdict v = judge(graph, [&](std::size_t e) { return result.weights[e] > 0.5 || beyond[e] != 0; });
-  const double labels = truncated_cost_of_labels(graph, clean);
-  const bool missed = v.recall < 0.99 || v.precision < 0.99;
-  const bool failed = missed && labels < result.truncated_cost * (1.0 - 1e-6);
-  failures += failed ? 1 : 0;
-  std::printf("%-22s %-34s %7.3f %9.3f %8.1f %6.1f %-16s %10.5g %10.5g %s\n", graph.name.c_str(),
-              what.c_str(), v.recall, v.precision, ms, ms / clean_ms, enum_name(result.start).c_str(),
-              result.truncated_cost, labels,
-              failed   ? "FAILED"
-              : missed ? "costs less"
-                       : "");
-  std::fflush(stdout);
-}
-
-void compare_hard(std::uint64_t seed) {
-  std::printf("%-22s %-34s %7s %9s %8s %6s %-16s %10s %10s\n", "graph", "false closures, information",
-              "recall", "precision", "ms", "/clean", "start", "trunc. cost", "of labels");
-  int failures = 0, rows = 0;
-  const BenchGraph families[] = {lattice(1000, seed), streets(2000, 1000, 1, seed),
-                                 streets(2000, 3000, 4, seed), torus(1500, seed)};
-  for (const BenchGraph& family : families) {
-    const auto closures = static_cast<std::size_t>(
-        std::count_if(family.graph.edges().begin(), family.graph.edges().end(),
-                      [](const Edge& edge) { return edge.kind == EdgeKind::kLoopClosure; }));
-    const auto show = [&](const BenchGraph& graph, const std::string& what) {
-      show_hard(graph, what + ", honest", failures);
-      show_hard(with_information(graph, 9.0, 1.0), what + ", odometry 3x too sure", failures);
-      show_hard(with_information(graph, 1e-4, 1e-4), what + ", 100x too unsure", failures);
-      rows += 3;
-    };
-    for (const std::size_t percent : {10, 30, 50, 70}) {
-      BenchGraph graph = family;
-      add_random_false(graph, closures * percent / (100 - percent), seed + percent);
-      show(graph, std::to_string(percent) + " % random");
-    }
-    for (const std::size_t size : {2, 5, 10, 20}) {
-      BenchGraph graph = family;
-      add_false_groups(graph, closures * 3 / 7 / size, size, seed + size);
-      show(graph, "30 % in groups of " + std::to_string(size));
-    }
-  }
-  std::printf("%d of %d failed: a solution from the labels costs less\n", failures, rows);
 }
 
 /// Times of one family of graphs by number of poses.
@@ -548,16 +424,18 @@ int main(int argc, char** argv) {
     bench::compare_batches(argc > 2 ? static_cast<std::size_t>(std::atoll(argv[2])) : 10000,
                            argc > 3 ? static_cast<std::uint64_t>(std::atoll(argv[3])) : 1);
   } else if (what == "hard") {
-    bench::compare_hard(argc > 2 ? static_cast<std::uint64_t>(std::atoll(argv[2])) : 1);
+    bench::compare_hard(argc > 2 ? static_cast<std::uint64_t>(std::atoll(argv[2])) : 1,
+                        argc > 3 ? argv[3] : "", argc > 4 ? argv[4] : "");
   } else if (what == "certify" && argc > 2) {
     bench::certify_files({argv + 2, argv + argc});
   } else if (what == "planar" && argc == 3) {
     bench::compare_planar(argv[2]);
   } else {
-    std::fprintf(stderr,
-                 "usage: %s files FOLDER | gnc FOLDER [CLEAN.g2o] | sizes [LARGEST [SMALLEST [SVG]]] | "
-                 "groups | hard [SEED] | batches [POSES [SEED]] | certify FILE... | planar FOLDER\n",
-                 argv[0]);
+    std::fprintf(
+        stderr,
+        "usage: %s files FOLDER | gnc FOLDER [CLEAN.g2o] | sizes [LARGEST [SMALLEST [SVG]]] | "
+        "groups | hard [SEED [FOLDER [FILTER]]] | batches [POSES [SEED]] | certify FILE... | planar FOLDER\n",
+        argv[0]);
     return 2;
   }
   return 0;

@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "optimization_incremental.hpp"
 
-#include <time.h>
-
 #include <algorithm>
 #include <cstdio>
 #include <numeric>
@@ -15,18 +13,13 @@
 #include <loopwise/optimization/optimizer.hpp>
 
 #include "optimization_graphs.hpp"
+#include "optimization_judge.hpp"
 
 namespace loopwise::bench {
 namespace {
 
 constexpr std::size_t kBatch = 50;
 constexpr std::size_t kBatches = 20;
-
-double thread_seconds() {
-  timespec t{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
-  return static_cast<double>(t.tv_sec) + 1e-9 * static_cast<double>(t.tv_nsec);
-}
 
 double furthest_apart(const PoseGraph& a, const std::vector<Eigen::Isometry3d>& b) {
   double most = 0.0;
