@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <limits>
 #include <tuple>
 
 #include <Eigen/Dense>
@@ -15,6 +16,8 @@
 namespace loopwise::detail {
 namespace {
 
+constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
+
 /// Two closures are near each other if their ends are at most this many steps of odometry apart, summed over
 /// both ends.
 constexpr std::uint32_t kNearSteps = 12;
@@ -22,6 +25,8 @@ constexpr std::uint32_t kNearSteps = 12;
 constexpr std::size_t kMostTried = 12;
 /// Bound on the closures that are examined in each direction: many closures may end at one place.
 constexpr std::size_t kMostSeen = 2000;
+/// Fewest closures with neighbours that show the noise.
+constexpr std::size_t kFewestPairs = 8;
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
   return a < b ? b - a : a - b;
@@ -58,6 +63,19 @@ class Confirmation {
     return std::move(confirmed_);
   }
 
+  /// d² of every closure with respect to the nearest one, unless it has none near it.
+  std::vector<double> innovations_across_nearest() {
+    std::vector<double> out;
+    for (std::size_t i = 0; i < seen_.size(); ++i) {
+      if (seen_[i].reversed) continue;
+      find_near(i);
+      if (near_.empty()) continue;
+      const double d2 = innovation_across(seen_[i].edge, *near_.front().second);
+      if (d2 >= 0.0) out.push_back(d2);
+    }
+    return out;
+  }
+
  private:
   [[nodiscard]] Seen seen(std::size_t e, bool reversed) const {
     auto [from, to] = graph_.ends(e);
@@ -71,6 +89,17 @@ class Confirmation {
   }
 
   void look_around(std::size_t i) {
+    const Seen& own = seen_[i];
+    find_near(i);
+    for (const auto& [distance, other] : near_) {
+      if (!agree(own.edge, *other)) continue;
+      confirmed_[own.edge] = confirmed_[other->edge] = 1;
+      return;
+    }
+  }
+
+  /// Finds the closures near this one, nearest first.
+  void find_near(std::size_t i) {
     const Seen& own = seen_[i];
     near_.clear();
     std::size_t seen = 0;
@@ -89,21 +118,21 @@ class Confirmation {
       return std::tie(a.first, a.second->edge) < std::tie(b.first, b.second->edge);
     });
     if (near_.size() > kMostTried) near_.resize(kMostTried);
-    for (const auto& [distance, other] : near_) {
-      if (!agree(own.edge, *other)) continue;
-      confirmed_[own.edge] = confirmed_[other->edge] = 1;
-      return;
-    }
   }
 
-  /// Whether the path A B C across the other closure predicts this closure's measurement.
   [[nodiscard]] bool agree(std::size_t e, const Seen& other) const {
+    const double d2 = innovation_across(e, other);
+    return d2 >= 0.0 && d2 <= c2_;
+  }
+
+  /// d² of this closure's measurement by the path A B C across the other closure; NaN without covariances.
+  [[nodiscard]] double innovation_across(std::size_t e, const Seen& other) const {
     const auto [from, to] = graph_.ends(e);
     const Edge& edge = graph_.edges()[e];
     const Edge& across = graph_.edges()[other.edge];
     auto [near_from, near_to] = graph_.ends(other.edge);
     auto own = covariance_of(edge.information), others = covariance_of(across.information);
-    if (!own || !others) return false;
+    if (!own || !others) return kNotKnown;
     Eigen::Isometry3d B = across.T_from_to;
     if (other.reversed) {
       std::swap(near_from, near_to);
@@ -111,14 +140,13 @@ class Confirmation {
       B = B.inverse();
     }
     const auto there = forest_.between(from, near_from), on = forest_.between(near_to, to);
-    if (!there || !on) return false;
+    if (!there || !on) return kNotKnown;
     const Eigen::Isometry3d A = forest_.pose(from).inverse() * forest_.pose(near_from);
     const Eigen::Isometry3d C = forest_.pose(near_to).inverse() * forest_.pose(to);
     const Matrix6d S = *own + on_the_right(*there, forest_.pose(near_from) * B * C) +
                        on_the_right(*others, C) + on_the_right(*on, forest_.pose(to));
     const Vector6d r = se3::log(edge.T_from_to.inverse() * A * B * C);
-    const double d2 = r.dot(S.ldlt().solve(r));
-    return d2 >= 0.0 && d2 <= c2_;
+    return r.dot(S.ldlt().solve(r));
   }
 
   const PoseGraph& graph_;
@@ -134,6 +162,14 @@ class Confirmation {
 std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryForest& forest,
                                      const std::vector<char>& wanted, double c2) {
   return Confirmation(graph, forest, c2).find(wanted);
+}
+
+std::optional<double> noise_of_neighbours(const PoseGraph& graph, const OdometryForest& forest) {
+  std::vector<double> d2 = Confirmation(graph, forest, 0.0).innovations_across_nearest();
+  if (d2.size() < kFewestPairs) return std::nullopt;
+  const auto quartile = d2.begin() + static_cast<std::ptrdiff_t>(d2.size() / 4);
+  std::nth_element(d2.begin(), quartile, d2.end());
+  return *quartile / chi_squared_quantile(0.25, graph.degrees_of_freedom());
 }
 
 }  // namespace loopwise::detail

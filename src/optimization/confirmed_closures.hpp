@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include <loopwise/core/pose_graph.hpp>
@@ -17,5 +18,11 @@ namespace loopwise::detail {
 /// \param wanted closures to test, by edge; all closures may confirm them \param c2 threshold of d² = rᵀS⁻¹r
 [[nodiscard]] std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryForest& forest,
                                                    const std::vector<char>& wanted, double c2);
+
+/// Variance of the noise of closures relative to the stated one, from the closures that have another one near
+/// them: the lower quartile of d² with respect to the nearest one, relative to its expectation. It remains
+/// valid if up to half of the closures are false; groups of false closures that agree with each other show
+/// the same noise as true ones. Nothing if few closures have another one near them.
+[[nodiscard]] std::optional<double> noise_of_neighbours(const PoseGraph& graph, const OdometryForest& forest);
 
 }  // namespace loopwise::detail

@@ -3,13 +3,24 @@
 
 #include <algorithm>
 #include <cmath>
+#include <optional>
+#include <utility>
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/se3.hpp>
 
+#include "confirmed_closures.hpp"
 #include "gnc_solver.hpp"
 
 namespace loopwise::detail {
+namespace {
+
+/// Factors on the estimated variance of the noise, for heavy tails. A closure that the innovation test
+/// excludes may return, one that truncated least squares excludes may not.
+constexpr double kNoiseMargin = 25.0;
+constexpr double kTruncationMargin = 400.0;
+
+}  // namespace
 
 /// The threshold assumes that the stated information is correct. If it is far too pessimistic
 /// (parking-garage: by 10⁶), true closures are far below the threshold, and false ones may be too. So the
@@ -20,7 +31,6 @@ namespace loopwise::detail {
 /// threshold would be 0 and exclude all others.
 GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2, double probability,
                                   double odometry_margin) {
-  constexpr double kMargin = 25.0;
   constexpr std::size_t kFewest = 8;
   // Smaller values are not noise: with information that is pessimistic by 10⁶, one true closure in 50 000 has
   // a smaller d². The scale is therefore at least 7e-7.
@@ -35,7 +45,7 @@ GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<doub
   if (known.size() >= kFewest) {
     const auto quartile = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 4);
     std::nth_element(known.begin(), quartile, known.end());
-    gross.scale = std::min(1.0, kMargin * *quartile / chi_squared_quantile(0.25, dof));
+    gross.scale = std::min(1.0, kNoiseMargin * *quartile / chi_squared_quantile(0.25, dof));
   }
   const double threshold =
       odometry_margin * odometry_margin * gross.scale * chi_squared_quantile(probability, dof);
@@ -43,13 +53,17 @@ GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<doub
   return gross;
 }
 
+double noise_scale(const PoseGraph& graph, const OdometryForest& forest, double scale) {
+  const std::optional<double> near = noise_of_neighbours(graph, forest);
+  return near ? std::clamp(kTruncationMargin * *near, scale, 1.0) : 1.0;
+}
+
 namespace {
 
 /// Residuals beyond this multiple of c² are treated as infinite: graduation starts no farther out.
 constexpr double kFarthestStart = 1e6;
-/// Bound on rounds of truncated least squares at the end. Each round lowers the truncated cost, so two or
-/// three are enough.
-constexpr int kTruncatedRounds = 20;
+/// Closures that others confirm are mostly right, so that graduation among them needs fewer values of μ.
+constexpr int kStepsAtOnce = 3;
 /// Bound on attempts to re-admit closures, each of which must lower the truncated cost.
 constexpr int kGrowthAttempts = 30;
 constexpr double kLeastGain = 1e-9;
@@ -93,7 +107,9 @@ RobustSolver::RobustSolver(const RobustProblem& given, const GrossOutliers& gros
       stop_(given.stop),
       gross_(gross),
       neighbours_(given.graph, given.forest),
-      c2_(chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom())) {
+      stated_c2_(chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom())),
+      c2_(truncates(given.gnc.kernel) ? gross.noise * stated_c2_ : stated_c2_),
+      limit_(gross.scale * stated_c2_) {
   for (std::size_t k = 0; k < problem.edges(); ++k) {
     problem.weight[k] = 1.0;
     if (!known_inlier(given.graph.edges()[k])) closures_.push_back(k);
@@ -105,10 +121,10 @@ RobustSolver::RobustSolver(const RobustProblem& given, const GrossOutliers& gros
   evaluate();
 }
 
-void RobustSolver::solve(GncResult& result) {
+void RobustSolver::solve() {
   switch (gnc_.kernel) {
     case RobustKernel::kGncTls:
-      graduate();
+      graduate(1);
       truncate();
       grow(gross_.excluded);
       break;
@@ -121,26 +137,45 @@ void RobustSolver::solve(GncResult& result) {
       reweight();
       break;
   }
-  report(result);
 }
 
-void RobustSolver::solve_from(const std::vector<char>& chosen, const std::vector<char>& may_grow,
-                              GncResult& result) {
+std::size_t RobustSolver::minimize_with(const std::vector<char>& chosen, int max_steps) {
+  keep(chosen);
+  StepControl control;
+  control.max_accepted = max_steps;
+  control.damping = options_.initial_damping;
+  descend(control);
+  realign_held_components();
+  if (total_.termination == Termination::kMaxIterations && max_steps < kAnySteps)
+    return static_cast<std::size_t>(std::count(chosen.begin(), chosen.end(), 1));
+  std::size_t misfits = 0;
+  for (std::size_t i = 0; i < closures_.size(); ++i) {
+    misfits += chosen[closures_[i]] != 0 && r2_[i] > c2_ ? 1 : 0;
+  }
+  return misfits;
+}
+
+void RobustSolver::graduate_with(const std::vector<char>& chosen) {
   trusts_information_ = true;
-  for (const std::size_t k : closures_) problem_.weight[k] = chosen[k] != 0 ? 1.0 : 0.0;
-  descend_fully();
-  truncate(true);
-  grow(may_grow);
-  report(result);
+  chosen_ = &chosen;
+  evaluate();
+  graduate(kStepsAtOnce);
+  chosen_ = nullptr;
+}
+
+void RobustSolver::keep(const std::vector<char>& kept) {
+  trusts_information_ = true;
+  for (const std::size_t k : closures_) problem_.weight[k] = kept[k] != 0 ? 1.0 : 0.0;
 }
 
 void RobustSolver::evaluate() {
-  contradicts_covariance_.clear();
+  covariance_d2_.clear();
   for (std::size_t i = 0; i < closures_.size(); ++i) r2_[i] = problem_.squared_residual(closures_[i], poses_);
 }
 
 /// Whether the closure is excluded for now; it returns when the estimate agrees with it.
 bool RobustSolver::is_gross_outlier(std::size_t i) const {
+  if (chosen_ != nullptr && (*chosen_)[closures_[i]] == 0) return true;
   return gross_.excluded[closures_[i]] != 0 && r2_[i] > c2_;
 }
 
@@ -187,12 +222,13 @@ bool RobustSolver::stopped() {
 
 /// Yang et al. 2020, §IV, but from the residuals of the first estimate instead of a solution with all
 /// closures. False closures would distort that solution, and it requires an almost dense factorisation.
-void RobustSolver::graduate() {
+void RobustSolver::graduate(int steps_at_once) {
   double largest = 0.0;
   for (std::size_t i = 0; i < r2_.size(); ++i) {
     if (!is_gross_outlier(i)) largest = std::max(largest, r2_[i]);
   }
   double mu = c2_ / (2.0 * std::min(largest, kFarthestStart * c2_) - c2_);
+  const double mu_step = std::pow(gnc_.mu_step, steps_at_once);
   StepControl control;
   control.max_accepted = gnc_.steps_per_iteration;
   control.damping = options_.initial_damping;
@@ -209,19 +245,18 @@ void RobustSolver::graduate() {
     });
     descend(control);
     if (settled) break;
-    mu *= gnc_.mu_step;
+    mu *= mu_step;
   }
 }
 
-/// Alternates between weights (1 within the threshold, 0 beyond it) and the minimum for them, until the
-/// weights no longer change.
-void RobustSolver::truncate(bool at_minimum) {
-  for (int round = 0; round < kTruncatedRounds && !stopped(); ++round) {
+bool RobustSolver::truncate(bool at_minimum, int max_rounds) {
+  for (int round = 0; round < max_rounds && !stopped(); ++round) {
     const double change = set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
-    if (change == 0.0 && (round > 0 || at_minimum)) break;
+    if (change == 0.0 && (round > 0 || at_minimum)) return true;
     if (gnc_.kernel == RobustKernel::kTls) ++outer_;
     descend_fully();
   }
+  return false;
 }
 
 /// Re-admits excluded closures that agree with the kept ones around them, i.e. with d² ≤ c² by the measured
@@ -238,16 +273,49 @@ void RobustSolver::grow(const std::vector<char>& may_grow) {
   bool stale = false;
   while (!stopped()) {
     std::vector<std::size_t> agreeing = agreeing_with_kept(tried);
-    bool better = false;
-    while (!agreeing.empty() && !better && attempts++ < kGrowthAttempts && !stopped()) {
-      better = try_to_admit(agreeing);
-      stale = !better;
-      if (!better) agreeing.resize(agreeing.size() == 1 ? 0 : (agreeing.size() + 3) / 4);
-    }
-    if (!better) break;
+    if (agreeing.empty()) break;
+    stale = !admit_some(agreeing, attempts);
+    if (stale) break;
     for (const std::size_t i : agreeing) tried[i] = 1;
   }
   if (stale) descend_fully();  // updates equations, cost and gradient to the weights
+}
+
+/// Tries to admit these closures, then the first quarter of them, and so on. \returns whether a part was
+/// admitted; `closures` is then this part, otherwise the last part that was tried
+bool RobustSolver::admit_some(std::vector<std::size_t>& closures, int& attempts) {
+  while (attempts++ < kGrowthAttempts && !stopped()) {
+    if (try_to_admit(closures)) return true;
+    if (closures.size() == 1) break;
+    closures.resize((closures.size() + 3) / 4);
+  }
+  return false;
+}
+
+bool RobustSolver::admit_unexplained(const std::vector<char>& among) {
+  std::vector<std::size_t> number(problem_.edges());
+  for (std::size_t i = 0; i < closures_.size(); ++i) number[closures_[i]] = i;
+  std::vector<char> open = among;
+  int attempts = 0;
+  bool stale = false;
+  while (!stopped()) {
+    const std::vector<std::size_t> edges = unexplained(open);
+    if (edges.empty() || edges.size() > kMostExact || attempts >= kGrowthAttempts) {
+      if (stale) descend_fully();
+      return edges.empty();
+    }
+    std::vector<std::pair<double, std::size_t>> by_innovation;
+    for (const std::size_t k : edges) by_innovation.emplace_back(covariance_d2_[k], number[k]);
+    std::sort(by_innovation.begin(), by_innovation.end());
+    std::vector<std::size_t> closures;
+    for (const auto& [d2, i] : by_innovation) closures.push_back(i);
+    stale = !admit_some(closures, attempts);
+    // One that raises the cost alone is explained; larger sets are tried again without it.
+    if (!stale || closures.size() == 1) {
+      for (const std::size_t i : closures) open[closures_[i]] = 0;
+    }
+  }
+  return false;
 }
 
 /// Tries the minimum with these closures too. If its truncated cost is not lower, restores poses and weights;
@@ -286,7 +354,7 @@ std::vector<std::size_t> RobustSolver::agreeing_with_kept(const std::vector<char
     if (stopped()) return {};
     const auto innovation = neighbours_(closures_[i], problem_.residual(closures_[i], poses_));
     variance[i] = innovation.variance;
-    if (!(innovation.d2 <= gross_.scale * c2_)) continue;
+    if (!(innovation.d2 <= limit_)) continue;
     if (!trusts_information_ || !contradicted(closures_[i], rests_on)) agreeing.push_back(i);
   }
   std::vector<std::size_t> edges;
@@ -330,7 +398,7 @@ void RobustSolver::test_by_covariance(const std::vector<std::size_t>& edges) {
   if (edges.size() > kMostExact || stopped()) return;
   std::vector<std::size_t> open;
   for (const std::size_t k : edges) {
-    if (contradicts_covariance_.find(k) == contradicts_covariance_.end()) open.push_back(k);
+    if (covariance_d2_.find(k) == covariance_d2_.end()) open.push_back(k);
   }
   if (open.empty() || !factorize_here()) return;
   const Freedom& freedom = equations_.freedom();
@@ -348,9 +416,9 @@ void RobustSolver::test_by_covariance(const std::vector<std::size_t>& edges) {
     }
     const Matrix6d P = equations_.hessian().inverse_between(ends);
     // A closure between independent components cannot contradict anything.
-    contradicts_covariance_[k] =
-        are_connected(freedom, from, to) &&
-        squared_innovation(problem_.information(k), P, problem_.residual(k, poses_)) > gross_.scale * c2_;
+    covariance_d2_[k] = are_connected(freedom, from, to)
+                            ? squared_innovation(problem_.information(k), P, problem_.residual(k, poses_))
+                            : 0.0;
   }
 }
 
@@ -368,8 +436,8 @@ bool RobustSolver::factorize_here() {
 
 /// The result of test_by_covariance().
 bool RobustSolver::contradicts_covariance(std::size_t edge) const {
-  const auto found = contradicts_covariance_.find(edge);
-  return found != contradicts_covariance_.end() && found->second;
+  const auto found = covariance_d2_.find(edge);
+  return found != covariance_d2_.end() && found->second > limit_;
 }
 
 /// The forest over the known inliers and these closures.
@@ -387,7 +455,7 @@ OdometryForest RobustSolver::forest_of_kept() const {
 }
 
 bool RobustSolver::contradicted(std::size_t edge, const OdometryForest& rests_on) const {
-  return innovation(graph_, rests_on, edge, problem_.residual(edge, poses_)) > gross_.scale * c2_;
+  return innovation(graph_, rests_on, edge, problem_.residual(edge, poses_)) > limit_;
 }
 
 void RobustSolver::reweight() {
@@ -440,7 +508,7 @@ void RobustSolver::report(GncResult& result) {
   result.weights.assign(problem_.weight.begin(),
                         problem_.weight.begin() + static_cast<std::ptrdiff_t>(problem_.edges()));
   for (const std::size_t k : closures_) ++(problem_.weight[k] > kKept ? result.inliers : result.outliers);
-  result.truncated_cost = truncated_cost();
+  result.truncated_cost = detail::truncated_cost(graph_, problem_, poses_, stated_c2_);
 }
 
 double RobustSolver::truncated_cost() const {

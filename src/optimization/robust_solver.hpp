@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <limits>
 #include <unordered_map>
 #include <vector>
 
@@ -18,12 +19,19 @@ namespace loopwise::detail {
 struct GrossOutliers {
   std::vector<char> excluded;  ///< By edge
   double scale = 1.0;          ///< Variance of the noise relative to the stated one; at most 1
+  /// As scale, but also supported by closures that are near each other: factor on the threshold of truncated
+  /// least squares
+  double noise = 1.0;
 };
 
 /// Finds the closures to exclude before any factorisation, from the innovations d² (innovation.hpp).
 /// \param odometry_margin assumed ratio of true to stated standard deviation of odometry
 [[nodiscard]] GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2,
                                                 double probability, double odometry_margin = 1.0);
+
+/// GrossOutliers::noise for a scale below 1: it must also be the noise of closures that are near each other,
+/// as the threshold of truncated least squares is final. 1 if too few are.
+[[nodiscard]] double noise_scale(const PoseGraph& graph, const OdometryForest& forest, double scale);
 
 /// Input that all starts of one robust problem share.
 struct RobustProblem {
@@ -40,15 +48,39 @@ struct RobustProblem {
 /// components to `equations`.
 class RobustSolver {
  public:
+  static constexpr int kAnySteps = std::numeric_limits<int>::max();
+  /// Bound on rounds of truncated least squares. Each round lowers the truncated cost, so two or three are
+  /// enough.
+  static constexpr int kTruncatedRounds = 20;
+
   /// \throws InputError if the cost of the poses is not finite
   RobustSolver(const RobustProblem& given, const GrossOutliers& gross, PoseProblem& problem,
                NormalEquations& equations, std::vector<Pose>& poses);
 
-  /// Solves with the kernel of the options from the present poses.
-  void solve(GncResult& result);
-  /// Starts truncated least squares from the minimum with the chosen closures (by edge); they stay if they
-  /// fit there. Growth tries only closures in `may_grow` (by edge); empty: all.
-  void solve_from(const std::vector<char>& chosen, const std::vector<char>& may_grow, GncResult& result);
+  /// Solves with the kernel of the options from the present poses, growth included.
+  void solve();
+  /// Moves to the minimum with the chosen closures (by edge), in a bounded number of steps.
+  /// \returns the number of those that do not fit there; all if the bound was reached
+  std::size_t minimize_with(const std::vector<char>& chosen, int max_steps = kAnySteps);
+  /// Alternates between weights (1 within the threshold, 0 beyond it) and the minimum for them, until the
+  /// weights no longer change. \param at_minimum whether the poses are the minimum for the present weights
+  /// \returns false if they changed until the bound on rounds
+  bool truncate(bool at_minimum = false, int max_rounds = kTruncatedRounds);
+  /// Graduates from the present poses with the chosen closures only (by edge).
+  void graduate_with(const std::vector<char>& chosen);
+  /// Re-admits excluded closures that agree with the kept ones around them. Tries only closures in `may_grow`
+  /// (by edge); empty: all.
+  void grow(const std::vector<char>& may_grow);
+  /// Writes the present state to the result, whose factorizations count the ones before.
+  void report(GncResult& result);
+  /// Takes over the weights of a solution, at the present poses.
+  void keep(const std::vector<char>& kept);
+  /// Admits excluded closures among some (by edge) that do not contradict the solution, as long as this
+  /// lowers the truncated cost. \returns whether every other excluded closure among them contradicts the
+  /// solution, or raises the cost
+  bool admit_unexplained(const std::vector<char>& among);
+  /// With the threshold that follows the noise.
+  [[nodiscard]] double truncated_cost() const;
 
   /// For a problem that has grown: the formerly kept closures, and those new closures that contradict neither
   /// the odometry nor the poses and the closures they rest on. All by edge.
@@ -65,15 +97,12 @@ class RobustSolver {
   void descend(StepControl& control);
   void descend_fully();
   [[nodiscard]] bool stopped();
-  void graduate();
-  void truncate(bool at_minimum = false);
-  void grow(const std::vector<char>& may_grow);
+  void graduate(int steps_at_once);
+  bool admit_some(std::vector<std::size_t>& closures, int& attempts);
   bool try_to_admit(const std::vector<std::size_t>& closures);
   [[nodiscard]] std::vector<std::size_t> agreeing_with_kept(const std::vector<char>& tried);
   void reweight();
   void realign_held_components();
-  void report(GncResult& result);
-  [[nodiscard]] double truncated_cost() const;
 
   [[nodiscard]] OdometryForest forest_of(std::vector<char> closures) const;
   [[nodiscard]] bool factorize_here();
@@ -93,12 +122,15 @@ class RobustSolver {
   const StopToken& stop_;
   const GrossOutliers& gross_;
   NeighbourInnovations neighbours_;
-  const double c2_;
+  const double stated_c2_;             // threshold of the stated information
+  const double c2_;                    // threshold of the noise: truncates residuals
+  const double limit_;                 // threshold of innovations
   std::vector<std::size_t> closures_;  // edges that are not known inliers
   std::vector<double> r2_;             // by closure
-  // Results of test_by_covariance() by edge, at the present poses.
-  std::unordered_map<std::size_t, bool> contradicts_covariance_;
+  // Innovations d² of test_by_covariance() by edge, at the present poses.
+  std::unordered_map<std::size_t, double> covariance_d2_;
   OptimizationResult total_;
+  const std::vector<char>* chosen_ = nullptr;  // by edge: others have weight 0; null: none are
   int outer_ = 0;
   bool stopped_ = false;
   /// Growth does not try closures that contradict the covariance of the kept ones: they raise the truncated

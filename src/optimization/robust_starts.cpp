@@ -1,0 +1,510 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "robust_starts.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <iterator>
+#include <utility>
+
+#include "confirmed_closures.hpp"
+#include "initialization.hpp"
+#include "innovation.hpp"
+
+namespace loopwise::detail {
+namespace {
+
+/// Costs that differ by less than this share are equal; the result of the earlier start is then kept.
+constexpr double kEqual = 1e-9;
+
+/// The confirmed closures start a solution of their own if they are at least kFewestConfirmed of the closures
+/// that odometry does not rule out. It is graduated if the minimum with all of them loses more than
+/// kMostConfirmedLost. The other starts follow if it loses more than kMostContradicting.
+constexpr double kFewestConfirmed = 1.0 / 3.0;
+constexpr double kMostConfirmedLost = 0.01;
+constexpr double kMostContradicting = 0.5;
+/// Bounds on steps to the minimum with all confirmed closures, and on rounds of truncated least squares from
+/// there. If they agree, half of these are enough.
+constexpr int kMostSteps = 15;
+constexpr int kMostRounds = 6;
+/// If the noise is far below the stated one, the innovation test has a margin. Closures within it may be
+/// false; they do not start a solution, but may join it.
+constexpr double kShareOfMargin = 0.16;
+/// A start with closures that the stated odometry rules out may lose this share of the closures kept without
+/// them. Closures that agree with each other but not with the others, as from two floors of one plan, would
+/// replace more.
+constexpr double kMostGivenUp = 0.03;
+
+/// Bound on rounds that estimate odometry's uncertainty and solve with it. Each round admits more closures,
+/// which give a better estimate.
+constexpr int kScaleRounds = 4;
+/// Bound on starts from the confirmed closures, each with a new estimate of odometry's uncertainty.
+constexpr int kConfirmedRounds = 6;
+/// Variance factors whose ratio is below this count as equal.
+constexpr double kSameVariance = 1.1;
+
+bool differ(const OdometryVariances& a, const OdometryVariances& b) {
+  const auto beyond = [](const OdometryVariances& some, const OdometryVariances& others) {
+    return std::any_of(some.begin(), some.end(), [&](const auto& entry) {
+      const auto found = others.find(entry.first);
+      return entry.second > kSameVariance * (found == others.end() ? 1.0 : found->second);
+    });
+  };
+  return beyond(a, b) || beyond(b, a);
+}
+
+std::size_t count(const std::vector<char>& flags) {
+  return static_cast<std::size_t>(std::count(flags.begin(), flags.end(), 1));
+}
+
+std::vector<char> kept_by(const std::vector<double>& weights) {
+  std::vector<char> kept(weights.size());
+  for (std::size_t k = 0; k < kept.size(); ++k) kept[k] = weights[k] > kKept ? 1 : 0;
+  return kept;
+}
+
+}  // namespace
+
+/// The problem with more uncertain odometry.
+class Starts::Scaled {
+ public:
+  Scaled(const Starts& starts, const OdometryVariances& variances) {
+    const RobustProblem& stated = starts.given_;
+    if (!variances.empty()) {
+      graph_.emplace(with_odometry_variances(stated.graph, starts.chains_, variances));
+      forest_.emplace(*graph_);
+    }
+    given_.emplace(RobustProblem{graph_ ? *graph_ : stated.graph, forest_ ? *forest_ : stated.forest,
+                                 stated.start, stated.options, stated.gnc, stated.pool, stated.stop});
+    problem_.emplace(graph_ ? PoseProblem(*graph_) : starts.problem_);
+  }
+  Scaled(const Scaled&) = delete;
+  Scaled& operator=(const Scaled&) = delete;
+
+  [[nodiscard]] const RobustProblem& given() const { return *given_; }
+  [[nodiscard]] PoseProblem& problem() { return *problem_; }
+
+ private:
+  std::optional<PoseGraph> graph_;
+  std::optional<OdometryForest> forest_;
+  std::optional<RobustProblem> given_;
+  std::optional<PoseProblem> problem_;
+};
+
+Starts::Starts(const RobustProblem& given, const PoseProblem& problem, NormalEquations& equations)
+    : given_(given),
+      problem_(problem),
+      equations_(equations),
+      chains_(odometry_chains(given.graph)),
+      d2_(innovations(given.graph, given.forest)),
+      gross_(find_gross_outliers(given.graph, d2_, given.gnc.innovation_probability)) {
+  if (gross_.scale < 1.0) gross_.noise = noise_scale(given.graph, given.forest, gross_.scale);
+}
+
+bool Starts::from_last(const WarmStart& warm) {
+  const OdometryVariances variances = allowed(warm.odometry_variances);
+  Scaled scaled(*this, variances);
+  PoseProblem& problem = scaled.problem();
+  Solution out;
+  out.poses = warm.poses;
+  out.odometry_variances = variances;
+  RobustSolver solver(scaled.given(), gross_, problem, equations_, out.poses);
+  const std::vector<char> chosen = solver.plausible(warm.known, warm.kept);
+  std::vector<char> is_new(warm.known.size());
+  for (std::size_t k = 0; k < is_new.size(); ++k) is_new[k] = warm.known[k] != 0 ? 0 : 1;
+  solver.minimize_with(chosen);
+  solver.truncate(true);
+  solver.grow(is_new);
+  finish(solver, GncStart::kLastResult, out);
+  bool in_doubt = !out.result.optimization.converged;
+  for (std::size_t k = 0; k < warm.kept.size(); ++k) {
+    in_doubt = in_doubt || (warm.kept[k] != 0 && problem.weight[k] <= kKept);
+  }
+  in_doubt = in_doubt || !solver.unexplained(is_new).empty();
+  if (!in_doubt) {
+    const double before = static_cast<double>(warm.left_out_confirmed);
+    const std::size_t now = count(confirmed_left_out(given_, out.result.weights));
+    in_doubt = static_cast<double>(now) > (1.0 + given_.gnc.warm_growth) * before;
+  }
+  keep_better(std::move(out));
+  return !in_doubt;
+}
+
+bool Starts::from_confirmed() {
+  std::optional<FromConfirmed> found = solve_from_confirmed({}, gross_, true);
+  if (!found) return false;
+  std::optional<Solution> other;
+  if (given_.gnc.odometry_margin > 1.0 && !found->plain) {
+    const std::optional<OdometryVariances> estimate = estimated_variances(found->solution, true);
+    if (!estimate) {
+      found->beyond_doubt = false;
+    } else if (!estimate->empty()) {
+      found->beyond_doubt = false;
+      other = with_doubted_odometry(*found);
+    } else if (!found->beyond_doubt && found->explained) {
+      other = with_doubted_test(*found);
+    }
+  }
+  if (other) {
+    count_discarded(found->solution.result);
+    keep_better(std::move(*other));
+    refine(false);
+    return true;
+  }
+  const bool beyond_doubt = found->beyond_doubt;
+  if (found->settled) {
+    keep_better(std::move(found->solution));
+  } else {
+    count_discarded(found->solution.result);
+  }
+  return beyond_doubt;
+}
+
+/// With these odometry variances, from the closures that others confirm among those that odometry then
+/// allows. Nothing if they are few. If they contradict each other, the solution is graduated among them,
+/// unless it is in doubt anyway because of those that odometry rules out.
+/// \param grow whether to re-admit closures as well
+std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const OdometryVariances& variances,
+                                                                  const GrossOutliers& gross, bool grow) {
+  Scaled scaled(*this, variances);
+  std::vector<char> allowed(gross.excluded.size());
+  for (std::size_t k = 0; k < allowed.size(); ++k) {
+    allowed[k] = known_inlier(given_.graph.edges()[k]) || gross.excluded[k] != 0 ? 0 : 1;
+  }
+  const std::vector<char> confirmed = seeds_among(scaled.given(), allowed, gross);
+  const auto seeds = static_cast<double>(count(confirmed));
+  if (seeds == 0.0 || seeds < kFewestConfirmed * static_cast<double>(count(allowed))) return std::nullopt;
+  PoseProblem& problem = scaled.problem();
+  FromConfirmed out;
+  out.solution = chordal_of(problem, confirmed);
+  out.solution.odometry_variances = variances;
+  const std::vector<Pose> chordal = out.solution.poses;
+  RobustSolver solver(scaled.given(), gross, problem, equations_, out.solution.poses);
+  const auto few = [&](double number) { return number <= kMostConfirmedLost * seeds; };
+  bool agree = few(static_cast<double>(solver.minimize_with(confirmed, kMostSteps)));
+  const auto lost = [&] {
+    double number = 0.0;
+    for (std::size_t k = 0; k < confirmed.size(); ++k) {
+      number += confirmed[k] != 0 && problem.weight[k] <= kKept ? 1.0 : 0.0;
+    }
+    return number;
+  };
+  const auto is_in_doubt = [&](const std::vector<char>& among, double allowance) {
+    return static_cast<double>(in_doubt(scaled.given(), problem, out.solution.poses, among)) >
+           std::min(allowance, kMostConfirmedLost * seeds);
+  };
+  if (agree) agree = solver.truncate(true, kMostRounds) && few(lost());
+  out.plain = agree;
+  bool doubtful = (!grow || !agree) && is_in_doubt(gross.excluded, seeds);
+  if (!doubtful && !agree) {
+    out.solution.poses = chordal;
+    solver.graduate_with(confirmed);
+    agree = solver.truncate(false, kMostRounds);
+    doubtful = !agree || lost() > kMostContradicting * seeds;
+  }
+  if (!doubtful) {
+    if (grow) solver.grow({});
+    const std::vector<char> all(confirmed.size(), 1);
+    out.plain = out.plain && solver.unexplained(allowed).empty() &&
+                static_cast<double>(count(confirmed_left_out(scaled.given(), problem.weight))) <= lost();
+    out.explained = solver.admit_unexplained(allowed);
+    out.beyond_doubt = out.explained && !is_in_doubt(all, lost());
+  }
+  out.settled = agree;
+  finish(solver, GncStart::kConfirmed, out.solution);
+  return out;
+}
+
+/// Number of confirmed closures among some (by edge) that a solution excludes although it would not
+/// contradict them if odometry were as uncertain as the options allow. Right closures far from the kept ones
+/// are such; a group of false closures among kept ones is contradicted in any case.
+std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& problem,
+                             const std::vector<Pose>& poses, const std::vector<char>& among) {
+  std::vector<char> left_out = confirmed_left_out(given, problem.weight);
+  for (std::size_t k = 0; k < left_out.size(); ++k) left_out[k] = among[k] != 0 ? left_out[k] : 0;
+  if (count(left_out) == 0) return 0;
+  // Pessimistic information says nothing of odometry that is too sure of itself.
+  Scaled widest(*this, gross_.noise < 1.0 ? OdometryVariances() : all_chains_with(largest_variance()));
+  std::vector<Pose> here = poses;
+  RobustSolver solver(widest.given(), gross_, widest.problem(), equations_, here);
+  solver.keep(kept_by(problem.weight));
+  return solver.unexplained(left_out).size();
+}
+
+/// For a start from the confirmed closures that is in doubt, if its closures show odometry to be worse than
+/// stated. Alternates between a start from the closures that are confirmed with odometry of some uncertainty,
+/// and the estimate of the uncertainty at its solution, until this no longer changes. Excluded closures make
+/// odometry look better than it is, so the largest uncertainty is first. \returns the solution if it is
+/// beyond doubt
+std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& stated) {
+  OdometryVariances used = all_chains_with(largest_variance());
+  for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
+    const Scaled scaled(*this, used);
+    std::optional<FromConfirmed> found = solve_from_confirmed(
+        used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), 1.0), false);
+    if (!found) return std::nullopt;
+    std::optional<OdometryVariances> estimate = estimated_variances(found->solution, true);
+    if (estimate && !estimate->empty() && !differ(*estimate, used) && found->beyond_doubt &&
+        !(stated.settled && gives_up_closures(stated.solution.result, found->solution.result)))
+      return std::move(found->solution);
+    count_discarded(found->solution.result);
+    if (!estimate || estimate->empty() || !differ(*estimate, used)) return std::nullopt;
+    used = std::move(*estimate);
+  }
+  return std::nullopt;
+}
+
+/// For a start from the confirmed closures that is in doubt, although its closures do not show odometry to be
+/// worse than stated: odometry may have slipped once. Starts from the closures that are confirmed and that
+/// odometry of the largest uncertainty allows, and drops the doubt if this solution costs more. \returns the
+/// solution if it costs less and is beyond doubt itself
+std::optional<Solution> Starts::with_doubted_test(FromConfirmed& stated) {
+  std::optional<FromConfirmed> rival =
+      solve_from_confirmed({}, gross_outliers_of(d2_, given_.gnc.odometry_margin), true);
+  if (!rival) return std::nullopt;
+  if (rival->settled) {
+    const bool better = rival->solution.cost < (1.0 - kEqual) * stated.solution.cost &&
+                        !gives_up_closures(stated.solution.result, rival->solution.result);
+    if (better && rival->beyond_doubt) return std::move(rival->solution);
+    stated.beyond_doubt = !better;
+  }
+  count_discarded(rival->solution.result);
+  return std::nullopt;
+}
+
+void Starts::from_first_estimate() {
+  PoseProblem problem = problem_;
+  Solution out;
+  out.poses = given_.start;
+  RobustSolver solver(given_, gross_, problem, equations_, out.poses);
+  solver.solve();
+  finish(solver, GncStart::kFirstEstimate, out);
+  keep_better(std::move(out));
+}
+
+void Starts::from_chordal() {
+  std::vector<char> chosen(gross_.excluded.size());
+  for (std::size_t k = 0; k < chosen.size(); ++k) chosen[k] = gross_.excluded[k] != 0 ? 0 : 1;
+  PoseProblem problem = problem_;
+  Solution out = chordal_of(problem, chosen);
+  RobustSolver solver(given_, gross_, problem, equations_, out.poses);
+  solver.solve();
+  finish(solver, GncStart::kChordal, out);
+  keep_better(std::move(out));
+}
+
+void Starts::rescale_odometry() {
+  if (best_->result.outliers == 0) {
+    refine(true);
+    return;
+  }
+  Solution stated = *best_;
+  if (!refine(true) || given_.stop.stop_requested()) return;
+  Solution from_stated = std::move(*best_);
+  best_ = std::move(stated);
+  // As a standard deviation this is the geometric mean of the stated value and the largest allowed one.
+  const bool finished = solve_with(all_chains_with(given_.gnc.odometry_margin)) && refine(true);
+  if (finished && from_stated.result.inliers < best_->result.inliers) {
+    count_discarded(from_stated.result);
+  } else {
+    count_discarded(best_->result);
+    best_ = std::move(from_stated);
+  }
+}
+
+void Starts::from_doubted_odometry() {
+  const OdometryVariances variances = best_->odometry_variances;
+  Scaled scaled(*this, variances);
+  const GrossOutliers fewer =
+      variances.empty() ? gross_outliers_of(d2_, given_.gnc.odometry_margin)
+                        : gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), 1.0);
+  if (fewer.excluded == gross_.excluded) return;
+  Solution out;
+  out.poses = given_.start;
+  out.odometry_variances = variances;
+  RobustSolver solver(scaled.given(), fewer, scaled.problem(), equations_, out.poses);
+  solver.solve();
+  finish(solver, GncStart::kDoubtedOdometry, out);
+  if (gives_up_closures(best_->result, out.result)) return count_discarded(out.result);
+  keep_better(std::move(out));
+  if (best_->result.start == GncStart::kDoubtedOdometry) refine(true);
+}
+
+bool Starts::refine(bool keep_unmeasured) {
+  for (int round = 0; round < kScaleRounds; ++round) {
+    std::optional<OdometryVariances> variances = estimated_variances(*best_, keep_unmeasured);
+    if (!variances) return false;
+    if (!differ(*variances, best_->odometry_variances)) break;
+    if (!solve_with(std::move(*variances))) return false;
+  }
+  return true;
+}
+
+/// The variance factors at a solution; nothing if its covariances do not exist.
+std::optional<OdometryVariances> Starts::estimated_variances(const Solution& at, bool keep_unmeasured) const {
+  return estimated_odometry_variances(given_.graph, chains_, problem_.isometries(at.poses), at.result.weights,
+                                      at.odometry_variances, largest_variance(), keep_unmeasured,
+                                      given_.options);
+}
+
+/// Continues the best solution with these variance factors and replaces it by the result.
+/// \returns false if the optimisation was stopped: the best solution then stays
+bool Starts::solve_with(OdometryVariances variances) {
+  Scaled scaled(*this, variances);
+  Solution out;
+  out.poses = best_->poses;
+  out.odometry_variances = std::move(variances);
+  RobustSolver solver(scaled.given(), gross_, scaled.problem(), equations_, out.poses);
+  solver.minimize_with(kept_by(best_->result.weights));
+  solver.truncate(true);
+  solver.grow({});
+  finish(solver, best_->result.start, out);
+  if (out.result.optimization.termination == Termination::kStopped) {
+    count_discarded(out.result);
+    return false;
+  }
+  forget();
+  keep_better(std::move(out));
+  return true;
+}
+
+bool Starts::excludes_gross_outliers() const {
+  for (std::size_t k = 0; k < gross_.excluded.size(); ++k) {
+    if (gross_.excluded[k] != 0 && best_->result.weights[k] <= kKept) return true;
+  }
+  return false;
+}
+
+std::size_t Starts::left_out_confirmed() const {
+  return count(confirmed_left_out(given_, best_->result.weights));
+}
+
+void Starts::forget() {
+  if (best_) count_discarded(best_->result);
+  best_.reset();
+}
+
+void Starts::report_odometry() {
+  GncResult& result = best_->result;
+  OdometryVariances& variances = best_->odometry_variances;
+  for (auto entry = variances.begin(); entry != variances.end();) {
+    // A chain that was joined to another chain uses that chain's factor.
+    entry = chains_[entry->first] == entry->first ? std::next(entry) : variances.erase(entry);
+  }
+  for (const auto& [chain, variance] : variances) {
+    result.odometry_scales.push_back({given_.graph.nodes()[chain].key, std::sqrt(variance)});
+  }
+  for (std::size_t k = 0; k < result.weights.size(); ++k) {
+    if (given_.graph.edges()[k].kind != EdgeKind::kOdometry) continue;
+    const auto found = variances.find(chains_[given_.graph.ends(k).from]);
+    if (found != variances.end()) result.weights[k] = 1.0 / found->second;
+  }
+}
+
+Solution Starts::best() && {
+  GncResult& result = best_->result;
+  result.outer_iterations += discarded_counts_.outer_iterations;
+  result.optimization.iterations += discarded_counts_.optimization.iterations;
+  result.optimization.factorizations += discarded_counts_.optimization.factorizations;
+  return std::move(*best_);
+}
+
+/// Limits variance factors to the options' odometry_margin.
+OdometryVariances Starts::allowed(OdometryVariances variances) const {
+  if (!given_.gnc.second_start || given_.gnc.odometry_margin <= 1.0) return {};
+  for (auto& [chain, variance] : variances) variance = std::min(variance, largest_variance());
+  return variances;
+}
+
+OdometryVariances Starts::all_chains_with(double variance) const {
+  OdometryVariances out;
+  for (std::size_t k = 0; k < problem_.edges(); ++k) {
+    if (given_.graph.edges()[k].kind == EdgeKind::kOdometry)
+      out[chains_[given_.graph.ends(k).from]] = variance;
+  }
+  return out;
+}
+
+GrossOutliers Starts::gross_outliers_of(const std::vector<double>& d2, double odometry_margin) const {
+  GrossOutliers out =
+      find_gross_outliers(given_.graph, d2, given_.gnc.innovation_probability, odometry_margin);
+  out.noise = gross_.noise;
+  return out;
+}
+
+std::vector<char> Starts::confirmed_of(const RobustProblem& given, const std::vector<char>& wanted,
+                                       double scale) const {
+  const double c2 = chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom());
+  return confirmed_closures(given.graph, given.forest, wanted, scale * c2);
+}
+
+/// The confirmed closures among some (by edge) that start a solution.
+std::vector<char> Starts::seeds_among(const RobustProblem& given, std::vector<char> allowed,
+                                      const GrossOutliers& gross) const {
+  if (gross.scale >= 1.0) return confirmed_of(given, allowed, gross.scale);
+  const double scale = kShareOfMargin * gross.scale;
+  const double limit =
+      scale * chi_squared_quantile(given.gnc.innovation_probability, given.graph.degrees_of_freedom());
+  for (std::size_t k = 0; k < allowed.size(); ++k) {
+    if (d2_[k] > limit) allowed[k] = 0;
+  }
+  return confirmed_of(given, allowed, scale);
+}
+
+/// Confirmed closures with weights near 0. They may be true, with odometry worse than stated, or a consistent
+/// group of false closures.
+std::vector<char> Starts::confirmed_left_out(const RobustProblem& given,
+                                             const std::vector<double>& weights) const {
+  std::vector<char> left_out(problem_.edges());
+  for (std::size_t k = 0; k < left_out.size(); ++k) left_out[k] = weights[k] <= kKept ? 1 : 0;
+  return confirmed_of(given, left_out, gross_.scale);
+}
+
+/// The chordal estimate of known inliers and chosen closures (by edge).
+Solution Starts::chordal_of(PoseProblem& problem, const std::vector<char>& chosen) const {
+  for (std::size_t k = 0; k < problem.edges(); ++k) {
+    problem.weight[k] = known_inlier(given_.graph.edges()[k]) || chosen[k] != 0 ? 1.0 : 0.0;
+  }
+  Solution out;
+  int& factorizations = out.result.optimization.factorizations;
+  out.poses = first_estimate(Initialization::kChordal, given_.graph, problem, given_.options, factorizations);
+  return out;
+}
+
+/// Writes the solver's result, cost and components to the solution.
+void Starts::finish(RobustSolver& solver, GncStart start, Solution& out) {
+  solver.report(out.result);
+  out.result.start = start;
+  out.cost = solver.truncated_cost();
+  out.freedom = equations_.freedom();
+}
+
+/// Whether another result loses more than kMostGivenUp of the closures that one keeps.
+bool Starts::gives_up_closures(const GncResult& one, const GncResult& other) const {
+  std::size_t kept = 0, lost = 0;
+  for (std::size_t k = 0; k < problem_.edges(); ++k) {
+    if (known_inlier(given_.graph.edges()[k]) || one.weights[k] <= kKept) continue;
+    ++kept;
+    lost += other.weights[k] <= kKept ? 1 : 0;
+  }
+  return static_cast<double>(lost) > kMostGivenUp * static_cast<double>(kept);
+}
+
+/// Keeps the solution of the lower truncated cost. The iterations of the other one still count.
+void Starts::keep_better(Solution&& other) {
+  const bool stopped = other.result.optimization.termination == Termination::kStopped;
+  if (!best_ || other.cost < (1.0 - kEqual) * best_->cost) {
+    forget();
+    best_ = std::move(other);
+  } else {
+    count_discarded(other.result);
+  }
+  if (stopped) set_termination(Termination::kStopped, best_->result.optimization);
+}
+
+void Starts::count_discarded(const GncResult& discarded) {
+  discarded_counts_.outer_iterations += discarded.outer_iterations;
+  discarded_counts_.optimization.iterations += discarded.optimization.iterations;
+  discarded_counts_.optimization.factorizations += discarded.optimization.factorizations;
+}
+
+}  // namespace loopwise::detail

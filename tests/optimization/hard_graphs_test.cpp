@@ -1,0 +1,261 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Robust optimisation of graphs with many false closures, alone and in groups, and with information that is
+// wrong.
+#include <catch2/catch.hpp>
+
+#include <cstddef>
+#include <utility>
+#include <vector>
+
+#include <loopwise/optimization/gnc.hpp>
+
+#include "confirmed_closures.hpp"
+#include "odometry_forest.hpp"
+#include "support.hpp"
+
+namespace loopwise {
+namespace {
+
+constexpr double kSigmaM = 0.02, kSigmaRad = 0.005;
+
+/// Factors on the information of odometry and closures; 1: as the noise is.
+struct Stated {
+  double odometry = 1.0, closures = 1.0;
+};
+
+/// Measurements of true relative poses, with noise of kSigmaM and kSigmaRad.
+class Measured {
+ public:
+  Measured(std::uint64_t seed, Stated stated) : rng(seed), stated_(stated) {}
+
+  Edge operator()(Key from, Key to, const Eigen::Isometry3d& T, EdgeKind kind) {
+    Vector6d noise;
+    for (int i = 0; i < 6; ++i) noise[i] = (i < 3 ? kSigmaM : kSigmaRad) * rng.normal();
+    Edge edge{from, to, se3::normalized(T * se3::exp(noise)), Matrix6d::Identity()};
+    edge.information.topLeftCorner<3, 3>() /= kSigmaM * kSigmaM;
+    edge.information.bottomRightCorner<3, 3>() /= kSigmaRad * kSigmaRad;
+    edge.information *= kind == EdgeKind::kOdometry ? stated_.odometry : stated_.closures;
+    edge.kind = kind;
+    return edge;
+  }
+
+  Rng rng;
+
+ private:
+  Stated stated_;
+};
+
+/// A path with poses chained along its odometry and a prior on the first.
+testing::RandomGraph walk(Measured& measured, std::vector<Eigen::Isometry3d> truth) {
+  testing::RandomGraph out;
+  out.truth = std::move(truth);
+  Eigen::Isometry3d drifted = out.truth[0];
+  std::vector<Edge> edges;
+  for (Key k = 0; k < out.truth.size(); ++k) {
+    if (k > 0) {
+      edges.push_back(measured(k - 1, k, out.truth[k - 1].inverse() * out.truth[k], EdgeKind::kOdometry));
+      drifted = se3::normalized(drifted * edges.back().T_from_to);
+    }
+    Node node;
+    node.key = k;
+    node.pose = drifted;
+    out.graph.add_node(node);
+  }
+  for (const Edge& edge : edges) out.graph.add_edge(edge);
+  out.is_false.assign(edges.size(), false);
+  out.graph.add_prior(testing::prior_at(0, out.truth[0]));
+  return out;
+}
+
+void add(testing::RandomGraph& graph, const Edge& edge, bool is_false) {
+  graph.graph.add_edge(edge);
+  graph.is_false.push_back(is_false);
+}
+
+/// A square walked row by row and back, with closures between adjacent rows.
+testing::RandomGraph square(Measured& measured, std::size_t side) {
+  std::vector<Eigen::Isometry3d> truth;
+  for (std::size_t row = 0; row < side; ++row) {
+    for (std::size_t column = 0; column < side; ++column) {
+      const std::size_t x = row % 2 == 0 ? column : side - 1 - column;
+      Eigen::Isometry3d pose(
+          Eigen::AngleAxisd(row % 2 == 0 ? 0.0 : 3.14159265358979323846, Eigen::Vector3d::UnitZ()));
+      pose.translation() << static_cast<double>(x), static_cast<double>(row), 0.0;
+      truth.push_back(pose);
+    }
+  }
+  testing::RandomGraph out = walk(measured, std::move(truth));
+  for (std::size_t row = 1; row < side; ++row) {
+    for (std::size_t step = 0; step + 1 < side; ++step) {
+      const Key from = row * side - 1 - step, to = row * side + step;
+      if (from + 1 == to) continue;
+      add(out, measured(from, to, out.truth[from].inverse() * out.truth[to], EdgeKind::kLoopClosure), false);
+    }
+  }
+  return out;
+}
+
+/// A corridor walked up and down, with closures between random visits of places at most a step apart.
+testing::RandomGraph corridor(Measured& measured, std::size_t length, std::size_t passes,
+                              std::size_t closures) {
+  std::vector<Eigen::Isometry3d> truth;
+  std::vector<std::vector<Key>> visits(length);
+  for (std::size_t pass = 0; pass < passes; ++pass) {
+    for (std::size_t step = 0; step < length; ++step) {
+      const std::size_t x = pass % 2 == 0 ? step : length - 1 - step;
+      Eigen::Isometry3d pose(
+          Eigen::AngleAxisd(pass % 2 == 0 ? 0.0 : 3.14159265358979323846, Eigen::Vector3d::UnitZ()));
+      pose.translation() << 2.0 * static_cast<double>(x), 0.2 * static_cast<double>(pass), 0.0;
+      visits[x].push_back(truth.size());
+      truth.push_back(pose);
+    }
+  }
+  testing::RandomGraph out = walk(measured, std::move(truth));
+  for (std::size_t added = 0; added < closures;) {
+    const std::size_t x = measured.rng.below(length - 1);
+    const auto visit = [&](std::size_t place) {
+      return visits[place][measured.rng.below(visits[place].size())];
+    };
+    const Key from = visit(x), to = visit(x + measured.rng.below(2));
+    if (from == to || from + 1 == to || to + 1 == from) continue;
+    add(out, measured(from, to, out.truth[from].inverse() * out.truth[to], EdgeKind::kLoopClosure), false);
+    ++added;
+  }
+  return out;
+}
+
+/// Closures between random places.
+void add_random(Measured& measured, testing::RandomGraph& graph, std::size_t count) {
+  const std::size_t nodes = graph.truth.size();
+  for (std::size_t i = 0; i < count; ++i) {
+    const Key from = measured.rng.below(nodes), to = (from + 2 + measured.rng.below(nodes - 3)) % nodes;
+    add(graph, measured(from, to, testing::random_pose(measured.rng, 5.0), EdgeKind::kLoopClosure), true);
+  }
+}
+
+/// Groups of closures that take one stretch of the path for another, and agree with each other.
+void add_groups(Measured& measured, testing::RandomGraph& graph, std::size_t groups, std::size_t size) {
+  for (std::size_t g = 0; g < groups;) {
+    const std::size_t a = measured.rng.below(graph.truth.size() - size);
+    const std::size_t b = measured.rng.below(graph.truth.size() - size);
+    if (a < b + 60 && b < a + 60) continue;
+    for (std::size_t i = 0; i < size; ++i) {
+      const Eigen::Isometry3d T =
+          graph.truth[a + i].inverse() * graph.truth[a] * graph.truth[b].inverse() * graph.truth[b + i];
+      add(graph, measured(a + i, b + i, T, EdgeKind::kLoopClosure), true);
+    }
+    ++g;
+  }
+}
+
+struct Wrong {
+  std::size_t kept = 0, lost = 0;  ///< False closures kept, right ones lost
+};
+
+Wrong wrong(const testing::RandomGraph& graph, const GncResult& result) {
+  Wrong out;
+  for (std::size_t e = 0; e < graph.is_false.size(); ++e) {
+    if (known_inlier(graph.graph.edges()[e])) continue;
+    out.kept += graph.is_false[e] && result.weights[e] > 0.5 ? 1 : 0;
+    out.lost += !graph.is_false[e] && result.weights[e] <= 0.5 ? 1 : 0;
+  }
+  return out;
+}
+
+}  // namespace
+
+TEST_CASE("hard graphs: groups of false closures that contradict the rest need one start only",
+          "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    CAPTURE(seed);
+    Measured measured(seed, {});
+    testing::RandomGraph graph = square(measured, 16);
+    add_groups(measured, graph, 16, 5);
+    const GncResult result = optimize_gnc(graph.graph);
+    REQUIRE(wrong(graph, result).kept == 0);
+    REQUIRE(wrong(graph, result).lost <= 2);
+    REQUIRE(result.start == GncStart::kConfirmed);
+    REQUIRE(result.odometry_scales.empty());
+    REQUIRE(result.optimization.factorizations <= 20);
+  }
+}
+
+TEST_CASE("hard graphs: a closure far from others stays if the solution does not contradict it",
+          "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    CAPTURE(seed);
+    Measured measured(seed, {});
+    testing::RandomGraph graph = corridor(measured, 40, 10, 200);
+    add_random(measured, graph, 200);
+    const GncResult result = optimize_gnc(graph.graph);
+    REQUIRE(wrong(graph, result).kept == 0);
+    REQUIRE(wrong(graph, result).lost <= 4);
+    REQUIRE(result.start == GncStart::kConfirmed);
+    REQUIRE(result.optimization.factorizations <= 30);
+  }
+}
+
+TEST_CASE("hard graphs: odometry that is three times as uncertain as stated", "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    for (const bool in_groups : {false, true}) {
+      CAPTURE(seed, in_groups);
+      Measured measured(seed, {9.0, 1.0});
+      testing::RandomGraph graph = square(measured, 16);
+      if (in_groups) {
+        add_groups(measured, graph, 16, 5);
+      } else {
+        add_random(measured, graph, 80);
+      }
+      const GncResult result = optimize_gnc(graph.graph);
+      REQUIRE(wrong(graph, result).kept == 0);
+      REQUIRE(wrong(graph, result).lost <= 2);
+      REQUIRE(result.odometry_scales.size() == 1);
+      REQUIRE(result.odometry_scales[0].scale == Approx(3.0).epsilon(0.15));
+      REQUIRE(result.optimization.factorizations <= 60);
+    }
+  }
+}
+
+TEST_CASE("hard graphs: false closures far below a pessimistic threshold are found", "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    for (const bool in_groups : {false, true}) {
+      CAPTURE(seed, in_groups);
+      Measured measured(seed, {1e-4, 1e-4});
+      testing::RandomGraph graph = square(measured, 16);
+      if (in_groups) {
+        add_groups(measured, graph, 16, 5);
+      } else {
+        add_random(measured, graph, 240);
+      }
+      const GncResult result = optimize_gnc(graph.graph);
+      REQUIRE(wrong(graph, result).kept <= 1);
+      REQUIRE(wrong(graph, result).lost <= 2);
+    }
+  }
+}
+
+TEST_CASE("hard graphs: the noise of closures near each other does not depend on false ones",
+          "[optimization][gnc]") {
+  for (const double pessimism : {1.0, 1e-4}) {
+    for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+      CAPTURE(pessimism, seed);
+      Measured measured(seed, {pessimism, pessimism});
+      testing::RandomGraph graph = square(measured, 16);
+      const auto noise = [&] {
+        return detail::noise_of_neighbours(graph.graph, detail::OdometryForest(graph.graph)).value();
+      };
+      REQUIRE(noise() == Approx(pessimism).epsilon(0.5));
+      add_groups(measured, graph, 16, 5);
+      add_random(measured, graph, 120);
+      // Measured at most 1.5 of it: the quartile of true ones is their median now.
+      REQUIRE(noise() >= 0.7 * pessimism);
+      REQUIRE(noise() <= 3.0 * pessimism);
+    }
+  }
+  Measured measured(1, {});
+  const testing::RandomGraph alone =
+      walk(measured, std::vector<Eigen::Isometry3d>(20, Eigen::Isometry3d::Identity()));
+  REQUIRE_FALSE(detail::noise_of_neighbours(alone.graph, detail::OdometryForest(alone.graph)));
+}
+
+}  // namespace loopwise
