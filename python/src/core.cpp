@@ -75,9 +75,8 @@ void bind_keys(py::module_& module) {
       .def("of", &Robots::of, py::arg("key"), "Number of the robot that owns the key.");
 }
 
-void bind_factors(py::class_<PoseGraph>& graph) {
-  graph
-      .def(
+void bind_factors(py::class_<PoseGraph>& type) {
+  type.def(
           "add_node",
           [](PoseGraph& graph, const py::object& key, const py::object& pose, std::int64_t stamp_ns) {
             Node node;
@@ -141,9 +140,8 @@ void bind_factors(py::class_<PoseGraph>& graph) {
           "odometry, such as a broken chain.");
 }
 
-void bind_contents(py::class_<PoseGraph>& graph) {
-  graph
-      .def(
+void bind_contents(py::class_<PoseGraph>& type) {
+  type.def(
           "index_of",
           [](const PoseGraph& graph, const py::object& key) { return graph.index_of(key_from(key)); },
           py::arg("key"), "Number of a node: its row in poses and covariances.")
@@ -180,17 +178,17 @@ void bind_contents(py::class_<PoseGraph>& graph) {
 }
 
 void bind_pose_graph(py::module_& module) {
-  py::class_<PoseGraph> graph(
+  py::class_<PoseGraph> type(
       module, "PoseGraph",
       "Poses and the measurements between them. Poses are (4, 4), T_world_body; covariances and "
       "information have the order translation, rotation.");
-  graph.def(py::init<>())
+  type.def(py::init<>())
       .def("__len__", [](const PoseGraph& graph) { return graph.nodes().size(); })
       .def("__contains__",
            [](const PoseGraph& graph, const py::object& key) { return graph.contains(key_from(key)); })
       .def("copy", [](const PoseGraph& graph) { return PoseGraph(graph); });
-  bind_factors(graph);
-  bind_contents(graph);
+  bind_factors(type);
+  bind_contents(type);
 }
 
 void bind_candidates(py::module_& module) {
