@@ -7,6 +7,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/io/csv.hpp>
+#include <loopwise/io/json_options.hpp>
 #include <loopwise/replay/cloud_pair.hpp>
 #include <loopwise/replay/outcome_file.hpp>
 #include <loopwise/replay/rank.hpp>
