@@ -35,7 +35,8 @@ struct GncOptions {
   /// Weights: gnc_tls, tls, cauchy or geman_mcclure.
   RobustKernel kernel = RobustKernel::kGncTls;
   /// Share p of true closures whose noise stays below the threshold c². The threshold is the quantile p of
-  /// chi-squared with 6 degrees of freedom, and it applies to rᵀΩr.
+  /// chi-squared with 6 degrees of freedom, and it applies to rᵀΩr. It is lower if the closures show their
+  /// stated deviations to be more than twenty times too large.
   double inlier_probability = 0.99;
   /// Factor of mu between outer iterations.
   double mu_step = 1.4;
@@ -46,8 +47,8 @@ struct GncOptions {
   /// Weights count as settled within this distance of 0 or 1.
   double weight_tolerance = 1e-4;
   /// Try several starts and keep the result with the lowest truncated cost. The first start keeps the
-  /// closures that other closures near them confirm. If these are many, all of them are kept, and every other
-  /// closure contradicts them, its result is final. Otherwise the other starts are the first estimate, the
+  /// closures that other closures near them confirm. If these are many, and the solution contradicts every
+  /// closure that it excludes, its result is final. Otherwise the other starts are the first estimate, the
   /// chordal estimate, and odometry of reduced weight (see odometry_margin). Off: the first estimate only.
   bool second_start = true;
   /// Probability p of the innovation test: closures above the quantile p of chi-squared with 6 degrees of
