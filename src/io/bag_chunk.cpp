@@ -22,7 +22,7 @@ std::uint32_t little_endian(std::string_view bytes) {
   return value;
 }
 
-std::string inflate_bz2(std::string_view data, std::size_t size) {
+std::string inflate_bz2_chunk(std::string_view data, std::size_t size) {
   bz_stream stream{};
   if (BZ2_bzDecompressInit(&stream, 0, 0) != BZ_OK) throw InputError("bz2 data cannot be decompressed");
   struct End {
@@ -71,7 +71,7 @@ void check_lz4_frame(std::string_view data) {
   if (rest.size() != kChecksum) throw InputError(kDamagedChunk);
 }
 
-std::string inflate_lz4(std::string_view data, std::size_t size) {
+std::string inflate_lz4_chunk(std::string_view data, std::size_t size) {
   check_lz4_frame(data);
   // One byte of lz4 expands to at most 255 bytes.
   if (size / 255 > data.size()) throw InputError(kDamagedChunk);
@@ -93,8 +93,8 @@ std::string inflate_chunk(std::string_view compression, std::string_view data, s
     }
     return std::string(data);
   }
-  if (compression == "bz2") return inflate_bz2(data, size);
-  if (compression == "lz4") return inflate_lz4(data, size);
+  if (compression == "bz2") return inflate_bz2_chunk(data, size);
+  if (compression == "lz4") return inflate_lz4_chunk(data, size);
   throw InputError("unknown compression " + text::quoted(compression) + ", expected none, bz2 or lz4");
 }
 

@@ -56,7 +56,7 @@ void read_tum_line(std::string_view line, const text::Place& place, Trajectory& 
   if (found != kTumNumbers && !has_id)
     place.fail("a TUM pose needs 8 values, found " + std::to_string(found));
   const auto ns = text::parse_seconds_ns(stamp);
-  if (!ns) place.fail(text::quoted(stamp) + " is not a stamp in seconds_text");
+  if (!ns) place.fail(text::quoted(stamp) + " is not a stamp in seconds");
   const text::Pose pose = text::pose_of(values, place);
   if (!pose.was_unit) out.problems.add_altered("non-unit quaternion", place.str());
   out.stamps_ns.push_back(*ns);
@@ -110,7 +110,7 @@ void sort_by_stamp(const std::string& file, const std::vector<std::size_t>& line
   }
   const bool sorted = std::is_sorted(read.begin(), read.end());
   if (!sorted && out.stamps_ns.front() >= 0 && out.stamps_ns.back() < kSecond) {
-    out.problems.add("stamps that may lack their seconds_text",
+    out.problems.add("stamps that may lack their seconds",
                      file + ": all are between 0 and 1 s and not ascending");
   }
 }

@@ -79,8 +79,8 @@ void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {
   });
 }
 
-/// The kept closure with the fewest steps_between of odometry at both ends. It must have a lower variance
-/// than the limit, and fewer steps_between than the direct path between the ends. The search is bounded,
+/// The kept closure with the fewest steps of odometry at both ends. It must have a lower variance
+/// than the limit, and fewer steps than the direct path between the ends. The search is bounded,
 /// because distant closures give little information.
 const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from, std::size_t to,
                                                                 double variance_limit) const {

@@ -53,7 +53,7 @@ PairOutcome judge(const RegistrationResult& result, const Eigen::Isometry3d& tru
 
 double upper_bound_95(std::size_t count, std::size_t total) {
   if (count >= total) return 1.0;
-  // The share_of_total at which `count` or fewer of `total` have a chance of 5 %.
+  // The share at which `count` or fewer of `total` have a chance of 5 %.
   const auto chance = [&](double p) {
     double sum = 0.0;
     for (std::size_t k = 0; k <= count; ++k) {
