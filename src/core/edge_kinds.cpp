@@ -25,7 +25,7 @@ std::pair<Key, Key> ends_of(const Edge& edge) {
   return std::minmax(edge.from, edge.to);
 }
 
-std::string between(Key a, Key b) {
+std::string pair_name(Key a, Key b) {
   return key_name(a) + " and " + key_name(b);
 }
 
@@ -76,8 +76,9 @@ void mark_chain(PoseGraph& graph, std::vector<std::size_t> edges, Problems& prob
     }
     const Vector6d r = difference(edge(*contradicted), edge(e));
     problems.add("edge that contradicts the odometry, treated as a loop closure",
-                 "between " + between(edge(e).from, edge(e).to) + ", " + std::to_string(r.head<3>().norm()) +
-                     " m and " + std::to_string(r.tail<3>().norm()) + " rad from the odometry");
+                 "between " + pair_name(edge(e).from, edge(e).to) + ", " +
+                     std::to_string(r.head<3>().norm()) + " m and " + std::to_string(r.tail<3>().norm()) +
+                     " rad from the odometry");
   }
 }
 
@@ -93,7 +94,7 @@ void check_chains(const PoseGraph& graph, const Robots& robots, Problems& proble
       const Key a = paths[robot][i - 1], b = paths[robot][i];
       if (!chained.join(graph.index_of(a), graph.index_of(b)))
         continue;  // join() closes the gap, so that each is counted once
-      const std::string where = "robot " + robots[robot].name + ", between nodes " + between(a, b);
+      const std::string where = "robot " + robots[robot].name + ", between nodes " + pair_name(a, b);
       if (b - a >= kLabelStep) {
         problems.add("robot whose keys have a jump of 2^47 or more",
                      where + ": if these are two robots, list their keys with the option robots");
@@ -104,7 +105,8 @@ void check_chains(const PoseGraph& graph, const Robots& robots, Problems& proble
   }
 }
 
-/// `joins(a, b)`: whether edges between these nodes are odometry, provided that they agree with each other.
+/// `pair_name(a, b)`: whether edges between these nodes are odometry, provided that they agree with each
+/// other.
 template <class Joins>
 Problems classify(PoseGraph& graph, const Robots& robots, Joins&& joins) {
   std::map<std::pair<Key, Key>, std::vector<std::size_t>> chains;
@@ -112,7 +114,7 @@ Problems classify(PoseGraph& graph, const Robots& robots, Joins&& joins) {
     const Edge& edge = graph.edges()[e];
     const bool sighting = robots.is_landmark(edge.from) || robots.is_landmark(edge.to);
     graph.set_kind(e, sighting ? EdgeKind::kLandmark : EdgeKind::kLoopClosure);
-    if (!sighting && joins(edge.from, edge.to)) chains[ends_of(edge)].push_back(e);
+    if (!sighting && pair_name(edge.from, edge.to)) chains[ends_of(edge)].push_back(e);
   }
   Problems problems;
   for (const auto& [ends, edges] : chains) mark_chain(graph, edges, problems);
@@ -168,12 +170,12 @@ Problems classify_edges(PoseGraph& graph, const Robots& robots, const KeyPairs& 
   for (const auto& [a, b] : listed) {
     for (const Key key : {a, b}) {
       if (robots.is_landmark(key))
-        throw InputError("no odometry between " + between(a, b) + ": " + key_name(key) + " is a landmark");
+        throw InputError("no odometry between " + pair_name(a, b) + ": " + key_name(key) + " is a landmark");
     }
   }
   if (!missing.empty()) {
     throw InputError("the graph has no edge between " +
-                     between(missing.begin()->first, missing.begin()->second));
+                     pair_name(missing.begin()->first, missing.begin()->second));
   }
   return classify(graph, robots, [&](Key a, Key b) { return listed.count(std::minmax(a, b)) != 0; });
 }

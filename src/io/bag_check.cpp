@@ -113,7 +113,7 @@ struct Stamp {
   }
 };
 
-Stamp stamp_of(std::string_view bytes) {
+Stamp stamp_in(std::string_view bytes) {
   const Stamp stamp{load_little_endian<std::uint32_t>(bytes),
                     load_little_endian<std::uint32_t>(bytes.substr(4))};
   if (stamp.nsec >= 1'000'000'000)
@@ -292,7 +292,7 @@ class Walk {
         message.offset = static_cast<std::uint32_t>(start);
         message.connection = header.number<std::uint32_t>("conn");
         if (header.text("time").size() != 8) throw InputError("header field time has a wrong size");
-        message.stamp = stamp_of(header.text("time"));
+        message.stamp = stamp_in(header.text("time"));
         used_.emplace(message.connection, chunks_.back().at);
         starts_[message.offset] = messages_.size();
         messages_.push_back(message);
@@ -315,7 +315,7 @@ class Walk {
     file_.read(record.data_at, record.data_size, bytes);
     for (std::size_t i = 0; i < count; ++i) {
       const std::string_view entry = std::string_view(bytes).substr(i * kIndexEntry, kIndexEntry);
-      const Stamp stamp = stamp_of(entry);
+      const Stamp stamp = stamp_in(entry);
       const auto start = starts_.find(load_little_endian<std::uint32_t>(entry.substr(8)));
       // An index may not point to the connection before a message either: the library then reads the next
       // record as a message without a check for the end of the chunk.
@@ -392,7 +392,7 @@ class Walk {
     chunk->listed = true;
     const auto time = [&](const char* name) {
       if (record.header.text(name).size() != 8) throw InputError("a time has a wrong size");
-      return stamp_of(record.header.text(name));
+      return stamp_in(record.header.text(name));
     };
     if (!(time("start_time") == chunk->times.first) || !(time("end_time") == chunk->times.second)) {
       problems_.add("bag altered in a part that is not read", name_ + ": byte " + std::to_string(record.at));

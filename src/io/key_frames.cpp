@@ -43,10 +43,10 @@ struct Sweep {
   Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
 };
 
-std::int64_t stamp_of(const StampedPose& pose) {
+std::int64_t stamp_ns_of(const StampedPose& pose) {
   return pose.stamp_ns;
 }
-std::int64_t stamp_of(const Sweep& sweep) {
+std::int64_t stamp_ns_of(const Sweep& sweep) {
   return sweep.stamp_ns;
 }
 
@@ -55,18 +55,18 @@ template <class T>
 std::vector<T> in_order(std::vector<T> all, const std::string& what, const std::string& source,
                         Problems& problems) {
   for (std::size_t i = 1; i < all.size(); ++i) {
-    const double back_s = seconds(stamp_of(all[i]), stamp_of(all[i - 1]));
+    const double back_s = seconds(stamp_ns_of(all[i]), stamp_ns_of(all[i - 1]));
     if (back_s <= 0.0) continue;
     problems.add_altered(what + " stamps run backwards, sorted",
-                         at(source, stamp_of(all[i])) + ", by " + std::to_string(back_s) + " s");
+                         at(source, stamp_ns_of(all[i])) + ", by " + std::to_string(back_s) + " s");
   }
-  const auto earlier = [](const T& a, const T& b) { return stamp_of(a) < stamp_of(b); };
+  const auto earlier = [](const T& a, const T& b) { return stamp_ns_of(a) < stamp_ns_of(b); };
   std::stable_sort(all.begin(), all.end(), earlier);
   std::vector<T> out;
   for (T& entry : all) {
-    if (!out.empty() && stamp_of(out.back()) == stamp_of(entry)) {
+    if (!out.empty() && stamp_ns_of(out.back()) == stamp_ns_of(entry)) {
       problems.add_altered(what + (what == "sweep" ? "" : " pose") + " of a repeated stamp left out",
-                           at(source, stamp_of(entry)));
+                           at(source, stamp_ns_of(entry)));
     } else {
       out.push_back(std::move(entry));
     }
@@ -105,7 +105,7 @@ std::vector<Sweep> usable_sweeps(const RobotStream& stream, Problems& problems) 
 template <class T>
 typename std::vector<T>::const_iterator first_at(const std::vector<T>& all, std::int64_t stamp_ns) {
   return std::lower_bound(all.begin(), all.end(), stamp_ns,
-                          [](const T& entry, std::int64_t stamp) { return stamp_of(entry) < stamp; });
+                          [](const T& entry, std::int64_t stamp) { return stamp_ns_of(entry) < stamp; });
 }
 
 /// A pose of the odometry, and its distance in time from the requested stamp.
@@ -147,7 +147,7 @@ void count_gaps(const std::vector<T>& all, const char* kind, const std::string& 
   if (all.size() < 3) return;
   std::vector<double> intervals;
   for (std::size_t i = 1; i < all.size(); ++i)
-    intervals.push_back(seconds(stamp_of(all[i - 1]), stamp_of(all[i])));
+    intervals.push_back(seconds(stamp_ns_of(all[i - 1]), stamp_ns_of(all[i])));
   std::vector<double> sorted = intervals;
   const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
   std::nth_element(sorted.begin(), middle, sorted.end());
@@ -155,7 +155,7 @@ void count_gaps(const std::vector<T>& all, const char* kind, const std::string& 
   for (std::size_t i = 1; i < all.size(); ++i) {
     const double moved = (all[i].pose.translation() - all[i - 1].pose.translation()).norm();
     if (intervals[i - 1] <= longest || moved < options.keyframe_distance_m) continue;
-    problems.add(kind, at(source, stamp_of(all[i - 1])) + ", for " + std::to_string(intervals[i - 1]) +
+    problems.add(kind, at(source, stamp_ns_of(all[i - 1])) + ", for " + std::to_string(intervals[i - 1]) +
                            " s, in which it moves " + std::to_string(moved) + " m");
   }
 }
@@ -174,8 +174,8 @@ void count_jumps(const std::vector<StampedPose>& odometry, const std::string& so
 template <class T>
 std::string range_text(const std::vector<T>& all) {
   if (all.empty()) return "none";
-  return std::to_string(seconds(0, stamp_of(all.front()))) + " to " +
-         std::to_string(seconds(0, stamp_of(all.back()))) + " s";
+  return std::to_string(seconds(0, stamp_ns_of(all.front()))) + " to " +
+         std::to_string(seconds(0, stamp_ns_of(all.back()))) + " s";
 }
 
 /// The sweeps whose pose is known.

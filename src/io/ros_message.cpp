@@ -43,7 +43,7 @@ constexpr std::array<Name, 16> kPrimitives = {{{"bool", Primitive::kBool, 1},
 
 /// ROS messages are little-endian.
 template <class T>
-T load(const char* bytes) {
+T load_number(const char* bytes) {
   char buffer[sizeof(T)];
   std::memcpy(buffer, bytes, sizeof(T));
   if (points::big_endian_host()) std::reverse(buffer, buffer + sizeof(T));
@@ -201,7 +201,7 @@ std::size_t Value::length_of(std::size_t number, std::string_view bytes) const {
   }
   if (type.size) return static_cast<std::size_t>(*type.size);
   if (type.primitive == Primitive::kString) {
-    const std::size_t size = load<std::uint32_t>(bytes.data());
+    const std::size_t size = load_number<std::uint32_t>(bytes.data());
     if (size > bytes.size() - 4) {
       fail("a string of " + std::to_string(size) + " bytes, " + std::to_string(bytes.size() - 4) +
            " are left");
@@ -221,7 +221,7 @@ std::size_t Value::length_of(const Schema::Field& field, std::string_view bytes)
     count = *field.count;
   } else {
     if (bytes.size() < 4) fail("field " + field.name + ": the message is cut short");
-    count = load<std::uint32_t>(bytes.data());
+    count = load_number<std::uint32_t>(bytes.data());
     used = 4;
   }
   const Schema::Type& type = schema_->types_[field.type];
@@ -260,7 +260,7 @@ Value Value::at(std::string_view name) const {
 std::uint64_t Value::unsigned_integer() const {
   if (!array_ && type().primitive == Primitive::kUint64) {
     static_cast<void>(length());
-    return load<std::uint64_t>(bytes_.data());
+    return load_number<std::uint64_t>(bytes_.data());
   }
   const std::int64_t value = integer();
   if (value < 0) fail("a number is negative");
@@ -274,21 +274,21 @@ std::int64_t Value::integer() const {
     switch (type().primitive) {
       case Primitive::kBool:
       case Primitive::kUint8:
-        return load<std::uint8_t>(at);
+        return load_number<std::uint8_t>(at);
       case Primitive::kInt8:
-        return load<std::int8_t>(at);
+        return load_number<std::int8_t>(at);
       case Primitive::kInt16:
-        return load<std::int16_t>(at);
+        return load_number<std::int16_t>(at);
       case Primitive::kUint16:
-        return load<std::uint16_t>(at);
+        return load_number<std::uint16_t>(at);
       case Primitive::kInt32:
-        return load<std::int32_t>(at);
+        return load_number<std::int32_t>(at);
       case Primitive::kUint32:
-        return load<std::uint32_t>(at);
+        return load_number<std::uint32_t>(at);
       case Primitive::kInt64:
-        return load<std::int64_t>(at);
+        return load_number<std::int64_t>(at);
       case Primitive::kUint64: {
-        const std::uint64_t value = load<std::uint64_t>(at);
+        const std::uint64_t value = load_number<std::uint64_t>(at);
         if (value >> 63 != 0) fail("a number exceeds 63 bits");
         return static_cast<std::int64_t>(value);
       }
@@ -301,9 +301,9 @@ std::int64_t Value::integer() const {
 
 double Value::number() const {
   static_cast<void>(length());
-  if (!array_ && type().primitive == Primitive::kFloat64) return load<double>(bytes_.data());
+  if (!array_ && type().primitive == Primitive::kFloat64) return load_number<double>(bytes_.data());
   if (!array_ && type().primitive == Primitive::kFloat32)
-    return static_cast<double>(load<float>(bytes_.data()));
+    return static_cast<double>(load_number<float>(bytes_.data()));
   return static_cast<double>(integer());
 }
 
@@ -315,15 +315,15 @@ std::string_view Value::text() const {
 std::int64_t Value::time_ns() const {
   if (array_ || type().primitive != Primitive::kTime) fail(type().name + " is not a time");
   static_cast<void>(length());
-  return static_cast<std::int64_t>(load<std::uint32_t>(bytes_.data())) * 1'000'000'000 +
-         static_cast<std::int64_t>(load<std::uint32_t>(bytes_.data() + 4));
+  return static_cast<std::int64_t>(load_number<std::uint32_t>(bytes_.data())) * 1'000'000'000 +
+         static_cast<std::int64_t>(load_number<std::uint32_t>(bytes_.data() + 4));
 }
 
 std::size_t Value::size() const {
   if (!array_) fail(type().name + " is not an array");
   if (array_->count) return static_cast<std::size_t>(*array_->count);
   if (bytes_.size() < 4) fail("field " + array_->name + ": the message is cut short");
-  return load<std::uint32_t>(bytes_.data());
+  return load_number<std::uint32_t>(bytes_.data());
 }
 
 Value Value::first() const {

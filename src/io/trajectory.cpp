@@ -237,7 +237,7 @@ std::string span(const Trajectory& trajectory) {
 }
 
 /// Name of a pose in messages.
-std::string name_of(const Trajectory& trajectory, std::size_t i, bool by_stamp) {
+std::string pose_name(const Trajectory& trajectory, std::size_t i, bool by_stamp) {
   return by_stamp ? "stamp " + seconds_text(trajectory.stamps_ns[i]) : key_name(trajectory.keys[i]);
 }
 
@@ -340,10 +340,10 @@ PosePairs associate(const Trajectory& estimate, const Trajectory& truth, double 
     has_truth[e] = has_estimate[t] = 1;
   }
   for (std::size_t i = 0; i < has_truth.size(); ++i) {
-    if (!has_truth[i]) out.problems.add("pose without truth", name_of(estimate, i, by_stamp));
+    if (!has_truth[i]) out.problems.add("pose without truth", pose_name(estimate, i, by_stamp));
   }
   for (std::size_t i = 0; i < has_estimate.size(); ++i) {
-    if (!has_estimate[i]) out.problems.add("truth without pose", name_of(truth, i, by_stamp));
+    if (!has_estimate[i]) out.problems.add("truth without pose", pose_name(truth, i, by_stamp));
   }
   return out;
 }

@@ -20,7 +20,7 @@ namespace {
 constexpr std::size_t kFewestNodes = 20;
 constexpr std::size_t kFewestCandidates = 8;
 
-std::uint64_t hash_of(const std::string& text) {
+std::uint64_t hash_of_text(const std::string& text) {
   return ContentHasher().text(text).finish().low;
 }
 
@@ -169,7 +169,7 @@ StageGraph stage_graph(const MissionRecord& record, const Stage& stage, std::siz
   for (const Node& node : out.graph.nodes()) {
     for (const LoopCandidate& c : generator.on_node(out.graph, node.key, 0.0)) out.candidates.push_back(c);
   }
-  Rng rng(combine_seeds(seed, hash_of(record.name)));
+  Rng rng(combine_seeds(seed, hash_of_text(record.name)));
   rng.shuffle(out.candidates);
   const auto closed = std::min(out.candidates.size() / 2,
                                static_cast<std::size_t>(std::lround(
@@ -193,7 +193,7 @@ MissionData make_mission_data(const MissionRecord& record, const DataOptions& op
     const StageGraph stage =
         stage_graph(record, stages()[s], static_cast<std::size_t>(options.candidates), seed);
     if (stage.candidates.size() < kFewestCandidates) continue;
-    Rng rng(combine_seeds(seed, hash_of(record.name + " sets")));
+    Rng rng(combine_seeds(seed, hash_of_text(record.name + " sets")));
     out.graphs.push_back(solve(stage, s, options, rng, stop));
   }
   if (out.graphs.empty()) {
@@ -220,7 +220,7 @@ std::vector<Role> split_by_mission(const std::vector<DataSetEntry>& entries, std
   std::vector<std::size_t> order;
   for (auto& [group, members] : groups) {
     std::sort(members.begin(), members.end(), [&](std::size_t a, std::size_t b) {
-      const auto rank = [&](std::size_t i) { return combine_seeds(seed, hash_of(entries[i].name)); };
+      const auto rank = [&](std::size_t i) { return combine_seeds(seed, hash_of_text(entries[i].name)); };
       return rank(a) != rank(b) ? rank(a) < rank(b) : entries[a].name < entries[b].name;
     });
     order.insert(order.end(), members.begin(), members.end());
