@@ -114,7 +114,7 @@ Problems classify(PoseGraph& graph, const Robots& robots, Joins&& joins) {
     const Edge& edge = graph.edges()[e];
     const bool sighting = robots.is_landmark(edge.from) || robots.is_landmark(edge.to);
     graph.set_kind(e, sighting ? EdgeKind::kLandmark : EdgeKind::kLoopClosure);
-    if (!sighting && pair_name(edge.from, edge.to)) chains[ends_of(edge)].push_back(e);
+    if (!sighting && joins(edge.from, edge.to)) chains[ends_of(edge)].push_back(e);
   }
   Problems problems;
   for (const auto& [ends, edges] : chains) mark_chain(graph, edges, problems);
