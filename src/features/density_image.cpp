@@ -148,7 +148,7 @@ Eigen::VectorXf surroundings(const Image& gx, const Image& gy, const Corner& cor
 const Eigen::MatrixXf& hyperplanes() {
   static const Eigen::MatrixXf planes = [] {
     Rng rng(0x706c616365ULL);
-    Eigen::MatrixXf normals(64 * PlaceFeature::kWords, kLength);
+    Eigen::MatrixXf normals(64 * PlaceBits::kWords, kLength);
     for (Eigen::Index i = 0; i < normals.size(); ++i) normals.data()[i] = static_cast<float>(rng.normal());
     return normals;
   }();
@@ -160,7 +160,7 @@ void prune_similar(std::vector<PlaceFeature>& features) {
   std::vector<bool> alike(features.size(), false);
   for (std::size_t i = 0; i < features.size(); ++i) {
     for (std::size_t j = i + 1; j < features.size(); ++j) {
-      if (differing_bits(features[i], features[j]) <= kAlike) alike[i] = alike[j] = true;
+      if (differing_bits(features[i].bits, features[j].bits) <= kAlike) alike[i] = alike[j] = true;
     }
   }
   std::size_t kept = 0;
@@ -219,12 +219,6 @@ DensityImage density_image(const PointCloud& level, double cell_m, double range_
   return image;
 }
 
-int differing_bits(const PlaceFeature& a, const PlaceFeature& b) {
-  int count = 0;
-  for (std::size_t w = 0; w < PlaceFeature::kWords; ++w) count += bit_count(a.bits[w] ^ b.bits[w]);
-  return count;
-}
-
 std::vector<PlaceFeature> place_features(const DensityImage& image, std::size_t most) {
   constexpr int kHighest = 8;  // voxels; higher columns have the same density
   Image density(image.size, image.size);
@@ -250,9 +244,9 @@ std::vector<PlaceFeature> place_features(const DensityImage& image, std::size_t 
   }
   for (std::size_t i = 0; i < features.size(); ++i) {
     const Eigen::VectorXf sides = hyperplanes() * vectors[i];
-    for (std::size_t b = 0; b < 64 * PlaceFeature::kWords; ++b) {
+    for (std::size_t b = 0; b < 64 * PlaceBits::kWords; ++b) {
       if (sides[static_cast<Eigen::Index>(b)] > 0.0F)
-        features[i].bits[b / 64] |= std::uint64_t{1} << (b % 64);
+        features[i].bits.words[b / 64] |= std::uint64_t{1} << (b % 64);
     }
   }
   prune_similar(features);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
-#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <vector>
@@ -9,6 +8,8 @@
 #include <Eigen/Core>
 
 #include <loopwise/core/keyed_scan.hpp>
+
+#include "similar_bits.hpp"
 
 namespace loopwise {
 
@@ -37,14 +38,10 @@ struct DensityImage {
 
 /// A key point of a density image with a descriptor of its surroundings.
 struct PlaceFeature {
-  static constexpr std::size_t kWords = 4;
+  PlaceBits bits;                                      ///< Descriptor of the surroundings.
   Eigen::Vector2f position = Eigen::Vector2f::Zero();  ///< In the level frame, m.
-  float angle = 0.0F;                        ///< Direction of the key point in the level frame, rad.
-  std::array<std::uint64_t, kWords> bits{};  ///< Similar surroundings differ in few bits.
+  float angle = 0.0F;  ///< Direction of the key point in the level frame, rad.
 };
-
-/// Number of bits in which two features differ.
-[[nodiscard]] int differing_bits(const PlaceFeature& a, const PlaceFeature& b);
 
 /// The most pronounced corners and poles of an image, strongest first. Features that resemble another one of
 /// the same image are left out, because their position is ambiguous.

@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <iterator>
 #include <optional>
-#include <tuple>
+#include <utility>
 
 #include <loopwise/features/place.hpp>
 
@@ -13,6 +15,15 @@
 
 namespace loopwise {
 namespace {
+
+/// Starts to load a cache line that is needed soon.
+inline void prefetch(const void* at) {
+#if defined(__GNUC__)
+  __builtin_prefetch(at);
+#else
+  static_cast<void>(at);
+#endif
+}
 
 float wrapped(float angle) {
   return angle - 2.0F * kPiFloat * std::round(angle / (2.0F * kPiFloat));
@@ -118,15 +129,33 @@ double agreement(const DensityPlace& from, const DensityPlace& to, const Pose2& 
   return std::sqrt(seen) * std::clamp((share - chance) / (1.0 - chance), 0.0, 1.0);
 }
 
-struct Hit {
-  std::uint32_t place, query, match;  // numbers of place and features
-  bool operator<(const Hit& other) const {
-    return std::tie(place, query, match) < std::tie(other.place, other.query, other.match);
-  }
-  bool operator==(const Hit& other) const {
-    return place == other.place && query == other.query && match == other.match;
-  }
+/// A pair of similar features: of the query and of a place. Packed, because thousands are sorted in each
+/// search: by place, then by the features' numbers, of which a place has at most 1000.
+class Hit {
+ public:
+  static constexpr std::uint64_t kYaws = 18;  ///< Steps of the yaw from the match to the query.
+
+  Hit(std::uint64_t place, std::uint64_t query, std::uint64_t match, std::uint64_t yaw)
+      : packed_(place << 32 | query << 20 | match << 8 | yaw) {}
+  [[nodiscard]] std::size_t place() const { return packed_ >> 32; }
+  [[nodiscard]] std::size_t query() const { return packed_ >> 20 & 0xfffU; }  ///< Number of the feature.
+  [[nodiscard]] std::size_t match() const { return packed_ >> 8 & 0xfffU; }   ///< Number of the feature.
+  [[nodiscard]] std::size_t yaw() const { return packed_ & 0xffU; }           ///< Step of kYaws.
+  bool operator<(const Hit& other) const { return packed_ < other.packed_; }
+  bool operator==(const Hit& other) const { return packed_ == other.packed_; }
+
+ private:
+  std::uint64_t packed_;
 };
+
+/// The largest number of hits that agree on a yaw.
+int turned_alike(const Hit* hits, std::size_t count) {
+  std::array<int, Hit::kYaws> votes{};
+  for (std::size_t i = 0; i < count; ++i) ++votes[hits[i].yaw()];
+  int most = 0;
+  for (std::size_t i = 0; i < Hit::kYaws; ++i) most = std::max(most, votes[i] + votes[(i + 1) % Hit::kYaws]);
+  return most;
+}
 
 struct Hypothesis {
   std::size_t place = 0;
@@ -142,16 +171,16 @@ Hypothesis consensus(const DensityPlace& query, const DensityPlace& match, const
   constexpr std::size_t kMost = 80;
   const std::size_t step = (count + kMost - 1) / kMost;
   Hypothesis best;
-  best.place = hits->place;
+  best.place = hits->place();
   for (std::size_t i = 0; i < count; i += step) {
-    const PlaceFeature& a = query.features[hits[i].query];
-    const PlaceFeature& b = match.features[hits[i].match];
+    const PlaceFeature& a = query.features[hits[i].query()];
+    const PlaceFeature& b = match.features[hits[i].match()];
     Pose2 T(wrapped(a.angle - b.angle), Eigen::Vector2f::Zero());
     T.t = a.position - T.turned(b.position);
     int support = 0;
     for (std::size_t j = 0; j < count; j += step) {
-      const PlaceFeature& c = query.features[hits[j].query];
-      const PlaceFeature& d = match.features[hits[j].match];
+      const PlaceFeature& c = query.features[hits[j].query()];
+      const PlaceFeature& d = match.features[hits[j].match()];
       if (std::abs(wrapped(c.angle - d.angle - T.yaw)) < kTurned_rad &&
           (T * d.position - c.position).squaredNorm() < 2.0F * kNear_m * kNear_m)
         ++support;
@@ -164,6 +193,53 @@ Hypothesis consensus(const DensityPlace& query, const DensityPlace& match, const
   return best;
 }
 
+/// The features of a place in square cells, so that those near a point are found without a look at all.
+class FeatureGrid {
+ public:
+  FeatureGrid(const std::vector<PlaceFeature>& features, float reach_m)
+      : reach_m_(reach_m),
+        cell_m_(std::max(kNearest_m, reach_m / 32.0F)),
+        cells_(2 * static_cast<int>(std::ceil(reach_m / cell_m_)) + 1),
+        begin_(static_cast<std::size_t>(cells_) * static_cast<std::size_t>(cells_) + 1, 0) {
+    for (const PlaceFeature& feature : features) ++begin_[cell_of(feature) + 1];
+    for (std::size_t c = 1; c < begin_.size(); ++c) begin_[c] += begin_[c - 1];
+    numbers_.resize(features.size());
+    std::vector<std::uint16_t> next(begin_.begin(), begin_.end() - 1);
+    for (std::size_t i = 0; i < features.size(); ++i)
+      numbers_[next[cell_of(features[i])]++] = static_cast<std::uint16_t>(i);
+  }
+
+  /// Calls visit(number of a feature) for all features within kNearest_m of a point, and for some beyond.
+  template <class Visit>
+  void near(const Eigen::Vector2f& point, const Visit& visit) const {
+    if (!(point.cwiseAbs().maxCoeff() < reach_m_ + cell_m_)) return;
+    const int x = column(point.x()), y = column(point.y());
+    for (int v = std::max(0, y - 1); v <= std::min(cells_ - 1, y + 1); ++v) {
+      const int row = v * cells_;
+      const auto first = static_cast<std::size_t>(row + std::max(0, x - 1));
+      const auto last = static_cast<std::size_t>(row + std::min(cells_ - 1, x + 1));
+      for (std::size_t i = begin_[first]; i < begin_[last + 1]; ++i) visit(numbers_[i]);
+    }
+  }
+
+  static constexpr float kNearest_m = 1.5F * kNear_m;
+
+ private:
+  [[nodiscard]] int column(float coordinate_m) const {
+    return static_cast<int>(std::floor((coordinate_m + reach_m_) / cell_m_));
+  }
+  [[nodiscard]] std::size_t cell_of(const PlaceFeature& feature) const {
+    const int x = std::clamp(column(feature.position.x()), 0, cells_ - 1),
+              y = std::clamp(column(feature.position.y()), 0, cells_ - 1);
+    return static_cast<std::size_t>(y * cells_ + x);
+  }
+
+  float reach_m_;  // half the width of the image
+  float cell_m_;
+  int cells_;  // along each axis
+  std::vector<std::uint16_t> begin_, numbers_;
+};
+
 /// A pose that was refined with all matching features of the two places.
 struct Refined {
   Pose2 T_query_match;
@@ -171,8 +247,9 @@ struct Refined {
   float rms_m = 0.0F;
 };
 
-Refined refine(const DensityPlace& query, const DensityPlace& match, Refined from, int most_bits,
-               float near_m) {
+/// \param near_m at most FeatureGrid::kNearest_m
+Refined refine(const DensityPlace& query, const FeatureGrid& grid, const DensityPlace& match, Refined from,
+               int most_bits, float near_m) {
   Eigen::Vector2f mean_q = Eigen::Vector2f::Zero(), mean_m = mean_q;
   std::vector<std::pair<Eigen::Vector2f, Eigen::Vector2f>> pairs;
   const Pose2& T = from.T_query_match;
@@ -180,16 +257,17 @@ Refined refine(const DensityPlace& query, const DensityPlace& match, Refined fro
     const Eigen::Vector2f moved = T * b.position;
     const PlaceFeature* best = nullptr;
     int least = most_bits + 1;
-    for (const PlaceFeature& a : query.features) {
+    grid.near(moved, [&](std::size_t number) {
+      const PlaceFeature& a = query.features[number];
       if ((a.position - moved).squaredNorm() > near_m * near_m ||
           std::abs(wrapped(a.angle - b.angle - T.yaw)) > kTurned_rad)
-        continue;
-      const int bits = differing_bits(a, b);
-      if (bits < least) {
-        least = bits;
-        best = &a;
-      }
-    }
+        return;
+      const int bits = differing_bits(a.bits, b.bits);
+      const bool better = bits < least || (bits == least && best != nullptr && &a < best);
+      if (!better) return;
+      least = bits;
+      best = &a;
+    });
     if (best == nullptr) continue;
     pairs.emplace_back(best->position, b.position);
     mean_q += best->position;
@@ -240,21 +318,22 @@ class DensityPlaceDatabase final : public PlaceDatabase {
 
   void insert(Key key, std::shared_ptr<const PlaceDescriptor> place) override {
     const std::size_t number = places_.add(key, std::move(place), name());
-    for (const PlaceFeature& feature : places_[number].features) {
-      const auto id = static_cast<std::uint32_t>(bits_.size());
-      for (std::size_t t = 0; t < kTables; ++t) tables_[t][hash(feature, t)].push_back(id);
-      bits_.push_back(feature.bits);
-      place_of_.push_back(static_cast<std::uint32_t>(number));
+    const std::vector<PlaceFeature>& features = places_[number].features;
+    for (std::size_t i = 0; i < features.size(); ++i) {
+      const auto id = static_cast<std::uint32_t>(index_.size());
+      for (std::size_t t = 0; t < kTables; ++t) tables_[t][hash(features[i], t)].push_back(id);
+      index_.push_back({features[i].bits, features[i].angle, static_cast<std::uint32_t>(number),
+                        static_cast<std::uint32_t>(i)});
     }
-    first_feature_.push_back(bits_.size() - places_[number].features.size());
   }
 
   [[nodiscard]] std::vector<PlaceMatch> search(const PlaceDescriptor& place, std::size_t k,
                                                const PlaceFilter& filter) const override {
     const DensityPlace& query = places_.own(place, name());
+    const FeatureGrid grid(query.features, 0.5F * static_cast<float>(query.size) * query.cell_m);
     std::vector<PlaceMatch> matches;
     for (const Hypothesis& hypothesis : hypotheses(query, std::max(k, compared()), filter)) {
-      if (auto match = accepted_match(query, hypothesis)) matches.push_back(*match);
+      if (auto match = accepted_match(query, grid, hypothesis)) matches.push_back(*match);
     }
     keep_best(matches, k);
     return matches;
@@ -265,25 +344,45 @@ class DensityPlaceDatabase final : public PlaceDatabase {
   static constexpr std::size_t kCommon = 200;  // features; larger buckets are skipped as too common
 
   [[nodiscard]] static std::size_t hash(const PlaceFeature& feature, std::size_t table) {
-    return (feature.bits[table / 4] >> (16 * (table % 4))) & 0xffffU;
+    return (feature.bits.words[table / 4] >> (16 * (table % 4))) & 0xffffU;
   }
   [[nodiscard]] std::size_t compared() const { return static_cast<std::size_t>(options_.compared); }
+
+  using Bucket = std::vector<std::uint32_t>;
+  [[nodiscard]] const Bucket& bucket(const PlaceFeature& feature, std::size_t table) const {
+    return tables_[table][hash(feature, table)];
+  }
+
+  /// Starts to load the buckets of the feature after next, and the contents of those of the next one.
+  void prefetch_buckets(const std::vector<PlaceFeature>& features, std::size_t at) const {
+    for (std::size_t t = 0; t < kTables; ++t) {
+      if (at + 2 < features.size()) prefetch(&bucket(features[at + 2], t));
+      if (at + 1 < features.size()) prefetch(bucket(features[at + 1], t).data());
+    }
+  }
 
   /// Pairs of similar features by place.
   [[nodiscard]] std::vector<Hit> hits(const DensityPlace& query) const {
     std::vector<Hit> found;
-    for (std::uint32_t q = 0; q < query.features.size(); ++q) {
+    std::vector<std::uint32_t> ids;  // of features that share a group of bits with the one of the query
+    for (std::size_t q = 0; q < query.features.size(); ++q) {
       const PlaceFeature& feature = query.features[q];
+      // The index is spread over memory, and a search spends most of its time waiting for it.
+      prefetch_buckets(query.features, q);
+      ids.clear();
       for (std::size_t t = 0; t < kTables; ++t) {
-        const std::vector<std::uint32_t>& bucket = tables_[t][hash(feature, t)];
-        if (bucket.size() > kCommon) continue;
-        for (const std::uint32_t id : bucket) {
-          PlaceFeature other;
-          other.bits = bits_[id];
-          if (differing_bits(feature, other) > options_.match_bits) continue;
-          const std::uint32_t number = place_of_[id];
-          found.push_back({number, q, id - static_cast<std::uint32_t>(first_feature_[number])});
-        }
+        const Bucket& similar = bucket(feature, t);
+        if (similar.size() > kCommon) continue;
+        for (const std::uint32_t id : similar) prefetch(&index_[id]);
+        ids.insert(ids.end(), similar.begin(), similar.end());
+      }
+      keep_similar(feature.bits, index_, options_.match_bits, ids);
+      for (const std::uint32_t id : ids) {
+        const IndexedFeature& match = index_[id];
+        const float turn = (feature.angle - match.angle) / (2.0F * kPiFloat);
+        const int yaw =
+            static_cast<int>((turn - std::floor(turn)) * Hit::kYaws) % static_cast<int>(Hit::kYaws);
+        found.emplace_back(match.place, q, match.number, static_cast<std::uint64_t>(yaw));
       }
     }
     std::sort(found.begin(), found.end());
@@ -301,21 +400,21 @@ class DensityPlaceDatabase final : public PlaceDatabase {
     };
     std::vector<Group> groups;
     for (std::size_t begin = 0, end = 0; begin < all.size(); begin = end) {
-      while (end < all.size() && all[end].place == all[begin].place) ++end;
-      if (filter && !filter(places_.key(all[begin].place))) continue;
-      groups.push_back({begin, end - begin, turned_alike(query, &all[begin], end - begin)});
+      while (end < all.size() && all[end].place() == all[begin].place()) ++end;
+      groups.push_back({begin, end - begin, turned_alike(&all[begin], end - begin)});
     }
-    const auto better = [](const Group& a, const Group& b) {
-      return a.turned_alike != b.turned_alike ? a.turned_alike > b.turned_alike : a.begin < b.begin;
+    const auto worse = [](const Group& a, const Group& b) {
+      return a.turned_alike != b.turned_alike ? a.turned_alike < b.turned_alike : a.begin > b.begin;
     };
-    const std::size_t looked_at = std::min(groups.size(), 4 * most);
-    std::partial_sort(groups.begin(), groups.begin() + static_cast<std::ptrdiff_t>(looked_at), groups.end(),
-                      better);
-    groups.resize(looked_at);
+    // Takes the best groups one by one, so that the filter sees few places.
+    std::make_heap(groups.begin(), groups.end(), worse);
     std::vector<Hypothesis> out;
-    for (const Group& group : groups) {
+    for (auto end = groups.end(); end != groups.begin() && out.size() < 4 * most; --end) {
+      std::pop_heap(groups.begin(), end, worse);
+      const Group& group = *std::prev(end);
       const Hit* first = &all[group.begin];
-      out.push_back(consensus(query, places_[first->place], first, group.count));
+      if (filter && !filter(places_.key(first->place()))) continue;
+      out.push_back(consensus(query, places_[first->place()], first, group.count));
     }
     std::sort(out.begin(), out.end(), [](const Hypothesis& a, const Hypothesis& b) {
       return a.support != b.support ? a.support > b.support : a.place < b.place;
@@ -324,28 +423,12 @@ class DensityPlaceDatabase final : public PlaceDatabase {
     return out;
   }
 
-  /// The largest number of hits that agree on a yaw.
-  [[nodiscard]] int turned_alike(const DensityPlace& query, const Hit* hits, std::size_t count) const {
-    constexpr int kYaws = 18;
-    const DensityPlace& match = places_[hits->place];
-    std::array<int, kYaws> votes{};
-    for (std::size_t i = 0; i < count; ++i) {
-      const float turn =
-          (query.features[hits[i].query].angle - match.features[hits[i].match].angle) / (2.0F * kPiFloat);
-      const int bin = static_cast<int>((turn - std::floor(turn)) * kYaws) % kYaws;
-      ++votes[static_cast<std::size_t>(bin)];
-    }
-    int most = 0;
-    for (std::size_t i = 0; i < kYaws; ++i) most = std::max(most, votes[i] + votes[(i + 1) % kYaws]);
-    return most;
-  }
-
-  [[nodiscard]] std::optional<PlaceMatch> accepted_match(const DensityPlace& query,
+  [[nodiscard]] std::optional<PlaceMatch> accepted_match(const DensityPlace& query, const FeatureGrid& grid,
                                                          const Hypothesis& hypothesis) const {
     const DensityPlace& other = places_[hypothesis.place];
     Refined pose{hypothesis.T_query_match, hypothesis.support, kNear_m};
     for (const float near_m : {1.5F * kNear_m, kNear_m})
-      pose = refine(query, other, pose, options_.match_bits + 20, near_m);
+      pose = refine(query, grid, other, pose, options_.match_bits + 20, near_m);
     if (pose.inliers < 2) return std::nullopt;
     const double agreed = std::min(agreement(other, query, pose.T_query_match),
                                    agreement(query, other, pose.T_query_match.inverse()));
@@ -364,11 +447,8 @@ class DensityPlaceDatabase final : public PlaceDatabase {
 
   DensityPlaceOptions options_;
   PlaceStore<DensityPlace> places_;
-  std::array<std::vector<std::vector<std::uint32_t>>, kTables>
-      tables_;  // features by the value of some of their bits
-  std::vector<std::array<std::uint64_t, PlaceFeature::kWords>> bits_;  // of all features
-  std::vector<std::uint32_t> place_of_;
-  std::vector<std::size_t> first_feature_;  // of each place
+  std::array<std::vector<Bucket>, kTables> tables_;  // features by the value of some of their bits
+  std::vector<IndexedFeature> index_;                // the features of all places
 };
 
 }  // namespace
