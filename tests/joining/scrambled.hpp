@@ -8,9 +8,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <map>
+#include <memory>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
+
+#include <Eigen/Dense>
 
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/se3.hpp>
@@ -52,60 +56,108 @@ struct FrameError {
   double rotation_rad = 0.0;
 };
 
-/// Error of the pose of robot b's frame in that of a, at the middle of b's path.
-inline FrameError frame_error(const ScrambledMission& scrambled, std::size_t a, std::size_t b,
-                              const Eigen::Isometry3d& T_a_b) {
-  const Eigen::Isometry3d truth = scrambled.T_own_world[a] * scrambled.T_own_world[b].inverse();
+/// Difference of two poses of robot b's frame, at the middle of b's path.
+inline FrameError frame_difference(const Mission& mission, std::size_t b, const Eigen::Isometry3d& one,
+                                   const Eigen::Isometry3d& other) {
   Eigen::Vector3d middle = Eigen::Vector3d::Zero();
   double nodes = 0.0;
-  for (const Node& node : scrambled.mission.graph.nodes()) {
-    if (scrambled.mission.robots.of(node.key) != b) continue;
+  for (const Node& node : mission.graph.nodes()) {
+    if (mission.robots.of(node.key) != b) continue;
     middle += node.pose.translation();
     nodes += 1.0;
   }
   middle /= std::max(1.0, nodes);
-  return {(T_a_b * middle - truth * middle).norm(), se3::rotation_angle(truth.inverse() * T_a_b)};
+  return {(one * middle - other * middle).norm(), se3::rotation_angle(other.inverse() * one)};
 }
 
-/// A mission of one robot cut into pieces of equal length, each a robot of its own.
-inline Mission cut(const Mission& mission, std::size_t pieces) {
-  Mission out = mission;
-  std::vector<Key> keys = mission.graph.keys();
-  std::sort(keys.begin(), keys.end());
-  const auto piece_of = [&](Key key) {
-    const auto place =
-        static_cast<std::size_t>(std::lower_bound(keys.begin(), keys.end(), key) - keys.begin());
-    return std::min(pieces - 1, place * pieces / keys.size());
-  };
-  const auto renamed = [&](Key key) {
-    return make_key(static_cast<char>('a' + piece_of(key)), key_index(key));
-  };
-  PoseGraph graph;
-  std::vector<Robot> robots;
-  std::map<Key, ScanStore::Part> scans;
-  for (std::size_t p = 0; p < pieces; ++p) {
-    const char letter = static_cast<char>('a' + p);
-    robots.push_back(robot_of_character(letter, std::string(1, letter)));
+/// Error of the pose of robot b's frame in that of a, at the middle of b's path.
+inline FrameError frame_error(const ScrambledMission& scrambled, std::size_t a, std::size_t b,
+                              const Eigen::Isometry3d& T_a_b) {
+  const Eigen::Isometry3d truth = scrambled.T_own_world[a] * scrambled.T_own_world[b].inverse();
+  return frame_difference(scrambled.mission, b, T_a_b, truth);
+}
+
+/// Odometry from one key frame of a path to a later one, composed of the edges between; empty if the path is
+/// broken. \param next the odometry edge that leaves each key frame
+inline std::optional<Edge> composed_odometry(const std::map<Key, Edge>& next, Key from, Key to) {
+  std::optional<Edge> all;
+  for (auto step = next.find(from); step != next.end(); step = next.find(step->second.to)) {
+    const Edge& edge = step->second;
+    if (!all) {
+      all = edge;
+    } else {
+      const Matrix6d back = se3::adjoint(edge.T_from_to.inverse());
+      const Matrix6d covariance =
+          back * all->information.inverse() * back.transpose() + edge.information.inverse();
+      all->T_from_to = all->T_from_to * edge.T_from_to;
+      all->information = covariance.inverse();
+      all->information = 0.5 * (all->information + all->information.transpose()).eval();
+      all->to = edge.to;
+    }
+    if (edge.to == to) return all;
   }
+  return std::nullopt;
+}
+
+/// Stretches of a mission's paths as robots a, b and so on. Odometry between key frames that are no
+/// neighbours on the path is composed. The truth is that of the mission, or its poses if it has none. \param
+/// stretches key frames of one robot each, in the order of its path; no key frame is in two of them
+inline Mission as_robots(const Mission& mission, const std::vector<std::vector<Key>>& stretches) {
+  std::map<Key, Edge> next;
+  for (const Edge& edge : mission.graph.edges()) {
+    if (edge.kind == EdgeKind::kOdometry) next.emplace(edge.from, edge);
+  }
+  Mission out = mission;
+  out.graph = PoseGraph();
   out.ground_truth.clear();
   out.reference.clear();
-  for (const Key key : keys) {
-    Node node = mission.graph.node(key);
-    node.key = renamed(key);
-    graph.add_node(node);
-    out.ground_truth[node.key] = node.pose;
-    if (mission.scans->has(key)) scans[node.key] = {mission.scans, key};
+  out.gaps.clear();
+  out.radio.clear();
+  out.beacons.clear();
+  std::vector<Robot> robots;
+  std::map<Key, ScanStore::Part> scans;
+  for (std::size_t s = 0; s < stretches.size(); ++s) {
+    const char letter = static_cast<char>('a' + s);
+    robots.push_back(robot_of_character(letter, std::string(1, letter)));
+    std::optional<Key> previous;
+    for (const Key key : stretches[s]) {
+      Node node = mission.graph.node(key);
+      node.key = make_key(letter, key_index(key));
+      out.graph.add_node(node);
+      const auto truth = mission.ground_truth.find(key);
+      out.ground_truth[node.key] = truth == mission.ground_truth.end() ? node.pose : truth->second;
+      if (mission.scans->has(key)) scans[node.key] = {mission.scans, key};
+      if (previous) {
+        if (std::optional<Edge> edge = composed_odometry(next, *previous, key)) {
+          edge->from = make_key(letter, key_index(*previous));
+          edge->to = node.key;
+          out.graph.add_edge(*edge);
+        }
+      }
+      previous = key;
+    }
   }
-  for (Edge edge : mission.graph.edges()) {
-    if (piece_of(edge.from) != piece_of(edge.to) || edge.kind != EdgeKind::kOdometry) continue;
-    edge.from = renamed(edge.from);
-    edge.to = renamed(edge.to);
-    graph.add_edge(edge);
-  }
-  out.graph = graph;
   out.robots = Robots(robots);
   out.scans = std::make_shared<ScanStore>(std::move(scans));
   return out;
+}
+
+/// A mission of one robot cut into pieces of equal length, each a robot of its own.
+/// \param shared key frames before and after each cut, which go in turn to the piece before and the piece
+/// after it: both pieces then saw the same stretch, in different scans
+inline Mission cut(const Mission& mission, std::size_t pieces, std::size_t shared = 0) {
+  std::vector<Key> keys = mission.graph.keys();
+  std::sort(keys.begin(), keys.end());
+  std::vector<std::vector<Key>> stretches(pieces);
+  for (std::size_t i = 0; i < keys.size(); ++i) {
+    std::size_t piece = std::min(pieces - 1, i * pieces / keys.size());
+    for (std::size_t next = 1; next < pieces; ++next) {
+      const std::size_t first = (next * keys.size() + pieces - 1) / pieces;
+      if (i + shared >= first && i < first + shared) piece = i % 2 == 0 ? next - 1 : next;
+    }
+    stretches[piece].push_back(keys[i]);
+  }
+  return as_robots(mission, stretches);
 }
 
 }  // namespace loopwise::testing

@@ -12,6 +12,7 @@
 #include <set>
 #include <thread>
 
+#include <loopwise/joining/join.hpp>
 #include <loopwise/online/loop_closure_module.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 
@@ -355,6 +356,52 @@ TEST_CASE("module: pairs rejected at the former pose of a node are computed agai
       REQUIRE(account.computed == account.generated);
     }
   }
+}
+
+TEST_CASE("module: a robot that starts in an unknown frame joins when its frame is found",
+          "[online][module][joining]") {
+  const Mission mission = two_circles();
+  Eigen::Isometry3d T_own_world = Eigen::Isometry3d::Identity();
+  T_own_world.linear() = se3::so3_exp(Eigen::Vector3d(0.0, 0.0, 2.0));
+  T_own_world.translation() = Eigen::Vector3d(70.0, -40.0, 1.0);
+  LoopClosureModule module(mission.robots, module_options("baseline"), {}, with_oracle(mission));
+  const Key first = make_key('b', 0);
+  for (KeyFrame frame : key_frames(mission)) {
+    if (key_character(frame.node.key) == 'b') {
+      frame.node.pose = T_own_world * frame.node.pose;
+      frame.priors.clear();
+    }
+    REQUIRE(module.add_key_frame(frame));
+  }
+  REQUIRE(module.wait());
+  const auto between_robots = [&] {
+    const PoseGraph graph = module.graph();
+    return std::count_if(graph.edges().begin(), graph.edges().end(), [&](const Edge& edge) {
+      return mission.robots.of(edge.from) != mission.robots.of(edge.to);
+    });
+  };
+  // The module proposes nothing between robots that seem to be far apart.
+  REQUIRE(between_robots() == 0);
+  const PoseGraph apart = module.graph();
+  REQUIRE((apart.node(first).pose.translation() - mission.ground_truth.at(first).translation()).norm() >
+          50.0);
+
+  std::vector<JoinComponent> components{{"a", {}}, {"b", {}}};
+  for (const Node& node : apart.nodes()) components[mission.robots.of(node.key)].keys.push_back(node.key);
+  ThreadPool threads(2);
+  const JoinResult found =
+      find_frames(apart, mission.robots, components, {}, OracleRegistrar(mission.ground_truth), threads);
+  CAPTURE(to_string(found, components));
+  REQUIRE(found.groups == 1);
+  PriorFactor start;
+  start.key = first;
+  start.pose = found.frames[1].pose * apart.node(first).pose;
+  start.information = (100.0 * found.frames[1].covariance).inverse();
+  start.information = 0.5 * (start.information + start.information.transpose()).eval();
+  REQUIRE(module.add_factors(factors({}, {start})));
+  REQUIRE(module.wait());
+  REQUIRE(between_robots() > 50);
+  REQUIRE(mean_error(mission, module.graph()) < 0.2 * mean_error(mission, mission.graph));
 }
 
 TEST_CASE("module: odometry that arrives during an optimisation is included in the end", "[online][module]") {
