@@ -105,7 +105,7 @@ void check_chains(const PoseGraph& graph, const Robots& robots, Problems& proble
   }
 }
 
-/// `pair_name(a, b)`: whether edges between these nodes are odometry, provided that they agree with each
+/// `joins(a, b)`: whether edges between these nodes are odometry, provided that they agree with each
 /// other.
 template <class Joins>
 Problems classify(PoseGraph& graph, const Robots& robots, Joins&& joins) {
