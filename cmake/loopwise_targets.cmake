@@ -92,6 +92,23 @@ function(loopwise_harden_program target)
   endif()
 endfunction()
 
+# loopwise_find_optional(OPTION PACKAGE HINT RESULT [VERSION])
+# Sets RESULT to whether the option is on and the package is found. ON without the package is an error.
+function(loopwise_find_optional option package hint result)
+  set(${result} FALSE PARENT_SCOPE)
+  if(NOT ${option} STREQUAL "AUTO" AND NOT ${option})
+    return()
+  endif()
+  find_package(${package} ${ARGN} QUIET)
+  if(${package}_FOUND)
+    set(${result} TRUE PARENT_SCOPE)
+  elseif(${option} STREQUAL "AUTO")
+    message(STATUS "${option}: ${hint}")
+  else()
+    message(FATAL_ERROR "${option}=${${option}}: ${hint}")
+  endif()
+endfunction()
+
 # loopwise_add_component(NAME SOURCES a.cpp b.cpp
 #   [PUBLIC targets...]    Loopwise components and libraries that its headers need
 #   [PRIVATE targets...]   libraries that only its sources need

@@ -15,7 +15,7 @@ struct AcceptanceArguments {
   std::string output;
 };
 
-int run(const AcceptanceArguments& a) {
+int run_acceptance_study(const AcceptanceArguments& a) {
   Console console(a.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(a.common, study::study_config());
@@ -65,7 +65,7 @@ void add_acceptance_study(Command& app, Action& chosen) {
       ->type_name("FILE");
   add_replay_arguments(*command, options->replay);
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_acceptance_study, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -13,14 +13,14 @@
 namespace loopwise::cli {
 namespace {
 
-struct Options {
+struct AlignCommand {
   CommonOptions common;
   std::string map, session, output;
   MissionArguments reading;
 };
 
 /// Writes the joined mission. If that fails, the partial output is removed.
-std::size_t write_joined(const Mission& mission, const Options& options, Console& console,
+std::size_t write_joined(const Mission& mission, const AlignCommand& options, Console& console,
                          const StopToken& stop) {
   NewFolder folder(options.output);
   ConvertOptions convert;
@@ -32,7 +32,7 @@ std::size_t write_joined(const Mission& mission, const Options& options, Console
   return scans;
 }
 
-int run(const Options& options) {
+int run_align(const AlignCommand& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
@@ -76,7 +76,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_align(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<AlignCommand>();
   Command* command = app.add_subcommand("align", "Place a new session in an existing map");
   command->footer(
       "Finds T_map_session from the scans alone, however far apart the two frames are, and writes both as "
@@ -92,7 +92,7 @@ void add_align(Command& app, Action& chosen) {
       ->type_name("DST")
       ->check(not_standard_output());
   add_bin_layout_option(*command, options->reading.bin_layout);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_align, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -14,7 +14,7 @@
 namespace loopwise::cli {
 namespace {
 
-struct Options {
+struct ConvertCommand {
   CommonOptions common;
   std::vector<std::string> sources;
   std::string output, to = "mission", encoding = "binary_compressed";
@@ -44,8 +44,8 @@ MissionFormat format_of(const std::string& word) {
 }
 
 /// Reads the sources and writes the mission. An output folder made here is removed if that fails.
-ConvertResult write_converted(const Options& options, MissionFormat format, const Config& config, Team& team,
-                              Console& console, const StopToken& stop) {
+ConvertResult write_converted(const ConvertCommand& options, MissionFormat format, const Config& config,
+                              Team& team, Console& console, const StopToken& stop) {
   const ConvertOptions convert{parse_enum<PcdEncoding>("--encoding", options.encoding),
                                thread_count(options.common), console.progress_callback(), stop};
   NewFolder folder(options.output);
@@ -58,7 +58,7 @@ ConvertResult write_converted(const Options& options, MissionFormat format, cons
   return result;
 }
 
-void print_conversion(const Options& options, const Team& team, const ConvertResult& result) {
+void print_conversion(const ConvertCommand& options, const Team& team, const ConvertResult& result) {
   const MissionSummary s = summarize_mission(team.mission);
   Json robots = Json::array();
   std::size_t landmarks = 0;
@@ -94,7 +94,7 @@ void print_conversion(const Options& options, const Team& team, const ConvertRes
                     (team.frames ? frames_text(*team.frames) : "") + "folder       " + options.output + "\n");
 }
 
-int run(const Options& options) {
+int run_convert(const ConvertCommand& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
@@ -116,7 +116,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_convert(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<ConvertCommand>();
   Command* command = app.add_subcommand("convert", "Write recorded data in another form");
   command->footer(
       "Reads what every command reads: mission folders, sessions, g2o files, g2o_pcd folders, bags, "
@@ -143,7 +143,7 @@ void add_convert(Command& app, Action& chosen) {
   add_joining_options(*command, options->reading);
   add_bin_layout_option(*command, options->reading.bin_layout);
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_convert, chosen);
 }
 
 }  // namespace loopwise::cli

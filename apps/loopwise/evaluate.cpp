@@ -10,11 +10,12 @@
 #include "command.hpp"
 #include "evaluate_map.hpp"
 #include "mission_options.hpp"
+#include "units.hpp"
 
 namespace loopwise::cli {
 namespace {
 
-struct Options {
+struct EvaluateCommand {
   CommonOptions common;
   std::string estimate;
   std::string truth;
@@ -24,7 +25,7 @@ struct Options {
   bool map = false;
 };
 
-TrajectoryPair read_input(const Options& options, const Config& config, Console& console,
+TrajectoryPair read_input(const EvaluateCommand& options, const Config& config, Console& console,
                           const StopToken& stop) {
   TrajectoryPair input = read_trajectory_pair(options.estimate, options.truth, config.mission,
                                               console.progress_callback(), stop);
@@ -41,7 +42,6 @@ TrajectoryPair read_input(const Options& options, const Config& config, Console&
 }
 
 std::string errors_text(const TrajectoryErrors& errors, std::size_t estimated) {
-  constexpr double kDegrees = 57.29577951308232;
   std::string text = trajectory_errors_table(errors);
   if (errors.poses < estimated) {
     text += "\n" + std::to_string(estimated - errors.poses) + " of " + std::to_string(estimated) +
@@ -50,10 +50,10 @@ std::string errors_text(const TrajectoryErrors& errors, std::size_t estimated) {
   return text + "\nATE rmse " + fixed(errors.ate_m.rmse, 4) + " m, median " + fixed(errors.ate_m.median, 4) +
          " m (alignment: " + enum_name(errors.alignment) + ")\nRPE per step: mean " +
          fixed(errors.step.translation_m.mean, 4) + " m, " +
-         fixed(errors.step.rotation_rad.mean * kDegrees, 4) + " deg\n";
+         fixed(errors.step.rotation_rad.mean * kDegreesPerRadian, 4) + " deg\n";
 }
 
-int run(const Options& options) {
+int run_evaluate(const EvaluateCommand& options) {
   if (options.map) return evaluate_map(options.common, options.estimate, options.truth, options.robots);
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -88,7 +88,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_evaluate(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<EvaluateCommand>();
   Command* command = app.add_subcommand("evaluate", "Errors of a trajectory against the truth");
   command->footer(
       "Both may be TUM (paired by stamp), KITTI (by row) or g2o (by key), the estimate a run's folder, and "
@@ -124,7 +124,7 @@ void add_evaluate(Command& app, Action& chosen) {
                             ->check(non_negative_number());
   map->excludes(alignment)->excludes(gap);
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_evaluate, chosen);
 }
 
 }  // namespace loopwise::cli

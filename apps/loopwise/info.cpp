@@ -19,7 +19,7 @@
 namespace loopwise::cli {
 namespace {
 
-struct Options {
+struct InfoCommand {
   CommonOptions common;
   std::vector<std::string> paths, truth;
   MissionArguments reading;
@@ -29,7 +29,7 @@ struct Options {
   bool read_scans = true;
 };
 
-int cloud_info(const Options& options, const Config& config, Console& console) {
+int cloud_info(const InfoCommand& options, const Config& config, Console& console) {
   const CloudFile file = read_cloud(options.paths.front(), config.mission.bin_layout);
   console.warn(file.problems);
   const Eigen::Vector3d& origin = file.cloud.origin;
@@ -59,7 +59,7 @@ int cloud_info(const Options& options, const Config& config, Console& console) {
 }
 
 /// Adds the time that all of them would take on this machine.
-void add_cost(const Mission& mission, const Options& options, const ReplayOptions& replay,
+void add_cost(const Mission& mission, const InfoCommand& options, const ReplayOptions& replay,
               const StopToken& stop, Json& json, std::string& text) {
   if (!options.read_scans || options.timed <= 0 || mission.scans->size() == 0) return;
   const CostForecast forecast = forecast_cost(mission, replay, static_cast<std::size_t>(options.timed), stop);
@@ -71,7 +71,7 @@ void add_cost(const Mission& mission, const Options& options, const ReplayOption
   text += "all of them  " + forecast_text(forecast, threads) + "\n";
 }
 
-int run(const Options& options) {
+int run_info(const InfoCommand& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   Config config = load_config(options.common);
@@ -104,7 +104,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_info(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<InfoCommand>();
   Command* command = app.add_subcommand("info", "Describe a mission, session, graph or cloud");
   command->footer("  loopwise info my_mission --picture my_mission.svg");
   command
@@ -134,7 +134,7 @@ void add_info(Command& app, Action& chosen) {
       ->check(not_standard_output());
   command->add_flag("!--no-scans", options->read_scans, "Do not open the scans");
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_info, chosen);
 }
 
 }  // namespace loopwise::cli

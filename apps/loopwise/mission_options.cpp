@@ -5,6 +5,8 @@
 
 #include <loopwise/core/error.hpp>
 
+#include "units.hpp"
+
 namespace loopwise::cli {
 
 void apply(const MissionArguments& arguments, Config& config) {
@@ -72,7 +74,7 @@ void add_key_frame_options(Command& command, CommonOptions& options) {
           [&options](double degrees) {
             std::ostringstream text;
             text.precision(17);
-            text << "mission.keyframe_angle_rad=" << degrees / 57.29577951308232;
+            text << "mission.keyframe_angle_rad=" << degrees / kDegreesPerRadian;
             options.reading.push_back(text.str());
           },
           "Odometry with sweeps: a key frame after a turn of DEG degrees (default 20)")

@@ -8,12 +8,9 @@
 #include <loopwise/evaluation/text_tables.hpp>
 #include <loopwise/io/json_values.hpp>
 
+#include "units.hpp"
+
 namespace loopwise::cli {
-namespace {
-
-constexpr double kDegrees = 57.29577951308232;
-
-}  // namespace
 
 void add_candidates(const Mission& mission, const CandidateStatisticsOptions& options, Json& json,
                     std::string& text) {
@@ -46,7 +43,7 @@ void add_drift(const Mission& mission, Json& json, std::string& text) {
                    {"end_error_m", drift.end_m}});
     rows.push_back({drift.robot, fixed(drift.largest_m, 2),
                     fixed(100.0 * drift.largest_m / drift.length_m, 2),
-                    fixed(drift.largest_rad * kDegrees, 2), fixed(drift.end_m, 2)});
+                    fixed(drift.largest_rad * kDegreesPerRadian, 2), fixed(drift.end_m, 2)});
   }
   json["drift"] = all;
   if (!drifts.empty()) text += "\n" + table(rows);

@@ -19,12 +19,12 @@
 namespace loopwise::cli {
 namespace {
 
-struct Options : OptimizeInput {
+struct OptimizeCommand : OptimizeInput {
   std::string output, weights, marginals;
   bool gnc = false, certify = false, verbose = false;
 };
 
-int run(const Options& options) {
+int run_optimize(const OptimizeCommand& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
@@ -88,7 +88,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_optimize(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<OptimizeCommand>();
   Command* command = app.add_subcommand("optimize", "Optimise a pose graph, robustly if asked");
   command->footer(
       "Edges between neighbours of one robot are odometry. Robust optimisation keeps them; where odometry is "
@@ -132,7 +132,7 @@ void add_optimize(Command& app, Action& chosen) {
       "Test whether the estimate is globally optimal; if not, continue from poses of lower cost");
   command->add_flag("--verbose", options->verbose, "Cost of every step");
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_optimize, chosen);
 }
 
 }  // namespace loopwise::cli

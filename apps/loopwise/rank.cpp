@@ -16,7 +16,7 @@
 namespace loopwise::cli {
 namespace {
 
-struct Options {
+struct RankCommand {
   CommonOptions common;
   std::string mission, output, method, preset, candidates, decisions;
   MissionArguments reading;
@@ -25,7 +25,7 @@ struct Options {
   RankOptions rank;
 };
 
-Config configured(const Options& options) {
+Config config_of(const RankCommand& options) {
   Config config = load_config(options.common);
   ReplayOptions& replay = config.replay;
   if (!options.preset.empty()) replay.engine.generation = proximity_preset(options.preset);
@@ -40,10 +40,10 @@ Config configured(const Options& options) {
   return config;
 }
 
-int run(const Options& options) {
+int run_rank(const RankCommand& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
-  const Config config = configured(options);
+  const Config config = config_of(options);
   const Mission mission =
       read_mission(options.mission, config.mission, console.progress_callback(), interrupt.token());
   console.warn(mission.problems);
@@ -69,7 +69,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_rank(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<RankCommand>();
   Command* command = app.add_subcommand("rank", "List the loop candidates of a mission with their scores");
   command->footer(
       "Shows in which order a method would compute the candidates, and why. The graph is used unchanged: "
@@ -111,7 +111,7 @@ void add_rank(Command& app, Action& chosen) {
   add_decisions_option(*command, options->decisions);
   add_seed_option(*command, options->seed);
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_rank, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -16,7 +16,7 @@
 namespace loopwise::cli {
 namespace {
 
-struct Options {
+struct RegisterCommand {
   CommonOptions common;
   std::string source, target, guess, registrar, out;
   MissionArguments reading;
@@ -30,7 +30,7 @@ CloudFile read(const std::string& path, const Config& config, Console& console) 
 }
 
 /// Reports the pose, and writes the aligned cloud if requested.
-void report_pose(const Options& options, const CloudPairResult& pair, const PointCloud& source,
+void report_pose(const RegisterCommand& options, const CloudPairResult& pair, const PointCloud& source,
                  const PointCloud& target, Json& json, std::string& text) {
   json["T_target_source"] = row_major_json(pair.T_coordinates->matrix());
   json["T_target_source_about_origin"] = row_major_json(pair.T_origins->matrix());
@@ -51,7 +51,7 @@ void report_pose(const Options& options, const CloudPairResult& pair, const Poin
           " m, " + fixed(sigma[3], 5) + " " + fixed(sigma[4], 5) + " " + fixed(sigma[5], 5) + " rad\n";
 }
 
-int run(const Options& options) {
+int run_register(const RegisterCommand& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
   Config config = load_config(options.common);
@@ -112,7 +112,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_register(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<RegisterCommand>();
   Command* command = app.add_subcommand("register", "Align two point clouds");
   command->footer(
       "Finds T_target_source, which maps points of the source into the frame of the target. Clouds are .pcd, "
@@ -135,7 +135,7 @@ void add_register(Command& app, Action& chosen) {
   command->add_option("--out", options->out, "Write the aligned source, .pcd or .ply")
       ->type_name("CLOUD")
       ->check(not_standard_output());
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_register, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -18,7 +18,7 @@ struct RegistrationArguments {
   bool no_guess = false;
 };
 
-int run(const RegistrationArguments& a) {
+int run_registration_study(const RegistrationArguments& a) {
   const Stopwatch watch;
   Console console(a.common.quiet);
   const InterruptGuard interrupt;
@@ -88,7 +88,7 @@ void add_registration_study(Command& app, Action& chosen) {
       ->type_name("FILE")
       ->check(not_standard_output());
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_registration_study, chosen);
 }
 
 }  // namespace loopwise::cli

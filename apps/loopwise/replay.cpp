@@ -15,7 +15,7 @@
 namespace loopwise::cli {
 namespace {
 
-int run(const ReplayCommand& options) {
+int replay_or_trace(const ReplayCommand& options) {
   if (!options.trace.empty()) return run_trace(options);
 #ifdef LOOPWISE_HAS_MPI
   if (options.job != nullptr && options.job->rank() > 0) {
@@ -83,6 +83,9 @@ Config configured(const ReplayCommand& o) {
   if (o.clock != "virtual" && o.clock != "real") throw_unknown_name("clock", o.clock, {"virtual", "real"});
   if (o.clock == "real" && o.job != nullptr)
     throw OptionError("--clock real: a real clock needs a single process");
+  if (o.job != nullptr && config.mission.frames == "auto")
+    throw OptionError("--frames auto: an MPI job searches no frames; join the sources before, by convert");
+  if (o.job != nullptr && config.mission.frames == "common") config.mission.frames.clear();
   if (o.rate && o.clock != "real") throw OptionError("--rate needs --clock real");
   if (!o.record_trace.empty() && o.clock != "real") {
     throw OptionError(
@@ -141,7 +144,7 @@ void add_replay(Command& app, Action& chosen, Transport* job) {
   add_run_options(*command, *options);
   exclude_with_trace(*command);
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, replay_or_trace, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -6,7 +6,7 @@ namespace loopwise::cli {
 namespace {
 
 template <class Study>
-struct Options {
+struct ReplayStudiesCommand {
   StudyArguments arguments;
   Study study;
 };
@@ -24,7 +24,7 @@ void add_workers(Command& command, std::optional<std::int64_t>& workers) {
 }
 
 void add_ablation(Command& app, Action& chosen, Transport* job) {
-  const auto options = std::make_shared<Options<study::AblationOptions>>();
+  const auto options = std::make_shared<ReplayStudiesCommand<study::AblationOptions>>();
   options->arguments.job = job;
   Command* command =
       app.add_subcommand("ablation", "Methods side by side over missions and seeds: the paper's Table I");
@@ -49,7 +49,7 @@ void add_ablation(Command& app, Action& chosen, Transport* job) {
 }
 
 void add_budget(Command& app, Action& chosen, Transport* job) {
-  const auto options = std::make_shared<Options<study::BudgetOptions>>();
+  const auto options = std::make_shared<ReplayStudiesCommand<study::BudgetOptions>>();
   options->arguments.job = job;
   Command* command = app.add_subcommand(
       "budget", "Errors against computation: computers, mission time, everything computed");
@@ -82,7 +82,7 @@ void add_budget(Command& app, Action& chosen, Transport* job) {
 }
 
 void add_rssi(Command& app, Action& chosen, Transport* job) {
-  const auto options = std::make_shared<Options<study::RssiOptions>>();
+  const auto options = std::make_shared<ReplayStudiesCommand<study::RssiOptions>>();
   options->arguments.job = job;
   Command* command =
       app.add_subcommand("rssi", "Errors of each robot with closures at radio beacons: the paper's Table II");

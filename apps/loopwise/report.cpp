@@ -15,7 +15,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-struct Options {
+struct ReportCommand {
   CommonOptions common;
   std::vector<std::string> runs, missions, truth;
   std::string output = "report.html";
@@ -24,7 +24,7 @@ struct Options {
 };
 
 /// Writes a single run with its mission as a recording for viewers.
-int write_mcap(const Options& options, const std::vector<Mission>& missions, Console& console) {
+int write_mcap(const ReportCommand& options, const std::vector<Mission>& missions, Console& console) {
   if (options.runs.size() != 1 || missions.size() != 1)
     throw OptionError("--mcap takes one run and its mission (--mission)");
   const McapResult result =
@@ -43,7 +43,7 @@ int write_mcap(const Options& options, const std::vector<Mission>& missions, Con
   return kDone;
 }
 
-int run(const Options& options) {
+int run_report(const ReportCommand& options) {
   Console console(options.common.quiet);
   const Config config = load_config(options.common);
   std::vector<Mission> missions;
@@ -75,7 +75,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_report(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<ReportCommand>();
   Command* command = app.add_subcommand("report", "Runs side by side as one page for any browser");
   command->footer(
       "The page holds a map to turn and zoom, charts over mission time, tables and options, and loads "
@@ -120,7 +120,7 @@ void add_report(Command& app, Action& chosen) {
       ->type_name("S")
       ->check(not_negative());
   add_key_frame_options(*command, options->common);
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_report, chosen);
 }
 
 }  // namespace loopwise::cli

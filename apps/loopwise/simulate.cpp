@@ -15,7 +15,7 @@
 namespace loopwise::cli {
 namespace {
 
-struct Options {
+struct SimulateCommand {
   CommonOptions common;
   std::string world;
   std::string output;
@@ -29,7 +29,7 @@ struct Options {
 };
 
 /// The options of the simulation. \throws OptionError
-SimulationOptions simulation_options(const Options& options) {
+SimulationOptions simulation_options(const SimulateCommand& options) {
   SimulationOptions simulation = options.simulation;
   simulation.world = parse_enum<WorldKind>("world", options.world);
   simulation.lidar = parse_enum<LidarKind>("lidar", options.lidar);
@@ -41,8 +41,8 @@ SimulationOptions simulation_options(const Options& options) {
   return simulation;
 }
 
-void print_mission(const Options& options, const SimulationOptions& simulation, const SimulatedMission& made,
-                   double seconds) {
+void print_mission(const SimulateCommand& options, const SimulationOptions& simulation,
+                   const SimulatedMission& made, double seconds) {
   const Mission& mission = made.mission;
   std::int64_t last = mission.start_ns;
   for (const Node& node : mission.graph.nodes()) last = std::max(last, node.stamp_ns);
@@ -71,7 +71,7 @@ void print_mission(const Options& options, const SimulationOptions& simulation, 
   print_results(options.common, json, text);
 }
 
-int run(const Options& options) {
+int run_simulate(const SimulateCommand& options) {
   Console console(options.common.quiet);
   const InterruptGuard interrupt;
   static_cast<void>(load_config(options.common));  // reports an invalid configuration file
@@ -94,7 +94,7 @@ int run(const Options& options) {
 }  // namespace
 
 void add_simulate(Command& app, Action& chosen) {
-  const auto options = std::make_shared<Options>();
+  const auto options = std::make_shared<SimulateCommand>();
   SimulationOptions& simulation = options->simulation;
   Command* command =
       app.add_subcommand("simulate", "Make a mission in an underground world, with ground truth");
@@ -142,7 +142,7 @@ void add_simulate(Command& app, Action& chosen) {
   command->add_flag("--no-gaps", options->no_gaps, "Robots are never out of range");
   command->add_flag("--statistics", options->statistics,
                     "Also measure candidates, overlap, observability and received power");
-  finish_command(*command, options, run, chosen);
+  finish_command(*command, options, run_simulate, chosen);
 }
 
 }  // namespace loopwise::cli

@@ -11,11 +11,10 @@
 #include <loopwise/simulation/statistics.hpp>
 
 #include "mission_text.hpp"
+#include "units.hpp"
 
 namespace loopwise::cli {
 namespace {
-
-constexpr double kDegrees = 57.29577951308232;
 
 Json quartiles(const ScoreQuartiles& q) {
   return {{"count", q.count},
@@ -39,7 +38,7 @@ double add_robots(const Mission& mission, Json& json, std::string& text) {
                       {"end_error_m", drift.end_m}});
     rows.push_back({drift.robot, fixed(drift.length_m, 1), fixed(drift.largest_m, 2),
                     fixed(100.0 * drift.largest_m / drift.length_m, 2),
-                    fixed(drift.largest_rad * kDegrees, 2)});
+                    fixed(drift.largest_rad * kDegreesPerRadian, 2)});
   }
   json["robots"] = robots;
   text += table(rows);

@@ -8,22 +8,22 @@
 #include <loopwise/evaluation/text_tables.hpp>
 #include <loopwise/io/json_values.hpp>
 
+#include "units.hpp"
+
 namespace loopwise::cli {
 namespace {
-
-constexpr double kDegrees = 180.0 / 3.14159265358979323846;
 
 double yaw_of(const Eigen::Isometry3d& pose) {
   return std::atan2(pose(1, 0), pose(0, 0));
 }
 
-std::string pose_text(const ComponentFrame& frame) {
+std::string frame_text(const ComponentFrame& frame) {
   const Eigen::Vector3d t = frame.pose.translation();
   const double sigma_m = std::sqrt(frame.covariance.topLeftCorner<3, 3>().diagonal().maxCoeff());
   const double sigma_rad = std::sqrt(frame.covariance.bottomRightCorner<3, 3>().diagonal().maxCoeff());
   return "at " + fixed(t.x(), 2) + " " + fixed(t.y(), 2) + " " + fixed(t.z(), 2) + " m, yaw " +
-         fixed(yaw_of(frame.pose) * kDegrees, 2) + " deg; sigma " + fixed(sigma_m, 2) + " m, " +
-         fixed(sigma_rad * kDegrees, 2) + " deg by the stated odometry";
+         fixed(yaw_of(frame.pose) * kDegreesPerRadian, 2) + " deg; sigma " + fixed(sigma_m, 2) + " m, " +
+         fixed(sigma_rad * kDegreesPerRadian, 2) + " deg by the stated odometry";
 }
 
 Json tie_json(const TeamFrames& frames, const Tie& tie) {
@@ -67,7 +67,7 @@ std::string frames_text(const TeamFrames& frames) {
       text += "the common frame";
       first = false;
     } else {
-      text += pose_text(frame) + "; " + frame.reason;
+      text += frame_text(frame) + "; " + frame.reason;
     }
     text += "\n";
   }

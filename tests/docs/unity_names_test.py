@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""Sources of a component compile together (LOOPWISE_UNITY_BUILD), so a function in an unnamed namespace would hide a function of
+"""Sources of a component or program compile together (LOOPWISE_UNITY_BUILD), so a function in an unnamed namespace would hide a function of
 the component with its name, and change the calls of other sources without an error."""
 import pathlib
 import re
@@ -23,21 +23,21 @@ def free_functions(text):
     return names
 
 
-def hidden(component):
+def hidden(folder):
     declared = {}
-    for header in [*(ROOT / "src" / component).glob("*.hpp"), *(ROOT / "include/loopwise" / component).glob("*.hpp")]:
+    for header in [*(ROOT / folder).glob("*.hpp"), *(ROOT / "include/loopwise" / pathlib.Path(folder).name).glob("*.hpp")]:
         for name in free_functions(header.read_text(encoding="utf-8")):
             declared.setdefault(name, []).append(header.name)
-    return [f"src/{component}/{source.name}: {name}() is also in {', '.join(declared[name])}"
-            for source in sorted((ROOT / "src" / component).glob("*.cpp"))
+    return [f"{folder}/{source.name}: {name}() is also in {', '.join(declared[name])}"
+            for source in sorted((ROOT / folder).glob("*.cpp"))
             for name in sorted(free_functions(unnamed(source.read_text(encoding="utf-8"))) & declared.keys())]
 
 
 class UnityNames(unittest.TestCase):
     def test_no_unnamed_function_hides_one_of_the_component(self):
-        components = [path.name for path in (ROOT / "src").iterdir() if path.is_dir()]
-        self.assertGreater(len(components), 10)
-        self.assertEqual([line for component in sorted(components) for line in hidden(component)], [])
+        folders = [str(path.relative_to(ROOT)) for parent in ("src", "apps") for path in (ROOT / parent).iterdir() if path.is_dir()]
+        self.assertGreater(len(folders), 12)
+        self.assertEqual([line for folder in sorted(folders) for line in hidden(folder)], [])
 
     def test_finds_functions(self):
         text = "namespace {\n\nstd::string inflate(std::string_view data) {\n}\n\n}  // namespace\n"
