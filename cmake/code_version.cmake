@@ -18,5 +18,5 @@ endfunction()
 
 hash_components(registration core features registration)
 # Finished runs of studies contain figures from evaluation.
-hash_components(replay core features registration joining io generation optimization prioritization engine online replay evaluation)
+hash_components(replay core linalg features registration joining io generation optimization prioritization engine online replay evaluation)
 file(WRITE ${OUTPUT} "#define LOOPWISE_REGISTRATION_CODE \"${registration}\"\n#define LOOPWISE_REPLAY_CODE \"${replay}\"\n")

@@ -15,9 +15,9 @@
 #include <loopwise/core/planar.hpp>
 #include <loopwise/core/se3.hpp>
 
-#include "blas_threads.hpp"
 #include "chordal_problem.hpp"
 #include "dual_matrix.hpp"
+#include "linalg/blas_threads.hpp"
 #include "staircase.hpp"
 
 namespace loopwise {

@@ -67,13 +67,13 @@ class NewtonSystem {
       const Eigen::Map<const Eigen::VectorXd> flat(g.data(), 4 * p);
       gradient_.segment(row(i), width_) = basis_[i].transpose() * flat;
     }
-    hessian_.set_zero();
+    hessian_.matrix().set_zero();
     std::size_t pair = 0;
     problem_.dual_blocks(
         problem_.multipliers(X, G),
         [&](std::size_t i, const Eigen::Matrix4d& block) {
           if (i == 0) return;
-          add(hessian_.diagonal_slot(i - 1), between(i, i, block, p));
+          add(hessian_.matrix().diagonal_slot(i - 1), between(i, i, block, p));
           // Possibly no term depends on the rotation (a point landmark) or on the position.
           const double turn = problem_.scale()[i], shift = block(3, 3);
           damping_.segment(row(i), width_ - p).setConstant(turn > 0.0 ? turn : 1.0);
@@ -82,16 +82,16 @@ class NewtonSystem {
         [&](std::size_t k, const Eigen::Matrix4d& block) {
           const ChordalTerm& term = problem_.terms()[k];
           if (term.from == 0 || term.to == 0) return;
-          add(hessian_.pair_slot(pair++), between(term.from, term.to, block, p));
+          add(hessian_.matrix().pair_slot(pair++), between(term.from, term.to, block, p));
         });
-    diagonal_ = hessian_.diagonal();
+    diagonal_ = hessian_.matrix().diagonal();
   }
 
   [[nodiscard]] const Eigen::VectorXd& gradient() const { return gradient_; }
 
   /// (H + damping·D)⁻¹ (−g), or nothing if that matrix is not positive definite.
   [[nodiscard]] bool step(double damping, Eigen::VectorXd& out) {
-    hessian_.set_diagonal(diagonal_ + damping * damping_);
+    hessian_.matrix().set_diagonal(diagonal_ + damping * damping_);
     if (!hessian_.factorize() || !(hessian_.smallest_pivot().first > 0.0)) return false;
     out = -gradient_;
     hessian_.solve(out);
@@ -129,14 +129,7 @@ class NewtonSystem {
     return basis_[i].transpose() * carried;
   }
 
-  void add(const BlockCholesky::Slot& slot, const Eigen::MatrixXd& m) {
-    for (Eigen::Index c = 0; c < width_; ++c) {
-      for (Eigen::Index r = 0; r < width_; ++r) {
-        hessian_.values()[slot.offset + static_cast<std::size_t>(c) * slot.stride +
-                          static_cast<std::size_t>(r)] += slot.transposed ? m(c, r) : m(r, c);
-      }
-    }
-  }
+  void add(const BlockCholesky::Slot& slot, const Eigen::MatrixXd& m) { hessian_.matrix().add(slot, m); }
 
   const ChordalProblem& problem_;
   int width_;

@@ -9,7 +9,7 @@
 
 #include <loopwise/core/stop_token.hpp>
 
-#include "block_cholesky.hpp"
+#include "linalg/block_cholesky.hpp"
 
 namespace loopwise::detail {
 

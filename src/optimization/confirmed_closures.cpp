@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <cstdint>
-#include <limits>
 #include <tuple>
 
 #include <Eigen/Dense>
@@ -15,8 +14,6 @@
 
 namespace loopwise::detail {
 namespace {
-
-constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
 
 /// Two closures are near each other if their ends are at most this many steps of odometry apart, summed over
 /// both ends.

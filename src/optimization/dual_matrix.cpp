@@ -65,34 +65,25 @@ double DualMatrix::spectral_bound() const {
   return largest;
 }
 
-void DualMatrix::add(const BlockCholesky::Slot& slot, const Eigen::Matrix4d& block) {
-  for (int c = 0; c < 4; ++c) {
-    for (int r = 0; r < 4; ++r) {
-      cholesky_
-          .values()[slot.offset + static_cast<std::size_t>(c) * slot.stride + static_cast<std::size_t>(r)] +=
-          slot.transposed ? block(c, r) : block(r, c);
-    }
-  }
-}
-
 bool DualMatrix::positive_with(double shift) {
-  cholesky_.set_zero();
+  BlockMatrix& matrix = cholesky_.matrix();
+  matrix.set_zero();
   problem_.dual_blocks(
       multipliers_,
       [&](std::size_t i, Eigen::Matrix4d block) {
         block.diagonal().head<3>().array() += shift + kRounding * problem_.scale()[i];
         block(3, 3) *= 1.0 + kPlaceRounding;
-        add(cholesky_.diagonal_slot(i), block);
+        matrix.add(matrix.diagonal_slot(i), block);
       },
-      [&](std::size_t k, const Eigen::Matrix4d& block) { add(cholesky_.pair_slot(k), block); });
+      [&](std::size_t k, const Eigen::Matrix4d& block) { matrix.add(matrix.pair_slot(k), block); });
   // A common translation of all positions costs nothing, so holding one of them at 0 does not change the
   // minimum.
-  Eigen::VectorXd diagonal = cholesky_.diagonal();
+  Eigen::VectorXd diagonal = matrix.diagonal();
   for (const std::size_t pose : held_) {
     double& place = diagonal[4 * static_cast<Eigen::Index>(pose) + 3];
     place = place > 0.0 ? 2.0 * place : 1.0;
   }
-  cholesky_.set_diagonal(diagonal);
+  matrix.set_diagonal(diagonal);
   return cholesky_.factorize() && cholesky_.smallest_pivot().first > 0.0;
 }
 

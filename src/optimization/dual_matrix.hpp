@@ -5,8 +5,8 @@
 
 #include <Eigen/Core>
 
-#include "block_cholesky.hpp"
 #include "chordal_problem.hpp"
+#include "linalg/block_cholesky.hpp"
 
 namespace loopwise::detail {
 
@@ -47,7 +47,6 @@ class DualMatrix {
   [[nodiscard]] Eigenpair smallest_eigenpair(double shift) const;
 
  private:
-  void add(const BlockCholesky::Slot& slot, const Eigen::Matrix4d& block);
   void hold_places(const LiftedPoses& X);
   [[nodiscard]] Eigen::VectorXd solve(const Eigen::VectorXd& rotations) const;
 

@@ -11,8 +11,8 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/core/error.hpp>
 
-#include "blas_threads.hpp"
 #include "incremental_problem.hpp"
+#include "linalg/blas_threads.hpp"
 
 namespace loopwise {
 

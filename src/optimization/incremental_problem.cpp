@@ -282,7 +282,7 @@ void IncrementalProblem::reorder() {
     reopen(f);
   }
   absorbed_nodes_ = poses.size();
-  std::vector<BlockCholesky::Pair> pairs;
+  std::vector<BlockPair> pairs;
   for (std::size_t k = 0; k < factors_.size(); ++k) {
     const Factor& f = factors_[k];
     if (active_[k] != 0 && f.from != kFixed) pairs.emplace_back(f.from, f.to);

@@ -9,7 +9,7 @@
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/thread_pool.hpp>
 
-#include "incremental_cholesky.hpp"
+#include "linalg/incremental_cholesky.hpp"
 #include "linearization.hpp"
 
 namespace loopwise::detail {

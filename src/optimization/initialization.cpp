@@ -104,14 +104,7 @@ class Chordal {
  private:
   [[nodiscard]] std::uint32_t variable(std::uint32_t node) const { return freedom_.variable[node]; }
 
-  void add(const BlockCholesky::Slot& slot, const Eigen::Matrix3d& m) {
-    for (int c = 0; c < 3; ++c) {
-      for (int r = 0; r < 3; ++r) {
-        cholesky_.values()[slot.offset + static_cast<std::size_t>(c) * slot.stride +
-                           static_cast<std::size_t>(r)] += slot.transposed ? m(c, r) : m(r, c);
-      }
-    }
-  }
+  void add(const BlockCholesky::Slot& slot, const Eigen::Matrix3d& m) { cholesky_.matrix().add(slot, m); }
 
   template <class Body>
   void each_factor(Body&& body) {
@@ -121,20 +114,20 @@ class Chordal {
       const std::uint32_t a = variable(problem_.from(k)), b = variable(problem_.to(k));
       if (a == Freedom::kFixed && b == Freedom::kFixed) continue;
       const bool both = a != Freedom::kFixed && b != Freedom::kFixed;
-      body(k, a, b, both ? &cholesky_.pair_slot(pair++) : nullptr);
+      body(k, a, b, both ? &cholesky_.matrix().pair_slot(pair++) : nullptr);
     }
   }
 
   bool rotations(std::vector<Eigen::Isometry3d>& poses, int& factorizations) {
-    cholesky_.set_zero();
+    cholesky_.matrix().set_zero();
     const auto n = static_cast<Eigen::Index>(freedom_.nodes.size());
     Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(3 * n, 3);
     each_factor([&](std::size_t k, std::uint32_t a, std::uint32_t b, const BlockCholesky::Slot* slot) {
       const Eigen::Matrix3d Zt = problem_.inverse_measurement(k).R;  // of the measured rotation
       const double w = problem_.weight[k] * problem_.information(k).bottomRightCorner<3, 3>().trace() / 3.0;
       const Eigen::Matrix3d wI = w * Eigen::Matrix3d::Identity();
-      if (b != Freedom::kFixed) add(cholesky_.diagonal_slot(b), wI);
-      if (a != Freedom::kFixed) add(cholesky_.diagonal_slot(a), wI);
+      if (b != Freedom::kFixed) add(cholesky_.matrix().diagonal_slot(b), wI);
+      if (a != Freedom::kFixed) add(cholesky_.matrix().diagonal_slot(a), wI);
       if (slot != nullptr) {
         add(*slot, -w * Zt);
       } else if (a == Freedom::kFixed) {
@@ -155,7 +148,7 @@ class Chordal {
   }
 
   bool translations(std::vector<Eigen::Isometry3d>& poses, int& factorizations) {
-    cholesky_.set_zero();
+    cholesky_.matrix().set_zero();
     const auto n = static_cast<Eigen::Index>(freedom_.nodes.size());
     Eigen::MatrixXd rhs = Eigen::MatrixXd::Zero(3 * n, 1);
     each_factor([&](std::size_t k, std::uint32_t a, std::uint32_t b, const BlockCholesky::Slot* slot) {
@@ -165,12 +158,12 @@ class Chordal {
       const Eigen::Matrix3d w = problem_.weight[k] * problem_.information(k).topLeftCorner<3, 3>().trace() /
                                 3.0 * Eigen::Matrix3d::Identity();
       if (b != Freedom::kFixed) {
-        add(cholesky_.diagonal_slot(b), w);
+        add(cholesky_.matrix().diagonal_slot(b), w);
         rhs.middleRows<3>(3 * b) +=
             w * (a == Freedom::kFixed ? Eigen::Vector3d(fixed_place(poses, problem_.from(k)) + d) : d);
       }
       if (a != Freedom::kFixed) {
-        add(cholesky_.diagonal_slot(a), w);
+        add(cholesky_.matrix().diagonal_slot(a), w);
         rhs.middleRows<3>(3 * a) +=
             w * (b == Freedom::kFixed ? Eigen::Vector3d(fixed_place(poses, problem_.to(k)) - d)
                                       : Eigen::Vector3d(-d));

@@ -17,8 +17,6 @@
 namespace loopwise::detail {
 namespace {
 
-constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
-
 double steps_between(std::uint32_t a, std::uint32_t b) {
   return std::abs(static_cast<double>(a) - b);
 }

@@ -12,6 +12,9 @@
 
 namespace loopwise::detail {
 
+/// The innovation where none is known.
+constexpr double kNotKnown = std::numeric_limits<double>::quiet_NaN();
+
 /// Innovation of each closure against the known inliers alone, without solving: d² = rᵀS⁻¹r. Here r is the
 /// residual at poses chained along odometry, and S is the closure's covariance plus that of the chain between
 /// its ends, propagated to first order. For a true closure, d² has six degrees of freedom (three in a planar
@@ -46,7 +49,7 @@ class NeighbourInnovations {
   /// The closures that the estimate keeps, by edge.
   void set_kept(const std::vector<std::size_t>& edges);
   struct Innovation {
-    double d2 = std::numeric_limits<double>::quiet_NaN();
+    double d2 = kNotKnown;
     /// Mean variance of the path, relative to the closure's own variance.
     double variance = std::numeric_limits<double>::infinity();
   };

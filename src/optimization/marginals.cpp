@@ -10,10 +10,9 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/planar.hpp>
 
-#include "blas_threads.hpp"
-#include "minimize.hpp"
+#include "linalg/blas_threads.hpp"
+#include "linalg/selected_inverse.hpp"
 #include "pose_problem.hpp"
-#include "selected_inverse.hpp"
 
 namespace loopwise {
 namespace {
@@ -106,6 +105,18 @@ struct HessianFactor::Impl {
     return x;
   }
 
+  /// Row of a panel's front that holds the first row of a block; −1 if no row does.
+  [[nodiscard]] Eigen::Index row_in_panel(std::size_t panel, Eigen::Index row) const {
+    const auto block = static_cast<std::uint32_t>(row / 6);
+    const std::uint32_t first = panels.first[panel], end = panels.first[panel + 1];
+    if (block < end) return block < first ? -1 : 6 * static_cast<Eigen::Index>(block - first);
+    const auto rows = panels.rows.begin() + static_cast<std::ptrdiff_t>(panels.row_start[panel]);
+    const auto last = panels.rows.begin() + static_cast<std::ptrdiff_t>(panels.row_start[panel + 1]);
+    const auto found = std::lower_bound(rows, last, block);
+    if (found == last || *found != block) return -1;
+    return 6 * (static_cast<Eigen::Index>(end - first) + (found - rows));
+  }
+
   using Pairs = std::vector<std::pair<std::size_t, std::size_t>>;
   /// Joint covariances of the pairs `some`, from the columns of their nodes, a bounded number of columns at a
   /// time.
@@ -160,21 +171,22 @@ std::vector<std::size_t> HessianFactor::Impl::joint_by_selection(const Pairs& pa
   }
   std::sort(wanted.begin(), wanted.end());
   const auto take = [&](std::size_t panel, const double* z) {
-    const int first = panels.first[panel], end = panels.first[panel + 1], height = panels.height(panel);
-    const int* rows = panels.rows.data() + panels.row_start[panel];
+    const auto first = 6 * static_cast<Eigen::Index>(panels.first[panel]);
+    const auto end = 6 * static_cast<Eigen::Index>(panels.first[panel + 1]);
+    const auto height = static_cast<Eigen::Index>(panels.height(panel));
     const auto begin =
         std::lower_bound(wanted.begin(), wanted.end(), std::pair<Eigen::Index, std::size_t>(first, 0));
     for (auto it = begin; it != wanted.end() && it->first < end; ++it) {
       const auto [a, b] = pairs[it->second];
       const bool a_first = row(a) < row(b);
       const Eigen::Index later = a_first ? row(b) : row(a);
-      const int* found = std::lower_bound(rows, rows + height, static_cast<int>(later));
-      if (found == rows + height || *found != later) {
+      const Eigen::Index within = row_in_panel(panel, later);
+      if (within < 0) {
         left.push_back(it->second);
         continue;
       }
       const Matrix6d block = Eigen::Map<const Matrix6d, 0, Eigen::OuterStride<>>(
-          z + (it->first - first) * height + (found - rows), Eigen::OuterStride<>(height));
+          z + (it->first - first) * height + within, Eigen::OuterStride<>(height));
       // Rows of the later node, columns of the earlier one.
       if (a_first) {
         out[it->second].bottomLeftCorner<6, 6>() = block;
@@ -185,7 +197,7 @@ std::vector<std::size_t> HessianFactor::Impl::joint_by_selection(const Pairs& pa
       }
     }
   };
-  const Eigen::MatrixXd diagonal = detail::selected_inverse(panels, 6, take);
+  const Eigen::MatrixXd diagonal = detail::selected_inverse(panels, detail::Rounding::kFastest, take);
   std::vector<char> is_left(pairs.size(), 0);
   for (const std::size_t k : left) is_left[k] = 1;
   for (std::size_t k = 0; k < pairs.size(); ++k) {
@@ -232,15 +244,11 @@ HessianFactor::HessianFactor(const PoseGraph& graph, const OptimizerOptions& opt
   m.position.resize(cholesky.variables());
   for (std::size_t v = 0; v < m.position.size(); ++v) m.position[v] = cholesky.position(v);
   m.panels = cholesky.take_panels();
+  detail::invert_diagonal(m.panels);
   m.free_dimension = 6 * static_cast<Eigen::Index>(cholesky.variables());
   m.factorization = cholesky.factorization();
   m.nonzeros = cholesky.factor_nonzeros();
-  for (std::size_t s = 0; s < m.panels.size(); ++s) {
-    const auto height = static_cast<std::size_t>(m.panels.height(s));
-    for (std::size_t j = 0; j < static_cast<std::size_t>(m.panels.columns(s)); ++j) {
-      m.log_determinant += 2.0 * std::log(m.panels.values[m.panels.value_start[s] + j * (height + 1)]);
-    }
-  }
+  m.log_determinant = detail::log_determinant(m.panels);
 }
 
 HessianFactor::~HessianFactor() = default;
@@ -280,7 +288,7 @@ Eigen::Matrix<double, Eigen::Dynamic, 6> HessianFactor::columns(std::size_t node
 }
 
 Marginals HessianFactor::marginals() const {
-  const Eigen::MatrixXd blocks = detail::selected_inverse(impl_->panels, 6);
+  const Eigen::MatrixXd blocks = detail::selected_inverse(impl_->panels, detail::Rounding::kFastest);
   Marginals out;
   out.covariances.assign(impl_->variable.size(), Matrix6d::Zero());
   for (std::size_t node = 0; node < out.covariances.size(); ++node) {

@@ -94,7 +94,7 @@ class Minimizer {
       if (stop_.stop_requested()) return Termination::kStopped;
       if (!linearized) {
         equations_.linearize(problem_, poses_, residuals_, pool_);
-        diagonal_ = hessian_.diagonal();
+        diagonal_ = hessian_.matrix().diagonal();
         linearized = gradient_is_current_ = true;
         result_.gradient = largest(equations_.gradient());
         if (iteration == 0) result_.gradient_initial = result_.gradient;
@@ -180,7 +180,7 @@ class Minimizer {
     added_ = damping * diagonal_;
     // A direction without a factor has a zero diagonal; any positive value keeps it in place.
     if (damping > 0.0) added_ = added_.cwiseMax(damping * std::max(1e-12 * diagonal_.maxCoeff(), 1e-300));
-    hessian_.set_diagonal(diagonal_ + added_);
+    hessian_.matrix().set_diagonal(diagonal_ + added_);
     ++result_.factorizations;
     // A damped matrix may be nearly singular. An undamped one must not be: it would give a step along an
     // undetermined direction.

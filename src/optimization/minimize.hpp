@@ -11,9 +11,6 @@
 
 namespace loopwise::detail {
 
-/// Below this ratio of a pivot to its diagonal element the factors do not determine the pose.
-inline constexpr double kSingularPivot = 1e-14;
-
 /// Bound on the steps of one call of minimize(), and the damping with which the next call continues.
 struct StepControl {
   int max_accepted = std::numeric_limits<int>::max();

@@ -8,9 +8,9 @@
 #include <loopwise/core/clock.hpp>
 #include <loopwise/optimization/gnc.hpp>
 
-#include "blas_threads.hpp"
 #include "gnc_solver.hpp"
 #include "initialization.hpp"
+#include "linalg/blas_threads.hpp"
 #include "minimize.hpp"
 #include "pose_problem.hpp"
 
@@ -21,13 +21,6 @@ EnumNames<Initialization> enum_names(Initialization) {
           {Initialization::kFile, "file"},
           {Initialization::kOdometry, "odometry"},
           {Initialization::kChordal, "chordal"}};
-}
-
-EnumNames<Factorization> enum_names(Factorization) {
-  return {{Factorization::kAutomatic, "automatic"},
-          {Factorization::kMultifrontal, "multifrontal"},
-          {Factorization::kSimplicial, "simplicial"},
-          {Factorization::kSupernodal, "supernodal"}};
 }
 
 EnumNames<Termination> enum_names(Termination) {

@@ -21,17 +21,50 @@ constexpr std::size_t kFactorsPerTask = 256;
 /// Number of tasks whose linearisations are in memory at the same time.
 constexpr std::size_t kTasksPerWave = 64;
 
-void add_block(double* values, const BlockCholesky::Slot& slot, const Matrix6d& m) {
-  double* to = values + slot.offset;
-  if (slot.transposed) {
-    for (int c = 0; c < 6; ++c, to += slot.stride) {
-      for (int r = 0; r < 6; ++r) to[r] += m(c, r);
+/// Adds the blocks and gradients of ranges and gravity.
+/// \param hessian null for the gradient alone
+void linearize_auxiliary(const PoseProblem& problem, const SystemStructure& structure,
+                         const std::vector<Pose>& poses, BlockMatrix* hessian, Eigen::VectorXd& gradient) {
+  const auto add = [&](std::uint32_t variable, const Matrix6d& H, const Vector6d& g) {
+    if (hessian != nullptr) hessian->add(hessian->diagonal_slot(variable), H);
+    gradient.segment<6>(6 * static_cast<Eigen::Index>(variable)) += g;
+  };
+  const std::vector<std::uint32_t>& variable = structure.freedom.variable;
+  std::size_t pair = structure.first_range_pair;
+  for (const PoseProblem::Ranging& range : problem.ranges()) {
+    const std::uint32_t a = variable[range.from], b = variable[range.to];
+    const LinearizedRange l =
+        loopwise::linearize(range.factor, isometry(poses[range.from]), isometry(poses[range.to]));
+    if (a != Freedom::kFixed) add(a, l.J_from.transpose() * l.J_from, l.J_from.transpose() * l.r);
+    if (b != Freedom::kFixed) add(b, l.J_to.transpose() * l.J_to, l.J_to.transpose() * l.r);
+    if (a == Freedom::kFixed || b == Freedom::kFixed) continue;
+    if (hessian != nullptr) {
+      hessian->add(hessian->pair_slot(pair), Matrix6d(l.J_to.transpose() * l.J_from));
     }
-  } else {
-    for (int c = 0; c < 6; ++c, to += slot.stride) {
-      for (int r = 0; r < 6; ++r) to[r] += m(r, c);
-    }
+    ++pair;
   }
+  for (const PoseProblem::Levelling& gravity : problem.gravities()) {
+    const std::uint32_t v = variable[gravity.node];
+    if (v == Freedom::kFixed) continue;
+    const LinearizedGravity l = loopwise::linearize(gravity.factor, isometry(poses[gravity.node]));
+    add(v, l.J.transpose() * l.J, l.J.transpose() * l.r);
+  }
+}
+
+/// Sets the rows of z, roll and pitch to the identity. Nothing couples them to the plane, so the other rows
+/// of H, its determinant and its pivots are those of the two-dimensional problem.
+void pin_to_plane(BlockMatrix& hessian) {
+  std::vector<double>& values = hessian.values();
+  const auto set = [&](const BlockMatrix::Slot& slot, bool diagonal) {
+    for (const int r : planar::kAcross) {
+      for (const int c : planar::kAcross) {
+        values[slot.offset + static_cast<std::size_t>(c) * slot.stride + static_cast<std::size_t>(r)] =
+            diagonal && r == c ? 1.0 : 0.0;
+      }
+    }
+  };
+  for (std::size_t v = 0; v < hessian.variables(); ++v) set(hessian.diagonal_slot(v), true);
+  for (std::size_t pair = 0; pair < hessian.pairs().size(); ++pair) set(hessian.pair_slot(pair), false);
 }
 
 }  // namespace
@@ -155,58 +188,45 @@ Freedom find_freedom(const PoseProblem& problem) {
   return freedom;
 }
 
-void NormalEquations::set_structure(const PoseProblem& problem) {
-  Freedom freedom = find_freedom(problem);
-  std::vector<BlockCholesky::Pair> pairs;
-  active_.clear();
-  pair_of_.clear();
+SystemStructure::SystemStructure(const PoseProblem& problem) : freedom(find_freedom(problem)) {
   for (std::size_t k = 0; k < problem.factors(); ++k) {
     if (problem.weight[k] <= 0.0) continue;
     const std::uint32_t a = freedom.variable[problem.from(k)], b = freedom.variable[problem.to(k)];
     if (a == Freedom::kFixed && b == Freedom::kFixed) continue;
-    active_.push_back(static_cast<std::uint32_t>(k));
+    active.push_back(static_cast<std::uint32_t>(k));
     if (a == Freedom::kFixed || b == Freedom::kFixed) {
-      pair_of_.push_back(Freedom::kFixed);
+      pair_of.push_back(Freedom::kFixed);
     } else {
-      pair_of_.push_back(static_cast<std::uint32_t>(pairs.size()));
+      pair_of.push_back(static_cast<std::uint32_t>(pairs.size()));
       pairs.emplace_back(b, a);
     }
   }
-  first_range_pair_ = pairs.size();
+  first_range_pair = pairs.size();
   for (const PoseProblem::Ranging& range : problem.ranges()) {
     const std::uint32_t a = freedom.variable[range.from], b = freedom.variable[range.to];
     if (a != Freedom::kFixed && b != Freedom::kFixed) pairs.emplace_back(b, a);
   }
-  const bool same = analysed_ && pairs == pairs_ && freedom.nodes.size() == cholesky_.variables();
-  freedom_ = std::move(freedom);
-  if (same) return;
-  analysed_ = false;  // if an allocation fails below, the next call starts again
-  pairs_ = std::move(pairs);
-  cholesky_.analyze(freedom_.nodes.size(), pairs_);
-  // Not by resize(): Eigen frees the old memory first and keeps its pointer if the new allocation fails.
-  gradient_ = Eigen::VectorXd(Eigen::VectorXd::Zero(static_cast<Eigen::Index>(6 * freedom_.nodes.size())));
-  analysed_ = true;
-  ++analyses_;
 }
 
-void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
-                                const std::vector<Vector6d>& residuals, ThreadPool& pool) {
-  cholesky_.set_zero();
-  gradient_.setZero();
-  double* values = cholesky_.values().data();
+void linearize(const PoseProblem& problem, const SystemStructure& structure, const std::vector<Pose>& poses,
+               const std::vector<Vector6d>& residuals, ThreadPool& pool, BlockMatrix& hessian,
+               Eigen::VectorXd& gradient) {
+  hessian.set_zero();
+  gradient.setZero();
+  const std::vector<std::uint32_t>& active = structure.active;
   const std::size_t wave = kFactorsPerTask * (pool.num_threads() > 1 ? kTasksPerWave : 1);
-  std::vector<Contribution> buffer(std::min(wave, active_.size()));
-  const auto variables = static_cast<std::uint32_t>(freedom_.nodes.size());
+  std::vector<Contribution> buffer(std::min(wave, active.size()));
+  const auto variables = static_cast<std::uint32_t>(structure.freedom.nodes.size());
   const auto owners = static_cast<std::uint32_t>(pool.num_threads());
-  const std::vector<std::uint32_t>& variable = freedom_.variable;
+  const std::vector<std::uint32_t>& variable = structure.freedom.variable;
 
-  for (std::size_t begin = 0; begin < active_.size(); begin += wave) {
-    const std::size_t end = std::min(active_.size(), begin + wave);
+  for (std::size_t begin = 0; begin < active.size(); begin += wave) {
+    const std::size_t end = std::min(active.size(), begin + wave);
     const std::size_t tasks = (end - begin + kFactorsPerTask - 1) / kFactorsPerTask;
     pool.for_each(tasks, [&](std::size_t task) {
       const std::size_t stop = std::min(end, begin + (task + 1) * kFactorsPerTask);
       for (std::size_t i = begin + task * kFactorsPerTask; i < stop; ++i) {
-        const std::size_t k = active_[i];
+        const std::size_t k = active[i];
         const Pose e = between(poses[problem.to(k)], poses[problem.from(k)]);
         linearize_factor(residuals[k], e, problem.information(k), problem.weight[k],
                          variable[problem.from(k)] != Freedom::kFixed, buffer[i - begin]);
@@ -218,87 +238,68 @@ void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Po
       const auto last = static_cast<std::uint32_t>(std::uint64_t{variables} * (owner + 1) / owners);
       const auto mine = [&](std::uint32_t column) { return column >= first && column < last; };
       for (std::size_t i = begin; i < end; ++i) {
-        const std::size_t k = active_[i];
+        const std::size_t k = active[i];
         const Contribution& c = buffer[i - begin];
         const std::uint32_t from = variable[problem.from(k)], to = variable[problem.to(k)];
-        if (to != Freedom::kFixed && mine(cholesky_.position(to))) {
-          add_block(values, cholesky_.diagonal_slot(to), c.to_to);
-          gradient_.segment<6>(6 * static_cast<Eigen::Index>(to)) += c.g_to;
+        if (to != Freedom::kFixed && mine(hessian.position(to))) {
+          hessian.add(hessian.diagonal_slot(to), c.to_to);
+          gradient.segment<6>(6 * static_cast<Eigen::Index>(to)) += c.g_to;
         }
-        if (from != Freedom::kFixed && mine(cholesky_.position(from))) {
-          add_block(values, cholesky_.diagonal_slot(from), c.from_from);
-          gradient_.segment<6>(6 * static_cast<Eigen::Index>(from)) += c.g_from;
+        if (from != Freedom::kFixed && mine(hessian.position(from))) {
+          hessian.add(hessian.diagonal_slot(from), c.from_from);
+          gradient.segment<6>(6 * static_cast<Eigen::Index>(from)) += c.g_from;
         }
-        if (pair_of_[i] != Freedom::kFixed && mine(cholesky_.pair_column(pair_of_[i]))) {
-          add_block(values, cholesky_.pair_slot(pair_of_[i]), c.to_from);
+        const std::uint32_t pair = structure.pair_of[i];
+        if (pair != Freedom::kFixed && mine(hessian.pair_column(pair))) {
+          hessian.add(hessian.pair_slot(pair), c.to_from);
         }
       }
     });
   }
-  linearize_auxiliary(problem, poses, true);
-  if (problem.planar()) pin_to_plane();
+  linearize_auxiliary(problem, structure, poses, &hessian, gradient);
+  if (problem.planar()) pin_to_plane(hessian);
 }
 
-/// Sets the rows of z, roll and pitch to the identity. Nothing couples them to the plane, so the other rows
-/// of H, its determinant and its pivots are those of the two-dimensional problem.
-void NormalEquations::pin_to_plane() {
-  double* values = cholesky_.values().data();
-  const auto set = [&](const BlockCholesky::Slot& slot, bool diagonal) {
-    for (const int r : planar::kAcross) {
-      for (const int c : planar::kAcross) {
-        values[slot.offset + static_cast<std::size_t>(c) * slot.stride + static_cast<std::size_t>(r)] =
-            diagonal && r == c ? 1.0 : 0.0;
-      }
-    }
-  };
-  for (std::size_t v = 0; v < freedom_.nodes.size(); ++v) set(cholesky_.diagonal_slot(v), true);
-  for (std::size_t pair = 0; pair < pairs_.size(); ++pair) set(cholesky_.pair_slot(pair), false);
+void NormalEquations::set_structure(const PoseProblem& problem) {
+  SystemStructure structure(problem);
+  const bool same = analysed_ && structure.pairs == structure_.pairs &&
+                    structure.freedom.nodes.size() == cholesky_.variables();
+  structure_ = std::move(structure);
+  if (same) return;
+  analysed_ = false;  // if an allocation fails below, the next call starts again
+  const std::size_t variables = structure_.freedom.nodes.size();
+  cholesky_.analyze(variables, structure_.pairs);
+  // Not by resize(): Eigen frees the old memory first and keeps its pointer if the new allocation fails.
+  gradient_ = Eigen::VectorXd(Eigen::VectorXd::Zero(static_cast<Eigen::Index>(6 * variables)));
+  analysed_ = true;
+  ++analyses_;
 }
 
-void NormalEquations::linearize_auxiliary(const PoseProblem& problem, const std::vector<Pose>& poses,
-                                          bool hessian) {
-  double* values = cholesky_.values().data();
-  const auto add = [&](std::uint32_t variable, const Matrix6d& H, const Vector6d& g) {
-    if (hessian) add_block(values, cholesky_.diagonal_slot(variable), H);
-    gradient_.segment<6>(6 * static_cast<Eigen::Index>(variable)) += g;
-  };
-  std::size_t pair = first_range_pair_;
-  for (const PoseProblem::Ranging& range : problem.ranges()) {
-    const std::uint32_t a = freedom_.variable[range.from], b = freedom_.variable[range.to];
-    const LinearizedRange l =
-        loopwise::linearize(range.factor, isometry(poses[range.from]), isometry(poses[range.to]));
-    if (a != Freedom::kFixed) add(a, l.J_from.transpose() * l.J_from, l.J_from.transpose() * l.r);
-    if (b != Freedom::kFixed) add(b, l.J_to.transpose() * l.J_to, l.J_to.transpose() * l.r);
-    if (a == Freedom::kFixed || b == Freedom::kFixed) continue;
-    if (hessian) add_block(values, cholesky_.pair_slot(pair), l.J_to.transpose() * l.J_from);
-    ++pair;
-  }
-  for (const PoseProblem::Levelling& gravity : problem.gravities()) {
-    const std::uint32_t variable = freedom_.variable[gravity.node];
-    if (variable == Freedom::kFixed) continue;
-    const LinearizedGravity l = loopwise::linearize(gravity.factor, isometry(poses[gravity.node]));
-    add(variable, l.J.transpose() * l.J, l.J.transpose() * l.r);
-  }
+void NormalEquations::linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
+                                const std::vector<Vector6d>& residuals, ThreadPool& pool) {
+  detail::linearize(problem, structure_, poses, residuals, pool, cholesky_.matrix(), gradient_);
 }
 
 void NormalEquations::linearize_gradient(const PoseProblem& problem, const std::vector<Pose>& poses,
                                          const std::vector<Vector6d>& residuals) {
   gradient_.setZero();
-  for (const std::size_t k : active_) {
-    const std::uint32_t from = freedom_.variable[problem.from(k)], to = freedom_.variable[problem.to(k)];
+  const std::vector<std::uint32_t>& variable = structure_.freedom.variable;
+  for (const std::size_t k : structure_.active) {
+    const std::uint32_t from = variable[problem.from(k)], to = variable[problem.to(k)];
     const Pose e = between(poses[problem.to(k)], poses[problem.from(k)]);
     const FactorGradient g = factor_gradient(residuals[k], e, problem.information(k), problem.weight[k]);
     if (to != Freedom::kFixed) gradient_.segment<6>(6 * static_cast<Eigen::Index>(to)) += g.to;
     if (from != Freedom::kFixed) gradient_.segment<6>(6 * static_cast<Eigen::Index>(from)) += g.from;
   }
-  linearize_auxiliary(problem, poses, false);
+  linearize_auxiliary(problem, structure_, poses, nullptr, gradient_);
 }
 
 std::vector<Pose> NormalEquations::moved(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const {
   std::vector<Pose> out = poses;
-  for (std::size_t v = 0; v < freedom_.nodes.size(); ++v) {
+  const std::vector<std::uint32_t>& nodes = structure_.freedom.nodes;
+  for (std::size_t v = 0; v < nodes.size(); ++v) {
     const auto xi = step.segment<6>(6 * static_cast<Eigen::Index>(v));
-    Pose& pose = out[freedom_.nodes[v]];
+    Pose& pose = out[nodes[v]];
     pose = moved_by(pose, xi);
   }
   return out;

@@ -11,7 +11,7 @@
 #include <loopwise/core/thread_pool.hpp>
 #include <loopwise/optimization/optimizer.hpp>
 
-#include "block_cholesky.hpp"
+#include "linalg/block_cholesky.hpp"
 #include "linearization.hpp"
 
 namespace loopwise::detail {
@@ -83,6 +83,27 @@ struct Freedom {
 };
 [[nodiscard]] Freedom find_freedom(const PoseProblem& problem);
 
+/// The structure of a problem's Gauss-Newton system for the factors of non-zero weight.
+struct SystemStructure {
+  SystemStructure() = default;
+  explicit SystemStructure(const PoseProblem& problem);
+
+  Freedom freedom;
+  std::vector<std::uint32_t> active;   ///< Factors with a free end, of non-zero weight.
+  std::vector<std::uint32_t> pair_of;  ///< By active factor: its pair, or kFixed.
+  /// Off-diagonal blocks, as (to, from). Pairs of ranges are last, in the order of the ranges.
+  std::vector<BlockPair> pairs;
+  std::size_t first_range_pair = 0;
+};
+
+/// H = Σ w JᵀΩJ and g = Σ w JᵀΩr over the free nodes, at poses with these residuals (PoseProblem::cost). In a
+/// planar problem the rows of z, roll and pitch are the identity in H and 0 in g, so that solutions stay in
+/// the plane.
+/// \param hessian a matrix over the variables and pairs of the structure
+void linearize(const PoseProblem& problem, const SystemStructure& structure, const std::vector<Pose>& poses,
+               const std::vector<Vector6d>& residuals, ThreadPool& pool, BlockMatrix& hessian,
+               Eigen::VectorXd& gradient);
+
 /// The Gauss-Newton system of a problem for one set of active factors. It may outlive the problem: its
 /// symbolic analysis is valid for every problem of the same structure.
 class NormalEquations {
@@ -92,9 +113,7 @@ class NormalEquations {
   /// Sets the structure to the factors of non-zero weight. Makes a new symbolic analysis if the structure has
   /// changed.
   void set_structure(const PoseProblem& problem);
-  /// H = Σ w JᵀΩJ and g = Σ w JᵀΩr over the free nodes, at poses with these residuals (PoseProblem::cost). In
-  /// a planar problem the rows of z, roll and pitch are the identity in H and 0 in g, so that solutions stay
-  /// in the plane. \pre set_structure(problem)
+  /// Computes the system, see detail::linearize(). \pre set_structure(problem)
   void linearize(const PoseProblem& problem, const std::vector<Pose>& poses,
                  const std::vector<Vector6d>& residuals, ThreadPool& pool);
   /// g alone.
@@ -104,25 +123,17 @@ class NormalEquations {
   [[nodiscard]] BlockCholesky& hessian() { return cholesky_; }
   [[nodiscard]] const BlockCholesky& hessian() const { return cholesky_; }
   [[nodiscard]] const Eigen::VectorXd& gradient() const { return gradient_; }
-  [[nodiscard]] const Freedom& freedom() const { return freedom_; }
+  [[nodiscard]] const Freedom& freedom() const { return structure_.freedom; }
   [[nodiscard]] std::size_t analyses() const { return analyses_; }
 
   /// T ⊕ step for every free node.
   [[nodiscard]] std::vector<Pose> moved(const std::vector<Pose>& poses, const Eigen::VectorXd& step) const;
 
  private:
-  void pin_to_plane();
-  void linearize_auxiliary(const PoseProblem& problem, const std::vector<Pose>& poses, bool hessian);
-
   BlockCholesky cholesky_;
-  Freedom freedom_;
-  std::vector<std::uint32_t> active_;   // factors with a free end, of non-zero weight
-  std::vector<std::uint32_t> pair_of_;  // by active factor: its pair in the analysis, or kFixed
-  std::vector<BlockCholesky::Pair> pairs_;
-  std::size_t first_range_pair_ =
-      0;  // pairs of ranges with two free ends come last, in the order of the ranges
+  SystemStructure structure_;
   Eigen::VectorXd gradient_;
-  bool analysed_ = false;  // pairs_ are analysed completely
+  bool analysed_ = false;  // the pairs of the structure are analysed completely
   std::size_t analyses_ = 0;
 };
 

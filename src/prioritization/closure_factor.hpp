@@ -3,7 +3,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <utility>
 #include <vector>
 
 #include <Eigen/Core>
@@ -11,7 +10,8 @@
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/se3.hpp>
 
-#include "closure_kernels.hpp"
+#include "linalg/block_cholesky.hpp"
+#include "optimization/graph_hessian.hpp"
 
 namespace loopwise::detail {
 
@@ -38,9 +38,10 @@ struct GraphComponents {
   }
 };
 
-/// The Gauss-Newton Hessian of a pose graph plus a changing set of closures, as a block-sparse Cholesky
-/// factor of 6×6 blocks. Every factorisation starts from the graph's own blocks, so errors do not accumulate.
-/// A component without a prior is held at its first node; nodes without factors are held too.
+/// The Gauss-Newton Hessian of a pose graph plus a changing set of closures, and its Cholesky factor. Every
+/// factorisation starts from the graph's own blocks, so errors do not accumulate. A component without a prior
+/// is held at its first node; nodes without factors are held too. Results are the same to the bit on all
+/// processors of a family, so that a choice of closures never depends on the processor.
 class ClosureFactor {
  public:
   /// Uses the present weights of the edges. \throws InputError if the graph's numbers are not finite.
@@ -50,9 +51,8 @@ class ClosureFactor {
   /// naming a node if the factors do not determine its pose.
   void factorize(const std::vector<const ClosureTerm*>& closures, const Matrix6d& information);
 
-  [[nodiscard]] std::size_t free_nodes() const { return variables_; }
-  [[nodiscard]] bool held(std::size_t node) const { return variable_[node] == kHeld; }
-  [[nodiscard]] std::size_t blocks() const { return rows_.size(); }
+  [[nodiscard]] std::size_t free_nodes() const { return graph_.nodes.size(); }
+  [[nodiscard]] bool held(std::size_t node) const { return graph_.variable[node] == GraphHessian::kHeld; }
 
   // Columns of Σ and similar matrices are stored as row-major 6×Width blocks, one for each free node in
   // elimination order.
@@ -71,8 +71,7 @@ class ClosureFactor {
   /// The block of a node in x, or null if the node is held.
   [[nodiscard]] const double* rows_of(const std::vector<double>& x, std::size_t node, int width) const {
     if (held(node)) return nullptr;
-    return x.data() +
-           static_cast<std::size_t>(position_[variable_[node]]) * 6 * static_cast<std::size_t>(width);
+    return x.data() + std::size_t{position(node)} * 6 * static_cast<std::size_t>(width);
   }
   /// J·x of a closure as a 6×Width row-major matrix.
   template <int Width>
@@ -85,43 +84,18 @@ class ClosureFactor {
     double full = 0.0;
   };
   [[nodiscard]] Traces traces() const;
-  [[nodiscard]] double log_determinant() const;
+  [[nodiscard]] double log_determinant() const { return cholesky_.log_determinant(); }
 
  private:
-  static constexpr std::uint32_t kHeld = UINT32_MAX;
-
-  struct Pair {
-    std::uint32_t a, b;  ///< Variables.
-    Matrix6d block;      ///< Of H, rows a, columns b.
-  };
-
-  [[nodiscard]] BlockColumns columns() const {
-    return {variables_, start_.data(), rows_.data(), values_.data(), inverse_.data()};
+  [[nodiscard]] std::uint32_t position(std::size_t node) const {
+    return cholesky_.position(graph_.variable[node]);
   }
-  void analyze(const std::vector<const ClosureTerm*>& closures, bool reorder);
-  [[nodiscard]] std::size_t slot(std::uint32_t row, std::uint32_t column) const;
-  void add_block(std::uint32_t a, std::uint32_t b, const Matrix6d& block);
+  void load(const std::vector<const ClosureTerm*>& closures, const Matrix6d& information);
 
-  std::vector<Key> keys_;                // by variable, for messages
-  std::vector<std::uint32_t> variable_;  // by node
-  std::size_t variables_ = 0;
-  std::vector<Matrix6d> diagonal_;  // of the graph's own H, by variable
-  std::vector<Pair> pairs_;
-
-  std::vector<std::uint32_t> order_;     // variable by position
-  std::vector<std::uint32_t> position_;  // position by variable
-  std::vector<std::uint32_t> parent_;    // elimination tree, by position; own number at a root
-  std::vector<std::size_t> start_;       // block columns of L: the diagonal block, then rows ascending
-  std::vector<std::uint32_t> rows_;
-  std::vector<double> values_;   // 36 a block, column-major
-  std::vector<double> inverse_;  // of the diagonal blocks of L, 36 a column
-  double work_ = 0.0;            // of the last analysis
-  double ordered_work_ = 0.0;    // of the analysis that made the order
-
-  // Scratch of the analysis and the factorisation.
-  std::vector<std::vector<std::uint32_t>> columns_, below_;
-  std::vector<std::uint32_t> mark_, head_, next_, place_;
-  std::vector<std::size_t> cursor_;
+  std::vector<Key> keys_;  // by variable, for messages
+  GraphHessian graph_;
+  BlockCholesky cholesky_;
+  bool ordered_ = false;
 };
 
 }  // namespace loopwise::detail

@@ -116,21 +116,10 @@ const ClosureFactor& ClosureSet::factor() {
 template <int Width>
 Eigen::Matrix<double, Width, Width, Eigen::RowMajor> counted_gram(const std::vector<double>& x,
                                                                   TraceKind kind) {
-  double sum[Width * Width] = {};
-  const int triples = kind == TraceKind::kFull ? 2 : 1;
-  constexpr std::size_t kBlock = 6 * Width;
-  for (std::size_t at = 0; at < x.size(); at += kBlock) {
-    for (int t = 0; t < triples; ++t) {
-      const double* a = x.data() + at + static_cast<std::size_t>(3 * Width * t);
-      const double *b = a + Width, *c = b + Width;
-      for (int i = 0; i < Width; ++i) {
-        const double fa = a[i], fb = b[i], fc = c[i];
-        double* row = sum + Width * i;
-        for (int j = 0; j < Width; ++j) row[j] += fa * a[j] + fb * b[j] + fc * c[j];
-      }
-    }
-  }
-  return Eigen::Map<const Eigen::Matrix<double, Width, Width, Eigen::RowMajor>>(sum);
+  Eigen::Matrix<double, Width, Width, Eigen::RowMajor> out;
+  dense_kernels(Rounding::kPortable)
+      .gram(x.data(), x.size() / (6 * Width), kind == TraceKind::kFull ? 6 : 3, Width, out.data());
+  return out;
 }
 
 template Eigen::Matrix<double, 6, 6, Eigen::RowMajor> counted_gram<6>(const std::vector<double>&, TraceKind);

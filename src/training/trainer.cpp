@@ -13,7 +13,7 @@
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/random.hpp>
 
-#include "blas_threads.hpp"
+#include "linalg/blas_threads.hpp"
 #include "packed.hpp"
 
 #include "network_tensors.hpp"

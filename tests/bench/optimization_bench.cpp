@@ -35,7 +35,7 @@
 #include <loopwise/optimization/optimizer.hpp>
 #include <loopwise/optimization/pcm.hpp>
 
-#include "blas_threads.hpp"
+#include "linalg/blas_threads.hpp"
 #include "optimization_ceres.hpp"
 #include "optimization_certify.hpp"
 #include "optimization_graphs.hpp"
@@ -111,7 +111,7 @@ class Yardstick {
       systems_.push_back(linearized(kind));
     }
     cholmod_start(&common_);
-    make_scalar_matrix(systems_[0]->hessian());
+    make_scalar_matrix(systems_[0]->hessian().matrix());
     for (const int mode : {CHOLMOD_SUPERNODAL, CHOLMOD_SIMPLICIAL}) {
       common_.supernodal = mode;
       factors_.push_back(cholmod_analyze(matrix_, &common_));
@@ -138,7 +138,7 @@ class Yardstick {
   }
 
  private:
-  void make_scalar_matrix(detail::BlockCholesky& hessian) {
+  void make_scalar_matrix(const detail::BlockMatrix& hessian) {
     const std::size_t n = 6 * hessian.variables();
     cholmod_triplet* triplets =
         cholmod_allocate_triplet(n, n, hessian.values().size(), 0, CHOLMOD_REAL, &common_);

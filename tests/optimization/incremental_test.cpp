@@ -9,7 +9,7 @@
 #include <loopwise/core/planar.hpp>
 #include <loopwise/optimization/incremental.hpp>
 
-#include "incremental_cholesky.hpp"
+#include "linalg/incremental_cholesky.hpp"
 #include "support.hpp"
 
 namespace loopwise {
@@ -456,7 +456,7 @@ TEST_CASE("incremental factor: solves like a dense one after every change", "[op
     linked[a][b] = linked[b][a] = 1;
   };
   for (std::uint32_t v = 0; v < kLast; ++v) H.block<6, 6>(6 * v, 6 * v) = Matrix6d::Identity();
-  std::vector<detail::BlockCholesky::Pair> pairs;
+  std::vector<detail::BlockPair> pairs;
   for (std::uint32_t v = 1; v < n; ++v) {
     link(v - 1, v);
     pairs.emplace_back(v - 1, v);

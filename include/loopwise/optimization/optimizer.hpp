@@ -12,6 +12,7 @@
 #include <loopwise/core/options.hpp>
 #include <loopwise/core/pose_graph.hpp>
 #include <loopwise/core/stop_token.hpp>
+#include <loopwise/linalg/factorization.hpp>
 
 namespace loopwise {
 
@@ -26,15 +27,6 @@ enum class Initialization {
               ///< initial poses.
 };
 [[nodiscard]] LOOPWISE_EXPORT EnumNames<Initialization> enum_names(Initialization);
-
-/// The sparse Cholesky factorisation.
-enum class Factorization {
-  kAutomatic,     ///< The fastest for the size.
-  kMultifrontal,  ///< Loopwise's own, for the small dense blocks of pose graphs.
-  kSimplicial,    ///< CHOLMOD's, column by column.
-  kSupernodal,    ///< CHOLMOD's, by panels of columns; needs a build with LOOPWISE_WITH_GPL.
-};
-[[nodiscard]] LOOPWISE_EXPORT EnumNames<Factorization> enum_names(Factorization);
 
 /// Why an optimisation ended.
 enum class Termination {

@@ -4,15 +4,14 @@
 #include <algorithm>
 #include <cstring>
 
-#include "front.hpp"
-
 namespace loopwise::detail {
 namespace {
 
 /// Merging a panel with its last child adds zeros to L but saves a front. The allowed share of zeros depends
 /// on the width.
-bool worth_merging(std::size_t block_columns, double zeros, double entries) {
-  const double share = zeros / entries;
+bool worth_merging(std::size_t block_columns, double zeros, double entries, double most_zeros) {
+  if (zeros == 0.0 || most_zeros == 0.0) return zeros == 0.0;
+  const double share = zeros / (most_zeros * entries);
   return block_columns <= 2 ? share < 0.4 : block_columns <= 8 ? share < 0.2 : share < 0.05;
 }
 
@@ -23,14 +22,13 @@ constexpr double kSubtreesOfWork = 16.0;
 
 }  // namespace
 
-MultifrontalCholesky::MultifrontalCholesky(const BlockPattern& pattern, const std::vector<int>& parent,
-                                           const std::vector<int>& count)
-    : broken_at_(count.size()) {
-  make_panels(parent, count);
-  make_rows(pattern);
+void MultifrontalCholesky::analyze(const Elimination& elimination, double most_zeros) {
+  make_panels(elimination.parent, elimination.count, most_zeros);
+  make_rows(elimination.lower);
 }
 
-void MultifrontalCholesky::make_panels(const std::vector<int>& parent, const std::vector<int>& count) {
+void MultifrontalCholesky::make_panels(const std::vector<int>& parent, const std::vector<int>& count,
+                                       double most_zeros) {
   struct Panel {
     std::uint32_t first;
     std::size_t width, height;
@@ -39,6 +37,7 @@ void MultifrontalCholesky::make_panels(const std::vector<int>& parent, const std
   };
   std::vector<Panel> panels;
   const std::size_t n = count.size();
+  panels.reserve(n);
   for (std::size_t v = 0; v < n;) {
     std::size_t end = v + 1;
     while (end < n && parent[end - 1] == static_cast<int>(end) && count[end - 1] == count[end] + 1) ++end;
@@ -56,87 +55,91 @@ void MultifrontalCholesky::make_panels(const std::vector<int>& parent, const std
       merged.zeros += last.zeros + static_cast<double>(child.width * (merged.height - child.height));
       const double entries = static_cast<double>(merged.width) *
                              (static_cast<double>(merged.height) - 0.5 * static_cast<double>(merged.width));
-      if (!worth_merging(merged.width, merged.zeros, entries)) break;
+      if (!worth_merging(merged.width, merged.zeros, entries, most_zeros)) break;
       panels.pop_back();
       panels.back() = merged;
     }
     v = end;
   }
-  std::vector<int> owner(n);
+  l_.owner.resize(n);
+  l_.first.clear();
+  l_.parent.clear();
   for (std::size_t s = 0; s < panels.size(); ++s) {
-    first_.push_back(panels[s].first);
-    std::fill_n(owner.begin() + panels[s].first, panels[s].width, static_cast<int>(s));
+    l_.first.push_back(panels[s].first);
+    std::fill_n(l_.owner.begin() + panels[s].first, panels[s].width, static_cast<std::uint32_t>(s));
   }
-  first_.push_back(static_cast<std::uint32_t>(n));
+  l_.first.push_back(static_cast<std::uint32_t>(n));
   for (const Panel& panel : panels) {
-    parent_.push_back(panel.parent < 0 ? -1 : owner[static_cast<std::size_t>(panel.parent)]);
+    const bool root = panel.parent < 0;
+    l_.parent.push_back(root ? -1 : static_cast<int>(l_.owner[static_cast<std::size_t>(panel.parent)]));
   }
 }
 
 void MultifrontalCholesky::make_rows(const BlockPattern& pattern) {
-  const std::size_t n = first_.back();
+  const std::size_t n = l_.block_columns();
   std::vector<std::uint32_t> seen(n, UINT32_MAX), index(n, 0);
   std::vector<std::size_t> waiting;  // panels whose parent has not been visited
   std::size_t top = 0;
+  stack_size_ = 0;
   places_.resize(pattern.rows.size());
-  row_start_.push_back(0);
-  value_start_.push_back(0);
-  for (std::size_t s = 0; s < size(); ++s) {
-    const std::uint32_t end = first_[s + 1];
+  block_start_ = pattern.start;
+  l_.rows.clear();
+  l_.row_start.assign(1, 0);
+  l_.value_start.assign(1, 0);
+  for (std::size_t s = 0; s < l_.size(); ++s) {
+    const std::uint32_t begin = l_.first[s], end = l_.first[s + 1];
     const auto mark = static_cast<std::uint32_t>(s);
     const auto add = [&](std::uint32_t row) {
       if (row < end || seen[row] == mark) return;
       seen[row] = mark;
-      rows_.push_back(row);
+      l_.rows.push_back(row);
     };
-    for (std::size_t p = pattern.start[first_[s]]; p < pattern.start[end]; ++p) add(pattern.rows[p]);
+    for (std::size_t p = pattern.start[begin]; p < pattern.start[end]; ++p) add(pattern.rows[p]);
     std::size_t children = waiting.size();
-    while (children > 0 && parent_[waiting[children - 1]] == static_cast<int>(s)) --children;
+    while (children > 0 && l_.parent[waiting[children - 1]] == static_cast<int>(s)) --children;
     for (std::size_t c = children; c < waiting.size(); ++c) {
-      for (std::size_t p = row_start_[waiting[c]]; p < row_start_[waiting[c] + 1]; ++p) add(rows_[p]);
+      for (std::size_t p = l_.row_start[waiting[c]]; p < l_.row_start[waiting[c] + 1]; ++p) add(l_.rows[p]);
     }
-    std::sort(rows_.begin() + static_cast<std::ptrdiff_t>(row_start_[s]), rows_.end());
-    row_start_.push_back(rows_.size());
-    relative_.resize(rows_.size());
+    std::sort(l_.rows.begin() + static_cast<std::ptrdiff_t>(l_.row_start[s]), l_.rows.end());
+    l_.row_start.push_back(l_.rows.size());
+    relative_.resize(l_.rows.size());
 
-    const std::uint32_t columns = end - first_[s];
-    for (std::uint32_t v = first_[s]; v < end; ++v) index[v] = v - first_[s];
-    for (std::size_t p = row_start_[s]; p < row_start_[s + 1]; ++p) {
-      index[rows_[p]] = columns + static_cast<std::uint32_t>(p - row_start_[s]);
+    const std::uint32_t columns = end - begin;
+    for (std::uint32_t v = begin; v < end; ++v) index[v] = v - begin;
+    for (std::size_t p = l_.row_start[s]; p < l_.row_start[s + 1]; ++p) {
+      index[l_.rows[p]] = columns + static_cast<std::uint32_t>(p - l_.row_start[s]);
     }
     std::size_t base = top;
     for (std::size_t c = children; c < waiting.size(); ++c) {
-      for (std::size_t p = row_start_[waiting[c]]; p < row_start_[waiting[c] + 1]; ++p)
-        relative_[p] = index[rows_[p]];
+      for (std::size_t p = l_.row_start[waiting[c]]; p < l_.row_start[waiting[c] + 1]; ++p)
+        relative_[p] = index[l_.rows[p]];
       base -= update_size(waiting[c]);
     }
     waiting.resize(children);
     stack_size_ = std::max(stack_size_, top + update_size(s));
     top = base + update_size(s);
-    if (row_start_[s + 1] > row_start_[s]) waiting.push_back(s);
+    if (l_.row_start[s + 1] > l_.row_start[s]) waiting.push_back(s);
 
-    block_start_.push_back(pattern.start[first_[s]]);
-    for (std::uint32_t v = first_[s]; v < end; ++v) {
+    for (std::uint32_t v = begin; v < end; ++v) {
       for (std::size_t p = pattern.start[v]; p < pattern.start[v + 1]; ++p) {
-        places_[p] = {6 * index[pattern.rows[p]], 6 * (v - first_[s])};
+        places_[p] = {6 * index[pattern.rows[p]], 6 * (v - begin)};
       }
     }
-    const auto height = static_cast<std::size_t>(width(s) + below(s));
-    value_start_.push_back(value_start_.back() + height * static_cast<std::size_t>(width(s)));
+    l_.value_start.push_back(l_.value_start.back() + static_cast<std::size_t>(l_.height(s)) *
+                                                         static_cast<std::size_t>(l_.columns(s)));
   }
-  block_start_.push_back(pattern.rows.size());
 }
 
 void MultifrontalCholesky::add_child(std::size_t child, const double* update, std::size_t s, double* l,
                                      double* u) const {
-  add_update(relative_.data() + row_start_[child], row_start_[child + 1] - row_start_[child], update,
-             first_[s + 1] - first_[s], static_cast<std::size_t>(below(s)), l, u);
+  add_update(relative_.data() + l_.row_start[child], l_.row_start[child + 1] - l_.row_start[child], update,
+             l_.first[s + 1] - l_.first[s], static_cast<std::size_t>(l_.below(s)), l, u);
 }
 
 void MultifrontalCholesky::load_panel(std::size_t s, const double* values, double* l) const {
-  const auto h = static_cast<std::size_t>(width(s) + below(s));
-  std::fill_n(l, h * static_cast<std::size_t>(width(s)), 0.0);
-  for (std::size_t p = block_start_[s]; p < block_start_[s + 1]; ++p) {
+  const auto h = static_cast<std::size_t>(l_.height(s));
+  std::fill_n(l, h * static_cast<std::size_t>(l_.columns(s)), 0.0);
+  for (std::size_t p = block_start_[l_.first[s]]; p < block_start_[l_.first[s + 1]]; ++p) {
     double* to = l + places_[p].column * h + places_[p].row;
     const double* from = values + 36 * p;
     for (int c = 0; c < 6; ++c, to += h, from += 6) std::memcpy(to, from, 6 * sizeof(double));
@@ -153,20 +156,19 @@ struct MultifrontalCholesky::Run {
   double* stack;
   std::size_t top = 0;
   std::vector<Update> waiting{};
-  std::size_t broken_at = 0;  ///< Block column
+  Pivot smallest{};
 };
 
 /// Factorises panels begin … end − 1; their children are among them or among the waiting updates.
 bool MultifrontalCholesky::factorize_range(std::size_t begin, std::size_t end, const double* values,
                                            Run& run) {
-  const FrontKernels& kernel = front_kernels();
   for (std::size_t s = begin; s < end; ++s) {
-    const int w = width(s), m = below(s), h = w + m;
-    double* l = values_.data() + value_start_[s];
+    const int w = l_.columns(s), m = l_.below(s), h = w + m;
+    double* l = l_.values.data() + l_.value_start[s];
     double* u = run.stack + run.top;
     load_panel(s, values, l);
     const auto has_child = [&] {
-      return !run.waiting.empty() && parent_[run.waiting.back().panel] == static_cast<int>(s);
+      return !run.waiting.empty() && l_.parent[run.waiting.back().panel] == static_cast<int>(s);
     };
     const bool leaf = !has_child();
     for (int c = 0; c < m && !leaf; ++c) {
@@ -180,14 +182,15 @@ bool MultifrontalCholesky::factorize_range(std::size_t begin, std::size_t end, c
       add_child(child.panel, child.u, s, l, u);
       run.waiting.pop_back();
     }
-    const int done = eliminate_columns(kernel, w, h, l);
+    const int done = eliminate_columns(arithmetic_, w, h, l);
     if (done < w) {
-      run.broken_at = first_[s] + static_cast<std::size_t>(done / 6);
+      run.smallest = {0.0, l_.first[s] + static_cast<std::size_t>(done / 6)};
       return false;
     }
+    find_smallest_pivot(s, values, l, run.smallest);
     run.top = base;
     if (m == 0) continue;
-    subtract_product(kernel, m, w, l + w, h, u, leaf);
+    subtract_product(arithmetic_, m, w, l + w, h, u, leaf);
     std::memmove(run.stack + base, u, update_size(s) * sizeof(double));
     run.waiting.push_back({s, run.stack + base, update_size(s)});
     run.top += update_size(s);
@@ -196,9 +199,14 @@ bool MultifrontalCholesky::factorize_range(std::size_t begin, std::size_t end, c
 }
 
 bool MultifrontalCholesky::factorize(const double* values, ThreadPool* pool) {
-  values_.resize(value_start_.back());
-  if (!stack_) stack_.reset(new double[stack_size_]);
-  broken_at_ = first_.back();
+  l_.values.resize(l_.value_start.back());
+  if (stack_capacity_ < stack_size_) {
+    stack_.reset();
+    stack_capacity_ = 0;
+    stack_.reset(new double[stack_size_]);
+    stack_capacity_ = stack_size_;
+  }
+  smallest_ = {};
   Run top{stack_.get()};
   std::vector<Subtree> subtrees;
   if (pool != nullptr && pool->num_threads() > 1) subtrees = independent_subtrees();
@@ -218,46 +226,63 @@ bool MultifrontalCholesky::factorize(const double* values, ThreadPool* pool) {
   // threads.
   std::size_t at = 0;
   for (std::size_t k = 0; k < subtrees.size(); ++k) {
-    if (!factorize_range(at, subtrees[k].begin, values, top)) return broken(top);
-    if (sound[k] == 0) return broken(runs[k]);
+    if (!account(top, factorize_range(at, subtrees[k].begin, values, top))) return false;
+    if (!account(runs[k], sound[k] != 0)) return false;
     for (Run::Update update : runs[k].waiting) {
       update.size = 0;
       top.waiting.push_back(update);
     }
     at = subtrees[k].end;
   }
-  return factorize_range(at, size(), values, top) || broken(top);
+  return account(top, factorize_range(at, l_.size(), values, top));
 }
 
-bool MultifrontalCholesky::broken(const Run& run) {
-  broken_at_ = run.broken_at;
-  return false;
+/// Takes over the smallest pivot of a run, whose last panel failed unless it is sound.
+bool MultifrontalCholesky::account(const Run& run, bool sound) {
+  if (!sound || run.smallest.ratio < smallest_.ratio) smallest_ = run.smallest;
+  return sound;
+}
+
+/// \param values of the matrix; the diagonal block is the first one of a column
+void MultifrontalCholesky::find_smallest_pivot(std::size_t s, const double* values, const double* l,
+                                               Pivot& smallest) const {
+  const auto next = static_cast<std::size_t>(l_.height(s)) + 1;
+  for (std::size_t v = l_.first[s]; v < l_.first[s + 1]; ++v) {
+    const double* diagonal = values + 36 * block_start_[v];
+    for (int k = 0; k < 6; ++k, diagonal += 7, l += next) {
+      const double pivot = *l * *l;
+      // Divides only where the ratio may become smaller; the bound leaves room for its rounding.
+      if (pivot > smallest.ratio * *diagonal * (1.0 + 1e-12)) continue;
+      const double ratio = pivot / *diagonal;
+      if (ratio < smallest.ratio) smallest = {ratio, v};
+    }
+  }
 }
 
 /// Disjoint subtrees, each a small part of the work, in order.
 std::vector<MultifrontalCholesky::Subtree> MultifrontalCholesky::independent_subtrees() const {
-  std::vector<double> flops(size());
-  std::vector<std::size_t> first(size());
+  std::vector<double> flops(l_.size());
+  std::vector<std::size_t> first(l_.size());
   double all = 0.0;
-  for (std::size_t s = 0; s < size(); ++s) {
-    const double w = width(s), m = below(s);
+  for (std::size_t s = 0; s < l_.size(); ++s) {
+    const double w = l_.columns(s), m = l_.below(s);
     const double own = w * (w * w / 3.0 + w * m + m * m);
     all += own;
     flops[s] += own;
   }
   std::vector<double> of_subtree = flops;
-  for (std::size_t s = 0; s < size(); ++s) first[s] = s;
-  for (std::size_t s = 0; s < size(); ++s) {
-    if (parent_[s] < 0) continue;
-    const auto p = static_cast<std::size_t>(parent_[s]);
+  for (std::size_t s = 0; s < l_.size(); ++s) first[s] = s;
+  for (std::size_t s = 0; s < l_.size(); ++s) {
+    if (l_.parent[s] < 0) continue;
+    const auto p = static_cast<std::size_t>(l_.parent[s]);
     of_subtree[p] += of_subtree[s];
     first[p] = std::min(first[p], first[s]);
   }
   std::vector<Subtree> out;
   if (all < kLeastParallelFlops) return out;
   const auto is_small = [&](std::size_t s) { return of_subtree[s] <= all / kSubtreesOfWork; };
-  for (std::size_t s = 0; s < size(); ++s) {
-    if (!is_small(s) || (parent_[s] >= 0 && is_small(static_cast<std::size_t>(parent_[s])))) continue;
+  for (std::size_t s = 0; s < l_.size(); ++s) {
+    if (!is_small(s) || (l_.parent[s] >= 0 && is_small(static_cast<std::size_t>(l_.parent[s])))) continue;
     out.push_back({first[s], s + 1, stack_size(first[s], s + 1)});
   }
   return out;
@@ -269,12 +294,12 @@ std::size_t MultifrontalCholesky::stack_size(std::size_t begin, std::size_t end)
   std::size_t top = 0, most = 0;
   for (std::size_t s = begin; s < end; ++s) {
     most = std::max(most, top + update_size(s));
-    while (!waiting.empty() && parent_[waiting.back()] == static_cast<int>(s)) {
+    while (!waiting.empty() && l_.parent[waiting.back()] == static_cast<int>(s)) {
       top -= update_size(waiting.back());
       waiting.pop_back();
     }
     top += update_size(s);
-    if (below(s) > 0) waiting.push_back(s);
+    if (l_.below(s) > 0) waiting.push_back(s);
   }
   return std::max<std::size_t>(most, 1);
 }
@@ -285,65 +310,24 @@ void MultifrontalCholesky::solve(double* x) const {
 }
 
 void MultifrontalCholesky::solve_lower(double* x) const {
-  const FrontKernels& kernel = front_kernels();
+  const DenseKernels& kernel = arithmetic_.kernels;
   std::vector<double> gathered;
-  for (std::size_t s = 0; s < size(); ++s) {
-    double* top = x + 6 * static_cast<std::size_t>(first_[s]);
-    if (std::all_of(top, top + width(s), [](double value) { return value == 0.0; })) continue;
-    solve_front_lower(kernel, width(s), below(s), values_.data() + value_start_[s],
-                      rows_.data() + row_start_[s], top, x, gathered);
+  for (std::size_t s = 0; s < l_.size(); ++s) {
+    double* top = x + 6 * static_cast<std::size_t>(l_.first[s]);
+    if (std::all_of(top, top + l_.columns(s), [](double value) { return value == 0.0; })) continue;
+    solve_front_lower(kernel, l_.columns(s), l_.below(s), l_.values.data() + l_.value_start[s],
+                      l_.rows.data() + l_.row_start[s], top, x, gathered);
   }
 }
 
 void MultifrontalCholesky::solve_upper(double* x) const {
-  const FrontKernels& kernel = front_kernels();
+  const DenseKernels& kernel = arithmetic_.kernels;
   std::vector<double> gathered;
-  for (std::size_t s = size(); s-- > 0;) {
-    solve_front_upper(kernel, width(s), below(s), values_.data() + value_start_[s],
-                      rows_.data() + row_start_[s], x + 6 * static_cast<std::size_t>(first_[s]), x, gathered);
+  for (std::size_t s = l_.size(); s-- > 0;) {
+    solve_front_upper(kernel, l_.columns(s), l_.below(s), l_.values.data() + l_.value_start[s],
+                      l_.rows.data() + l_.row_start[s], x + 6 * static_cast<std::size_t>(l_.first[s]), x,
+                      gathered);
   }
-}
-
-std::vector<double> MultifrontalCholesky::pivots() const {
-  std::vector<double> out;
-  out.reserve(6 * static_cast<std::size_t>(first_.back()));
-  for (std::size_t s = 0; s < size(); ++s) {
-    const auto h = static_cast<std::size_t>(width(s) + below(s));
-    const double* l = values_.data() + value_start_[s];
-    for (std::size_t j = 0; j < static_cast<std::size_t>(width(s)); ++j)
-      out.push_back(l[j * (h + 1)] * l[j * (h + 1)]);
-  }
-  return out;
-}
-
-Panels MultifrontalCholesky::shape() const {
-  Panels out;
-  out.first.reserve(first_.size());
-  for (const std::uint32_t v : first_) out.first.push_back(6 * static_cast<int>(v));
-  out.value_start = value_start_;
-  out.row_start.push_back(0);
-  const auto add = [&](std::uint32_t v) {
-    for (int r = 0; r < 6; ++r) out.rows.push_back(6 * static_cast<int>(v) + r);
-  };
-  out.rows.reserve(6 * (rows_.size() + first_.back()));
-  for (std::size_t s = 0; s < size(); ++s) {
-    for (std::uint32_t v = first_[s]; v < first_[s + 1]; ++v) add(v);
-    for (std::size_t p = row_start_[s]; p < row_start_[s + 1]; ++p) add(rows_[p]);
-    out.row_start.push_back(out.rows.size());
-  }
-  return out;
-}
-
-Panels MultifrontalCholesky::panels() const {
-  Panels out = shape();
-  out.values = values_;
-  return out;
-}
-
-Panels MultifrontalCholesky::take_panels() {
-  Panels out = shape();
-  out.values.swap(values_);
-  return out;
 }
 
 }  // namespace loopwise::detail

@@ -10,9 +10,17 @@
 #include <vector>
 
 #include "blas.hpp"
-#include "front_kernels.hpp"
+#include "dense_kernels.hpp"
 
 namespace loopwise::detail {
+
+/// The kernels of a rounding, and whether it allows BLAS, whose sums depend on the processor.
+struct FrontArithmetic {
+  explicit FrontArithmetic(Rounding rounding)
+      : kernels(dense_kernels(rounding)), blas(rounding == Rounding::kFastest) {}
+  const DenseKernels& kernels;
+  bool blas;
+};
 
 /// BLAS updates a front faster than the kernels if it takes at least this many operations.
 inline constexpr double kBlasFlops = 1e7;
@@ -21,9 +29,11 @@ inline constexpr int kStripe = 96;
 
 /// Cholesky factor of the first w columns of a front, which has h rows. \returns the number of eliminated
 /// columns: w unless a pivot is not positive.
-inline int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l) {
-  for (int stripe = 0; stripe < w; stripe += kStripe) {
-    const int end = std::min(w, stripe + kStripe);
+inline int eliminate_columns(const FrontArithmetic& arithmetic, int w, int h, double* l) {
+  const DenseKernels& kernel = arithmetic.kernels;
+  const int width = arithmetic.blas ? kStripe : w;
+  for (int stripe = 0; stripe < w; stripe += width) {
+    const int end = std::min(w, stripe + width);
     double* block = l + static_cast<std::ptrdiff_t>(stripe) * (h + 1);
     if (stripe > 0) {
       blas::gemm('N', 'T', h - stripe, end - stripe, stripe, -1.0, l + stripe, h, l + stripe, h, 1.0, block,
@@ -31,7 +41,7 @@ inline int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l
     }
     for (int j = stripe; j < end; j += 6, block += 6 * (static_cast<std::ptrdiff_t>(h) + 1)) {
       const double* left = l + static_cast<std::ptrdiff_t>(stripe) * h + j;
-      if (j > stripe) kernel.multiply(h - j, j - stripe, left, h, left, h, block, h, false);
+      if (j > stripe) kernel.subtract_abt(h - j, j - stripe, left, h, left, h, block, h, false);
       if (!kernel.eliminate(h - j, block, h)) return j;
     }
   }
@@ -39,15 +49,15 @@ inline int eliminate_columns(const FrontKernels& kernel, int w, int h, double* l
 }
 
 /// U −= R·Rᵀ, or U = −R·Rᵀ if `overwrite`, in the lower triangle; R is m×w.
-inline void subtract_product(const FrontKernels& kernel, int m, int w, const double* r, int ldr, double* u,
-                             bool overwrite) {
-  if (static_cast<double>(m) * m * w > kBlasFlops) {
+inline void subtract_product(const FrontArithmetic& arithmetic, int m, int w, const double* r, int ldr,
+                             double* u, bool overwrite) {
+  if (arithmetic.blas && static_cast<double>(m) * m * w > kBlasFlops) {
     blas::syrk(m, w, -1.0, r, ldr, overwrite ? 0.0 : 1.0, u, m);
     return;
   }
   for (int j = 0; j < m; j += 6) {
-    kernel.multiply(m - j, w, r + j, ldr, r + j, ldr, u + static_cast<std::ptrdiff_t>(j) * (m + 1), m,
-                    overwrite);
+    arithmetic.kernels.subtract_abt(m - j, w, r + j, ldr, r + j, ldr,
+                                    u + static_cast<std::ptrdiff_t>(j) * (m + 1), m, overwrite);
   }
 }
 
@@ -81,7 +91,7 @@ inline void add_update(const std::uint32_t* relative, std::size_t count, const d
 
 /// The part of one front in x := L⁻¹x.
 /// \param rows block rows of the m rows below, \param top the part of x for the front's columns
-inline void solve_front_lower(const FrontKernels& kernel, int w, int m, const double* l,
+inline void solve_front_lower(const DenseKernels& kernel, int w, int m, const double* l,
                               const std::uint32_t* rows, double* top, double* x,
                               std::vector<double>& gathered) {
   const int h = w + m;
@@ -105,7 +115,7 @@ inline void solve_front_lower(const FrontKernels& kernel, int w, int m, const do
 }
 
 /// The part of one front in x := L⁻ᵀx; parameters as of solve_front_lower().
-inline void solve_front_upper(const FrontKernels& kernel, int w, int m, const double* l,
+inline void solve_front_upper(const DenseKernels& kernel, int w, int m, const double* l,
                               const std::uint32_t* rows, double* top, const double* x,
                               std::vector<double>& gathered) {
   const int h = w + m;

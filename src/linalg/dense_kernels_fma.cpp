@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "front_kernels.hpp"
+#include "dense_kernels.hpp"
 
 namespace loopwise::detail {
 
 #define LOOPWISE_LANES 4
-#include "front_kernels.inc"
+#include "dense_kernels.inc"
 
-const FrontKernels& front_kernels_avx2();
-const FrontKernels& front_kernels_avx2() {
+const DenseKernels& dense_kernels_fma();
+const DenseKernels& dense_kernels_fma() {
   return kKernels;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
-#include "blas_threads.hpp"
+#include "linalg/blas_threads.hpp"
 
 #include <dlfcn.h>
 
@@ -9,7 +9,7 @@
 #include <thread>
 #include <vector>
 
-#include "support.hpp"
+#include "testing.hpp"
 
 namespace loopwise {
 namespace {
@@ -36,8 +36,7 @@ void set(const char* name, int value) {
 
 }  // namespace
 
-TEST_CASE("BLAS threads: each thread's settings are as found, whichever ends last",
-          "[optimization][threads]") {
+TEST_CASE("BLAS threads: each thread's settings are as found, whichever ends last", "[linalg][threads]") {
   constexpr std::size_t kThreads = 3;
   using Guards = std::vector<std::unique_ptr<detail::SingleThreadedBlas>>;
   // Threads begin in order and end in the order given.

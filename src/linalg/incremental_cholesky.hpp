@@ -7,7 +7,7 @@
 
 #include <loopwise/core/se3.hpp>
 
-#include "block_cholesky.hpp"
+#include "multifrontal.hpp"
 
 namespace loopwise::detail {
 
@@ -15,11 +15,11 @@ namespace loopwise::detail {
 /// variables, or come with new variables, which are last in the order of elimination. refactorize() computes
 /// the fronts of changed columns again, and all fronts above them in the elimination tree. Every front keeps
 /// its update matrix for the parent, so the memory is several times that of the factor.
-class IncrementalCholesky {
+class LOOPWISE_EXPORT IncrementalCholesky {
  public:
   /// Computes a new ordering of a matrix with these off-diagonal blocks; pairs may repeat, in either
   /// direction.
-  void analyze(std::size_t variables, const std::vector<BlockCholesky::Pair>& pairs);
+  void analyze(std::size_t variables, const std::vector<BlockPair>& pairs);
   /// Adds a variable.
   void append();
   /// Adds an off-diagonal block. A block that already exists is only marked as changed.

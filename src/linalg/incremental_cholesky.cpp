@@ -5,7 +5,6 @@
 #include <cmath>
 
 #include "front.hpp"
-#include "minimize.hpp"
 
 namespace loopwise::detail {
 namespace {
@@ -26,22 +25,20 @@ double IncrementalCholesky::flops() const {
   return sum;
 }
 
-void IncrementalCholesky::analyze(std::size_t variables, const std::vector<BlockCholesky::Pair>& pairs) {
+void IncrementalCholesky::analyze(std::size_t variables, const std::vector<BlockPair>& pairs) {
   *this = {};
   if (variables == 0) return;
-  BlockCholesky symbolic(6, Factorization::kMultifrontal);
-  symbolic.analyze(variables, pairs);
-  position_.resize(variables);
+  Elimination elimination = fill_reducing_elimination(variables, pairs, 6, Dissection::kIfLong);
+  MultifrontalCholesky symbolic(Rounding::kFastest);
+  symbolic.analyze(elimination, 1.0);
+  position_ = std::move(elimination.position);
   variable_at_.resize(variables);
-  for (std::uint32_t v = 0; v < variables; ++v) {
-    position_[v] = symbolic.position(v);
-    variable_at_[position_[v]] = v;
-  }
+  for (std::uint32_t v = 0; v < variables; ++v) variable_at_[position_[v]] = v;
   index_.resize(variables);
   sqrt_diagonals_.resize(6 * variables);
   owner_.resize(variables);
-  const FrontShape shape = symbolic.front_shape();
-  fronts_.resize(shape.parent.size());
+  const Panels& shape = symbolic.panels();
+  fronts_.resize(shape.size());
   first_appended_ = fronts_.size();
   for (std::uint32_t s = 0; s < fronts_.size(); ++s) {
     Front& front = fronts_[s];
@@ -168,12 +165,12 @@ bool IncrementalCholesky::finish(std::uint32_t s) {
     add_update(relative_.data(), relative_.size(), from.u.data(), front.end - front.first,
                static_cast<std::size_t>(m), front.l.data(), front.u.data());
   }
-  const FrontKernels& kernel = front_kernels();
-  if (eliminate_columns(kernel, w, h, front.l.data()) < w) return false;
+  const FrontArithmetic arithmetic(Rounding::kFastest);
+  if (eliminate_columns(arithmetic, w, h, front.l.data()) < w) return false;
   for (int j = 0; j < w; ++j) {
     if (!(pivot(j) * pivot(j) >= kSingularPivot * diagonal_[static_cast<std::size_t>(j)])) return false;
   }
-  if (m > 0) subtract_product(kernel, m, w, front.l.data() + w, h, front.u.data(), false);
+  if (m > 0) subtract_product(arithmetic, m, w, front.l.data() + w, h, front.u.data(), false);
   front.changed = false;
   flops_spent_ += front.flops();
   return true;
@@ -192,7 +189,7 @@ void IncrementalCholesky::solve(const std::vector<std::uint32_t>& nonzero, doubl
     }
   }
   std::sort(path.begin(), path.end());
-  const FrontKernels& kernel = front_kernels();
+  const DenseKernels& kernel = dense_kernels(Rounding::kFastest);
   for (const std::uint32_t s : path) {
     const Front& front = fronts_[s];
     solve_front_lower(kernel, front.width(), front.below(), front.l.data(), front.rows.data(),

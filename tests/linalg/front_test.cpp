@@ -4,8 +4,8 @@
 
 #include <loopwise/core/thread_pool.hpp>
 
-#include "block_cholesky.hpp"
-#include "front_kernels.hpp"
+#include "linalg/block_cholesky.hpp"
+#include "linalg/dense_kernels.hpp"
 #include "testing.hpp"
 
 namespace loopwise {
@@ -24,11 +24,16 @@ double largest(const MatrixXd& m) {
   return m.size() == 0 ? 0.0 : m.cwiseAbs().maxCoeff();
 }
 
+std::vector<const detail::DenseKernels*> all_kernels() {
+  return {&detail::dense_kernels(detail::Rounding::kFastest),
+          &detail::dense_kernels(detail::Rounding::kPortable), &detail::dense_kernels_baseline()};
+}
+
 }  // namespace
 
-TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "[optimization][property]") {
+TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "[linalg][property]") {
   Rng rng(21);
-  for (const detail::FrontKernels* kernel : {&detail::front_kernels(), &detail::front_kernels_baseline()}) {
+  for (const detail::DenseKernels* kernel : all_kernels()) {
     for (int m = 0; m <= 60; m += 6) {
       CAPTURE(m);
       const int k = 6 * static_cast<int>(1 + rng.below(4)), spare = 2;  // rows that must stay as they are
@@ -38,8 +43,12 @@ TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "
         MatrixXd c = before, expected = before;
         if (overwrite) expected.topRows(m).setZero();
         expected.topRows(m) -= a.topRows(m) * b.transpose();
-        kernel->multiply(m, k, a.data(), m + spare, b.data(), 6, c.data(), m + spare, overwrite);
+        kernel->subtract_abt(m, k, a.data(), m + spare, b.data(), 6, c.data(), m + spare, overwrite);
         REQUIRE(largest(c - expected) < 1e-12);  // measured 1e-14
+        const MatrixXd bt = b.transpose();
+        c = before;
+        kernel->subtract_ab(m, k, a.data(), m + spare, bt.data(), k, c.data(), m + spare, overwrite);
+        REQUIRE(largest(c - expected) < 1e-12);
       }
       const VectorXd x = random_matrix(rng, 6, 1), y = random_matrix(rng, m + spare, 1);
       VectorXd result = y;
@@ -54,10 +63,9 @@ TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "
   }
 }
 
-TEST_CASE("front kernels: elimination is a Cholesky factor, and refuses indefinite matrices",
-          "[optimization]") {
+TEST_CASE("front kernels: elimination is a Cholesky factor, and refuses indefinite matrices", "[linalg]") {
   Rng rng(22);
-  for (const detail::FrontKernels* kernel : {&detail::front_kernels(), &detail::front_kernels_baseline()}) {
+  for (const detail::DenseKernels* kernel : all_kernels()) {
     for (int m = 6; m <= 42; m += 6) {
       CAPTURE(m);
       const MatrixXd root = random_matrix(rng, 6, 8);
@@ -75,7 +83,45 @@ TEST_CASE("front kernels: elimination is a Cholesky factor, and refuses indefini
   }
 }
 
-TEST_CASE("factorisation: subtrees in parallel give the bits of one thread", "[optimization][property]") {
+TEST_CASE("front kernels: portable rounding has the same bits for wide and narrow registers",
+          "[linalg][property]") {
+  Rng rng(24);
+  const detail::DenseKernels &wide = detail::dense_kernels(detail::Rounding::kPortable),
+                             &narrow = detail::dense_kernels_baseline();
+  for (int m = 6; m <= 66; m += 6) {
+    CAPTURE(m);
+    const int k = 6 * static_cast<int>(1 + rng.below(5));
+    const MatrixXd a = random_matrix(rng, m, k), b = random_matrix(rng, 6, k), bt = b.transpose();
+    const MatrixXd before = random_matrix(rng, m, 6);
+    for (const bool overwrite : {false, true}) {
+      MatrixXd c = before, d = before;
+      wide.subtract_abt(m, k, a.data(), m, b.data(), 6, c.data(), m, overwrite);
+      narrow.subtract_abt(m, k, a.data(), m, b.data(), 6, d.data(), m, overwrite);
+      REQUIRE(c == d);
+      wide.subtract_ab(m, k, a.data(), m, bt.data(), k, c.data(), m, overwrite);
+      narrow.subtract_ab(m, k, a.data(), m, bt.data(), k, d.data(), m, overwrite);
+      REQUIRE(c == d);
+    }
+    MatrixXd c = before;
+    const MatrixXd root = random_matrix(rng, 6, 8);
+    c.topRows(6) = root * root.transpose();
+    MatrixXd d = c;
+    REQUIRE(wide.eliminate(m, c.data(), m));
+    REQUIRE(narrow.eliminate(m, d.data(), m));
+    REQUIRE(c == d);
+    const VectorXd x = random_matrix(rng, 6, 1), y = random_matrix(rng, m, 1);
+    VectorXd e = y, f = y;
+    wide.apply(m, before.data(), m, x.data(), e.data());
+    narrow.apply(m, before.data(), m, x.data(), f.data());
+    REQUIRE(e == f);
+    VectorXd g = x, h = x;
+    wide.apply_transposed(m, before.data(), m, y.data(), g.data());
+    narrow.apply_transposed(m, before.data(), m, y.data(), h.data());
+    REQUIRE(g == h);
+  }
+}
+
+TEST_CASE("factorisation: subtrees in parallel give the bits of one thread", "[linalg][property]") {
   // Blocks of a chain with closures to near and far ones: many subtrees below a large root.
   constexpr std::uint32_t kVariables = 1500;
   Rng rng(23);
@@ -90,22 +136,22 @@ TEST_CASE("factorisation: subtrees in parallel give the bits of one thread", "[o
   serial.analyze(kVariables, pairs);
   parallel.analyze(kVariables, pairs);
   REQUIRE(serial.factor_flops() > 2e8);  // threads are worth waking
-  for (double& value : serial.values()) value = 0.1 * rng.normal();
-  serial.set_diagonal(VectorXd::Constant(6 * Eigen::Index{kVariables}, 30.0));
-  parallel.values() = serial.values();
+  for (double& value : serial.matrix().values()) value = 0.1 * rng.normal();
+  serial.matrix().set_diagonal(VectorXd::Constant(6 * Eigen::Index{kVariables}, 30.0));
+  parallel.matrix().values() = serial.matrix().values();
   ThreadPool pool(3);
   REQUIRE(serial.factorize());
   REQUIRE(parallel.factorize(&pool));
   REQUIRE(serial.panels().values == parallel.panels().values);
 
   // The same holds if the factorisation fails, at any place in the tree.
-  VectorXd diagonal = serial.diagonal();
+  VectorXd diagonal = serial.matrix().diagonal();
   for (const std::uint32_t broken : {3U, 700U, 1490U}) {
     CAPTURE(broken);
     VectorXd other = diagonal;
     other[6 * Eigen::Index{broken}] = -1.0;
-    serial.set_diagonal(other);
-    parallel.set_diagonal(other);
+    serial.matrix().set_diagonal(other);
+    parallel.matrix().set_diagonal(other);
     REQUIRE_FALSE(serial.factorize());
     REQUIRE_FALSE(parallel.factorize(&pool));
     REQUIRE(serial.smallest_pivot() == parallel.smallest_pivot());

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: BSD-3-Clause
+#include "dense_kernels.hpp"
+
+namespace loopwise::detail {
+
+#define LOOPWISE_LANES 4
+#include "dense_kernels.inc"
+
+const DenseKernels& dense_kernels_avx2();
+const DenseKernels& dense_kernels_avx2() {
+  return kKernels;
+}
+
+}  // namespace loopwise::detail
