@@ -22,7 +22,7 @@ class CMakeBuild(build_ext):
         generator = ["-G", "Ninja"] if shutil.which("ninja") else []
         options = {"CMAKE_BUILD_TYPE": "Release", "CMAKE_POSITION_INDEPENDENT_CODE": "ON",
                    "LOOPWISE_WITH_PYTHON": "ON", "LOOPWISE_BUILD_APPS": "OFF", "LOOPWISE_BUILD_TESTS": "OFF",
-                   "LOOPWISE_WITH_REPORT": "OFF", "Python_EXECUTABLE": sys.executable}
+                   "LOOPWISE_WITH_REPORT": "OFF", "LOOPWISE_UNITY_BUILD": "ON", "Python_EXECUTABLE": sys.executable}
         subprocess.run(["cmake", "-S", str(ROOT), "-B", str(folder), *generator,
                         *(f"-D{name}={value}" for name, value in options.items()),
                         *os.environ.get("LOOPWISE_CMAKE_ARGS", "").split()], check=True)

@@ -9,7 +9,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::acceptance_study_test {
 namespace {
 
 using testing::ProgramRun;
@@ -57,4 +57,4 @@ TEST_CASE("replay: unreadable weights leave earlier results unchanged", "[apps][
   REQUIRE(testing::read_text(folder / "out" / "summary.json") == before);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::acceptance_study_test

@@ -16,7 +16,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::cloud_commands_test {
 namespace {
 
 using testing::json_of;
@@ -266,4 +266,4 @@ TEST_CASE("info: joined sessions without frames report the assumed frames", "[ap
   REQUIRE(run.out.find("joined without a frame") == std::string::npos);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::cloud_commands_test

@@ -21,7 +21,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::command_line_test {
 namespace {
 
 using testing::json_of;
@@ -860,4 +860,4 @@ TEST_CASE("replay: an interrupt ends it with the results so far", "[apps]") {
           summary.at("candidates").at("computed").get<std::size_t>());
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::command_line_test

@@ -13,7 +13,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::convert_command_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -188,4 +188,4 @@ TEST_CASE("convert: sweeps become key frames as the command line says", "[apps][
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::convert_command_test

@@ -17,7 +17,7 @@
 #include "program.hpp"
 #include "small_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::map_command_test {
 namespace {
 
 using Catch::Matchers::Contains;
@@ -208,4 +208,4 @@ TEST_CASE("study ablation --map-quality: maps are judged beside the errors", "[a
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::map_command_test

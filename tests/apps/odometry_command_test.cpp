@@ -15,7 +15,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::odometry_command_test {
 namespace {
 
 using testing::json_of;
@@ -248,4 +248,4 @@ TEST_CASE("optimize: a 2D graph is optimised and written in two dimensions", "[a
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::odometry_command_test

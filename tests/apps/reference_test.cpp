@@ -6,7 +6,7 @@
 #include "apps/program.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::reference_test {
 namespace {
 
 using testing::ProgramRun;
@@ -219,4 +219,4 @@ TEST_CASE("reference: completion by bash", "[reference]") {
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::reference_test

@@ -12,7 +12,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::registration_study_test {
 namespace {
 
 using testing::run_program;
@@ -93,4 +93,4 @@ TEST_CASE("study registration: bad input", "[apps][study][error]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::registration_study_test

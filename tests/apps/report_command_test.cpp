@@ -5,7 +5,7 @@
 
 #include "program.hpp"
 
-namespace loopwise {
+namespace loopwise::report_command_test {
 
 TEST_CASE("loopwise report: a page of a run, or an error", "[apps][report]") {
   using testing::run_program;
@@ -48,4 +48,4 @@ TEST_CASE("loopwise report: a page of a run, or an error", "[apps][report]") {
   REQUIRE(testing::read_text(page) == text);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::report_command_test

@@ -17,7 +17,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::study_test {
 namespace {
 
 using testing::Program;
@@ -591,4 +591,4 @@ TEST_CASE("replay: the folder of a run on a real clock has the same files", "[ap
       kBadUsage, "--record-trace needs --clock real");
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::study_test

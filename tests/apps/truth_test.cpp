@@ -11,7 +11,7 @@
 #include "small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::truth_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -264,4 +264,4 @@ TEST_CASE("truth: the poses of a real session are not ground truth", "[apps][tru
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::truth_test

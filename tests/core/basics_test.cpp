@@ -19,7 +19,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::basics_test {
 namespace {
 
 struct SampleOptions {
@@ -235,4 +235,4 @@ TEST_CASE("clock: virtual time jumps forward only; a stop ends a real wait", "[c
   REQUIRE_THROWS_AS(RealClock(0.0, 0.0), OptionError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::basics_test

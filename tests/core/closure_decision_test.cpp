@@ -3,7 +3,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::closure_decision_test {
 namespace {
 
 Edge edge(Key from, Key to, EdgeKind kind) {
@@ -53,4 +53,4 @@ TEST_CASE("decisions: the last word on a pair counts", "[core][decisions]") {
   REQUIRE(applied.removed == 2);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::closure_decision_test

@@ -4,7 +4,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::content_hash_test {
 namespace {
 
 std::string hash_of(const std::string& bytes) {
@@ -55,4 +55,4 @@ TEST_CASE("content hash: every bit and every border counts", "[core][hash][prope
   REQUIRE(ContentHasher().number(0.0).finish() != ContentHasher().number(-0.0).finish());
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::content_hash_test

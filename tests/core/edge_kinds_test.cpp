@@ -4,7 +4,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::edge_kinds_test {
 namespace {
 
 constexpr double kStep = 1.0;
@@ -228,4 +228,4 @@ TEST_CASE("edges: odometry of a planar graph is judged by three degrees of freed
   REQUIRE(kinds(graph) == std::vector<EdgeKind>{kOdometry, is_planar ? kClosure : kOdometry});
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::edge_kinds_test

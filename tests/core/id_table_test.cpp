@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::id_table_test {
 
 TEST_CASE("id table: as a map, through random work", "[core][property]") {
   for (const std::uint64_t spread : {50, 5000, 50000}) {
@@ -50,4 +50,4 @@ TEST_CASE("id table: as a map, through random work", "[core][property]") {
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::id_table_test

@@ -78,6 +78,10 @@ struct PointCloudTraits<other::Sweep> {
   }
 };
 
+}  // namespace loopwise
+
+namespace loopwise::point_cloud_test {
+
 namespace {
 
 using Points = std::vector<Eigen::Vector3f>;
@@ -323,4 +327,4 @@ TEST_CASE("PointBuffer: offsets and stride are checked", "[point_cloud][error]")
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::point_cloud_test

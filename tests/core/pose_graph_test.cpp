@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::pose_graph_test {
 namespace {
 
 PoseGraph chain(Key count) {
@@ -195,4 +195,4 @@ TEST_CASE("graph: nothing leaves the plane of a planar graph", "[core][graph][pl
   CHECK_FALSE(spatial.planar());
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::pose_graph_test

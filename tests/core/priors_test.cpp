@@ -5,7 +5,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::priors_test {
 namespace {
 
 /// Two nodes with an edge, and one apart from them.
@@ -69,4 +69,4 @@ TEST_CASE("priors: each component is anchored at its first node", "[core][prior]
   REQUIRE(anchor_components(empty) == 0);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::priors_test

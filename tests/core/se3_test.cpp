@@ -7,7 +7,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::se3_test {
 namespace {
 
 using testing::difference;
@@ -181,4 +181,4 @@ TEST_CASE("se3: swapping the tangent order twice changes nothing", "[core][se3]"
   REQUIRE(se3::swap_tangent_order(se3::swap_tangent_order(m)) == m);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::se3_test

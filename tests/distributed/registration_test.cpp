@@ -9,7 +9,7 @@
 #include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::registration_test {
 namespace {
 
 RegistrationTask random_task(Rng& rng) {
@@ -143,4 +143,4 @@ TEST_CASE("replay: any number of ranks gives the same journal", "[distributed]")
   REQUIRE(replay_greeting(mission, other) != replay_greeting(mission, config));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::registration_test

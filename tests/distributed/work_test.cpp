@@ -11,7 +11,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::work_test {
 namespace {
 
 using Answer = std::function<std::string(std::string_view)>;
@@ -237,4 +237,4 @@ TEST_CASE("work: a stop request ends it soon; pieces in progress are finished", 
   REQUIRE(server.statistics().answers == there);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::work_test

@@ -39,6 +39,13 @@ class UnityNames(unittest.TestCase):
         self.assertGreater(len(folders), 12)
         self.assertEqual([line for folder in sorted(folders) for line in hidden(folder)], [])
 
+    def test_each_test_source_has_its_namespace(self):
+        sources = sorted((ROOT / "tests").glob("*/*_test.cpp"))
+        self.assertGreater(len(sources), 100)
+        missing = [str(source.relative_to(ROOT)) for source in sources if "loopwise_add_tests" in (source.parent / "CMakeLists.txt").read_text(encoding="utf-8")
+                   and not re.search(rf"^namespace loopwise[\w:]*::{source.stem} {{$", source.read_text(encoding="utf-8"), re.M)]
+        self.assertEqual(missing, [])
+
     def test_finds_functions(self):
         text = "namespace {\n\nstd::string inflate(std::string_view data) {\n}\n\n}  // namespace\n"
         self.assertEqual(free_functions(unnamed(text)), {"inflate"})

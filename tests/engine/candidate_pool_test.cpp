@@ -8,7 +8,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::candidate_pool_test {
 namespace {
 
 CandidatePool arrival_pool(const CandidatePoolOptions& options = {}) {
@@ -323,4 +323,4 @@ TEST_CASE("pool: a candidate put last expires like any other", "[engine][pool]")
   REQUIRE(pool.accounting().balanced());
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::candidate_pool_test

@@ -9,7 +9,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::engine_test {
 namespace {
 
 constexpr std::size_t kNodes = 10;
@@ -201,4 +201,4 @@ TEST_CASE("engine: its sources use no threads, clocks or files", "[engine]") {
   REQUIRE(files > 7);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::engine_test

@@ -8,7 +8,7 @@
 
 #include "replay/testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::acceptance_fit_test {
 namespace {
 
 /// Samples whose outcomes the given models draw.
@@ -117,4 +117,4 @@ TEST_CASE("acceptance fit: a replay gives the evidence of its registrations", "[
   REQUIRE(verified < 55);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::acceptance_fit_test

@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::closure_statistics_test {
 namespace {
 
 /// Five nodes 2 m apart that turn by 0.3 rad a step.
@@ -102,4 +102,4 @@ TEST_CASE("closure classes: counts that do not fit are errors", "[evaluation][er
   REQUIRE_THROWS_WITH(closure_statistics({}, {}, 0, {}, options), "true_inlier_m = 0, must be > 0");
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::closure_statistics_test

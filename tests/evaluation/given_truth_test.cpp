@@ -15,7 +15,7 @@
 #include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::given_truth_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -312,4 +312,4 @@ TEST_CASE("given truth: a file that cannot belong to the nodes is refused with a
     refused("a=" + (folder / name).string(), "its orientations are not those of the nodes");
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::given_truth_test

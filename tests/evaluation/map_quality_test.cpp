@@ -16,7 +16,7 @@
 #include "evaluation/yard.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::map_quality_test {
 namespace {
 
 using testing::yard;
@@ -211,4 +211,4 @@ TEST_CASE("revisits: with drift nodes may be further apart the longer the path b
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::map_quality_test

@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-using namespace loopwise;
+namespace loopwise::mission_statistics_test {
 
 namespace {
 
@@ -106,3 +106,5 @@ TEST_CASE("mission picture: names robots and beacons, escapes names, survives an
   REQUIRE_THAT(picture, Contains("#bbbbbb"));  // three nodes out of range
   REQUIRE_THAT(mission_picture_svg(Mission{}), Contains("</svg>") && !Contains("nan") && !Contains("inf"));
 }
+
+}  // namespace loopwise::mission_statistics_test

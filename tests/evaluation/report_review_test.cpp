@@ -10,7 +10,7 @@
 #include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::report_review_test {
 namespace {
 
 /// A run of the two circles as its folder, with one closure in five left out and moved.
@@ -101,4 +101,4 @@ TEST_CASE("report: closures to review, those left out first, then the ones that 
   REQUIRE(scene_of(folder.path(), {}).at("review").is_null());  // no scans without the mission
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::report_review_test

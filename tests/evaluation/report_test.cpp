@@ -17,7 +17,7 @@
 #include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::report_test {
 namespace {
 
 /// A run of the two circles as its folder.
@@ -664,4 +664,4 @@ TEST_CASE("report: bad input is named", "[evaluation][report][error]") {
   REQUIRE(make(run.folder.path()).runs == 1);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::report_test

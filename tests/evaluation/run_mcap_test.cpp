@@ -10,7 +10,7 @@
 #include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::run_mcap_test {
 namespace {
 
 using Catch::Matchers::Contains;
@@ -218,4 +218,4 @@ TEST_CASE("mcap: another mission and a missing scan are named", "[evaluation][mc
   REQUIRE(read_mcap(run.folder / "x.mcap").counted == result.messages);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::run_mcap_test

@@ -15,7 +15,7 @@
 #include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::run_results_test {
 namespace {
 
 // It keeps a reference to its mission.
@@ -279,4 +279,4 @@ TEST_CASE("run picture: paths, truth and closures", "[evaluation][picture]") {
   REQUIRE(Contains("</svg>").match(run_picture_svg(Mission(), ReplayResult(), {})));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::run_results_test

@@ -7,7 +7,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::sample_statistics_test {
 
 constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
 
@@ -167,4 +167,4 @@ TEST_CASE("paired comparison: repetitions of a pair do not narrow the interval",
   REQUIRE_THROWS_AS(compare_paired({1.0}, {2.0}, std::vector<std::size_t>{}), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::sample_statistics_test

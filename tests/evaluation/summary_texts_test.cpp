@@ -18,7 +18,7 @@
 #include "replay/testing_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::summary_texts_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -301,4 +301,4 @@ TEST_CASE("run folder: results of an earlier run are removed, other files stay",
   REQUIRE(testing::fs::exists(folder / "mine.txt"));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::summary_texts_test

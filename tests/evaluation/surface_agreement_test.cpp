@@ -8,7 +8,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::surface_agreement_test {
 namespace {
 
 /// One robot drives the same straight line twice past two walls; scans are the visible points within 15 m.
@@ -166,4 +166,4 @@ TEST_CASE("surface agreement: missing scans are left out", "[evaluation][surface
   REQUIRE_THROWS_AS(find_revisits(mission, mission.ground_truth, options), OptionError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::surface_agreement_test

@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::trajectory_errors_test {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
@@ -397,4 +397,4 @@ TEST_CASE("trajectory errors: the poses of a graph", "[evaluation]") {
   REQUIRE(testing::difference(poses.at(node.key), node.pose) == 0.0);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::trajectory_errors_test

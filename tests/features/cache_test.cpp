@@ -10,7 +10,7 @@
 #include <loopwise/features/feature_cache.hpp>
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::cache_test {
 namespace {
 
 struct Item {
@@ -169,4 +169,4 @@ TEST_CASE("FeatureCache computes once a scan, within its bound", "[cache][featur
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::cache_test

@@ -13,7 +13,7 @@
 #include <loopwise/features/voxel_grid.hpp>
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::cloud_features_test {
 namespace {
 
 PointCloud random_cloud(Rng& rng, std::size_t count, double extent_m) {
@@ -310,4 +310,4 @@ TEST_CASE("features: normals of a file are kept, or estimated on request; bad on
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::cloud_features_test

@@ -7,7 +7,7 @@
 #include <loopwise/core/random.hpp>
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::kd_tree_test {
 namespace {
 
 using Points = std::vector<Eigen::Vector3f>;
@@ -144,4 +144,4 @@ TEST_CASE("KdTree leaves out points that are not finite and keeps the indices of
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::kd_tree_test

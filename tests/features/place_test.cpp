@@ -10,7 +10,7 @@
 #include "place_site.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::place_test {
 namespace {
 
 constexpr auto pose = testing::level_pose;
@@ -172,4 +172,4 @@ TEST_CASE("places: filters, keys and clouds that show nothing", "[features][plac
   REQUIRE_THROWS_AS(places->search(*other->describe(PointCloud{}), 1, {}), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::place_test

@@ -10,7 +10,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::scan_signature_test {
 namespace {
 
 /// What a sensor at `pose` sees of a street: its ground and two walls, both with gaps, within `range_m`.
@@ -133,4 +133,4 @@ TEST_CASE("scan signature: as words and back", "[features][overlap]") {
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::scan_signature_test

@@ -10,7 +10,7 @@
 #include "target.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::fuzz_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -115,4 +115,4 @@ TEST_CASE("fuzz: past findings stay fixed", "[fuzz]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::fuzz_test

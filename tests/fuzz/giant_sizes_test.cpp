@@ -21,7 +21,7 @@
 #include "bag_check.hpp"
 #endif
 
-namespace loopwise {
+namespace loopwise::giant_sizes_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -216,4 +216,4 @@ TEST_CASE("giant sizes: a bag in an archive is not unpacked where it has no room
 #endif
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::giant_sizes_test

@@ -17,7 +17,7 @@
 #include "packed.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::without_memory_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -251,4 +251,4 @@ TEST_CASE("without memory: an engine keeps the events before the one that failed
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::without_memory_test

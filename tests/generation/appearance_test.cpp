@@ -10,7 +10,7 @@
 #include "features/place_site.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::appearance_test {
 namespace {
 
 using testing::level_pose;
@@ -144,4 +144,4 @@ TEST_CASE("appearance: nodes of one robot must be apart along its path", "[gener
   REQUIRE_THROWS_AS(AppearanceGenerator({}, team.robots, {}), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::appearance_test

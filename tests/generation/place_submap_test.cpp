@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::place_submap_test {
 namespace {
 
 Eigen::Isometry3d pose(double x, double yaw, double roll = 0.0) {
@@ -79,4 +79,4 @@ TEST_CASE("place submap: empty without a scan of the node", "[generation][place]
   REQUIRE_THROWS_AS(drive.submap(77, {}), UnknownKeyError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::place_submap_test

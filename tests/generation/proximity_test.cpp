@@ -7,7 +7,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::proximity_test {
 namespace {
 
 Node node_at(Key key, const Eigen::Vector3d& position) {
@@ -221,4 +221,4 @@ TEST_CASE("proximity: bad options and unknown nodes are errors", "[generation][e
   REQUIRE_THROWS_AS(generator.on_node(graph, 3, 0.0), UnknownKeyError);  // no robot owns it
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::proximity_test

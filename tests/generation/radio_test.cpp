@@ -7,7 +7,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::radio_test {
 namespace {
 
 using Pairs = std::vector<std::pair<std::string, std::string>>;
@@ -218,4 +218,4 @@ TEST_CASE("radio: unknown nodes and beacons, repeated words", "[generation][radi
   REQUIRE_THROWS_WITH(RadioGenerator(options, Robots{}), "max_loss_db = 0, must be > 0");
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::radio_test

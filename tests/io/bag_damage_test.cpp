@@ -9,7 +9,7 @@
 #include "lamp_testing.hpp"
 #include "ros_message.hpp"
 
-namespace loopwise {
+namespace loopwise::bag_damage_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -287,4 +287,4 @@ TEST_CASE("ros messages: invalid definitions", "[io][bag][ros][error]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::bag_damage_test

@@ -9,7 +9,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::bin_layout_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -197,4 +197,4 @@ TEST_CASE("bin layout: recorded files", "[io][cloud][data]") {
   CHECK(read_cloud(*folder / "a_helipr.bin", BinLayout::kHeliprOuster).cloud.points == kitti.points);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::bin_layout_test

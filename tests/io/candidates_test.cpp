@@ -8,7 +8,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::candidates_test {
 
 TEST_CASE("candidates: pairs alone, with scores, with poses, in any order of columns", "[io][candidates]") {
   const auto pairs = parse_candidates("from,to\na12,b3\n7,9\n", "pairs.csv");
@@ -69,4 +69,4 @@ TEST_CASE("candidates: exchanging the ends inverts the pose and transforms its c
   REQUIRE((candidate.recognition->covariance - covariance).norm() < 1e-9);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::candidates_test

@@ -5,7 +5,7 @@
 #include "cdr.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::cdr_test {
 namespace {
 
 using namespace std::string_literals;
@@ -104,4 +104,4 @@ TEST_CASE("cdr: every known definition can be read", "[io][cdr]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::cdr_test

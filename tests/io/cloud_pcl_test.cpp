@@ -10,7 +10,7 @@
 #include "cloud_testing.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::cloud_pcl_test {
 namespace {
 
 using testing::random_cloud;
@@ -79,4 +79,4 @@ TEST_CASE("cloud: we read what PCL writes", "[io][cloud][pcl]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::cloud_pcl_test

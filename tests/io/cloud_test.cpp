@@ -10,7 +10,7 @@
 #include "cloud_testing.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::cloud_test {
 namespace {
 
 using testing::random_cloud;
@@ -275,4 +275,4 @@ TEST_CASE("cloud: the real scans can be read", "[io][cloud][data]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::cloud_test

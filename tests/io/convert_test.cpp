@@ -10,7 +10,7 @@
 #include "cloud_testing.hpp"
 #include "lamp_testing.hpp"
 
-namespace loopwise {
+namespace loopwise::convert_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -350,4 +350,4 @@ TEST_CASE("convert: a target is complete or absent", "[io][convert][error]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::convert_test

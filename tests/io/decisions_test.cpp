@@ -4,7 +4,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::decisions_test {
 
 using Catch::Matchers::Contains;
 
@@ -37,4 +37,4 @@ TEST_CASE("decisions.csv: errors name the line", "[io][decisions][error]") {
   REQUIRE_THROWS_AS(read_decisions(folder / "missing.csv"), IoError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::decisions_test

@@ -10,7 +10,7 @@
 #include "cloud_testing.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::far_cloud_test {
 namespace {
 
 using testing::random_cloud;
@@ -173,4 +173,4 @@ TEST_CASE("far cloud: real coordinates of a survey", "[io][cloud][data]") {
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::far_cloud_test

@@ -15,7 +15,7 @@
 #include "cloud_testing.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::file_kind_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -185,4 +185,4 @@ TEST_CASE("file kinds: folders of other data are named", "[io][file_kind][error]
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::file_kind_test

@@ -13,7 +13,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::files_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -160,4 +160,4 @@ TEST_CASE("csv: errors name file, line and column", "[io][csv][error]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::files_test

@@ -11,7 +11,7 @@
 #include "g2o_text.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::g2o_planar_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -217,4 +217,4 @@ TEST_CASE("g2o: the published 2D graphs read and round-trip", "[io][g2o][planar]
   CHECK(files > 0);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::g2o_planar_test

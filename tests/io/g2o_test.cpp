@@ -14,7 +14,7 @@
 #include "g2o_text.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::g2o_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -462,4 +462,4 @@ TEST_CASE("g2o: the published graphs read and round-trip", "[io][g2o][data]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::g2o_test

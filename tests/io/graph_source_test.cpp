@@ -7,7 +7,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::graph_source_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -107,4 +107,4 @@ TEST_CASE("graph source: strict refuses a file that would be repaired", "[io][gr
   REQUIRE_THROWS_AS(read_graph(folder / "absent.g2o"), IoError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::graph_source_test

@@ -10,7 +10,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::joined_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -167,4 +167,4 @@ TEST_CASE("parts: placed with all their data, or left out", "[io][joined]") {
   CHECK_THROWS_WITH(place_parts(mission, {first}, {}, false), Contains("unknown robot 17"));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::joined_test

@@ -10,7 +10,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::json_options_test {
 namespace {
 
 enum class Colour { kRed, kGreen };
@@ -227,4 +227,4 @@ TEST_CASE("json: errors name the line", "[io][options][error]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::json_options_test

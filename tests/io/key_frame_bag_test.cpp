@@ -4,7 +4,7 @@
 
 #include "lamp_testing.hpp"
 
-namespace loopwise {
+namespace loopwise::key_frame_bag_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -139,4 +139,4 @@ TEST_CASE("bags: topics that are guessed are counted, those that are missing lis
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::key_frame_bag_test

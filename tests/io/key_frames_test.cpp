@@ -11,7 +11,7 @@
 #include "cloud_testing.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::key_frames_test {
 namespace {
 
 constexpr std::int64_t kStart_ns = 1'600'000'000'000'000'000;
@@ -253,4 +253,4 @@ TEST_CASE("key frames: the scan of a submap is read on demand", "[io][key_frames
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::key_frames_test

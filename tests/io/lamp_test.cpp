@@ -9,7 +9,7 @@
 #include "lamp_testing.hpp"
 #include "mission_parts.hpp"
 
-namespace loopwise {
+namespace loopwise::lamp_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -598,4 +598,4 @@ TEST_CASE("joined: sessions become one mission", "[io][joined]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::lamp_test

@@ -5,7 +5,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::lzf_test {
 namespace {
 
 std::string random_bytes(Rng& rng, std::size_t count) {
@@ -59,4 +59,4 @@ TEST_CASE("lzf: damaged data are refused or decode, within their bounds", "[io][
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::lzf_test

@@ -16,7 +16,7 @@
 #include "cloud_testing.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::mission_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -564,4 +564,4 @@ TEST_CASE("session: the real one can be read", "[io][session][data]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::mission_test

@@ -9,7 +9,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::odometry_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -188,4 +188,4 @@ TEST_CASE("odometry: reversed edges and gaps of ids in missions of others", "[io
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::odometry_test

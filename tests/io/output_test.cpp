@@ -13,7 +13,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::output_test {
 namespace {
 
 using testing::read_text;
@@ -156,4 +156,4 @@ TEST_CASE("json values: numbers, matrices and problems", "[io][json]") {
   REQUIRE(problems_json(problems) == Json{"flaw (2 times, first: file:1)"});
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::output_test

@@ -13,7 +13,7 @@
 #include "testing.hpp"
 #include "text.hpp"
 
-namespace loopwise {
+namespace loopwise::parse_test {
 namespace {
 
 TEST_CASE("parse: texts in memory are read like files, under the given name", "[io][parse]") {
@@ -109,4 +109,4 @@ TEST_CASE("parse: JSON numbers out of range and values nested too deep", "[io][p
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::parse_test

@@ -7,7 +7,7 @@
 #include "raw_sequence.hpp"
 #include "raw_sequence_data.hpp"
 
-namespace loopwise {
+namespace loopwise::raw_sequence_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -218,4 +218,4 @@ TEST_CASE("stamped clouds: joined with another run, and submaps", "[io][stamped_
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::raw_sequence_test

@@ -6,7 +6,7 @@
 
 #include "lamp_testing.hpp"
 
-namespace loopwise {
+namespace loopwise::rosbag2_damage_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -123,4 +123,4 @@ TEST_CASE("rosbag2: files that unpack to too much are refused", "[io][bag][rosba
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::rosbag2_damage_test

@@ -7,7 +7,7 @@
 
 #include "lamp_testing.hpp"
 
-namespace loopwise {
+namespace loopwise::rosbag2_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -155,4 +155,4 @@ TEST_CASE("rosbag2: scans are read by many threads at once", "[io][bag][rosbag2]
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::rosbag2_test

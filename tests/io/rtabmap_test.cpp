@@ -8,7 +8,7 @@
 #include "inflate.hpp"
 #include "lamp_testing.hpp"
 
-namespace loopwise {
+namespace loopwise::rtabmap_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -211,4 +211,4 @@ TEST_CASE("zlib: damage and bombs are errors", "[io][inflate][error]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::rtabmap_test

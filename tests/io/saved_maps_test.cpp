@@ -8,7 +8,7 @@
 
 #include "saved_maps_data.hpp"
 
-namespace loopwise {
+namespace loopwise::saved_maps_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -315,4 +315,4 @@ TEST_CASE("convert: HBA's folder read back, and what both programs cannot hold",
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::saved_maps_test

@@ -8,7 +8,7 @@
 
 #include "saver_data.hpp"
 
-namespace loopwise {
+namespace loopwise::saver_test {
 namespace {
 
 namespace fs = std::filesystem;
@@ -461,4 +461,4 @@ TEST_CASE("savers: the recorded examples", "[io][saver][data]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::saver_test

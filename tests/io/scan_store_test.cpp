@@ -12,7 +12,7 @@
 #include "cloud_testing.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::scan_store_test {
 namespace {
 
 using testing::random_cloud;
@@ -180,4 +180,4 @@ TEST_CASE("scan store: its loader outlives it", "[io][scans]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::scan_store_test

@@ -13,7 +13,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::trajectory_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -259,4 +259,4 @@ TEST_CASE("transform: the real one can be read", "[io][trajectory][data]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::trajectory_test

@@ -15,7 +15,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::join_test {
 namespace {
 
 /// A winding path, 2 m from node to node.
@@ -334,4 +334,4 @@ TEST_CASE("joining: bad input is named", "[joining][error]") {
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::join_test

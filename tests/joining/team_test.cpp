@@ -11,7 +11,7 @@
 #include "scrambled.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::team_test {
 namespace {
 
 using testing::fs::path;
@@ -125,4 +125,4 @@ TEST_CASE("team: sessions of different towns stay apart", "[joining][team][data]
   CHECK(found(testing::scrambled(read_missions(*paths), 7).mission).result.groups == 2);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::team_test

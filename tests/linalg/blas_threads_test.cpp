@@ -11,7 +11,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::blas_threads_test {
 namespace {
 
 template <class Function>
@@ -83,4 +83,4 @@ TEST_CASE("BLAS threads: each thread's settings are as found, whichever ends las
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::blas_threads_test

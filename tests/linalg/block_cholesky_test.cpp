@@ -8,7 +8,7 @@
 #include "linalg/selected_inverse.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::block_cholesky_test {
 namespace {
 
 using detail::BlockCholesky;
@@ -206,4 +206,4 @@ TEST_CASE("selected inversion: the blocks of the dense inverse, by kernels and b
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::block_cholesky_test

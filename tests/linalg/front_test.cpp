@@ -8,7 +8,7 @@
 #include "linalg/dense_kernels.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::front_test {
 namespace {
 
 using Eigen::MatrixXd;
@@ -158,4 +158,4 @@ TEST_CASE("factorisation: subtrees in parallel give the bits of one thread", "[l
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::front_test

@@ -5,7 +5,7 @@
 #include "linalg/panels.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::wide_kernels_test {
 namespace {
 
 using Eigen::MatrixXd;
@@ -164,4 +164,4 @@ TEST_CASE("panels: solves of any number of columns are those of the dense matrix
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::wide_kernels_test

@@ -13,7 +13,7 @@
 
 #include "module_testing.hpp"
 
-namespace loopwise {
+namespace loopwise::inside_calls_test {
 
 using testing::CallbackPrioritizer;
 using testing::given;
@@ -221,4 +221,4 @@ TEST_CASE("module: a key that a place database was not given is a problem that n
           "place recognition: place database \"first_place\" returned key a777, which was not added to it");
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::inside_calls_test

@@ -18,7 +18,7 @@
 
 #include "module_testing.hpp"
 
-namespace loopwise {
+namespace loopwise::loop_closure_module_test {
 namespace {
 
 using testing::between;
@@ -1240,4 +1240,4 @@ TEST_CASE("module: its header needs neither files, networks, PCL nor bags", "[on
   REQUIRE_THAT(text, !Contains("gnn.hpp") && !Contains("effect_network.hpp"));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::loop_closure_module_test

@@ -9,7 +9,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::auxiliary_factors_test {
 namespace {
 
 Eigen::Vector3d down() {
@@ -215,4 +215,4 @@ TEST_CASE("auxiliary factors: bad numbers are refused, and nothing changes", "[o
   REQUIRE((graph.ranges().empty() && graph.gravities().empty()));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::auxiliary_factors_test

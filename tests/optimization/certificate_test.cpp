@@ -7,7 +7,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::certificate_test {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
@@ -628,4 +628,4 @@ TEST_CASE("certify: known optima of the shared graphs", "[optimization][certific
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::certificate_test

@@ -10,7 +10,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::extremes_test {
 namespace {
 
 constexpr double kPi = 3.14159265358979323846;
@@ -262,4 +262,4 @@ TEST_CASE("extremes: a batch of only outliers, for any world origin and any stat
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::extremes_test

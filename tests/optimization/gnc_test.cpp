@@ -11,7 +11,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::gnc_test {
 namespace {
 
 std::vector<bool> read_labels(const testing::fs::path& path) {
@@ -697,4 +697,4 @@ TEST_CASE("pcm: swapping a closure's ends changes nothing", "[optimization][pcm]
   REQUIRE(pairwise_consistent(random.graph).kept == pairwise_consistent(swapped).kept);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::gnc_test

@@ -3,7 +3,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::graph_hessian_test {
 
 TEST_CASE("graph Hessian: equals the dense one by differences, over the nodes that are not held",
           "[optimization][property]") {
@@ -55,4 +55,4 @@ TEST_CASE("graph Hessian: equals the dense one by differences, over the nodes th
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::graph_hessian_test

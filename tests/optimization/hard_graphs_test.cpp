@@ -13,7 +13,7 @@
 #include "odometry_forest.hpp"
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::hard_graphs_test {
 namespace {
 
 constexpr double kSigmaM = 0.02, kSigmaRad = 0.005;
@@ -258,4 +258,4 @@ TEST_CASE("hard graphs: the noise of closures near each other does not depend on
   REQUIRE_FALSE(detail::noise_of_neighbours(alone.graph, detail::OdometryForest(alone.graph)));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::hard_graphs_test

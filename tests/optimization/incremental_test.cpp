@@ -12,7 +12,7 @@
 #include "linalg/incremental_cholesky.hpp"
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::incremental_test {
 namespace {
 
 using namespace loopwise::testing;
@@ -499,4 +499,4 @@ TEST_CASE("incremental factor: solves like a dense one after every change", "[op
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::incremental_test

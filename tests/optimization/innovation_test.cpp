@@ -7,7 +7,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::innovation_test {
 namespace {
 
 constexpr std::size_t kSteps = 12;
@@ -98,4 +98,4 @@ TEST_CASE("innovation: a kept closure is not used where odometry is more certain
   REQUIRE(std::isnan(neighbours(candidate, r).d2));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::innovation_test

@@ -5,7 +5,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::marginals_test {
 namespace {
 
 double relative_difference(const Eigen::MatrixXd& a, const Eigen::MatrixXd& expected) {
@@ -197,4 +197,4 @@ TEST_CASE("marginals: true traces of the shared graphs", "[optimization][data]")
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::marginals_test

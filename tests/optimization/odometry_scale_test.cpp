@@ -9,7 +9,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::odometry_scale_test {
 namespace {
 
 using namespace loopwise::testing;
@@ -232,4 +232,4 @@ TEST_CASE("odometry scale: continued estimates keep it", "[optimization][gnc]") 
   CHECK(second.inliers >= first.inliers);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::odometry_scale_test

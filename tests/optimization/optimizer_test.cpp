@@ -6,7 +6,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::optimizer_test {
 namespace {
 
 /// Known optima of the shared graphs: ½ Σ rᵀΩr with exact Jacobians, prior sigma 1e-4, computed
@@ -361,4 +361,4 @@ TEST_CASE("optimize: known optima from every first estimate", "[optimization][da
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::optimizer_test

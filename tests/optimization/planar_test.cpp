@@ -13,7 +13,7 @@
 
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::planar_test {
 namespace {
 
 using Pose2 = Eigen::Vector3d;  // x, y, θ
@@ -597,4 +597,4 @@ TEST_CASE("planar: the published 2D graphs stay in the plane", "[optimization][p
   CHECK(files > 0);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::planar_test

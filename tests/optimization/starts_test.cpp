@@ -9,7 +9,7 @@
 #include "pose_problem.hpp"
 #include "support.hpp"
 
-namespace loopwise {
+namespace loopwise::starts_test {
 namespace {
 
 /// A path wound around a torus, each turn next to the one before, with closures between neighbours in
@@ -381,4 +381,4 @@ TEST_CASE("starts: the inverse between sparse columns is that of the whole matri
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::starts_test

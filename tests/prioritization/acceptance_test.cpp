@@ -9,7 +9,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::acceptance_test {
 namespace {
 
 using Results = std::vector<std::pair<CandidateEvidence, bool>>;
@@ -188,4 +188,4 @@ TEST_CASE("calibration: reliability and Brier score", "[prioritization][acceptan
   REQUIRE(calibration.bins()[9].count == 1);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::acceptance_test

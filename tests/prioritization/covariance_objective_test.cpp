@@ -8,7 +8,7 @@
 #include "graphs.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::covariance_objective_test {
 namespace {
 
 using testing::brute_force;
@@ -362,4 +362,4 @@ TEST_CASE("covariance objective: odometry alone over two long paths", "[prioriti
   REQUIRE(after < 1e-9);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::covariance_objective_test

@@ -9,7 +9,7 @@
 #include "graphs.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::effect_network_test {
 namespace {
 
 using Json = nlohmann::json;
@@ -205,4 +205,4 @@ TEST_CASE("effect network: weights that cannot be used are refused by name",
   REQUIRE(bare.value() == Approx(effects.trace_m2));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::effect_network_test

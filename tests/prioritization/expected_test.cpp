@@ -12,7 +12,7 @@
 #include "prioritization/graphs.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::expected_test {
 namespace {
 
 constexpr std::size_t kNodes = 60;  // of each robot, 2 m apart
@@ -398,4 +398,4 @@ TEST_CASE("expected: the account holds through random work", "[prioritization][e
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::expected_test

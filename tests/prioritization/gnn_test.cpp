@@ -8,7 +8,7 @@
 #include "graphs.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::gnn_test {
 namespace {
 
 using Json = nlohmann::json;
@@ -246,4 +246,4 @@ TEST_CASE("network: weights that cannot be used are refused by name", "[prioriti
   REQUIRE_THROWS_AS(network->evaluate(input), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::gnn_test

@@ -13,7 +13,7 @@
 #include "graphs.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::graph_information_test {
 namespace {
 
 PoseGraph walk(std::uint64_t seed, std::size_t nodes = 40) {
@@ -303,4 +303,4 @@ TEST_CASE("queue: shares stay equal if graph information and others select the s
   REQUIRE(seen.size() == 200);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::graph_information_test

@@ -8,7 +8,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::observability_priority_test {
 namespace {
 
 /// Eigenvalues by key, as if computed from scans.
@@ -95,4 +95,4 @@ TEST_CASE("observability: scans without structure score 0, never NaN",
   REQUIRE_THROWS_AS(ObservabilityPrioritizer({}, Robots(), nullptr), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::observability_priority_test

@@ -7,7 +7,7 @@
 #include "place_pairs.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::place_pairs_test {
 
 TEST_CASE("expected: pairs of places have one number, whichever comes first", "[prioritization][expected]") {
   detail::PlacePairs pairs;
@@ -26,4 +26,4 @@ TEST_CASE("expected: pairs of places have one number, whichever comes first", "[
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::place_pairs_test

@@ -14,7 +14,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::queue_test {
 namespace {
 
 std::vector<LoopCandidate> candidates(CandidateId first, std::size_t count) {
@@ -301,4 +301,4 @@ TEST_CASE("ranked candidates: as a sorted set, through random work", "[prioritiz
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::queue_test

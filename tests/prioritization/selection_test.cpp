@@ -9,7 +9,7 @@
 #include "graphs.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::selection_test {
 namespace {
 
 struct Instance {
@@ -225,4 +225,4 @@ TEST_CASE("selection: spread and covariance", "[prioritization][selection]") {
   REQUIRE_THROWS_AS(largest_covariance(p.graph, p.candidates, {}, 5), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::selection_test

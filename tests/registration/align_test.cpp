@@ -35,6 +35,10 @@ struct PointCloudTraits<other::Sweep> {
   }
 };
 
+}  // namespace loopwise
+
+namespace loopwise::align_test {
+
 namespace {
 
 using Catch::Matchers::Contains;
@@ -178,4 +182,4 @@ TEST_CASE("align: clouds that cannot be aligned give a reason and no transform",
   REQUIRE_THROWS_WITH(align(pair.target, pair.source, options), Contains("time_limit_s"));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::align_test

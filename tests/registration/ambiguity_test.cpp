@@ -16,7 +16,7 @@
 #include "scene.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::ambiguity_test {
 namespace {
 
 using CloudPtr = std::shared_ptr<const PointCloud>;
@@ -293,4 +293,4 @@ TEST_CASE("FastRegistrar: recorded degenerate scans", "[registrar][ambiguity][da
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::ambiguity_test

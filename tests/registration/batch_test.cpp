@@ -7,7 +7,7 @@
 #include <loopwise/core/error.hpp>
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::batch_test {
 namespace {
 
 /// Accepts even `from`, rejects odd, throws for 7; may stop the batch at a number of calls.
@@ -158,4 +158,4 @@ TEST_CASE("compute_or_fail: closures that a graph refuses are failed", "[batch][
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::batch_test

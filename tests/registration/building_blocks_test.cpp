@@ -58,6 +58,10 @@ struct PointCloudTraits<other::Map> {
   }
 };
 
+}  // namespace loopwise
+
+namespace loopwise::building_blocks_test {
+
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
@@ -508,4 +512,4 @@ TEST_CASE("building blocks: errors name what to do", "[blocks][error]") {
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::building_blocks_test

@@ -7,7 +7,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::closure_tests_test {
 namespace {
 
 /// A target of scattered points with random normals, and a source that lies on it under the given pose.
@@ -301,4 +301,4 @@ TEST_CASE("widen_covariance: raises one direction and no other", "[closure_tests
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::closure_tests_test

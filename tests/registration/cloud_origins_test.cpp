@@ -3,7 +3,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::cloud_origins_test {
 namespace {
 
 const CloudOrigins kFar = {{432100.0, 5432110.0, 30.0}, {432150.0, 5432090.0, 28.0}};
@@ -71,4 +71,4 @@ TEST_CASE("cloud origins: a transformed cloud has moved points and normals", "[r
   REQUIRE(moved.intensities == cloud.intensities);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::cloud_origins_test

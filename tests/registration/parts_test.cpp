@@ -18,7 +18,7 @@
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/registration/fast_registrar.hpp>
 
-namespace loopwise {
+namespace loopwise::parts_test {
 namespace {
 
 Eigen::Vector3f random_direction(Rng& rng) {
@@ -390,4 +390,4 @@ TEST_CASE("building blocks: the functions of FastRegistrar with their checks", "
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::parts_test

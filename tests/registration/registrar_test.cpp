@@ -26,7 +26,7 @@
 #include "scene.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::registrar_test {
 namespace {
 
 std::vector<std::string> registrar_names() {
@@ -490,4 +490,4 @@ TEST_CASE("registrar: a time limit ends it with a reason, one that is not reache
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::registrar_test

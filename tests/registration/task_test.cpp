@@ -4,7 +4,7 @@
 #include <loopwise/core/error.hpp>
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::task_test {
 namespace {
 
 /// Robots of keys 0..9 and 100..104, with odometry along each that differs from the poses, and a closure
@@ -115,4 +115,4 @@ TEST_CASE("make_task: a candidate without a node is an error", "[task][error]") 
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::task_test

@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::config_test {
 namespace {
 
 TEST_CASE("config: every option has a text, that of its own section", "[config]") {
@@ -25,4 +25,4 @@ TEST_CASE("config: every option has a text, that of its own section", "[config]"
 }
 
 }  // namespace
-}  // namespace loopwise
+}  // namespace loopwise::config_test

@@ -3,7 +3,7 @@
 
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::cost_forecast_test {
 
 TEST_CASE("cost forecast: all candidates of the mission, by a sample of registrations",
           "[replay][forecast]") {
@@ -74,4 +74,4 @@ TEST_CASE("cost forecast: after a run it is of its registrations", "[replay][for
   REQUIRE(forecast_cost(result).candidates == 6);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::cost_forecast_test

@@ -8,7 +8,7 @@
 
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::decisions_test {
 namespace {
 
 using Catch::Matchers::Contains;
@@ -134,4 +134,4 @@ TEST_CASE("replay: decisions of another mission are an error, other decisions an
   REQUIRE(options_key(options) != without);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::decisions_test

@@ -10,7 +10,7 @@
 
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::live_replay_test {
 namespace {
 
 using testing::OracleRegistrar;
@@ -234,4 +234,4 @@ TEST_CASE("live replay: options of the virtual clock alone are refused", "[repla
   REQUIRE_THROWS_AS(replay_live(mission, live_config("random"), nullptr, clock, 1), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::live_replay_test

@@ -12,7 +12,7 @@
 
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::outcome_store_test {
 namespace {
 
 using testing::OracleRegistrar;
@@ -511,4 +511,4 @@ TEST_CASE("outcome store: a replay is the same with it, without it, and again",
   }
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::outcome_store_test

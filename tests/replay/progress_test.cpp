@@ -6,7 +6,7 @@
 
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::progress_test {
 namespace {
 
 struct Shown {
@@ -61,4 +61,4 @@ TEST_CASE("replay: progress counts the candidates that fit into the time", "[rep
   REQUIRE(whole.progress.back().done == whole.result.accounting.computed);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::progress_test

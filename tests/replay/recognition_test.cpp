@@ -12,7 +12,7 @@
 #include "features/place_site.hpp"
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::recognition_test {
 namespace {
 
 using testing::OracleRegistrar;
@@ -218,4 +218,4 @@ TEST_CASE("recognition: appearance closes a loop that drift has carried out of t
   REQUIRE(again.result.graph.nodes().back().pose.matrix() == with.result.graph.nodes().back().pose.matrix());
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::recognition_test

@@ -13,7 +13,7 @@
 
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::replay_test {
 namespace {
 
 using testing::OracleRegistrar;
@@ -812,4 +812,4 @@ TEST_CASE("replay: a 2D graph is refused before anything is computed", "[replay]
                       Contains("flat.g2o: has a 2D graph"));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::replay_test

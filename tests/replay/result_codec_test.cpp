@@ -10,7 +10,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::result_codec_test {
 namespace {
 
 RegistrationResult random_result(Rng& rng) {
@@ -126,4 +126,4 @@ TEST_CASE("result codec: bytes that contradict themselves are refused", "[replay
   REQUIRE_THROWS_AS(unpack_result(bytes, {}), InputError);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::result_codec_test

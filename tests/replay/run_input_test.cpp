@@ -16,7 +16,7 @@
 #include "registration/scene.hpp"
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::run_input_test {
 namespace {
 
 using testing::TemporaryFolder;
@@ -150,4 +150,4 @@ TEST_CASE("cloud pair: a pair that cannot be aligned has a reason and no pose", 
   REQUIRE(pair.far_points_target == 1);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::run_input_test

@@ -8,7 +8,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::session_test {
 namespace {
 
 constexpr double kDegrees = 57.29577951308232;
@@ -109,4 +109,4 @@ TEST_CASE("session: closures take the drift out of noisy odometry", "[replay][da
   REQUIRE(much_better >= 4);
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::session_test

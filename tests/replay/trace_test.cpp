@@ -11,7 +11,7 @@
 #include <loopwise/core/recognition.hpp>
 #include "testing_mission.hpp"
 
-namespace loopwise {
+namespace loopwise::trace_test {
 namespace {
 
 using testing::between;
@@ -353,4 +353,4 @@ TEST_CASE("trace: one that could not be written to its end has no gaps", "[repla
   REQUIRE_THROWS_WITH(other.add({drop, 1.0, std::nullopt}), Contains("UTF-8"));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::trace_test

@@ -11,7 +11,7 @@
 
 #include "testing.hpp"
 
-using namespace loopwise;
+namespace loopwise::sample_mission_test {
 
 namespace {
 
@@ -62,3 +62,5 @@ TEST_CASE("sample mission: its provenance reproduces it", "[simulation][golden]"
   CAPTURE(points, different);
   REQUIRE(static_cast<double>(different) <= 0.001 * static_cast<double>(points));
 }
+
+}  // namespace loopwise::sample_mission_test

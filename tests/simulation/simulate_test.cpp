@@ -9,7 +9,7 @@
 
 #include "testing.hpp"
 
-using namespace loopwise;
+namespace loopwise::simulate_test {
 
 namespace {
 
@@ -187,3 +187,5 @@ TEST_CASE("simulate: raw sweeps and the other lidar", "[simulation]") {
     REQUIRE(std::abs(steps - std::round(steps)) < 0.01);
   }
 }
+
+}  // namespace loopwise::simulate_test

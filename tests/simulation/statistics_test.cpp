@@ -3,7 +3,7 @@
 
 #include "testing.hpp"
 
-using namespace loopwise;
+namespace loopwise::statistics_test {
 
 TEST_CASE("worlds: corridors constrain motion less than junctions, walls weaken the radio",
           "[simulation][property]") {
@@ -19,3 +19,5 @@ TEST_CASE("worlds: corridors constrain motion less than junctions, walls weaken 
     if (near.walls == far.walls && near.heard > 50 && far.heard > 50) REQUIRE(near.mean_dbm > far.mean_dbm);
   }
 }
+
+}  // namespace loopwise::statistics_test

@@ -10,8 +10,9 @@
 #include "surface.hpp"
 #include "testing.hpp"
 
-using namespace loopwise;
-using namespace loopwise::simulation_detail;
+namespace loopwise::world_test {
+
+using namespace simulation_detail;
 
 TEST_CASE("ray caster: a square and a miss", "[simulation]") {
   TriangleMesh mesh;
@@ -124,3 +125,5 @@ TEST_CASE("worlds: lengths out of range", "[simulation][error]") {
   REQUIRE_THROWS_WITH(make_world(WorldKind::kTunnel, 10.0, 1), "length_m = 10, must be in [60, 60000]");
   REQUIRE_THROWS_AS(make_world(WorldKind::kMine, std::nan(""), 1), OptionError);
 }
+
+}  // namespace loopwise::world_test

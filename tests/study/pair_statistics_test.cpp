@@ -6,7 +6,7 @@
 
 #include "testing.hpp"
 
-namespace loopwise::study {
+namespace loopwise::study::pair_statistics_test {
 namespace {
 
 RegistrationResult accepted_at(const Eigen::Isometry3d& T_from_to, double sigma_m, double sigma_rad) {
@@ -73,4 +73,4 @@ TEST_CASE("summarize: recall counts overlapping pairs, false accepts all", "[stu
 }
 
 }  // namespace
-}  // namespace loopwise::study
+}  // namespace loopwise::study::pair_statistics_test

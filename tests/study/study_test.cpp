@@ -14,7 +14,7 @@
 #include "apps/small_mission.hpp"
 #include "testing.hpp"
 
-namespace loopwise::study {
+namespace loopwise::study::study_test {
 namespace {
 
 using testing::small_mission;
@@ -137,4 +137,4 @@ TEST_CASE("study: registrars are judged by a function", "[study]") {
   REQUIRE(parse_json(report.json, "report")["registrars"]["fast"]["pairs"] == study->pairs.size());
 }
 
-}  // namespace loopwise::study
+}  // namespace loopwise::study::study_test

@@ -7,7 +7,7 @@
 #include "missions.hpp"
 #include "testing.hpp"
 
-namespace loopwise::training {
+namespace loopwise::training::data_set_test {
 namespace {
 
 using loopwise::testing::read_text;
@@ -119,4 +119,4 @@ TEST_CASE("weights: the missions of a network are in its file", "[train]") {
   REQUIRE_THROWS_AS(missions_of_weights(folder / "absent.json"), IoError);
 }
 
-}  // namespace loopwise::training
+}  // namespace loopwise::training::data_set_test

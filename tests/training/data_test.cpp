@@ -12,7 +12,7 @@
 #include "packed.hpp"
 #include "testing.hpp"
 
-namespace loopwise::training {
+namespace loopwise::training::data_test {
 namespace {
 
 using loopwise::testing::small_data;
@@ -230,4 +230,4 @@ TEST_CASE("judge: exact ways are below the others", "[train]") {
   REQUIRE(parse_json(tables.json, "tables").size() == 5);
 }
 
-}  // namespace loopwise::training
+}  // namespace loopwise::training::data_test

@@ -11,7 +11,7 @@
 #include "missions.hpp"
 #include "testing.hpp"
 
-namespace loopwise {
+namespace loopwise::train_command_test {
 namespace {
 
 using testing::Program;
@@ -161,4 +161,4 @@ TEST_CASE("loopwise-train: bad usage and bad data", "[train][program][error]") {
   REQUIRE_THAT(cut.err, Contains("cut short"));
 }
 
-}  // namespace loopwise
+}  // namespace loopwise::train_command_test

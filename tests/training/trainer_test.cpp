@@ -8,7 +8,7 @@
 #include "missions.hpp"
 #include "testing.hpp"
 
-namespace loopwise::training {
+namespace loopwise::training::trainer_test {
 namespace {
 
 using loopwise::testing::small_data;
@@ -183,4 +183,4 @@ TEST_CASE("trainer: nothing to train with", "[train][error]") {
   REQUIRE_THROWS_AS(Trainer(parts().training, parts().validation, options), OptionError);
 }
 
-}  // namespace loopwise::training
+}  // namespace loopwise::training::trainer_test
