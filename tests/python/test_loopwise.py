@@ -14,7 +14,7 @@ import numpy as np
 
 import loopwise as lw
 
-SOURCE = pathlib.Path(os.environ["LOOPWISE_SOURCE_DIR"])
+SOURCE = pathlib.Path(os.environ.get("LOOPWISE_SOURCE_DIR", pathlib.Path(__file__).resolve().parents[2]))
 SAMPLE = SOURCE / "data" / "sample_mission"
 
 
