@@ -86,6 +86,70 @@ double difference_ns(std::int64_t a, std::int64_t b) {
   return a >= b ? static_cast<double>(x - y) : -static_cast<double>(y - x);
 }
 
+/// A column of the table of nodes; NaN stands for an unknown value.
+struct NodeColumn {
+  std::vector<float> values;
+  bool any = false;  ///< Whether a value is known.
+
+  void add(std::optional<float> value) {
+    values.push_back(value.value_or(std::numeric_limits<float>::quiet_NaN()));
+    any = any || value.has_value();
+  }
+  /// Three values.
+  void add(const std::optional<Eigen::Vector3d>& position) {
+    for (int axis = 0; axis < 3; ++axis)
+      add(position ? std::optional(static_cast<float>((*position)[axis])) : std::nullopt);
+  }
+  [[nodiscard]] Json json() const { return any ? Json(base64(values)) : Json(nullptr); }
+};
+
+struct NodeColumns {
+  Eigen::Vector3d
+      origin;  ///< Of all positions, because a float resolves no centimetres in world coordinates.
+  std::int64_t start_ns = 0;
+  NodeColumn optimized, odometry, truth, reference, time_s, observability;
+
+  void add(const PoseGraph& graph, const RobotPath& robot, std::size_t i, const MissionView* view) {
+    const Key key = robot.keys[i];
+    optimized.add(relative(graph.node(key).pose));
+    odometry.add(robot.odometry.empty() ? std::nullopt : relative(robot.odometry[i]));
+    time_s.add(robot.stamps_ns.empty()
+                   ? std::nullopt
+                   : std::optional(static_cast<float>(difference_ns(robot.stamps_ns[i], start_ns) * 1e-9)));
+    if (view == nullptr) return;
+    const auto known = [&](const PosesByKey& poses) {
+      const auto found = poses.find(key);
+      return found != poses.end() ? relative(found->second) : std::nullopt;
+    };
+    truth.add(known(view->mission->ground_truth));
+    reference.add(known(view->mission->reference));
+    const auto score = view->observability.find(key);
+    observability.add(score != view->observability.end() ? std::optional(static_cast<float>(score->second))
+                                                         : std::nullopt);
+  }
+
+ private:
+  [[nodiscard]] std::optional<Eigen::Vector3d> relative(const Eigen::Isometry3d& pose) const {
+    return Eigen::Vector3d(pose.translation() - origin);
+  }
+};
+
+/// The mission's start if it is known, otherwise the first stamp.
+std::int64_t start_of(const std::vector<RobotPath>& robots, const MissionView* view) {
+  if (view != nullptr) return view->mission->start_ns;
+  std::int64_t start_ns = std::numeric_limits<std::int64_t>::max();
+  for (const RobotPath& robot : robots) {
+    for (const std::int64_t stamp : robot.stamps_ns) start_ns = std::min(start_ns, stamp);
+  }
+  return start_ns;
+}
+
+std::string name_of(const RobotPath& robot, const MissionView* view) {
+  if (view == nullptr || robot.keys.empty()) return robot.name;
+  const auto known = view->mission->robots.find(robot.keys.front());
+  return known ? view->mission->robots[*known].name : robot.name;
+}
+
 class RunReader {
  public:
   RunReader(fs::path folder, const ReportOptions& options)
@@ -199,64 +263,18 @@ class RunReader {
 
   void put_nodes(Json& scene, const PoseGraph& graph, const std::vector<RobotPath>& robots,
                  const MissionView* view, std::map<Key, std::uint32_t>& place) {
-    std::vector<float> optimized, odometry, truth, reference, time_s, observability;
-    Json names = Json::array(), keys = Json::array();
-    bool has_odometry = false, has_times = false, has_truth = false, has_reference = false,
-         has_observability = false;
-    std::int64_t start_ns = std::numeric_limits<std::int64_t>::max();
-    for (const RobotPath& robot : robots) {
-      for (const std::int64_t stamp : robot.stamps_ns) start_ns = std::min(start_ns, stamp);
-    }
-    if (view != nullptr) start_ns = view->mission->start_ns;
-    // A float resolves no centimetres in world coordinates.
-    const Eigen::Vector3d origin = map_origin(graph);
-    if (!origin.isZero(0.0)) {
-      std::ostringstream where;
-      where << std::fixed << std::setprecision(0) << origin.transpose();
-      note("positions in the map are relative to " + where.str() + " m");
-    }
-    const auto put = [&origin](std::vector<float>& out, const Eigen::Vector3d* p) {
-      for (int axis = 0; axis < 3; ++axis)
-        out.push_back(p != nullptr ? static_cast<float>((*p)[axis] - origin[axis])
-                                   : std::numeric_limits<float>::quiet_NaN());
-    };
-    Json begins = Json::array();
+    NodeColumns columns;
+    columns.origin = map_origin(graph);
+    columns.start_ns = start_of(robots, view);
+    note_origin(columns.origin);
+    Json names = Json::array(), begins = Json::array(), keys = Json::array();
     for (const RobotPath& robot : robots) {
       begins.push_back(place.size());
-      std::string name = robot.name;
-      if (view != nullptr && !robot.keys.empty()) {
-        if (const auto known = view->mission->robots.find(robot.keys.front()))
-          name = view->mission->robots[*known].name;
-      }
-      names.push_back(name);
+      names.push_back(name_of(robot, view));
       for (std::size_t i = 0; i < robot.keys.size(); ++i) {
-        const Key key = robot.keys[i];
-        place.emplace(key, static_cast<std::uint32_t>(place.size()));
-        keys.push_back(key_name(key));
-        const Eigen::Vector3d at = graph.node(key).pose.translation();
-        put(optimized, &at);
-        const Eigen::Vector3d by_odometry =
-            robot.odometry.empty() ? Eigen::Vector3d::Zero().eval() : robot.odometry[i].translation().eval();
-        put(odometry, robot.odometry.empty() ? nullptr : &by_odometry);
-        has_odometry = has_odometry || !robot.odometry.empty();
-        time_s.push_back(robot.stamps_ns.empty()
-                             ? std::numeric_limits<float>::quiet_NaN()
-                             : static_cast<float>(difference_ns(robot.stamps_ns[i], start_ns) * 1e-9));
-        has_times = has_times || !robot.stamps_ns.empty();
-        if (view == nullptr) continue;
-        const auto put_known = [&](const PosesByKey& poses, std::vector<float>& out, bool& any) {
-          const auto known = poses.find(key);
-          const bool is_known = known != poses.end();
-          const Eigen::Vector3d p = is_known ? known->second.translation() : Eigen::Vector3d::Zero().eval();
-          put(out, is_known ? &p : nullptr);
-          any = any || is_known;
-        };
-        put_known(view->mission->ground_truth, truth, has_truth);
-        put_known(view->mission->reference, reference, has_reference);
-        const auto score = view->observability.find(key);
-        has_observability = has_observability || score != view->observability.end();
-        observability.push_back(score != view->observability.end() ? static_cast<float>(score->second)
-                                                                   : std::numeric_limits<float>::quiet_NaN());
+        place.emplace(robot.keys[i], static_cast<std::uint32_t>(place.size()));
+        keys.push_back(key_name(robot.keys[i]));
+        columns.add(graph, robot, i, view);
       }
     }
     scene["robots"] = names;
@@ -266,19 +284,26 @@ class RunReader {
                                             static_cast<std::size_t>(options_.layer_items))},
                       {"begin", begins},
                       {"key", keys},
-                      {"optimized", base64(optimized)},
-                      {"odometry", has_odometry ? Json(base64(odometry)) : Json(nullptr)},
-                      {"truth", has_truth ? Json(base64(truth)) : Json(nullptr)},
-                      {"reference", has_reference ? Json(base64(reference)) : Json(nullptr)},
-                      {"time_s", has_times ? Json(base64(time_s)) : Json(nullptr)},
-                      {"observability", has_observability ? Json(base64(observability)) : Json(nullptr)}};
-    if (!has_odometry) note("no trajectories: robots are distinguished by their keys, no odometry");
+                      {"optimized", base64(columns.optimized.values)},
+                      {"odometry", columns.odometry.json()},
+                      {"truth", columns.truth.json()},
+                      {"reference", columns.reference.json()},
+                      {"time_s", columns.time_s.json()},
+                      {"observability", columns.observability.json()}};
+    if (!columns.odometry.any) note("no trajectories: robots are distinguished by their keys, no odometry");
     if (view == nullptr) {
       note("no mission given: no true paths, beacons, radio or observability (--mission MISSION)");
     } else {
-      if (!has_truth) note("the mission has no ground truth: no true paths (--truth FILE)");
-      if (!has_observability) note("the mission has no scans: no observability");
+      if (!columns.truth.any) note("the mission has no ground truth: no true paths (--truth FILE)");
+      if (!columns.observability.any) note("the mission has no scans: no observability");
     }
+  }
+
+  void note_origin(const Eigen::Vector3d& origin) {
+    if (origin.isZero(0.0)) return;
+    std::ostringstream where;
+    where << std::fixed << std::setprecision(0) << origin.transpose();
+    note("positions in the map are relative to " + where.str() + " m");
   }
 
   /// Points coloured by the robot and the observability of the nearest node.

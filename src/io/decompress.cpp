@@ -22,7 +22,7 @@ constexpr int kLargestWindow = 26;  // 64 MiB
 
 struct ZstdStream {
   struct Free {
-    void operator()(ZSTD_DCtx* context) const { ZSTD_freeDCtx(context); }
+    void operator()(ZSTD_DCtx* freed) const { ZSTD_freeDCtx(freed); }
   };
   std::unique_ptr<ZSTD_DCtx, Free> context{ZSTD_createDCtx()};
   std::size_t hint = 1;  // 0 at the end of a frame

@@ -225,7 +225,7 @@ void orthonormalize(LiftedPoses& X) {
 
 CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_steps, const StopToken& stop) {
   // Avoids a singular matrix if no term depends on a direction, such as the rotation of a point landmark.
-  constexpr double kLeastDamping = 1e-12, kFirstDamping = 1e-6, kMostDamping = 1e6;
+  constexpr double kLeastDamping = 1e-12, kRaisedDamping = 1e-6, kMostDamping = 1e6;
   // A decrease below this share of the cost is lost in rounding; the descent then compares gradients.
   constexpr double kVisible = 1e-11;
   CriticalPoint out;
@@ -238,7 +238,7 @@ CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_step
   bool raised = false;  // since the last step; smaller damping is then not tried at once
   const auto raise = [&] {
     raised = true;
-    damping = std::max(10.0 * damping, kFirstDamping);
+    damping = std::max(10.0 * damping, kRaisedDamping);
     return damping <= kMostDamping;
   };
   Eigen::VectorXd step;
@@ -267,7 +267,7 @@ CriticalPoint descend(const ChordalProblem& problem, LiftedPoses X, int max_step
     cost = next_cost;
     gradient = next_gradient;
     if (out.converged) break;
-    if (!raised) damping = 0.1 * damping < kFirstDamping ? kLeastDamping : 0.1 * damping;
+    if (!raised) damping = 0.1 * damping < kRaisedDamping ? kLeastDamping : 0.1 * damping;
     raised = false;
   }
   out.converged = out.converged || gradient == 0.0;

@@ -82,7 +82,7 @@ void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {
 /// because distant closures give little information.
 const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from, std::size_t to,
                                                                 double variance_limit) const {
-  constexpr int kMostSeen = 10000;  // to either side
+  constexpr int kMostVisited = 10000;  // to either side
   const std::uint32_t root = forest_.root(from), other_root = forest_.root(to);
   const std::uint32_t place = forest_.place(from), other_place = forest_.place(to);
   const auto here = std::lower_bound(
@@ -94,7 +94,7 @@ const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from
   int seen = 0;
   // \returns whether the next one may be nearer.
   const auto consider = [&](const Kept& k) {
-    if (k.root != root || k.other_root != other_root || ++seen > kMostSeen) return false;
+    if (k.root != root || k.other_root != other_root || ++seen > kMostVisited) return false;
     const double at_this_end = steps_between(k.place, place);
     const double all = at_this_end + steps_between(k.other_place, other_place);
     if (all < fewest && k.variance < variance_limit) {

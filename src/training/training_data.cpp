@@ -79,7 +79,7 @@ std::vector<std::vector<std::size_t>> choose_sets(const StageGraph& stage, const
     const std::size_t sizes[] = {5, 20, 50, 2 + rng.below(most - 1)};
     const std::size_t size = std::min(sizes[run % 4], most);
     SimulatedAnnealing annealing(exact, midpoints, size, {}, rng());
-    for (const std::uint64_t more : {0, 120, 150, 300, 600, 1200}) {
+    for (const std::uint64_t more : {0U, 120U, 150U, 300U, 600U, 1200U}) {
       annealing.run(more);
       std::vector<std::size_t> members = exact.selected();
       out.push_back(members);
