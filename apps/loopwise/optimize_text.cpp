@@ -32,6 +32,7 @@ Json gnc_json(const GncResult& gnc) {
                {"outliers", gnc.outliers},
                {"start", enum_name(gnc.start)},
                {"truncated_cost", gnc.truncated_cost}};
+  if (gnc.noise_scale < 1.0) json["noise_scale"] = gnc.noise_scale;
   for (const OdometryScale& odometry : gnc.odometry_scales) {
     json["odometry_scales"].push_back({{"first", odometry.first}, {"scale", odometry.scale}});
   }
@@ -42,6 +43,9 @@ std::string gnc_text(const GncResult& gnc) {
   std::string text = "closures     " + std::to_string(gnc.inliers) + " inliers, " +
                      std::to_string(gnc.outliers) + " outliers, " + std::to_string(gnc.outer_iterations) +
                      " outer iterations, start " + enum_name(gnc.start) + "\n";
+  if (gnc.noise_scale < 1.0)
+    text += "noise        sigmas are about " + fixed(gnc.noise_scale, 4) +
+            " times the stated ones; closures were selected with them\n";
   for (const OdometryScale& odometry : gnc.odometry_scales) {
     text += "odometry     of the robot that begins at " + key_name(odometry.first) + ": estimated sigma is " +
             fixed(odometry.scale, 2) + " times the stated one\n";

@@ -53,6 +53,9 @@ void bind_estimates(py::module_& module) {
       .def_readonly("inliers", &GncResult::inliers)
       .def_readonly("outliers", &GncResult::outliers)
       .def_readonly("truncated_cost", &GncResult::truncated_cost)
+      .def_readonly(
+          "noise_scale", &GncResult::noise_scale,
+          "ratio of measured to stated sigmas, where the stated ones are far too large; otherwise 1")
       .def_property_readonly(
           "start", [](const GncResult& r) { return enum_name(r.start); },
           "the start that led to the result: first_estimate, confirmed, doubted_odometry, chordal or "

@@ -7,6 +7,7 @@
 
 #include <Eigen/Dense>
 
+#include <loopwise/core/disjoint_sets.hpp>
 #include <loopwise/core/se3.hpp>
 #include <loopwise/optimization/gnc.hpp>
 
@@ -23,7 +24,11 @@ constexpr std::size_t kMostTried = 12;
 /// Bound on the closures that are examined in each direction: many closures may end at one place.
 constexpr std::size_t kMostSeen = 2000;
 /// Fewest closures with neighbours that show the noise.
-constexpr std::size_t kFewestPairs = 8;
+constexpr std::size_t kFewestPairs = 20;
+/// Smaller d² are not noise but copies, of one measurement or of the odometry.
+constexpr double kLeastInnovation = 1e-7;
+/// Share of the largest group that a group must have.
+constexpr std::size_t kSmallestShare = 10;
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
   return a < b ? b - a : a - b;
@@ -60,6 +65,29 @@ class Confirmation {
     return std::move(confirmed_);
   }
 
+  /// in_large_groups()
+  std::vector<char> large_groups(const std::vector<char>& wanted) {
+    DisjointSets groups(wanted.size());
+    for (std::size_t i = 0; i < seen_.size(); ++i) {
+      const std::uint32_t e = seen_[i].edge;
+      if (seen_[i].reversed || wanted[e] == 0) continue;
+      find_near(i);
+      for (const auto& [distance, other] : near_) {
+        if (wanted[other->edge] != 0 && groups.root(e) != groups.root(other->edge) && agree(e, *other))
+          groups.join(e, other->edge);
+      }
+    }
+    std::vector<std::size_t> size(wanted.size());
+    for (std::size_t e = 0; e < wanted.size(); ++e) size[groups.root(e)] += wanted[e] != 0 ? 1 : 0;
+    const std::size_t largest = *std::max_element(size.begin(), size.end());
+    std::vector<char> out(wanted.size());
+    for (std::size_t e = 0; e < wanted.size(); ++e) {
+      const std::size_t own = size[groups.root(e)];
+      out[e] = wanted[e] != 0 && own > 1 && kSmallestShare * own >= largest ? 1 : 0;
+    }
+    return out;
+  }
+
   /// d² of every closure with respect to the nearest one, unless it has none near it.
   std::vector<double> innovations_across_nearest() {
     std::vector<double> out;
@@ -68,7 +96,7 @@ class Confirmation {
       find_near(i);
       if (near_.empty()) continue;
       const double d2 = innovation_across(seen_[i].edge, *near_.front().second);
-      if (d2 >= 0.0) out.push_back(d2);
+      if (d2 >= kLeastInnovation) out.push_back(d2);
     }
     return out;
   }
@@ -161,12 +189,18 @@ std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryFores
   return Confirmation(graph, forest, c2).find(wanted);
 }
 
+std::vector<char> in_large_groups(const PoseGraph& graph, const OdometryForest& forest,
+                                  const std::vector<char>& wanted, double c2) {
+  if (wanted.empty()) return {};
+  return Confirmation(graph, forest, c2).large_groups(wanted);
+}
+
 std::optional<double> noise_of_neighbours(const PoseGraph& graph, const OdometryForest& forest) {
   std::vector<double> d2 = Confirmation(graph, forest, 0.0).innovations_across_nearest();
   if (d2.size() < kFewestPairs) return std::nullopt;
-  const auto quartile = d2.begin() + static_cast<std::ptrdiff_t>(d2.size() / 4);
-  std::nth_element(d2.begin(), quartile, d2.end());
-  return *quartile / chi_squared_quantile(0.25, graph.degrees_of_freedom());
+  const auto decile = d2.begin() + static_cast<std::ptrdiff_t>(d2.size() / 10);
+  std::nth_element(d2.begin(), decile, d2.end());
+  return *decile / chi_squared_quantile(0.1, graph.degrees_of_freedom());
 }
 
 }  // namespace loopwise::detail

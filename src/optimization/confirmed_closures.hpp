@@ -19,10 +19,17 @@ namespace loopwise::detail {
 [[nodiscard]] std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryForest& forest,
                                                    const std::vector<char>& wanted, double c2);
 
+/// The largest groups of closures that confirm each other, each at least a tenth of the largest one: right
+/// closures confirm each other all along a second passage, false ones that agree do so in small groups.
+/// \param wanted closures that may belong to a group, by edge; others are not used
+[[nodiscard]] std::vector<char> in_large_groups(const PoseGraph& graph, const OdometryForest& forest,
+                                                const std::vector<char>& wanted, double c2);
+
 /// Variance of the noise of closures relative to the stated one, from the closures that have another one near
-/// them: the lower quartile of d² with respect to the nearest one, relative to its expectation. It remains
-/// valid if up to half of the closures are false; groups of false closures that agree with each other show
-/// the same noise as true ones. Nothing if few closures have another one near them.
+/// them: the lower decile of d² with respect to the nearest one, relative to its expectation. It remains
+/// valid if two thirds of the closures are false, as a tenth of the pairs then consists of right ones; groups
+/// of false closures that agree with each other show the same noise as true ones. Nothing if few closures
+/// have another one near them.
 [[nodiscard]] std::optional<double> noise_of_neighbours(const PoseGraph& graph, const OdometryForest& forest);
 
 }  // namespace loopwise::detail

@@ -95,7 +95,7 @@ double plain_cost(PoseProblem problem, const std::vector<Pose>& poses, ThreadPoo
 void solve_from_all(const RobustProblem& given, Starts& starts) {
   const auto stopped = [&] { return given.stop.stop_requested(); };
   const bool several = given.gnc.second_start && truncates(given.gnc.kernel);
-  if (several && starts.from_confirmed()) return;
+  if (several && (starts.from_measured_noise() || starts.from_confirmed())) return;
   if (!starts.has_solution() || !stopped()) starts.from_first_estimate();
   if (!several) return;
   if (starts.excludes_closures() && given.options.initialization != Initialization::kChordal && !stopped())

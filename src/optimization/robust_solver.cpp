@@ -19,6 +19,9 @@ namespace {
 /// excludes may return, one that truncated least squares excludes may not.
 constexpr double kNoiseMargin = 25.0;
 constexpr double kTruncationMargin = 400.0;
+/// If closures that are near each other show more noise than the odometry does, by this factor, the stated
+/// information is wrong in its form, not in its scale.
+constexpr double kMostApart = 2.0;
 
 }  // namespace
 
@@ -53,9 +56,12 @@ GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<doub
   return gross;
 }
 
-double noise_scale(const PoseGraph& graph, const OdometryForest& forest, double scale) {
+void measure_noise(const PoseGraph& graph, const OdometryForest& forest, GrossOutliers& gross) {
   const std::optional<double> near = noise_of_neighbours(graph, forest);
-  return near ? std::clamp(kTruncationMargin * *near, scale, 1.0) : 1.0;
+  if (!near) return;
+  gross.noise = std::clamp(kTruncationMargin * *near, gross.scale, 1.0);
+  if (*near <= kMostApart * gross.scale / kNoiseMargin)
+    gross.measured = std::max(*near, gross.scale / kNoiseMargin);
 }
 
 namespace {
@@ -67,9 +73,10 @@ constexpr int kStepsAtOnce = 3;
 /// Bound on attempts to re-admit closures, each of which must lower the truncated cost.
 constexpr int kGrowthAttempts = 30;
 constexpr double kLeastGain = 1e-9;
-/// Bound on the closures that are tested with the covariance of the whole solution. Each costs six half
-/// solutions with the factor.
-constexpr std::size_t kMostExact = 256;
+/// Bounds on the closures that are tested with the covariance of the whole solution: their number, and above
+/// kFewExact also their number times the elements of the factor, as each costs six half solutions with it.
+constexpr std::size_t kFewExact = 256, kMostExact = 2048;
+constexpr std::size_t kMostExactElements = 4'000'000'000;
 
 /// Whether the poses of two nodes depend on each other: they are in one component, or priors hold both.
 bool are_connected(const Freedom& freedom, std::size_t a, std::size_t b) {
@@ -300,7 +307,7 @@ bool RobustSolver::admit_unexplained(const std::vector<char>& among) {
   bool stale = false;
   while (!stopped()) {
     const std::vector<std::size_t> edges = unexplained(open);
-    if (edges.empty() || edges.size() > kMostExact || attempts >= kGrowthAttempts) {
+    if (edges.empty() || edges.size() > most_exact() || attempts >= kGrowthAttempts) {
       if (stale) descend_fully();
       return edges.empty();
     }
@@ -395,7 +402,7 @@ std::vector<std::size_t> RobustSolver::unexplained(const std::vector<char>& amon
 /// Tests which of these closures contradict the covariance of the whole solution. Tests nothing if there are
 /// too many.
 void RobustSolver::test_by_covariance(const std::vector<std::size_t>& edges) {
-  if (edges.size() > kMostExact || stopped()) return;
+  if (edges.size() > most_exact() || stopped()) return;
   std::vector<std::size_t> open;
   for (const std::size_t k : edges) {
     if (covariance_d2_.find(k) == covariance_d2_.end()) open.push_back(k);
@@ -420,6 +427,12 @@ void RobustSolver::test_by_covariance(const std::vector<std::size_t>& edges) {
                             ? squared_innovation(problem_.information(k), P, problem_.residual(k, poses_))
                             : 0.0;
   }
+}
+
+/// Number of closures that may be tested with the covariance of the whole solution.
+std::size_t RobustSolver::most_exact() const {
+  const auto elements = static_cast<std::size_t>(equations_.hessian().factor_nonzeros());
+  return std::clamp(kMostExactElements / std::max<std::size_t>(elements, 1), kFewExact, kMostExact);
 }
 
 /// Factorises at the present poses and weights. \returns false if the factor does not exist

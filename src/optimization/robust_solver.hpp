@@ -22,6 +22,9 @@ struct GrossOutliers {
   /// As scale, but also supported by closures that are near each other: factor on the threshold of truncated
   /// least squares
   double noise = 1.0;
+  /// Variance of the noise relative to the stated one, without a margin: the larger of both measures. 1 if
+  /// unknown
+  double measured = 1.0;
 };
 
 /// Finds the closures to exclude before any factorisation, from the innovations d² (innovation.hpp).
@@ -29,9 +32,9 @@ struct GrossOutliers {
 [[nodiscard]] GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2,
                                                 double probability, double odometry_margin = 1.0);
 
-/// GrossOutliers::noise for a scale below 1: it must also be the noise of closures that are near each other,
-/// as the threshold of truncated least squares is final. 1 if too few are.
-[[nodiscard]] double noise_scale(const PoseGraph& graph, const OdometryForest& forest, double scale);
+/// Sets GrossOutliers::noise and measured for a scale below 1. The noise must also be that of closures that
+/// are near each other, as the threshold of truncated least squares is final. Both stay 1 if too few are.
+void measure_noise(const PoseGraph& graph, const OdometryForest& forest, GrossOutliers& gross);
 
 /// Input that all starts of one robust problem share.
 struct RobustProblem {
@@ -105,6 +108,7 @@ class RobustSolver {
   void realign_held_components();
 
   [[nodiscard]] OdometryForest forest_of(std::vector<char> closures) const;
+  [[nodiscard]] std::size_t most_exact() const;
   [[nodiscard]] bool factorize_here();
   void test_by_covariance(const std::vector<std::size_t>& edges);
   [[nodiscard]] bool contradicts_covariance(std::size_t edge) const;

@@ -20,6 +20,11 @@ constexpr double kEqual = 1e-9;
 /// that odometry does not rule out. It is graduated if the minimum with all of them loses more than
 /// kMostConfirmedLost. The other starts follow if it loses more than kMostContradicting.
 constexpr double kFewestConfirmed = 1.0 / 3.0;
+/// If they contradict each other, those in large groups start alone, if they are at least
+/// kFewestInLargeGroups of the closures. False groups may be joined to them by chance, so up to
+/// kMostOfGroupsLost may be excluded.
+constexpr double kFewestInLargeGroups = 0.1;
+constexpr double kMostOfGroupsLost = 0.1;
 constexpr double kMostConfirmedLost = 0.01;
 constexpr double kMostContradicting = 0.5;
 /// Bounds on steps to the minimum with all confirmed closures, and on rounds of truncated least squares from
@@ -29,6 +34,10 @@ constexpr int kMostRounds = 6;
 /// If the noise is far below the stated one, the innovation test has a margin. Closures within it may be
 /// false; they do not start a solution, but may join it.
 constexpr double kShareOfMargin = 0.16;
+/// Below this measured variance of the noise, relative to the stated one, a start takes the measured one,
+/// with a margin. That start counts only if it leaves no doubt, so that the margin may be small.
+constexpr double kFarTooPessimistic = 0.02;
+constexpr double kMeasuredMargin = 2.0;
 /// A start with closures that the stated odometry rules out may lose this share of the closures kept without
 /// them. Closures that agree with each other but not with the others, as from two floors of one plan, would
 /// replace more.
@@ -97,7 +106,7 @@ Starts::Starts(const RobustProblem& given, const PoseProblem& problem, NormalEqu
       chains_(odometry_chains(given.graph)),
       d2_(innovations(given.graph, given.forest)),
       gross_(find_gross_outliers(given.graph, d2_, given.gnc.innovation_probability)) {
-  if (gross_.scale < 1.0) gross_.noise = noise_scale(given.graph, given.forest, gross_.scale);
+  if (gross_.scale < 1.0) measure_noise(given.graph, given.forest, gross_);
 }
 
 bool Starts::from_last(const WarmStart& warm) {
@@ -127,6 +136,33 @@ bool Starts::from_last(const WarmStart& warm) {
   }
   keep_better(std::move(out));
   return !in_doubt;
+}
+
+bool Starts::from_measured_noise() {
+  if (gross_.measured >= kFarTooPessimistic) return false;
+  PoseGraph graph = given_.graph;
+  for (std::size_t k = 0; k < graph.edges().size(); ++k) {
+    graph.set_information(k, graph.edges()[k].information / (kMeasuredMargin * gross_.measured));
+  }
+  const OdometryForest forest(graph);
+  const PoseProblem problem(graph);
+  const RobustProblem given{graph,      forest,      given_.start, given_.options,
+                            given_.gnc, given_.pool, given_.stop};
+  Starts measured(given, problem, equations_);
+  std::optional<FromConfirmed> found = measured.solve_from_confirmed({}, measured.gross_, true);
+  if (!found) return false;
+  count_discarded(found->solution.result);
+  if (!found->beyond_doubt || given_.stop.stop_requested()) return false;
+  // The same closures with the stated information, which counts beside priors and other factors.
+  PoseProblem stated = problem_;
+  Solution out;
+  out.poses = std::move(found->solution.poses);
+  RobustSolver solver(given_, gross_, stated, equations_, out.poses);
+  solver.minimize_with(kept_by(found->solution.result.weights));
+  finish(solver, GncStart::kConfirmed, out);
+  out.result.noise_scale = std::sqrt(gross_.measured);
+  keep_better(std::move(out));
+  return true;
 }
 
 bool Starts::from_confirmed() {
@@ -170,17 +206,16 @@ std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const Odometry
   for (std::size_t k = 0; k < allowed.size(); ++k) {
     allowed[k] = known_inlier(given_.graph.edges()[k]) || gross.excluded[k] != 0 ? 0 : 1;
   }
-  const std::vector<char> confirmed = seeds_among(scaled.given(), allowed, gross);
-  const auto seeds = static_cast<double>(count(confirmed));
+  std::vector<char> confirmed = seeds_among(scaled.given(), allowed, gross);
+  auto seeds = static_cast<double>(count(confirmed));
   if (seeds == 0.0 || seeds < kFewestConfirmed * static_cast<double>(count(allowed))) return std::nullopt;
   PoseProblem& problem = scaled.problem();
   FromConfirmed out;
   out.solution = chordal_of(problem, confirmed);
   out.solution.odometry_variances = variances;
-  const std::vector<Pose> chordal = out.solution.poses;
+  std::vector<Pose> chordal = out.solution.poses;
   RobustSolver solver(scaled.given(), gross, problem, equations_, out.solution.poses);
   const auto few = [&](double number) { return number <= kMostConfirmedLost * seeds; };
-  bool agree = few(static_cast<double>(solver.minimize_with(confirmed, kMostSteps)));
   const auto lost = [&] {
     double number = 0.0;
     for (std::size_t k = 0; k < confirmed.size(); ++k) {
@@ -188,11 +223,33 @@ std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const Odometry
     }
     return number;
   };
+  const auto agree_at_minimum = [&] {
+    return few(static_cast<double>(solver.minimize_with(confirmed, kMostSteps))) &&
+           solver.truncate(true, kMostRounds) && few(lost());
+  };
   const auto is_in_doubt = [&](const std::vector<char>& among, double allowance) {
     return static_cast<double>(in_doubt(scaled.given(), problem, out.solution.poses, among)) >
            std::min(allowance, kMostConfirmedLost * seeds);
   };
-  if (agree) agree = solver.truncate(true, kMostRounds) && few(lost());
+  bool agree = agree_at_minimum();
+  if (!agree && !given_.stop.stop_requested()) {
+    std::vector<char> large = in_large_groups_of(scaled.given(), confirmed, gross.scale);
+    if (large != confirmed &&
+        static_cast<double>(count(large)) >= kFewestInLargeGroups * static_cast<double>(count(allowed))) {
+      std::swap(confirmed, large);
+      seeds = static_cast<double>(count(confirmed));
+      out.solution.poses = chordal_of(problem, confirmed).poses;
+      agree = agree_at_minimum();
+      if (!agree) {
+        solver.graduate_with(confirmed);
+        agree = solver.truncate(false, kMostRounds) && lost() <= kMostOfGroupsLost * seeds;
+      }
+      if (!agree) {
+        std::swap(confirmed, large);
+        seeds = static_cast<double>(count(confirmed));
+      }
+    }
+  }
   out.plain = agree;
   bool doubtful = (!grow || !agree) && is_in_doubt(gross.excluded, seeds);
   if (!doubtful && !agree) {
@@ -212,6 +269,13 @@ std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const Odometry
   out.settled = agree;
   finish(solver, GncStart::kConfirmed, out.solution);
   return out;
+}
+
+/// Those among confirmed closures that belong to large groups of closures that confirm each other.
+std::vector<char> Starts::in_large_groups_of(const RobustProblem& given, const std::vector<char>& confirmed,
+                                             double scale) const {
+  const double c2 = chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom());
+  return in_large_groups(given.graph, given.forest, confirmed, scale * c2);
 }
 
 /// Number of confirmed closures among some (by edge) that a solution excludes although it would not

@@ -28,6 +28,10 @@ class Starts {
   /// Starts from the last result. \returns false if the result is in doubt, so that the other starts are
   /// needed
   bool from_last(const WarmStart& warm);
+  /// For information that is far too pessimistic: from_confirmed() with the measured noise in place of the
+  /// stated one, then the minimum with its closures. \returns whether that solution is beyond doubt; only
+  /// then is it kept
+  bool from_measured_noise();
   /// Starts from the chordal estimate of the confirmed closures. \returns whether the solution is beyond
   /// doubt: the confirmed closures are many, it keeps almost all of them, and it contradicts every closure
   /// that it excludes. If odometry is worse than stated, the solution takes it as uncertain as its closures
@@ -94,6 +98,8 @@ class Starts {
                                      const std::vector<Pose>& poses, const std::vector<char>& among);
   [[nodiscard]] std::vector<char> confirmed_of(const RobustProblem& given, const std::vector<char>& wanted,
                                                double scale) const;
+  [[nodiscard]] std::vector<char> in_large_groups_of(const RobustProblem& given,
+                                                     const std::vector<char>& confirmed, double scale) const;
   [[nodiscard]] std::vector<char> seeds_among(const RobustProblem& given, std::vector<char> allowed,
                                               const GrossOutliers& gross) const;
   [[nodiscard]] std::vector<char> confirmed_left_out(const RobustProblem& given,

@@ -105,9 +105,12 @@ struct GncResult {
   /// One per edge, in graph order. Odometry has 1/scale² by odometry_scales, other trusted edges 1.
   std::vector<double> weights;
   std::vector<OdometryScale> odometry_scales;  ///< For chains with worse odometry than stated.
-  int outer_iterations = 0;                    ///< Of all starts.
-  GncStart start = GncStart::kFirstEstimate;   ///< The start that led to the result.
-  bool fresh = true;                           ///< Starts other than the last result were tried.
+  /// Standard deviation of the noise relative to the stated one, where the stated one is far too large and
+  /// closures were selected by the measured noise. Otherwise 1.
+  double noise_scale = 1.0;
+  int outer_iterations = 0;                   ///< Of all starts.
+  GncStart start = GncStart::kFirstEstimate;  ///< The start that led to the result.
+  bool fresh = true;                          ///< Starts other than the last result were tried.
   std::size_t inliers = 0;   ///< Closures (edges that are not known inliers) of weight > 0.5.
   std::size_t outliers = 0;  ///< The other closures.
   /// ½ Σ w rᵀΩr over priors and known inliers plus Σ min(½ rᵀΩr, ½ c²) over the closures, at the poses.
