@@ -16,6 +16,10 @@ namespace {
 /// Cosine of the angle within which two normals agree.
 constexpr float kAgreeingShare = 0.7F;
 
+/// By how much the required consistency rises as the overlap falls from full_overlap to nothing. Few points
+/// agree by chance more often than many.
+constexpr double kSmallOverlapConsistency = 0.15;
+
 /// max_sigma of each coordinate. In these units, a free direction has variance 1 or more.
 Vector6d units(const ClosureTestOptions& options) {
   Vector6d out;
@@ -34,6 +38,37 @@ Eigen::SelfAdjointEigenSolver<Matrix6d> scaled_information(const Matrix6d& hessi
                                                  (sigma * sigma * options.points_per_sample));
 }
 
+/// Reads the nearest neighbour of a point from the two nearest points in its cloud. `near` is set to whether
+/// any point is within overlap_distance_m.
+PlaneNeighbour plane_neighbour(const PointCloud& cloud, const KdTree& tree, std::size_t i,
+                               const ClosureTestOptions& options, std::vector<Neighbour>& found, bool& near) {
+  near = false;
+  const auto reach = static_cast<float>(options.overlap_distance_m);
+  tree.nearest(cloud.points[i], 2, found);
+  if (found.size() < 2) return PlaneNeighbour::kNone;
+  const Neighbour& other = found[found.front().index == i ? 1 : 0];
+  near = other.sq_distance_m2 <= reach * reach;
+  const Eigen::Vector3f& n = cloud.normals[other.index];
+  if (!near || n.dot(cloud.normals[i]) < kAgreeingShare) return PlaneNeighbour::kNone;
+  const float distance = std::abs(n.dot(cloud.points[i] - cloud.points[other.index]));
+  return distance < static_cast<float>(options.plane_distance_m) ? PlaneNeighbour::kOnPlane
+                                                                 : PlaneNeighbour::kOffPlane;
+}
+
+/// Counts neighbours of one cloud.
+struct PlaneCount {
+  std::size_t on = 0, off = 0;
+  void add(PlaneNeighbour of_point) {
+    if (of_point == PlaneNeighbour::kOnPlane) ++on;
+    if (of_point == PlaneNeighbour::kOffPlane) ++off;
+  }
+  /// The share on the plane, with `before` as what twenty further points would say.
+  [[nodiscard]] double share(double before) const {
+    constexpr double kWeight = 20.0;
+    return (static_cast<double>(on) + kWeight * before) / (static_cast<double>(on + off) + kWeight);
+  }
+};
+
 template <class Figure>
 std::string beyond(const char* what, Figure found, const char* relation, Figure bound, const char* unit) {
   std::ostringstream out;
@@ -47,7 +82,7 @@ std::string beyond(const char* what, Figure found, const char* relation, Figure 
 
 AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& target,
                                    const KdTree& target_tree, const Eigen::Isometry3d& T_to_from,
-                                   const ClosureTestOptions& options) {
+                                   const ClosureTestOptions& options, const PlaneExpectation* expectation) {
   AlignmentFigures figures;
   if (source.empty() || target.empty()) return figures;
   constexpr double kFullDirection = 0.05;  // share of the points
@@ -58,6 +93,7 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
   std::array<std::size_t, kNormalBins> of_direction{}, agreeing{};
   double sum_sq = 0.0, sum_sq_plane = 0.0;
   std::size_t overlapping = 0, on_plane = 0;
+  PlaneCount of_source, of_target;
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   Eigen::Matrix3d moment = Eigen::Matrix3d::Zero();
   const std::size_t measured =
@@ -91,6 +127,9 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
     sum_sq_plane += distance * distance;
     if (std::abs(distance) < options.plane_distance_m) ++on_plane;
     ++figures.plane_points;
+    if (expectation == nullptr) continue;
+    of_source.add(expectation->source[i]);
+    of_target.add(expectation->target[nearest->index]);
   }
   const auto planes = static_cast<double>(figures.plane_points);
   figures.normal_noise.topLeftCorner<3, 3>().diagonal().setConstant(planes);
@@ -109,6 +148,10 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
     figures.plane_rmse_m = std::sqrt(sum_sq_plane / planes);
     figures.on_plane = static_cast<double>(on_plane) / planes;
   }
+  if (expectation != nullptr) {
+    figures.expected_on_plane =
+        0.5 * (of_source.share(expectation->on_plane) + of_target.share(expectation->on_plane));
+  }
   double weights = 0.0;
   for (std::size_t bin = 0; bin < kNormalBins; ++bin) {
     if (of_direction[bin] == 0) continue;
@@ -124,33 +167,42 @@ AlignmentFigures measure_alignment(const PointCloud& source, const PointCloud& t
 SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree, const ClosureTestOptions& options) {
   constexpr std::size_t kLookedAt = 1000;
   const std::size_t looked_at = std::min(cloud.size(), kLookedAt);
-  const auto reach = static_cast<float>(options.overlap_distance_m);
-  const auto within = static_cast<float>(options.plane_distance_m);
-  std::size_t near = 0, neighbours = 0, on_plane = 0;
+  std::size_t near = 0;
+  PlaneCount count;
   std::vector<Neighbour> found;
   for (std::size_t k = 0; k < looked_at; ++k) {
-    const std::size_t i = k * cloud.size() / looked_at;
-    tree.nearest(cloud.points[i], 2, found);
-    if (found.size() < 2) break;
-    const Neighbour& other = found[found.front().index == i ? 1 : 0];
-    if (other.sq_distance_m2 > reach * reach) continue;
-    ++near;
-    const Eigen::Vector3f& n = cloud.normals[other.index];
-    if (n.dot(cloud.normals[i]) < kAgreeingShare) continue;
-    ++neighbours;
-    if (std::abs(n.dot(cloud.points[i] - cloud.points[other.index])) < within) ++on_plane;
+    bool is_near = false;
+    count.add(plane_neighbour(cloud, tree, k * cloud.size() / looked_at, options, found, is_near));
+    if (is_near) ++near;
   }
   constexpr double kLeastOverlap = 0.05;
   SurfaceShare share;
   if (near > 0)
     share.overlap = std::max(kLeastOverlap, static_cast<double>(near) / static_cast<double>(looked_at));
-  if (on_plane > 0) share.on_plane = static_cast<double>(on_plane) / static_cast<double>(neighbours);
+  if (count.on > 0)
+    share.on_plane = static_cast<double>(count.on) / static_cast<double>(count.on + count.off);
   return share;
 }
 
+std::vector<PlaneNeighbour> plane_neighbours(const PointCloud& cloud, const KdTree& tree,
+                                             const ClosureTestOptions& options) {
+  std::vector<PlaneNeighbour> out(cloud.size());
+  std::vector<Neighbour> found;
+  bool is_near = false;
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    out[i] = plane_neighbour(cloud, tree, i, options, found, is_near);
+  }
+  return out;
+}
+
 double consistency(const AlignmentFigures& figures) {
-  constexpr double kWeight = 5.0;
-  return figures.on_plane / figures.expected_on_plane - kWeight * figures.contradiction;
+  constexpr double kWeight = 5.0, kHalf = 0.5, kLeast = 0.05;
+  const double overlap = std::clamp(figures.overlap / figures.expected_overlap, kLeast, kHalf);
+  return figures.on_plane / figures.expected_on_plane - kWeight * figures.contradiction * kHalf / overlap;
+}
+
+double missing_overlap(const AlignmentFigures& figures, const ClosureTestOptions& options) {
+  return std::clamp(1.0 - figures.overlap / (figures.expected_overlap * options.full_overlap), 0.0, 1.0);
 }
 
 int free_directions(const AlignmentFigures& figures, const ClosureTestOptions& options) {
@@ -205,17 +257,21 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
                   beyond("mean squared distance", figures.fitness_m2, "<=", options.max_fitness_m2, " m^2"));
   }
   const double overlap = figures.overlap / figures.expected_overlap;
-  if (!(overlap >= options.min_overlap)) {
-    return reject(RejectionReason::kLowOverlap, beyond("overlap", overlap, ">=", options.min_overlap, ""));
+  const double min_overlap = std::min(options.min_overlap, options.min_certain_overlap);
+  if (!(overlap >= min_overlap)) {
+    return reject(RejectionReason::kLowOverlap, beyond("overlap", overlap, ">=", min_overlap, ""));
   }
+  const double missing = missing_overlap(figures, options);
   const double balanced = figures.balanced_overlap / figures.expected_overlap;
-  if (!(balanced >= options.min_balanced_overlap)) {
-    return reject(RejectionReason::kLowOverlap, beyond("overlap balanced over directions", balanced,
-                                                       ">=", options.min_balanced_overlap, ""));
+  const double min_balanced = options.min_balanced_overlap * (1.0 - missing);
+  if (!(balanced >= min_balanced)) {
+    return reject(RejectionReason::kLowOverlap,
+                  beyond("overlap balanced over directions", balanced, ">=", min_balanced, ""));
   }
-  if (options.min_consistency > 0.0 && !(consistency(figures) >= options.min_consistency)) {
+  const double min_consistency = options.min_consistency + kSmallOverlapConsistency * missing;
+  if (options.min_consistency > 0.0 && !(consistency(figures) >= min_consistency)) {
     return reject(RejectionReason::kInconsistent,
-                  beyond("consistency", consistency(figures), ">=", options.min_consistency, ""));
+                  beyond("consistency", consistency(figures), ">=", min_consistency, ""));
   }
   const int free = free_directions(figures, options);
   if (free > options.max_free_directions) {

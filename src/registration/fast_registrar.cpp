@@ -18,6 +18,7 @@
 #include "normal_bins.hpp"
 #include "pose_scores.hpp"
 #include "pose_search.hpp"
+#include "rivals.hpp"
 #include "side.hpp"
 #include "sort_falling.hpp"
 #include "surface.hpp"
@@ -26,6 +27,10 @@ namespace loopwise {
 namespace {
 
 constexpr std::size_t kFewKeys = 200;  // of a scan at least, for any share
+// Votes about a guess count within this part of the largest translation, and up to this height: few guesses
+// are worse, and height drifts least, since gravity is known. Places that look alike are mostly further away,
+// or on another floor.
+constexpr double kVotedPart = 0.5, kVotedHeightM = 2.5;
 
 /// Key points of one side in the centre's frame.
 struct KeyPoints {
@@ -226,7 +231,12 @@ class FastRegistrar::Impl::Pair {
   [[nodiscard]] RegistrationResult run() {
     if (load_sides() && has_enough_points()) {
       PoseSearch search(*source_, *target_, task_, options_, result_);
-      if (try_guess(search) && search_globally(search)) decide(search);
+      // Votes cost less, but are reliable only about a guess.
+      if (task_.guess_from_to) {
+        if (try_guess(search) && search_by_votes(search)) search_by_descriptors(search);
+      } else {
+        if (search_by_descriptors(search)) search_by_votes(search);
+      }
     }
     return std::move(result_);
   }
@@ -252,13 +262,14 @@ class FastRegistrar::Impl::Pair {
   bool load_sides();
   bool has_enough_points();
   bool try_guess(PoseSearch& search);
-  bool search_globally(PoseSearch& search);
+  bool settle(PoseSearch& search);
+  bool search_by_votes(PoseSearch& search);
+  bool search_by_descriptors(PoseSearch& search);
   bool find_matches(std::vector<Match>& matches);
   bool score(const Consensus& consensus, std::vector<Scored>& scored);
   bool refine_best(const std::vector<Scored>& scored, PoseSearch& search);
   bool reject_without_pose(std::size_t matches, const Consensus& consensus,
                            const std::vector<Scored>& scored);
-  bool decide(PoseSearch& search);
 
   const Impl& impl_;
   const FastRegistrarOptions& options_;
@@ -294,18 +305,56 @@ bool FastRegistrar::Impl::Pair::has_enough_points() {
 /// Refines the graph's pose and tests it, if the scans are near each other there.
 bool FastRegistrar::Impl::Pair::try_guess(PoseSearch& search) {
   if (!task_.guess_from_to) return in_time();
+  // Below this, so few points are near the target that the refinement cannot start.
+  constexpr double kHopeless = 0.2;
   const Eigen::Isometry3d guess = task_.guess_from_to->inverse();
-  bool promising = false;
+  double score = 0.0;
   {
     const ScopeTimer timer(result_.global_s);
-    promising = near(guess, static_cast<std::size_t>(options_.score_points)) >= options_.min_score;
+    score = near(guess, static_cast<std::size_t>(options_.score_points));
   }
   const ScopeTimer timer(result_.refine_s);
-  if (promising && search.refine(guess) >= options_.sure_share && !search.empty()) {
-    if (!search.decide(deadline_)) return reject_late();
-    if (result_.verified() || result_.reason == RejectionReason::kAmbiguous) return false;
+  if (score < kHopeless * options_.min_score) return in_time();
+  const bool sure = search.refine(guess) >= options_.sure_share && score >= options_.min_score;
+  return !sure || settle(search);
+}
+
+/// Tests the poses so far. \returns whether a further search is needed: no pose passes the tests in detail,
+/// and there is time
+bool FastRegistrar::Impl::Pair::settle(PoseSearch& search) {
+  if (search.empty()) return in_time();
+  if (!search.decide(deadline_)) return reject_late();
+  // A degenerate pose has passed the tests in detail, so the scans are where they belong.
+  const bool found = result_.verified() || result_.reason == RejectionReason::kAmbiguous ||
+                     result_.reason == RejectionReason::kDegenerate;
+  return !found && in_time();
+}
+
+/// Refines poses for which many pairs of parallel surfaces vote. Unlike descriptors, votes need no surface
+/// that both scans see in detail, so they also find scans that overlap little. \returns as settle()
+bool FastRegistrar::Impl::Pair::search_by_votes(PoseSearch& search) {
+  std::vector<Eigen::Isometry3d> starts;
+  {
+    const ScopeTimer timer(result_.global_s);
+    Eigen::Isometry3d about = Eigen::Isometry3d::Identity();
+    about.translation() = target_->centre - source_->centre;
+    if (task_.guess_from_to) about = task_.guess_from_to->inverse();
+    const auto near_guess = [&](const Eigen::Isometry3d& T) {
+      if (!task_.guess_from_to) return true;
+      const Eigen::Vector3d moved = T * source_->centre - about * source_->centre;
+      return search.allowed(T) && std::abs(moved.z()) <= kVotedHeightM &&
+             moved.norm() <= kVotedPart * options_.tests.max_translation_m;
+    };
+    const double max_turn_rad = task_.guess_from_to ? options_.tests.max_rotation_rad : kPi;
+    starts = find_rivals(*source_, *target_, about, max_turn_rad, near_guess);
   }
-  return in_time();
+  const ScopeTimer timer(result_.refine_s);
+  const std::size_t most = static_cast<std::size_t>(options_.refined_hypotheses);
+  for (std::size_t i = 0; i < std::min(most, starts.size()); ++i) {
+    if (!in_time()) return false;
+    search.refine_coarsely(starts[i]);
+  }
+  return settle(search);
 }
 
 /// Matches of descriptors that some allowed pose explains.
@@ -337,7 +386,7 @@ bool FastRegistrar::Impl::Pair::score(const Consensus& consensus, std::vector<Sc
   }
   for (Scored& s : scored) s.value = s.value < 0.6 * most ? 0.0 : near(s.T_target_source, points);
   sort_falling(scored, [](const Scored& s) { return s.value; });
-  if (!scored.empty()) result_.T_from_to = scored.front().T_target_source.inverse();
+  if (!scored.empty() && !result_.T_from_to) result_.T_from_to = scored.front().T_target_source.inverse();
   return true;
 }
 
@@ -377,8 +426,8 @@ bool FastRegistrar::Impl::Pair::reject_without_pose(std::size_t matches, const C
                                                   ", must be >= " + std::to_string(options_.min_score));
 }
 
-/// Poses from matches of descriptors, refined.
-bool FastRegistrar::Impl::Pair::search_globally(PoseSearch& search) {
+/// Refines poses from matches of descriptors. \returns as settle()
+bool FastRegistrar::Impl::Pair::search_by_descriptors(PoseSearch& search) {
   std::vector<Match> matches;
   if (!find_matches(matches)) return false;
   Consensus consensus;
@@ -391,13 +440,9 @@ bool FastRegistrar::Impl::Pair::search_globally(PoseSearch& search) {
     if (!score(consensus, scored)) return false;
   }
   if (!refine_best(scored, search)) return false;
-  if (search.empty()) return reject_without_pose(matches.size(), consensus, scored);
-  return in_time();
-}
-
-bool FastRegistrar::Impl::Pair::decide(PoseSearch& search) {
+  if (search.empty()) reject_without_pose(matches.size(), consensus, scored);
   const ScopeTimer timer(result_.refine_s);
-  return search.decide(deadline_) || reject_late();
+  return settle(search);
 }
 
 RegistrationResult FastRegistrar::compute(const RegistrationTask& task) const {

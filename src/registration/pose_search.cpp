@@ -34,6 +34,9 @@ constexpr double kSettledPart = 0.8, kSettledMissing = 0.25;
 // A direction is fixed below the deviation kFixedM and free above kFreeM. For a free direction, poses at the
 // distance kMovedM are refined; those that end within kLeastM have converged back.
 constexpr double kFixedM = 0.2, kFreeM = 1.0, kMovedM = 2.0, kLeastM = 0.3;
+// Largest deviation of a closure with less than min_overlap. In simulated worlds, half of the wrong poses
+// with so little overlap that pass the other tests have more, but only a tenth of the right ones below 1 m.
+constexpr double kSlidingM = 0.5;
 
 /// Whether a pose is outside the 99.9 % region of a closure (χ² with six degrees of freedom).
 bool excluded(const Vector6d& offset, const Matrix6d& covariance) {
@@ -43,14 +46,22 @@ bool excluded(const Vector6d& offset, const Matrix6d& covariance) {
 
 /// Whether the overlap of a pose reaches this part of the overlap that a closure needs.
 bool overlaps(const AlignmentFigures& figures, double part, const ClosureTestOptions& options) {
-  return figures.overlap >= part * options.min_overlap * figures.expected_overlap &&
-         figures.balanced_overlap >= part * options.min_balanced_overlap * figures.expected_overlap;
+  const double balanced = options.min_balanced_overlap * (1.0 - missing_overlap(figures, options));
+  const double least = std::min(options.min_overlap, options.min_certain_overlap);
+  return figures.overlap >= part * least * figures.expected_overlap &&
+         figures.balanced_overlap >= part * balanced * figures.expected_overlap;
 }
 
-/// Whether a pose nearly has the overlap of a closure. With less overlap, only a patch of ground or wall
-/// matches, and such a patch fits nearly anywhere.
-bool nearly_overlaps(const AlignmentFigures& figures, const ClosureTestOptions& options) {
-  return overlaps(figures, 0.85, options);
+/// Whether a rival of a pose nearly has min_overlap, or the overlap of the pose if that is smaller. With less
+/// overlap, only a patch of ground or wall matches, and such a patch fits nearly anywhere.
+bool nearly_overlaps(const AlignmentFigures& rival, const AlignmentFigures& pose,
+                     const ClosureTestOptions& options) {
+  constexpr double kPart = 0.85;
+  const double needed = kPart * std::min(options.min_overlap, pose.overlap / pose.expected_overlap);
+  const double balanced = kPart * options.min_balanced_overlap *
+                          std::min(1.0, pose.overlap / (pose.expected_overlap * options.min_overlap));
+  return rival.overlap >= needed * rival.expected_overlap &&
+         rival.balanced_overlap >= balanced * rival.expected_overlap;
 }
 
 /// Whether a pose that is not refined to the end may still pass the tests: it has `part` of the required
@@ -118,11 +129,13 @@ GicpResult PoseSearch::gicp(const Eigen::Isometry3d& start, const std::vector<Gi
                      surface_of(target_.submap.cloud()), target_.submap.tree(), start, passes);
 }
 
+/// Figures of a pose. The expected share on planes is that of whole scans unless `expectation` is given.
 AlignmentFigures PoseSearch::figures_of(const Eigen::Isometry3d& T_target_source,
-                                        const ClosureTestOptions& tests) const {
+                                        const ClosureTestOptions& tests,
+                                        const PlaneExpectation* expectation) const {
   AlignmentFigures figures = measure_alignment(source_.submap.cloud(), target_.submap.cloud(),
-                                               target_.submap.tree(), T_target_source, tests);
-  figures.expected_on_plane = expected_on_plane();
+                                               target_.submap.tree(), T_target_source, tests, expectation);
+  if (expectation == nullptr) figures.expected_on_plane = expected_on_plane();
   // In sparse scans of long range, fewer than half of the points have a neighbour.
   figures.expected_overlap = std::min(1.0, 2.0 * target_.share.overlap);
   constexpr std::size_t kLookedAt = 1000;
@@ -142,6 +155,26 @@ double PoseSearch::refine(const Eigen::Isometry3d& start) {
   return pose.share;
 }
 
+std::vector<GicpPass> PoseSearch::quick_passes() const {
+  std::vector<GicpPass> quick = passes_;
+  for (GicpPass& pass : quick) pass.points = std::min(pass.points, few_points());
+  return quick;
+}
+
+void PoseSearch::refine_coarsely(const Eigen::Isometry3d& start) {
+  Pose pose;
+  pose.T_target_source = gicp(start, quick_passes()).T_target_source;
+  const auto same = [&](const Pose& other) {
+    return !far_apart(other.T_target_source, pose.T_target_source, source_.centre);
+  };
+  if (!pose.T_target_source.matrix().allFinite() || !allowed(pose.T_target_source) ||
+      std::any_of(poses_.begin(), poses_.end(), same)) {
+    return;
+  }
+  pose.share = share_of(pose.T_target_source, few_points());
+  add(pose);
+}
+
 void PoseSearch::add(const Pose& pose) {
   const auto worse = [&](const Pose& other) { return other.share < pose.share; };
   poses_.insert(std::find_if(poses_.begin(), poses_.end(), worse), pose);
@@ -155,17 +188,20 @@ PoseSearch::Judgement PoseSearch::judge(Pose& pose) const {
   out.result.closure.reset();
   const Eigen::Isometry3d start = pose.T_target_source;
   fit_of(pose);
-  ClosureTestOptions tests = options_.tests;
   bool converged = true;
   out.T_target_source = pose.T_target_source;
-  if (may_pass(pose.figures, kSettledPart, kSettledMissing, tests)) {
+  if (may_pass(pose.figures, kSettledPart, kSettledMissing, options_.tests)) {
     const GicpResult settled = gicp(start, fine_pass_);
     out.T_target_source = settled.T_target_source;
     converged = settled.converged;
+    const PlaneExpectation expectation{source_.neighbours(options_.tests), target_.neighbours(options_.tests),
+                                       expected_on_plane()};
+    out.figures = figures_of(out.T_target_source, options_.tests, &expectation);
   } else {
+    ClosureTestOptions tests = options_.tests;
     tests.measured_points = kSettlingPoints;
+    out.figures = figures_of(out.T_target_source, tests);
   }
-  out.figures = figures_of(out.T_target_source, tests);
   judge_alignment(out.result, out.T_target_source.inverse(), out.figures, converged, task_.guess_from_to,
                   options_.tests);
   return out;
@@ -251,9 +287,8 @@ std::vector<Eigen::Isometry3d> PoseSearch::starts_of_rivals(const Eigen::Isometr
 /// Adds rivals of a verified pose until one fits as well as the pose. Returns false if the time runs out.
 bool PoseSearch::add_rivals(Pose& best, const Judgement& found, const Deadline& deadline) {
   // Most rivals converge back to the pose itself, and few points suffice to find that out.
-  const std::size_t few = static_cast<std::size_t>(options_.score_points) / 3;
-  std::vector<GicpPass> quick = passes_;
-  for (GicpPass& pass : quick) pass.points = std::min(pass.points, few);
+  const std::size_t few = few_points();
+  const std::vector<GicpPass> quick = quick_passes();
   const double least = kComparableShare * share_of(best.T_target_source, few);
   const bool is_fixed = found.result.closure->covariance.diagonal().head<3>().maxCoeff() < kFixedM * kFixedM;
   for (const Eigen::Isometry3d& start : starts_of_rivals(best.T_target_source)) {
@@ -273,7 +308,7 @@ bool PoseSearch::add_rivals(Pose& best, const Judgement& found, const Deadline& 
     const double lead = fit_of(rival) - fit_of(best);
     add(rival);
     // In a free direction many rivals may fit, and the covariance needs all of them. Otherwise one is enough.
-    if (is_fixed && nearly_overlaps(rival.figures, options_.tests) &&
+    if (is_fixed && nearly_overlaps(rival.figures, found.figures, options_.tests) &&
         std::abs(lead) < options_.ambiguous_margin && differs(rival, found))
       break;
   }
@@ -328,6 +363,7 @@ bool PoseSearch::refuse_hopeless() {
   if (hopeful.empty()) {
     judge_alignment(result_, best->T_target_source.inverse(), most, /*converged=*/true, task_.guess_from_to,
                     tests);
+    poses_.clear();
     return true;
   }
   poses_ = std::move(hopeful);
@@ -337,16 +373,24 @@ bool PoseSearch::refuse_hopeless() {
 bool PoseSearch::decide(const Deadline& deadline) {
   if (refuse_hopeless()) return true;
   Pose* best = &best_in_detail();
-  Judgement found = judge(*best);
-  if (found.result.verified()) {
-    widen(found);
+  if (best->refused) return true;
+  const auto judge_and_widen = [&](Pose& pose) {
+    Judgement judged = judge(pose);
+    if (judged.result.verified()) {
+      widen(judged);
+      refuse_if_sliding(judged);
+    }
+    return judged;
+  };
+  Judgement found = judge_and_widen(*best);
+  best->refused = !found.result.verified();
+  if (!best->refused) {
     if (!add_rivals(*best, found, deadline)) return false;
     Pose& better = best_in_detail();
     if (&better != best && fit_of(better) > fit_of(*best) + options_.ambiguous_margin) {
       // If the better pose fails a test, the first pose stays, and refuse_if_ambiguous() compares the two.
-      Judgement other = judge(better);
+      Judgement other = judge_and_widen(better);
       if (other.result.verified()) {
-        widen(other);
         found = std::move(other);
         best = &better;
       }
@@ -357,11 +401,25 @@ bool PoseSearch::decide(const Deadline& deadline) {
   return true;
 }
 
+/// Refuses a closure with less than min_overlap that may slide: few surfaces in common that leave a direction
+/// free fit nearly anywhere along it.
+void PoseSearch::refuse_if_sliding(Judgement& found) const {
+  const double overlap = found.figures.overlap / found.figures.expected_overlap;
+  const double variance = found.result.closure->covariance.diagonal().head<3>().maxCoeff();
+  if (overlap >= options_.tests.min_overlap || variance < kSlidingM * kSlidingM) return;
+  found.result.closure.reset();
+  found.result.reason = RejectionReason::kDegenerate;
+  found.result.message = "overlap " + std::to_string(overlap) + " with a standard deviation of " +
+                         std::to_string(std::sqrt(variance)) +
+                         " m, must be >= " + std::to_string(options_.tests.min_overlap) + " or below " +
+                         std::to_string(kSlidingM) + " m";
+}
+
 void PoseSearch::refuse_if_ambiguous(Pose& best, Judgement& found) {
   std::vector<Vector6d> offsets;  // to the poses that fit as well
   for (Pose& other : poses_) {
     if (!differs(other, found) || fit_of(other) < fit_of(best) - options_.ambiguous_margin) continue;
-    if (nearly_overlaps(other.figures, options_.tests) && differs(other, found))
+    if (nearly_overlaps(other.figures, found.figures, options_.tests) && differs(other, found))
       offsets.push_back(found.offset_to(other.T_target_source));  // fit_of() has refined the pose
   }
   sort_falling(offsets, [](const Vector6d& offset) { return -offset.head<3>().norm(); });

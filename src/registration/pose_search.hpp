@@ -40,8 +40,12 @@ class PoseSearch {
   /// surfaces, relative to the share that is expected at a true pose; 0 if the pose left the allowed region.
   double refine(const Eigen::Isometry3d& start);
 
-  /// Judges the best pose, and compares it with its rivals if it passes. Returns false if the time ran out;
-  /// the result is then invalid.
+  /// The same with a third of the points and without a result: for many starts of which few are right.
+  void refine_coarsely(const Eigen::Isometry3d& start);
+
+  /// Judges the best pose, and compares it with its rivals if it passes. May be called again after further
+  /// poses are refined; poses that fail the tests by far are dropped. Returns false if the time ran out; the
+  /// result is then invalid.
   [[nodiscard]] bool decide(const Deadline& deadline);
 
  private:
@@ -52,6 +56,7 @@ class PoseSearch {
     double share = 0.0;         // on surfaces, relative to the share expected at a true pose
     std::optional<double> fit;  // see fit_of()
     AlignmentFigures figures;   // with few points; computed with `fit`
+    bool refused = false;       // by all tests, as the best pose of an earlier decide()
   };
   struct Judgement {
     Eigen::Isometry3d T_target_source =
@@ -67,13 +72,17 @@ class PoseSearch {
   [[nodiscard]] double share_of(const Eigen::Isometry3d& T_target_source, std::size_t points) const;
   [[nodiscard]] GicpResult gicp(const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) const;
   [[nodiscard]] std::vector<GicpPass> settle_pass() const;
+  [[nodiscard]] std::size_t few_points() const { return static_cast<std::size_t>(options_.score_points) / 3; }
+  [[nodiscard]] std::vector<GicpPass> quick_passes() const;
   [[nodiscard]] AlignmentFigures figures_of(const Eigen::Isometry3d& T_target_source,
-                                            const ClosureTestOptions& tests) const;
+                                            const ClosureTestOptions& tests,
+                                            const PlaneExpectation* expectation = nullptr) const;
   void add(const Pose& pose);
   double fit_of(Pose& pose) const;
   [[nodiscard]] Pose& best_in_detail();
   [[nodiscard]] Judgement judge(Pose& pose) const;
   [[nodiscard]] bool refuse_hopeless();
+  void refuse_if_sliding(Judgement& found) const;
   void widen(Judgement& found) const;
   [[nodiscard]] bool attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const;
   [[nodiscard]] std::vector<Eigen::Isometry3d> starts_of_rivals(const Eigen::Isometry3d& best) const;

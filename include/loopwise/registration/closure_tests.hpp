@@ -4,6 +4,7 @@
 #pragma once
 
 #include <cstddef>
+#include <cstdint>
 #include <optional>
 #include <vector>
 
@@ -33,14 +34,20 @@ struct ClosureTestOptions {
   double overlap_distance_m = 0.5;
   /// Minimum share of overlapping source points, relative to the same share of neighbours within the target.
   double min_overlap = 0.4;
+  /// A smaller overlap, down to this one, suffices for FastRegistrar if surfaces fix all directions of the
+  /// translation to 0.5 m. Without effect if it exceeds min_overlap.
+  double min_certain_overlap = 0.4;
   /// Minimum overlap with equal weight for every direction of surfaces. Ground on ground alone is then not
   /// enough.
   double min_balanced_overlap = 0.25;
+  /// Below this overlap, min_balanced_overlap falls in proportion and min_consistency rises, by up to 0.15.
+  double full_overlap = 0.4;
   /// A point lies on a surface of the target if its distance along the normal is less than this, m.
   double plane_distance_m = 0.08;
   /// Minimum consistency: the share of overlapping points that lie on a surface, relative to the same share
-  /// within the scans themselves, minus five times the share of points in space that the other scan saw as
-  /// free. 0: no test.
+  /// of their neighbours within their own scans, minus five times the share of points in space that the other
+  /// scan saw as free. If less than half of the points overlap, the weight of free space grows in proportion.
+  /// 0: no test.
   double min_consistency = 0.0;
   /// Closures with more unconstrained directions, whose standard deviation reaches max_sigma_m or
   /// max_sigma_rad, are rejected. A round tunnel has two.
@@ -75,7 +82,9 @@ struct ClosureTestOptions {
     field("fitness_range_m", self.fitness_range_m, above(0.0));
     field("overlap_distance_m", self.overlap_distance_m, above(0.0));
     field("min_overlap", self.min_overlap, between(0.0, 1.0));
+    field("min_certain_overlap", self.min_certain_overlap, between(0.0, 1.0));
     field("min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0));
+    field("full_overlap", self.full_overlap, between(0.01, 1.0));
     field("plane_distance_m", self.plane_distance_m, above(0.0));
     field("min_consistency", self.min_consistency, between(0.0, 1.0));
     field("max_free_directions", self.max_free_directions, between(0.0, 6.0));
@@ -100,7 +109,7 @@ struct AlignmentFigures {
   /// surfaces. Directions with less than 5 % of the points count in proportion.
   double balanced_overlap = 0.0;
   double on_plane = 0.0;           ///< Share of these points within plane_distance_m.
-  double expected_on_plane = 1.0;  ///< The share among neighbours within the clouds, see surface_share().
+  double expected_on_plane = 1.0;  ///< The share among neighbours within the clouds, see PlaneNeighbours.
   double expected_overlap = 1.0;   ///< Overlap of neighbours within the target, see surface_share().
   /// Share of points in free space of the other scan, summed over source and target; 0 if not measured.
   double contradiction = 0.0;
@@ -113,14 +122,6 @@ struct AlignmentFigures {
   Matrix6d normal_noise =
       Matrix6d::Zero();  ///< Σ GᵀG: the contribution of random normals of variance 1 to the Hessian.
 };
-
-/// Measures source points against a target with normals under T_to_from (source to target). One
-/// nearest-neighbour search per point.
-[[nodiscard]] LOOPWISE_EXPORT AlignmentFigures measure_alignment(const PointCloud& source,
-                                                                 const PointCloud& target,
-                                                                 const KdTree& target_tree,
-                                                                 const Eigen::Isometry3d& T_to_from,
-                                                                 const ClosureTestOptions& options);
 
 /// Figures of a correct alignment, estimated from neighbours within a cloud.
 struct SurfaceShare {
@@ -135,8 +136,38 @@ struct SurfaceShare {
 [[nodiscard]] LOOPWISE_EXPORT SurfaceShare surface_share(const PointCloud& cloud, const KdTree& tree,
                                                          const ClosureTestOptions& options);
 
-/// Fit of an alignment in detail, at most 1: on_plane/expected_on_plane − 5·contradiction. Similar corridors
-/// overlap, but differ in roughness and openings.
+/// How a point relates to its nearest neighbour within its own cloud.
+enum class PlaneNeighbour : std::uint8_t {
+  kNone,      ///< No neighbour within overlap_distance_m with an agreeing normal.
+  kOffPlane,  ///< The point is not within plane_distance_m of the neighbour's plane.
+  kOnPlane    ///< The point is within plane_distance_m of the neighbour's plane.
+};
+
+/// The same as surface_share() for every point. An overlap is often the far end of a scan, where points are
+/// noisier and fewer than in the whole scan.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<PlaneNeighbour> plane_neighbours(const PointCloud& cloud,
+                                                                           const KdTree& tree,
+                                                                           const ClosureTestOptions& options);
+
+/// plane_neighbours() of both clouds, and the share among all points. Neither vector is owned.
+struct PlaneExpectation {
+  const std::vector<PlaneNeighbour>& source;
+  const std::vector<PlaneNeighbour>& target;
+  double on_plane = 1.0;  ///< Counts as twenty points, so that a few points do not decide.
+};
+
+/// Measures source points against a target with normals under T_to_from (source to target). One
+/// nearest-neighbour search per point. With `expectation`, expected_on_plane is the share among the
+/// neighbours of those points that overlap; without it, the figure is left at 1.
+[[nodiscard]] LOOPWISE_EXPORT AlignmentFigures
+measure_alignment(const PointCloud& source, const PointCloud& target, const KdTree& target_tree,
+                  const Eigen::Isometry3d& T_to_from, const ClosureTestOptions& options,
+                  const PlaneExpectation* expectation = nullptr);
+
+/// Fit of an alignment in detail: on_plane/expected_on_plane − 5·contradiction·max(1, 0.5/overlap), with the
+/// overlap relative to the expected one and at least 0.05. Similar corridors overlap, but differ in roughness
+/// and openings. Only points that overlap or contradict tell anything, so contradictions weigh more if few
+/// points overlap.
 [[nodiscard]] LOOPWISE_EXPORT double consistency(const AlignmentFigures& figures);
 
 /// Number of the six directions that the points do not constrain: without a bound, their standard deviation
@@ -159,6 +190,10 @@ LOOPWISE_EXPORT void widen_covariance(Matrix6d& covariance, const Eigen::Vector3
 /// of `to`. The last test of judge_alignment() bounds the lengths of both parts.
 [[nodiscard]] LOOPWISE_EXPORT Vector6d moved_from_guess(const Eigen::Isometry3d& guess_from_to,
                                                         const Eigen::Isometry3d& T_from_to);
+
+/// Share of full_overlap by which an alignment falls short of it, in [0, 1].
+[[nodiscard]] LOOPWISE_EXPORT double missing_overlap(const AlignmentFigures& figures,
+                                                     const ClosureTestOptions& options);
 
 /// Fills `result` from an alignment: figures, reason and message, or the closure with its covariance.
 /// Tests in order: finite, converged, fitness, overlap, consistency, free directions, distance from the

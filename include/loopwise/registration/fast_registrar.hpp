@@ -35,7 +35,7 @@ struct FastRegistrarOptions {
   /// The pair is rejected if a smaller share of score_points lies on the target. Points closer to the target
   /// count more.
   double min_score = 0.15;
-  /// Number of best hypotheses that are refined and compared in detail.
+  /// Number of best hypotheses of descriptors, and of votes, that are refined and compared in detail.
   int refined_hypotheses = 3;
   /// The refined guess is tested before any matches are searched if at least this share of score_points lies
   /// on surfaces of the target, relative to the same share within the scans themselves.
@@ -67,7 +67,9 @@ struct FastRegistrarOptions {
     ClosureTestOptions tests;
     tests.max_fitness_m2 = 2.2;
     tests.measured_points = 2000;
-    tests.min_consistency = 0.84;
+    tests.min_certain_overlap = 0.15;
+    tests.full_overlap = 0.5;
+    tests.min_consistency = 0.87;
     return tests;
   }
 
@@ -96,8 +98,9 @@ struct FastRegistrarOptions {
 };
 
 /// Registration at less than a tenth of the cost of the reference, without random draws. It first tries the
-/// graph's guess, if it exists. Otherwise it uses mutual FPFH matches, consensus by second-order
-/// compatibility, and a comparison on the scans of the hypotheses that the guess allows. The best hypotheses
+/// graph's guess, if it exists, then translations for which pairs of parallel surfaces vote. Otherwise it
+/// uses mutual FPFH matches, consensus by second-order compatibility, and a comparison on the scans of the
+/// hypotheses that the guess allows; without a guess, votes come last. The best hypotheses
 /// are refined by generalized ICP (Gauss-Newton, from coarse to fine) and compared in detail. A pose that
 /// passes the tests is compared with rivals from symmetries and periods of the place; the pair is ambiguous
 /// if one fits as well. Pairs without overlap are rejected early. Thread-safe; data of a scan or a submap are
