@@ -295,7 +295,8 @@ TEST_CASE("trace: a run with prioritisers of the user's own is repeated with the
   };
   ModuleParts parts;
   parts.prioritizers = make();
-  testing::write_text(folder / "trace.jsonl", joined(small_trace(two_circles(1, 12), std::move(parts))));
+  // Many more candidates than a batch, so that the order decides which pairs are started.
+  testing::write_text(folder / "trace.jsonl", joined(small_trace(two_circles(1, 30), std::move(parts))));
   const ReplayResult again = replay_trace(folder / "trace.jsonl", {}, make);
   REQUIRE(again.problems.empty());
   REQUIRE(again.handed_out.at(0).first == "random");

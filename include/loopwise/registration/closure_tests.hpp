@@ -151,8 +151,8 @@ enum class PlaneNeighbour : std::uint8_t {
 
 /// plane_neighbours() of both clouds, and the share among all points. Neither vector is owned.
 struct PlaneExpectation {
-  const std::vector<PlaneNeighbour>& source;
-  const std::vector<PlaneNeighbour>& target;
+  const std::vector<PlaneNeighbour>& source;  ///< By point of the source.
+  const std::vector<PlaneNeighbour>& target;  ///< By point of the target.
   double on_plane = 1.0;  ///< Counts as twenty points, so that a few points do not decide.
 };
 

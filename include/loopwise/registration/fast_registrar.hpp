@@ -69,7 +69,7 @@ struct FastRegistrarOptions {
     tests.measured_points = 2000;
     tests.min_certain_overlap = 0.15;
     tests.full_overlap = 0.5;
-    tests.min_consistency = 0.87;
+    tests.min_consistency = 0.85;
     return tests;
   }
 
