@@ -608,7 +608,10 @@ TEST_CASE("replay: files, fields, the same bytes for any number of threads, and 
 
   // As a kill leaves it: half of the outcomes, the last one cut short, no results.
   const std::string outcomes = testing::read_text(folder / "two" / "outcomes.jsonl");
-  testing::write_text(folder / "two" / "outcomes.jsonl", outcomes.substr(0, outcomes.size() / 2));
+  const std::size_t first = outcomes.find('\n') + 1;  // after the header
+  const std::size_t cut = first + (outcomes.size() - first) / 2;
+  REQUIRE(outcomes.find('\n', first) < cut);
+  testing::write_text(folder / "two" / "outcomes.jsonl", outcomes.substr(0, cut));
   for (const char* file : {"summary.json", "closures.csv", "graph.g2o"})
     testing::fs::remove(folder / "two" / file);
   const ProgramRun resumed = run_program(replay("two", {"--resume"}));
