@@ -27,7 +27,7 @@ constexpr std::size_t kMostSeen = 2000;
 constexpr std::size_t kFewestPairs = 20;
 /// Smaller d² are not noise but copies, of one measurement or of the odometry.
 constexpr double kLeastInnovation = 1e-7;
-/// Share of the largest group that a group must have.
+/// A group must have a tenth of the closures of the largest group, and that group a tenth of all.
 constexpr std::size_t kSmallestShare = 10;
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
@@ -80,7 +80,9 @@ class Confirmation {
     std::vector<std::size_t> size(wanted.size());
     for (std::size_t e = 0; e < wanted.size(); ++e) size[groups.root(e)] += wanted[e] != 0 ? 1 : 0;
     const std::size_t largest = *std::max_element(size.begin(), size.end());
+    const auto all = static_cast<std::size_t>(std::count(wanted.begin(), wanted.end(), 1));
     std::vector<char> out(wanted.size());
+    if (kSmallestShare * largest < all) return out;
     for (std::size_t e = 0; e < wanted.size(); ++e) {
       const std::size_t own = size[groups.root(e)];
       out[e] = wanted[e] != 0 && own > 1 && kSmallestShare * own >= largest ? 1 : 0;
