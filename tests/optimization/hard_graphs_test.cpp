@@ -174,6 +174,19 @@ void add_groups(Measured& measured, testing::RandomGraph& graph, std::size_t gro
   }
 }
 
+/// A square whose deviations are stated a hundred times too large, with groups of false closures, or random
+/// ones if there are no groups.
+testing::RandomGraph pessimistic(std::uint64_t seed, std::size_t groups, std::size_t size) {
+  Measured measured(seed, {1e-4, 1e-4});
+  testing::RandomGraph graph = square(measured, 16);
+  if (groups > 0) {
+    add_groups(measured, graph, groups, size);
+  } else {
+    add_random(measured, graph, 240);
+  }
+  return graph;
+}
+
 struct Wrong {
   std::size_t kept = 0, lost = 0;  ///< False closures kept, right ones lost
 };
@@ -246,13 +259,7 @@ TEST_CASE("hard graphs: false closures far below a pessimistic threshold are fou
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     for (const bool in_groups : {false, true}) {
       CAPTURE(seed, in_groups);
-      Measured measured(seed, {1e-4, 1e-4});
-      testing::RandomGraph graph = square(measured, 16);
-      if (in_groups) {
-        add_groups(measured, graph, 16, 5);
-      } else {
-        add_random(measured, graph, 240);
-      }
+      const testing::RandomGraph graph = pessimistic(seed, in_groups ? 16 : 0, 5);
       const GncResult result = optimize_gnc(graph.graph);
       REQUIRE(wrong(graph, result).kept <= 1);
       REQUIRE(wrong(graph, result).lost <= 2);
@@ -265,13 +272,7 @@ TEST_CASE("hard graphs: information that is far too pessimistic is as good as ri
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     for (const bool in_groups : {false, true}) {
       CAPTURE(seed, in_groups);
-      Measured measured(seed, {1e-4, 1e-4});
-      testing::RandomGraph graph = square(measured, 16);
-      if (in_groups) {
-        add_groups(measured, graph, 24, 10);
-      } else {
-        add_random(measured, graph, 240);
-      }
+      const testing::RandomGraph graph = pessimistic(seed, in_groups ? 24 : 0, 10);
       const GncResult result = optimize_gnc(graph.graph);
       REQUIRE(wrong(graph, result).kept == 0);
       REQUIRE(wrong(graph, result).lost <= 2);
