@@ -71,10 +71,9 @@ class Confirmation {
     for (std::size_t i = 0; i < seen_.size(); ++i) {
       const std::uint32_t e = seen_[i].edge;
       if (seen_[i].reversed || wanted[e] == 0) continue;
-      find_near(i);
+      find_near(i, &wanted);
       for (const auto& [distance, other] : near_) {
-        if (wanted[other->edge] != 0 && groups.root(e) != groups.root(other->edge) && agree(e, *other))
-          groups.join(e, other->edge);
+        if (groups.root(e) != groups.root(other->edge) && agree(e, *other)) groups.join(e, other->edge);
       }
     }
     std::vector<std::size_t> size(wanted.size());
@@ -125,8 +124,8 @@ class Confirmation {
     }
   }
 
-  /// Finds the closures near this one, nearest first.
-  void find_near(std::size_t i) {
+  /// Finds the closures near this one, nearest first: all, or only wanted ones (by edge).
+  void find_near(std::size_t i, const std::vector<char>* wanted = nullptr) {
     const Seen& own = seen_[i];
     near_.clear();
     std::size_t seen = 0;
@@ -135,7 +134,8 @@ class Confirmation {
       const std::uint32_t at_this_end = steps(other.place, own.place);
       if (at_this_end > kNearSteps) return false;
       const std::uint32_t all = at_this_end + steps(other.other_place, own.other_place);
-      if (all <= kNearSteps && other.edge != own.edge) near_.emplace_back(all, &other);
+      if (all <= kNearSteps && other.edge != own.edge && (wanted == nullptr || (*wanted)[other.edge] != 0))
+        near_.emplace_back(all, &other);
       return true;
     };
     for (std::size_t k = i + 1; k < seen_.size() && consider(seen_[k]);) ++k;

@@ -61,6 +61,11 @@ bool differ(const OdometryVariances& a, const OdometryVariances& b) {
   return beyond(a, b) || beyond(b, a);
 }
 
+/// Variance of the noise, relative to the stated one, by which closures that start a solution agree.
+double scale_of_seeds(const GrossOutliers& gross) {
+  return gross.scale >= 1.0 ? gross.scale : kShareOfMargin * gross.scale;
+}
+
 std::size_t count(const std::vector<char>& flags) {
   return static_cast<std::size_t>(std::count(flags.begin(), flags.end(), 1));
 }
@@ -110,6 +115,8 @@ Starts::Starts(const RobustProblem& given, const PoseProblem& problem, NormalEqu
 }
 
 bool Starts::from_last(const WarmStart& warm) {
+  // The thresholds of the stated noise would admit false closures that the measured noise excludes.
+  if (gross_.measured < kFarTooPessimistic) return false;
   const OdometryVariances variances = allowed(warm.odometry_variances);
   Scaled scaled(*this, variances);
   PoseProblem& problem = scaled.problem();
@@ -149,6 +156,9 @@ bool Starts::from_measured_noise() {
   const RobustProblem given{graph,      forest,      given_.start, given_.options,
                             given_.gnc, given_.pool, given_.stop};
   Starts measured(given, problem, equations_);
+  // By the measured noise, the stated one is right. If it is not, copies of the odometry count as closures
+  // now, and would exclude all others.
+  if (measured.gross_.scale < 1.0) return false;
   std::optional<FromConfirmed> found = measured.solve_from_confirmed({}, measured.gross_, true);
   if (!found) return false;
   count_discarded(found->solution.result);
@@ -195,87 +205,140 @@ bool Starts::from_confirmed() {
   return beyond_doubt;
 }
 
-/// With these odometry variances, from the closures that others confirm among those that odometry then
-/// allows. Nothing if they are few. If they contradict each other, the solution is graduated among them,
-/// unless it is in doubt anyway because of those that odometry rules out.
-/// \param grow whether to re-admit closures as well
-std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const OdometryVariances& variances,
-                                                                  const GrossOutliers& gross, bool grow) {
-  Scaled scaled(*this, variances);
-  std::vector<char> allowed(gross.excluded.size());
-  for (std::size_t k = 0; k < allowed.size(); ++k) {
-    allowed[k] = known_inlier(given_.graph.edges()[k]) || gross.excluded[k] != 0 ? 0 : 1;
+/// A start from the confirmed closures among those that odometry allows.
+class Starts::ConfirmedStart {
+ public:
+  /// All arguments must outlive the object.
+  ConfirmedStart(Starts& starts, const OdometryVariances& variances, const GrossOutliers& gross)
+      : starts_(starts), gross_(gross), scaled_(starts, variances), allowed_(gross.excluded.size()) {
+    for (std::size_t k = 0; k < allowed_.size(); ++k) {
+      allowed_[k] = known_inlier(given().graph.edges()[k]) || gross.excluded[k] != 0 ? 0 : 1;
+    }
+    choose(starts.seeds_among(given(), allowed_, gross));
+    out_.solution.odometry_variances = variances;
   }
-  std::vector<char> confirmed = seeds_among(scaled.given(), allowed, gross);
-  auto seeds = static_cast<double>(count(confirmed));
-  if (seeds == 0.0 || seeds < kFewestConfirmed * static_cast<double>(count(allowed))) return std::nullopt;
-  PoseProblem& problem = scaled.problem();
-  FromConfirmed out;
-  out.solution = chordal_of(problem, confirmed);
-  out.solution.odometry_variances = variances;
-  std::vector<Pose> chordal = out.solution.poses;
-  RobustSolver solver(scaled.given(), gross, problem, equations_, out.solution.poses);
-  const auto few = [&](double number) { return number <= kMostConfirmedLost * seeds; };
-  const auto lost = [&] {
+
+  [[nodiscard]] bool are_few() const {
+    return seeds_ == 0.0 || seeds_ < kFewestConfirmed * static_cast<double>(count(allowed_));
+  }
+
+  FromConfirmed solve(bool grow) {
+    out_.solution.poses = chordal();
+    const std::vector<Pose> start = out_.solution.poses;
+    solver_.emplace(given(), gross_, problem(), starts_.equations_, out_.solution.poses);
+    bool agree = agree_at_minimum();
+    bool doubtful = (!grow || !agree) && is_in_doubt(gross_.excluded, seeds_);
+    if (!agree && agree_in_large_groups()) {
+      agree = true;
+      doubtful = !grow && is_in_doubt(gross_.excluded, seeds_);
+    }
+    out_.plain = agree;
+    if (!agree && !doubtful) {
+      out_.solution.poses = start;
+      agree = agree_after_graduation();
+      doubtful = !agree || lost() > kMostContradicting * seeds_;
+    }
+    if (!doubtful) explain_the_others(grow);
+    out_.settled = agree;
+    starts_.finish(*solver_, GncStart::kConfirmed, out_.solution);
+    out_.solution.result.optimization.factorizations += factorizations_;
+    return std::move(out_);
+  }
+
+ private:
+  [[nodiscard]] const RobustProblem& given() const { return scaled_.given(); }
+  [[nodiscard]] PoseProblem& problem() { return scaled_.problem(); }
+
+  void choose(std::vector<char> confirmed) {
+    confirmed_ = std::move(confirmed);
+    seeds_ = static_cast<double>(count(confirmed_));
+  }
+
+  std::vector<Pose> chordal() {
+    Solution first = starts_.chordal_of(problem(), confirmed_);
+    factorizations_ += first.result.optimization.factorizations;
+    return std::move(first.poses);
+  }
+
+  /// Number of the confirmed closures that the solution excludes.
+  [[nodiscard]] double lost() {
     double number = 0.0;
-    for (std::size_t k = 0; k < confirmed.size(); ++k) {
-      number += confirmed[k] != 0 && problem.weight[k] <= kKept ? 1.0 : 0.0;
+    for (std::size_t k = 0; k < confirmed_.size(); ++k) {
+      number += confirmed_[k] != 0 && problem().weight[k] <= kKept ? 1.0 : 0.0;
     }
     return number;
-  };
-  const auto agree_at_minimum = [&] {
-    return few(static_cast<double>(solver.minimize_with(confirmed, kMostSteps))) &&
-           solver.truncate(true, kMostRounds) && few(lost());
-  };
-  const auto is_in_doubt = [&](const std::vector<char>& among, double allowance) {
-    return static_cast<double>(in_doubt(scaled.given(), problem, out.solution.poses, among)) >
-           std::min(allowance, kMostConfirmedLost * seeds);
-  };
-  bool agree = agree_at_minimum();
-  if (!agree && !given_.stop.stop_requested()) {
-    std::vector<char> large = in_large_groups_of(scaled.given(), confirmed, gross.scale);
-    if (large != confirmed &&
-        static_cast<double>(count(large)) >= kFewestInLargeGroups * static_cast<double>(count(allowed))) {
-      std::swap(confirmed, large);
-      seeds = static_cast<double>(count(confirmed));
-      out.solution.poses = chordal_of(problem, confirmed).poses;
-      agree = agree_at_minimum();
-      if (!agree) {
-        solver.graduate_with(confirmed);
-        agree = solver.truncate(false, kMostRounds) && lost() <= kMostOfGroupsLost * seeds;
-      }
-      if (!agree) {
-        std::swap(confirmed, large);
-        seeds = static_cast<double>(count(confirmed));
-      }
-    }
   }
-  out.plain = agree;
-  bool doubtful = (!grow || !agree) && is_in_doubt(gross.excluded, seeds);
-  if (!doubtful && !agree) {
-    out.solution.poses = chordal;
-    solver.graduate_with(confirmed);
-    agree = solver.truncate(false, kMostRounds);
-    doubtful = !agree || lost() > kMostContradicting * seeds;
+
+  [[nodiscard]] bool is_in_doubt(const std::vector<char>& among, double allowance) {
+    return static_cast<double>(starts_.in_doubt(given(), problem(), out_.solution.poses, among)) >
+           std::min(allowance, kMostConfirmedLost * seeds_);
   }
-  if (!doubtful) {
-    if (grow) solver.grow({});
-    const std::vector<char> all(confirmed.size(), 1);
-    out.plain = out.plain && solver.unexplained(allowed).empty() &&
-                static_cast<double>(count(confirmed_left_out(scaled.given(), problem.weight))) <= lost();
-    out.explained = solver.admit_unexplained(allowed);
-    out.beyond_doubt = out.explained && !is_in_doubt(all, lost());
+
+  bool agree_at_minimum() {
+    const auto few = [&](double number) { return number <= kMostConfirmedLost * seeds_; };
+    return few(static_cast<double>(solver_->minimize_with(confirmed_, kMostSteps))) &&
+           solver_->truncate(true, kMostRounds) && few(lost());
   }
-  out.settled = agree;
-  finish(solver, GncStart::kConfirmed, out.solution);
-  return out;
+
+  bool agree_after_graduation() {
+    solver_->graduate_with(confirmed_);
+    return solver_->truncate(false, kMostRounds);
+  }
+
+  /// Tries the closures in large groups in place of all confirmed ones. If they do not agree either, the
+  /// state before is restored.
+  bool agree_in_large_groups() {
+    if (given().stop.stop_requested()) return false;
+    std::vector<char> large = starts_.in_large_groups_of(given(), confirmed_, gross_);
+    if (large == confirmed_ ||
+        static_cast<double>(count(large)) < kFewestInLargeGroups * static_cast<double>(count(allowed_)))
+      return false;
+    const std::vector<char> confirmed = confirmed_, kept = kept_by(problem().weight);
+    const std::vector<Pose> poses = out_.solution.poses;
+    choose(std::move(large));
+    out_.solution.poses = chordal();
+    if (agree_at_minimum() || (agree_after_graduation() && lost() <= kMostOfGroupsLost * seeds_)) return true;
+    choose(confirmed);
+    out_.solution.poses = poses;
+    solver_->keep(kept);
+    return false;
+  }
+
+  void explain_the_others(bool grow) {
+    if (grow) solver_->grow({});
+    const std::vector<char> all(confirmed_.size(), 1);
+    out_.plain = out_.plain && solver_->unexplained(allowed_).empty() &&
+                 static_cast<double>(count(starts_.confirmed_left_out(given(), problem().weight))) <= lost();
+    out_.explained = solver_->admit_unexplained(allowed_);
+    out_.beyond_doubt = out_.explained && !is_in_doubt(all, lost());
+  }
+
+  Starts& starts_;
+  const GrossOutliers& gross_;
+  Scaled scaled_;
+  std::vector<char> allowed_, confirmed_;  // by edge
+  double seeds_ = 0.0;                     // number of the confirmed ones
+  int factorizations_ = 0;                 // of chordal estimates
+  FromConfirmed out_;
+  std::optional<RobustSolver> solver_;
+};
+
+/// With these odometry variances, from the closures that others confirm among those that odometry then
+/// allows. Nothing if they are few. If they contradict each other, those in large groups start alone; if
+/// these do too, the solution is graduated among all of them, unless it is in doubt anyway because of those
+/// that odometry rules out. \param grow whether to re-admit closures as well
+std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const OdometryVariances& variances,
+                                                                  const GrossOutliers& gross, bool grow) {
+  ConfirmedStart start(*this, variances, gross);
+  if (start.are_few()) return std::nullopt;
+  return start.solve(grow);
 }
 
 /// Those among confirmed closures that belong to large groups of closures that confirm each other.
 std::vector<char> Starts::in_large_groups_of(const RobustProblem& given, const std::vector<char>& confirmed,
-                                             double scale) const {
+                                             const GrossOutliers& gross) const {
   const double c2 = chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom());
-  return in_large_groups(given.graph, given.forest, confirmed, scale * c2);
+  return in_large_groups(given.graph, given.forest, confirmed, scale_of_seeds(gross) * c2);
 }
 
 /// Number of confirmed closures among some (by edge) that a solution excludes although it would not
@@ -504,8 +567,8 @@ std::vector<char> Starts::confirmed_of(const RobustProblem& given, const std::ve
 /// The confirmed closures among some (by edge) that start a solution.
 std::vector<char> Starts::seeds_among(const RobustProblem& given, std::vector<char> allowed,
                                       const GrossOutliers& gross) const {
-  if (gross.scale >= 1.0) return confirmed_of(given, allowed, gross.scale);
-  const double scale = kShareOfMargin * gross.scale;
+  const double scale = scale_of_seeds(gross);
+  if (gross.scale >= 1.0) return confirmed_of(given, allowed, scale);
   const double limit =
       scale * chi_squared_quantile(given.gnc.innovation_probability, given.graph.degrees_of_freedom());
   for (std::size_t k = 0; k < allowed.size(); ++k) {

@@ -25,8 +25,8 @@ class Starts {
  public:
   Starts(const RobustProblem& given, const PoseProblem& problem, NormalEquations& equations);
 
-  /// Starts from the last result. \returns false if the result is in doubt, so that the other starts are
-  /// needed
+  /// Starts from the last result. \returns false if the result is in doubt, or information is far too
+  /// pessimistic, so that the other starts are needed
   bool from_last(const WarmStart& warm);
   /// For information that is far too pessimistic: from_confirmed() with the measured noise in place of the
   /// stated one, then the minimum with its closures. \returns whether that solution is beyond doubt; only
@@ -71,6 +71,7 @@ class Starts {
 
  private:
   class Scaled;
+  class ConfirmedStart;
   /// A solution that starts from the confirmed closures.
   struct FromConfirmed {
     Solution solution;
@@ -99,7 +100,8 @@ class Starts {
   [[nodiscard]] std::vector<char> confirmed_of(const RobustProblem& given, const std::vector<char>& wanted,
                                                double scale) const;
   [[nodiscard]] std::vector<char> in_large_groups_of(const RobustProblem& given,
-                                                     const std::vector<char>& confirmed, double scale) const;
+                                                     const std::vector<char>& confirmed,
+                                                     const GrossOutliers& gross) const;
   [[nodiscard]] std::vector<char> seeds_among(const RobustProblem& given, std::vector<char> allowed,
                                               const GrossOutliers& gross) const;
   [[nodiscard]] std::vector<char> confirmed_left_out(const RobustProblem& given,
