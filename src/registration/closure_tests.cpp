@@ -257,9 +257,8 @@ void judge_alignment(RegistrationResult& result, const Eigen::Isometry3d& T_from
                   beyond("mean squared distance", figures.fitness_m2, "<=", options.max_fitness_m2, " m^2"));
   }
   const double overlap = figures.overlap / figures.expected_overlap;
-  const double min_overlap = std::min(options.min_overlap, options.min_certain_overlap);
-  if (!(overlap >= min_overlap)) {
-    return reject(RejectionReason::kLowOverlap, beyond("overlap", overlap, ">=", min_overlap, ""));
+  if (!(overlap >= options.min_overlap)) {
+    return reject(RejectionReason::kLowOverlap, beyond("overlap", overlap, ">=", options.min_overlap, ""));
   }
   const double missing = missing_overlap(figures, options);
   const double balanced = figures.balanced_overlap / figures.expected_overlap;

@@ -265,7 +265,7 @@ class FastRegistrar::Impl::Pair {
   bool settle(PoseSearch& search);
   bool search_by_votes(PoseSearch& search);
   bool search_by_descriptors(PoseSearch& search);
-  bool find_matches(std::vector<Match>& matches);
+  bool find_matches(const PoseSearch& search, std::vector<Match>& matches);
   bool score(const Consensus& consensus, std::vector<Scored>& scored);
   bool refine_best(const std::vector<Scored>& scored, PoseSearch& search);
   bool reject_without_pose(std::size_t matches, const Consensus& consensus,
@@ -358,7 +358,7 @@ bool FastRegistrar::Impl::Pair::search_by_votes(PoseSearch& search) {
 }
 
 /// Matches of descriptors that some allowed pose explains.
-bool FastRegistrar::Impl::Pair::find_matches(std::vector<Match>& matches) {
+bool FastRegistrar::Impl::Pair::find_matches(const PoseSearch& search, std::vector<Match>& matches) {
   std::shared_ptr<const KeyPoints> source, target;
   {
     const ScopeTimer timer(result_.features_s);
@@ -368,6 +368,7 @@ bool FastRegistrar::Impl::Pair::find_matches(std::vector<Match>& matches) {
   if (!in_time()) return false;
   const ScopeTimer timer(result_.global_s);
   if (std::min(source->points.size(), target->points.size()) < 3) {
+    if (!search.empty()) return in_time();  // the test of a pose says more
     return reject(RejectionReason::kTooFewPoints, "fewer than 3 key points with a normal and neighbours");
   }
   matches = match(*source, *target, static_cast<std::size_t>(options_.max_matches));
@@ -429,7 +430,7 @@ bool FastRegistrar::Impl::Pair::reject_without_pose(std::size_t matches, const C
 /// Refines poses from matches of descriptors. \returns as settle()
 bool FastRegistrar::Impl::Pair::search_by_descriptors(PoseSearch& search) {
   std::vector<Match> matches;
-  if (!find_matches(matches)) return false;
+  if (!find_matches(search, matches)) return false;
   Consensus consensus;
   std::vector<Scored> scored;
   {

@@ -56,7 +56,7 @@ class PoseSearch {
     double share = 0.0;         // on surfaces, relative to the share expected at a true pose
     std::optional<double> fit;  // see fit_of()
     AlignmentFigures figures;   // with few points; computed with `fit`
-    bool refused = false;       // by all tests, as the best pose of an earlier decide()
+    bool refused = false;       // by the tests
   };
   struct Judgement {
     Eigen::Isometry3d T_target_source =
@@ -79,10 +79,10 @@ class PoseSearch {
                                             const PlaneExpectation* expectation = nullptr) const;
   void add(const Pose& pose);
   double fit_of(Pose& pose) const;
-  [[nodiscard]] Pose& best_in_detail();
+  [[nodiscard]] Pose* best_in_detail();
   [[nodiscard]] Judgement judge(Pose& pose) const;
   [[nodiscard]] bool refuse_hopeless();
-  void refuse_if_sliding(Judgement& found) const;
+  void refuse_if_sliding(Judgement& judged) const;
   void widen(Judgement& found) const;
   [[nodiscard]] bool attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const;
   [[nodiscard]] std::vector<Eigen::Isometry3d> starts_of_rivals(const Eigen::Isometry3d& best) const;
@@ -94,6 +94,7 @@ class PoseSearch {
   const Side& target_;
   const RegistrationTask& task_;
   const FastRegistrarOptions& options_;
+  const ClosureTestOptions least_;  // the tests with the smallest overlap that may suffice
   RegistrationResult& result_;
   std::vector<GicpPass> passes_, fine_pass_;
   std::list<Pose> poses_;  // by falling share; references stay valid

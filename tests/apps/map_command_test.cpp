@@ -29,15 +29,9 @@ using testing::TemporaryFolder;
 TEST_CASE("replay: a run without closures prints the reason and a remedy", "[apps]") {
   const TemporaryFolder folder;
   write_mission(folder / "mission", small_mission(4));
-  const std::vector<std::string> replay = {"replay",
-                                           (folder / "mission").string(),
-                                           "--overwrite",
-                                           "-o",
-                                           (folder / "out").string(),
-                                           "--set",
-                                           "generation.skip_recent=1",
-                                           "--set",
-                                           "fast_registrar.min_certain_overlap=1"};
+  const std::vector<std::string> replay = {
+      "replay", (folder / "mission").string(), "--overwrite", "-o", (folder / "out").string(),
+      "--set",  "generation.skip_recent=1"};
   const auto with = [&](const std::string& option) {
     std::vector<std::string> arguments = replay;
     arguments.insert(arguments.end(), {"--set", option});

@@ -103,7 +103,8 @@ TEST_CASE("consistency: free space weighs more if few points overlap", "[closure
 }
 
 TEST_CASE("judge_alignment: a small overlap needs a higher consistency", "[closure_tests][small_overlap]") {
-  const ClosureTestOptions options = FastRegistrarOptions::default_tests();
+  ClosureTestOptions options = FastRegistrarOptions::default_tests();
+  options.min_overlap = 0.15;
   AlignmentFigures figures;
   figures.balanced_overlap = 0.3;
   figures.plane_rmse_m = 0.05;
@@ -123,6 +124,29 @@ TEST_CASE("judge_alignment: a small overlap needs a higher consistency", "[closu
   REQUIRE(reason(0.25, 0.2, 0.96) == RejectionReason::kNone);
   REQUIRE(reason(0.25, 0.1, 0.95) == RejectionReason::kLowOverlap);
   REQUIRE(reason(0.14, 0.14, 1.0) == RejectionReason::kLowOverlap);
+  options.min_overlap = 0.8;
+  REQUIRE(reason(0.6, 0.3, 1.0) == RejectionReason::kLowOverlap);
+}
+
+TEST_CASE("FastRegistrar: a raised min_overlap holds for every closure", "[registrar][small_overlap]") {
+  int verified = 0;
+  for (std::uint64_t seed = 310; seed < 316; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    const testing::Scene scene(seed);
+    const Eigen::Isometry3d a = testing::ground_pose(-4, 0, 0.2), b = testing::ground_pose(4, 1, 0.9);
+    const auto features = std::make_shared<FeatureCache>(
+        testing::loader({{0, scene.scan(a, 8000, rng)}, {1, scene.scan(b, 8000, rng)}}));
+    RegistrationTask task = pair_task(1, 0, 1);
+    task.guess_from_to = b.inverse() * a;
+    if (!FastRegistrar(features).compute(task).verified()) continue;
+    FastRegistrarOptions options;
+    options.tests.min_overlap = 0.999;
+    REQUIRE(FastRegistrar(features, options).compute(task).reason == RejectionReason::kLowOverlap);
+    ++verified;
+  }
+  CAPTURE(verified);
+  REQUIRE(verified >= 5);
 }
 
 TEST_CASE("FastRegistrar: votes of surfaces find a pose that descriptors and guess miss",

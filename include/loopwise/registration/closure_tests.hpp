@@ -34,9 +34,6 @@ struct ClosureTestOptions {
   double overlap_distance_m = 0.5;
   /// Minimum share of overlapping source points, relative to the same share of neighbours within the target.
   double min_overlap = 0.4;
-  /// A smaller overlap, down to this one, suffices for FastRegistrar if surfaces fix all directions of the
-  /// translation to 0.5 m. Without effect if it exceeds min_overlap.
-  double min_certain_overlap = 0.4;
   /// Minimum overlap with equal weight for every direction of surfaces. Ground on ground alone is then not
   /// enough.
   double min_balanced_overlap = 0.25;
@@ -82,7 +79,6 @@ struct ClosureTestOptions {
     field("fitness_range_m", self.fitness_range_m, above(0.0));
     field("overlap_distance_m", self.overlap_distance_m, above(0.0));
     field("min_overlap", self.min_overlap, between(0.0, 1.0));
-    field("min_certain_overlap", self.min_certain_overlap, between(0.0, 1.0));
     field("min_balanced_overlap", self.min_balanced_overlap, between(0.0, 1.0));
     field("full_overlap", self.full_overlap, between(0.01, 1.0));
     field("plane_distance_m", self.plane_distance_m, above(0.0));

@@ -44,6 +44,10 @@ struct FastRegistrarOptions {
   /// more than 1 m or 5 degrees away and outside the covariance of the closure. The fit is min(1,
   /// consistency) + ln(share of points on surfaces) / 10.
   double ambiguous_margin = 0.15;
+  /// A smaller overlap than min_overlap, down to this one, suffices if surfaces fix all directions of the
+  /// translation to 0.5 m. Not used if min_overlap is above 0.4, its default: every closure must then overlap
+  /// as much.
+  double min_certain_overlap = 0.15;
   /// The source is shifted by 1 m along each axis. If this share of the points that constrain the axis still
   /// lies on surfaces, the standard deviation along the axis is half of max_sigma_m. Smaller shares give
   /// smaller values, smoothly.
@@ -67,7 +71,6 @@ struct FastRegistrarOptions {
     ClosureTestOptions tests;
     tests.max_fitness_m2 = 2.2;
     tests.measured_points = 2000;
-    tests.min_certain_overlap = 0.15;
     tests.full_overlap = 0.5;
     tests.min_consistency = 0.85;
     return tests;
@@ -87,6 +90,7 @@ struct FastRegistrarOptions {
     field("refined_hypotheses", self.refined_hypotheses, between(1.0, 100.0));
     field("sure_share", self.sure_share, between(0.0, 1.0));
     field("ambiguous_margin", self.ambiguous_margin, at_least(0.0));
+    field("min_certain_overlap", self.min_certain_overlap, between(0.0, 1.0));
     field("free_share", self.free_share, between(0.01, 0.99));
     field("coarse_reach_m", self.coarse_reach_m, above(0.0));
     field("fine_reach_m", self.fine_reach_m, above(0.0));
