@@ -63,13 +63,13 @@ PoseGraph with_odometry_variances(const PoseGraph& graph, const std::vector<std:
   return out;
 }
 
-std::optional<OdometryVariances> estimated_odometry_variances(const PoseGraph& graph,
-                                                              const std::vector<std::uint32_t>& chains,
-                                                              const std::vector<Eigen::Isometry3d>& poses,
-                                                              const std::vector<double>& weights,
-                                                              const OdometryVariances& variances,
-                                                              double largest, bool keep_unmeasured,
-                                                              const OptimizerOptions& options) {
+std::optional<OdometryEstimate> estimated_odometry_variances(const PoseGraph& graph,
+                                                             const std::vector<std::uint32_t>& chains,
+                                                             const std::vector<Eigen::Isometry3d>& poses,
+                                                             const std::vector<double>& weights,
+                                                             const OdometryVariances& variances,
+                                                             double largest, bool keep_unmeasured,
+                                                             const OptimizerOptions& options) {
   PoseGraph at_minimum = with_odometry_variances(graph, chains, variances);
   at_minimum.set_poses(poses);
   for (std::size_t k = 0; k < weights.size(); ++k) at_minimum.set_weight(k, weights[k]);
@@ -100,13 +100,14 @@ std::optional<OdometryVariances> estimated_odometry_variances(const PoseGraph& g
     chain.squares += r.dot(edge.information * r);
     chain.redundancy += degrees_of_freedom - (edge.information * J * joint[i] * J.transpose()).trace();
   }
-  OdometryVariances out;
+  OdometryEstimate out;
   for (const auto& [chain, sum] : sums) {
     const double before = of_chain(variances, chain);
-    if (sum.redundancy < 1.0 && keep_unmeasured && before > 1.0) out[chain] = before;
+    out.log_determinant += std::max(0.0, sum.redundancy) * std::log(before);
+    if (sum.redundancy < 1.0 && keep_unmeasured && before > 1.0) out.variances[chain] = before;
     if (!is_significant(before * sum.squares, sum.redundancy)) continue;
     const double variance = std::min(before * sum.squares / sum.redundancy, largest);
-    if (variance > 1.0) out[chain] = variance;
+    if (variance > 1.0) out.variances[chain] = variance;
   }
   return out;
 }

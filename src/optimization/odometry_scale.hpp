@@ -19,6 +19,14 @@ namespace loopwise::detail {
 /// missing chain has 1.
 using OdometryVariances = std::map<std::uint32_t, double>;
 
+/// An estimate of variance factors at a solution that was found with earlier ones.
+struct OdometryEstimate {
+  OdometryVariances variances;
+  /// Σ redundancy · ln(earlier factor) over the chains: what restricted maximum likelihood charges for the
+  /// earlier factors. Half of it, added to the cost, compares solutions with different factors.
+  double log_determinant = 0.0;
+};
+
 /// The graph with the information of its odometry divided by the variance factors.
 [[nodiscard]] PoseGraph with_odometry_variances(const PoseGraph& graph,
                                                 const std::vector<std::uint32_t>& chains,
@@ -31,7 +39,7 @@ using OdometryVariances = std::map<std::uint32_t, double>;
 /// \param graph as stated \param poses, weights the minimum, found with these `variances`
 /// \param keep_unmeasured whether chains that nothing else measures keep their factor in `variances`
 /// \returns nothing if the factors leave a pose undetermined, so that covariances do not exist
-[[nodiscard]] std::optional<OdometryVariances> estimated_odometry_variances(
+[[nodiscard]] std::optional<OdometryEstimate> estimated_odometry_variances(
     const PoseGraph& graph, const std::vector<std::uint32_t>& chains,
     const std::vector<Eigen::Isometry3d>& poses, const std::vector<double>& weights,
     const OdometryVariances& variances, double largest, bool keep_unmeasured,

@@ -48,6 +48,8 @@ constexpr double kMostGivenUp = 0.03;
 constexpr int kScaleRounds = 4;
 /// Bound on starts from the confirmed closures, each with a new estimate of odometry's uncertainty.
 constexpr int kConfirmedRounds = 6;
+/// Margin on the variance factors that a solution with excluded closures shows.
+constexpr double kShownMargin = 4.0;
 /// Variance factors whose ratio is below this count as equal.
 constexpr double kSameVariance = 1.1;
 
@@ -180,12 +182,12 @@ bool Starts::from_confirmed() {
   if (!found) return false;
   std::optional<Solution> other;
   if (given_.gnc.odometry_margin > 1.0 && !found->plain) {
-    const std::optional<OdometryVariances> estimate = estimated_variances(found->solution, true);
+    const std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
     if (!estimate) {
       found->beyond_doubt = false;
-    } else if (!estimate->empty()) {
+    } else if (!estimate->variances.empty()) {
       found->beyond_doubt = false;
-      other = with_doubted_odometry(*found);
+      other = with_doubted_odometry(*found, estimate->variances);
     } else if (!found->beyond_doubt && found->explained) {
       other = with_doubted_test(*found);
     }
@@ -228,9 +230,10 @@ class Starts::ConfirmedStart {
     solver_.emplace(given(), gross_, problem(), starts_.equations_, out_.solution.poses);
     bool agree = agree_at_minimum();
     bool doubtful = (!grow || !agree) && is_in_doubt(gross_.excluded, seeds_);
-    if (!agree && agree_in_large_groups()) {
+    // With doubted odometry, a large group that agrees may be the error of a slip that bends the path.
+    if (!agree && grow && agree_in_large_groups()) {
       agree = true;
-      doubtful = !grow && is_in_doubt(gross_.excluded, seeds_);
+      doubtful = false;
     }
     out_.plain = agree;
     if (!agree && !doubtful) {
@@ -357,25 +360,56 @@ std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& prob
   return solver.unexplained(left_out).size();
 }
 
-/// For a start from the confirmed closures that is in doubt, if its closures show odometry to be worse than
-/// stated. Alternates between a start from the closures that are confirmed with odometry of some uncertainty,
-/// and the estimate of the uncertainty at its solution, until this no longer changes. Excluded closures make
-/// odometry look better than it is, so the largest uncertainty is first. \returns the solution if it is
-/// beyond doubt
-std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& stated) {
-  OdometryVariances used = all_chains_with(largest_variance());
+/// For a start from the confirmed closures whose solution shows odometry to be worse than stated. Excluded
+/// closures make odometry look better than it is, so two attempts begin with more uncertainty than `shown`:
+/// the largest for all chains, and a margin for the chains that are shown to be worse. The first finds right
+/// closures that would contradict each other otherwise; but false closures bend odometry, which then seems
+/// as bad as they need it. \returns the solution of the lower restricted cost among those that are beyond
+/// doubt and cost less than the stated odometry
+std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& stated,
+                                                      const OdometryVariances& shown) {
+  std::vector<OdometryVariances> attempts{all_chains_with(largest_variance())};
+  if (stated.settled) {  // otherwise `shown` is not that of a minimum
+    attempts.push_back(shown);
+    for (auto& [chain, variance] : attempts.back()) {
+      variance = std::min(kShownMargin * variance, largest_variance());
+    }
+  }
+  std::optional<Doubted> best;
+  for (const OdometryVariances& first : attempts) {
+    std::optional<Doubted> found = settled_odometry(first);
+    if (!found) continue;
+    const bool worse = stated.settled && (gives_up_closures(stated.solution.result, found->solution.result) ||
+                                          found->restricted_cost > stated.solution.cost);
+    if (worse || (best && best->restricted_cost <= found->restricted_cost)) {
+      count_discarded(found->solution.result);
+      continue;
+    }
+    if (best) count_discarded(best->solution.result);
+    best = std::move(found);
+  }
+  if (!best) return std::nullopt;
+  return std::move(best->solution);
+}
+
+/// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
+/// estimate of the uncertainty at its solution, until this no longer changes. \returns the solution if it is
+/// then beyond doubt
+std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used) {
   for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
     const Scaled scaled(*this, used);
     std::optional<FromConfirmed> found = solve_from_confirmed(
         used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), 1.0), false);
     if (!found) return std::nullopt;
-    std::optional<OdometryVariances> estimate = estimated_variances(found->solution, true);
-    if (estimate && !estimate->empty() && !differ(*estimate, used) && found->beyond_doubt &&
-        !(stated.settled && gives_up_closures(stated.solution.result, found->solution.result)))
-      return std::move(found->solution);
+    std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
+    const bool is_worse = estimate && !estimate->variances.empty();
+    if (is_worse && !differ(estimate->variances, used) && found->beyond_doubt) {
+      const double restricted_cost = found->solution.cost + 0.5 * estimate->log_determinant;
+      return Doubted{std::move(found->solution), restricted_cost};
+    }
     count_discarded(found->solution.result);
-    if (!estimate || estimate->empty() || !differ(*estimate, used)) return std::nullopt;
-    used = std::move(*estimate);
+    if (!is_worse || !differ(estimate->variances, used)) return std::nullopt;
+    used = std::move(estimate->variances);
   }
   return std::nullopt;
 }
@@ -458,16 +492,16 @@ void Starts::from_doubted_odometry() {
 
 bool Starts::refine(bool keep_unmeasured) {
   for (int round = 0; round < kScaleRounds; ++round) {
-    std::optional<OdometryVariances> variances = estimated_variances(*best_, keep_unmeasured);
-    if (!variances) return false;
-    if (!differ(*variances, best_->odometry_variances)) break;
-    if (!solve_with(std::move(*variances))) return false;
+    std::optional<OdometryEstimate> estimate = estimated_variances(*best_, keep_unmeasured);
+    if (!estimate) return false;
+    if (!differ(estimate->variances, best_->odometry_variances)) break;
+    if (!solve_with(std::move(estimate->variances))) return false;
   }
   return true;
 }
 
 /// The variance factors at a solution; nothing if its covariances do not exist.
-std::optional<OdometryVariances> Starts::estimated_variances(const Solution& at, bool keep_unmeasured) const {
+std::optional<OdometryEstimate> Starts::estimated_variances(const Solution& at, bool keep_unmeasured) const {
   return estimated_odometry_variances(given_.graph, chains_, problem_.isometries(at.poses), at.result.weights,
                                       at.odometry_variances, largest_variance(), keep_unmeasured,
                                       given_.options);

@@ -82,8 +82,14 @@ class Starts {
     bool beyond_doubt = false;
   };
 
-  [[nodiscard]] std::optional<OdometryVariances> estimated_variances(const Solution& at,
-                                                                     bool keep_unmeasured) const;
+  /// A solution with odometry as uncertain as its closures show it to be.
+  struct Doubted {
+    Solution solution;
+    double restricted_cost = 0.0;  ///< With OdometryEstimate::log_determinant
+  };
+
+  [[nodiscard]] std::optional<OdometryEstimate> estimated_variances(const Solution& at,
+                                                                    bool keep_unmeasured) const;
   bool solve_with(OdometryVariances variances);
   [[nodiscard]] double largest_variance() const {
     return given_.gnc.odometry_margin * given_.gnc.odometry_margin;
@@ -93,7 +99,9 @@ class Starts {
   [[nodiscard]] GrossOutliers gross_outliers_of(const std::vector<double>& d2, double odometry_margin) const;
   [[nodiscard]] std::optional<FromConfirmed> solve_from_confirmed(const OdometryVariances& variances,
                                                                   const GrossOutliers& gross, bool grow);
-  [[nodiscard]] std::optional<Solution> with_doubted_odometry(const FromConfirmed& stated);
+  [[nodiscard]] std::optional<Solution> with_doubted_odometry(const FromConfirmed& stated,
+                                                              const OdometryVariances& shown);
+  [[nodiscard]] std::optional<Doubted> settled_odometry(OdometryVariances used);
   [[nodiscard]] std::optional<Solution> with_doubted_test(FromConfirmed& stated);
   [[nodiscard]] std::size_t in_doubt(const RobustProblem& given, const PoseProblem& problem,
                                      const std::vector<Pose>& poses, const std::vector<char>& among);
