@@ -69,10 +69,11 @@ TEST_CASE("evaluate --map: a run keeps its figures for the report", "[apps][map]
       "replay", mission, "-o", out, "--overwrite", "--max-registrations", "10", "--quiet"};
   REQUIRE(run_program(replay).status == 0);
   REQUIRE(!summary_of(out).contains("map_quality"));
-  const ProgramRun run = run_program({"evaluate", "--map", out, mission, "--json", "-"});
+  const std::string json = (folder / "quality.json").string();
+  const ProgramRun run = run_program({"evaluate", "--map", out, mission, "--json", json});
   INFO(run.err);
   REQUIRE(run.status == 0);
-  const Json quality = parse_json(run.out, "standard output");
+  const Json quality = parse_json(testing::read_text(json), json);
   CHECK(quality["not_meaningful"].is_null());
   CHECK(quality["coverage"].get<double>() > 0.5);
   CHECK(quality["planes"].get<int>() > 100);
@@ -81,8 +82,7 @@ TEST_CASE("evaluate --map: a run keeps its figures for the report", "[apps][map]
   CHECK(quality["difference_interval_95"][0].is_number());
   CHECK(summary_of(out)["map_quality"] == quality);
   CHECK_THAT(run.err, Contains("kept as map_quality"));
-  const ProgramRun text = run_program({"evaluate", "--map", out, mission});
-  CHECK_THAT(text.out, Contains("thickness ") && Contains(" planes)") && Contains(" % of the path"));
+  CHECK_THAT(run.out, Contains("thickness ") && Contains(" planes)") && Contains(" % of the path"));
   const std::string page = (folder / "report.html").string();
   const ProgramRun report = run_program({"report", out, "-o", page, "--quiet"});
   if (report.status == 0) CHECK_THAT(testing::read_text(page), Contains("\"map_quality\":{"));

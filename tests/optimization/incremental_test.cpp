@@ -327,8 +327,8 @@ TEST_CASE("incremental: planar poses stay in the plane", "[optimization][planar]
 TEST_CASE("incremental: the same bits for any number of threads", "[optimization][property]") {
   Rng rng(8);
   RandomGraphOptions options;
-  options.nodes = 1500;
-  options.closures = 1500;
+  options.nodes = 900;
+  options.closures = 900;
   const RandomGraph random = random_graph(rng, options);
   PoseGraph start = random.graph;
   start.remove_edges_if([](const Edge& edge) { return edge.kind != EdgeKind::kOdometry && edge.from < 300; });
