@@ -1,4 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <limits>
+#include <string>
+
 #include <CLI/CLI.hpp>
 
 #include "command_line.hpp"
@@ -8,6 +11,12 @@ namespace {
 
 Check check_of(CLI::Validator validator) {
   return Check(std::make_shared<const CLI::Validator>(std::move(validator)));
+}
+
+/// NaN if the text is not a number, which the conversion then refuses.
+double number(const std::string& text) {
+  double value = 0.0;
+  return CLI::detail::lexical_cast(text, value) ? value : std::numeric_limits<double>::quiet_NaN();
 }
 
 }  // namespace
@@ -23,10 +32,10 @@ Check in_range(double least, double most) {
   return check_of(CLI::Range(least, most));
 }
 Check positive_number() {
-  return check_of(CLI::PositiveNumber);
+  return Check([](const std::string& text) { return number(text) <= 0.0 ? text + " must be > 0" : ""; });
 }
 Check non_negative_number() {
-  return check_of(CLI::NonNegativeNumber);
+  return Check([](const std::string& text) { return number(text) < 0.0 ? text + " must be >= 0" : ""; });
 }
 
 Argument* Argument::required() {

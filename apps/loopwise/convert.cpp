@@ -110,6 +110,7 @@ int run_convert(const ConvertCommand& options) {
     for (const Problem& problem : result.left_out.all()) console.note(to_string(problem));
   }
   print_conversion(options, team, result);
+  if (config.mission.strict) require_unaltered(team.mission.scans->problems());
   return kDone;
 }
 

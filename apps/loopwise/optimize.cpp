@@ -21,7 +21,7 @@ namespace {
 
 struct OptimizeCommand : OptimizeInput {
   std::string output, weights, marginals;
-  bool gnc = false, certify = false, verbose = false;
+  bool certify = false, verbose = false;
 };
 
 int run_optimize(const OptimizeCommand& options) {
@@ -80,7 +80,10 @@ int run_optimize(const OptimizeCommand& options) {
   print_results(options.common, head,
                 (options.verbose ? trace_table(result) + "\n" : "") +
                     head_text(graph, result, at.optimized - at.reading) + text);
-  if (interrupt.interrupted()) return kInterrupted;
+  if (interrupt.interrupted()) {
+    console.note("interrupted: the result is that so far");
+    return kInterrupted;
+  }
   if (!result.converged) console.warn("not converged: " + result.message);
   return kDone;
 }
@@ -110,7 +113,7 @@ void add_optimize(Command& app, Action& chosen) {
       ->add_option("--inlier-probability", options->inlier_probability,
                    "Share of true closures that --gnc keeps, by the chi-squared test (default 0.99)")
       ->type_name("P")
-      ->check(in_range(1e-6, 1.0 - 1e-12));
+      ->check(in_range(1e-6, 0.999999));
   command
       ->add_option("--initialization", options->initialization,
                    "First estimate: auto (the cheapest), file, odometry or chordal")

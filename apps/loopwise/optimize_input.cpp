@@ -52,6 +52,8 @@ Config configured(const OptimizeInput& input) {
     config.replay.back_end.optimization.initialization =
         parse_enum<Initialization>("--initialization", input.initialization);
   }
+  if (input.inlier_probability > 0.0 && !input.gnc)
+    throw OptionError("--inlier-probability needs --gnc: without it, all closures stay");
   if (input.inlier_probability > 0.0)
     config.replay.back_end.gnc.inlier_probability = input.inlier_probability;
   apply(input.reading, config);

@@ -23,6 +23,7 @@ struct OptimizeInput {
   MissionArguments reading;
   std::vector<std::string> priors;
   double inlier_probability = 0.0;  ///< 0: as configured.
+  bool gnc = false;
 };
 
 /// Adds --odometry, --decisions, --robots and --prior.

@@ -63,6 +63,7 @@ int run_rank(const RankCommand& options) {
   Json json = {{"mission", mission.name}, {"method", method}, {"seed", config.replay.engine.seed}};
   json.update(ranking_json(ranking));
   print_results(options.common, json, ranking_text(ranking, method));
+  if (config.mission.strict) require_unaltered(mission.scans->problems());
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 

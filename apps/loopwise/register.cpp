@@ -25,6 +25,7 @@ struct RegisterCommand {
 
 CloudFile read(const std::string& path, const Config& config, Console& console) {
   CloudFile file = read_cloud(path, config.mission.bin_layout);
+  if (config.mission.strict) require_unaltered(file.problems);
   console.warn(file.problems);
   return file;
 }
@@ -37,6 +38,7 @@ void report_pose(const RegisterCommand& options, const CloudPairResult& pair, co
   text += pose_text(*pair.T_coordinates, *pair.T_origins, pair.origins);
   if (!options.out.empty()) {
     const std::filesystem::path path(options.out);
+    if (!pair.result.verified()) text += "aligned      " + options.out + " has the pose that was rejected\n";
     const PointCloud cloud = transformed(source, *pair.T_clouds, target.origin);
     path.extension() == ".ply" ? write_ply(path, cloud) : write_pcd(path, cloud);
     if (!cloud.origin.isZero(0.0)) {
@@ -54,6 +56,9 @@ void report_pose(const RegisterCommand& options, const CloudPairResult& pair, co
 int run_register(const RegisterCommand& options) {
   const Stopwatch watch;
   Console console(options.common.quiet);
+  const std::filesystem::path ending = std::filesystem::path(options.out).extension();
+  if (!options.out.empty() && ending != ".ply" && ending != ".pcd")
+    throw OptionError("--out " + options.out + ": must end in .pcd or .ply");
   Config config = load_config(options.common);
   apply(options.reading, config);
   RegistrationOptions& registration = config.replay.registration;

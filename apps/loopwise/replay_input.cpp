@@ -77,6 +77,7 @@ Team read_team(const ReplayCommand& options, const Config& config, ThreadPool& t
     team = loopwise::read_team(paths, config, /*find=*/true, threads, console.progress_callback(), stop);
   }
   set_truth(team.mission, options.truth, config.mission);
+  check_files(team.mission, config.replay);
   warn_about(team, options, config, console);
   return team;
 }
@@ -85,7 +86,7 @@ ReplayFolder open_folder(const ReplayCommand& options, const Mission& mission, c
                          Console& console) {
   if (options.resume && options.overwrite)
     throw OptionError("--resume continues the run in the folder, --overwrite starts again: give one of them");
-  ReplayFolder folder{options.output, {}, {}};
+  ReplayFolder folder{options.output, open_store(options.replay), {}, {}};
   refuse_recording(folder.path, options.missions);
   prepare_output_folder(folder.path, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");

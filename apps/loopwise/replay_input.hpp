@@ -25,6 +25,7 @@ namespace loopwise::cli {
 /// The folder of a replay while it runs.
 struct ReplayFolder {
   std::filesystem::path path;
+  std::shared_ptr<OutcomeStore> store;  ///< Null unless outcomes are stored.
   std::optional<OutcomeFile> outcomes;  ///< Empty on a real clock.
   std::optional<LineLog> journal;
 };

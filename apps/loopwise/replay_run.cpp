@@ -35,6 +35,7 @@ class Run {
     const RunEvaluation evaluation = evaluate_run(team_.mission, result);
     write(result, evaluation, history);
     print(result, evaluation);
+    if (config_.mission.strict) require_unaltered(result.problems);
     if (!interrupt_.interrupted()) return kDone;
     console_.note(std::string("interrupted: the results are those so far") +
                   (live_ ? "" : "; --resume continues"));
@@ -61,9 +62,8 @@ class Run {
 };
 
 ReplayResult Run::compute(RunHistory& history) {
-  const std::shared_ptr<OutcomeStore> store = open_store(options_.replay);
   const Registration registration =
-      make_registration(config_.replay.registration, team_.mission.scans->loader(), store);
+      make_registration(config_.replay.registration, team_.mission.scans->loader(), folder_.store);
   ReplayHooks hooks;
   hooks.journal = [&](const std::string& line) { folder_.journal->add(line); };
   if (folder_.outcomes)
@@ -80,7 +80,7 @@ ReplayResult Run::compute(RunHistory& history) {
     hooks.event = [&](const HandledEvent& handled) { trace->add(handled); };
   }
   ReplayResult result = replay(registration, hooks);
-  if (store) note_outcomes(console_, store->statistics());
+  if (folder_.store) note_outcomes(console_, folder_.store->statistics());
   return result;
 }
 

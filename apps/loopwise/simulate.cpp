@@ -112,7 +112,9 @@ void add_simulate(Command& app, Action& chosen) {
       ->type_name("DIR")
       ->check(not_standard_output());
   add_seed_option(*command, options->seed);
-  command->add_option("--robots", simulation.robots, "Robots of the team")->type_name("N");
+  command->add_option("--robots", simulation.robots, "Robots of the team")
+      ->type_name("N")
+      ->check(in_range(1, 26));
   command->add_option("--length", simulation.length_m, "Path length of all robots together, m")
       ->type_name("M");
   command->add_option("--lidar", options->lidar, "vlp16 or os1_64 (default vlp16)")->type_name("WORD");

@@ -89,6 +89,7 @@ std::optional<RunEvaluation> evaluate_folder(const fs::path& folder, const Missi
     const bool is_true = error && error->translation_m <= classes.true_inlier_m &&
                          error->rotation_rad <= classes.true_inlier_rad;
     evaluation.closures.true_inliers += is_true ? 1 : 0;
+    evaluation.closures.without_truth += error ? 0 : 1;
   }
   judge_poses(mission, optimized, odometry, kept, evaluation);
   return evaluation;

@@ -81,6 +81,7 @@ void judge_poses(const Mission& mission, const PosesByKey& optimized, const Pose
 
 void put_errors(const Mission& mission, const RunEvaluation& e, Json& json) {
   json["closures"]["true_inliers"] = e.has_truth ? Json(e.closures.true_inliers) : Json(nullptr);
+  json["closures"]["without_truth"] = e.has_truth ? Json(e.closures.without_truth) : Json(nullptr);
   json["residuals"] = nullptr;
   if (e.residuals.translation_m.count > 0) {
     json["residuals"] = {{"closures", e.residuals.translation_m.count},

@@ -96,7 +96,9 @@ std::string between_robots_text(const Robots& robots, const ReplayResult& result
 }
 
 /// For a run without a verified closure: the most frequent reason and what to try. Otherwise empty.
-std::string no_closure_text(const RunEvaluation& e) {
+std::string no_closure_text(const RunEvaluation& e, const CandidateAccounting& candidates) {
+  if (candidates.generated > 0 && candidates.pruned == candidates.generated)
+    return "no closure   the method pruned all candidates: another --method computes them\n";
   const auto& rejected = e.closures.rejected;
   if (e.closures.verified > 0 || rejected.empty()) return {};
   const auto most = std::max_element(rejected.begin(), rejected.end(),
@@ -185,11 +187,14 @@ std::string run_results_text(const Robots& robots, const ReplayOptions& options,
       "verified     " + share(e.closures.verified) + "\nGNC inliers  " + share(e.closures.gnc_inliers) + "\n";
   text += between_robots_text(robots, result);
   if (is_judged(e)) {
-    text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth\n";
+    text += "true inliers " + share(e.closures.true_inliers) + ": within 0.05 m and 0.05 rad of the truth" +
+            (e.closures.without_truth == 0
+                 ? "\n"
+                 : "; " + std::to_string(e.closures.without_truth) + " of the verified ones have none\n");
   }
   std::map<std::string, std::size_t> rejected;
   for (const auto& [reason, count] : e.closures.rejected) rejected[std::string(enum_name(reason))] = count;
-  text += reasons_text("rejected", rejected) + no_closure_text(e) + calibration_text(result);
+  text += reasons_text("rejected", rejected) + no_closure_text(e, a) + calibration_text(result);
   text += errors_text(e);
   text += "time         " + fixed(result.mission_time_s, 1) + " s of the mission, " +
           fixed(result.total_s, 1) + " s of work: " + fixed(result.registration_s, 1) + " s registration, " +

@@ -1,10 +1,15 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <loopwise/evaluation/trajectory_source.hpp>
 
+#include <string>
+
+#include <nlohmann/json.hpp>
+
 #include <loopwise/core/error.hpp>
 #include <loopwise/evaluation/given_truth.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/io/graph_source.hpp>
+#include <loopwise/io/json_options.hpp>
 
 namespace loopwise {
 namespace {
@@ -45,6 +50,17 @@ bool is_odometry_true(const Mission& mission) {
          kSame_m;
 }
 
+/// Reports a run of another mission than that of the truth: equal keys would pair unrelated poses.
+void compare_names(const std::filesystem::path& run, const std::string& truth_mission, Problems& problems) {
+  const Json summary = read_json_file(run / "summary.json");
+  if (!summary.is_object() || !summary.contains("mission") || !summary["mission"].is_string()) return;
+  const auto name = summary["mission"].get<std::string>();
+  if (name != truth_mission) {
+    problems.add_altered("truth of another mission than the run's",
+                         "the run is of \"" + name + "\", the truth of \"" + truth_mission + "\"");
+  }
+}
+
 }  // namespace
 
 TrajectoryPair read_trajectory_pair(const std::filesystem::path& estimate_path,
@@ -53,12 +69,14 @@ TrajectoryPair read_trajectory_pair(const std::filesystem::path& estimate_path,
   const std::filesystem::path run = graph_of_run(estimate_path);
   const std::filesystem::path& estimate = run.empty() ? estimate_path : run;
   TrajectoryPair pair;
+  std::string truth_mission;
   const bool recorded_estimate = is_recording(estimate), recorded_truth = is_recording(truth);
   if (!recorded_estimate) pair.estimate = read_trajectory(estimate);
   if (!recorded_truth) pair.truth = read_trajectory(truth);
   const auto read = [&](const std::filesystem::path& path, Poses wanted, bool by_stamp) {
     const Mission mission = read_mission(path, options, progress, stop);
     pair.robots = mission.robots;
+    if (wanted == Poses::kTruth) truth_mission = mission.name;
     if (wanted == Poses::kTruth) pair.odometry_is_truth = is_odometry_true(mission);
     // The trajectory of a run has the stamps of its mission.
     if (by_stamp && wanted == Poses::kEstimate) require_own_stamps(mission, truth.string(), options);
@@ -72,6 +90,7 @@ TrajectoryPair read_trajectory_pair(const std::filesystem::path& estimate_path,
   }
   if (recorded_truth) {
     pair.truth = read(truth, Poses::kTruth, by_stamp(recorded_estimate, pair.estimate));
+    if (!run.empty()) compare_names(estimate_path, truth_mission, pair.truth.problems);
   }
   // Pairs have the keys of the estimate; in a TUM file a key is a row number.
   if (!recorded_estimate && pair.estimate.format != TrajectoryFormat::kG2o) pair.robots = Robots();

@@ -169,7 +169,8 @@ ChosenTopics choose_topics(const Topics& topics, const Recording& recording, con
         name +
         ": no mission in it: expected pose_graph_msgs/PoseGraph and KeyedScan, or nav_msgs/Odometry "
         "or geometry_msgs/PoseStamped with sensor_msgs/PointCloud2; the recording has " +
-        available_topics);
+        available_topics +
+        (chosen.truth.empty() ? "" : "; " + chosen.truth.front().name + " is taken as the truth"));
   }
   return chosen;
 }

@@ -62,7 +62,7 @@ class CandidateReader {
       if (candidate.from == candidate.to)
         table_.fail(row, *column("to"), "a node cannot be paired with itself");
       auto recognition = std::make_shared<Recognition>();
-      if (score) recognition->similarity = table_.number_or_nan(row, *score);
+      if (score && !table_.text(row, *score).empty()) recognition->similarity = table_.number(row, *score);
       if (recognition->similarity < 0.0 || recognition->similarity > 1.0)
         table_.fail(row, *score, "must be in [0, 1]");
       if (first) recognition->T_from_to = pose(row);

@@ -36,14 +36,22 @@ void read_ranges(const fs::path& file, PoseGraph& graph) {
   });
 }
 
-void read_gravity(const fs::path& file, PoseGraph& graph) {
+bool points_up(const PoseGraph& graph, Key key, const Eigen::Vector3d& direction) {
+  return (graph.node(key).pose.linear() * direction).z() > 0.0;
+}
+
+void read_gravity(const fs::path& file, PoseGraph& graph, Problems& problems) {
   const CsvTable table(file, kGravityColumns);
   add_rows(table, [&](std::size_t row) {
     GravityFactor gravity;
     gravity.key = table.key(row, 0);
     gravity.direction = {table.number(row, 1), table.number(row, 2), table.number(row, 3)};
     gravity.sigma_rad = table.number(row, 4);
-    graph.add_gravity(gravity);
+    if (graph.contains(gravity.key) && points_up(graph, gravity.key, gravity.direction)) {
+      problems.add_altered(kGravityUp, file.string() + ":" + std::to_string(table.line(row)));
+    } else {
+      graph.add_gravity(gravity);
+    }
   });
 }
 

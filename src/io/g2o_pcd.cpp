@@ -200,7 +200,7 @@ Mission read_g2o_pcd(const fs::path& folder, const MissionOptions& options, cons
   mission.problems = g2o.problems;
   mission.problems.add(of_key_frames);
   if (fs::is_regular_file(folder / kRanges)) read_ranges(folder / kRanges, g2o.graph);
-  if (fs::is_regular_file(folder / kGravity)) read_gravity(folder / kGravity, g2o.graph);
+  if (fs::is_regular_file(folder / kGravity)) read_gravity(folder / kGravity, g2o.graph, mission.problems);
   const Found found = folders ? clouds_of_key_frames(*folders) : find_clouds(folder, mission.problems);
   const std::map<Key, Key> full = of_team ? keys_of_team(*folders, g2o.graph, file.string())
                                           : full_keys(g2o.graph, found.clouds, file.string(), options);

@@ -37,6 +37,7 @@ SourceGraph read_graph(const fs::path& path, const MissionOptions& options, cons
   if (options.strict) require_unaltered(file.problems);
   const Robots robots =
       options.robots.empty() ? Robots::from_keys(file.graph.keys()) : parse_robots(options.robots);
+  for (const Key key : file.graph.keys()) static_cast<void>(robots.of(key));  // throws if one has none
   const Problems of_kinds = classify_edges(file.graph, robots, classifying, file.without_information);
   SourceGraph out{std::move(file.graph), std::move(file.problems)};
   out.problems.add(of_kinds);

@@ -167,6 +167,7 @@ class Joiner {
   }
 
   Mission join() {
+    if (!options_.start_together) report_long_gaps();
     for (std::size_t source = 0; source < missions_.size(); ++source) add(source);
     joined_.robots = robots_of(joined_.graph, options_, Robots(std::move(robots_)));
     joined_.graph = with_stamps(joined_.graph, stamps_, priors_);
@@ -189,6 +190,7 @@ class Joiner {
   }
 
  private:
+  void report_long_gaps();
   void add(std::size_t source);
   void name_robots(std::size_t source);
   void add_graph(const Mission& mission, const SourceFrame& frame);
@@ -215,6 +217,34 @@ class Joiner {
   std::map<Key, Key> landmarks_;
   const Mission* source_ = nullptr;
 };
+
+/// Sources of different days make a mission of days in which nothing happens.
+void Joiner::report_long_gaps() {
+  constexpr double kDay_ns = 86400e9;
+  struct Span {
+    double first_ns, last_ns;
+    std::string path;
+  };
+  std::vector<Span> spans;
+  for (const Mission& mission : missions_) {
+    std::int64_t last = mission.start_ns;
+    for (const Node& node : mission.graph.nodes()) last = std::max(last, node.stamp_ns);
+    spans.push_back(
+        {static_cast<double>(mission.start_ns), static_cast<double>(last), mission.path.string()});
+  }
+  std::stable_sort(spans.begin(), spans.end(),
+                   [](const Span& a, const Span& b) { return a.first_ns < b.first_ns; });
+  double end_ns = spans.front().last_ns;
+  for (const Span& span : spans) {
+    if (span.first_ns - end_ns > kDay_ns) {
+      joined_.problems.add("source recorded more than a day after the others",
+                           span.path + ", " +
+                               std::to_string(std::lround((span.first_ns - end_ns) / kDay_ns)) +
+                               " days; --start-together lets all begin at the same time");
+    }
+    end_ns = std::max(end_ns, span.last_ns);
+  }
+}
 
 std::string Joiner::unique_name(const std::string& wanted) {
   std::string name = wanted;

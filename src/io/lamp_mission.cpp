@@ -192,9 +192,8 @@ void Gatherer::add_gravity(PoseGraph& graph) const {
       problems_.add_altered("edge without node", seen.where);
     } else if (!std::isfinite(length) || !(length > 0.0) || !usable_sigma(seen.sigma_rad)) {
       problems_.add_altered("unusable gravity factor", seen.where);
-    } else if ((graph.node(seen.key).pose.linear() * seen.direction).z() > 0.0) {
-      // Some programs write the reading of an accelerometer at rest, which points up.
-      problems_.add_altered("gravity factor that points up left out", seen.where);
+    } else if (parts::points_up(graph, seen.key, seen.direction)) {
+      problems_.add_altered(parts::kGravityUp, seen.where);
     } else {
       if (seen.sigma_rad == 0.0) problems_.add_altered("covariance absent", seen.where);
       GravityFactor gravity;

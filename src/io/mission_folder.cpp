@@ -334,6 +334,21 @@ std::optional<Key> key_of_name(const std::string& stem) {
   }
 }
 
+/// Reports graphs and tables in the folder that are no part of the mission: their names may be misspelt.
+void report_unread(const fs::path& folder, const Files& files, Problems& problems) {
+  const std::set<fs::path> parts{files.graph,        files.stamps,   files.priors,  files.radio,
+                                 files.beacons,      files.ranges,   files.gravity, files.odometry,
+                                 files.ground_truth, files.reference};
+  std::set<fs::path> unread;
+  std::error_code unreadable;  // a folder that cannot be listed may still be read
+  for (const fs::directory_entry& entry : fs::directory_iterator(folder, unreadable)) {
+    const fs::path name = entry.path().filename();
+    const bool is_table = name.extension() == ".g2o" || name.extension() == ".csv";
+    if (is_table && parts.count(name) == 0) unread.insert(name);
+  }
+  for (const fs::path& name : unread) problems.add("file not read", (folder / name).string());
+}
+
 /// The six sigmas of a prior; empty if it has correlations or if a sigma cannot be written.
 std::optional<Vector6d> sigmas_of(const Matrix6d& information) {
   const Vector6d diagonal = information.diagonal();
@@ -367,8 +382,9 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   static_cast<void>(present(files.graph));
   G2oFile g2o = read_g2o(folder / files.graph);
   mission.problems = g2o.problems;
+  report_unread(folder, files, mission.problems);
   if (present(files.ranges)) read_ranges(folder / files.ranges, g2o.graph);
-  if (present(files.gravity)) read_gravity(folder / files.gravity, g2o.graph);
+  if (present(files.gravity)) read_gravity(folder / files.gravity, g2o.graph, mission.problems);
   const std::optional<Robots> listed = description.robots();
   mission.robots = robots_of(g2o.graph, options, listed ? *listed : Robots::from_keys(g2o.graph.keys()));
 
@@ -393,8 +409,12 @@ Mission read_mission_folder(const fs::path& folder, const MissionOptions& option
   check_stamps(mission);
   if (const auto start = description.start_ns()) {
     if (*start > mission.start_ns) {
-      description.fail("clock.start_ns", std::to_string(*start) + " is after the first stamp, " +
-                                             std::to_string(mission.start_ns));
+      description.fail("clock.start_ns",
+                       std::to_string(*start) + " is after the first stamp, " +
+                           std::to_string(mission.start_ns) +
+                           (present(files.stamps) ? ""
+                                                  : ": stamps begin at 0 without " + files.stamps.string() +
+                                                        "; add that file, or leave out clock"));
     }
     mission.start_ns = *start;
   }

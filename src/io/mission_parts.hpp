@@ -99,9 +99,14 @@ void complete_stamps(const PoseGraph& graph, const Robots& robots, const Mission
 /// Default information of a closure: 0.1 m and 0.02 rad.
 [[nodiscard]] Matrix6d closure_information();
 
+/// Whether a direction of gravity, in the frame of a node of the graph, points up at its pose: some programs
+/// write the reading of an accelerometer at rest. kGravityUp reports that such a factor is left out.
+[[nodiscard]] bool points_up(const PoseGraph& graph, Key key, const Eigen::Vector3d& direction);
+constexpr const char* kGravityUp = "gravity factor that points up left out";
+
 /// Adds the ranges or the gravity factors of a CSV file. \throws ParseError naming the line; IoError
 void read_ranges(const std::filesystem::path& file, PoseGraph& graph);
-void read_gravity(const std::filesystem::path& file, PoseGraph& graph);
+void read_gravity(const std::filesystem::path& file, PoseGraph& graph, Problems& problems);
 /// Contents of files for the two readers. \throws InputError naming a gravity factor whose reference is not
 /// -z, which the file cannot store
 [[nodiscard]] std::string ranges_text(const PoseGraph& graph);

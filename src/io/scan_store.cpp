@@ -117,7 +117,7 @@ struct ScanStore::State {
     lock.lock();
     if (failure) {
       entry.failure = *failure;
-      entry.problems.add(kind, *failure);
+      entry.problems.add_altered(kind, *failure);
       entry.stage = Stage::kFailed;
       throw InputError(*failure);
     }

@@ -43,6 +43,11 @@ std::string fixed1(double value) {
   return {text, static_cast<std::size_t>(std::snprintf(text, sizeof text, "%.1f", value))};
 }
 
+/// Short times in seconds, as "0.0 min" says nothing.
+std::string duration(double seconds) {
+  return seconds < 60.0 ? fixed1(seconds) + " s" : fixed1(seconds / 60.0) + " min";
+}
+
 }  // namespace
 
 CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options, std::size_t sample,
@@ -112,8 +117,8 @@ CostForecast forecast_cost(const ReplayResult& result) {
 
 std::string forecast_text(const CostForecast& forecast, int threads) {
   if (forecast.measured == 0 || forecast.candidates == 0) return {};
-  return std::to_string(forecast.candidates) + " candidates take " + fixed1(forecast.all_s(threads) / 60.0) +
-         " min on " + std::to_string(threads) + (threads == 1 ? " thread" : " threads") +
+  return std::to_string(forecast.candidates) + " candidates take " + duration(forecast.all_s(threads)) +
+         " on " + std::to_string(threads) + (threads == 1 ? " thread" : " threads") +
          " of this machine (by " + std::to_string(forecast.measured) + " registrations), the mission lasts " +
          fixed1(forecast.mission_s / 60.0) + " min: " +
          (forecast.all_in_time(threads) ? "a live run computes them all, and the method hardly matters"

@@ -180,6 +180,13 @@ std::vector<Arrival> mission_feed(const Mission& mission, const ReplayOptions& o
   return feed;
 }
 
+void check_files(const Mission& mission, const ReplayOptions& options) {
+  static_cast<void>(decisions_of(mission, options));
+  std::vector<std::size_t> order(mission.graph.nodes().size());
+  std::iota(order.begin(), order.end(), std::size_t{0});
+  static_cast<void>(given_candidates(mission, options.candidates, order));
+}
+
 std::vector<ClosureDecision> decisions_of(const Mission& mission, const ReplayOptions& options) {
   if (options.decisions.empty()) return {};
   std::vector<ClosureDecision> decisions = read_decisions(options.decisions);

@@ -47,6 +47,7 @@ TEST_CASE("candidates: errors name file, line and column", "[io][candidates][err
   CHECK_THAT(message(""), Contains("pairs.csv:1"));
   CHECK_THAT(message("from,to,x,y\n1,2,3,4\n"), Contains("x,y,z,qx,qy,qz,qw"));
   CHECK_THAT(message("from,to,score\n1,2,1.5\n"), Contains("pairs.csv:2") && Contains("[0, 1]"));
+  CHECK_THAT(message("from,to,score\n1,2,nan\n"), Contains("pairs.csv:2"));
   CHECK_THAT(message("from,to\n1,2\n3,3\n"), Contains("pairs.csv:3") && Contains("itself"));
   const std::string pose = "from,to,x,y,z,qx,qy,qz,qw\n";
   CHECK_THAT(message((pose + "1,2,0,0,0,0,0,0,\n").c_str()), Contains("all of x,y,z,qx,qy,qz,qw"));

@@ -107,4 +107,15 @@ TEST_CASE("graph source: strict refuses a file that would be repaired", "[io][gr
   REQUIRE_THROWS_AS(read_graph(folder / "absent.g2o"), IoError);
 }
 
+TEST_CASE("graph source: every node belongs to a listed robot", "[io][graph][error]") {
+  const TemporaryFolder folder;
+  write_g2o(folder / "g.g2o", row_graph());
+  MissionOptions options;
+  options.robots = "a";
+  REQUIRE(count(read_graph(folder / "g.g2o", options).graph, EdgeKind::kOdometry) == 3);
+  options.robots = std::to_string(make_key('a', 0)) + "-" + std::to_string(make_key('a', 2));
+  REQUIRE_THROWS_WITH(read_graph(folder / "g.g2o", options),
+                      Catch::Matchers::Contains("belongs to no robot"));
+}
+
 }  // namespace loopwise::graph_source_test

@@ -167,4 +167,27 @@ TEST_CASE("parts: placed with all their data, or left out", "[io][joined]") {
   CHECK_THROWS_WITH(place_parts(mission, {first}, {}, false), Contains("unknown robot 17"));
 }
 
+TEST_CASE("joined: recordings of different days are reported", "[io][joined]") {
+  const TemporaryFolder folder;
+  Mission later = small_mission("later", "a");
+  PoseGraph moved;
+  constexpr std::int64_t kDay_ns = 86'400'000'000'000;
+  for (Node node : later.graph.nodes()) {
+    node.stamp_ns += 3 * kDay_ns;
+    moved.add_node(node);
+  }
+  for (const Edge& edge : later.graph.edges()) moved.add_edge(edge);
+  for (const PriorFactor& prior : later.graph.priors()) moved.add_prior(prior);
+  later.graph = moved;
+  later.start_ns = 3 * kDay_ns;
+  const path first = written(folder, small_mission("first", "a")),
+             second = written(folder, small_mission("second", "a")), last = written(folder, later);
+  const std::string kind = "source recorded more than a day after the others";
+  CHECK(read_missions({first, second}).problems.count(kind) == 0);
+  CHECK(read_missions({last, first, second}).problems.count(kind) == 1);
+  MissionOptions options;
+  options.start_together = true;
+  CHECK(read_missions({first, last}, options).problems.count(kind) == 0);
+}
+
 }  // namespace loopwise::joined_test

@@ -230,10 +230,32 @@ TEST_CASE("mission: landmarks, ranges and gravity are read back", "[io][mission]
     CHECK_THROWS_WITH(read_mission(folder / "m"), Contains(std::string(file) + ":3") && Contains(why));
   };
   refused("gravity.csv", "key,x,y,z,sigma_rad\na1,0,0,-1,0.1\na1,0,0,0,0.1\n", "no length");
+  const Eigen::Vector3d up =
+      b.graph.node(make_key('a', 2)).pose.linear().transpose() * Eigen::Vector3d(0.0, 0.1, 9.81);
+  const auto row = [](const Eigen::Vector3d& v) {
+    return "a2," + std::to_string(v.x()) + "," + std::to_string(v.y()) + "," + std::to_string(v.z()) +
+           ",0.1\n";
+  };
+  testing::write_text(folder / "m" / "gravity.csv", "key,x,y,z,sigma_rad\n" + row(-up) + row(up));
+  const Mission accelerometer = read_mission(folder / "m");
+  CHECK(accelerometer.graph.gravities().size() == 1);
+  CHECK(accelerometer.problems.count("gravity factor that points up left out") == 1);
   testing::write_text(folder / "m" / "gravity.csv", "key,x,y,z,sigma_rad\n");
   refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b9,1,1\n", "not in the graph");
   refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b1,-2,1\n", "not a valid distance");
   refused("ranges.csv", "from,to,range_m,sigma_m\na1,b1,1,1\na1,b1,2,0\n", "not positive");
+}
+
+TEST_CASE("mission: tables that no reader takes, and a clock without stamps", "[io][mission]") {
+  const TemporaryFolder folder;
+  MissionWriter(folder / "m").finish(make_mission());
+  CHECK(read_mission(folder / "m").problems.count("file not read") == 0);
+  fs::copy(folder / "m" / "graph.g2o", folder / "m" / "groundtruth.g2o");
+  testing::write_text(folder / "m" / "notes.txt", "any");
+  CHECK(read_mission(folder / "m").problems.count("file not read") == 1);
+  fs::remove(folder / "m" / "stamps.csv");
+  CHECK_THROWS_WITH(read_mission(folder / "m"),
+                    Contains("clock.start_ns") && Contains("stamps.csv") && Contains("leave out clock"));
 }
 
 TEST_CASE("mission: a folder is no mission before it is finished", "[io][mission][error]") {

@@ -47,7 +47,7 @@ TEST_CASE("cost forecast: the sentence says whether the order matters", "[replay
   REQUIRE(quick.all_in_time(1));
   REQUIRE(
       forecast_text(quick, 1) ==
-      "1000 candidates take 0.2 min on 1 thread of this machine (by 40 registrations), the mission lasts 1.0 "
+      "1000 candidates take 12.0 s on 1 thread of this machine (by 40 registrations), the mission lasts 1.0 "
       "min: a live run computes them all, and the method hardly matters");
   const CostForecast slow{100000, 40, 0.01, 100, 0.02, 60.0};
   REQUIRE_FALSE(slow.all_in_time(2));

@@ -84,7 +84,7 @@ struct JoinOptions {
     field("reach_m", self.reach_m, above(0.0));
     field("min_confirmed", self.min_confirmed, between(0.0, 1.0));
     field("max_rival", self.max_rival, between(0.0, 1.0));
-    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true});
+    field("inlier_probability", self.inlier_probability, Bounds{0.0, 0.999999, true});
     field("odometry_margin", self.odometry_margin, at_least(1.0));
     field("drift_m", self.drift_m, at_least(0.0));
     field("drift_rad", self.drift_rad, at_least(0.0));

@@ -76,7 +76,7 @@ struct GncOptions {
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
     field("kernel", self.kernel, any_value());
-    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true});
+    field("inlier_probability", self.inlier_probability, Bounds{0.0, 0.999999, true});
     field("mu_step", self.mu_step, Bounds{1.0, 100.0, true});
     field("max_outer_iterations", self.max_outer_iterations, at_least(1));
     field("steps_per_iteration", self.steps_per_iteration, at_least(1));

@@ -20,7 +20,7 @@ struct PcmOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("inlier_probability", self.inlier_probability, Bounds{0.0, 1.0 - 1e-12, true});
+    field("inlier_probability", self.inlier_probability, Bounds{0.0, 0.999999, true});
     field("max_group", self.max_group, at_least(2.0));
   }
 };

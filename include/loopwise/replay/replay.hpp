@@ -154,6 +154,11 @@ class LOOPWISE_EXPORT MissionReplay {
 [[nodiscard]] LOOPWISE_EXPORT ReplayResult replay(const Mission& mission, const ReplayOptions& options = {},
                                                   const ReplayHooks& hooks = {}, int threads = 0);
 
+/// Reads the files that the options name (candidates, decisions) and checks them against the mission, as a
+/// replay does when it starts. For callers that would replace former results first.
+/// \throws InputError, ParseError or IoError naming the file
+LOOPWISE_EXPORT void check_files(const Mission& mission, const ReplayOptions& options);
+
 /// The initial edges of a replay. First the odometry of the mission with the noise `options.odometry_noise_*`
 /// (a random walk whose steps depend only on (seed, from, to)) and correspondingly lower information, then
 /// the sightings of landmarks. Closures in the mission's files are left out.
