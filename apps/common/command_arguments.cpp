@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: BSD-3-Clause
+#include <cmath>
 #include <limits>
 #include <string>
 
@@ -13,10 +14,11 @@ Check check_of(CLI::Validator validator) {
   return Check(std::make_shared<const CLI::Validator>(std::move(validator)));
 }
 
-/// NaN if the text is not a number, which the conversion then refuses.
+/// NaN if the text is not a finite number.
 double number(const std::string& text) {
   double value = 0.0;
-  return CLI::detail::lexical_cast(text, value) ? value : std::numeric_limits<double>::quiet_NaN();
+  const bool is_number = CLI::detail::lexical_cast(text, value) && std::isfinite(value);
+  return is_number ? value : std::numeric_limits<double>::quiet_NaN();
 }
 
 }  // namespace
@@ -32,10 +34,10 @@ Check in_range(double least, double most) {
   return check_of(CLI::Range(least, most));
 }
 Check positive_number() {
-  return Check([](const std::string& text) { return number(text) <= 0.0 ? text + " must be > 0" : ""; });
+  return Check([](const std::string& text) { return number(text) > 0.0 ? "" : text + " must be > 0"; });
 }
 Check non_negative_number() {
-  return Check([](const std::string& text) { return number(text) < 0.0 ? text + " must be >= 0" : ""; });
+  return Check([](const std::string& text) { return number(text) >= 0.0 ? "" : text + " must be >= 0"; });
 }
 
 Argument* Argument::required() {

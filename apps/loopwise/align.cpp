@@ -70,6 +70,7 @@ int run_align(const AlignCommand& options) {
   }
   console.warn(mission.scans->problems());
   print_results(options.common, json, text);
+  if (config.mission.strict) require_unaltered(mission.scans->problems());
   return placed ? kDone : kBadInput;
 }
 

@@ -86,6 +86,7 @@ int evaluate_map(const CommonOptions& common, const std::string& estimate, const
   warn_of_weakness(quality, console);
   warn_of_noise(estimate, recording, console);
   keep(estimate, mission, quality, console);
+  if (config.mission.strict) require_unaltered(mission.scans->problems());
   return kDone;
 }
 

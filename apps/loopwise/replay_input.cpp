@@ -86,10 +86,18 @@ ReplayFolder open_folder(const ReplayCommand& options, const Mission& mission, c
                          Console& console) {
   if (options.resume && options.overwrite)
     throw OptionError("--resume continues the run in the folder, --overwrite starts again: give one of them");
-  ReplayFolder folder{options.output, open_store(options.replay), {}, {}};
+  ReplayFolder folder{options.output, {}, {}, {}};
   refuse_recording(folder.path, options.missions);
+  const bool is_new = !fs::exists(folder.path);
   prepare_output_folder(folder.path, options.overwrite || options.resume,
                         "; --resume continues it, --overwrite replaces it");
+  try {
+    folder.store = open_store(options.replay);
+  } catch (const Error&) {
+    std::error_code ignored;
+    if (is_new) fs::remove(folder.path, ignored);
+    throw;
+  }
   folder.outcomes = open_outcomes(options, mission, config, console);
   // Only now is it certain that this run may replace the former results.
   remove_run_results(folder.path);

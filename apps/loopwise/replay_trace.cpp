@@ -68,6 +68,7 @@ int run_trace(const ReplayCommand& options) {
                 run_results_text(mission.robots, recorded, result, evaluation,
                                  {/*threads=*/0, /*virtual_clock=*/false}) +
                     "results      " + folder.string() + "\n");
+  if (config.mission.strict) require_unaltered(result.problems);
   return interrupt.interrupted() ? kInterrupted : kDone;
 }
 

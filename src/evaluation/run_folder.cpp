@@ -199,7 +199,13 @@ void add_scan_problems(ReplayResult& result, const ScanStore& scans) {
   const Problems now = scans.problems();
   for (const Problem& problem : now.all()) {
     const std::size_t known = result.problems.count(problem.kind);
-    if (problem.count > known) result.problems.add(problem.kind, problem.example, problem.count - known);
+    if (problem.count <= known) continue;
+    const std::size_t more = problem.count - known;
+    if (problem.altered) {
+      result.problems.add_altered(problem.kind, problem.example, more);
+    } else {
+      result.problems.add(problem.kind, problem.example, more);
+    }
   }
 }
 

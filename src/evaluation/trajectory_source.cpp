@@ -56,8 +56,8 @@ void compare_names(const std::filesystem::path& run, const std::string& truth_mi
   if (!summary.is_object() || !summary.contains("mission") || !summary["mission"].is_string()) return;
   const auto name = summary["mission"].get<std::string>();
   if (name != truth_mission) {
-    problems.add_altered("truth of another mission than the run's",
-                         "the run is of \"" + name + "\", the truth of \"" + truth_mission + "\"");
+    problems.add("truth of another mission than the run's",
+                 "the run is of \"" + name + "\", the truth of \"" + truth_mission + "\"");
   }
 }
 

@@ -3,8 +3,11 @@
 
 #include <utility>
 
+#include <loopwise/core/error.hpp>
 #include <loopwise/core/robots.hpp>
 #include <loopwise/io/g2o.hpp>
+
+#include "mission_parts.hpp"
 
 namespace loopwise {
 
@@ -20,6 +23,18 @@ fs::path graph_of_run(const fs::path& folder) {
   const fs::path graph = folder / "graph.g2o";
   return fs::exists(folder / "summary.json") && fs::exists(graph) ? graph : fs::path();
 }
+
+namespace {
+
+/// \throws InputError if a key frame belongs to no robot: its odometry would count as closures
+void require_robots(const PoseGraph& graph, const Robots& robots) {
+  for (const Key key : graph.keys()) {
+    if (!robots.find(key) && !parts::is_landmark_character(key_character(key)))
+      throw InputError("robots: " + key_name(key) + " belongs to no robot; list the robots of all nodes");
+  }
+}
+
+}  // namespace
 
 SourceGraph read_graph(const fs::path& path, const MissionOptions& options, const ProgressCallback& progress,
                        const StopToken& stop) {
@@ -37,7 +52,7 @@ SourceGraph read_graph(const fs::path& path, const MissionOptions& options, cons
   if (options.strict) require_unaltered(file.problems);
   const Robots robots =
       options.robots.empty() ? Robots::from_keys(file.graph.keys()) : parse_robots(options.robots);
-  for (const Key key : file.graph.keys()) static_cast<void>(robots.of(key));  // throws if one has none
+  if (!options.robots.empty() && classifying.odometry.empty()) require_robots(file.graph, robots);
   const Problems of_kinds = classify_edges(file.graph, robots, classifying, file.without_information);
   SourceGraph out{std::move(file.graph), std::move(file.problems)};
   out.problems.add(of_kinds);

@@ -118,7 +118,7 @@ Starts::Starts(const RobustProblem& given, const PoseProblem& problem, NormalEqu
 
 bool Starts::from_last(const WarmStart& warm) {
   // The thresholds of the stated noise would admit false closures that the measured noise excludes.
-  if (gross_.measured < kFarTooPessimistic) return false;
+  if (given_.gnc.second_start && gross_.measured < kFarTooPessimistic) return false;
   const OdometryVariances variances = allowed(warm.odometry_variances);
   Scaled scaled(*this, variances);
   PoseProblem& problem = scaled.problem();
@@ -370,10 +370,9 @@ std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& state
                                                       const OdometryVariances& shown) {
   std::vector<OdometryVariances> attempts{all_chains_with(largest_variance())};
   if (stated.settled) {  // otherwise `shown` is not that of a minimum
-    attempts.push_back(shown);
-    for (auto& [chain, variance] : attempts.back()) {
-      variance = std::min(kShownMargin * variance, largest_variance());
-    }
+    OdometryVariances margin = shown;
+    for (auto& [chain, variance] : margin) variance = std::min(kShownMargin * variance, largest_variance());
+    if (differ(margin, attempts.front())) attempts.push_back(std::move(margin));
   }
   std::optional<Doubted> best;
   for (const OdometryVariances& first : attempts) {
@@ -404,7 +403,7 @@ std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used) 
     std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
     const bool is_worse = estimate && !estimate->variances.empty();
     if (is_worse && !differ(estimate->variances, used) && found->beyond_doubt) {
-      const double restricted_cost = found->solution.cost + 0.5 * estimate->log_determinant;
+      const double restricted_cost = found->solution.cost + 0.5 * gross_.noise * estimate->log_determinant;
       return Doubted{std::move(found->solution), restricted_cost};
     }
     count_discarded(found->solution.result);

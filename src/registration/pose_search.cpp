@@ -399,7 +399,7 @@ bool PoseSearch::decide(const Deadline& deadline) {
   if (found.result.verified()) {
     if (!add_rivals(*best, found, deadline)) return false;
     Pose* better = best_in_detail();
-    if (better != best && fit_of(*better) > fit_of(*best) + options_.ambiguous_margin) {
+    if (better != nullptr && better != best && fit_of(*better) > fit_of(*best) + options_.ambiguous_margin) {
       // If the better pose fails a test, the first pose stays, and refuse_if_ambiguous() compares the two.
       Judgement other = judge_and_widen(*better);
       if (other.result.verified()) {
