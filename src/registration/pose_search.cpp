@@ -241,8 +241,8 @@ double PoseSearch::fit_of(Pose& pose) const {
   return *pose.fit;
 }
 
-/// The pose with the best fit among those with a share near the largest one that no test has refused; null if
-/// there is none. Poses within the bounds about the guess precede all others.
+/// The best pose that no test has refused, by its fit, among those with a share near the largest one. A pose
+/// within the bounds about the guess is better than any outside. Null if all are refused.
 PoseSearch::Pose* PoseSearch::best_in_detail() {
   const auto inside = [&](const Pose& pose) { return within_bounds(pose.T_target_source, 0.0, 0.0); };
   Pose* best = nullptr;

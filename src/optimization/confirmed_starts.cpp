@@ -1,0 +1,309 @@
+// SPDX-License-Identifier: BSD-3-Clause
+// Starts from closures that others confirm.
+#include <algorithm>
+#include <utility>
+
+#include "confirmed_closures.hpp"
+#include "scaled_odometry.hpp"
+
+namespace loopwise::detail {
+namespace {
+
+/// The confirmed closures start a solution of their own if they are at least kFewestConfirmed of the closures
+/// that odometry does not rule out. It is graduated if the minimum with all of them loses more than
+/// kMostConfirmedLost. The other starts follow if it loses more than kMostContradicting.
+constexpr double kFewestConfirmed = 1.0 / 3.0;
+/// If they contradict each other, those in large groups start alone, if they are at least
+/// kFewestInLargeGroups of the closures. False groups may be joined to them by chance, so up to
+/// kMostOfGroupsLost may be excluded.
+constexpr double kFewestInLargeGroups = 0.1;
+constexpr double kMostOfGroupsLost = 0.1;
+constexpr double kMostConfirmedLost = 0.01;
+constexpr double kMostContradicting = 0.5;
+/// Bounds on steps to the minimum with all confirmed closures, and on rounds of truncated least squares from
+/// there. If they agree, half of these are enough.
+constexpr int kMostSteps = 15;
+constexpr int kMostRounds = 6;
+/// If the noise is far below the stated one, the innovation test has a margin. Closures within it may be
+/// false; they do not start a solution, but may join it.
+constexpr double kShareOfMargin = 0.16;
+/// Bound on starts from the confirmed closures, each with a new estimate of odometry's uncertainty.
+constexpr int kConfirmedRounds = 6;
+/// Margin on the variance factors that a solution with excluded closures shows.
+constexpr double kShownMargin = 4.0;
+
+/// Variance of the noise, relative to the stated one, by which closures that start a solution agree.
+double scale_of_seeds(const GrossOutliers& gross) {
+  return gross.scale >= 1.0 ? gross.scale : kShareOfMargin * gross.scale;
+}
+
+}  // namespace
+
+bool Starts::from_confirmed() {
+  std::optional<FromConfirmed> found = solve_from_confirmed({}, gross_, true);
+  if (!found) return false;
+  std::optional<Solution> other;
+  if (given_.gnc.odometry_margin > 1.0 && !found->plain) {
+    const std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
+    if (!estimate) {
+      found->beyond_doubt = false;
+    } else if (!estimate->variances.empty()) {
+      found->beyond_doubt = false;
+      other = with_doubted_odometry(*found, estimate->variances);
+    } else if (!found->beyond_doubt && found->explained) {
+      other = with_doubted_test(*found);
+    }
+  }
+  if (other) {
+    count_discarded(found->solution.result);
+    keep_better(std::move(*other));
+    refine(false);
+    return true;
+  }
+  const bool beyond_doubt = found->beyond_doubt;
+  if (found->settled) {
+    keep_better(std::move(found->solution));
+  } else {
+    count_discarded(found->solution.result);
+  }
+  return beyond_doubt;
+}
+
+/// A start from the confirmed closures among those that odometry allows.
+class Starts::ConfirmedStart {
+ public:
+  /// All arguments must outlive the object.
+  ConfirmedStart(Starts& starts, const OdometryVariances& variances, const GrossOutliers& gross)
+      : starts_(starts), gross_(gross), scaled_(starts, variances), allowed_(gross.excluded.size()) {
+    for (std::size_t k = 0; k < allowed_.size(); ++k) {
+      allowed_[k] = known_inlier(given().graph.edges()[k]) || gross.excluded[k] != 0 ? 0 : 1;
+    }
+    choose(starts.seeds_among(given(), allowed_, gross));
+    out_.solution.odometry_variances = variances;
+  }
+
+  [[nodiscard]] bool are_few() const {
+    return seeds_ == 0.0 || seeds_ < kFewestConfirmed * static_cast<double>(count(allowed_));
+  }
+
+  FromConfirmed solve(bool grow) {
+    out_.solution.poses = chordal();
+    const std::vector<Pose> start = out_.solution.poses;
+    solver_.emplace(given(), gross_, problem(), starts_.equations_, out_.solution.poses);
+    bool agree = agree_at_minimum();
+    bool doubtful = (!grow || !agree) && is_in_doubt(gross_.excluded, seeds_);
+    // With doubted odometry, a large group that agrees may be the error of a slip that bends the path.
+    if (!agree && grow && agree_in_large_groups()) {
+      agree = true;
+      doubtful = false;
+    }
+    out_.plain = agree;
+    if (!agree && !doubtful) {
+      out_.solution.poses = start;
+      agree = agree_after_graduation();
+      doubtful = !agree || lost() > kMostContradicting * seeds_;
+    }
+    if (!doubtful) explain_the_others(grow);
+    out_.settled = agree;
+    starts_.finish(*solver_, GncStart::kConfirmed, out_.solution);
+    out_.solution.result.optimization.factorizations += factorizations_;
+    return std::move(out_);
+  }
+
+ private:
+  [[nodiscard]] const RobustProblem& given() const { return scaled_.given(); }
+  [[nodiscard]] PoseProblem& problem() { return scaled_.problem(); }
+
+  void choose(std::vector<char> confirmed) {
+    confirmed_ = std::move(confirmed);
+    seeds_ = static_cast<double>(count(confirmed_));
+  }
+
+  std::vector<Pose> chordal() {
+    Solution first = starts_.chordal_of(problem(), confirmed_);
+    factorizations_ += first.result.optimization.factorizations;
+    return std::move(first.poses);
+  }
+
+  /// Number of the confirmed closures that the solution excludes.
+  [[nodiscard]] double lost() {
+    double number = 0.0;
+    for (std::size_t k = 0; k < confirmed_.size(); ++k) {
+      number += confirmed_[k] != 0 && problem().weight[k] <= kKept ? 1.0 : 0.0;
+    }
+    return number;
+  }
+
+  [[nodiscard]] bool is_in_doubt(const std::vector<char>& among, double allowance) {
+    return static_cast<double>(starts_.in_doubt(given(), problem(), out_.solution.poses, among)) >
+           std::min(allowance, kMostConfirmedLost * seeds_);
+  }
+
+  bool agree_at_minimum() {
+    const auto few = [&](double number) { return number <= kMostConfirmedLost * seeds_; };
+    return few(static_cast<double>(solver_->minimize_with(confirmed_, kMostSteps))) &&
+           solver_->truncate(true, kMostRounds) && few(lost());
+  }
+
+  bool agree_after_graduation() {
+    solver_->graduate_with(confirmed_);
+    return solver_->truncate(false, kMostRounds);
+  }
+
+  /// Tries the closures in large groups in place of all confirmed ones. If they do not agree either, the
+  /// state before is restored.
+  bool agree_in_large_groups() {
+    if (given().stop.stop_requested()) return false;
+    std::vector<char> large = starts_.in_large_groups_of(given(), confirmed_, gross_);
+    if (large == confirmed_ ||
+        static_cast<double>(count(large)) < kFewestInLargeGroups * static_cast<double>(count(allowed_)))
+      return false;
+    const std::vector<char> confirmed = confirmed_, kept = kept_by(problem().weight);
+    const std::vector<Pose> poses = out_.solution.poses;
+    choose(std::move(large));
+    out_.solution.poses = chordal();
+    if (agree_at_minimum() || (agree_after_graduation() && lost() <= kMostOfGroupsLost * seeds_)) return true;
+    choose(confirmed);
+    out_.solution.poses = poses;
+    solver_->keep(kept);
+    return false;
+  }
+
+  void explain_the_others(bool grow) {
+    if (grow) solver_->grow({});
+    const std::vector<char> all(confirmed_.size(), 1);
+    out_.plain = out_.plain && solver_->unexplained(allowed_).empty() &&
+                 static_cast<double>(count(starts_.confirmed_left_out(given(), problem().weight))) <= lost();
+    out_.explained = solver_->admit_unexplained(allowed_);
+    out_.beyond_doubt = out_.explained && !is_in_doubt(all, lost());
+  }
+
+  Starts& starts_;
+  const GrossOutliers& gross_;
+  Scaled scaled_;
+  std::vector<char> allowed_, confirmed_;  // by edge
+  double seeds_ = 0.0;                     // number of the confirmed ones
+  int factorizations_ = 0;                 // of chordal estimates
+  FromConfirmed out_;
+  std::optional<RobustSolver> solver_;
+};
+
+/// With these odometry variances, from the closures that others confirm among those that odometry then
+/// allows. Nothing if they are few. If they contradict each other, those in large groups start alone; if
+/// these do too, the solution is graduated among all of them, unless it is in doubt anyway because of those
+/// that odometry rules out. \param grow whether to re-admit closures as well
+std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const OdometryVariances& variances,
+                                                                  const GrossOutliers& gross, bool grow) {
+  ConfirmedStart start(*this, variances, gross);
+  if (start.are_few()) return std::nullopt;
+  return start.solve(grow);
+}
+
+/// Those among confirmed closures that belong to large groups of closures that confirm each other.
+std::vector<char> Starts::in_large_groups_of(const RobustProblem& given, const std::vector<char>& confirmed,
+                                             const GrossOutliers& gross) const {
+  const double c2 = chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom());
+  return in_large_groups(given.graph, given.forest, confirmed, scale_of_seeds(gross) * c2);
+}
+
+/// Number of confirmed closures among some (by edge) that a solution excludes although it would not
+/// contradict them if odometry were as uncertain as the options allow. Right closures far from the kept ones
+/// are such; a group of false closures among kept ones is contradicted in any case.
+std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& problem,
+                             const std::vector<Pose>& poses, const std::vector<char>& among) {
+  std::vector<char> left_out = confirmed_left_out(given, problem.weight);
+  for (std::size_t k = 0; k < left_out.size(); ++k) left_out[k] = among[k] != 0 ? left_out[k] : 0;
+  if (count(left_out) == 0) return 0;
+  // Pessimistic information says nothing of odometry that is too sure of itself.
+  Scaled widest(*this, gross_.noise < 1.0 ? OdometryVariances() : all_chains_with(largest_variance()));
+  std::vector<Pose> here = poses;
+  RobustSolver solver(widest.given(), gross_, widest.problem(), equations_, here);
+  solver.keep(kept_by(problem.weight));
+  return solver.unexplained(left_out).size();
+}
+
+/// For a start from the confirmed closures whose solution shows odometry to be worse than stated. Excluded
+/// closures make odometry look better than it is, so two attempts begin with more uncertainty than `shown`:
+/// the largest for all chains, and a margin for the chains that are shown to be worse. The first finds right
+/// closures that would contradict each other otherwise; but false closures bend odometry, which then seems
+/// as bad as they need it. \returns the solution of the lower restricted cost among those that are beyond
+/// doubt and cost less than the stated odometry
+std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& stated,
+                                                      const OdometryVariances& shown) {
+  std::vector<OdometryVariances> attempts{all_chains_with(largest_variance())};
+  if (stated.settled) {  // otherwise `shown` is not that of a minimum
+    OdometryVariances margin = shown;
+    for (auto& [chain, variance] : margin) variance = std::min(kShownMargin * variance, largest_variance());
+    if (differ(margin, attempts.front())) attempts.push_back(std::move(margin));
+  }
+  std::optional<Doubted> best;
+  for (const OdometryVariances& first : attempts) {
+    std::optional<Doubted> found = settled_odometry(first);
+    if (!found) continue;
+    const bool worse = stated.settled && (gives_up_closures(stated.solution.result, found->solution.result) ||
+                                          found->restricted_cost > stated.solution.cost);
+    if (worse || (best && best->restricted_cost <= found->restricted_cost)) {
+      count_discarded(found->solution.result);
+      continue;
+    }
+    if (best) count_discarded(best->solution.result);
+    best = std::move(found);
+  }
+  if (!best) return std::nullopt;
+  return std::move(best->solution);
+}
+
+/// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
+/// estimate of the uncertainty at its solution, until this no longer changes. \returns the solution if it is
+/// then beyond doubt
+std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used) {
+  for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
+    const Scaled scaled(*this, used);
+    std::optional<FromConfirmed> found = solve_from_confirmed(
+        used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), 1.0), false);
+    if (!found) return std::nullopt;
+    std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
+    const bool is_worse = estimate && !estimate->variances.empty();
+    if (is_worse && !differ(estimate->variances, used) && found->beyond_doubt) {
+      const double restricted_cost = found->solution.cost + 0.5 * gross_.noise * estimate->log_determinant;
+      return Doubted{std::move(found->solution), restricted_cost};
+    }
+    count_discarded(found->solution.result);
+    if (!is_worse || !differ(estimate->variances, used)) return std::nullopt;
+    used = std::move(estimate->variances);
+  }
+  return std::nullopt;
+}
+
+/// For a start from the confirmed closures that is in doubt, although its closures do not show odometry to be
+/// worse than stated: odometry may have slipped once. Starts from the closures that are confirmed and that
+/// odometry of the largest uncertainty allows, and drops the doubt if this solution costs more. \returns the
+/// solution if it costs less and is beyond doubt itself
+std::optional<Solution> Starts::with_doubted_test(FromConfirmed& stated) {
+  std::optional<FromConfirmed> rival =
+      solve_from_confirmed({}, gross_outliers_of(d2_, given_.gnc.odometry_margin), true);
+  if (!rival) return std::nullopt;
+  if (rival->settled) {
+    const bool better = rival->solution.cost < (1.0 - kEqual) * stated.solution.cost &&
+                        !gives_up_closures(stated.solution.result, rival->solution.result);
+    if (better && rival->beyond_doubt) return std::move(rival->solution);
+    stated.beyond_doubt = !better;
+  }
+  count_discarded(rival->solution.result);
+  return std::nullopt;
+}
+
+/// The confirmed closures among some (by edge) that start a solution.
+std::vector<char> Starts::seeds_among(const RobustProblem& given, std::vector<char> allowed,
+                                      const GrossOutliers& gross) const {
+  const double scale = scale_of_seeds(gross);
+  if (gross.scale >= 1.0) return confirmed_of(given, allowed, scale);
+  const double limit =
+      scale * chi_squared_quantile(given.gnc.innovation_probability, given.graph.degrees_of_freedom());
+  for (std::size_t k = 0; k < allowed.size(); ++k) {
+    if (d2_[k] > limit) allowed[k] = 0;
+  }
+  return confirmed_of(given, allowed, scale);
+}
+
+}  // namespace loopwise::detail
