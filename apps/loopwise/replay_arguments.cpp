@@ -13,7 +13,8 @@ void add_preset_option(Command& command, std::string& preset) {
 }
 
 void add_batch_option(Command& command, std::optional<std::int64_t>& batch) {
-  command.add_option("--batch", batch, "Candidates per batch")->type_name("B");
+  command.add_option("--batch", batch, "Candidates per batch; 0: by the modelled computer (default)")
+      ->type_name("B");
 }
 
 void add_replay_arguments(Command& command, ReplayArguments& arguments) {

@@ -2,6 +2,7 @@
 #include <loopwise/replay/config.hpp>
 
 #include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <map>
 
@@ -75,6 +76,17 @@ void refuse_renamed(const std::string& section, const std::string& key) {
 }
 
 }  // namespace
+
+std::size_t batch_size(const ReplayOptions& options) {
+  constexpr double kBatch_s =
+      13.0;  // 100 registrations on the paper's laptop, which the cost model describes
+  constexpr double kMost = 100.0;
+  if (options.batch > 0) return static_cast<std::size_t>(options.batch);
+  if (options.cost.measured_time) return static_cast<std::size_t>(kMost);
+  const auto workers = static_cast<double>(options.cost.workers);
+  const double turns = std::max(1.0, std::floor(kBatch_s / options.cost.registration_time_s));
+  return static_cast<std::size_t>(std::max(workers, std::min(turns * workers, kMost)));
+}
 
 void validate_replay(const ReplayOptions& options) {
   validate_sections(options);

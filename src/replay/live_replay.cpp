@@ -194,7 +194,7 @@ ModuleOptions module_options(const ReplayOptions& options, int threads) {
   module.features = options.registration.features;
   module.registration = options.registration.fast;
   module.back_end = options.back_end;
-  module.batch = options.batch;
+  if (options.batch > 0) module.batch = options.batch;
   module.threads = threads;
   return module;
 }

@@ -187,8 +187,7 @@ Ranking rank_candidates(const Mission& mission, const ReplayOptions& replay,
     scores[static_cast<std::size_t>(refusal.id)].refused = refusal.reason;
     ++out.refused[refusal.reason];
   }
-  const std::vector<LoopCandidate> ranked =
-      order_of(queue, static_cast<std::size_t>(replay.batch), options, stop);
+  const std::vector<LoopCandidate> ranked = order_of(queue, batch_size(replay), options, stop);
   out.ranked = ranked.size();
   for (std::size_t i = 0; i < ranked.size(); ++i) scores[static_cast<std::size_t>(ranked[i].id)].rank = i + 1;
   try {

@@ -200,7 +200,7 @@ class Run {
   }
 
   void start_batch() {
-    std::size_t count = static_cast<std::size_t>(options_.batch);
+    std::size_t count = batch_size(options_);
     if (const auto bound = static_cast<std::size_t>(options_.max_registrations); bound > 0) {
       const std::size_t used = account().computed;
       if (used >= bound) return;

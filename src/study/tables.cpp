@@ -137,7 +137,7 @@ std::string budget_text(const Config& config) {
   if (r.cost.refused_time_share != 1.0)
     text += " (" + fixed(r.cost.refused_time_share, 2) + " times as long if it is refused)";
   text += " of mission time on one of " + std::to_string(r.cost.workers) + " workers; batches of " +
-          std::to_string(r.batch) + "; an evaluation of graph information takes " +
+          std::to_string(batch_size(r)) + "; an evaluation of graph information takes " +
           fixed(r.cost.gi_evaluation_time_s, 3) + " s.";
   if (r.engine.thin > 1) {
     text += " Candidates are thinned: one in " + std::to_string(r.engine.thin) +

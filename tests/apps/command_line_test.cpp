@@ -93,7 +93,7 @@ TEST_CASE("command line: bad usage is 2, help is 0", "[apps]") {
   require_failure({"replay", "m", "-o", "o", "--after_mission"}, kBadUsage, "did you mean --after-mission?");
   require_failure({"optimize", "x.g2o", "--threads", "many"}, kBadUsage, "--threads");
   require_failure({"config", "--set", "generation.no_such_field=1"}, kBadUsage, "no_such_field");
-  require_failure({"config", "--set", "replay.batch=0"}, kBadUsage, "replay.batch = 0, must be >= 1");
+  require_failure({"config", "--set", "replay.batch=-1"}, kBadUsage, "replay.batch = -1, must be >= 0");
   const TemporaryFolder folder;
   testing::write_text(folder / "odd.json", "{\"replay\": {\"bach\": 3}}");
   require_failure({"config", "--config", (folder / "odd.json").string()}, kBadUsage, "bach");
@@ -513,7 +513,7 @@ TEST_CASE("rank: every candidate with its scores, the ranked first", "[apps]") {
   require_failure({"rank", path, "--set", "graph_information.acceptance=sure"}, kBadUsage, "it was removed");
   REQUIRE(rank({"--method", "odom"}).at("ranked") == 0);
   require_failure({"rank", path, "--method", "best"}, kBadUsage, "best");
-  require_failure({"rank", path, "--batch", "0"}, kBadUsage, "replay.batch = 0");
+  require_failure({"rank", path, "--batch", "-1"}, kBadUsage, "replay.batch = -1");
   require_failure({"rank", (folder / "absent").string()}, kBadInput, "absent");
 }
 
@@ -539,7 +539,7 @@ TEST_CASE("config: --config reads the printed configuration", "[apps]") {
   REQUIRE(run_program({"config", "--config", path}).out == defaults.out);
   const Json changed = json_of({"config", "--config", path, "--set", "replay.batch=7"});
   REQUIRE(changed.at("replay").at("batch") == 7);
-  REQUIRE_THAT(run_program({"config", "--describe"}).out, Contains("replay.batch = 100   (>= 1)"));
+  REQUIRE_THAT(run_program({"config", "--describe"}).out, Contains("replay.batch = 0   (>= 0)"));
 }
 
 TEST_CASE("replay: files, fields, the same bytes for any number of threads, and again after a kill",

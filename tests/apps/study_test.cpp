@@ -246,7 +246,7 @@ TEST_CASE("study: bad usage and bad input", "[apps][study][error]") {
   require_failure({"study", "ablation", path}, kBadUsage, "output");
   require_failure({"study", "ablation", path, "-o", out, "--methods", "best"}, kBadUsage, "best");
   require_failure({"study", "ablation", path, "-o", out, "--methods", "full,full"}, kBadUsage, "twice");
-  require_failure({"study", "ablation", path, "-o", out, "--batch", "0"}, kBadUsage, "replay.batch = 0");
+  require_failure({"study", "ablation", path, "-o", out, "--batch", "-1"}, kBadUsage, "replay.batch = -1");
   require_failure({"study", "ablation", path, "-o", out, "--registration-time", "soon"}, kBadUsage,
                   "registration_time_s");
   require_failure({"study", "ablation", path, path, "-o", out}, kBadUsage, "same mission");

@@ -311,6 +311,39 @@ TEST_CASE("replay: a refused registration may take a share of the time, or none"
   }
 }
 
+TEST_CASE("replay: a batch takes about as long on a slow computer as on a fast one", "[replay][replay]") {
+  ReplayOptions config = fast_config();
+  const auto size = [&](std::int64_t workers, double registration_time_s) {
+    config.cost.workers = workers;
+    config.cost.registration_time_s = registration_time_s;
+    return batch_size(config);
+  };
+  config.batch = 0;
+  REQUIRE(size(10, 1.3) == 100);
+  REQUIRE(size(2, 1.3) == 20);
+  REQUIRE(size(1, 2.6) == 5);
+  REQUIRE(size(3, 60.0) == 3);  // nobody is idle
+  REQUIRE(size(200, 1.3) == 200);
+  REQUIRE(size(1, 0.001) == 100);
+  config.cost.measured_time = true;
+  REQUIRE(size(2, 1.3) == 100);
+  config.cost.measured_time = false;
+  config.batch = 7;
+  REQUIRE(size(2, 1.3) == 7);
+
+  config.batch = 0;
+  config.cost.workers = 2;
+  config.cost.registration_time_s = 4.0;
+  std::size_t batches = 0;
+  for (const std::string& line : run_replay(two_circles(), config).lines) {
+    const nlohmann::json event = nlohmann::json::parse(line);
+    if (event.value("event", "") != "batch") continue;
+    ++batches;
+    REQUIRE(event["pairs"].size() <= 6);
+  }
+  REQUIRE(batches > 5);
+}
+
 TEST_CASE("replay: options that contradict each other are refused", "[replay][error]") {
   ReplayOptions config;
   config.cost.measured_time = true;

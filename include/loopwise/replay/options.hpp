@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <cstddef>
 #include <cstdint>
 #include <string>
 
@@ -49,8 +50,9 @@ struct ReplayOptions {
   RegistrationOptions registration;      ///< Computation of candidates.
   BackEndOptions back_end;               ///< Estimates.
   CostModel cost;                        ///< Virtual clock.
-  /// Number of candidates in a batch.
-  std::int64_t batch = 100;
+  /// Number of candidates in a batch. 0: as many as the workers compute in 13 s of mission time, but at most
+  /// 100, and at least one for each worker. If times are measured, 0 means 100.
+  std::int64_t batch = 0;
   /// The run ends after this number of registrations. 0: no bound.
   std::int64_t max_registrations = 0;
   /// Continue after the last key frame until no candidate is pending.
@@ -69,7 +71,7 @@ struct ReplayOptions {
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
-    field("batch", self.batch, at_least(1));
+    field("batch", self.batch, at_least(0));
     field("max_registrations", self.max_registrations, at_least(0));
     field("after_mission", self.after_mission, any_value());
     field("candidates", self.candidates, any_value());
@@ -96,6 +98,10 @@ struct ReplayOptions {
 
 /// Checks every field. \throws OptionError naming "section.field"
 LOOPWISE_EXPORT void validate_replay(const ReplayOptions& options);
+
+/// Number of candidates in a batch on the virtual clock: ReplayOptions::batch, or the number that fits the
+/// cost model.
+[[nodiscard]] LOOPWISE_EXPORT std::size_t batch_size(const ReplayOptions& options);
 
 /// The options as indented JSON: an object of sections for read_config().
 [[nodiscard]] LOOPWISE_EXPORT std::string options_json(const ReplayOptions& options);
