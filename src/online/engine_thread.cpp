@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include "engine_thread.hpp"
 
+#include <algorithm>
 #include <exception>
 #include <new>
 #include <utility>
@@ -134,7 +135,7 @@ void EngineThread::improve() {
   }
   if (inbox_.inside_waits() || half_full() || no_more_batches_.stop_requested()) return;
   improved_ = true;  // unless it is interrupted
-  feed(event::Improve{settings_.batch, token, {}});
+  feed(event::Improve{next_batch(), token, {}});
   improved_ = !token.stop_requested();
   statistics_.improved();
 }
@@ -201,11 +202,30 @@ void EngineThread::keep_busy() {
     feed(event::Tick{});
   }
   if (engine_->wants_estimate() && !engine_->optimizing() && !engine_->computing()) feed(event::Settle{});
-  if (engine_->wants_batch() && !no_more_batches_.stop_requested()) feed(event::Choose{settings_.batch});
+  measure_batch();
+  if (engine_->wants_batch() && !no_more_batches_.stop_requested()) feed(event::Choose{next_batch()});
+}
+
+void EngineThread::measure_batch() {
+  if (batch_ == 0 || engine_->computing()) return;
+  candidate_s_ = (settings_.clock->now() - batch_began_s_) / static_cast<double>(batch_);
+  batch_ = 0;
+}
+
+/// Number of candidates that take about two seconds, so that results of slow registrars soon change the
+/// order. No thread is idle, and the first batch, whose time is not known, has one for each.
+std::size_t EngineThread::next_batch() const {
+  constexpr double kBatch_s = 2.0;
+  const auto least = static_cast<double>(std::min(settings_.threads, settings_.batch));
+  const auto most = static_cast<double>(settings_.batch);
+  const double wanted = candidate_s_ ? kBatch_s / std::max(*candidate_s_, 1e-9) : least;
+  return static_cast<std::size_t>(std::clamp(wanted, least, most));
 }
 
 void EngineThread::carry_out(effect::Compute& compute) {
   improved_ = improving_ = false;
+  batch_ = compute.tasks.size();
+  batch_began_s_ = settings_.clock->now();
   statistics_.batch_begins();
   work_.begin();
   workers_.compute(std::move(compute.tasks));

@@ -27,7 +27,8 @@ namespace loopwise {
 class EngineThread {
  public:
   struct Settings {
-    std::size_t batch = 1;     ///< Candidates per batch.
+    std::size_t batch = 1;     ///< Candidates per batch, at most.
+    std::size_t threads = 1;   ///< That compute a batch.
     std::size_t capacity = 1;  ///< Waiting events from which on producers block.
     std::shared_ptr<const Clock> clock;
     std::function<void(const HandledEvent&)> on_event;  ///< May be empty.
@@ -86,6 +87,8 @@ class EngineThread {
   void feed(Event event);
   void recognise(Key key);
   void keep_busy();
+  void measure_batch();
+  [[nodiscard]] std::size_t next_batch() const;
   void end_without_memory();
   [[nodiscard]] bool half_full() const { return 2 * inbox_.size() > settings_.capacity; }
   void interrupt_improvement();
@@ -117,7 +120,10 @@ class EngineThread {
   bool improving_ = false;  // the next set is being prepared
   bool improved_ = false;   // the next set cannot be improved further
   double last_tick_s_ = 0.0;
-  std::size_t events_ = 0;  // handled
+  std::size_t batch_ = 0;  // candidates of the batch in computation
+  double batch_began_s_ = 0.0;
+  std::optional<double> candidate_s_;  // time of the last batch, per candidate
+  std::size_t events_ = 0;             // handled
 
   std::atomic<std::thread::id> id_{};
   std::thread thread_;

@@ -11,6 +11,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/stop_token.hpp>
+#include <loopwise/core/thread_pool.hpp>
 #include <loopwise/engine/engine.hpp>
 #include <loopwise/engine/scan_insight.hpp>
 #include <loopwise/optimization/gnc.hpp>
@@ -119,6 +120,7 @@ class LoopClosureModule::Impl {
 
   [[nodiscard]] EngineThread::Settings settings(const ModuleOptions& options, const ModuleParts& parts) {
     EngineThread::Settings settings{static_cast<std::size_t>(options.batch),
+                                    static_cast<std::size_t>(resolve_threads(options.threads)),
                                     static_cast<std::size_t>(options.queue_capacity),
                                     parts.clock ? parts.clock : std::make_shared<const RealClock>(),
                                     parts.on_event,

@@ -522,6 +522,7 @@ TEST_CASE("module: odometry that arrives separately from its node requests no es
   };
   ModuleOptions options = module_options("baseline");
   options.engine.use_proximity = false;
+  options.threads = static_cast<int>(candidates.size());  // so that one batch has all of them
   LoopClosureModule running(mission.robots, options, callbacks, with_oracle(mission));
   module = &running;
   for (KeyFrame frame : key_frames(mission)) {

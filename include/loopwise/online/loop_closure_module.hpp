@@ -46,7 +46,8 @@ struct ModuleOptions {
   FeatureOptions features;               ///< Preparation of scans.
   FastRegistrarOptions registration;     ///< Computation of candidates.
   BackEndOptions back_end;               ///< Estimates.
-  /// Number of candidates in a batch.
+  /// Largest number of candidates in a batch. A batch has fewer if the registrar needs more than two seconds
+  /// for so many, but at least one for each thread.
   std::int64_t batch = 50;
   /// Number of threads that compute registrations. 0: one per processor.
   int threads = 0;
