@@ -226,19 +226,28 @@ std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& prob
 /// closures make odometry look better than it is, so two attempts begin with more uncertainty than `shown`:
 /// the largest for all chains, and a margin for the chains that are shown to be worse. The first finds right
 /// closures that would contradict each other otherwise; but false closures bend odometry, which then seems
-/// as bad as they need it. \returns the solution of the lower restricted cost among those that are beyond
-/// doubt and cost less than the stated odometry
+/// as bad as they need it. If neither attempt settles, a third one has a margin on the innovation test as
+/// well: where errors of odometry add up, the test would exclude right closures round by round, since each
+/// exclusion makes odometry look better. \returns the solution of the lower restricted cost among those that
+/// are beyond doubt and cost less than the stated odometry
 std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& stated,
                                                       const OdometryVariances& shown) {
-  std::vector<OdometryVariances> attempts{all_chains_with(largest_variance())};
+  struct Attempt {
+    OdometryVariances first;
+    double margin;  // of the innovation test
+  };
+  const OdometryVariances widest = all_chains_with(largest_variance());
+  std::vector<Attempt> attempts{{widest, 1.0}};
   if (stated.settled) {  // otherwise `shown` is not that of a minimum
-    OdometryVariances margin = shown;
-    for (auto& [chain, variance] : margin) variance = std::min(kShownMargin * variance, largest_variance());
-    if (differ(margin, attempts.front())) attempts.push_back(std::move(margin));
+    OdometryVariances more = shown;
+    for (auto& [chain, variance] : more) variance = std::min(kShownMargin * variance, largest_variance());
+    if (differ(more, widest)) attempts.push_back({std::move(more), 1.0});
+    attempts.push_back({widest, given_.gnc.odometry_margin});
   }
   std::optional<Doubted> best;
-  for (const OdometryVariances& first : attempts) {
-    std::optional<Doubted> found = settled_odometry(first);
+  for (const auto& [first, margin] : attempts) {
+    if (best && margin > 1.0) break;
+    std::optional<Doubted> found = settled_odometry(first, margin);
     if (!found) continue;
     const bool worse = stated.settled && (gives_up_closures(stated.solution.result, found->solution.result) ||
                                           found->restricted_cost > stated.solution.cost);
@@ -254,13 +263,13 @@ std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& state
 }
 
 /// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
-/// estimate of the uncertainty at its solution, until this no longer changes. \returns the solution if it is
-/// then beyond doubt
-std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used) {
+/// estimate of the uncertainty at its solution, until this no longer changes. \param margin of the innovation
+/// test, relative to that uncertainty \returns the solution if it is then beyond doubt
+std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin) {
   for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
     const Scaled scaled(*this, used);
     std::optional<FromConfirmed> found = solve_from_confirmed(
-        used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), 1.0), false);
+        used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), margin), false);
     if (!found) return std::nullopt;
     std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
     const bool is_worse = estimate && !estimate->variances.empty();

@@ -14,11 +14,10 @@
 
 #include "module_testing.hpp"
 
-namespace batch_size_test {
+namespace loopwise::batch_size_test {
 namespace {
 
-using namespace loopwise;
-using namespace loopwise::testing;
+using namespace testing;
 
 /// Time passes only when a registration is computed.
 class CountedClock final : public Clock {
@@ -95,4 +94,4 @@ TEST_CASE("module: batches of a slow registrar are small, so that results soon c
 }
 
 }  // namespace
-}  // namespace batch_size_test
+}  // namespace loopwise::batch_size_test

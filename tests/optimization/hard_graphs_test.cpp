@@ -33,6 +33,7 @@ class Measured {
   Edge operator()(Key from, Key to, const Eigen::Isometry3d& T, EdgeKind kind) {
     Vector6d noise;
     for (int i = 0; i < 6; ++i) noise[i] = (i < 3 ? sigma_m_ : sigma_rad_) * rng.normal();
+    if (kind == EdgeKind::kOdometry) noise[5] += yaw_bias_rad;
     Edge edge{from, to, se3::normalized(T * se3::exp(noise)), Matrix6d::Identity()};
     edge.information.topLeftCorner<3, 3>() /= sigma_m_ * sigma_m_;
     edge.information.bottomRightCorner<3, 3>() /= sigma_rad_ * sigma_rad_;
@@ -42,6 +43,7 @@ class Measured {
   }
 
   Rng rng;
+  double yaw_bias_rad = 0.0;  ///< Added to each step of odometry.
 
  private:
   Stated stated_;
@@ -369,6 +371,24 @@ TEST_CASE("hard graphs: false closures that agree do not make odometry as bad as
       const GncResult result = optimize_gnc(graph.graph);
       REQUIRE(wrong(graph, result).kept == 0);
       REQUIRE(wrong(graph, result).lost <= 5);  // of 160
+    }
+  }
+}
+
+TEST_CASE("hard graphs: errors of odometry that add up do not exclude right closures",
+          "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    for (const double odometry : {1.5, 2.0}) {
+      for (const double yaw_bias_rad : {0.003, 0.006}) {
+        CAPTURE(seed, odometry, yaw_bias_rad);
+        Measured measured(seed, {odometry, 1.0});
+        measured.yaw_bias_rad = yaw_bias_rad;
+        testing::RandomGraph graph = in_three(corridor(measured, 40, 9, 160));
+        add_random(measured, graph, 10);
+        const GncResult result = optimize_gnc(graph.graph);
+        REQUIRE(wrong(graph, result).kept == 0);
+        REQUIRE(wrong(graph, result).lost <= 2);  // of 160
+      }
     }
   }
 }
