@@ -226,7 +226,7 @@ std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& prob
 /// closures make odometry look better than it is, so two attempts begin with more uncertainty than `shown`:
 /// the largest for all chains, and a margin for the chains that are shown to be worse. The first finds right
 /// closures that would contradict each other otherwise; but false closures bend odometry, which then seems
-/// as bad as they need it. If neither attempt settles, a third one has a margin on the innovation test as
+/// as bad as they need it. If neither attempt succeeds, a third one has a margin on the innovation test as
 /// well: where errors of odometry add up, the test would exclude right closures round by round, since each
 /// exclusion makes odometry look better. \returns the solution of the lower restricted cost among those that
 /// are beyond doubt and cost less than the stated odometry
