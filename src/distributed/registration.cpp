@@ -52,10 +52,15 @@ std::string pack_task(const RegistrationTask& task) {
   out.put(task.seed).put(static_cast<std::uint64_t>(task.enough_points)).put(task.time_limit_s);
   out.put(static_cast<std::uint8_t>(task.guess_from_to.has_value()));
   if (task.guess_from_to) out.put(*task.guess_from_to);
+  out.put(static_cast<std::uint8_t>(task.guess_covariance.has_value()));
+  if (task.guess_covariance) out.matrix(*task.guess_covariance);
   put(out, task.source);
   put(out, task.target);
   return out.take();
 }
+
+/// The last of the declared sources.
+constexpr auto kLastSource = static_cast<std::uint8_t>(CandidateSource::kAppearance);
 
 RegistrationTask unpack_task(std::string_view bytes) {
   ByteReader in(bytes);
@@ -64,13 +69,14 @@ RegistrationTask unpack_task(std::string_view bytes) {
   c.id = in.get<CandidateId>();
   c.from = in.get<Key>();
   c.to = in.get<Key>();
-  c.source = static_cast<CandidateSource>(in.one_of(static_cast<std::uint8_t>(CandidateSource::kUser)));
+  c.source = static_cast<CandidateSource>(in.one_of(kLastSource));
   c.time_s = in.get<double>();
   c.distance_m = in.get<double>();
   task.seed = in.get<std::uint64_t>();
   task.enough_points = static_cast<std::size_t>(in.get<std::uint64_t>());
   task.time_limit_s = in.get<double>();
   if (in.flag()) task.guess_from_to = in.pose();
+  if (in.flag()) task.guess_covariance = in.matrix<Matrix6d>();
   task.source = get_members(in);
   task.target = get_members(in);
   in.end();

@@ -3,6 +3,7 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/recognition.hpp>
+#include <loopwise/optimization/odometry_covariances.hpp>
 #include <loopwise/registration/batch.hpp>
 
 #include "engine_impl.hpp"
@@ -36,10 +37,12 @@ void Engine::Impl::on(event::Choose& event) {
   computing_ = true;
   std::vector<RegistrationTask> tasks;
   std::vector<RegistrationResult> failed;
-  for (const LoopCandidate& candidate : batch) {
+  const auto covariances = odometry_covariances(graph_, batch);
+  for (std::size_t i = 0; i < batch.size(); ++i) {
+    const LoopCandidate& candidate = batch[i];
     in_computation_.emplace(candidate.id, candidate);
     try {
-      tasks.push_back(task_of(candidate));
+      tasks.push_back(task_of(candidate, covariances[i]));
     } catch (const Error& error) {  // a node of the candidate has not arrived
       failed.push_back(failed_result(candidate, error.what()));
     }
@@ -48,13 +51,17 @@ void Engine::Impl::on(event::Choose& event) {
   for (RegistrationResult& result : failed) on(result);
 }
 
-RegistrationTask Engine::Impl::task_of(const LoopCandidate& candidate) const {
+RegistrationTask Engine::Impl::task_of(const LoopCandidate& candidate,
+                                       const std::optional<Matrix6d>& covariance_by_odometry) const {
   RegistrationTask task = make_task(graph_, robots_, candidate, options_.task, options_.seed,
                                     [this](Key key) { return scans_.count(key) != 0; });
   if (!options_.task.use_guess) return task;
   if (candidate.recognition && candidate.recognition->T_from_to) {
     task.guess_from_to = candidate.recognition->T_from_to;
-  } else if (options_.guess == GuessSource::kOdometry) {
+    return task;
+  }
+  task.guess_covariance = covariance_by_odometry;  // that of an estimate is at most this
+  if (options_.guess == GuessSource::kOdometry) {
     const auto& odometry = placement_.odometry();
     task.guess_from_to =
         odometry[graph_.index_of(candidate.from)].inverse() * odometry[graph_.index_of(candidate.to)];

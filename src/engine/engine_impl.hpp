@@ -139,7 +139,8 @@ class Engine::Impl {
   void announce_graph();
   void on(event::Improve& event);
   void on(event::Choose& event);
-  [[nodiscard]] RegistrationTask task_of(const LoopCandidate& candidate) const;
+  [[nodiscard]] RegistrationTask task_of(const LoopCandidate& candidate,
+                                         const std::optional<Matrix6d>& covariance_by_odometry) const;
   void on(RegistrationResult& result);
   void take(const LoopClosure& closure);
   void on(event::BatchDone& event);

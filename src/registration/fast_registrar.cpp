@@ -14,6 +14,7 @@
 #include "../core/constants.hpp"
 #include "consensus.hpp"
 #include "fpfh.hpp"
+#include "guess_region.hpp"
 #include "matching.hpp"
 #include "normal_bins.hpp"
 #include "pose_scores.hpp"
@@ -27,10 +28,12 @@ namespace loopwise {
 namespace {
 
 constexpr std::size_t kFewKeys = 200;  // of a scan at least, for any share
-// Votes about a guess count within this part of the largest translation, and up to this height: few guesses
-// are worse, and height drifts least, since gravity is known. Places that look alike are mostly further away,
-// or on another floor.
-constexpr double kVotedPart = 0.5, kVotedHeightM = 2.5;
+// Of the poses with the most votes, this many are tried on the scans. Their errors of up to half a cell leave
+// fewer points near the target than a refined pose has: this part of min_score suffices.
+constexpr std::size_t kComparedVotes = 8;
+constexpr double kVotedScorePart = 2.0 / 3.0;
+// Votes cover this distance about a guess. Within wider bounds, matches of descriptors follow.
+constexpr double kVotedReachM = 24.0;
 
 /// Key points of one side in the centre's frame.
 struct KeyPoints {
@@ -224,7 +227,11 @@ struct Scored {
 class FastRegistrar::Impl::Pair {
  public:
   Pair(const Impl& impl, const RegistrationTask& task)
-      : impl_(impl), options_(impl.options), task_(task), deadline_(task.time_limit_s) {
+      : impl_(impl),
+        options_(impl.options),
+        task_(task),
+        region_(task, impl.options),
+        deadline_(task.time_limit_s) {
     result_.candidate = task.candidate;
   }
 
@@ -232,10 +239,11 @@ class FastRegistrar::Impl::Pair {
     if (load_sides() && has_enough_points()) {
       PoseSearch search(*source_, *target_, task_, options_, result_);
       // Votes cost less, but are reliable only about a guess.
-      if (task_.guess_from_to) {
-        if (try_guess(search) && search_by_votes(search)) search_by_descriptors(search);
-      } else {
+      if (!task_.guess_from_to) {
         if (search_by_descriptors(search)) search_by_votes(search);
+      } else if (try_guess(search) && search_by_votes_about_guess(search) &&
+                 options_.tests.max_translation_m > kVotedReachM) {
+        search_by_descriptors(search);
       }
     }
     return std::move(result_);
@@ -263,7 +271,10 @@ class FastRegistrar::Impl::Pair {
   bool has_enough_points();
   bool try_guess(PoseSearch& search);
   bool settle(PoseSearch& search);
+  std::vector<Eigen::Isometry3d> find_votes(const PoseSearch& search);
+  bool refine_votes(const std::vector<Eigen::Isometry3d>& voted, PoseSearch& search);
   bool search_by_votes(PoseSearch& search);
+  bool search_by_votes_about_guess(PoseSearch& search);
   bool search_by_descriptors(PoseSearch& search);
   bool find_matches(const PoseSearch& search, std::vector<Match>& matches);
   bool score(const Consensus& consensus, std::vector<Scored>& scored);
@@ -274,6 +285,7 @@ class FastRegistrar::Impl::Pair {
   const Impl& impl_;
   const FastRegistrarOptions& options_;
   const RegistrationTask& task_;
+  const GuessRegion region_;
   Deadline deadline_;
   RegistrationResult result_;
   std::string source_name_, target_name_;
@@ -330,31 +342,51 @@ bool FastRegistrar::Impl::Pair::settle(PoseSearch& search) {
   return !found && in_time();
 }
 
-/// Refines poses for which many pairs of parallel surfaces vote. Unlike descriptors, votes need no surface
-/// that both scans see in detail, so they also find scans that overlap little. \returns as settle()
-bool FastRegistrar::Impl::Pair::search_by_votes(PoseSearch& search) {
-  std::vector<Eigen::Isometry3d> starts;
-  {
-    const ScopeTimer timer(result_.global_s);
-    Eigen::Isometry3d about = Eigen::Isometry3d::Identity();
-    about.translation() = target_->centre - source_->centre;
-    if (task_.guess_from_to) about = task_.guess_from_to->inverse();
-    const auto near_guess = [&](const Eigen::Isometry3d& T) {
-      if (!task_.guess_from_to) return true;
-      const Eigen::Vector3d moved = T * source_->centre - about * source_->centre;
-      return search.allowed(T) && std::abs(moved.z()) <= kVotedHeightM &&
-             moved.norm() <= kVotedPart * options_.tests.max_translation_m;
-    };
-    const double max_turn_rad = task_.guess_from_to ? options_.tests.max_rotation_rad : kPi;
-    starts = find_rivals(*source_, *target_, about, max_turn_rad, near_guess);
-  }
+/// Poses for which many pairs of parallel surfaces vote, among those that the guess allows, most votes first.
+std::vector<Eigen::Isometry3d> FastRegistrar::Impl::Pair::find_votes(const PoseSearch& search) {
+  const ScopeTimer timer(result_.global_s);
+  Eigen::Isometry3d about = Eigen::Isometry3d::Identity();
+  about.translation() = target_->centre - source_->centre;
+  if (task_.guess_from_to) about = task_.guess_from_to->inverse();
+  const double max_turn_rad = task_.guess_from_to ? options_.tests.max_rotation_rad : kPi;
+  return find_rivals(*source_, *target_, about, max_turn_rad,
+                     [&](const Eigen::Isometry3d& T) { return search.allowed(T) && region_.contains(T); });
+}
+
+/// Refines the voted poses with the most votes that have enough points near the target, and tests them.
+/// \returns as settle()
+bool FastRegistrar::Impl::Pair::refine_votes(const std::vector<Eigen::Isometry3d>& voted,
+                                             PoseSearch& search) {
   const ScopeTimer timer(result_.refine_s);
-  const std::size_t most = static_cast<std::size_t>(options_.refined_hypotheses);
-  for (std::size_t i = 0; i < std::min(most, starts.size()); ++i) {
+  const auto points = static_cast<std::size_t>(options_.score_points) / 4;
+  int refined = 0;
+  for (std::size_t i = 0; i < std::min(kComparedVotes, voted.size()); ++i) {
+    if (refined == options_.refined_hypotheses) break;
     if (!in_time()) return false;
-    search.refine_coarsely(starts[i]);
+    if (near(voted[i], points) < kVotedScorePart * options_.min_score) continue;
+    search.refine_coarsely(voted[i]);
+    ++refined;
   }
   return settle(search);
+}
+
+/// Refines poses by votes. Unlike descriptors, votes need no surface that both scans see in detail, so they
+/// also find scans that overlap little. \returns as settle()
+bool FastRegistrar::Impl::Pair::search_by_votes(PoseSearch& search) {
+  return refine_votes(find_votes(search), search);
+}
+
+/// Refines poses by votes near the guess, then those in the rest of the allowed region. \returns as settle()
+bool FastRegistrar::Impl::Pair::search_by_votes_about_guess(PoseSearch& search) {
+  std::vector<Eigen::Isometry3d> near_guess, far_off;
+  for (const Eigen::Isometry3d& T : find_votes(search)) {
+    (region_.is_near(T) ? near_guess : far_off).push_back(T);
+  }
+  if (!refine_votes(near_guess, search) || !refine_votes(far_off, search)) return false;
+  if (result_.reason == RejectionReason::kNone) {  // no pose was tested
+    reject(RejectionReason::kLowOverlap, "no pose that the guess allows has enough points near the target");
+  }
+  return true;
 }
 
 /// Matches of descriptors that some allowed pose explains.
@@ -437,7 +469,7 @@ bool FastRegistrar::Impl::Pair::search_by_descriptors(PoseSearch& search) {
     const ScopeTimer timer(result_.global_s);
     consensus =
         find_consensus(matches, options_.match_tolerance_m, static_cast<std::size_t>(options_.hypotheses),
-                       [&](const Eigen::Isometry3d& T) { return search.allowed(T); });
+                       [&](const Eigen::Isometry3d& T) { return search.allowed(T) && region_.contains(T); });
     if (!score(consensus, scored)) return false;
   }
   if (!refine_best(scored, search)) return false;

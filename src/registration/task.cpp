@@ -56,6 +56,9 @@ ContentHash hash_of(const RegistrationTask& task) {
   hasher.integer(task.seed).integer(task.enough_points);
   hasher.integer(task.guess_from_to ? 1 : 0);
   if (task.guess_from_to) add_pose(*task.guess_from_to);
+  if (task.guess_covariance) {
+    for (Eigen::Index i = 0; i < 36; ++i) hasher.number(task.guess_covariance->data()[i]);
+  }
   for (const std::vector<SubmapMember>* members : {&task.source, &task.target}) {
     hasher.integer(members->size());
     for (const SubmapMember& member : *members) {

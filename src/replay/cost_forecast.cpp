@@ -9,6 +9,7 @@
 
 #include <loopwise/core/random.hpp>
 #include <loopwise/generation/proximity.hpp>
+#include <loopwise/optimization/odometry_covariances.hpp>
 #include <loopwise/registration/batch.hpp>
 #include <loopwise/registration/task.hpp>
 
@@ -81,10 +82,13 @@ CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
   // Each registration is computed twice: first with the preparation of new scans, then without.
   std::set<Key> prepared;
   double cold_s = 0.0, warm_s = 0.0;
-  for (const LoopCandidate& candidate : chosen.kept()) {
+  const auto& kept = chosen.kept();
+  const auto covariances = odometry_covariances(graph, kept);
+  for (std::size_t i = 0; i < kept.size(); ++i) {
     if (stop.stop_requested()) break;
-    const RegistrationTask task =
-        make_task(graph, mission.robots, candidate, options.engine.task, options.engine.seed, has_scan);
+    RegistrationTask task =
+        make_task(graph, mission.robots, kept[i], options.engine.task, options.engine.seed, has_scan);
+    if (task.guess_from_to) task.guess_covariance = covariances[i];
     for (const auto* members : {&task.source, &task.target}) {
       for (const SubmapMember& member : *members) prepared.insert(member.key);
     }

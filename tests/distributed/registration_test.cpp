@@ -16,11 +16,13 @@ RegistrationTask random_task(Rng& rng) {
   const Key from = rng(), to = rng();
   RegistrationTask task = pair_task(from, to, rng());
   task.candidate.id = rng.below(1000000);
-  task.candidate.source = rng.uniform() < 0.5 ? CandidateSource::kRadio : CandidateSource::kProximity;
+  const auto sources = enum_names(CandidateSource{});
+  task.candidate.source = sources[rng.below(sources.size())].first;
   task.candidate.time_s = rng.uniform(0.0, 5000.0);
   task.candidate.distance_m = rng.uniform(0.0, 30.0);
   task.enough_points = rng.below(5000);
   if (rng.uniform() < 0.7) task.guess_from_to = testing::random_pose(rng, 10.0);
+  if (rng.uniform() < 0.5) task.guess_covariance = Matrix6d::Random();
   for (std::uint64_t k = rng.below(5); k > 0; --k) {
     const Key key = rng();
     task.target.push_back({key, testing::random_pose(rng, 2.0)});
@@ -61,9 +63,11 @@ TEST_CASE("messages: tasks and results come through to the bit; cut ones are ref
     const RegistrationTask back = unpack_task(bytes);
     REQUIRE(pack_task(back) == bytes);
     REQUIRE(back.candidate.from == task.candidate.from);
+    REQUIRE(back.candidate.source == task.candidate.source);
     REQUIRE(back.seed == task.seed);
     REQUIRE(back.guess_from_to.has_value() == task.guess_from_to.has_value());
     if (task.guess_from_to) REQUIRE(back.guess_from_to->matrix() == task.guess_from_to->matrix());
+    REQUIRE(back.guess_covariance == task.guess_covariance);
     REQUIRE(back.target.size() == task.target.size());
     for (std::size_t k = 0; k < task.target.size(); ++k) {
       REQUIRE(back.target[k].T_center_member.matrix() == task.target[k].T_center_member.matrix());
@@ -78,7 +82,7 @@ TEST_CASE("messages: tasks and results come through to the bit; cut ones are ref
     const std::string answer = pack_result(result);
     require_same(unpack_result(answer, task.candidate), result);
     REQUIRE_THROWS_AS(unpack_result(answer.substr(0, rng.below(answer.size())), task.candidate), InputError);
-    REQUIRE(bytes.size() + answer.size() <= 1152);
+    REQUIRE(bytes.size() + answer.size() <= 1440);
   }
 }
 

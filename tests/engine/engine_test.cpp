@@ -5,6 +5,8 @@
 #include <fstream>
 #include <iterator>
 
+#include <loopwise/core/recognition.hpp>
+#include <loopwise/optimization/odometry_covariances.hpp>
 #include <loopwise/prioritization/baselines.hpp>
 
 #include "testing.hpp"
@@ -199,6 +201,44 @@ TEST_CASE("engine: its sources use no threads, clocks or files", "[engine]") {
     }
   }
   REQUIRE(files > 7);
+}
+
+TEST_CASE("engine: tasks have the covariance of a guess by odometry, and none of a recognised pose",
+          "[engine]") {
+  Engine engine = engine_with();
+  auto cloud = std::make_shared<PointCloud>();
+  cloud->points.push_back({1.0F, 2.0F, 3.0F});
+  for (std::uint64_t i = 0; i < kNodes; ++i) {
+    KeyFrame frame = frame_of(i);
+    frame.cloud = cloud;
+    static_cast<void>(engine.handle(frame, 0.0));
+  }
+  LoopCandidate plain, recognised;
+  plain.from = make_key('a', 8);
+  plain.to = make_key('a', 1);
+  recognised.from = make_key('a', 9);
+  recognised.to = make_key('a', 2);
+  auto recognition = std::make_shared<Recognition>();
+  recognition->T_from_to = Eigen::Isometry3d::Identity();
+  recognised.recognition = recognition;
+  static_cast<void>(engine.handle(event::Candidates{{plain, recognised}}, 1.0));
+  std::size_t by_odometry = 0, by_recognition = 0;
+  for (const Effect& effect : engine.handle(event::Choose{100}, 1.0)) {
+    if (!std::holds_alternative<effect::Compute>(effect)) continue;
+    for (const RegistrationTask& task : std::get<effect::Compute>(effect).tasks) {
+      REQUIRE(task.guess_from_to);
+      if (task.candidate.recognition) {
+        REQUIRE_FALSE(task.guess_covariance);
+        ++by_recognition;
+      } else {
+        REQUIRE(task.guess_covariance == odometry_covariances(engine.graph(), {task.candidate})[0]);
+        REQUIRE(task.guess_covariance);
+        ++by_odometry;
+      }
+    }
+  }
+  REQUIRE(by_recognition == 1);
+  REQUIRE(by_odometry >= 1);
 }
 
 }  // namespace loopwise::engine_test

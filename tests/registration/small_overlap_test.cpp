@@ -176,4 +176,39 @@ TEST_CASE("FastRegistrar: votes of surfaces find a pose that descriptors and gue
 }
 
 }  // namespace
+TEST_CASE("FastRegistrar: a guess is searched as far as its covariance says", "[registrar]") {
+  int by_unknown = 0, by_wide = 0;
+  for (std::uint64_t seed = 320; seed < 326; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    const testing::Scene scene(seed);
+    const Eigen::Isometry3d a = testing::ground_pose(-2, 0, 0.2), b = testing::ground_pose(2, 1, 0.5);
+    const auto features = std::make_shared<FeatureCache>(
+        testing::loader({{0, scene.scan(a, 8000, rng)}, {1, scene.scan(b, 8000, rng)}}));
+    FastRegistrarOptions options;
+    options.ambiguous_margin = 0.0;  // the scene's ground repeats itself
+    RegistrationTask task = pair_task(1, 0, 1);
+    const Eigen::Isometry3d truth = b.inverse() * a;
+    task.guess_from_to = truth * se3::exp((Vector6d() << 11.0, -9.0, 0.2, 0, 0, 0.1).finished());
+    const auto verified = [&] {
+      const RegistrationResult result = FastRegistrar(features, options).compute(task);
+      REQUIRE(result.verified() == (result.reason == RejectionReason::kNone));
+      if (!result.verified()) return false;
+      REQUIRE((truth.inverse() * *result.T_from_to).translation().norm() < 0.1);
+      return true;
+    };
+    by_unknown += verified();
+    task.guess_covariance = 16.0 * Matrix6d::Identity();
+    by_wide += verified();
+    task.guess_covariance = 0.25 * Matrix6d::Identity();
+    REQUIRE_FALSE(verified());
+    options.guess_sigmas = 0.0;
+    const bool anywhere = verified();
+    task.guess_covariance.reset();
+    REQUIRE(anywhere == verified());
+  }
+  REQUIRE(by_unknown >= 4);
+  REQUIRE(by_wide == by_unknown);
+}
+
 }  // namespace loopwise::small_overlap_test

@@ -165,6 +165,8 @@ TEST_CASE("outcome store: the key contains all inputs of an outcome", "[replay][
   require_new(changed([](RegistrationTask& t) { ++t.enough_points; }));
   require_new(changed([](RegistrationTask& t) { t.guess_from_to.reset(); }));
   require_new(changed([](RegistrationTask& t) { t.guess_from_to->translation().x() += 1e-12; }));
+  require_new(changed([](RegistrationTask& t) { t.guess_covariance = Matrix6d::Identity(); }));
+  require_new(changed([](RegistrationTask& t) { t.guess_covariance = 2.0 * Matrix6d::Identity(); }));
   require_new(changed([](RegistrationTask& t) { t.target.pop_back(); }));
   require_new(changed([](RegistrationTask& t) { std::swap(t.target[0], t.target[1]); }));
   require_new(changed([](RegistrationTask& t) { t.target[1].T_center_member.translation().z() += 1e-12; }));

@@ -37,7 +37,7 @@ struct FastRegistrarOptions {
   double min_score = 0.15;
   /// Number of best hypotheses of descriptors, and of votes, that are refined and compared in detail.
   int refined_hypotheses = 3;
-  /// The refined guess is tested before any matches are searched if at least this share of score_points lies
+  /// The refined guess is tested before other poses are searched if at least this share of score_points lies
   /// on surfaces of the target, relative to the same share within the scans themselves.
   double sure_share = 0.5;
   /// A pair is rejected as ambiguous if the fit of a second pose is lower by at most this. The second pose is
@@ -52,6 +52,10 @@ struct FastRegistrarOptions {
   /// lies on surfaces, the standard deviation along the axis is half of max_sigma_m. Smaller shares give
   /// smaller values, smoothly.
   double free_share = 0.5;
+  /// Poses are searched where the guess differs by at most this many standard deviations, if its covariance
+  /// is known. Within half of max_translation_m and 2.5 m of height they are always searched. 0: everywhere
+  /// within max_translation_m.
+  double guess_sigmas = 5.0;
   /// Maximum distance of matched points in the first pass, m.
   double coarse_reach_m = 2.0;
   /// Maximum distance of matched points in the last pass, m.
@@ -92,6 +96,7 @@ struct FastRegistrarOptions {
     field("ambiguous_margin", self.ambiguous_margin, at_least(0.0));
     field("min_certain_overlap", self.min_certain_overlap, between(0.0, 1.0));
     field("free_share", self.free_share, between(0.01, 0.99));
+    field("guess_sigmas", self.guess_sigmas, at_least(0.0));
     field("coarse_reach_m", self.coarse_reach_m, above(0.0));
     field("fine_reach_m", self.fine_reach_m, above(0.0));
     field("coarse_points", self.coarse_points, at_least(10.0));
@@ -102,13 +107,13 @@ struct FastRegistrarOptions {
 };
 
 /// Registration at less than a tenth of the cost of the reference, without random draws. It first tries the
-/// graph's guess, if it exists, then translations for which pairs of parallel surfaces vote. Otherwise it
-/// uses mutual FPFH matches, consensus by second-order compatibility, and a comparison on the scans of the
-/// hypotheses that the guess allows; without a guess, votes come last. The best hypotheses
-/// are refined by generalized ICP (Gauss-Newton, from coarse to fine) and compared in detail. A pose that
-/// passes the tests is compared with rivals from symmetries and periods of the place; the pair is ambiguous
-/// if one fits as well. Pairs without overlap are rejected early. Thread-safe; data of a scan or a submap are
-/// computed once.
+/// graph's guess, then translations for which pairs of parallel surfaces vote, first near the guess and then
+/// as far as its covariance says (guess_sigmas). Without a guess, or within bounds of more than 24 m, it uses
+/// mutual FPFH matches, consensus by second-order compatibility, and a comparison of the hypotheses on the
+/// scans; without a guess, votes come last. The best poses are refined by generalized ICP (Gauss-Newton, from
+/// coarse to fine) and compared in detail. A pose that passes the tests is compared with rivals from
+/// symmetries and periods of the place; the pair is ambiguous if one fits as well. Pairs without overlap are
+/// rejected early. Thread-safe; data of a scan or a submap are computed once.
 class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.

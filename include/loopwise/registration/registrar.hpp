@@ -12,6 +12,7 @@
 #include <loopwise/core/key.hpp>
 #include <loopwise/core/loop_candidate.hpp>
 #include <loopwise/core/registration_result.hpp>
+#include <loopwise/core/se3.hpp>
 
 namespace loopwise {
 
@@ -28,6 +29,10 @@ struct RegistrationTask {
   /// T_from_to by the graph: maps points of `to` (target) to `from` (source). It is tried first, and results
   /// must be near it; absent: no guess.
   std::optional<Eigen::Isometry3d> guess_from_to;
+  /// Covariance of the guess over the right perturbation guess·Exp(ξ), order translation, rotation, m² and
+  /// rad², for example odometry_covariances(). A registrar need not search where the guess is that unlikely;
+  /// absent: not known.
+  std::optional<Matrix6d> guess_covariance;
   std::vector<SubmapMember> source;  ///< Centre: candidate.from, at least {from, identity}.
   std::vector<SubmapMember> target;  ///< Centre: candidate.to, e.g. with its neighbours along the odometry.
   /// A submap takes its members nearest to the centre first, until it has this many downsampled points.

@@ -51,8 +51,8 @@ struct TaskOptions {
                                                          const TaskOptions& options, std::uint64_t seed,
                                                          const std::function<bool(Key)>& has_scan = {});
 
-/// Hash of the pair, guess, submaps and seed of a task. It does not include options, contents of scans and
-/// the time limit.
+/// Hash of the pair, guess, its covariance, submaps and seed of a task. It does not include options, contents
+/// of scans and the time limit.
 [[nodiscard]] LOOPWISE_EXPORT ContentHash hash_of(const RegistrationTask& task);
 
 }  // namespace loopwise
