@@ -59,9 +59,6 @@ std::string pack_task(const RegistrationTask& task) {
   return out.take();
 }
 
-/// The last of the declared sources.
-constexpr auto kLastSource = static_cast<std::uint8_t>(CandidateSource::kAppearance);
-
 RegistrationTask unpack_task(std::string_view bytes) {
   ByteReader in(bytes);
   RegistrationTask task;
@@ -69,7 +66,8 @@ RegistrationTask unpack_task(std::string_view bytes) {
   c.id = in.get<CandidateId>();
   c.from = in.get<Key>();
   c.to = in.get<Key>();
-  c.source = static_cast<CandidateSource>(in.one_of(kLastSource));
+  const auto last_source = static_cast<std::uint8_t>(enum_names(CandidateSource{}).back().first);
+  c.source = static_cast<CandidateSource>(in.one_of(last_source));
   c.time_s = in.get<double>();
   c.distance_m = in.get<double>();
   task.seed = in.get<std::uint64_t>();

@@ -3,7 +3,6 @@
 
 #include <loopwise/core/error.hpp>
 #include <loopwise/core/recognition.hpp>
-#include <loopwise/optimization/odometry_covariances.hpp>
 #include <loopwise/registration/batch.hpp>
 
 #include "engine_impl.hpp"
@@ -37,12 +36,11 @@ void Engine::Impl::on(event::Choose& event) {
   computing_ = true;
   std::vector<RegistrationTask> tasks;
   std::vector<RegistrationResult> failed;
-  const auto covariances = odometry_covariances(graph_, batch);
-  for (std::size_t i = 0; i < batch.size(); ++i) {
-    const LoopCandidate& candidate = batch[i];
+  if (options_.task.use_guess) covariances_.update(graph_);
+  for (const LoopCandidate& candidate : batch) {
     in_computation_.emplace(candidate.id, candidate);
     try {
-      tasks.push_back(task_of(candidate, covariances[i]));
+      tasks.push_back(task_of(candidate));
     } catch (const Error& error) {  // a node of the candidate has not arrived
       failed.push_back(failed_result(candidate, error.what()));
     }
@@ -51,8 +49,7 @@ void Engine::Impl::on(event::Choose& event) {
   for (RegistrationResult& result : failed) on(result);
 }
 
-RegistrationTask Engine::Impl::task_of(const LoopCandidate& candidate,
-                                       const std::optional<Matrix6d>& covariance_by_odometry) const {
+RegistrationTask Engine::Impl::task_of(const LoopCandidate& candidate) const {
   RegistrationTask task = make_task(graph_, robots_, candidate, options_.task, options_.seed,
                                     [this](Key key) { return scans_.count(key) != 0; });
   if (!options_.task.use_guess) return task;
@@ -60,11 +57,11 @@ RegistrationTask Engine::Impl::task_of(const LoopCandidate& candidate,
     task.guess_from_to = candidate.recognition->T_from_to;
     return task;
   }
-  task.guess_covariance = covariance_by_odometry;  // that of an estimate is at most this
+  const std::size_t from = graph_.index_of(candidate.from), to = graph_.index_of(candidate.to);
+  task.guess_covariance = covariances_.between(from, to);  // right closures make an estimate more certain
   if (options_.guess == GuessSource::kOdometry) {
     const auto& odometry = placement_.odometry();
-    task.guess_from_to =
-        odometry[graph_.index_of(candidate.from)].inverse() * odometry[graph_.index_of(candidate.to)];
+    task.guess_from_to = odometry[from].inverse() * odometry[to];
   }
   return task;
 }

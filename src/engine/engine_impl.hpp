@@ -16,6 +16,7 @@
 #include <vector>
 
 #include <loopwise/engine/engine.hpp>
+#include <loopwise/optimization/odometry_covariances.hpp>
 
 #include "factor.hpp"
 #include "placement.hpp"
@@ -58,6 +59,7 @@ class Engine::Impl {
   EngineOptions options_;
   PoseGraph graph_;
   Placement placement_;
+  OdometryCovariances covariances_;
   ProximityGenerator generator_;
   RadioGenerator radio_;
   CandidatePool pool_;
@@ -139,8 +141,7 @@ class Engine::Impl {
   void announce_graph();
   void on(event::Improve& event);
   void on(event::Choose& event);
-  [[nodiscard]] RegistrationTask task_of(const LoopCandidate& candidate,
-                                         const std::optional<Matrix6d>& covariance_by_odometry) const;
+  [[nodiscard]] RegistrationTask task_of(const LoopCandidate& candidate) const;
   void on(RegistrationResult& result);
   void take(const LoopClosure& closure);
   void on(event::BatchDone& event);

@@ -34,7 +34,8 @@ const char* advice_on(RejectionReason reason) {
              "--method, or "
              "more registrations; if the robot visited a place twice, check the frame of the scans by "
              "'loopwise "
-             "register A B'";
+             "register A B'; if odometry is worse than its stated covariance, --set "
+             "fast_registrar.guess_sigmas=0 searches further";
     case RejectionReason::kInconsistent:
     case RejectionReason::kAmbiguous:
       return "places look alike: only pairs with more in common can be distinguished, try --set "

@@ -241,9 +241,8 @@ class FastRegistrar::Impl::Pair {
       // Votes cost less, but are reliable only about a guess.
       if (!task_.guess_from_to) {
         if (search_by_descriptors(search)) search_by_votes(search);
-      } else if (try_guess(search) && search_by_votes_about_guess(search) &&
-                 options_.tests.max_translation_m > kVotedReachM) {
-        search_by_descriptors(search);
+      } else if (try_guess(search) && search_by_votes_about_guess(search)) {
+        search_further(search);
       }
     }
     return std::move(result_);
@@ -275,6 +274,7 @@ class FastRegistrar::Impl::Pair {
   bool refine_votes(const std::vector<Eigen::Isometry3d>& voted, PoseSearch& search);
   bool search_by_votes(PoseSearch& search);
   bool search_by_votes_about_guess(PoseSearch& search);
+  void search_further(PoseSearch& search);
   bool search_by_descriptors(PoseSearch& search);
   bool find_matches(const PoseSearch& search, std::vector<Match>& matches);
   bool score(const Consensus& consensus, std::vector<Scored>& scored);
@@ -358,7 +358,7 @@ std::vector<Eigen::Isometry3d> FastRegistrar::Impl::Pair::find_votes(const PoseS
 bool FastRegistrar::Impl::Pair::refine_votes(const std::vector<Eigen::Isometry3d>& voted,
                                              PoseSearch& search) {
   const ScopeTimer timer(result_.refine_s);
-  const auto points = static_cast<std::size_t>(options_.score_points) / 4;
+  const auto points = static_cast<std::size_t>(std::max(options_.score_points / 4, 1));
   int refined = 0;
   for (std::size_t i = 0; i < std::min(kComparedVotes, voted.size()); ++i) {
     if (refined == options_.refined_hypotheses) break;
@@ -376,17 +376,24 @@ bool FastRegistrar::Impl::Pair::search_by_votes(PoseSearch& search) {
   return refine_votes(find_votes(search), search);
 }
 
-/// Refines poses by votes near the guess, then those in the rest of the allowed region. \returns as settle()
+/// Refines poses by votes near the guess, then, if its covariance is known, those in the rest of the region.
+/// \returns as settle()
 bool FastRegistrar::Impl::Pair::search_by_votes_about_guess(PoseSearch& search) {
   std::vector<Eigen::Isometry3d> near_guess, far_off;
   for (const Eigen::Isometry3d& T : find_votes(search)) {
     (region_.is_near(T) ? near_guess : far_off).push_back(T);
   }
-  if (!refine_votes(near_guess, search) || !refine_votes(far_off, search)) return false;
-  if (result_.reason == RejectionReason::kNone) {  // no pose was tested
-    reject(RejectionReason::kLowOverlap, "no pose that the guess allows has enough points near the target");
+  return refine_votes(near_guess, search) && (!region_.is_known() || refine_votes(far_off, search));
+}
+
+/// Searches by descriptors unless votes have covered all that the guess allows.
+void FastRegistrar::Impl::Pair::search_further(PoseSearch& search) {
+  if (!region_.is_known() || options_.tests.max_translation_m > kVotedReachM) {
+    search_by_descriptors(search);
+  } else if (result_.reason == RejectionReason::kNone) {  // no pose was tested
+    reject(RejectionReason::kLowOverlap,
+           "no pose within guess_sigmas of the guess has enough points near the target");
   }
-  return true;
 }
 
 /// Matches of descriptors that some allowed pose explains.

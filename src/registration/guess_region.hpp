@@ -15,8 +15,10 @@ class GuessRegion {
  public:
   GuessRegion(const RegistrationTask& task, const FastRegistrarOptions& options);
 
-  /// Whether a pose is near the guess. Few guesses are worse, and height drifts least, since gravity is known.
-  /// Places that look alike are mostly further away, or on another floor.
+  /// Whether the covariance of the guess is known and used.
+  [[nodiscard]] bool is_known() const { return covariance_.has_value(); }
+  /// Whether a pose is near the guess. Few guesses are worse, and height drifts least, since gravity is
+  /// known. Places that look alike are mostly further away, or on another floor.
   [[nodiscard]] bool is_near(const Eigen::Isometry3d& T_target_source) const;
   /// Whether a pose is near, or as likely as guess_sigmas requires. True for all poses without a guess.
   [[nodiscard]] bool contains(const Eigen::Isometry3d& T_target_source) const;

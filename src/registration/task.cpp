@@ -57,7 +57,10 @@ ContentHash hash_of(const RegistrationTask& task) {
   hasher.integer(task.guess_from_to ? 1 : 0);
   if (task.guess_from_to) add_pose(*task.guess_from_to);
   if (task.guess_covariance) {
-    for (Eigen::Index i = 0; i < 36; ++i) hasher.number(task.guess_covariance->data()[i]);
+    // Rounded, because the covariance may come from another order of sums.
+    for (Eigen::Index i = 0; i < 36; ++i) {
+      hasher.number(static_cast<double>(static_cast<float>(task.guess_covariance->data()[i])));
+    }
   }
   for (const std::vector<SubmapMember>* members : {&task.source, &task.target}) {
     hasher.integer(members->size());

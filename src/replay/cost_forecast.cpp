@@ -74,6 +74,10 @@ CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
     if (graph.contains(edge.from) && graph.contains(edge.to)) graph.add_edge(edge);
   }
 
+  for (const Arrival& arrival : feed) {
+    for (const PriorFactor& prior : arrival.frame.priors) graph.add_prior(prior);
+  }
+
   CostForecast forecast;
   forecast.candidates = chosen.seen();
   forecast.mission_s = feed.empty() ? 0.0 : feed.back().time_s;
@@ -82,13 +86,16 @@ CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
   // Each registration is computed twice: first with the preparation of new scans, then without.
   std::set<Key> prepared;
   double cold_s = 0.0, warm_s = 0.0;
-  const auto& kept = chosen.kept();
-  const auto covariances = odometry_covariances(graph, kept);
-  for (std::size_t i = 0; i < kept.size(); ++i) {
+  OdometryCovariances covariances;
+  covariances.update(graph);
+  for (const LoopCandidate& candidate : chosen.kept()) {
     if (stop.stop_requested()) break;
     RegistrationTask task =
-        make_task(graph, mission.robots, kept[i], options.engine.task, options.engine.seed, has_scan);
-    if (task.guess_from_to) task.guess_covariance = covariances[i];
+        make_task(graph, mission.robots, candidate, options.engine.task, options.engine.seed, has_scan);
+    if (task.guess_from_to) {
+      task.guess_covariance =
+          covariances.between(graph.index_of(candidate.from), graph.index_of(candidate.to));
+    }
     for (const auto* members : {&task.source, &task.target}) {
       for (const SubmapMember& member : *members) prepared.insert(member.key);
     }

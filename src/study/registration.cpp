@@ -64,13 +64,17 @@ Sample measure(const Mission& mission, const std::vector<LoopCandidate>& candida
   out.pairs.resize(candidates.size());
   out.tasks.resize(candidates.size());
   out.truths.resize(candidates.size());
-  const auto covariances = odometry_covariances(mission.graph, candidates);
+  OdometryCovariances covariances;
+  covariances.update(mission.graph);
   threads.for_each(candidates.size(), [&](std::size_t i) {
     const LoopCandidate& c = candidates[i];
     const Eigen::Isometry3d truth = mission.ground_truth.at(c.from).inverse() * mission.ground_truth.at(c.to);
     out.tasks[i] = make_task(mission.graph, mission.robots, c, replay.engine.task, seed,
                              [&](Key key) { return mission.scans->has(key); });
-    if (out.tasks[i].guess_from_to) out.tasks[i].guess_covariance = covariances[i];
+    if (out.tasks[i].guess_from_to) {
+      out.tasks[i].guess_covariance =
+          covariances.between(mission.graph.index_of(c.from), mission.graph.index_of(c.to));
+    }
     StudyPair& pair = out.pairs[i];
     pair.candidate = c;
     pair.distance_m = truth.translation().norm();

@@ -30,7 +30,7 @@ struct RegistrationTask {
   /// must be near it; absent: no guess.
   std::optional<Eigen::Isometry3d> guess_from_to;
   /// Covariance of the guess over the right perturbation guess·Exp(ξ), order translation, rotation, m² and
-  /// rad², for example odometry_covariances(). A registrar need not search where the guess is that unlikely;
+  /// rad², for example OdometryCovariances. A registrar need not search where the guess is that unlikely;
   /// absent: not known.
   std::optional<Matrix6d> guess_covariance;
   std::vector<SubmapMember> source;  ///< Centre: candidate.from, at least {from, identity}.
