@@ -51,10 +51,11 @@ bool OdometryCovariances::append(const PoseGraph& graph) {
       const auto [a, b] = graph.ends(e);
       const auto other = static_cast<std::uint32_t>(a == node ? b : a);
       if (other > node) continue;
-      if (place.depth > 0) return false;  // joins two chains
-      place = continued(graph, e, other);
-      if (place.root == kNone) return false;
       ++odometry_edges_;
+      const Place next = continued(graph, e, other);
+      if (next.root == kNone || (place.depth > 0 && place.parent == other)) continue;
+      if (place.depth > 0) return false;  // joins two chains
+      place = next;
     }
     places_.push_back(place);
   }

@@ -39,14 +39,14 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
   result.T_target_source = start;
 
   // The last match of a point bounds the search for its next one, and stays while the point hardly moves,
-  // except in the last step.
+  // until the last pass has nearly converged.
   constexpr std::uint32_t kNone = ~std::uint32_t{0};
   constexpr double kStillPart = 0.1;  // of the last reach
   const double still_m = passes.empty() ? 0.0 : kStillPart * passes.back().reach_m;
-  const auto sq_still = static_cast<float>(still_m * still_m);
+  auto sq_still = static_cast<float>(still_m * still_m);
   std::vector<std::uint32_t> last(order.size(), kNone);
-  const Eigen::Vector3f nowhere = Eigen::Vector3f::Constant(std::numeric_limits<float>::infinity());
-  std::vector<Eigen::Vector3f> searched(order.size(), nowhere);
+  std::vector<Eigen::Vector3f> searched(order.size(),
+                                        Eigen::Vector3f::Constant(std::numeric_limits<float>::infinity()));
   for (const GicpPass& pass : passes) {
     const std::size_t count = pass.points == 0 ? order.size() : std::min(pass.points, order.size());
     const auto reach = static_cast<float>(pass.reach_m);
@@ -57,7 +57,6 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
       const Eigen::Isometry3d& T = result.T_target_source;
       const Eigen::Vector3d centre = T * source_centre;
       NormalEquations equations(sq_scale);
-      bool all_searched = true;
       for (std::size_t k = 0; k < count; ++k) {
         const std::uint32_t i = order[k];
         const Eigen::Vector3d moved = T * source.points[i].template cast<double>();
@@ -71,8 +70,6 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
           const std::optional<Neighbour> nearest = target_tree.nearest(query, bound);
           last[k] = nearest ? nearest->index : kNone;
           searched[k] = query;
-        } else {
-          all_searched = false;
         }
         if (last[k] == kNone) continue;
         const Eigen::Vector3d d = moved - target.points[last[k]].template cast<double>();
@@ -102,8 +99,8 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
       // Matches that appear and disappear at the edge of the reach prevent smaller steps.
       result.converged = relative < 5.0;
       if (relative >= 1.0) continue;
-      if (all_searched || &pass != &passes.back()) break;
-      std::fill(searched.begin(), searched.end(), nowhere);  // The last step is by present matches.
+      if (&pass != &passes.back() || sq_still == 0.0F) break;
+      sq_still = 0.0F;
     }
   }
   return result;

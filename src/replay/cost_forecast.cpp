@@ -75,7 +75,9 @@ CostForecast forecast_cost(const Mission& mission, const ReplayOptions& options,
   }
 
   for (const Arrival& arrival : feed) {
-    for (const PriorFactor& prior : arrival.frame.priors) graph.add_prior(prior);
+    for (const PriorFactor& prior : arrival.frame.priors) {
+      if (graph.contains(prior.key)) graph.add_prior(prior);
+    }
   }
 
   CostForecast forecast;
