@@ -4,7 +4,6 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
-#include <limits>
 #include <optional>
 
 #include <Eigen/Cholesky>
@@ -38,15 +37,9 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
   GicpResult result;
   result.T_target_source = start;
 
-  // The last match of a point bounds the search for its next one, and stays while the point hardly moves,
-  // until the last pass has nearly converged.
+  // Steps are small, so the last match of a point bounds the search for its next match.
   constexpr std::uint32_t kNone = ~std::uint32_t{0};
-  constexpr double kStillPart = 0.1;  // of the last reach
-  const double still_m = passes.empty() ? 0.0 : kStillPart * passes.back().reach_m;
-  auto sq_still = static_cast<float>(still_m * still_m);
   std::vector<std::uint32_t> last(order.size(), kNone);
-  std::vector<Eigen::Vector3f> searched(order.size(),
-                                        Eigen::Vector3f::Constant(std::numeric_limits<float>::infinity()));
   for (const GicpPass& pass : passes) {
     const std::size_t count = pass.points == 0 ? order.size() : std::min(pass.points, order.size());
     const auto reach = static_cast<float>(pass.reach_m);
@@ -61,22 +54,18 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
         const std::uint32_t i = order[k];
         const Eigen::Vector3d moved = T * source.points[i].template cast<double>();
         const Eigen::Vector3f query = moved.cast<float>();
-        if (!((query - searched[k]).squaredNorm() < sq_still)) {
-          float bound = reach;
-          if (last[k] != kNone) {
-            // Exceeds the distance by more than the rounding error, so that the same point is found again.
-            bound = std::min(bound, 1.0001F * (target.points[last[k]] - query).norm() + 1e-6F);
-          }
-          const std::optional<Neighbour> nearest = target_tree.nearest(query, bound);
-          last[k] = nearest ? nearest->index : kNone;
-          searched[k] = query;
+        float bound = reach;
+        if (last[k] != kNone) {
+          // Exceeds the distance by more than the rounding error, so that the same point is found again.
+          bound = std::min(bound, 1.0001F * (target.points[last[k]] - query).norm() + 1e-6F);
         }
-        if (last[k] == kNone) continue;
-        const Eigen::Vector3d d = moved - target.points[last[k]].template cast<double>();
-        if (d.squaredNorm() > pass.reach_m * pass.reach_m) continue;  // of a search with a larger reach
+        const std::optional<Neighbour> nearest = target_tree.nearest(query, bound);
+        if (!nearest) continue;
+        last[k] = nearest->index;
         const Eigen::Vector3d m = T.linear() * source.normals[i].template cast<double>();
-        const Eigen::Vector3d n = target.normals[last[k]].template cast<double>();
+        const Eigen::Vector3d n = target.normals[nearest->index].template cast<double>();
         if (n.dot(m) < 0.0) continue;  // the other face of a wall
+        const Eigen::Vector3d d = moved - target.points[nearest->index].template cast<double>();
         equations.add(d, moved - centre, n, m);
       }
       result.points_used = count;
@@ -98,9 +87,7 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
                                        step.tail<3>().norm() / pass.rotation_step_rad);
       // Matches that appear and disappear at the edge of the reach prevent smaller steps.
       result.converged = relative < 5.0;
-      if (relative >= 1.0) continue;
-      if (&pass != &passes.back() || sq_still == 0.0F) break;
-      sq_still = 0.0F;
+      if (relative < 1.0) break;
     }
   }
   return result;

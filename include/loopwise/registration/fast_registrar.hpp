@@ -108,12 +108,12 @@ struct FastRegistrarOptions {
 
 /// Registration at less than a tenth of the cost of the reference, without random draws. It first tries the
 /// graph's guess, then translations for which pairs of parallel surfaces vote, first near the guess and then
-/// as far as its covariance says (guess_sigmas). Without a guess, or within bounds of more than 24 m, it uses
-/// mutual FPFH matches, consensus by second-order compatibility, and a comparison of the hypotheses on the
-/// scans; without a guess, votes come last. The best poses are refined by generalized ICP (Gauss-Newton, from
-/// coarse to fine) and compared in detail. A pose that passes the tests is compared with rivals from
-/// symmetries and periods of the place; the pair is ambiguous if one fits as well. Pairs without overlap are
-/// rejected early. Thread-safe; data of a scan or a submap are computed once.
+/// as far as its covariance says (guess_sigmas). Without a guess or its covariance, or within bounds of more
+/// than 24 m, it uses mutual FPFH matches, consensus by second-order compatibility, and a comparison of the
+/// hypotheses on the scans; without a guess, votes come last. The best poses are refined by generalized ICP
+/// (Gauss-Newton, from coarse to fine) and compared in detail. A pose that passes the tests is compared with
+/// rivals from symmetries and periods of the place; the pair is ambiguous if one fits as well. Pairs without
+/// overlap are rejected early. Thread-safe; data of a scan or a submap are computed once.
 class LOOPWISE_EXPORT FastRegistrar final : public Registrar {
  public:
   /// \throws OptionError; InputError if `features` is null.
