@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: BSD-3-Clause
-"""scripts/lint_words, lint_links and lint_names find their kinds of faults and report nothing else."""
+"""scripts/lint_words, lint_links, lint_names and lint_headers find their kinds of faults and report nothing else."""
 import pathlib
 import subprocess
 import sys
@@ -77,6 +77,18 @@ class Names(Linter):
         status, out = self.run_linter("lint_names")
         self.assertEqual(status, 1)
         self.assertEqual([line.rsplit(": ", 1)[1].split()[0] for line in out.splitlines()], ["not_here", "absent", "kTwo", "lost"])
+
+
+class Headers(Linter):
+    def test_headers_that_lack_an_include(self):
+        self.write("include/loopwise/core/pose_graph.hpp", "#pragma once\n#include <Eigen/Geometry>\n"
+                                                           "struct Graph { Eigen::Isometry3d pose; };\n")
+        self.write("include/loopwise/core/whole.hpp", "#pragma once\n#include <loopwise/core/pose_graph.hpp>\nextern Graph graph;\n")
+        self.assertEqual(self.run_linter("lint_headers"), (0, "lint_headers: 2 of 2 headers compile alone\n"))
+        self.write("include/loopwise/core/no_graph.hpp", "#pragma once\n#include <Eigen/Geometry>\nextern Graph graph;\n")
+        self.write("include/loopwise/core/no_eigen.hpp", "#pragma once\n#include <vector>\nextern Eigen::Vector3d point;\n")
+        self.write("include/loopwise/core/no_vector.hpp", "#pragma once\nextern std::vector<int> numbers;\n")
+        self.assertEqual(self.run_linter("lint_headers"), (1, "lint_headers: 2 of 5 headers compile alone\n"))
 
 
 if __name__ == "__main__":

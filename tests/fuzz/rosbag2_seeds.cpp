@@ -17,7 +17,7 @@ namespace loopwise::fuzz {
 namespace {
 
 template <class T>
-std::string number(T value) {
+std::string little_endian(T value) {
   std::string out;
   for (std::size_t i = 0; i < sizeof(T); ++i)
     out += static_cast<char>(static_cast<std::uint64_t>(value) >> (8 * i) & 255);
@@ -25,11 +25,11 @@ std::string number(T value) {
 }
 
 std::string text(const std::string& value) {
-  return number(static_cast<std::uint32_t>(value.size())) + value;
+  return little_endian(static_cast<std::uint32_t>(value.size())) + value;
 }
 
 std::string record(int op, const std::string& content) {
-  return static_cast<char>(op) + number(std::uint64_t{content.size()}) + content;
+  return static_cast<char>(op) + little_endian(std::uint64_t{content.size()}) + content;
 }
 
 std::string packed(const std::string& compression, const std::string& bytes) {
@@ -54,21 +54,22 @@ std::string mcap(const std::vector<TypedMessage>& messages, const std::string& c
     const auto id = static_cast<std::uint16_t>(message.type + 1);
     const MessageType& type = message_types()[message.type];
     if (described.insert(message.type).second) {
-      records += record(3, number(id) + text(type.name) + text("ros1msg") + text(type.definition));
-      records +=
-          record(4, number(id) + number(id) + text(type.topic) + text("ros1") + number(std::uint32_t{0}));
+      records += record(3, little_endian(id) + text(type.name) + text("ros1msg") + text(type.definition));
+      records += record(4, little_endian(id) + little_endian(id) + text(type.topic) + text("ros1") +
+                               little_endian(std::uint32_t{0}));
     }
-    records += record(5, number(id) + number(std::uint32_t{0}) + number(stamp_of(message)) +
-                             number(stamp_of(message)) + message.bytes);
+    records +=
+        record(5, little_endian(id) + little_endian(std::uint32_t{0}) + little_endian(stamp_of(message)) +
+                      little_endian(stamp_of(message)) + message.bytes);
   }
   if (compression != "none") {
     const std::string data = packed(compression, records);
-    records = record(6, number(std::uint64_t{0}) + number(std::uint64_t{0}) +
-                            number(std::uint64_t{records.size()}) + number(std::uint32_t{0}) +
-                            text(compression) + number(std::uint64_t{data.size()}) + data);
+    records = record(6, little_endian(std::uint64_t{0}) + little_endian(std::uint64_t{0}) +
+                            little_endian(std::uint64_t{records.size()}) + little_endian(std::uint32_t{0}) +
+                            text(compression) + little_endian(std::uint64_t{data.size()}) + data);
   }
   const std::string mark("\x89MCAP0\r\n", 8);
-  return mark + record(1, text("ros1") + text("")) + records + record(15, number(std::uint32_t{0})) +
+  return mark + record(1, text("ros1") + text("")) + records + record(15, little_endian(std::uint32_t{0})) +
          record(2, std::string(20, '\0')) + mark;
 }
 
