@@ -89,6 +89,8 @@ class Headers(Linter):
         self.write("include/loopwise/core/no_eigen.hpp", "#pragma once\n#include <vector>\nextern Eigen::Vector3d point;\n")
         self.write("include/loopwise/core/no_vector.hpp", "#pragma once\nextern std::vector<int> numbers;\n")
         self.assertEqual(self.run_linter("lint_headers"), (1, "lint_headers: 2 of 5 headers compile alone\n"))
+        self.write("include/loopwise/core/pose_graph.hpp", "#pragma once\nstruct Graph { Eigen::Isometry3d pose; };\n")
+        self.assertEqual(self.run_linter("lint_headers"), (1, "lint_headers: 0 of 5 headers compile alone\n"))
 
 
 if __name__ == "__main__":

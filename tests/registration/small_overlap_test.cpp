@@ -189,7 +189,7 @@ TEST_CASE("FastRegistrar: a guess is searched as far as its covariance says", "[
     const Eigen::Isometry3d truth = b.inverse() * a;
     const Vector6d error = (Vector6d() << 11.0, -9.0, 0.2, 0, 0, 0.1).finished();
     task.guess_from_to = truth * se3::exp(error);
-    const auto verified = [&](double guess_sigmas = 5.0) {
+    const auto verified = [&](double guess_sigmas = FastRegistrarOptions().guess_sigmas) {
       FastRegistrarOptions options;
       options.guess_sigmas = guess_sigmas;
       const RegistrationResult result = FastRegistrar(features, options).compute(task);
