@@ -236,7 +236,7 @@ TEST_CASE("g2o: edges without information get that of their kind", "[io][g2o]") 
 TEST_CASE("g2o: the longest odometry without information gets information, too", "[io][g2o]") {
   const std::string spatial = kTwoVertices + "EDGE_SE3:QUAT 0 1 1e308 1e308 0 0 0 0 1\n";
   const std::string planar = "VERTEX_SE2 0 0 0 0\nVERTEX_SE2 1 1 0 0\nEDGE_SE2 0 1 1e308 1e308 0\n";
-  const PoseGraph graph = read(GENERATE_COPY(spatial, planar)).graph;
+  const PoseGraph graph = read(GENERATE_COPY(as<std::string>(), spatial, planar)).graph;
   REQUIRE(graph.edges().size() == 1);
   CHECK(graph.edges()[0].information.diagonal().minCoeff() > 0.0);
   CHECK(parse_g2o(g2o_text(graph, {}), "again").graph.edges().size() == 1);
