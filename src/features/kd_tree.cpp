@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <cstring>
 #include <string>
 
 #include <loopwise/core/error.hpp>
@@ -17,17 +18,22 @@ class NearestVisitor {
  public:
   explicit NearestVisitor(float sq_bound) { best_.sq_distance_m2 = sq_bound; }
   [[nodiscard]] float bound() const { return best_.sq_distance_m2; }
-  void offer(float sq_distance, std::uint32_t index) {
-    if (sq_distance > best_.sq_distance_m2) return;
-    if (sq_distance == best_.sq_distance_m2 && (!found_ || index > best_.index)) return;
-    best_ = {index, sq_distance};
-    found_ = true;
+  void offer(const float* sq_distances, const std::uint32_t* indices, std::size_t size) {
+    for (std::size_t i = 0; i < size; ++i) {
+      if (sq_distances[i] <= bound()) take(sq_distances[i], indices[i]);
+    }
   }
   [[nodiscard]] std::optional<Neighbour> result() const {
     return found_ ? std::optional<Neighbour>(best_) : std::nullopt;
   }
 
  private:
+  void take(float sq_distance, std::uint32_t index) {
+    if (sq_distance == best_.sq_distance_m2 && (!found_ || index > best_.index)) return;
+    best_ = {index, sq_distance};
+    found_ = true;
+  }
+
   Neighbour best_;
   bool found_ = false;
 };
@@ -36,37 +42,88 @@ bool nearer(const Neighbour& a, const Neighbour& b) {
   return a.sq_distance_m2 != b.sq_distance_m2 ? a.sq_distance_m2 < b.sq_distance_m2 : a.index < b.index;
 }
 
-/// Keeps the `count` nearest points in order.
+/// A point and its squared distance as one positive number, in the order of nearer(): the bits of floats that
+/// are not negative are in the order of their values, and an index has 31 bits. The highest bit keeps the
+/// number out of the denormal ones, which a host may flush to zero.
+double packed(float sq_distance, std::uint32_t index) {
+  std::uint32_t bits;
+  std::memcpy(&bits, &sq_distance, sizeof bits);
+  const std::uint64_t number = (std::uint64_t{1} << 62U) | (std::uint64_t{bits} << 31U) | index;
+  double out;
+  std::memcpy(&out, &number, sizeof out);
+  return out;
+}
+
+Neighbour unpacked(double packed) {
+  std::uint64_t number;
+  std::memcpy(&number, &packed, sizeof number);
+  const auto bits = static_cast<std::uint32_t>(number >> 31U) & 0x7fffffffU;
+  Neighbour out{static_cast<std::uint32_t>(number) & 0x7fffffffU, 0.0F};
+  std::memcpy(&out.sq_distance_m2, &bits, sizeof bits);
+  return out;
+}
+
+/// Keeps the `count` nearest points in order. The search costs most for mispredicted branches, so there are
+/// few.
 class CountVisitor {
  public:
-  CountVisitor(std::size_t count, std::vector<Neighbour>& found) : count_(count), found_(found) {}
-  [[nodiscard]] float bound() const {
-    return found_.size() < count_ ? std::numeric_limits<float>::infinity() : found_.back().sq_distance_m2;
+  explicit CountVisitor(std::size_t count) : count_(count) {
+    if (count >= few_[0].size()) {
+      many_.resize(2 * (count + 1));
+      now_ = many_.data();
+      next_ = now_ + count + 1;
+    }
+    std::fill_n(now_, count + 1, kNone);
+    now_[0] = next_[0] = 0.0;
   }
-  void offer(float sq_distance, std::uint32_t index) {
-    const Neighbour candidate{index, sq_distance};
-    if (found_.size() == count_) {
-      if (!nearer(candidate, found_.back())) return;
-      found_.pop_back();
+  [[nodiscard]] float bound() const { return bound_; }
+  void offer(const float* sq_distances, const std::uint32_t* indices, std::size_t size) {
+    std::array<double, kMaxLeaf> near;
+    std::size_t number = 0;
+    for (std::size_t i = 0; i < size; ++i) {
+      near[number] = packed(sq_distances[i], indices[i]);
+      number += sq_distances[i] <= bound_ ? 1 : 0;
     }
-    std::size_t position = found_.size();
-    found_.push_back(candidate);
-    for (; position > 0 && nearer(candidate, found_[position - 1]); --position) {
-      found_[position] = found_[position - 1];
-    }
-    found_[position] = candidate;
+    if (number == 0) return;
+    for (std::size_t i = 0; i < number; ++i) insert(near[i]);
+    if (now_[count_] != kNone) bound_ = unpacked(now_[count_]).sq_distance_m2;
+  }
+  void result(std::vector<Neighbour>& found) const {
+    for (std::size_t i = 1; i <= count_ && now_[i] != kNone; ++i) found.push_back(unpacked(now_[i]));
   }
 
  private:
+  static constexpr double kNone = std::numeric_limits<double>::infinity();
+
+  void insert(double point) {
+    const double* __restrict now = now_;
+    double* __restrict next = next_;
+    for (std::size_t i = 1; i <= count_; ++i) {
+      const double before = now[i - 1], at = now[i];
+      const double moved = before > point ? before : point;
+      next[i] = at < moved ? at : moved;
+    }
+    std::swap(now_, next_);
+  }
+
   std::size_t count_;
-  std::vector<Neighbour>& found_;
+  float bound_ = std::numeric_limits<float>::infinity();
+  // Sorted behind a first number that is below all.
+  std::array<std::array<double, 32>, 2> few_;
+  std::vector<double> many_;
+  double* now_ = few_[0].data();
+  double* next_ = few_[1].data();
 };
 
 class RadiusVisitor {
  public:
   RadiusVisitor(float sq_radius, std::vector<Neighbour>& found) : sq_radius_(sq_radius), found_(found) {}
   [[nodiscard]] float bound() const { return sq_radius_; }
-  void offer(float sq_distance, std::uint32_t index) { found_.push_back({index, sq_distance}); }
+  void offer(const float* sq_distances, const std::uint32_t* indices, std::size_t size) {
+    for (std::size_t i = 0; i < size; ++i) {
+      if (sq_distances[i] <= sq_radius_) found_.push_back({indices[i], sq_distances[i]});
+    }
+  }
 
  private:
   float sq_radius_;
@@ -186,9 +243,7 @@ void KdTree::search(const Eigen::Vector3f& query, Visitor& visitor) const {
       const float dx = x[i] - qx, dy = y[i] - qy, dz = z[i] - qz;
       sq_distances[i] = dx * dx + dy * dy + dz * dz;
     }
-    for (std::size_t i = 0; i < count; ++i) {
-      if (sq_distances[i] <= visitor.bound()) visitor.offer(sq_distances[i], original_[begin + i]);
-    }
+    visitor.offer(sq_distances.data(), original_.data() + begin, count);
   }
 }
 
@@ -200,9 +255,10 @@ std::optional<Neighbour> KdTree::nearest(const Eigen::Vector3f& query, float max
 
 void KdTree::nearest(const Eigen::Vector3f& query, std::size_t count, std::vector<Neighbour>& found) const {
   found.clear();
-  if (count == 0) return;
-  CountVisitor visitor(count, found);
+  if (count == 0 || size_ == 0) return;
+  CountVisitor visitor(std::min(count, size_));
   search(query, visitor);
+  visitor.result(found);
 }
 
 void KdTree::within(const Eigen::Vector3f& query, float radius_m, std::vector<Neighbour>& found) const {
