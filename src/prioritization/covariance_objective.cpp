@@ -12,6 +12,7 @@
 #include <loopwise/core/error.hpp>
 
 #include "closure_set.hpp"
+#include "linalg/dense_kernels.hpp"
 
 namespace loopwise {
 namespace {
@@ -299,6 +300,15 @@ struct CovarianceObjective::Impl {
     return out;
   }
 
+  /// The blocks of c on and below the diagonal −= those of a·bᵀ.
+  static void subtract_lower(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, Eigen::MatrixXd& c) {
+    const detail::DenseKernels& kernels = detail::dense_kernels(detail::Rounding::kPortable);
+    const auto rows = static_cast<int>(c.rows()), rank = static_cast<int>(a.cols());
+    for (int j = 0; j < rows; j += 6) {
+      kernels.subtract_abt(rows - j, rank, a.data() + j, rows, b.data() + j, rows, &c(j, j), rows, false);
+    }
+  }
+
   /// Updates the blocks when closures enter (+1) or leave (−1): rank 6k for S, rank 12k for M.
   void update_dense(const std::vector<std::size_t>& which, const std::vector<double>& signs) {
     if (++dense_moves >= static_cast<std::size_t>(options.dense_refresh)) dense_fresh = false;
@@ -315,9 +325,12 @@ struct CovarianceObjective::Impl {
     const Eigen::MatrixXd K = A.partialPivLu().inverse();
     const Eigen::MatrixXd sK = s * (0.5 * (K + K.transpose()));
     const Eigen::MatrixXd z = m - 0.5 * sK * D;
-    S.triangularView<Eigen::Lower>() -= sK * s.transpose();
-    M.triangularView<Eigen::Lower>() -= sK * z.transpose();
-    M.triangularView<Eigen::Lower>() -= z * sK.transpose();
+    subtract_lower(sK, s, S);
+    // sK·zᵀ + z·sKᵀ as one product: M is read once.
+    Eigen::MatrixXd left(m.rows(), 2 * k), right(m.rows(), 2 * k);
+    left << sK, z;
+    right << z, sK;
+    subtract_lower(left, right, M);
   }
 };
 
