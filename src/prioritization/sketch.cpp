@@ -21,7 +21,7 @@ namespace loopwise {
 namespace {
 
 constexpr int kSketchWidth = 16;  // probes per solve
-constexpr std::size_t kCandidatesPerTask = 512;
+constexpr std::size_t kCandidatesPerTask = 64;
 
 using Probes = Eigen::Matrix<double, 6, kSketchWidth, Eigen::RowMajor>;
 
@@ -63,6 +63,7 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
   pool.for_each((candidates.size() + kCandidatesPerTask - 1) / kCandidatesPerTask, [&](std::size_t task) {
     // Group by group, so that the probes of a group stay in the cache for all candidates of the task.
     std::vector<SketchedCandidate> sketched;
+    sketched.reserve(kCandidatesPerTask);
     const std::size_t end = std::min(candidates.size(), (task + 1) * kCandidatesPerTask);
     for (std::size_t i = task * kCandidatesPerTask; i < end; ++i) {
       const std::size_t from = graph.index_of(candidates[i].from), to = graph.index_of(candidates[i].to);
