@@ -29,6 +29,8 @@ constexpr int kMostRounds = 6;
 constexpr double kShareOfMargin = 0.16;
 /// Bound on starts from the confirmed closures, each with a new estimate of odometry's uncertainty.
 constexpr int kConfirmedRounds = 6;
+/// Variance factors whose ratio to earlier ones is below this have gone round.
+constexpr double kGoesRound = 1.02;
 /// Margin on the variance factors that a solution with excluded closures shows.
 constexpr double kShownMargin = 4.0;
 
@@ -245,13 +247,9 @@ std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& state
     attempts.push_back({widest, given_.gnc.odometry_margin});
   }
   std::optional<Doubted> best;
-  std::vector<OdometryVariances> used;
   for (const auto& [first, margin] : attempts) {
-    if (margin > 1.0) {
-      if (best) break;
-      used.clear();
-    }
-    std::optional<Doubted> found = settled_odometry(first, margin, used);
+    if (best && margin > 1.0) break;
+    std::optional<Doubted> found = settled_odometry(first, margin);
     if (!found) continue;
     const bool worse = stated.settled && (gives_up_closures(stated.solution.result, found->solution.result) ||
                                           found->restricted_cost > stated.solution.cost);
@@ -267,14 +265,13 @@ std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& state
 }
 
 /// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
-/// estimate of the uncertainty at its solution, until this no longer changes. \param margin of the innovation
-/// test, relative to that uncertainty \param tried variances of earlier attempts with this margin, and then
-/// of this one: what follows from them is known, and often it leads back to them \returns the solution if it
-/// is then beyond doubt
-std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin,
-                                                        std::vector<OdometryVariances>& tried) {
+/// estimate of the uncertainty at its solution, until this no longer changes, or comes back to an earlier
+/// one: it would go round from there. \param margin of the innovation test, relative to that uncertainty
+/// \returns the solution if it is then beyond doubt
+std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin) {
+  std::vector<OdometryVariances> tried;
   for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
-    const auto is_same = [&](const OdometryVariances& earlier) { return !differ(earlier, used); };
+    const auto is_same = [&](const OdometryVariances& earlier) { return !differ(earlier, used, kGoesRound); };
     if (std::any_of(tried.begin(), tried.end(), is_same)) return std::nullopt;
     tried.push_back(used);
     const Scaled scaled(*this, used);

@@ -101,8 +101,7 @@ class Starts {
                                                                   const GrossOutliers& gross, bool grow);
   [[nodiscard]] std::optional<Solution> with_doubted_odometry(const FromConfirmed& stated,
                                                               const OdometryVariances& shown);
-  [[nodiscard]] std::optional<Doubted> settled_odometry(OdometryVariances used, double margin,
-                                                        std::vector<OdometryVariances>& tried);
+  [[nodiscard]] std::optional<Doubted> settled_odometry(OdometryVariances used, double margin);
   [[nodiscard]] std::optional<Solution> with_doubted_test(FromConfirmed& stated);
   [[nodiscard]] std::size_t in_doubt(const RobustProblem& given, const PoseProblem& problem,
                                      const std::vector<Pose>& poses, const std::vector<char>& among);
