@@ -29,8 +29,6 @@ constexpr int kMostRounds = 6;
 constexpr double kShareOfMargin = 0.16;
 /// Bound on starts from the confirmed closures, each with a new estimate of odometry's uncertainty.
 constexpr int kConfirmedRounds = 6;
-/// Variance factors whose ratio to earlier ones is below this have gone round.
-constexpr double kGoesRound = 1.02;
 /// Margin on the variance factors that a solution with excluded closures shows.
 constexpr double kShownMargin = 4.0;
 
@@ -265,15 +263,10 @@ std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& state
 }
 
 /// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
-/// estimate of the uncertainty at its solution, until this no longer changes, or comes back to an earlier
-/// one: it would go round from there. \param margin of the innovation test, relative to that uncertainty
-/// \returns the solution if it is then beyond doubt
+/// estimate of the uncertainty at its solution, until this no longer changes. \param margin of the innovation
+/// test, relative to that uncertainty \returns the solution if it is then beyond doubt
 std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin) {
-  std::vector<OdometryVariances> tried;
   for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
-    const auto is_same = [&](const OdometryVariances& earlier) { return !differ(earlier, used, kGoesRound); };
-    if (std::any_of(tried.begin(), tried.end(), is_same)) return std::nullopt;
-    tried.push_back(used);
     const Scaled scaled(*this, used);
     std::optional<FromConfirmed> found = solve_from_confirmed(
         used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), margin), false);

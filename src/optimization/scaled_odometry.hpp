@@ -18,12 +18,12 @@ inline constexpr double kEqual = 1e-9;
 /// Variance factors whose ratio is below this count as equal.
 inline constexpr double kSameVariance = 1.1;
 
-/// Whether variance factors differ by more than a ratio.
-inline bool differ(const OdometryVariances& a, const OdometryVariances& b, double ratio = kSameVariance) {
-  const auto beyond = [ratio](const OdometryVariances& some, const OdometryVariances& others) {
+/// Whether variance factors differ by more than kSameVariance.
+inline bool differ(const OdometryVariances& a, const OdometryVariances& b) {
+  const auto beyond = [](const OdometryVariances& some, const OdometryVariances& others) {
     return std::any_of(some.begin(), some.end(), [&](const auto& entry) {
       const auto found = others.find(entry.first);
-      return entry.second > ratio * (found == others.end() ? 1.0 : found->second);
+      return entry.second > kSameVariance * (found == others.end() ? 1.0 : found->second);
     });
   };
   return beyond(a, b) || beyond(b, a);
