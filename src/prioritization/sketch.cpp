@@ -21,15 +21,9 @@ namespace loopwise {
 namespace {
 
 constexpr int kSketchWidth = 16;  // probes per solve
-constexpr std::size_t kCandidatesPerTask = 64;
+constexpr std::size_t kCandidatesPerTask = 4096;
 
 using Probes = Eigen::Matrix<double, 6, kSketchWidth, Eigen::RowMajor>;
-
-struct SketchedCandidate {
-  std::size_t candidate = 0;
-  detail::ClosureTerm term;
-  detail::GainBlocks blocks;
-};
 
 /// Calls visit(i, blocks) for every candidate that does not connect components, with estimates of S and M
 /// from random probes. They are for its closure at full information, added to the bare graph. Several threads
@@ -60,33 +54,26 @@ void for_each_sketch(const PoseGraph& graph, const std::vector<LoopCandidate>& c
     of_trace ? factor.solve<kSketchWidth>(x) : factor.solve_root<kSketchWidth>(x);
   });
 
-  pool.for_each((candidates.size() + kCandidatesPerTask - 1) / kCandidatesPerTask, [&](std::size_t task) {
-    // Group by group, so that the probes of a group stay in the cache for all candidates of the task.
-    std::vector<SketchedCandidate> sketched;
-    sketched.reserve(kCandidatesPerTask);
-    const std::size_t end = std::min(candidates.size(), (task + 1) * kCandidatesPerTask);
-    for (std::size_t i = task * kCandidatesPerTask; i < end; ++i) {
+  pool.for_each((candidates.size() + kCandidatesPerTask - 1) / kCandidatesPerTask, [&](std::size_t chunk) {
+    const std::size_t end = std::min(candidates.size(), (chunk + 1) * kCandidatesPerTask);
+    for (std::size_t i = chunk * kCandidatesPerTask; i < end; ++i) {
       const std::size_t from = graph.index_of(candidates[i].from), to = graph.index_of(candidates[i].to);
       if (parts.connecting(from, to)) continue;
-      SketchedCandidate& added = sketched.emplace_back();
-      added.candidate = i;
-      added.term.from = static_cast<std::uint32_t>(from);
-      added.term.to = static_cast<std::uint32_t>(to);
-      added.term.adjoint = se3::adjoint(graph.nodes()[to].pose.inverse() * graph.nodes()[from].pose);
-    }
-    for (std::size_t g = 0; g < groups; ++g) {
-      for (SketchedCandidate& s : sketched) {
+      detail::ClosureTerm term;
+      term.from = static_cast<std::uint32_t>(from);
+      term.to = static_cast<std::uint32_t>(to);
+      term.adjoint = se3::adjoint(graph.nodes()[to].pose.inverse() * graph.nodes()[from].pose);
+      detail::GainBlocks blocks;
+      for (std::size_t g = 0; g < groups; ++g) {
         Probes u, v;
-        factor.apply<kSketchWidth>(s.term, U[g], u.data());
-        factor.apply<kSketchWidth>(s.term, V[g], v.data());
-        s.blocks.S.noalias() += u.lazyProduct(u.transpose());
-        s.blocks.M.noalias() += v.lazyProduct(v.transpose());
+        factor.apply<kSketchWidth>(term, U[g], u.data());
+        factor.apply<kSketchWidth>(term, V[g], v.data());
+        blocks.S.noalias() += u.lazyProduct(u.transpose());
+        blocks.M.noalias() += v.lazyProduct(v.transpose());
       }
-    }
-    for (SketchedCandidate& s : sketched) {
-      s.blocks.S = (whitening.root * s.blocks.S * whitening.root.transpose()).eval();
-      s.blocks.M = (whitening.root * s.blocks.M * whitening.root.transpose()).eval();
-      visit(s.candidate, s.blocks);
+      blocks.S = (whitening.root * blocks.S * whitening.root.transpose()).eval();
+      blocks.M = (whitening.root * blocks.M * whitening.root.transpose()).eval();
+      visit(i, blocks);
     }
   });
 }
