@@ -43,8 +43,8 @@ bool nearer(const Neighbour& a, const Neighbour& b) {
 }
 
 /// A point and its squared distance as one positive number, in the order of nearer(): the bits of floats that
-/// are not negative are in the order of their values, and an index has 31 bits. The highest bit keeps the
-/// number out of the denormal ones, which a host may flush to zero.
+/// are not negative are in the order of their values, and an index has 31 bits. Bit 62 keeps the number out
+/// of the denormal ones, which a host may flush to zero. An infinite distance still gives a finite number.
 double packed(float sq_distance, std::uint32_t index) {
   std::uint32_t bits;
   std::memcpy(&bits, &sq_distance, sizeof bits);
@@ -54,9 +54,9 @@ double packed(float sq_distance, std::uint32_t index) {
   return out;
 }
 
-Neighbour unpacked(double packed) {
+Neighbour unpacked(double point) {
   std::uint64_t number;
-  std::memcpy(&number, &packed, sizeof number);
+  std::memcpy(&number, &point, sizeof number);
   const auto bits = static_cast<std::uint32_t>(number >> 31U) & 0x7fffffffU;
   Neighbour out{static_cast<std::uint32_t>(number) & 0x7fffffffU, 0.0F};
   std::memcpy(&out.sq_distance_m2, &bits, sizeof bits);
@@ -73,32 +73,37 @@ class CountVisitor {
       now_ = many_.data();
       next_ = now_ + count + 1;
     }
-    std::fill_n(now_, count + 1, kNone);
-    now_[0] = next_[0] = 0.0;
+    for (double* points : {now_, next_}) {
+      std::fill_n(points, count + 1, kNone);
+      points[0] = 0.0;
+    }
   }
   [[nodiscard]] float bound() const { return bound_; }
   void offer(const float* sq_distances, const std::uint32_t* indices, std::size_t size) {
     std::array<double, kMaxLeaf> near;
-    std::size_t number = 0;
+    std::size_t inside = 0;
     for (std::size_t i = 0; i < size; ++i) {
-      near[number] = packed(sq_distances[i], indices[i]);
-      number += sq_distances[i] <= bound_ ? 1 : 0;
+      near[inside] = packed(sq_distances[i], indices[i]);
+      inside += sq_distances[i] <= bound_ ? 1 : 0;
     }
-    if (number == 0) return;
-    for (std::size_t i = 0; i < number; ++i) insert(near[i]);
+    if (inside == 0) return;
+    for (std::size_t i = 0; i < inside; ++i) insert(near[i]);
     if (now_[count_] != kNone) bound_ = unpacked(now_[count_]).sq_distance_m2;
   }
   void result(std::vector<Neighbour>& found) const {
-    for (std::size_t i = 1; i <= count_ && now_[i] != kNone; ++i) found.push_back(unpacked(now_[i]));
+    for (std::size_t i = 1; i <= kept_; ++i) found.push_back(unpacked(now_[i]));
   }
 
  private:
   static constexpr double kNone = std::numeric_limits<double>::infinity();
 
+  /// The points before the new one keep their places, those behind it move by one; without a branch, each
+  /// place gets the smaller of its point and the larger of the new point and the one before.
   void insert(double point) {
+    kept_ = std::min(kept_ + 1, count_);
     const double* __restrict now = now_;
     double* __restrict next = next_;
-    for (std::size_t i = 1; i <= count_; ++i) {
+    for (std::size_t i = 1; i <= kept_; ++i) {
       const double before = now[i - 1], at = now[i];
       const double moved = before > point ? before : point;
       next[i] = at < moved ? at : moved;
@@ -106,9 +111,10 @@ class CountVisitor {
     std::swap(now_, next_);
   }
 
-  std::size_t count_;
+  std::size_t count_, kept_ = 0;
   float bound_ = std::numeric_limits<float>::infinity();
-  // Sorted behind a first number that is below all.
+  // Sorted behind a first number that is below all, with kNone in places that are free. Each insertion writes
+  // from one buffer to the other, so that the loop has no dependences.
   std::array<std::array<double, 32>, 2> few_;
   std::vector<double> many_;
   double* now_ = few_[0].data();
@@ -203,7 +209,7 @@ void KdTree::build(const Points& points) {
 
 template <class Visitor>
 void KdTree::search(const Eigen::Vector3f& query, Visitor& visitor) const {
-  if (size_ == 0) return;
+  if (size_ == 0 || !query.allFinite()) return;
   // Offsets from the query to a node's cell, by axis. They are squared and added exactly as distances of
   // points are, so that rounding never makes a cell appear farther away than a point in it.
   struct Pending {

@@ -300,7 +300,7 @@ struct CovarianceObjective::Impl {
     return out;
   }
 
-  /// The blocks of c on and below the diagonal −= those of a·bᵀ.
+  /// The 6×6 blocks of c on and below the diagonal −= those of a·bᵀ. Neither a nor b may be c.
   static void subtract_lower(const Eigen::MatrixXd& a, const Eigen::MatrixXd& b, Eigen::MatrixXd& c) {
     const detail::DenseKernels& kernels = detail::dense_kernels(detail::Rounding::kPortable);
     const auto rows = static_cast<int>(c.rows()), rank = static_cast<int>(a.cols());

@@ -132,13 +132,18 @@ TEST_CASE("KdTree leaves out points that are not finite and keeps the indices of
       KdTree(wide).nearest(query, 1000, found);
       require_same(found, expected, 428);
     }
-    Eigen::Vector3f gap = query;
-    gap[q % 3] = std::numeric_limits<float>::quiet_NaN();
-    REQUIRE_FALSE(tree.nearest(gap).has_value());
-    tree.nearest(gap, 3, found);
-    REQUIRE(found.empty());
-    tree.within(gap, 1e6F, found);
-    REQUIRE(found.empty());
+    const float infinity = std::numeric_limits<float>::infinity();
+    for (const float value : {std::numeric_limits<float>::quiet_NaN(), infinity, -infinity}) {
+      Eigen::Vector3f gap = query;
+      gap[q % 3] = value;
+      REQUIRE_FALSE(tree.nearest(gap).has_value());
+      tree.nearest(gap, 3, found);
+      REQUIRE(found.empty());
+      for (const float radius : {1e6F, infinity}) {
+        tree.within(gap, radius, found);
+        REQUIRE(found.empty());
+      }
+    }
   }
   if (kind == 5) REQUIRE_THROWS_WITH(KdTree(wide), Contains("subtract an offset from its points"));
 }
