@@ -109,7 +109,7 @@ void BlockCholesky::analyze(Elimination elimination, const std::vector<Pair>& pa
 bool BlockCholesky::factorize(ThreadPool* pool) {
   if (variables() == 0) return true;
   std::optional<SingleThreadedBlas> guard;
-  if (cholmod_ || rounding_ == Rounding::kFastest) guard.emplace();
+  if (cholmod_) guard.emplace();
   return cholmod_ ? cholmod_->factorize(matrix_.values()) : fronts_.factorize(matrix_.values().data(), pool);
 }
 

@@ -6,23 +6,51 @@ namespace loopwise::detail {
 #define LOOPWISE_LANES 2
 #include "dense_kernels.inc"
 
-#ifdef LOOPWISE_AVX2_KERNELS
+#ifdef LOOPWISE_WIDE_KERNELS
 const DenseKernels& dense_kernels_avx2();
 const DenseKernels& dense_kernels_fma();
+const DenseKernels& dense_kernels_avx512();
 #endif
+
+namespace {
+
+struct Support {
+#ifdef LOOPWISE_WIDE_KERNELS
+  const bool avx2 = __builtin_cpu_supports("avx2") != 0;
+  const bool fma = avx2 && __builtin_cpu_supports("fma") != 0;
+  const bool avx512 =
+      fma && __builtin_cpu_supports("avx512f") != 0 && __builtin_cpu_supports("avx512vl") != 0;
+#endif
+};
+
+const Support& support() {
+  static const Support instance;
+  return instance;
+}
+
+}  // namespace
 
 const DenseKernels& dense_kernels_baseline() {
   return kKernels;
 }
 
 const DenseKernels& dense_kernels([[maybe_unused]] Rounding rounding) {
-#ifdef LOOPWISE_AVX2_KERNELS
-  static const bool wide = __builtin_cpu_supports("avx2") != 0;
-  static const bool fused = wide && __builtin_cpu_supports("fma") != 0;
-  if (fused && rounding == Rounding::kFastest) return dense_kernels_fma();
-  if (wide) return dense_kernels_avx2();
+#ifdef LOOPWISE_WIDE_KERNELS
+  if (rounding == Rounding::kFastest && support().avx512) return dense_kernels_avx512();
+  if (rounding == Rounding::kFastest && support().fma) return dense_kernels_fma();
+  if (support().avx2) return dense_kernels_avx2();
 #endif
   return kKernels;
+}
+
+std::vector<const DenseKernels*> all_dense_kernels() {
+  std::vector<const DenseKernels*> all{&kKernels};
+#ifdef LOOPWISE_WIDE_KERNELS
+  if (support().avx2) all.push_back(&dense_kernels_avx2());
+  if (support().fma) all.push_back(&dense_kernels_fma());
+  if (support().avx512) all.push_back(&dense_kernels_avx512());
+#endif
+  return all;
 }
 
 }  // namespace loopwise::detail

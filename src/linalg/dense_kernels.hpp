@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 /// \file
-/// Dense kernels for matrices whose rows and columns come in sixes: those of pose graphs are too small for
-/// calls of BLAS to pay off. Matrices are column-major unless stated otherwise. The first call chooses the
-/// widest instructions of the processor.
+/// Dense kernels for matrices whose rows and columns come in sixes. Most of those of pose graphs are too
+/// small for calls of BLAS to pay off; products of large ones are taken in pieces (kStripe). Matrices are
+/// column-major unless stated otherwise. The first call chooses the widest instructions of the processor.
 #pragma once
 
 #include <cstddef>
 #include <cstdint>
+#include <vector>
 
 #include <loopwise/core/export.hpp>
 
@@ -14,7 +15,7 @@ namespace loopwise::detail {
 
 /// How sums of products are rounded.
 enum class Rounding {
-  kFastest,   ///< Fused multiply-add where the processor has it, and BLAS for large products. Results on
+  kFastest,   ///< The widest registers, with fused multiply-add where the processor has it. Results on
               ///< different processors agree within rounding.
   kPortable,  ///< The same operations in the same order on every processor of the family: the same bits.
 };
@@ -35,6 +36,10 @@ struct PathStep {
   std::uint32_t panel = 0;
   std::uint32_t column = 0;  ///< Counted from the panel's first one.
 };
+
+/// The second-level cache holds this many columns and rows: the inner dimension of one call of a product, and
+/// its rows. Multiples of 6.
+inline constexpr int kStripe = 96, kStripeRows = 768;
 
 struct DenseKernels {
   /// C −= A·Bᵀ, or C = −A·Bᵀ if `overwrite`; C is m×6, A m×k, B 6×k, m even,
@@ -69,5 +74,7 @@ struct DenseKernels {
 [[nodiscard]] LOOPWISE_EXPORT const DenseKernels& dense_kernels(Rounding rounding);
 /// The kernels that run on any processor of the family. Their bits are those of kPortable.
 [[nodiscard]] LOOPWISE_EXPORT const DenseKernels& dense_kernels_baseline();
+/// All kernels that this processor can run, for tests.
+[[nodiscard]] LOOPWISE_EXPORT std::vector<const DenseKernels*> all_dense_kernels();
 
 }  // namespace loopwise::detail

@@ -4,6 +4,7 @@
 namespace loopwise::detail {
 
 #define LOOPWISE_LANES 4
+#define LOOPWISE_FUSED
 #include "dense_kernels.inc"
 
 const DenseKernels& dense_kernels_fma();

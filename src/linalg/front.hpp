@@ -9,55 +9,47 @@
 #include <cstdint>
 #include <vector>
 
-#include "blas.hpp"
 #include "dense_kernels.hpp"
 
 namespace loopwise::detail {
 
-/// The kernels of a rounding, and whether it allows BLAS, whose sums depend on the processor.
-struct FrontArithmetic {
-  explicit FrontArithmetic(Rounding rounding)
-      : kernels(dense_kernels(rounding)), blas(rounding == Rounding::kFastest) {}
-  const DenseKernels& kernels;
-  bool blas;
-};
-
-/// BLAS updates a front faster than the kernels if it takes at least this many operations.
-inline constexpr double kBlasFlops = 1e7;
-/// In a wide panel the kernels eliminate this many columns, then BLAS updates the rest.
-inline constexpr int kStripe = 96;
+/// The lower triangle, in whole blocks, of the first n columns of C −= A·Aᵀ; C has m rows, A is m×k.
+inline void subtract_lower(const DenseKernels& kernel, int m, int n, int k, const double* a, int lda,
+                           double* c, int ldc, bool overwrite) {
+  for (int begin = 0; begin < m; begin += kStripeRows) {
+    const int end = std::min(m, begin + kStripeRows);
+    for (int j = 0; j < std::min(n, end); j += 6) {
+      const int first = std::max(begin, j);
+      kernel.subtract_abt(end - first, k, a + first, lda, a + j, lda,
+                          c + static_cast<std::ptrdiff_t>(j) * ldc + first, ldc, overwrite);
+    }
+  }
+}
 
 /// Cholesky factor of the first w columns of a front, which has h rows. \returns the number of eliminated
 /// columns: w unless a pivot is not positive.
-inline int eliminate_columns(const FrontArithmetic& arithmetic, int w, int h, double* l) {
-  const DenseKernels& kernel = arithmetic.kernels;
-  const int width = arithmetic.blas ? kStripe : w;
-  for (int stripe = 0; stripe < w; stripe += width) {
-    const int end = std::min(w, stripe + width);
-    double* block = l + static_cast<std::ptrdiff_t>(stripe) * (h + 1);
-    if (stripe > 0) {
-      blas::gemm('N', 'T', h - stripe, end - stripe, stripe, -1.0, l + stripe, h, l + stripe, h, 1.0, block,
-                 h);
+inline int eliminate_columns(const DenseKernels& kernel, int w, int h, double* l) {
+  const auto column = [&](int j) { return l + static_cast<std::ptrdiff_t>(j) * h; };
+  for (int stripe = 0; stripe < w; stripe += kStripe) {
+    const int end = std::min(w, stripe + kStripe);
+    for (int p = 0; p < stripe; p += kStripe) {
+      subtract_lower(kernel, h - stripe, end - stripe, kStripe, column(p) + stripe, h,
+                     column(stripe) + stripe, h, false);
     }
-    for (int j = stripe; j < end; j += 6, block += 6 * (static_cast<std::ptrdiff_t>(h) + 1)) {
-      const double* left = l + static_cast<std::ptrdiff_t>(stripe) * h + j;
-      if (j > stripe) kernel.subtract_abt(h - j, j - stripe, left, h, left, h, block, h, false);
-      if (!kernel.eliminate(h - j, block, h)) return j;
+    for (int j = stripe; j < end; j += 6) {
+      const double* left = column(stripe) + j;
+      if (j > stripe) kernel.subtract_abt(h - j, j - stripe, left, h, left, h, column(j) + j, h, false);
+      if (!kernel.eliminate(h - j, column(j) + j, h)) return j;
     }
   }
   return w;
 }
 
 /// U −= R·Rᵀ, or U = −R·Rᵀ if `overwrite`, in the lower triangle; R is m×w.
-inline void subtract_product(const FrontArithmetic& arithmetic, int m, int w, const double* r, int ldr,
-                             double* u, bool overwrite) {
-  if (arithmetic.blas && static_cast<double>(m) * m * w > kBlasFlops) {
-    blas::syrk(m, w, -1.0, r, ldr, overwrite ? 0.0 : 1.0, u, m);
-    return;
-  }
-  for (int j = 0; j < m; j += 6) {
-    arithmetic.kernels.subtract_abt(m - j, w, r + j, ldr, r + j, ldr,
-                                    u + static_cast<std::ptrdiff_t>(j) * (m + 1), m, overwrite);
+inline void subtract_product(const DenseKernels& kernel, int m, int w, const double* r, int ldr, double* u,
+                             bool overwrite) {
+  for (int p = 0; p < w; p += kStripe, r += static_cast<std::ptrdiff_t>(kStripe) * ldr) {
+    subtract_lower(kernel, m, m, std::min(kStripe, w - p), r, ldr, u, m, overwrite && p == 0);
   }
 }
 

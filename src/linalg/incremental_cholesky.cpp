@@ -132,7 +132,12 @@ void IncrementalCholesky::begin(std::uint32_t s) {
   Front& front = fronts_[s];
   const auto w = static_cast<std::size_t>(front.width()), m = static_cast<std::size_t>(front.below());
   front.l.assign((w + m) * w, 0.0);
-  front.u.assign(m * m, 0.0);
+  front.u.resize(m * m);
+  // The lower triangle in whole blocks, to which children add.
+  for (std::size_t c = 0; c < m && !front.children.empty(); ++c) {
+    const std::size_t first = c - c % 6;
+    std::fill_n(front.u.data() + c * m + first, m - first, 0.0);
+  }
   for (std::uint32_t p = front.first; p < front.end; ++p) index_[p] = p - front.first;
   const std::uint32_t columns = front.end - front.first;
   for (std::uint32_t i = 0; i < front.rows.size(); ++i) index_[front.rows[i]] = columns + i;
@@ -165,12 +170,12 @@ bool IncrementalCholesky::finish(std::uint32_t s) {
     add_update(relative_.data(), relative_.size(), from.u.data(), front.end - front.first,
                static_cast<std::size_t>(m), front.l.data(), front.u.data());
   }
-  const FrontArithmetic arithmetic(Rounding::kFastest);
-  if (eliminate_columns(arithmetic, w, h, front.l.data()) < w) return false;
+  const DenseKernels& kernels = dense_kernels(Rounding::kFastest);
+  if (eliminate_columns(kernels, w, h, front.l.data()) < w) return false;
   for (int j = 0; j < w; ++j) {
     if (!(pivot(j) * pivot(j) >= kSingularPivot * diagonal_[static_cast<std::size_t>(j)])) return false;
   }
-  if (m > 0) subtract_product(arithmetic, m, w, front.l.data() + w, h, front.u.data(), false);
+  if (m > 0) subtract_product(kernels, m, w, front.l.data() + w, h, front.u.data(), front.children.empty());
   front.changed = false;
   flops_spent_ += front.flops();
   return true;

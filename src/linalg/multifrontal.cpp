@@ -182,7 +182,7 @@ bool MultifrontalCholesky::factorize_range(std::size_t begin, std::size_t end, c
       add_child(child.panel, child.u, s, l, u);
       run.waiting.pop_back();
     }
-    const int done = eliminate_columns(arithmetic_, w, h, l);
+    const int done = eliminate_columns(kernels_, w, h, l);
     if (done < w) {
       run.smallest = {0.0, l_.first[s] + static_cast<std::size_t>(done / 6)};
       return false;
@@ -190,7 +190,7 @@ bool MultifrontalCholesky::factorize_range(std::size_t begin, std::size_t end, c
     find_smallest_pivot(s, values, l, run.smallest);
     run.top = base;
     if (m == 0) continue;
-    subtract_product(arithmetic_, m, w, l + w, h, u, leaf);
+    subtract_product(kernels_, m, w, l + w, h, u, leaf);
     std::memmove(run.stack + base, u, update_size(s) * sizeof(double));
     run.waiting.push_back({s, run.stack + base, update_size(s)});
     run.top += update_size(s);
@@ -310,21 +310,19 @@ void MultifrontalCholesky::solve(double* x) const {
 }
 
 void MultifrontalCholesky::solve_lower(double* x) const {
-  const DenseKernels& kernel = arithmetic_.kernels;
   std::vector<double> gathered;
   for (std::size_t s = 0; s < l_.size(); ++s) {
     double* top = x + 6 * static_cast<std::size_t>(l_.first[s]);
     if (std::all_of(top, top + l_.columns(s), [](double value) { return value == 0.0; })) continue;
-    solve_front_lower(kernel, l_.columns(s), l_.below(s), l_.values.data() + l_.value_start[s],
+    solve_front_lower(kernels_, l_.columns(s), l_.below(s), l_.values.data() + l_.value_start[s],
                       l_.rows.data() + l_.row_start[s], top, x, gathered);
   }
 }
 
 void MultifrontalCholesky::solve_upper(double* x) const {
-  const DenseKernels& kernel = arithmetic_.kernels;
   std::vector<double> gathered;
   for (std::size_t s = l_.size(); s-- > 0;) {
-    solve_front_upper(kernel, l_.columns(s), l_.below(s), l_.values.data() + l_.value_start[s],
+    solve_front_upper(kernels_, l_.columns(s), l_.below(s), l_.values.data() + l_.value_start[s],
                       l_.rows.data() + l_.row_start[s], x + 6 * static_cast<std::size_t>(l_.first[s]), x,
                       gathered);
   }

@@ -22,10 +22,10 @@ inline constexpr double kSingularPivot = 1e-14;
 /// Cholesky factorisation of a symmetric matrix of 6×6 blocks by fronts (Duff and Reid, 1983). Columns of L
 /// with the same rows are one dense panel; their update of later columns is a dense matrix that the parent in
 /// the elimination tree adds. Columns are in postorder. Pose graphs have hundreds of small fronts, for which
-/// the kernels here are made; BLAS computes the large ones if the rounding allows it.
+/// the kernels are made.
 class LOOPWISE_EXPORT MultifrontalCholesky {
  public:
-  explicit MultifrontalCholesky(Rounding rounding) : arithmetic_(rounding) {}
+  explicit MultifrontalCholesky(Rounding rounding) : kernels_(dense_kernels(rounding)) {}
 
   /// Reuses the memory of the last analysis.
   /// \param most_zeros how far panels with different rows are merged, relative to what is best for a single
@@ -76,7 +76,7 @@ class LOOPWISE_EXPORT MultifrontalCholesky {
   void load_panel(std::size_t s, const double* values, double* l) const;
   void add_child(std::size_t child, const double* update, std::size_t s, double* l, double* u) const;
 
-  FrontArithmetic arithmetic_;
+  const DenseKernels& kernels_;
   Panels l_;
   std::vector<std::uint32_t> relative_;   // rows of l_ as block rows of the parent's front
   std::vector<std::size_t> block_start_;  // of a block column's blocks in the matrix

@@ -4,21 +4,13 @@
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
-#include <optional>
 #include <utility>
 #include <vector>
 
-#include "blas.hpp"
-#include "blas_threads.hpp"
 #include "front.hpp"
 
 namespace loopwise::detail {
 namespace {
-
-/// Panels of at least this many rows are inverted by BLAS. It reads a large front once, and the kernels once
-/// for each block column. Bounds of 256 to 512 rows take the same time; lattices take twice as long without
-/// BLAS.
-constexpr int kBlasHeight = 256;
 
 /// Z = (L Lᵀ)⁻¹ over all rows of a panel, both triangles. The panel's children need it, because their rows
 /// are among its rows.
@@ -40,20 +32,23 @@ std::vector<std::size_t> first_children(const Panels& l) {
 /// Computes the fronts of the panels one by one, from the last to the first.
 class Fronts {
  public:
-  Fronts(const Panels& l, Rounding rounding) : l_(l), arithmetic_(rounding) {}
+  Fronts(const Panels& l, Rounding rounding) : l_(l), kernels_(dense_kernels(rounding)) {}
 
   /// Computes Z over all rows and columns of a panel's front; `parent` is the front above, or null for a
-  /// root.
+  /// root. With the panel's columns W, the rows R below them and Y = L_RW L_WW⁻¹: Z_RW = −Z_RR Y,
+  /// Z_WW = L_WW⁻ᵀ L_WW⁻¹ − Yᵀ Z_RW.
   void compute(std::size_t s, const Front* parent, std::vector<double>& z) {
-    const auto h = static_cast<std::size_t>(l_.height(s));
+    const auto h = static_cast<std::size_t>(l_.height(s)), w = static_cast<std::size_t>(l_.columns(s));
     z.resize(h * h);
     if (parent != nullptr) take_from_parent(s, *parent, z.data());
-    if (arithmetic_.blas && l_.height(s) >= kBlasHeight) {
-      compute_by_blas(s, z.data());
-      return;
+    for (int j = l_.columns(s) - 6; j >= 0; j -= 6) invert_column(s, j, z.data());
+    if (h == w) return;
+    divide(s);
+    multiply_by_parent(s, z.data());
+    add_square(s, z.data());
+    for (std::size_t j = 0; j < w; ++j) {
+      for (std::size_t i = j + 1; i < h; ++i) z[i * h + j] = z[j * h + i];
     }
-    const auto columns = static_cast<int>(l_.first[s + 1] - l_.first[s]);
-    for (int j = columns - 1; j >= 0; --j) compute_column(s, j, z.data());
   }
 
  private:
@@ -87,59 +82,106 @@ class Fronts {
     }
   }
 
-  /// The columns of block j of the panel: with D = L_jj⁻¹ and all later rows R of the front, Y = L_Rj D,
-  /// Z_Rj = −Z_RR Y, Z_jj = DᵀD − Yᵀ Z_Rj.
-  void compute_column(std::size_t s, int j, double* z) {
-    const DenseKernels& kernels = arithmetic_.kernels;
-    const int h = l_.height(s), below = h - 6 * (j + 1);
+  /// Columns j … j + 5 of L_WW⁻ᵀ L_WW⁻¹ and their transpose: with D = L_jj⁻¹, all later columns K of the
+  /// panel and Y = L_Kj D, Z_Kj = −Z_KK Y, Z_jj = DᵀD − Yᵀ Z_Kj.
+  void invert_column(std::size_t s, int j, double* z) {
+    const int h = l_.height(s), later = l_.columns(s) - j - 6;
     const auto stride = static_cast<std::size_t>(h);
-    // Dᵀ, column-major.
-    const double* inverse = l_.inverse.data() + 36 * (std::size_t{l_.first[s]} + static_cast<std::size_t>(j));
     double negative[36];
-    for (std::size_t i = 0; i < 36; ++i) negative[i] = -inverse[i];
-    double* z_jj = z + 6 * static_cast<std::size_t>(j) * (stride + 1);
-    kernels.subtract_abt(6, 6, negative, 6, inverse, 6, z_jj, h, true);
-    if (below == 0) return;
-    const double* left =
-        l_.values.data() + l_.value_start[s] + 6 * static_cast<std::size_t>(j) * (stride + 1) + 6;
-    y_.resize(static_cast<std::size_t>(6 * below));
-    kernels.subtract_abt(below, 6, left, h, negative, 6, y_.data(), below, true);
-    double *z_rj = z_jj + 6, *z_jr = z_jj + 6 * stride;
-    kernels.subtract_ab(below, below, z_jr + 6, h, y_.data(), below, z_rj, h, true);
-    for (std::size_t i = 0; i < static_cast<std::size_t>(below); ++i) {
-      for (std::size_t c = 0; c < 6; ++c) z_jr[i * stride + c] = z_rj[c * stride + i];
+    const double* inverse = inverse_of(s, j, negative);
+    double* z_jj = z + static_cast<std::size_t>(j) * (stride + 1);
+    kernels_.subtract_abt(6, 6, negative, 6, inverse, 6, z_jj, h, true);
+    if (later == 0) return;
+    y_.resize(static_cast<std::size_t>(6 * later));
+    kernels_.subtract_abt(later, 6, panel(s) + static_cast<std::size_t>(j) * (stride + 1) + 6, h, negative, 6,
+                          y_.data(), later, true);
+    double *z_kj = z_jj + 6, *z_jk = z_jj + 6 * stride;
+    subtract_in_stripes(later, later, z_jk + 6, h, y_.data(), later, z_kj, h, true);
+    for (std::size_t i = 0; i < static_cast<std::size_t>(later); ++i) {
+      for (std::size_t c = 0; c < 6; ++c) z_jk[i * stride + c] = z_kj[c * stride + i];
     }
-    kernels.subtract_ab(6, below, z_jr, h, y_.data(), below, z_jj, h, false);
+    subtract_in_stripes(6, later, z_jk, h, y_.data(), later, z_jj, h, false);
   }
 
-  /// The same for all columns of the panel at a time.
-  void compute_by_blas(std::size_t s, double* z) {
-    const int width = l_.columns(s), height = l_.height(s), below = l_.below(s);
-    const auto h = static_cast<std::size_t>(height), w = static_cast<std::size_t>(width);
-    const auto b = static_cast<std::size_t>(below);
-    const double* l = l_.values.data() + l_.value_start[s];
-    if (below > 0) {
-      y_.resize(b * w);
-      for (std::size_t j = 0; j < w; ++j) std::copy_n(l + j * h + w, b, y_.data() + j * b);
-      blas::trsm('R', 'N', below, width, l, height, y_.data(), below);
-      blas::symm(below, width, -1.0, z + w * h + w, height, y_.data(), below, 0.0, z + w, height);
+  /// Y = L_RW L_WW⁻¹, from the last column to the first.
+  void divide(std::size_t s) {
+    const int h = l_.height(s), w = l_.columns(s), m = l_.below(s);
+    const auto rows = static_cast<std::size_t>(m);
+    y_.resize(rows * static_cast<std::size_t>(w));
+    column_.resize(6 * rows);
+    for (int j = w - 6; j >= 0; j -= 6) {
+      const double* l = panel(s) + static_cast<std::size_t>(j) * static_cast<std::size_t>(h);
+      const int later = w - j - 6;
+      const double* left = l + w;
+      double* y = y_.data() + static_cast<std::size_t>(j) * rows;
+      if (later > 0) {
+        for (int c = 0; c < 6; ++c) std::copy_n(l + c * h + w, m, column_.data() + c * m);
+        subtract_in_stripes(m, later, y + 6 * rows, m, l + j + 6, h, column_.data(), m, false);
+        left = column_.data();
+      }
+      double negative[36];
+      static_cast<void>(inverse_of(s, j, negative));
+      kernels_.subtract_abt(m, 6, left, later > 0 ? m : h, negative, 6, y, m, true);
     }
-    for (std::size_t j = 0; j < w; ++j) {
-      for (std::size_t i = 0; i < w; ++i) z[j * h + i] = i == j ? 1.0 : 0.0;
+  }
+
+  /// Z_RW = −Z_RR Y. A piece of Z_RR stays in the cache for all columns.
+  void multiply_by_parent(std::size_t s, double* z) {
+    const int h = l_.height(s), w = l_.columns(s), m = l_.below(s);
+    const double* z_rr = z + static_cast<std::size_t>(w) * static_cast<std::size_t>(h + 1);
+    for (int p = 0; p < m; p += kStripe) {
+      for (int i = 0; i < m; i += kStripeRows) {
+        for (int j = 0; j < w; j += 6) {
+          kernels_.subtract_ab(std::min(kStripeRows, m - i), std::min(kStripe, m - p),
+                               z_rr + static_cast<std::ptrdiff_t>(p) * h + i, h,
+                               y_.data() + static_cast<std::ptrdiff_t>(j) * m + p, m,
+                               z + static_cast<std::ptrdiff_t>(j) * h + w + i, h, p == 0);
+        }
+      }
     }
-    blas::trsm('L', 'N', width, width, l, height, z, height);
-    blas::trsm('L', 'T', width, width, l, height, z, height);
-    if (below > 0) {
-      blas::gemm('T', 'N', width, width, below, -1.0, y_.data(), below, z + w, height, 1.0, z, height);
+  }
+
+  /// Subtracts Yᵀ Z_RW from the lower triangle of Z_WW.
+  void add_square(std::size_t s, double* z) {
+    const int h = l_.height(s), w = l_.columns(s), m = l_.below(s);
+    transposed_.resize(y_.size());
+    for (int j = 0; j < w; ++j) {
+      const double* from = y_.data() + static_cast<std::ptrdiff_t>(j) * m;
+      double* to = transposed_.data() + j;
+      for (int i = 0; i < m; ++i, to += w) *to = from[i];
     }
-    for (std::size_t j = 0; j < w; ++j) {
-      for (std::size_t i = w; i < h; ++i) z[i * h + j] = z[j * h + i];
+    for (int p = 0; p < m; p += kStripe) {
+      for (int j = 0; j < w; j += 6) {
+        double* z_j = z + static_cast<std::ptrdiff_t>(j) * h;
+        kernels_.subtract_ab(w - j, std::min(kStripe, m - p),
+                             transposed_.data() + static_cast<std::ptrdiff_t>(p) * w + j, w, z_j + w + p, h,
+                             z_j + j, h, false);
+      }
     }
+  }
+
+  /// C −= A·B, or C = −A·B if `overwrite`; C is m×6, B k×6.
+  void subtract_in_stripes(int m, int k, const double* a, int lda, const double* b, int ldb, double* c,
+                           int ldc, bool overwrite) const {
+    for (int p = 0; p < k; p += kStripe, a += static_cast<std::ptrdiff_t>(kStripe) * lda) {
+      kernels_.subtract_ab(m, std::min(kStripe, k - p), a, lda, b + p, ldb, c, ldc, overwrite && p == 0);
+    }
+  }
+
+  [[nodiscard]] const double* panel(std::size_t s) const { return l_.values.data() + l_.value_start[s]; }
+
+  /// \returns Dᵀ of the panel's columns j … j + 5, column-major
+  /// \param negative set to −Dᵀ
+  const double* inverse_of(std::size_t s, int j, double* negative) const {
+    const double* inverse =
+        l_.inverse.data() + 36 * (std::size_t{l_.first[s]} + static_cast<std::size_t>(j / 6));
+    for (int i = 0; i < 36; ++i) negative[i] = -inverse[i];
+    return inverse;
   }
 
   const Panels& l_;
-  FrontArithmetic arithmetic_;
-  std::vector<double> y_;
+  const DenseKernels& kernels_;
+  std::vector<double> y_, column_, transposed_;
   std::vector<std::size_t> place_;
 };
 
@@ -147,8 +189,6 @@ class Fronts {
 
 Eigen::MatrixXd selected_inverse(const Panels& l, Rounding rounding,
                                  const std::function<void(std::size_t, const double*)>& visit) {
-  std::optional<SingleThreadedBlas> guard;
-  if (rounding == Rounding::kFastest) guard.emplace();
   Eigen::MatrixXd out(6, 6 * static_cast<Eigen::Index>(l.block_columns()));
   // Panels are in postorder and are visited backwards: a front is needed until the first of its children.
   const std::vector<std::size_t> first_child = first_children(l);

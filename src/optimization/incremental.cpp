@@ -87,14 +87,17 @@ IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve() {
 double IncrementalOptimizer::Impl::move(std::vector<Pose>& before) {
   before.clear();
   problem.clear_changed();
+  std::vector<std::uint32_t> nodes;
+  nodes.reserve(visited.size());
   for (const std::uint32_t p : visited) {
     Eigen::Map<Vector6d> step(x.data() + 6 * std::size_t{p});
     const std::uint32_t node = problem.cholesky().variable_at(p);
+    nodes.push_back(node);
     before.push_back(problem.poses[node]);
     if (!problem.held(node)) problem.poses[node] = detail::moved_by(problem.poses[node], step);
     step.setZero();
-    problem.change_at(node);
   }
+  problem.change_at(nodes);
   return problem.evaluate_changed(pool);
 }
 
@@ -115,8 +118,18 @@ void IncrementalOptimizer::Impl::close() {
 }
 
 void IncrementalOptimizer::Impl::store_poses() {
-  for (const std::uint32_t node : moved.numbers()) {
-    problem.graph.set_pose(problem.graph.nodes()[node].key, detail::isometry(problem.poses[node]));
+  if (2 * moved.numbers().size() > problem.poses.size()) {  // faster than to look for each key
+    std::vector<Eigen::Isometry3d> poses;
+    poses.reserve(problem.poses.size());
+    for (std::size_t i = 0; i < problem.poses.size(); ++i) {
+      const bool stays = !moved.contains(static_cast<std::uint32_t>(i));
+      poses.push_back(stays ? problem.graph.nodes()[i].pose : detail::isometry(problem.poses[i]));
+    }
+    problem.graph.set_poses(poses);
+  } else {
+    for (const std::uint32_t node : moved.numbers()) {
+      problem.graph.set_pose(problem.graph.nodes()[node].key, detail::isometry(problem.poses[node]));
+    }
   }
   moved.clear();
 }

@@ -10,9 +10,9 @@
 namespace loopwise::detail {
 namespace {
 
-/// Cost of a new order of elimination, in complete factorisations. A new order is due when the updates have
-/// cost this much more than complete factorisations would have.
-constexpr double kFactorizationsPerOrder = 8.0;
+/// Cost of a new order of elimination for each factor, in operations of a factorisation: analysis and
+/// linearisation.
+constexpr double kOrderFlopsPerFactor = 1.5e4;
 /// Shares of a graph that may be added at once without a new order.
 constexpr double kMostNewNodes = 0.1;
 constexpr double kMostNewFactors = 0.1;
@@ -30,11 +30,11 @@ Pose pose_of(const Node& node) {
   return out;
 }
 
-/// How much a relative pose has changed: the angle in rad or the share of its length (at least 1 m),
+/// Square of the change of a relative pose: of the angle in rad or the share of its length (at least 1 m),
 /// whichever is larger.
-double change(const Pose& before, const Pose& now) {
-  const double angle = (before.R - now.R).norm() / std::sqrt(2.0);  // 2 sin(θ/2)
-  return std::max(angle, (before.t - now.t).norm() / std::max(1.0, before.t.norm()));
+double squared_change(const Pose& before, const Pose& now) {
+  const double angle2 = 0.5 * (before.R - now.R).squaredNorm();  // (2 sin(θ/2))²
+  return std::max(angle2, (before.t - now.t).squaredNorm() / std::max(1.0, before.t.squaredNorm()));
 }
 
 /// A range depends only on T_to⁻¹ T_from.
@@ -60,6 +60,7 @@ std::uint32_t IncrementalProblem::add_factor(Kind kind, std::size_t index, std::
   const auto k = static_cast<std::uint32_t>(factors_.size());
   factors_.push_back({kind, static_cast<std::uint32_t>(index), from, to});
   active_.push_back(0);
+  crosses_.emplace_back(Matrix6d::Zero());
   drift_.push_back(0.0);
   changed_.grow(factors_.size());
   factors_of_[to].push_back(k);
@@ -176,20 +177,21 @@ void IncrementalProblem::sum_cost() {
 }
 
 /// Adds a factor's part to the Hessian (sign 1) or removes it (−1).
-void IncrementalProblem::add_to_hessian(Factor& f, double sign) {
+void IncrementalProblem::add_to_hessian(std::uint32_t k, double sign) {
+  const Factor& f = factors_[k];
   const Contribution c = contribution(f, f.linear);
   diagonals_[f.to] += sign * c.to_to;
   cholesky_.touch(f.to);
   if (f.from == kFixed) return;
   diagonals_[f.from] += sign * c.from_from;
-  f.cross = c.to_from;
+  crosses_[k] = c.to_from;
   cholesky_.touch(f.from);
 }
 
 void IncrementalProblem::linearize_here(std::uint32_t k) {
   factors_[k].linear = relative_pose(factors_[k]);
   drift_[k] = 0.0;
-  add_to_hessian(factors_[k], 1.0);
+  add_to_hessian(k, 1.0);
 }
 
 void IncrementalProblem::activate(std::uint32_t k) {
@@ -203,8 +205,8 @@ void IncrementalProblem::activate(std::uint32_t k) {
 
 void IncrementalProblem::deactivate(std::uint32_t k) {
   if (active_[k] == 0) return;
-  Factor& f = factors_[k];
-  add_to_hessian(f, -1.0);
+  const Factor& f = factors_[k];
+  add_to_hessian(k, -1.0);
   active_[k] = 0;
   // Summed again instead of subtracted: the rounding error of a false closure's gradient may exceed the other
   // gradients.
@@ -246,9 +248,11 @@ bool IncrementalProblem::absorb() {
   return false;
 }
 
+/// Updates add to the fill, so they take longer and longer. Their mean cost, with that of the order, is
+/// lowest if a new order is computed as soon as an update costs more than the mean.
 bool IncrementalProblem::reorder_is_due() {
   const std::size_t new_nodes = poses.size() - absorbed_nodes_;
-  return !sound_ || excess_ > kFactorizationsPerOrder * flops_when_ordered_ ||
+  return !sound_ || flops_of_last_ * static_cast<double>(updates_) > flops_of_updates_ ||
          static_cast<double>(new_nodes) > kMostNewNodes * static_cast<double>(absorbed_nodes_) ||
          static_cast<double>(waiting_.size()) > kMostNewFactors * static_cast<double>(factors_.size());
 }
@@ -288,8 +292,9 @@ void IncrementalProblem::reorder() {
     if (active_[k] != 0 && f.from != kFixed) pairs.emplace_back(f.from, f.to);
   }
   cholesky_.analyze(poses.size(), pairs);
-  flops_when_ordered_ = cholesky_.flops();
-  excess_ = cost_ = 0.0;
+  flops_of_updates_ = kOrderFlopsPerFactor * static_cast<double>(factors_.size());
+  updates_ = 0;
+  cost_ = 0.0;
   std::fill(gradients_.begin(), gradients_.end(), Vector6d::Zero());
   std::fill(diagonals_.begin(), diagonals_.end(), Matrix6d::Zero());
   for (std::size_t k = 0; k < factors_.size(); ++k) {
@@ -315,10 +320,12 @@ bool IncrementalProblem::factorize() {
       if (active_[k] == 0) continue;
       const std::uint32_t other = f.to == node ? f.from : f.to;
       if (other == kFixed || cholesky_.position(other) < cholesky_.position(node)) continue;
-      add(other, f.to == node ? Matrix6d(f.cross.transpose()) : f.cross);
+      add(other, f.to == node ? Matrix6d(crosses_[k].transpose()) : crosses_[k]);
     }
   });
-  excess_ += std::max(0.0, cholesky_.flops_spent() - before - flops_when_ordered_);
+  flops_of_last_ = cholesky_.flops_spent() - before;
+  flops_of_updates_ += flops_of_last_;
+  ++updates_;
   return sound_;
 }
 
@@ -378,10 +385,31 @@ void IncrementalProblem::release(std::uint32_t root) {
   open_.insert(node);
 }
 
-void IncrementalProblem::change_at(std::uint32_t node) {
-  for (const std::uint32_t k : factors_of_[node]) {
-    if (active_[k] != 0) changed_.insert(k);
+void IncrementalProblem::change_at(const std::vector<std::uint32_t>& nodes) {
+  if (nodes.size() < poses.size() / 16) {
+    for (const std::uint32_t node : nodes) {
+      for (const std::uint32_t k : factors_of_[node]) {
+        if (active_[k] != 0) changed_.insert(k);
+      }
+    }
+    return;
   }
+  // One pass over all factors is faster than the lists of many nodes.
+  std::vector<char> among(poses.size(), 0);
+  for (const std::uint32_t node : nodes) among[node] = 1;
+  for (std::uint32_t k = 0; k < factors_.size(); ++k) {
+    const Factor& f = factors_[k];
+    if (active_[k] != 0 && (among[f.to] != 0 || (f.from != kFixed && among[f.from] != 0))) changed_.insert(k);
+  }
+}
+
+/// The ends of a closure may be anywhere in memory.
+void IncrementalProblem::prefetch_poses(const Factor& f) const {
+  __builtin_prefetch(poses[f.to].R.data());
+  __builtin_prefetch(poses[f.to].t.data());
+  if (f.from == kFixed) return;
+  __builtin_prefetch(poses[f.from].R.data());
+  __builtin_prefetch(poses[f.from].t.data());
 }
 
 double IncrementalProblem::evaluate_changed(ThreadPool& pool) {
@@ -389,7 +417,7 @@ double IncrementalProblem::evaluate_changed(ThreadPool& pool) {
     FactorGradient gradient;
     double cost = 0.0;
   };
-  constexpr std::size_t kTask = 512, kWave = 32 * kTask;
+  constexpr std::size_t kTask = 512, kWave = 32 * kTask, kAhead = 8;
   const double former = cost_;
   changed_.sort();
   const std::vector<std::uint32_t>& numbers = changed_.numbers();
@@ -399,11 +427,12 @@ double IncrementalProblem::evaluate_changed(ThreadPool& pool) {
     pool.for_each((end - begin + kTask - 1) / kTask, [&](std::size_t task) {
       const std::size_t last = std::min(end, begin + (task + 1) * kTask);
       for (std::size_t i = begin + task * kTask; i < last; ++i) {
+        if (i + kAhead < last) prefetch_poses(factors_[numbers[i + kAhead]]);
         Evaluation& e = evaluations[i - begin];
         const Factor& f = factors_[numbers[i]];
         const Pose now = relative_pose(f);
         evaluate(f, now, e.gradient, e.cost);
-        drift_[numbers[i]] = change(f.linear, now);
+        drift_[numbers[i]] = squared_change(f.linear, now);
       }
     });
     // Summed in the order of the factors, so that the number of threads does not change the result.
@@ -432,9 +461,8 @@ void IncrementalProblem::evaluate_back(double cost, ThreadPool& pool) {
 std::size_t IncrementalProblem::relinearize(double share) {
   std::size_t count = 0;
   for (const std::uint32_t k : changed_.numbers()) {
-    if (drift_[k] <= share) continue;
-    Factor& f = factors_[k];
-    add_to_hessian(f, -1.0);
+    if (drift_[k] <= share * share) continue;
+    add_to_hessian(k, -1.0);
     linearize_here(k);
     ++count;
   }

@@ -68,8 +68,8 @@ class IncrementalProblem {
 
   /// Empties the set of changed factors.
   void clear_changed() { changed_.clear(); }
-  /// Adds the active factors of a node to the set of changed factors.
-  void change_at(std::uint32_t node);
+  /// Adds the active factors of some nodes to the set of changed factors.
+  void change_at(const std::vector<std::uint32_t>& nodes);
   /// Updates cost and gradient of the changed factors. \returns the change of the cost
   double evaluate_changed(ThreadPool& pool);
   /// The same after a step was undone, where the cost was `cost`; removes the rounding errors of both moves.
@@ -85,13 +85,12 @@ class IncrementalProblem {
   enum class Kind : std::uint8_t { kEdge, kPrior, kRange, kGravity };
   struct Factor {
     Kind kind;
-    std::uint32_t index;                ///< In the graph's list of its kind
-    std::uint32_t from, to;             ///< Nodes; `from` is kFixed if the factor has only one
-    double weight = 1.0;                ///< Of an edge, as of the last absorb() or reorder()
-    double cost = 0.0;                  ///< At the poses
-    FactorGradient gradient{};          ///< At the poses
-    Pose linear{};                      ///< relative_pose() at its linearisation
-    Matrix6d cross = Matrix6d::Zero();  ///< Block of the Hessian: rows of `to`, columns of `from`
+    std::uint32_t index;        ///< In the graph's list of its kind
+    std::uint32_t from, to;     ///< Nodes; `from` is kFixed if the factor has only one
+    double weight = 1.0;        ///< Of an edge, as of the last absorb() or reorder()
+    double cost = 0.0;          ///< At the poses
+    FactorGradient gradient{};  ///< At the poses
+    Pose linear{};              ///< relative_pose() at its linearisation
   };
   struct Measurement {
     const Eigen::Isometry3d& Z;
@@ -107,10 +106,11 @@ class IncrementalProblem {
   [[nodiscard]] Measurement measurement(const Factor& f) const;
   [[nodiscard]] Contribution contribution(const Factor& f, const Pose& e) const;
   void evaluate(const Factor& f, const Pose& e, FactorGradient& gradient, double& cost) const;
+  void prefetch_poses(const Factor& f) const;
   void add_to_sums(const Factor& f);
   void sum_gradient(std::uint32_t node);
   void sum_cost();
-  void add_to_hessian(Factor& f, double sign);
+  void add_to_hessian(std::uint32_t k, double sign);
   void linearize_here(std::uint32_t k);
   void activate(std::uint32_t k);
   void deactivate(std::uint32_t k);
@@ -127,9 +127,10 @@ class IncrementalProblem {
   void release(std::uint32_t root);
 
   std::vector<Factor> factors_;
-  std::vector<char> active_;                // by factor
-  std::vector<double> drift_;               // by factor: change of its relative pose since Factor::linear
-  std::vector<std::uint32_t> edge_factor_;  // by edge
+  std::vector<char> active_;       // by factor
+  std::vector<Matrix6d> crosses_;  // by factor: block of the Hessian, rows of `to`, columns of `from`
+  std::vector<double> drift_;  // by factor: square of the change of its relative pose since Factor::linear
+  std::vector<std::uint32_t> edge_factor_;              // by edge
   std::vector<std::vector<std::uint32_t>> factors_of_;  // by node
   std::vector<std::uint32_t> waiting_;                  // factors that are new or have a new weight
   std::vector<std::size_t> reweighted_;                 // edges
@@ -146,11 +147,12 @@ class IncrementalProblem {
   std::vector<Matrix6d> diagonals_;  // by node: its block of the Hessian
   std::vector<Vector6d> gradients_;  // by node, at the poses
   double cost_ = 0.0;
-  NumberSet open_;                   // nodes
-  bool sound_ = true;                // the last factorisation succeeded
-  NumberSet changed_;                // factors
-  double flops_when_ordered_ = 0.0;  // of one complete factorisation
-  double excess_ = 0.0;              // operations of factorisations in excess of complete ones
+  NumberSet open_;                 // nodes
+  bool sound_ = true;              // the last factorisation succeeded
+  NumberSet changed_;              // factors
+  double flops_of_updates_ = 0.0;  // of all factorisations since the last order, with an estimate for that
+  double flops_of_last_ = 0.0;     // of the last factorisation
+  std::size_t updates_ = 0;        // factorisations since the last order
 };
 
 }  // namespace loopwise::detail

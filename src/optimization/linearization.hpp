@@ -40,10 +40,24 @@ inline Pose between(const Pose& a, const Pose& b) {
   return out;
 }
 
+/// se3::so3_log(), with a series for residuals: atan(x)/x = Σ (−x²)ᵏ/(2k+1) for the tangent x of half the
+/// angle.
+inline Eigen::Vector3d rotation_vector(const Eigen::Matrix3d& R) {
+  const double trace = R.trace();
+  if (!(trace > 2.96)) return se3::so3_log(R);  // 0.2 rad; the first omitted term is below 1e-17 then
+  const double four_w2 = 1.0 + trace;
+  const Eigen::Vector3d twice(R(2, 1) - R(1, 2), R(0, 2) - R(2, 0), R(1, 0) - R(0, 1));  // 4w·vec(q)
+  const double x2 = twice.squaredNorm() / (four_w2 * four_w2);
+  double series = 1.0 / 15;
+  for (const double term : {1.0 / 13, 1.0 / 11, 1.0 / 9, 1.0 / 7, 1.0 / 5, 1.0 / 3, 1.0})
+    series = term - x2 * series;
+  return (2.0 * series / four_w2) * twice;
+}
+
 inline Vector6d log_of_product(const Pose& z, const Pose& e) {
   Vector6d r;
   const Eigen::Matrix3d R = z.R * e.R;
-  const Eigen::Vector3d phi = se3::so3_log(R);
+  const Eigen::Vector3d phi = rotation_vector(R);
   const Eigen::Vector3d t = z.R * e.t + z.t;
   // J_l⁻¹(φ) t without forming the matrix.
   const Eigen::Vector3d wt = phi.cross(t);
@@ -164,13 +178,26 @@ struct FactorGradient {
   Vector6d to = Vector6d::Zero(), from = Vector6d::Zero();
 };
 
-/// The gradient of linearize_factor(), without the blocks of the Hessian.
+/// The gradient of linearize_factor(), without the blocks of the Hessian. Transposes of the blocks of J_r⁻¹
+/// are applied to vectors: aᵀv = v − ½ φ×v + k φ×(φ×v), and b = −a Q a.
 inline FactorGradient factor_gradient(const Vector6d& r, const Pose& e, const Matrix6d& information,
                                       double weight) {
-  const InverseJacobian j = inverse_right_jacobian(r.head<3>(), r.tail<3>());
+  const Eigen::Vector3d rho = r.head<3>(), phi = r.tail<3>();
+  const double t2 = phi.squaredNorm(), d = phi.dot(rho);
+  const double k = se3::detail::inverse_jacobian_coefficient(t2);
+  const CouplingCoefficients c = coupling_coefficients(t2);
+  const auto times_a = [&](const Eigen::Vector3d& v) {
+    const Eigen::Vector3d turned = phi.cross(v);
+    return Eigen::Vector3d(v - 0.5 * turned + k * phi.cross(turned));
+  };
+  const Eigen::Vector3d axis = (0.5 - c.c2 * t2) * rho + (2.0 * c.c2 - c.c1) * d * phi;
+  const auto times_q = [&](const Eigen::Vector3d& v) {
+    return Eigen::Vector3d(c.c1 * (phi.dot(v) * rho + rho.dot(v) * phi - 2.0 * d * v) -
+                           2.0 * c.c3 * d * phi.cross(phi.cross(v)) + axis.cross(v));
+  };
   const Vector6d weighted = weight * (information * r);
-  const Eigen::Vector3d g_t = j.a.transpose() * weighted.head<3>();
-  const Eigen::Vector3d g_r = j.b.transpose() * weighted.head<3>() + j.a.transpose() * weighted.tail<3>();
+  const Eigen::Vector3d g_t = times_a(weighted.head<3>());
+  const Eigen::Vector3d g_r = times_a(weighted.tail<3>() - times_q(g_t));
   FactorGradient out;
   out.to << g_t, g_r;
   out.from << -(e.R.transpose() * g_t), -(e.R.transpose() * (g_r - e.t.cross(g_t)));

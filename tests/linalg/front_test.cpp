@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #include <Eigen/Dense>
+#include <cmath>
 #include <vector>
 
 #include <loopwise/core/thread_pool.hpp>
 
 #include "linalg/block_cholesky.hpp"
 #include "linalg/dense_kernels.hpp"
+#include "linalg/front.hpp"
 #include "testing.hpp"
 
 namespace loopwise::front_test {
@@ -24,16 +26,11 @@ double largest(const MatrixXd& m) {
   return m.size() == 0 ? 0.0 : m.cwiseAbs().maxCoeff();
 }
 
-std::vector<const detail::DenseKernels*> all_kernels() {
-  return {&detail::dense_kernels(detail::Rounding::kFastest),
-          &detail::dense_kernels(detail::Rounding::kPortable), &detail::dense_kernels_baseline()};
-}
-
 }  // namespace
 
 TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "[linalg][property]") {
   Rng rng(21);
-  for (const detail::DenseKernels* kernel : all_kernels()) {
+  for (const detail::DenseKernels* kernel : detail::all_dense_kernels()) {
     for (int m = 0; m <= 60; m += 6) {
       CAPTURE(m);
       const int k = 6 * static_cast<int>(1 + rng.below(4)), spare = 2;  // rows that must stay as they are
@@ -65,7 +62,7 @@ TEST_CASE("front kernels: equal to Eigen's products for every number of rows", "
 
 TEST_CASE("front kernels: elimination is a Cholesky factor, and refuses indefinite matrices", "[linalg]") {
   Rng rng(22);
-  for (const detail::DenseKernels* kernel : all_kernels()) {
+  for (const detail::DenseKernels* kernel : detail::all_dense_kernels()) {
     for (int m = 6; m <= 42; m += 6) {
       CAPTURE(m);
       const MatrixXd root = random_matrix(rng, 6, 8);
@@ -80,6 +77,34 @@ TEST_CASE("front kernels: elimination is a Cholesky factor, and refuses indefini
       a(3, 3) = std::numeric_limits<double>::quiet_NaN();
       REQUIRE_FALSE(kernel->eliminate(m, a.data(), m));
     }
+  }
+}
+
+TEST_CASE("fronts: large ones are computed in pieces", "[linalg][property]") {
+  Rng rng(25);
+  const int w = 2 * detail::kStripe + 12, m = detail::kStripeRows + 30, h = w + m;
+  const MatrixXd root = random_matrix(rng, h, w + 8) / std::sqrt(static_cast<double>(w));
+  MatrixXd a = root * root.transpose();
+  a.diagonal().array() += 1.0;
+  const MatrixXd l = a.topLeftCorner(w, w).llt().matrixL();
+  const MatrixXd below = l.triangularView<Eigen::Lower>().solve(a.topRightCorner(w, m)).transpose();
+  const MatrixXd before = random_matrix(rng, m, m);
+  for (const detail::DenseKernels* kernel : detail::all_dense_kernels()) {
+    MatrixXd panel = a.leftCols(w);
+    REQUIRE(detail::eliminate_columns(*kernel, w, h, panel.data()) == w);
+    REQUIRE(largest((panel.topRows(w) - l).triangularView<Eigen::Lower>().toDenseMatrix()) < 1e-12);
+    REQUIRE(largest(panel.bottomRows(m) - below) < 1e-12);
+    for (const bool overwrite : {false, true}) {
+      MatrixXd update = before;
+      detail::subtract_product(*kernel, m, w, panel.data() + w, h, update.data(), overwrite);
+      MatrixXd expected = -below * below.transpose();
+      if (!overwrite) expected += before;
+      REQUIRE(largest((update - expected).triangularView<Eigen::Lower>().toDenseMatrix()) < 1e-12);
+    }
+    // A pivot in the last stripe that is not positive.
+    panel = a.leftCols(w);
+    panel(w - 8, w - 8) = -1.0;
+    REQUIRE(detail::eliminate_columns(*kernel, w, h, panel.data()) == w - 12);
   }
 }
 

@@ -73,8 +73,8 @@ constexpr int kWidths[] = {6, 12, 16, 24};
 
 TEST_CASE("wide kernels: substitution is that of the dense matrix", "[linalg][property]") {
   Rng rng(31);
-  for (const detail::Rounding rounding : {detail::Rounding::kFastest, detail::Rounding::kPortable}) {
-    const detail::DenseKernels& kernels = detail::dense_kernels(rounding);
+  for (const detail::DenseKernels* every : detail::all_dense_kernels()) {
+    const detail::DenseKernels& kernels = *every;
     for (const std::size_t n : {std::size_t{1}, std::size_t{5}, std::size_t{14}}) {
       const Sparse l(n, rng);
       for (const int width : kWidths) {

@@ -414,6 +414,33 @@ TEST_CASE("incremental: many closures at once get a new order", "[optimization]"
   check_against_optimize(optimizer.graph(), result.cost);
 }
 
+TEST_CASE("incremental: closures all over the graph call for a new order from time to time",
+          "[optimization]") {
+  Rng rng(71);
+  RandomGraphOptions options;
+  options.nodes = 500;
+  options.closures = 1500;
+  PoseGraph start = random_graph(rng, options).graph;
+  std::vector<Edge> closures;
+  start.remove_edges_if([&](const Edge& edge) {
+    if (edge.kind == EdgeKind::kOdometry || rng.below(3) > 0) return false;
+    closures.push_back(edge);
+    return true;
+  });
+  IncrementalOptimizer optimizer(start, from_file());
+  std::size_t updates = 0, orders = 0;
+  for (std::size_t k = 0; k < closures.size(); ++k) {
+    optimizer.add_edge(closures[k]);
+    if (k % 20 != 19) continue;
+    ++updates;
+    orders += optimizer.update().reordered ? 1 : 0;
+  }
+  CAPTURE(updates, orders);
+  REQUIRE(updates >= 20);
+  REQUIRE(orders >= 2);
+  REQUIRE(orders <= updates / 2);
+}
+
 TEST_CASE("incremental: bad input changes nothing", "[optimization][error]") {
   CHECK_THROWS_AS(IncrementalOptimizer({}, {},
                                        [] {
