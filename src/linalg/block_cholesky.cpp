@@ -159,21 +159,6 @@ void BlockCholesky::solve(Eigen::VectorXd& x) const {
   }
 }
 
-Eigen::MatrixXd BlockCholesky::inverse_between(const Eigen::MatrixXd& b) const {
-  if (cholmod_) {
-    Eigen::MatrixXd solved = b;
-    solve(solved);
-    return b.transpose() * solved;
-  }
-  Eigen::MatrixXd y(b.rows(), b.cols());
-  for (std::size_t v = 0; v < variables(); ++v) {
-    y.middleRows<6>(6 * static_cast<Eigen::Index>(position(v))) =
-        b.middleRows<6>(6 * static_cast<Eigen::Index>(v));
-  }
-  for (Eigen::Index c = 0; c < y.cols(); ++c) fronts_.solve_lower(y.col(c).data());
-  return y.transpose() * y;
-}
-
 void BlockCholesky::solve(Eigen::MatrixXd& x) const {
   if (variables() == 0 || x.cols() == 0) return;
   if (!cholmod_) {

@@ -60,8 +60,6 @@ class LOOPWISE_EXPORT BlockCholesky {
   /// Solves in place for one right-hand side, in the order of the variables.
   void solve(Eigen::VectorXd& x) const;
   void solve(Eigen::MatrixXd& x) const;
-  /// bᵀH⁻¹b. Cheaper than solve() if b is sparse.
-  [[nodiscard]] Eigen::MatrixXd inverse_between(const Eigen::MatrixXd& b) const;
 
   /// The factorisation in use; never kAutomatic.
   [[nodiscard]] Factorization factorization() const { return chosen_; }

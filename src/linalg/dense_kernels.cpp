@@ -12,15 +12,14 @@ const DenseKernels& dense_kernels_fma();
 const DenseKernels& dense_kernels_avx512();
 #endif
 
+#ifdef LOOPWISE_WIDE_KERNELS
 namespace {
 
 struct Support {
-#ifdef LOOPWISE_WIDE_KERNELS
   const bool avx2 = __builtin_cpu_supports("avx2") != 0;
   const bool fma = avx2 && __builtin_cpu_supports("fma") != 0;
   const bool avx512 =
       fma && __builtin_cpu_supports("avx512f") != 0 && __builtin_cpu_supports("avx512vl") != 0;
-#endif
 };
 
 const Support& support() {
@@ -29,6 +28,7 @@ const Support& support() {
 }
 
 }  // namespace
+#endif
 
 const DenseKernels& dense_kernels_baseline() {
   return kKernels;
@@ -43,12 +43,14 @@ const DenseKernels& dense_kernels([[maybe_unused]] Rounding rounding) {
   return kKernels;
 }
 
-std::vector<const DenseKernels*> all_dense_kernels() {
-  std::vector<const DenseKernels*> all{&kKernels};
+AllDenseKernels all_dense_kernels() {
+  AllDenseKernels all;
+  const auto add = [&](const DenseKernels& kernels) { all.kernels[all.count++] = &kernels; };
+  add(kKernels);
 #ifdef LOOPWISE_WIDE_KERNELS
-  if (support().avx2) all.push_back(&dense_kernels_avx2());
-  if (support().fma) all.push_back(&dense_kernels_fma());
-  if (support().avx512) all.push_back(&dense_kernels_avx512());
+  if (support().avx2) add(dense_kernels_avx2());
+  if (support().fma) add(dense_kernels_fma());
+  if (support().avx512) add(dense_kernels_avx512());
 #endif
   return all;
 }

@@ -7,7 +7,6 @@
 
 #include <cstddef>
 #include <cstdint>
-#include <vector>
 
 #include <loopwise/core/export.hpp>
 
@@ -37,8 +36,8 @@ struct PathStep {
   std::uint32_t column = 0;  ///< Counted from the panel's first one.
 };
 
-/// The second-level cache holds this many columns and rows: the inner dimension of one call of a product, and
-/// its rows. Multiples of 6.
+/// The inner dimension of one call of a product, and its rows: a second-level cache of 1 MB holds so many
+/// columns and rows. Multiples of 6.
 inline constexpr int kStripe = 96, kStripeRows = 768;
 
 struct DenseKernels {
@@ -75,6 +74,12 @@ struct DenseKernels {
 /// The kernels that run on any processor of the family. Their bits are those of kPortable.
 [[nodiscard]] LOOPWISE_EXPORT const DenseKernels& dense_kernels_baseline();
 /// All kernels that this processor can run, for tests.
-[[nodiscard]] LOOPWISE_EXPORT std::vector<const DenseKernels*> all_dense_kernels();
+struct AllDenseKernels {
+  const DenseKernels* kernels[4] = {};
+  int count = 0;
+  [[nodiscard]] const DenseKernels* const* begin() const { return kernels; }
+  [[nodiscard]] const DenseKernels* const* end() const { return kernels + count; }
+};
+[[nodiscard]] LOOPWISE_EXPORT AllDenseKernels all_dense_kernels();
 
 }  // namespace loopwise::detail

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace loopwise::detail {
 namespace {
@@ -96,6 +97,32 @@ std::vector<PathStep> sparse_path(const Panels& l, std::vector<std::uint32_t> co
     if (l.row_start[s + 1] > l.row_start[s]) columns.push_back(l.rows[l.row_start[s]]);
   }
   return path;
+}
+
+SparseInverse::SparseInverse(Panels l) : l_(std::move(l)), x_(36 * l_.block_columns(), 0.0) {
+  invert_diagonal(l_);
+}
+
+Matrix6d SparseInverse::between(const std::vector<Block>& b) {
+  using RowMajor = Eigen::Matrix<double, 6, 6, Eigen::RowMajor>;
+  std::vector<std::uint32_t> columns;
+  for (const Block& block : b) {
+    columns.push_back(block.column);
+    Eigen::Map<RowMajor>(x_.data() + 36 * std::size_t{block.column}) += block.value;
+  }
+  const std::vector<PathStep> path = sparse_path(l_, std::move(columns));
+  const DenseKernels& kernels = dense_kernels(Rounding::kFastest);
+  kernels.forward(l_.view(), path.data(), path.size(), 6, x_.data());
+  Matrix6d sum = Matrix6d::Zero();
+  for (const PathStep& step : path) {
+    const std::size_t begin = l_.first[step.panel] + std::size_t{step.column};
+    const std::size_t count = l_.first[step.panel + 1] - begin;
+    RowMajor part;
+    kernels.gram(x_.data() + 36 * begin, count, 6, 6, part.data());
+    sum += part;
+    std::fill_n(x_.begin() + static_cast<std::ptrdiff_t>(36 * begin), 36 * count, 0.0);
+  }
+  return sum;
 }
 
 }  // namespace loopwise::detail

@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 
 #include <loopwise/core/export.hpp>
+#include <loopwise/core/se3.hpp>
 
 #include "dense_kernels.hpp"
 
@@ -54,5 +55,21 @@ LOOPWISE_EXPORT void solve_transposed(const Panels& l, Eigen::MatrixXd& x);
 /// the roots of the tree.
 [[nodiscard]] LOOPWISE_EXPORT std::vector<PathStep> sparse_path(const Panels& l,
                                                                 std::vector<std::uint32_t> columns);
+
+/// bᵀ(L Lᵀ)⁻¹b for right-hand sides of six columns with few non-zero blocks: forward substitution along their
+/// paths to the roots of the tree.
+class LOOPWISE_EXPORT SparseInverse {
+ public:
+  explicit SparseInverse(Panels l);
+  struct Block {
+    std::uint32_t column = 0;  ///< Block column of L, which is a block row of b
+    Matrix6d value = Matrix6d::Zero();
+  };
+  [[nodiscard]] Matrix6d between(const std::vector<Block>& b);
+
+ private:
+  Panels l_;
+  std::vector<double> x_;  // a row-major 6×6 block for each block column; zero between calls
+};
 
 }  // namespace loopwise::detail

@@ -44,7 +44,7 @@ struct IncrementalOptimizer::Impl {
     double promise = 0.0;  ///< Predicted decrease of the cost
     double largest = 0.0;  ///< Largest element, relative to the deviation by the node's own factors
   };
-  Step solve();
+  Step solve(double tolerance);
   double move(std::vector<Pose>& before);
   void move_back(const std::vector<Pose>& before, double cost);
   void close();
@@ -58,8 +58,8 @@ struct IncrementalOptimizer::Impl {
   }
 };
 
-/// Computes the step of the open nodes in `x`.
-IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve() {
+/// Computes the step of the open nodes in `x`, as far as its elements exceed the tolerance.
+IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve(double tolerance) {
   detail::IncrementalCholesky& cholesky = problem.cholesky();
   const std::vector<std::uint32_t>& open = problem.open().numbers();
   x.resize(6 * problem.poses.size(), 0.0);
@@ -71,7 +71,7 @@ IncrementalOptimizer::Impl::Step IncrementalOptimizer::Impl::solve() {
     nonzero.push_back(cholesky.position(node));
     at(nonzero.back()) = problem.held(node) ? Vector6d(Vector6d::Zero()) : Vector6d(-problem.gradient(node));
   }
-  cholesky.solve(nonzero, options.tolerance, x, visited);
+  cholesky.solve(nonzero, tolerance, x, visited);
   Step step;
   for (std::size_t i = 0; i < open.size(); ++i) {
     step.promise -= 0.5 * problem.gradient(open[i]).dot(at(nonzero[i]));
@@ -118,17 +118,17 @@ void IncrementalOptimizer::Impl::close() {
 }
 
 void IncrementalOptimizer::Impl::store_poses() {
-  if (2 * moved.numbers().size() > problem.poses.size()) {  // faster than to look for each key
+  const std::vector<Node>& nodes = problem.graph.nodes();
+  if (2 * moved.numbers().size() > nodes.size()) {  // faster than to look for each key
     std::vector<Eigen::Isometry3d> poses;
-    poses.reserve(problem.poses.size());
-    for (std::size_t i = 0; i < problem.poses.size(); ++i) {
-      const bool stays = !moved.contains(static_cast<std::uint32_t>(i));
-      poses.push_back(stays ? problem.graph.nodes()[i].pose : detail::isometry(problem.poses[i]));
+    poses.reserve(nodes.size());
+    for (std::uint32_t i = 0; i < nodes.size(); ++i) {
+      poses.push_back(moved.contains(i) ? detail::isometry(problem.poses[i]) : nodes[i].pose);
     }
     problem.graph.set_poses(poses);
   } else {
     for (const std::uint32_t node : moved.numbers()) {
-      problem.graph.set_pose(problem.graph.nodes()[node].key, detail::isometry(problem.poses[node]));
+      problem.graph.set_pose(nodes[node].key, detail::isometry(problem.poses[node]));
     }
   }
   moved.clear();
@@ -156,23 +156,30 @@ void IncrementalOptimizer::Impl::from_scratch(Initialization initialization, con
 }
 
 /// Quasi-Newton: the gradient is exact, the Hessian belongs to nearby poses. A step that does not lower the
-/// cost is undone and repeated with the Hessian at the present poses. If that fails too, the damped optimiser
-/// takes over.
+/// cost is undone and repeated for all nodes, since a step that ends at the tolerance need not lead downhill.
+/// If that fails, it is repeated with the Hessian at the present poses, and then the damped optimiser takes
+/// over.
 void IncrementalOptimizer::Impl::descend(const StopToken& stop, IncrementalResult& result) {
   std::vector<Pose> before;
-  double share = options.relinearization, promise = std::numeric_limits<double>::infinity();
+  double share = options.relinearization, tolerance = options.tolerance;
+  double promise = std::numeric_limits<double>::infinity();
   while (result.iterations < options.max_iterations && !problem.open().numbers().empty()) {
     if (stop.stop_requested()) return;
     if (!problem.factorize()) return from_scratch(Initialization::kFile, stop, result);
-    const Step step = solve();
+    const Step step = solve(tolerance);
     const double cost = problem.cost(), difference = move(before);
     if (!std::isfinite(difference) || (difference > 1e-12 * cost && !small(step))) {
       move_back(before, cost);
+      if (tolerance > 0.0) {
+        tolerance = 0.0;
+        continue;
+      }
       if (share == 0.0 || problem.relinearize(0.0) == 0)
         return from_scratch(Initialization::kFile, stop, result);
       share = 0.0;
       continue;
     }
+    tolerance = options.tolerance;
     ++result.iterations;
     result.moved += visited.size();
     for (const std::uint32_t p : visited) moved.insert(problem.cholesky().variable_at(p));

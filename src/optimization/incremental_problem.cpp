@@ -13,6 +13,9 @@ namespace {
 /// Cost of a new order of elimination for each factor, in operations of a factorisation: analysis and
 /// linearisation.
 constexpr double kOrderFlopsPerFactor = 1.5e4;
+/// Unless a complete factorisation takes this many times the operations of when the order was new, an update
+/// that costs much is an exception.
+constexpr double kDenser = 1.2;
 /// Shares of a graph that may be added at once without a new order.
 constexpr double kMostNewNodes = 0.1;
 constexpr double kMostNewFactors = 0.1;
@@ -226,6 +229,7 @@ bool IncrementalProblem::absorb() {
     reorder();
     return true;
   }
+  flops_of_last_ = 0.0;
   // If this is interrupted, the Cholesky factor cannot be used.
   sound_ = false;
   const auto first = static_cast<std::uint32_t>(absorbed_nodes_);
@@ -248,11 +252,12 @@ bool IncrementalProblem::absorb() {
   return false;
 }
 
-/// Updates add to the fill, so they take longer and longer. Their mean cost, with that of the order, is
-/// lowest if a new order is computed as soon as an update costs more than the mean.
-bool IncrementalProblem::reorder_is_due() {
+/// While additions make the factor denser, updates take longer and longer. Their mean cost, with that of the
+/// order, is lowest if a new order is computed once an update costs more than the mean.
+bool IncrementalProblem::reorder_is_due() const {
   const std::size_t new_nodes = poses.size() - absorbed_nodes_;
-  return !sound_ || flops_of_last_ * static_cast<double>(updates_) > flops_of_updates_ ||
+  const bool costly = flops_of_last_ * static_cast<double>(updates_) > flops_of_updates_;
+  return !sound_ || (costly && cholesky_.flops() > kDenser * flops_when_ordered_) ||
          static_cast<double>(new_nodes) > kMostNewNodes * static_cast<double>(absorbed_nodes_) ||
          static_cast<double>(waiting_.size()) > kMostNewFactors * static_cast<double>(factors_.size());
 }
@@ -292,7 +297,9 @@ void IncrementalProblem::reorder() {
     if (active_[k] != 0 && f.from != kFixed) pairs.emplace_back(f.from, f.to);
   }
   cholesky_.analyze(poses.size(), pairs);
+  flops_when_ordered_ = cholesky_.flops();
   flops_of_updates_ = kOrderFlopsPerFactor * static_cast<double>(factors_.size());
+  flops_of_last_ = 0.0;
   updates_ = 0;
   cost_ = 0.0;
   std::fill(gradients_.begin(), gradients_.end(), Vector6d::Zero());
@@ -323,9 +330,10 @@ bool IncrementalProblem::factorize() {
       add(other, f.to == node ? Matrix6d(crosses_[k].transpose()) : crosses_[k]);
     }
   });
-  flops_of_last_ = cholesky_.flops_spent() - before;
-  flops_of_updates_ += flops_of_last_;
-  ++updates_;
+  const double spent = cholesky_.flops_spent() - before;
+  if (flops_of_last_ == 0.0 && spent > 0.0) ++updates_;
+  flops_of_last_ += spent;
+  flops_of_updates_ += spent;
   return sound_;
 }
 

@@ -118,7 +118,7 @@ class IncrementalProblem {
 
   void register_additions();
   void register_edge(std::size_t edge);
-  [[nodiscard]] bool reorder_is_due();
+  [[nodiscard]] bool reorder_is_due() const;
   void apply_factor(std::uint32_t k);
   void join(const Factor& f);
   void find_components();
@@ -147,12 +147,13 @@ class IncrementalProblem {
   std::vector<Matrix6d> diagonals_;  // by node: its block of the Hessian
   std::vector<Vector6d> gradients_;  // by node, at the poses
   double cost_ = 0.0;
-  NumberSet open_;                 // nodes
-  bool sound_ = true;              // the last factorisation succeeded
-  NumberSet changed_;              // factors
-  double flops_of_updates_ = 0.0;  // of all factorisations since the last order, with an estimate for that
-  double flops_of_last_ = 0.0;     // of the last factorisation
-  std::size_t updates_ = 0;        // factorisations since the last order
+  NumberSet open_;                   // nodes
+  bool sound_ = true;                // the last factorisation succeeded
+  NumberSet changed_;                // factors
+  double flops_when_ordered_ = 0.0;  // of one complete factorisation
+  double flops_of_updates_ = 0.0;    // of all updates since the last order, with an estimate for that
+  double flops_of_last_ = 0.0;       // of the last update
+  std::size_t updates_ = 0;          // with a factorisation since the last order
 };
 
 }  // namespace loopwise::detail

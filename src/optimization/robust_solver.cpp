@@ -409,19 +409,22 @@ void RobustSolver::test_by_covariance(const std::vector<std::size_t>& edges) {
   }
   if (open.empty() || !factorize_here()) return;
   const Freedom& freedom = equations_.freedom();
-  Eigen::MatrixXd ends(6 * static_cast<Eigen::Index>(freedom.nodes.size()), 6);
+  const BlockCholesky& hessian = equations_.hessian();
+  SparseInverse inverse(hessian.panels());
   for (const std::size_t k : open) {
     if (stopped()) return;
     // Error on the right of the relative pose: δ_to − Ad(T_to⁻¹ T_from) δ_from.
     const std::size_t from = problem_.from(k), to = problem_.to(k);
     const std::uint32_t a = freedom.variable[from], b = freedom.variable[to];
-    ends.setZero();
-    if (b != Freedom::kFixed) ends.middleRows<6>(6 * static_cast<Eigen::Index>(b)).setIdentity();
-    if (a != Freedom::kFixed) {
-      ends.middleRows<6>(6 * static_cast<Eigen::Index>(a)) -=
-          relative_adjoint(poses_[to], poses_[from]).transpose();
+    std::vector<SparseInverse::Block> ends;
+    if (b != Freedom::kFixed) {
+      ends.push_back({static_cast<std::uint32_t>(hessian.position(b)), Matrix6d::Identity()});
     }
-    const Matrix6d P = equations_.hessian().inverse_between(ends);
+    if (a != Freedom::kFixed) {
+      ends.push_back({static_cast<std::uint32_t>(hessian.position(a)),
+                      -relative_adjoint(poses_[to], poses_[from]).transpose()});
+    }
+    const Matrix6d P = inverse.between(ends);
     // A closure between independent components cannot contradict anything.
     covariance_d2_[k] = are_connected(freedom, from, to)
                             ? squared_innovation(problem_.information(k), P, problem_.residual(k, poses_))

@@ -9,6 +9,7 @@
 #include <loopwise/optimization/gnc.hpp>
 
 #include "innovation.hpp"
+#include "linalg/panels.hpp"
 #include "minimize.hpp"
 #include "odometry_forest.hpp"
 #include "pose_problem.hpp"

@@ -374,10 +374,20 @@ TEST_CASE("starts: the inverse between sparse columns is that of the whole matri
     equations.set_structure(problem);
     equations.linearize(problem, poses, residuals, pool);
     REQUIRE(equations.hessian().factorize());
-    Eigen::MatrixXd b = Eigen::MatrixXd::Zero(H.rows(), 6);
-    for (const Eigen::Index node : {7, 44}) b.middleRows<6>(6 * node) = Matrix6d::Random();
-    const Eigen::MatrixXd expected = b.transpose() * H.ldlt().solve(b);
-    REQUIRE((equations.hessian().inverse_between(b) - expected).norm() < 1e-8 * expected.norm());
+    const detail::BlockCholesky& cholesky = equations.hessian();
+    detail::SparseInverse inverse(cholesky.panels());
+    // Several times, since the workspace is used again; once without any block, once with a block twice.
+    for (const std::vector<std::uint32_t>& nodes :
+         {std::vector<std::uint32_t>{7, 44}, {44, 3}, {59}, {}, {12, 12}, {7, 44}}) {
+      Eigen::MatrixXd b = Eigen::MatrixXd::Zero(H.rows(), 6);
+      std::vector<detail::SparseInverse::Block> blocks;
+      for (const std::uint32_t node : nodes) {
+        blocks.push_back({static_cast<std::uint32_t>(cholesky.position(node)), Matrix6d::Random()});
+        b.middleRows<6>(6 * Eigen::Index{node}) += blocks.back().value;
+      }
+      const Eigen::MatrixXd expected = b.transpose() * H.ldlt().solve(b);
+      REQUIRE((inverse.between(blocks) - expected).norm() <= 1e-8 * expected.norm());
+    }
   }
 }
 
