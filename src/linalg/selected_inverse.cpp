@@ -106,16 +106,16 @@ class Fronts {
   /// Y = L_RW L_WW⁻¹, from the last column to the first.
   void divide(std::size_t s) {
     const int h = l_.height(s), w = l_.columns(s), m = l_.below(s);
-    const auto rows = static_cast<std::size_t>(m);
+    const auto rows = static_cast<std::size_t>(m), stride = static_cast<std::size_t>(h);
     y_.resize(rows * static_cast<std::size_t>(w));
     column_.resize(6 * rows);
     for (int j = w - 6; j >= 0; j -= 6) {
-      const double* l = panel(s) + static_cast<std::size_t>(j) * static_cast<std::size_t>(h);
+      const double* l = panel(s) + static_cast<std::size_t>(j) * stride;
       const int later = w - j - 6;
       const double* left = l + w;
       double* y = y_.data() + static_cast<std::size_t>(j) * rows;
       if (later > 0) {
-        for (int c = 0; c < 6; ++c) std::copy_n(l + c * h + w, m, column_.data() + c * m);
+        for (std::size_t c = 0; c < 6; ++c) std::copy_n(l + c * stride + w, m, column_.data() + c * rows);
         subtract_in_stripes(m, later, y + 6 * rows, m, l + j + 6, h, column_.data(), m, false);
         left = column_.data();
       }
