@@ -10,9 +10,7 @@ namespace loopwise::detail {
 const DenseKernels& dense_kernels_avx2();
 const DenseKernels& dense_kernels_fma();
 const DenseKernels& dense_kernels_avx512();
-#endif
 
-#ifdef LOOPWISE_WIDE_KERNELS
 namespace {
 
 struct Support {

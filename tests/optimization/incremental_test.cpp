@@ -216,7 +216,7 @@ TEST_CASE("incremental: components join and come apart", "[optimization]") {
     Rng rng(6);
     const PoseGraph graph = side_by_side(rng, 3, priors);
     IncrementalOptimizer optimizer(graph, {}, exact());
-
+    check_against_optimize(optimizer.graph(), optimizer.update().cost);
     std::vector<std::size_t> ties;
     for (const auto& [from, to] : {std::pair<Key, Key>{205, 103}, {4, 110}, {8, 212}}) {
       ties.push_back(optimizer.add_edge(tie(optimizer.graph(), rng, from, to)));
