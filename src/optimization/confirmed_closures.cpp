@@ -27,7 +27,7 @@ constexpr std::size_t kMostSeen = 2000;
 constexpr std::size_t kFewestPairs = 20;
 /// Smaller d² are not noise but copies, of one measurement or of the odometry.
 constexpr double kLeastInnovation = 1e-7;
-/// A group must have a tenth of the closures of the largest group, and that group a tenth of all.
+/// A large group has a tenth of the closures of the largest one, if that one has a tenth of all.
 constexpr std::size_t kSmallestShare = 10;
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
@@ -78,13 +78,15 @@ class Confirmation {
     }
     std::vector<std::size_t> size(wanted.size());
     for (std::size_t e = 0; e < wanted.size(); ++e) size[groups.root(e)] += wanted[e] != 0 ? 1 : 0;
-    const std::size_t largest = *std::max_element(size.begin(), size.end());
-    const auto all = static_cast<std::size_t>(std::count(wanted.begin(), wanted.end(), 1));
-    std::vector<char> out(wanted.size());
-    if (kSmallestShare * largest < all) return out;
+    std::vector<std::size_t> own;  // size of the group, by wanted closure
     for (std::size_t e = 0; e < wanted.size(); ++e) {
-      const std::size_t own = size[groups.root(e)];
-      out[e] = wanted[e] != 0 && own > 1 && kSmallestShare * own >= largest ? 1 : 0;
+      if (wanted[e] != 0) own.push_back(size[groups.root(e)]);
+    }
+    std::vector<char> out(wanted.size());
+    if (own.empty()) return out;
+    const std::size_t smallest = std::max<std::size_t>(2, smallest_large_group(std::move(own)));
+    for (std::size_t e = 0; e < wanted.size(); ++e) {
+      out[e] = wanted[e] != 0 && size[groups.root(e)] >= smallest ? 1 : 0;
     }
     return out;
   }
@@ -112,6 +114,15 @@ class Confirmation {
             forest_.place(to),
             static_cast<std::uint32_t>(e),
             reversed};
+  }
+
+  /// \param sizes of the group of each closure, not empty
+  static std::size_t smallest_large_group(std::vector<std::size_t> sizes) {
+    const std::size_t largest = *std::max_element(sizes.begin(), sizes.end());
+    if (kSmallestShare * largest >= sizes.size()) return (largest + kSmallestShare - 1) / kSmallestShare;
+    const auto middle = sizes.begin() + static_cast<std::ptrdiff_t>(sizes.size() / 2);
+    std::nth_element(sizes.begin(), middle, sizes.end());
+    return *middle;
   }
 
   void look_around(std::size_t i) {

@@ -19,10 +19,11 @@ namespace loopwise::detail {
 [[nodiscard]] std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryForest& forest,
                                                    const std::vector<char>& wanted, double c2);
 
-/// The largest groups of closures that confirm each other, each at least a tenth of the largest one: right
-/// closures confirm each other all along a second passage, false ones that agree do so in small groups. None
-/// if the largest one has less than a tenth of the closures: right ones are then in small groups too. \param
-/// wanted closures that may belong to a group, by edge; others are not used
+/// The largest groups of closures that confirm each other: right closures confirm each other all along a
+/// second passage, false ones that agree do so in small groups. Each has at least a tenth of the closures of
+/// the largest one. If that one has less than a tenth of all, passages are short: then the largest groups
+/// that hold half of the closures. \param wanted closures that may belong to a group, by edge; others are not
+/// used
 [[nodiscard]] std::vector<char> in_large_groups(const PoseGraph& graph, const OdometryForest& forest,
                                                 const std::vector<char>& wanted, double c2);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Starts from closures that others confirm.
 #include <algorithm>
+#include <limits>
 #include <utility>
 
 #include "confirmed_closures.hpp"
@@ -18,10 +19,12 @@ constexpr double kFewestConfirmed = 1.0 / 3.0;
 /// kMostOfGroupsLost may be excluded.
 constexpr double kFewestInLargeGroups = 0.1;
 constexpr double kMostOfGroupsLost = 0.1;
+constexpr double kAnyCost = std::numeric_limits<double>::infinity();
 constexpr double kMostConfirmedLost = 0.01;
 constexpr double kMostContradicting = 0.5;
 /// Bounds on steps to the minimum with all confirmed closures, and on rounds of truncated least squares from
-/// there. If they agree, half of these are enough.
+/// there. If they agree, half of these are enough. From a part of them, more rounds follow: each adds
+/// closures that fit the last one.
 constexpr int kMostSteps = 15;
 constexpr int kMostRounds = 6;
 /// If the noise is far below the stated one, the innovation test has a margin. Closures within it may be
@@ -90,21 +93,21 @@ class Starts::ConfirmedStart {
     out_.solution.poses = chordal();
     const std::vector<Pose> start = out_.solution.poses;
     solver_.emplace(given(), gross_, problem(), starts_.equations_, out_.solution.poses);
-    bool agree = agree_at_minimum();
+    bool agree = agree_at_minimum(kMostRounds);
     bool doubtful = (!grow || !agree) && is_in_doubt(gross_.excluded, seeds_);
-    // With doubted odometry, a large group that agrees may be the error of a slip that bends the path.
-    if (!agree && grow && agree_in_large_groups()) {
-      agree = true;
-      doubtful = false;
-    }
-    out_.plain = agree;
-    if (!agree && !doubtful) {
+    // With doubted odometry, a large group that agrees may be the error of a slip that bends the path:
+    // graduation among all comes first then.
+    bool in_groups = !agree && grow && agree_in_large_groups(kAnyCost);
+    out_.plain = agree || in_groups;
+    if (!agree && !in_groups && !doubtful) {
       out_.solution.poses = start;
-      agree = agree_after_graduation();
+      agree = agree_after_graduation(kMostRounds);
       doubtful = !agree || lost() > kMostContradicting * seeds_;
+      in_groups = !grow && (doubtful || lost() > kMostOfGroupsLost * seeds_) &&
+                  agree_in_large_groups(solver_->truncated_cost());
     }
-    if (!doubtful) explain_the_others(grow);
-    out_.settled = agree;
+    if (in_groups || !doubtful) explain_the_others(grow);
+    out_.settled = agree || in_groups;
     starts_.finish(*solver_, GncStart::kConfirmed, out_.solution);
     out_.solution.result.optimization.factorizations += factorizations_;
     return std::move(out_);
@@ -139,20 +142,20 @@ class Starts::ConfirmedStart {
            std::min(allowance, kMostConfirmedLost * seeds_);
   }
 
-  bool agree_at_minimum() {
+  bool agree_at_minimum(int rounds) {
     const auto few = [&](double number) { return number <= kMostConfirmedLost * seeds_; };
     return few(static_cast<double>(solver_->minimize_with(confirmed_, kMostSteps))) &&
-           solver_->truncate(true, kMostRounds) && few(lost());
+           solver_->truncate(true, rounds) && few(lost());
   }
 
-  bool agree_after_graduation() {
+  bool agree_after_graduation(int rounds) {
     solver_->graduate_with(confirmed_);
-    return solver_->truncate(false, kMostRounds);
+    return solver_->truncate(false, rounds);
   }
 
-  /// Tries the closures in large groups in place of all confirmed ones. If they do not agree either, the
-  /// state before is restored.
-  bool agree_in_large_groups() {
+  /// Tries the closures in large groups in place of all confirmed ones. If they do not agree either, or cost
+  /// more than this, the state before is restored.
+  bool agree_in_large_groups(double cost) {
     if (given().stop.stop_requested()) return false;
     std::vector<char> large = starts_.in_large_groups_of(given(), confirmed_, gross_);
     if (large == confirmed_ ||
@@ -162,7 +165,10 @@ class Starts::ConfirmedStart {
     const std::vector<Pose> poses = out_.solution.poses;
     choose(std::move(large));
     out_.solution.poses = chordal();
-    if (agree_at_minimum() || (agree_after_graduation() && lost() <= kMostOfGroupsLost * seeds_)) return true;
+    constexpr int kRounds = RobustSolver::kTruncatedRounds;
+    const bool agree = agree_at_minimum(kRounds) ||
+                       (agree_after_graduation(kRounds) && lost() <= kMostOfGroupsLost * seeds_);
+    if (agree && solver_->truncated_cost() < cost) return true;
     choose(confirmed);
     out_.solution.poses = poses;
     solver_->keep(kept);

@@ -4,6 +4,7 @@
 #include <catch2/catch.hpp>
 
 #include <cstddef>
+#include <map>
 #include <utility>
 #include <vector>
 
@@ -148,6 +149,44 @@ testing::RandomGraph corridor(Measured& measured, std::size_t length, std::size_
     if (from == to || from + 1 == to || to + 1 == from) continue;
     add(out, measured(from, to, out.truth[from].inverse() * out.truth[to], EdgeKind::kLoopClosure), false);
     ++added;
+  }
+  return out;
+}
+
+/// A random walk through the streets of a square city, with two closures from each pose to earlier ones at
+/// the same place: streets are short, so few closures follow each other.
+testing::RandomGraph city(Measured& measured, std::size_t nodes) {
+  constexpr int kStreet = 8, kStreets = 3;  // steps of 1 m, streets from side to side
+  std::vector<Eigen::Isometry3d> truth;
+  std::map<std::pair<int, int>, std::vector<Key>> visits;
+  int x = 0, y = 0, towards = 0;
+  while (truth.size() < nodes) {
+    if ((truth.size() % kStreet) == 0) {
+      const auto leads_out = [&](int way) {
+        const int u = x + (way == 0 ? 1 : way == 2 ? -1 : 0), v = y + (way == 1 ? 1 : way == 3 ? -1 : 0);
+        return u < 0 || v < 0 || u > kStreet * kStreets || v > kStreet * kStreets;
+      };
+      const int back = (towards + 2) % 4;
+      do {
+        towards = static_cast<int>(measured.rng.below(4));
+      } while (leads_out(towards) || (!truth.empty() && towards == back));
+    }
+    Eigen::Isometry3d pose(
+        Eigen::AngleAxisd(0.5 * 3.14159265358979323846 * towards, Eigen::Vector3d::UnitZ()));
+    pose.translation() << x, y, 0.0;
+    visits[{x, y}].push_back(truth.size());
+    truth.push_back(pose);
+    x += towards == 0 ? 1 : towards == 2 ? -1 : 0;
+    y += towards == 1 ? 1 : towards == 3 ? -1 : 0;
+  }
+  testing::RandomGraph out = walk(measured, std::move(truth));
+  for (const auto& [place, at] : visits) {
+    for (std::size_t i = 1; i < at.size(); ++i) {
+      for (std::size_t j = i > 1 ? i - 2 : 0; j < i; ++j) {
+        const Eigen::Isometry3d T = out.truth[at[j]].inverse() * out.truth[at[i]];
+        if (at[i] > at[j] + 1) add(out, measured(at[j], at[i], T, EdgeKind::kLoopClosure), false);
+      }
+    }
   }
   return out;
 }
@@ -406,6 +445,43 @@ TEST_CASE("hard graphs: a path that odometry cannot test, and false closures in 
       REQUIRE(wrong(graph, result).lost <= 10);  // of 760
       REQUIRE(result.start == GncStart::kConfirmed);
     }
+  }
+}
+
+TEST_CASE("hard graphs: false groups where odometry is useless and overconfident", "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 3; ++seed) {
+    for (const std::size_t size : {std::size_t{5}, std::size_t{10}}) {
+      CAPTURE(seed, size);
+      Measured measured(seed, {4.0, 1.0}, 8.0);
+      testing::RandomGraph graph = tube(measured, 800);
+      add_groups(measured, graph, 300 / size, size);
+      const GncResult result = optimize_gnc(graph.graph);
+      REQUIRE(wrong(graph, result).kept == 0);
+      REQUIRE(wrong(graph, result).lost <= 8);  // of 760
+      REQUIRE(result.start == GncStart::kConfirmed);
+    }
+  }
+}
+
+TEST_CASE("hard graphs: the largest groups where those of right closures are small", "[optimization][gnc]") {
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    CAPTURE(seed);
+    Measured measured(seed, {}, 8.0);
+    testing::RandomGraph graph = city(measured, 1000);
+    const std::size_t right = graph.is_false.size() - (graph.truth.size() - 1);
+    add_groups(measured, graph, 40, 5);
+    std::vector<char> closures(graph.is_false.size(), 1);
+    for (std::size_t e = 0; e < closures.size(); ++e)
+      closures[e] = known_inlier(graph.graph.edges()[e]) ? 0 : 1;
+    const std::vector<char> large =
+        detail::in_large_groups(graph.graph, detail::OdometryForest(graph.graph), closures,
+                                chi_squared_quantile(GncOptions().inlier_probability, 6));
+    std::size_t right_ones = 0, false_ones = 0;
+    for (std::size_t e = 0; e < large.size(); ++e) {
+      if (large[e] != 0) ++(graph.is_false[e] ? false_ones : right_ones);
+    }
+    REQUIRE(right_ones >= 2 * right / 5);
+    REQUIRE(false_ones <= right / 50);
   }
 }
 
