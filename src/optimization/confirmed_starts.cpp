@@ -43,9 +43,9 @@ double scale_of_seeds(const GrossOutliers& gross) {
 }  // namespace
 
 bool Starts::from_confirmed() {
-  std::optional<FromConfirmed> found = solve_from_confirmed({}, gross_, true);
+  std::optional<FromConfirmed> found = solve_from_confirmed({}, gross_, true, Groups::kFirst);
   if (!found) return false;
-  std::optional<Solution> other;
+  std::optional<Doubted> other;
   if (given_.gnc.odometry_margin > 1.0 && !found->plain) {
     const std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
     if (!estimate) {
@@ -57,19 +57,24 @@ bool Starts::from_confirmed() {
       other = with_doubted_test(*found);
     }
   }
-  if (other) {
-    count_discarded(found->solution.result);
-    keep_better(std::move(*other));
-    refine(false);
-    return true;
-  }
   const bool beyond_doubt = found->beyond_doubt;
   if (found->settled) {
     keep_better(std::move(found->solution));
   } else {
     count_discarded(found->solution.result);
   }
-  return beyond_doubt;
+  if (!other) return beyond_doubt;
+  // If the confirmed closures lost right ones at the stated odometry, it seems worse than it is. Another
+  // start with the stated odometry may then cost less.
+  if (!given_.stop.stop_requested()) from_first_estimate();
+  if (best_ && best_->cost < (1.0 - kEqual) * other->restricted_cost) {
+    count_discarded(other->solution.result);
+    return false;
+  }
+  forget();
+  keep_better(std::move(other->solution));
+  refine(false);
+  return true;
 }
 
 /// A start from the confirmed closures among those that odometry allows.
@@ -89,23 +94,23 @@ class Starts::ConfirmedStart {
     return seeds_ == 0.0 || seeds_ < kFewestConfirmed * static_cast<double>(count(allowed_));
   }
 
-  FromConfirmed solve(bool grow) {
+  FromConfirmed solve(bool grow, Groups groups) {
     out_.solution.poses = chordal();
     const std::vector<Pose> start = out_.solution.poses;
     solver_.emplace(given(), gross_, problem(), starts_.equations_, out_.solution.poses);
     bool agree = agree_at_minimum(kMostRounds);
     bool doubtful = (!grow || !agree) && is_in_doubt(gross_.excluded, seeds_);
-    // With doubted odometry, a large group that agrees may be the error of a slip that bends the path:
-    // graduation among all comes first then.
-    bool in_groups = !agree && grow && agree_in_large_groups(kAnyCost);
-    out_.plain = agree || in_groups;
-    if (!agree && !in_groups && !doubtful) {
+    if (!agree && (grow || !doubtful) && groups == Groups::kFirst)
+      out_.groups_agree = agree_in_large_groups(kAnyCost);
+    out_.plain = agree || out_.groups_agree.value_or(false);
+    if (!out_.plain && !doubtful) {
       out_.solution.poses = start;
       agree = agree_after_graduation(kMostRounds);
       doubtful = !agree || lost() > kMostContradicting * seeds_;
-      in_groups = !grow && (doubtful || lost() > kMostOfGroupsLost * seeds_) &&
-                  agree_in_large_groups(solver_->truncated_cost());
+      if (groups == Groups::kAfterwards && (doubtful || lost() > kMostOfGroupsLost * seeds_))
+        out_.groups_agree = agree_in_large_groups(solver_->truncated_cost());
     }
+    const bool in_groups = out_.groups_agree.value_or(false);
     if (in_groups || !doubtful) explain_the_others(grow);
     out_.settled = agree || in_groups;
     starts_.finish(*solver_, GncStart::kConfirmed, out_.solution);
@@ -195,14 +200,16 @@ class Starts::ConfirmedStart {
 };
 
 /// With these odometry variances, from the closures that others confirm among those that odometry then
-/// allows. Nothing if they are few. If they contradict each other, those in large groups start alone; if
-/// these do too, the solution is graduated among all of them, unless it is in doubt anyway because of those
-/// that odometry rules out. \param grow whether to re-admit closures as well
+/// allows. Nothing if they are few. If they contradict each other, the solution is graduated among all of
+/// them, unless it is in doubt anyway because of those that odometry rules out. \param grow whether to
+/// re-admit closures as well \param groups whether those in large groups start alone if all contradict each
+/// other
 std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const OdometryVariances& variances,
-                                                                  const GrossOutliers& gross, bool grow) {
+                                                                  const GrossOutliers& gross, bool grow,
+                                                                  Groups groups) {
   ConfirmedStart start(*this, variances, gross);
   if (start.are_few()) return std::nullopt;
-  return start.solve(grow);
+  return start.solve(grow, groups);
 }
 
 /// Those among confirmed closures that belong to large groups of closures that confirm each other.
@@ -236,8 +243,8 @@ std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& prob
 /// well: where errors of odometry add up, the test would exclude right closures round by round, since each
 /// exclusion makes odometry look better. \returns the solution of the lower restricted cost among those that
 /// are beyond doubt and cost less than the stated odometry
-std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& stated,
-                                                      const OdometryVariances& shown) {
+std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed& stated,
+                                                             const OdometryVariances& shown) {
   struct Attempt {
     OdometryVariances first;
     double margin;  // of the innovation test
@@ -264,19 +271,23 @@ std::optional<Solution> Starts::with_doubted_odometry(const FromConfirmed& state
     if (best) count_discarded(best->solution.result);
     best = std::move(found);
   }
-  if (!best) return std::nullopt;
-  return std::move(best->solution);
+  return best;
 }
 
 /// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
 /// estimate of the uncertainty at its solution, until this no longer changes. \param margin of the innovation
 /// test, relative to that uncertainty \returns the solution if it is then beyond doubt
 std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin) {
+  // A large group that agrees may be the error of a slip that bends the path. So graduation comes first; the
+  // way of the lower cost is then taken in each round.
+  Groups groups = Groups::kAfterwards;
   for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
     const Scaled scaled(*this, used);
     std::optional<FromConfirmed> found = solve_from_confirmed(
-        used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), margin), false);
+        used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), margin), false,
+        groups);
     if (!found) return std::nullopt;
+    if (found->groups_agree) groups = *found->groups_agree ? Groups::kFirst : Groups::kNot;
     std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
     const bool is_worse = estimate && !estimate->variances.empty();
     if (is_worse && !differ(estimate->variances, used) && found->beyond_doubt) {
@@ -294,14 +305,17 @@ std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, 
 /// worse than stated: odometry may have slipped once. Starts from the closures that are confirmed and that
 /// odometry of the largest uncertainty allows, and drops the doubt if this solution costs more. \returns the
 /// solution if it costs less and is beyond doubt itself
-std::optional<Solution> Starts::with_doubted_test(FromConfirmed& stated) {
+std::optional<Starts::Doubted> Starts::with_doubted_test(FromConfirmed& stated) {
   std::optional<FromConfirmed> rival =
-      solve_from_confirmed({}, gross_outliers_of(d2_, given_.gnc.odometry_margin), true);
+      solve_from_confirmed({}, gross_outliers_of(d2_, given_.gnc.odometry_margin), true, Groups::kFirst);
   if (!rival) return std::nullopt;
   if (rival->settled) {
     const bool better = rival->solution.cost < (1.0 - kEqual) * stated.solution.cost &&
                         !gives_up_closures(stated.solution.result, rival->solution.result);
-    if (better && rival->beyond_doubt) return std::move(rival->solution);
+    if (better && rival->beyond_doubt) {
+      const double cost = rival->solution.cost;
+      return Doubted{std::move(rival->solution), cost};
+    }
     stated.beyond_doubt = !better;
   }
   count_discarded(rival->solution.result);

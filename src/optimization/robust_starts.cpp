@@ -84,7 +84,8 @@ bool Starts::from_measured_noise() {
   // By the measured noise, the stated one is right. If it is not, copies of the odometry count as closures
   // now, and would exclude all others.
   if (measured.gross_.scale < 1.0) return false;
-  std::optional<FromConfirmed> found = measured.solve_from_confirmed({}, measured.gross_, true);
+  std::optional<FromConfirmed> found =
+      measured.solve_from_confirmed({}, measured.gross_, true, Groups::kFirst);
   if (!found) return false;
   count_discarded(found->solution.result);
   if (!found->beyond_doubt || given_.stop.stop_requested()) return false;
@@ -101,6 +102,7 @@ bool Starts::from_measured_noise() {
 }
 
 void Starts::from_first_estimate() {
+  if (std::exchange(first_estimate_tried_, true)) return;
   PoseProblem problem = problem_;
   Solution out;
   out.poses = given_.start;

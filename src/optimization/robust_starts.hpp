@@ -37,7 +37,7 @@ class Starts {
   /// that it excludes. If odometry is worse than stated, the solution takes it as uncertain as its closures
   /// show it to be
   bool from_confirmed();
-  /// Graduates from the first estimate.
+  /// Graduates from the first estimate, once.
   void from_first_estimate();
   /// Starts from the chordal estimate of the closures that odometry does not rule out.
   void from_chordal();
@@ -72,10 +72,14 @@ class Starts {
  private:
   class Scaled;
   class ConfirmedStart;
+  /// When closures in large groups start a solution: before graduation among all confirmed ones; after it, if
+  /// it loses many and the groups cost less; not at all.
+  enum class Groups { kFirst, kAfterwards, kNot };
   /// A solution that starts from the confirmed closures.
   struct FromConfirmed {
     Solution solution;
-    bool settled = false;  ///< Whether truncated least squares has settled
+    bool settled = false;              ///< Whether truncated least squares has settled
+    std::optional<bool> groups_agree;  ///< Whether those in large groups started it, if they were tried
     /// Whether it keeps all confirmed closures without any doubt about odometry
     bool plain = false;
     bool explained = false;  ///< Whether every other excluded closure contradicts it, or raises the cost
@@ -98,11 +102,12 @@ class Starts {
   [[nodiscard]] OdometryVariances all_chains_with(double variance) const;
   [[nodiscard]] GrossOutliers gross_outliers_of(const std::vector<double>& d2, double odometry_margin) const;
   [[nodiscard]] std::optional<FromConfirmed> solve_from_confirmed(const OdometryVariances& variances,
-                                                                  const GrossOutliers& gross, bool grow);
-  [[nodiscard]] std::optional<Solution> with_doubted_odometry(const FromConfirmed& stated,
-                                                              const OdometryVariances& shown);
+                                                                  const GrossOutliers& gross, bool grow,
+                                                                  Groups groups);
+  [[nodiscard]] std::optional<Doubted> with_doubted_odometry(const FromConfirmed& stated,
+                                                             const OdometryVariances& shown);
   [[nodiscard]] std::optional<Doubted> settled_odometry(OdometryVariances used, double margin);
-  [[nodiscard]] std::optional<Solution> with_doubted_test(FromConfirmed& stated);
+  [[nodiscard]] std::optional<Doubted> with_doubted_test(FromConfirmed& stated);
   [[nodiscard]] std::size_t in_doubt(const RobustProblem& given, const PoseProblem& problem,
                                      const std::vector<Pose>& poses, const std::vector<char>& among);
   [[nodiscard]] std::vector<char> confirmed_of(const RobustProblem& given, const std::vector<char>& wanted,
@@ -127,6 +132,7 @@ class Starts {
   const std::vector<double> d2_;             // innovations, by edge
   GrossOutliers gross_;
   std::optional<Solution> best_;
+  bool first_estimate_tried_ = false;
   GncResult discarded_counts_;  // counts of solutions that are not the best
 };
 
