@@ -116,7 +116,7 @@ class Confirmation {
             reversed};
   }
 
-  /// \param sizes of the group of each closure, not empty
+  /// The size from which a group is large. \param sizes of the group of each closure, not empty
   static std::size_t smallest_large_group(std::vector<std::size_t> sizes) {
     const std::size_t largest = *std::max_element(sizes.begin(), sizes.end());
     if (kSmallestShare * largest >= sizes.size()) return (largest + kSmallestShare - 1) / kSmallestShare;

@@ -23,8 +23,8 @@ constexpr double kAnyCost = std::numeric_limits<double>::infinity();
 constexpr double kMostConfirmedLost = 0.01;
 constexpr double kMostContradicting = 0.5;
 /// Bounds on steps to the minimum with all confirmed closures, and on rounds of truncated least squares from
-/// there. If they agree, half of these are enough. From a part of them, more rounds follow: each adds
-/// closures that fit the last one.
+/// there. If they agree, half of these are enough. Large groups are a part of them: truncated least squares
+/// then adds the others round by round, so that its own bound applies.
 constexpr int kMostSteps = 15;
 constexpr int kMostRounds = 6;
 /// If the noise is far below the stated one, the innovation test has a margin. Closures within it may be
@@ -64,12 +64,14 @@ bool Starts::from_confirmed() {
     count_discarded(found->solution.result);
   }
   if (!other) return beyond_doubt;
-  // If the confirmed closures lost right ones at the stated odometry, it seems worse than it is. Another
-  // start with the stated odometry may then cost less.
-  if (!given_.stop.stop_requested()) from_first_estimate();
-  if (best_ && best_->cost < (1.0 - kEqual) * other->restricted_cost) {
-    count_discarded(other->solution.result);
-    return false;
+  if (!other->solution.odometry_variances.empty()) {
+    // If the confirmed closures lost right ones at the stated odometry, it seems worse than it is. Another
+    // start with the stated odometry may then cost less.
+    if (!given_.stop.stop_requested()) from_first_estimate();
+    if (best_ && best_->cost < (1.0 - kEqual) * other->restricted_cost) {
+      count_discarded(other->solution.result);
+      return false;
+    }
   }
   forget();
   keep_better(std::move(other->solution));
@@ -98,21 +100,28 @@ class Starts::ConfirmedStart {
     out_.solution.poses = chordal();
     const std::vector<Pose> start = out_.solution.poses;
     solver_.emplace(given(), gross_, problem(), starts_.equations_, out_.solution.poses);
-    bool agree = agree_at_minimum(kMostRounds);
+    bool agree = agree_at_minimum();
     bool doubtful = (!grow || !agree) && is_in_doubt(gross_.excluded, seeds_);
     if (!agree && (grow || !doubtful) && groups == Groups::kFirst)
-      out_.groups_agree = agree_in_large_groups(kAnyCost);
-    out_.plain = agree || out_.groups_agree.value_or(false);
+      out_.from_groups = from_large_groups(kAnyCost);
+    out_.plain = agree || out_.from_groups.value_or(false);
     if (!out_.plain && !doubtful) {
       out_.solution.poses = start;
-      agree = agree_after_graduation(kMostRounds);
+      agree = agree_after_graduation();
+      const bool loses_many = !agree || lost() > kMostOfGroupsLost * seeds_;
       doubtful = !agree || lost() > kMostContradicting * seeds_;
-      if (groups == Groups::kAfterwards && (doubtful || lost() > kMostOfGroupsLost * seeds_))
-        out_.groups_agree = agree_in_large_groups(solver_->truncated_cost());
+      if (groups == Groups::kAfterwards && loses_many) {
+        out_.from_groups = from_large_groups(solver_->truncated_cost());
+        // The state after graduation is back, but the report is that of the groups.
+        if (agree && !out_.from_groups.value_or(true)) solver_->minimize_with(kept_by(problem().weight));
+      }
     }
-    const bool in_groups = out_.groups_agree.value_or(false);
-    if (in_groups || !doubtful) explain_the_others(grow);
-    out_.settled = agree || in_groups;
+    if (out_.from_groups.value_or(false)) {
+      agree = true;
+      doubtful = false;
+    }
+    if (!doubtful) explain_the_others(grow);
+    out_.settled = agree;
     starts_.finish(*solver_, GncStart::kConfirmed, out_.solution);
     out_.solution.result.optimization.factorizations += factorizations_;
     return std::move(out_);
@@ -147,25 +156,26 @@ class Starts::ConfirmedStart {
            std::min(allowance, kMostConfirmedLost * seeds_);
   }
 
-  bool agree_at_minimum(int rounds) {
+  bool agree_at_minimum(int rounds = kMostRounds) {
     const auto few = [&](double number) { return number <= kMostConfirmedLost * seeds_; };
     return few(static_cast<double>(solver_->minimize_with(confirmed_, kMostSteps))) &&
            solver_->truncate(true, rounds) && few(lost());
   }
 
-  bool agree_after_graduation(int rounds) {
+  bool agree_after_graduation(int rounds = kMostRounds) {
     solver_->graduate_with(confirmed_);
     return solver_->truncate(false, rounds);
   }
 
   /// Tries the closures in large groups in place of all confirmed ones. If they do not agree either, or cost
-  /// more than this, the state before is restored.
-  bool agree_in_large_groups(double cost) {
-    if (given().stop.stop_requested()) return false;
+  /// more than this, the state before is restored. \returns whether they start the solution; nothing if there
+  /// are no such groups to try
+  std::optional<bool> from_large_groups(double cost) {
+    if (given().stop.stop_requested()) return std::nullopt;
     std::vector<char> large = starts_.in_large_groups_of(given(), confirmed_, gross_);
     if (large == confirmed_ ||
         static_cast<double>(count(large)) < kFewestInLargeGroups * static_cast<double>(count(allowed_)))
-      return false;
+      return std::nullopt;
     const std::vector<char> confirmed = confirmed_, kept = kept_by(problem().weight);
     const std::vector<Pose> poses = out_.solution.poses;
     choose(std::move(large));
@@ -200,10 +210,9 @@ class Starts::ConfirmedStart {
 };
 
 /// With these odometry variances, from the closures that others confirm among those that odometry then
-/// allows. Nothing if they are few. If they contradict each other, the solution is graduated among all of
-/// them, unless it is in doubt anyway because of those that odometry rules out. \param grow whether to
-/// re-admit closures as well \param groups whether those in large groups start alone if all contradict each
-/// other
+/// allows. Nothing if they are few. If they contradict each other, those in large groups start alone, or the
+/// solution is graduated among all of them, unless it is in doubt anyway because of those that odometry rules
+/// out. \param grow whether to re-admit closures as well
 std::optional<Starts::FromConfirmed> Starts::solve_from_confirmed(const OdometryVariances& variances,
                                                                   const GrossOutliers& gross, bool grow,
                                                                   Groups groups) {
@@ -287,7 +296,7 @@ std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, 
         used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), margin), false,
         groups);
     if (!found) return std::nullopt;
-    if (found->groups_agree) groups = *found->groups_agree ? Groups::kFirst : Groups::kNot;
+    if (found->from_groups) groups = *found->from_groups ? Groups::kFirst : Groups::kNot;
     std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
     const bool is_worse = estimate && !estimate->variances.empty();
     if (is_worse && !differ(estimate->variances, used) && found->beyond_doubt) {

@@ -35,9 +35,9 @@ class Starts {
   /// Starts from the chordal estimate of the confirmed closures. \returns whether the solution is beyond
   /// doubt: the confirmed closures are many, it keeps almost all of them, and it contradicts every closure
   /// that it excludes. If odometry is worse than stated, the solution takes it as uncertain as its closures
-  /// show it to be
+  /// show it to be, unless a start from the first estimate costs less without that
   bool from_confirmed();
-  /// Graduates from the first estimate, once.
+  /// Graduates from the first estimate, unless from_confirmed() has.
   void from_first_estimate();
   /// Starts from the chordal estimate of the closures that odometry does not rule out.
   void from_chordal();
@@ -78,8 +78,8 @@ class Starts {
   /// A solution that starts from the confirmed closures.
   struct FromConfirmed {
     Solution solution;
-    bool settled = false;              ///< Whether truncated least squares has settled
-    std::optional<bool> groups_agree;  ///< Whether those in large groups started it, if they were tried
+    bool settled = false;             ///< Whether truncated least squares has settled
+    std::optional<bool> from_groups;  ///< Whether those in large groups started it, if they were tried
     /// Whether it keeps all confirmed closures without any doubt about odometry
     bool plain = false;
     bool explained = false;  ///< Whether every other excluded closure contradicts it, or raises the cost
