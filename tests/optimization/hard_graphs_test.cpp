@@ -153,8 +153,8 @@ testing::RandomGraph corridor(Measured& measured, std::size_t length, std::size_
   return out;
 }
 
-/// A random walk through the streets of a square city, with two closures from each pose to earlier ones at
-/// the same place: streets are short, so few closures follow each other.
+/// A random walk through the streets of a square city, with closures from each pose to the last two at the
+/// same place: streets are short, so few closures follow each other.
 testing::RandomGraph city(Measured& measured, std::size_t nodes) {
   constexpr int kStreet = 8, kStreets = 3;  // steps of 1 m, streets from side to side
   std::vector<Eigen::Isometry3d> truth;
