@@ -65,8 +65,8 @@ class Confirmation {
     return std::move(confirmed_);
   }
 
-  /// in_large_groups()
-  std::vector<char> large_groups(const std::vector<char>& wanted) {
+  /// The size of the group of each wanted closure, by edge; 0 for the others.
+  std::vector<std::size_t> group_sizes(const std::vector<char>& wanted) {
     DisjointSets groups(wanted.size());
     for (std::size_t i = 0; i < seen_.size(); ++i) {
       const std::uint32_t e = seen_[i].edge;
@@ -76,18 +76,23 @@ class Confirmation {
         if (groups.root(e) != groups.root(other->edge) && agree(e, *other)) groups.join(e, other->edge);
       }
     }
-    std::vector<std::size_t> size(wanted.size());
-    for (std::size_t e = 0; e < wanted.size(); ++e) size[groups.root(e)] += wanted[e] != 0 ? 1 : 0;
-    std::vector<std::size_t> own;  // size of the group, by wanted closure
-    for (std::size_t e = 0; e < wanted.size(); ++e) {
-      if (wanted[e] != 0) own.push_back(size[groups.root(e)]);
+    std::vector<std::size_t> of_root(wanted.size()), out(wanted.size());
+    for (std::size_t e = 0; e < wanted.size(); ++e) of_root[groups.root(e)] += wanted[e] != 0 ? 1 : 0;
+    for (std::size_t e = 0; e < wanted.size(); ++e) out[e] = wanted[e] != 0 ? of_root[groups.root(e)] : 0;
+    return out;
+  }
+
+  /// in_large_groups()
+  std::vector<char> large_groups(const std::vector<char>& wanted) {
+    const std::vector<std::size_t> size = group_sizes(wanted);
+    std::vector<std::size_t> own;
+    for (const std::size_t n : size) {
+      if (n > 0) own.push_back(n);
     }
     std::vector<char> out(wanted.size());
     if (own.empty()) return out;
     const std::size_t smallest = std::max<std::size_t>(2, smallest_large_group(std::move(own)));
-    for (std::size_t e = 0; e < wanted.size(); ++e) {
-      out[e] = wanted[e] != 0 && size[groups.root(e)] >= smallest ? 1 : 0;
-    }
+    for (std::size_t e = 0; e < wanted.size(); ++e) out[e] = size[e] >= smallest ? 1 : 0;
     return out;
   }
 
@@ -206,6 +211,12 @@ std::vector<char> in_large_groups(const PoseGraph& graph, const OdometryForest& 
                                   const std::vector<char>& wanted, double c2) {
   if (wanted.empty()) return {};
   return Confirmation(graph, forest, c2).large_groups(wanted);
+}
+
+std::vector<std::size_t> group_sizes(const PoseGraph& graph, const OdometryForest& forest,
+                                     const std::vector<char>& wanted, double c2) {
+  if (wanted.empty()) return {};
+  return Confirmation(graph, forest, c2).group_sizes(wanted);
 }
 
 std::optional<double> noise_of_neighbours(const PoseGraph& graph, const OdometryForest& forest) {

@@ -27,6 +27,11 @@ namespace loopwise::detail {
 [[nodiscard]] std::vector<char> in_large_groups(const PoseGraph& graph, const OdometryForest& forest,
                                                 const std::vector<char>& wanted, double c2);
 
+/// The number of closures in the group of each wanted closure, itself included, by edge; 0 for the others. A
+/// group is a set of wanted closures that confirm each other, directly or through others.
+[[nodiscard]] std::vector<std::size_t> group_sizes(const PoseGraph& graph, const OdometryForest& forest,
+                                                   const std::vector<char>& wanted, double c2);
+
 /// Variance of the noise of closures relative to the stated one, from the closures that have another one near
 /// them: the lower decile of d² with respect to the nearest one, relative to its expectation. It remains
 /// valid if two thirds of the closures are false, as a tenth of the pairs then consists of right ones; groups

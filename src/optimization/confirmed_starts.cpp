@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Starts from closures that others confirm.
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <utility>
 
@@ -32,8 +33,6 @@ constexpr int kMostRounds = 6;
 constexpr double kShareOfMargin = 0.16;
 /// Bound on starts from the confirmed closures, each with a new estimate of odometry's uncertainty.
 constexpr int kConfirmedRounds = 6;
-/// Margin on the variance factors that a solution with excluded closures shows.
-constexpr double kShownMargin = 4.0;
 
 /// Variance of the noise, relative to the stated one, by which closures that start a solution agree.
 double scale_of_seeds(const GrossOutliers& gross) {
@@ -244,14 +243,31 @@ std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& prob
   return solver.unexplained(left_out).size();
 }
 
+/// What the excluded closures of a solution cost less if those that confirm each other count as a group, n of
+/// them as √n: one place that looks like another gives many false closures that agree.
+double Starts::discount_of_groups(const Solution& solution) const {
+  std::vector<char> left_out(problem_.edges());
+  for (std::size_t k = 0; k < left_out.size(); ++k) {
+    const bool kept = known_inlier(given_.graph.edges()[k]) || solution.result.weights[k] > kKept;
+    left_out[k] = kept ? 0 : 1;
+  }
+  const double c2 = chi_squared_quantile(given_.gnc.inlier_probability, given_.graph.degrees_of_freedom());
+  double fewer = 0.0;
+  for (const std::size_t n :
+       group_sizes(given_.graph, given_.forest, left_out, scale_of_seeds(gross_) * c2)) {
+    if (n > 0) fewer += 1.0 - 1.0 / std::sqrt(static_cast<double>(n));
+  }
+  return 0.5 * gross_.noise * c2 * fewer;
+}
+
 /// For a start from the confirmed closures whose solution shows odometry to be worse than stated. Excluded
-/// closures make odometry look better than it is, so two attempts begin with more uncertainty than `shown`:
-/// the largest for all chains, and a margin for the chains that are shown to be worse. The first finds right
-/// closures that would contradict each other otherwise; but false closures bend odometry, which then seems
-/// as bad as they need it. If neither attempt succeeds, a third one has a margin on the innovation test as
-/// well: where errors of odometry add up, the test would exclude right closures round by round, since each
-/// exclusion makes odometry look better. \returns the solution of the lower restricted cost among those that
-/// are beyond doubt and cost less than the stated odometry
+/// closures make odometry look better than it is, and false closures that are kept make it look worse: they
+/// bend odometry, which then seems as bad as they need it. So one attempt begins with the uncertainty that is
+/// `shown`, another with the largest for all chains. If neither succeeds, a third one has a margin on the
+/// innovation test as well: where errors of odometry add up, the test would exclude right closures round by
+/// round, since each exclusion makes odometry look better. \returns the solution of the lower restricted
+/// cost, with groups of excluded closures discounted, among those that are beyond doubt and cost less than
+/// the stated odometry
 std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed& stated,
                                                              const OdometryVariances& shown) {
   struct Attempt {
@@ -261,11 +277,12 @@ std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed
   const OdometryVariances widest = all_chains_with(largest_variance());
   std::vector<Attempt> attempts{{widest, 1.0}};
   if (stated.settled) {  // otherwise `shown` is not that of a minimum
-    OdometryVariances more = shown;
-    for (auto& [chain, variance] : more) variance = std::min(kShownMargin * variance, largest_variance());
-    if (differ(more, widest)) attempts.push_back({std::move(more), 1.0});
+    attempts.insert(attempts.begin(), {shown, 1.0});
     attempts.push_back({widest, given_.gnc.odometry_margin});
   }
+  const auto discounted = [this](const Doubted& of) {
+    return of.restricted_cost - discount_of_groups(of.solution);
+  };
   std::optional<Doubted> best;
   for (const auto& [first, margin] : attempts) {
     if (best && margin > 1.0) break;
@@ -273,7 +290,7 @@ std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed
     if (!found) continue;
     const bool worse = stated.settled && (gives_up_closures(stated.solution.result, found->solution.result) ||
                                           found->restricted_cost > stated.solution.cost);
-    if (worse || (best && best->restricted_cost <= found->restricted_cost)) {
+    if (worse || (best && discounted(*best) <= discounted(*found))) {
       count_discarded(found->solution.result);
       continue;
     }
@@ -299,12 +316,14 @@ std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, 
     if (found->from_groups) groups = *found->from_groups ? Groups::kFirst : Groups::kNot;
     std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
     const bool is_worse = estimate && !estimate->variances.empty();
-    if (is_worse && !differ(estimate->variances, used) && found->beyond_doubt) {
+    const bool has_settled = is_worse && !differ(estimate->variances, used);
+    // Beyond the largest uncertainty, false closures are more likely than odometry of that kind.
+    if (has_settled && found->beyond_doubt && !estimate->beyond_largest) {
       const double restricted_cost = found->solution.cost + 0.5 * gross_.noise * estimate->log_determinant;
       return Doubted{std::move(found->solution), restricted_cost};
     }
     count_discarded(found->solution.result);
-    if (!is_worse || !differ(estimate->variances, used)) return std::nullopt;
+    if (!is_worse || has_settled) return std::nullopt;
     used = std::move(estimate->variances);
   }
   return std::nullopt;

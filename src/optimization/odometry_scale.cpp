@@ -106,6 +106,7 @@ std::optional<OdometryEstimate> estimated_odometry_variances(const PoseGraph& gr
     out.log_determinant += std::max(0.0, sum.redundancy) * std::log(before);
     if (sum.redundancy < 1.0 && keep_unmeasured && before > 1.0) out.variances[chain] = before;
     if (!is_significant(before * sum.squares, sum.redundancy)) continue;
+    if (is_significant(before * sum.squares / largest, sum.redundancy)) out.beyond_largest = true;
     const double variance = std::min(before * sum.squares / sum.redundancy, largest);
     if (variance > 1.0) out.variances[chain] = variance;
   }

@@ -119,6 +119,7 @@ class Starts {
                                               const GrossOutliers& gross) const;
   [[nodiscard]] std::vector<char> confirmed_left_out(const RobustProblem& given,
                                                      const std::vector<double>& weights) const;
+  [[nodiscard]] double discount_of_groups(const Solution& solution) const;
   Solution chordal_of(PoseProblem& problem, const std::vector<char>& chosen) const;
   void finish(RobustSolver& solver, GncStart start, Solution& out);
   [[nodiscard]] bool gives_up_closures(const GncResult& one, const GncResult& other) const;

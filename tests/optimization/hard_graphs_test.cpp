@@ -308,6 +308,7 @@ TEST_CASE("hard graphs: a closure far from others stays if the solution does not
 }
 
 TEST_CASE("hard graphs: odometry that is three times as uncertain as stated", "[optimization][gnc]") {
+  int factorizations = 0;
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     for (const bool in_groups : {false, true}) {
       CAPTURE(seed, in_groups);
@@ -323,9 +324,11 @@ TEST_CASE("hard graphs: odometry that is three times as uncertain as stated", "[
       REQUIRE(wrong(graph, result).lost <= 2);
       REQUIRE(result.odometry_scales.size() == 1);
       REQUIRE(result.odometry_scales[0].scale == Approx(3.0).epsilon(0.15));
-      REQUIRE(result.optimization.factorizations <= 80);
+      REQUIRE(result.optimization.factorizations <= 90);
+      factorizations += result.optimization.factorizations;
     }
   }
+  REQUIRE(factorizations <= 600);
 }
 
 TEST_CASE("hard graphs: false closures far below a pessimistic threshold are found", "[optimization][gnc]") {

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: BSD-3-Clause
 // Where optimisation starts: graphs whose odometry says nothing over the whole, and graphs that grow.
+#include <algorithm>
 #include <numeric>
 
 #include <loopwise/optimization/gnc.hpp>
 
 #include "confirmed_closures.hpp"
 #include "odometry_forest.hpp"
+#include "odometry_scale.hpp"
 #include "pose_problem.hpp"
 #include "support.hpp"
 
@@ -169,6 +171,66 @@ TEST_CASE("starts: a closure is confirmed by one near it, a false one between ra
   REQUIRE(wrong == 0);
   REQUIRE(confirmed[confirmed.size() - 2] == 1);
   REQUIRE(confirmed.back() == 1);
+}
+
+TEST_CASE("starts: closures that confirm each other form a group", "[optimization]") {
+  testing::RandomGraph graph = torus(7, 8, 0.0);
+  const std::size_t before = graph.graph.edges().size();
+  const auto step = [&](Key k) { return graph.graph.edges()[k].T_from_to; };  // odometry from k to k + 1
+  Edge edge = graph.graph.edges().back();
+  const auto add_group = [&](Key from, Key to, std::size_t size) {
+    edge.from = from;
+    edge.to = to;
+    graph.graph.add_edge(edge);
+    for (std::size_t i = 1; i < size; ++i) {
+      edge.T_from_to = step(edge.from).inverse() * edge.T_from_to * step(edge.to);
+      ++edge.from;
+      ++edge.to;
+      graph.graph.add_edge(edge);
+    }
+  };
+  add_group(30, 300, 4);
+  add_group(500, 100, 2);
+  add_group(600, 200, 1);
+  std::vector<char> wanted(graph.graph.edges().size(), 0);
+  std::fill(wanted.begin() + static_cast<std::ptrdiff_t>(before), wanted.end(), 1);
+  const detail::OdometryForest forest(graph.graph);
+  std::vector<std::size_t> expected(before, 0);
+  expected.insert(expected.end(), {4, 4, 4, 4, 2, 2, 1});
+  REQUIRE(detail::group_sizes(graph.graph, forest, wanted, 16.8) == expected);
+  // Closures that are not wanted belong to no group and join none.
+  wanted[before + 1] = wanted[before + 2] = wanted[before + 5] = 0;
+  std::fill(expected.begin() + static_cast<std::ptrdiff_t>(before), expected.end(), 0);
+  expected[before] = expected[before + 3] = 2;  // three steps apart
+  expected[before + 4] = expected[before + 6] = 1;
+  REQUIRE(detail::group_sizes(graph.graph, forest, wanted, 16.8) == expected);
+}
+
+TEST_CASE("starts: odometry that is worse than the largest uncertainty allows is told", "[optimization]") {
+  constexpr double kLargest = 9.0;
+  for (std::uint64_t seed = 1; seed <= 5; ++seed) {
+    for (const double scale : {1.0, 2.0, 2.9, 4.0, 6.0}) {
+      CAPTURE(seed, scale);
+      testing::RandomGraph graph = torus(seed, 4, 0.0);
+      for (std::size_t k = 0; k < graph.graph.edges().size(); ++k) {
+        const Edge& edge = graph.graph.edges()[k];
+        if (edge.kind == EdgeKind::kOdometry)
+          graph.graph.set_information(k, scale * scale * edge.information);
+      }
+      const std::vector<std::uint32_t> chains = detail::odometry_chains(graph.graph);
+      const detail::OdometryVariances used{{0, std::min(scale * scale, kLargest)}};
+      PoseGraph weighted = detail::with_odometry_variances(graph.graph, chains, used);
+      weighted.set_poses(optimize(weighted).poses);
+      std::vector<Eigen::Isometry3d> poses;
+      for (const Node& node : weighted.nodes()) poses.push_back(node.pose);
+      const auto estimate = detail::estimated_odometry_variances(
+          graph.graph, chains, poses, std::vector<double>(graph.graph.edges().size(), 1.0), used, kLargest,
+          true, {});
+      REQUIRE(estimate);
+      REQUIRE(estimate->beyond_largest == (scale > 3.0));
+      if (scale > 1.0) REQUIRE(estimate->variances.at(0) == Approx(used.at(0)).epsilon(0.2));
+    }
+  }
 }
 
 TEST_CASE("starts: auto ends where the best of the first estimates does", "[optimization]") {
