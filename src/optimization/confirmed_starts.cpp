@@ -244,20 +244,22 @@ std::size_t Starts::in_doubt(const RobustProblem& given, const PoseProblem& prob
 }
 
 /// What the excluded closures of a solution cost less if those that confirm each other count as a group, n of
-/// them as √n: one place that looks like another gives many false closures that agree.
+/// them as √n: one place that looks like another gives many false closures that agree. The cost that they
+/// would have as right ones is not reduced, so that no group is cheaper to exclude than to keep.
 double Starts::discount_of_groups(const Solution& solution) const {
   std::vector<char> left_out(problem_.edges());
   for (std::size_t k = 0; k < left_out.size(); ++k) {
     const bool kept = known_inlier(given_.graph.edges()[k]) || solution.result.weights[k] > kKept;
     left_out[k] = kept ? 0 : 1;
   }
-  const double c2 = chi_squared_quantile(given_.gnc.inlier_probability, given_.graph.degrees_of_freedom());
+  const int freedom = given_.graph.degrees_of_freedom();
+  const double c2 = chi_squared_quantile(given_.gnc.inlier_probability, freedom);
   double fewer = 0.0;
   for (const std::size_t n :
        group_sizes(given_.graph, given_.forest, left_out, scale_of_seeds(gross_) * c2)) {
     if (n > 0) fewer += 1.0 - 1.0 / std::sqrt(static_cast<double>(n));
   }
-  return 0.5 * gross_.noise * c2 * fewer;
+  return 0.5 * gross_.noise * std::max(0.0, c2 - freedom) * fewer;
 }
 
 /// For a start from the confirmed closures whose solution shows odometry to be worse than stated. Excluded
@@ -277,7 +279,7 @@ std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed
   const OdometryVariances widest = all_chains_with(largest_variance());
   std::vector<Attempt> attempts{{widest, 1.0}};
   if (stated.settled) {  // otherwise `shown` is not that of a minimum
-    attempts.insert(attempts.begin(), {shown, 1.0});
+    if (differ(shown, widest)) attempts.insert(attempts.begin(), {shown, 1.0});
     attempts.push_back({widest, given_.gnc.odometry_margin});
   }
   const auto discounted = [this](const Doubted& of) {
@@ -302,7 +304,8 @@ std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed
 
 /// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
 /// estimate of the uncertainty at its solution, until this no longer changes. \param margin of the innovation
-/// test, relative to that uncertainty \returns the solution if it is then beyond doubt
+/// test, relative to that uncertainty \returns the solution if it is then beyond doubt, and the largest
+/// uncertainty explains its residuals
 std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin) {
   // A large group that agrees may be the error of a slip that bends the path. So graduation comes first; the
   // way of the lower cost is then taken in each round.

@@ -17,6 +17,9 @@ namespace {
 
 /// Odometry counts as worse than stated only if its residuals exceed this quantile of chance.
 constexpr double kSignificance = 0.999;
+/// Variances above the largest allowed one by less than this factor are as good as that: of long chains, any
+/// difference is significant.
+constexpr double kNoticeable = 1.1;
 
 double of_chain(const OdometryVariances& variances, std::uint32_t chain) {
   const auto found = variances.find(chain);
@@ -106,7 +109,9 @@ std::optional<OdometryEstimate> estimated_odometry_variances(const PoseGraph& gr
     out.log_determinant += std::max(0.0, sum.redundancy) * std::log(before);
     if (sum.redundancy < 1.0 && keep_unmeasured && before > 1.0) out.variances[chain] = before;
     if (!is_significant(before * sum.squares, sum.redundancy)) continue;
-    if (is_significant(before * sum.squares / largest, sum.redundancy)) out.beyond_largest = true;
+    const double needed = before * sum.squares / largest;
+    if (needed > kNoticeable * sum.redundancy && is_significant(needed, sum.redundancy))
+      out.beyond_largest = true;
     const double variance = std::min(before * sum.squares / sum.redundancy, largest);
     if (variance > 1.0) out.variances[chain] = variance;
   }

@@ -25,7 +25,8 @@ struct OdometryEstimate {
   /// Σ redundancy · ln(earlier factor) over the chains: what restricted maximum likelihood charges for the
   /// earlier factors. Half of it, added to the cost, compares solutions with different factors.
   double log_determinant = 0.0;
-  /// Whether the residuals of a chain are significantly too large even for the largest factor.
+  /// Whether the residuals of a chain are noticeably too large even for the largest factor. Meaningful at a
+  /// minimum that was found with about that factor.
   bool beyond_largest = false;
 };
 
