@@ -207,7 +207,7 @@ TEST_CASE("starts: closures that confirm each other form a group", "[optimizatio
   REQUIRE(detail::group_sizes(graph.graph, forest, wanted, 16.8) == expected);
 }
 
-TEST_CASE("starts: odometry that is worse than the largest uncertainty allows is told", "[optimization]") {
+TEST_CASE("starts: an estimate says if odometry is worse than the largest uncertainty", "[optimization]") {
   constexpr double kLargest = 9.0;
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
     for (const double scale : {1.0, 2.0, 2.9, 3.03, 4.0, 6.0}) {
