@@ -5,36 +5,91 @@
 #include <array>
 #include <cstring>
 #include <string>
+#include <utility>
 
 #include <loopwise/core/error.hpp>
 
 namespace loopwise {
 namespace {
 
-constexpr std::size_t kMaxLeaf = 12;
+constexpr std::size_t kLeaf = 8;  // points of a leaf at most
+// Free places of leaves and nodes are this far away, and their squared distance is above every bound.
+constexpr float kFarM = 1e18F, kSqFar = 1e36F;
+
+float squared_bound(float distance_m) {
+  return std::min(distance_m * distance_m, kSqFar);
+}
+
+/// Eight numbers, with SIMD where there is any.
+using Lanes = Eigen::Array<float, kLeaf, 1>;
+Eigen::Map<const Lanes> lanes(const float* from) {
+  return Eigen::Map<const Lanes>(from);
+}
+
+/// The smallest index of the points at this distance.
+std::uint32_t index_at(float sq_distance, const Lanes& sq_distances, const std::uint32_t* indices) {
+  std::uint32_t index = ~std::uint32_t{0};
+  for (std::size_t i = 0; i < kLeaf; ++i) {
+    const std::uint32_t at = sq_distances[i] == sq_distance ? indices[i] : ~std::uint32_t{0};
+    index = std::min(index, at);
+  }
+  return index;
+}
 
 /// Keeps the nearest point within a bound.
 class NearestVisitor {
  public:
   explicit NearestVisitor(float sq_bound) { best_.sq_distance_m2 = sq_bound; }
   [[nodiscard]] float bound() const { return best_.sq_distance_m2; }
-  void offer(const float* sq_distances, const std::uint32_t* indices, std::size_t size) {
-    for (std::size_t i = 0; i < size; ++i) {
-      if (sq_distances[i] <= bound()) take(sq_distances[i], indices[i]);
-    }
+  void offer(const Lanes& sq_distances, const std::uint32_t* indices) {
+    const float least = sq_distances.minCoeff();
+    if (!(least <= bound())) return;
+    const std::uint32_t index = index_at(least, sq_distances, indices);
+    best_.index = found_ && least == bound() ? std::min(index, best_.index) : index;
+    best_.sq_distance_m2 = least;
+    found_ = true;
   }
   [[nodiscard]] std::optional<Neighbour> result() const {
     return found_ ? std::optional<Neighbour>(best_) : std::nullopt;
   }
 
  private:
-  void take(float sq_distance, std::uint32_t index) {
-    if (sq_distance == best_.sq_distance_m2 && (!found_ || index > best_.index)) return;
-    best_ = {index, sq_distance};
+  Neighbour best_;
+  bool found_ = false;
+};
+
+/// Keeps the nearest point and the distance of the second nearest within a bound.
+class NearestOfTwoVisitor {
+ public:
+  explicit NearestOfTwoVisitor(float sq_bound) : sq_nearest_(sq_bound), sq_second_(sq_bound) {}
+  [[nodiscard]] float bound() const { return sq_second_; }
+  void offer(const Lanes& sq_distances, const std::uint32_t* indices) {
+    const float least = sq_distances.minCoeff();
+    if (!(least <= sq_second_)) return;
+    const std::uint32_t index = index_at(least, sq_distances, indices);
+    Lanes others = sq_distances;
+    for (std::size_t i = 0; i < kLeaf; ++i) {
+      if (indices[i] == index) others[static_cast<Eigen::Index>(i)] = kSqFar;
+    }
+    const float second = others.minCoeff();
+    if (!found_ || least < sq_nearest_) {
+      sq_second_ = std::min(found_ ? sq_nearest_ : sq_second_, second);
+      index_ = index;
+      sq_nearest_ = least;
+    } else {
+      sq_second_ = least;
+      if (least == sq_nearest_) index_ = std::min(index_, index);
+    }
     found_ = true;
   }
+  [[nodiscard]] std::optional<NearestOfTwo> result() const {
+    if (!found_) return std::nullopt;
+    return NearestOfTwo{{index_, sq_nearest_}, sq_second_};
+  }
 
-  Neighbour best_;
+ private:
+  float sq_nearest_, sq_second_;
+  std::uint32_t index_ = 0;
   bool found_ = false;
 };
 
@@ -79,10 +134,10 @@ class CountVisitor {
     }
   }
   [[nodiscard]] float bound() const { return bound_; }
-  void offer(const float* sq_distances, const std::uint32_t* indices, std::size_t size) {
-    std::array<double, kMaxLeaf> near;
+  void offer(const Lanes& sq_distances, const std::uint32_t* indices) {
+    std::array<double, kLeaf> near;
     std::size_t inside = 0;
-    for (std::size_t i = 0; i < size; ++i) {
+    for (std::size_t i = 0; i < kLeaf; ++i) {
       near[inside] = packed(sq_distances[i], indices[i]);
       inside += sq_distances[i] <= bound_ ? 1 : 0;
     }
@@ -112,7 +167,7 @@ class CountVisitor {
   }
 
   std::size_t count_, kept_ = 0;
-  float bound_ = std::numeric_limits<float>::infinity();
+  float bound_ = kSqFar;
   // Sorted behind a first number that is below all, with kNone in places that are free. Each insertion writes
   // from one buffer to the other, so that the loop has no dependences.
   std::array<std::array<double, 32>, 2> few_;
@@ -125,8 +180,8 @@ class RadiusVisitor {
  public:
   RadiusVisitor(float sq_radius, std::vector<Neighbour>& found) : sq_radius_(sq_radius), found_(found) {}
   [[nodiscard]] float bound() const { return sq_radius_; }
-  void offer(const float* sq_distances, const std::uint32_t* indices, std::size_t size) {
-    for (std::size_t i = 0; i < size; ++i) {
+  void offer(const Lanes& sq_distances, const std::uint32_t* indices) {
+    for (std::size_t i = 0; i < kLeaf; ++i) {
       if (sq_distances[i] <= sq_radius_) found_.push_back({indices[i], sq_distances[i]});
     }
   }
@@ -146,115 +201,176 @@ KdTree::KdTree(PointView points) : cloud_size_(points.size()) {
   detail::with_points(points, [this](const auto& array) { build(array); });
 }
 
+/// A point on its way to its leaf.
+struct KdTree::Item {
+  std::array<float, 3> at;
+  std::uint32_t index;
+};
+
+namespace {
+
+/// The axis along which points extend the most, the first of equal ones.
+template <class Item>
+std::size_t longest_axis(const Item* begin, const Item* end) {
+  std::array<float, 3> low = begin->at, high = low;
+  for (const Item* item = begin; item != end; ++item) {
+    for (std::size_t k = 0; k < 3; ++k) {
+      low[k] = std::min(low[k], item->at[k]);
+      high[k] = std::max(high[k], item->at[k]);
+    }
+  }
+  std::size_t axis = 0;
+  for (std::size_t k = 1; k < 3; ++k) {
+    if (high[k] - low[k] > high[axis] - low[axis]) axis = k;
+  }
+  return axis;
+}
+
+}  // namespace
+
 template <class Points>
 void KdTree::build(const Points& points) {
-  original_.reserve(cloud_size_);
+  std::vector<Item> items;
+  items.reserve(cloud_size_);
   for (std::uint32_t i = 0; i < cloud_size_; ++i) {
-    if (points[i].allFinite()) original_.push_back(i);
+    const Eigen::Vector3f p = points[i];
+    if (p.allFinite()) items.push_back({{p.x(), p.y(), p.z()}, i});
   }
-  size_ = original_.size();
+  size_ = items.size();
   if (size_ == 0) return;
-  while (((size_ - 1) >> depth_) + 1 > kMaxLeaf) ++depth_;
-  const std::size_t leaves = std::size_t{1} << depth_;
-  splits_.resize(leaves - 1);
-  leaf_begin_.resize(leaves + 1);
+  int depth = 0;  // levels of binary splits
+  while (((size_ - 1) >> depth) + 1 > kWidth) ++depth;
+  const std::size_t leaves = std::size_t{1} << depth;
+  for (std::vector<float>* coordinates : {&x_, &y_, &z_}) coordinates->assign(kWidth * leaves, kFarM);
+  original_.assign(kWidth * leaves, ~std::uint32_t{0});
 
   struct Task {
-    std::size_t node, begin, end;
+    std::size_t node;  // in heap order
+    Item *begin, *end;
   };
-  std::vector<Task> tasks{{0, 0, size_}};
+  std::vector<Task> tasks{{0, items.data(), items.data() + size_}};
   while (!tasks.empty()) {
     const Task task = tasks.back();
     tasks.pop_back();
     if (task.node >= leaves - 1) {
-      leaf_begin_[task.node - (leaves - 1)] = static_cast<std::uint32_t>(task.begin);
+      add_leaf(task.node - (leaves - 1), task.begin, task.end);
       continue;
     }
-    Eigen::Array3f low = Eigen::Array3f::Constant(std::numeric_limits<float>::infinity());
-    Eigen::Array3f high = -low;
-    for (std::size_t i = task.begin; i < task.end; ++i) {
-      low = low.min(points[original_[i]].array());
-      high = high.max(points[original_[i]].array());
-    }
-    Eigen::Index axis = 0;
-    (high - low).maxCoeff(&axis);
-    const auto begin = original_.begin() + static_cast<std::ptrdiff_t>(task.begin);
-    const auto end = original_.begin() + static_cast<std::ptrdiff_t>(task.end);
-    const auto middle = begin + (end - begin) / 2;
-    std::nth_element(begin, middle, end, [&](std::uint32_t a, std::uint32_t b) {
-      const float xa = points[a][axis], xb = points[b][axis];
-      return xa != xb ? xa < xb : a < b;
+    const std::size_t axis = longest_axis(task.begin, task.end);
+    Item* middle = task.begin + (task.end - task.begin) / 2;
+    std::nth_element(task.begin, middle, task.end, [axis](const Item& a, const Item& b) {
+      return a.at[axis] != b.at[axis] ? a.at[axis] < b.at[axis] : a.index < b.index;
     });
-    Split& split = splits_[task.node];
-    split.axis = static_cast<std::uint32_t>(axis);
-    split.high = points[*middle][axis];
-    split.low = -std::numeric_limits<float>::infinity();
-    for (auto i = begin; i != middle; ++i) split.low = std::max(split.low, points[*i][axis]);
-    const auto cut = static_cast<std::size_t>(middle - original_.begin());
-    tasks.push_back({2 * task.node + 1, task.begin, cut});
-    tasks.push_back({2 * task.node + 2, cut, task.end});
+    tasks.push_back({2 * task.node + 1, task.begin, middle});
+    tasks.push_back({2 * task.node + 2, middle, task.end});
   }
-  leaf_begin_[leaves] = static_cast<std::uint32_t>(size_);
+  if (depth > 0) {
+    const auto of_root = static_cast<std::ptrdiff_t>(std::size_t{1} << ((depth - 1) % 3 + 1));
+    first_child_ = of_root - static_cast<std::ptrdiff_t>(kWidth) + 1;
+    bound_nodes(leaves);
+  }
+}
 
-  x_.resize(size_);
-  y_.resize(size_);
-  z_.resize(size_);
-  for (std::size_t i = 0; i < size_; ++i) {
-    const Eigen::Vector3f p = points[original_[i]];
-    x_[i] = p.x();
-    y_[i] = p.y();
-    z_[i] = p.z();
+void KdTree::add_leaf(std::size_t leaf, const Item* begin, const Item* end) {
+  std::size_t place = kWidth * leaf;
+  for (const Item* item = begin; item != end; ++item, ++place) {
+    x_[place] = item->at[0];
+    y_[place] = item->at[1];
+    z_[place] = item->at[2];
+    original_[place] = item->index;
   }
+}
+
+/// Makes the nodes above the leaves, last ones first.
+void KdTree::bound_nodes(std::size_t leaves) {
+  std::size_t count = 0;
+  for (std::size_t level = leaves; level > 1; count += level) level = (level + kWidth - 1) / kWidth;
+  nodes_.resize(count);
+  for (std::size_t k = count; k-- > 0;) {
+    for (std::size_t i = 0; i < kWidth; ++i) {
+      const std::ptrdiff_t child = first_child_ + static_cast<std::ptrdiff_t>(kWidth * k + i);
+      for (std::size_t axis = 0; axis < 3; ++axis) {
+        const auto [low, high] =
+            child < 1 ? std::pair(kFarM, -kFarM) : extent(static_cast<std::size_t>(child), axis);
+        nodes_[k].low[axis][i] = low;
+        nodes_[k].high[axis][i] = high;
+      }
+    }
+  }
+}
+
+/// Smallest and largest coordinate of a node or leaf, which has a point.
+std::pair<float, float> KdTree::extent(std::size_t child, std::size_t axis) const {
+  float low = kFarM, high = -kFarM;
+  for (std::size_t i = 0; i < kWidth; ++i) {
+    if (child < nodes_.size()) {
+      low = std::min(low, nodes_[child].low[axis][i]);
+      high = std::max(high, nodes_[child].high[axis][i]);
+    } else {
+      const float at = (axis == 0 ? x_ : axis == 1 ? y_ : z_)[kWidth * (child - nodes_.size()) + i];
+      if (at == kFarM) continue;  // a free place
+      low = std::min(low, at);
+      high = std::max(high, at);
+    }
+  }
+  return {low, high};
 }
 
 template <class Visitor>
 void KdTree::search(const Eigen::Vector3f& query, Visitor& visitor) const {
   if (size_ == 0 || !query.allFinite()) return;
-  // Offsets from the query to a node's cell, by axis. They are squared and added exactly as distances of
-  // points are, so that rounding never makes a cell appear farther away than a point in it.
   struct Pending {
-    std::size_t node;
     float sq_distance;
-    std::array<float, 3> offset;
+    std::uint32_t child;
   };
-  std::array<Pending, 64> stack;
+  std::array<Pending, 96> stack;  // at most seven more on each of eleven levels
   std::size_t height = 0;
-  stack[height++] = {0, 0.0F, {0.0F, 0.0F, 0.0F}};
-  const std::size_t inner = splits_.size();
+  stack[height++] = {0.0F, 0};
   const float qx = query.x(), qy = query.y(), qz = query.z();
-  std::array<float, kMaxLeaf> sq_distances;
+  Lanes sq_distances;
   while (height > 0) {
     const Pending top = stack[--height];
     if (top.sq_distance > visitor.bound()) continue;
-    std::size_t node = top.node;
-    while (node < inner) {
-      const Split& split = splits_[node];
-      const float q = query[static_cast<Eigen::Index>(split.axis)];
-      const float to_low = q - split.low, to_high = split.high - q;
-      const bool lower = to_low < to_high;
-      const float offset = std::max(0.0F, lower ? to_high : to_low);
-      Pending far{2 * node + (lower ? 2U : 1U), 0.0F, top.offset};
-      // A cell's offset along an axis only grows on the way down.
-      far.offset[split.axis] = std::max(far.offset[split.axis], offset);
-      far.sq_distance =
-          far.offset[0] * far.offset[0] + far.offset[1] * far.offset[1] + far.offset[2] * far.offset[2];
-      if (far.sq_distance <= visitor.bound()) stack[height++] = far;
-      node = 2 * node + (lower ? 1U : 2U);
+    if (top.child >= nodes_.size()) {
+      const std::size_t begin = kWidth * (top.child - nodes_.size());
+      const float *x = x_.data() + begin, *y = y_.data() + begin, *z = z_.data() + begin;
+      sq_distances = (lanes(x) - qx).square() + (lanes(y) - qy).square() + (lanes(z) - qz).square();
+      visitor.offer(sq_distances, original_.data() + begin);
+      continue;
     }
-    const std::size_t begin = leaf_begin_[node - inner], count = leaf_begin_[node - inner + 1] - begin;
-    const float* x = x_.data() + begin;
-    const float* y = y_.data() + begin;
-    const float* z = z_.data() + begin;
-    for (std::size_t i = 0; i < count; ++i) {
-      const float dx = x[i] - qx, dy = y[i] - qy, dz = z[i] - qz;
-      sq_distances[i] = dx * dx + dy * dy + dz * dz;
+    // Distances to boxes are squared and added exactly as those to points, so that rounding never makes a box
+    // appear farther away than a point in it.
+    const Node& node = nodes_[top.child];
+    const auto squared = [&](std::size_t axis, float q) {
+      return (lanes(node.low[axis]) - q).max(q - lanes(node.high[axis])).max(0.0F).square();
+    };
+    sq_distances = squared(0, qx) + squared(1, qy) + squared(2, qz);
+    const auto first =
+        static_cast<std::uint32_t>(first_child_ + static_cast<std::ptrdiff_t>(kWidth) * top.child);
+    const float bound = visitor.bound();
+    const std::size_t begin = height;
+    for (std::uint32_t i = 0; i < kWidth; ++i) {
+      stack[height] = {sq_distances[i], first + i};
+      height += sq_distances[i] <= bound ? 1 : 0;
     }
-    visitor.offer(sq_distances.data(), original_.data() + begin, count);
+    if (height - begin > 1) {  // the nearest child comes first
+      std::size_t nearest = begin;
+      for (std::size_t i = begin + 1; i < height; ++i) {
+        if (stack[i].sq_distance < stack[nearest].sq_distance) nearest = i;
+      }
+      std::swap(stack[nearest], stack[height - 1]);
+    }
   }
 }
 
 std::optional<Neighbour> KdTree::nearest(const Eigen::Vector3f& query, float max_distance_m) const {
-  NearestVisitor visitor(max_distance_m * max_distance_m);
+  NearestVisitor visitor(squared_bound(max_distance_m));
+  search(query, visitor);
+  return visitor.result();
+}
+
+std::optional<NearestOfTwo> KdTree::nearest_of_two(const Eigen::Vector3f& query, float max_distance_m) const {
+  NearestOfTwoVisitor visitor(squared_bound(max_distance_m));
   search(query, visitor);
   return visitor.result();
 }
@@ -275,13 +391,13 @@ void KdTree::within(const Eigen::Vector3f& query, float radius_m, std::vector<Ne
 void KdTree::within_unordered(const Eigen::Vector3f& query, float radius_m,
                               std::vector<Neighbour>& found) const {
   found.clear();
-  RadiusVisitor visitor(radius_m * radius_m, found);
+  RadiusVisitor visitor(squared_bound(radius_m), found);
   search(query, visitor);
 }
 
 std::size_t KdTree::bytes() const {
-  return sizeof(*this) + splits_.capacity() * sizeof(Split) + leaf_begin_.capacity() * sizeof(std::uint32_t) +
-         3 * x_.capacity() * sizeof(float) + original_.capacity() * sizeof(std::uint32_t);
+  return sizeof(*this) + nodes_.capacity() * sizeof(Node) + 3 * x_.capacity() * sizeof(float) +
+         original_.capacity() * sizeof(std::uint32_t);
 }
 
 }  // namespace loopwise

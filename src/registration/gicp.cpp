@@ -32,14 +32,11 @@ namespace {
 
 template <class Surface>
 GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
-                  const std::vector<std::uint32_t>& order, const Surface& target, const KdTree& target_tree,
+                  const std::vector<std::uint32_t>& order, const Surface& target, FollowedPoints& followed,
                   const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) {
   GicpResult result;
   result.T_target_source = start;
 
-  // Steps are small, so the last match of a point bounds the search for its next match.
-  constexpr std::uint32_t kNone = ~std::uint32_t{0};
-  std::vector<std::uint32_t> last(order.size(), kNone);
   for (const GicpPass& pass : passes) {
     const std::size_t count = pass.points == 0 ? order.size() : std::min(pass.points, order.size());
     const auto reach = static_cast<float>(pass.reach_m);
@@ -54,14 +51,8 @@ GicpResult refine(const Surface& source, const Eigen::Vector3d& source_centre,
         const std::uint32_t i = order[k];
         const Eigen::Vector3d moved = T * source.points[i].template cast<double>();
         const Eigen::Vector3f query = moved.cast<float>();
-        float bound = reach;
-        if (last[k] != kNone) {
-          // Exceeds the distance by more than the rounding error, so that the same point is found again.
-          bound = std::min(bound, 1.0001F * (target.points[last[k]] - query).norm() + 1e-6F);
-        }
-        const std::optional<Neighbour> nearest = target_tree.nearest(query, bound);
+        const std::optional<Neighbour> nearest = followed.nearest(k, query, reach, target.points);
         if (!nearest) continue;
-        last[k] = nearest->index;
         const Eigen::Vector3d m = T.linear() * source.normals[i].template cast<double>();
         const Eigen::Vector3d n = target.normals[nearest->index].template cast<double>();
         if (n.dot(m) < 0.0) continue;  // the other face of a wall
@@ -105,13 +96,12 @@ std::vector<std::uint32_t> draw_points(const PointNormalView& source, std::size_
 
 GicpResult refine_gicp(const PointNormalView& source, const Eigen::Vector3d& source_centre,
                        const std::vector<std::uint32_t>& order, const PointNormalView& target,
-                       const KdTree& target_tree, const Eigen::Isometry3d& start,
+                       FollowedPoints& followed, const Eigen::Isometry3d& start,
                        const std::vector<GicpPass>& passes) {
   if (is_array(source) && is_array(target)) {
-    return refine(arrays_of(source), source_centre, order, arrays_of(target), target_tree, start, passes);
+    return refine(arrays_of(source), source_centre, order, arrays_of(target), followed, start, passes);
   }
-  return refine(SurfaceReader(source), source_centre, order, SurfaceReader(target), target_tree, start,
-                passes);
+  return refine(SurfaceReader(source), source_centre, order, SurfaceReader(target), followed, start, passes);
 }
 
 GicpResult gicp(const PointNormalView& target, const KdTree& target_tree, const PointNormalView& source,
@@ -132,10 +122,11 @@ GicpResult gicp(const PointNormalView& target, const KdTree& target_tree, const 
   const Eigen::Isometry3d start = se3::normalized(guess_target_source);
   const std::vector<GicpPass> passes =
       gicp_passes(options.coarse_reach_m, options.fine_reach_m, coarse, fine);
+  FollowedPoints followed(target_tree, order.size());
   if (target_known && source_known) {
-    return refine_gicp(source, centre, order, target, target_tree, start, passes);
+    return refine_gicp(source, centre, order, target, followed, start, passes);
   }
-  return refine(SurfaceReader(source), centre, order, SurfaceReader(target), target_tree, start, passes);
+  return refine(SurfaceReader(source), centre, order, SurfaceReader(target), followed, start, passes);
 }
 
 }  // namespace loopwise

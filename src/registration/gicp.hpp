@@ -8,6 +8,8 @@
 
 #include <loopwise/registration/gicp.hpp>
 
+#include "followed_points.hpp"
+
 namespace loopwise {
 
 /// One pass of the refinement: the reach of matches, the source points, and when it ends.
@@ -25,10 +27,11 @@ struct GicpPass {
 
 /// The refinement of gicp() by these passes, without its checks: a Gauss-Newton method whose kernel is a
 /// third of the reach. `order` lists the source points that take part. Steps rotate about `source_centre`, so
-/// that clouds far from the origin keep their digits.
+/// that clouds far from the origin keep their digits. `followed` are these points and the target's tree; the
+/// next refinement of the same points may use them again.
 [[nodiscard]] GicpResult refine_gicp(const PointNormalView& source, const Eigen::Vector3d& source_centre,
                                      const std::vector<std::uint32_t>& order, const PointNormalView& target,
-                                     const KdTree& target_tree, const Eigen::Isometry3d& start,
+                                     FollowedPoints& followed, const Eigen::Isometry3d& start,
                                      const std::vector<GicpPass>& passes);
 
 }  // namespace loopwise

@@ -4,7 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
-#include <optional>
+#include <vector>
 
 #include <Eigen/Eigenvalues>
 
@@ -14,19 +14,16 @@ namespace {
 /// Cosine of the angle within which two normals agree.
 constexpr float kAgreeing = 0.7F;
 
-/// The target point within reach of y whose normal agrees with n.
-std::optional<Neighbour> counterpart(const Side& target, const Eigen::Vector3f& y, const Eigen::Vector3f& n,
-                                     float reach) {
-  const auto nearest = target.submap.tree().nearest(y, reach);
-  if (!nearest || n.dot(target.submap.cloud().normals[nearest->index]) < kAgreeing) return std::nullopt;
-  return nearest;
+/// Whether the normal of a target point agrees with n.
+bool agrees(const Side& target, const Neighbour& nearest, const Eigen::Vector3f& n) {
+  return n.dot(target.submap.cloud().normals[nearest.index]) >= kAgreeing;
 }
 
 float plane_distance(const PointCloud& cloud, const Neighbour& nearest, const Eigen::Vector3f& y) {
   return std::abs(cloud.normals[nearest.index].dot(y - cloud.points[nearest.index]));
 }
 
-/// Calls visit(position, normal) for the first `count` points of `source.order`, moved by T.
+/// Calls visit(position, normal, k) for the first `count` points of `source.order`, moved by T.
 template <class Visit>
 void for_each(const Side& source, std::size_t count, const Eigen::Isometry3d& T, Visit&& visit) {
   const PointCloud& from = source.submap.cloud();
@@ -35,7 +32,7 @@ void for_each(const Side& source, std::size_t count, const Eigen::Isometry3d& T,
     const std::uint32_t i = source.order[k];
     const Eigen::Vector3f y = (T * from.points[i].cast<double>()).cast<float>();
     const Eigen::Vector3f n = R * from.normals[i];
-    visit(y, n);
+    visit(y, n, k);
   }
 }
 
@@ -45,24 +42,30 @@ double near_share(const Side& source, std::size_t count, const Side& target,
                   const Eigen::Isometry3d& T_target_source, float reach) {
   count = std::min(count, source.order.size());
   float sum = 0.0F;
-  for_each(source, count, T_target_source, [&](const Eigen::Vector3f& y, const Eigen::Vector3f& n) {
-    if (const auto nearest = counterpart(target, y, n, reach)) {
-      sum += 1.0F - nearest->sq_distance_m2 / (reach * reach);
-    }
-  });
+  for_each(source, count, T_target_source,
+           [&](const Eigen::Vector3f& y, const Eigen::Vector3f& n, std::size_t) {
+             const auto nearest = target.submap.tree().nearest(y, reach);
+             if (nearest && agrees(target, *nearest, n))
+               sum += 1.0F - nearest->sq_distance_m2 / (reach * reach);
+           });
   return static_cast<double>(sum) / static_cast<double>(std::max<std::size_t>(1, count));
 }
 
 double share_on_surface(const Side& source, std::size_t count, const Side& target,
-                        const Eigen::Isometry3d& T_target_source, const ClosureTestOptions& options) {
+                        const Eigen::Isometry3d& T_target_source, const ClosureTestOptions& options,
+                        FollowedPoints& followed) {
   count = std::min(count, source.order.size());
+  const std::vector<Eigen::Vector3f>& points = target.submap.cloud().points;
   const auto within = static_cast<float>(options.plane_distance_m);
   const auto reach = static_cast<float>(options.overlap_distance_m);
   std::size_t on_surface = 0;
-  for_each(source, count, T_target_source, [&](const Eigen::Vector3f& y, const Eigen::Vector3f& n) {
-    const auto nearest = counterpart(target, y, n, reach);
-    if (nearest && plane_distance(target.submap.cloud(), *nearest, y) < within) ++on_surface;
-  });
+  for_each(source, count, T_target_source,
+           [&](const Eigen::Vector3f& y, const Eigen::Vector3f& n, std::size_t k) {
+             const auto nearest = followed.nearest(k, y, reach, points);
+             if (nearest && agrees(target, *nearest, n) &&
+                 plane_distance(target.submap.cloud(), *nearest, y) < within)
+               ++on_surface;
+           });
   return static_cast<double>(on_surface) / static_cast<double>(std::max<std::size_t>(1, count));
 }
 
@@ -85,25 +88,26 @@ Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Sid
   };
   const Eigen::Vector3f anywhere = Eigen::Vector3f::Constant(kAnywhere * static_cast<float>(count));
   std::array<Eigen::Vector3f, 2> here{anywhere, anywhere}, away{anywhere, anywhere};
-  for_each(source, count, T_target_source, [&](const Eigen::Vector3f& y, const Eigen::Vector3f& n) {
-    const auto nearest = target.submap.tree().nearest(y, static_cast<float>(options.overlap_distance_m));
-    const float fit = nearest ? fit_to(*nearest, y, n) : 0.0F;
-    if (fit == 0.0F) return;
-    const Eigen::Vector3f& m = cloud.normals[nearest->index];
-    for (Eigen::Index k = 0; k < 3; ++k) {
-      // Both normals must face along the axis, so that the noise of one of them does not count.
-      const float cosines = std::max(0.0F, directions.col(k).dot(n) * directions.col(k).dot(m));
-      const float weight = cosines * cosines;
-      if (weight < kLeastWeight) continue;
-      for (std::size_t side = 0; side < 2; ++side) {
-        const Eigen::Vector3f moved = y + (side == 0 ? 1.0F : -1.0F) * directions.col(k);
-        const auto there = target.submap.tree().nearest(moved, kSeenM);
-        if (!there) continue;
-        here[side][k] += weight * fit;
-        away[side][k] += weight * std::min(fit, fit_to(*there, moved, n));
-      }
-    }
-  });
+  for_each(
+      source, count, T_target_source, [&](const Eigen::Vector3f& y, const Eigen::Vector3f& n, std::size_t) {
+        const auto nearest = target.submap.tree().nearest(y, static_cast<float>(options.overlap_distance_m));
+        const float fit = nearest ? fit_to(*nearest, y, n) : 0.0F;
+        if (fit == 0.0F) return;
+        const Eigen::Vector3f& m = cloud.normals[nearest->index];
+        for (Eigen::Index k = 0; k < 3; ++k) {
+          // Both normals must face along the axis, so that the noise of one of them does not count.
+          const float cosines = std::max(0.0F, directions.col(k).dot(n) * directions.col(k).dot(m));
+          const float weight = cosines * cosines;
+          if (weight < kLeastWeight) continue;
+          for (std::size_t side = 0; side < 2; ++side) {
+            const Eigen::Vector3f moved = y + (side == 0 ? 1.0F : -1.0F) * directions.col(k);
+            const auto there = target.submap.tree().nearest(moved, kSeenM);
+            if (!there) continue;
+            here[side][k] += weight * fit;
+            away[side][k] += weight * std::min(fit, fit_to(*there, moved, n));
+          }
+        }
+      });
   return away[0].cwiseQuotient(here[0]).cwiseMax(away[1].cwiseQuotient(here[1])).cast<double>();
 }
 

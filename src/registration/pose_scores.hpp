@@ -9,6 +9,7 @@
 
 #include <loopwise/registration/closure_tests.hpp>
 
+#include "followed_points.hpp"
 #include "side.hpp"
 
 namespace loopwise {
@@ -19,9 +20,10 @@ namespace loopwise {
                                 const Eigen::Isometry3d& T_target_source, float reach);
 
 /// Share of source points on the target's surfaces, among the first `count` points of `source.order`.
+/// \param followed the points of `source.order`, which have just been refined to nearly this pose
 [[nodiscard]] double share_on_surface(const Side& source, std::size_t count, const Side& target,
                                       const Eigen::Isometry3d& T_target_source,
-                                      const ClosureTestOptions& options);
+                                      const ClosureTestOptions& options, FollowedPoints& followed);
 
 /// For each column of `axes` (orthonormal, in the target's frame), the share of points that fit as well after
 /// a move of one metre along the axis. Only points that constrain the translation along the axis count: the

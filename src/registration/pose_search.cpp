@@ -111,7 +111,8 @@ PoseSearch::PoseSearch(const Side& source, const Side& target, const Registratio
       result_(result),
       passes_(gicp_passes(options.coarse_reach_m, options.fine_reach_m,
                           static_cast<std::size_t>(options.coarse_points),
-                          static_cast<std::size_t>(options.fine_points))) {
+                          static_cast<std::size_t>(options.fine_points))),
+      followed_(target.submap.tree(), source.order.size()) {
   fine_pass_ = {passes_.back()};
   passes_.pop_back();
 }
@@ -130,13 +131,13 @@ double PoseSearch::expected_on_plane() const {
 }
 
 double PoseSearch::share_of(const Eigen::Isometry3d& T_target_source, std::size_t points) const {
-  return share_on_surface(source_, points, target_, T_target_source, options_.tests) /
+  return share_on_surface(source_, points, target_, T_target_source, options_.tests, followed_) /
          (expected_on_plane() * target_.share.overlap);
 }
 
 GicpResult PoseSearch::gicp(const Eigen::Isometry3d& start, const std::vector<GicpPass>& passes) const {
   return refine_gicp(surface_of(source_.submap.cloud()), source_.centre, source_.order,
-                     surface_of(target_.submap.cloud()), target_.submap.tree(), start, passes);
+                     surface_of(target_.submap.cloud()), followed_, start, passes);
 }
 
 /// Figures of a pose. The expected share on planes is that of whole scans unless `expectation` is given.

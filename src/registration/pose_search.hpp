@@ -97,7 +97,8 @@ class PoseSearch {
   const ClosureTestOptions least_;  // the tests with the smallest overlap that may suffice
   RegistrationResult& result_;
   std::vector<GicpPass> passes_, fine_pass_;
-  std::list<Pose> poses_;  // by falling share; references stay valid
+  std::list<Pose> poses_;            // by falling share; references stay valid
+  mutable FollowedPoints followed_;  // of the source; only spares searches
 };
 
 }  // namespace loopwise

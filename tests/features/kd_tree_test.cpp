@@ -53,7 +53,7 @@ void require_same(const std::vector<Neighbour>& found, const std::vector<Neighbo
 
 TEST_CASE("KdTree finds the same points as brute force, ties by index", "[kd_tree][differential]") {
   const int kind = GENERATE(range(0, 6));
-  const std::size_t count = GENERATE(1u, 2u, 11u, 12u, 13u, 100u, 1500u);
+  const std::size_t count = GENERATE(1u, 2u, 8u, 9u, 16u, 17u, 33u, 65u, 100u, 513u, 1500u, 4097u);
   CAPTURE(kind, count);
   Rng rng(combine_seeds(static_cast<std::uint64_t>(kind), count));
   const Points points = cloud(kind, count, rng);
@@ -82,8 +82,16 @@ TEST_CASE("KdTree finds the same points as brute force, ties by index", "[kd_tre
     require_same(found, expected, inside);
 
     const auto limited = tree.nearest(query, radius);
-    REQUIRE(limited.has_value() == (expected[0].sq_distance_m2 < radius * radius));
+    REQUIRE(limited.has_value() == (expected[0].sq_distance_m2 <= radius * radius));
     if (limited) REQUIRE(limited->index == expected[0].index);
+
+    const auto two = tree.nearest_of_two(query, radius);
+    REQUIRE(two.has_value() == limited.has_value());
+    if (!two) continue;
+    const float second = inside > 1 ? expected[1].sq_distance_m2 : radius * radius;
+    REQUIRE(two->nearest.index == expected[0].index);
+    REQUIRE(two->nearest.sq_distance_m2 == expected[0].sq_distance_m2);
+    REQUIRE(two->sq_second_m2 == second);
   }
 }
 
@@ -92,6 +100,7 @@ TEST_CASE("KdTree without points finds nothing", "[kd_tree]") {
     std::vector<Neighbour> found{{7, 1.0F}};
     REQUIRE(tree.empty());
     REQUIRE_FALSE(tree.nearest(Eigen::Vector3f::Zero()).has_value());
+    REQUIRE_FALSE(tree.nearest_of_two(Eigen::Vector3f::Zero()).has_value());
     tree.nearest(Eigen::Vector3f::Zero(), 3, found);
     REQUIRE(found.empty());
     tree.within(Eigen::Vector3f::Zero(), 3.0F, found);

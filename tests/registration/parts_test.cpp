@@ -164,6 +164,14 @@ TEST_CASE("find_consensus: too few matches or none that agree", "[parts][error]"
   REQUIRE(find_consensus(std::vector<Match>(50, match), 0.6, 10).hypotheses.empty());
 }
 
+/// A refinement that knows nothing from others.
+GicpResult refined(const PointCloud& source, const std::vector<std::uint32_t>& order,
+                   const PointCloud& target, const KdTree& tree, const Eigen::Isometry3d& start,
+                   const std::vector<GicpPass>& passes) {
+  FollowedPoints followed(tree, order.size());
+  return refine_gicp(source, robust_centre(source.points), order, target, followed, start, passes);
+}
+
 TEST_CASE("refine_gicp: from 1 m and 10 degrees to the truth", "[parts]") {
   const std::uint64_t seed = GENERATE(range(1u, 6u));
   CAPTURE(seed);
@@ -177,13 +185,43 @@ TEST_CASE("refine_gicp: from 1 m and 10 degrees to the truth", "[parts]") {
   Vector6d offset;
   offset << 0.6 * random_direction(rng).cast<double>(), 0.12 * random_direction(rng).cast<double>();
   const std::vector<GicpPass> passes{{2.0, 600, 15, 0.02, 2e-3}, {1.0, 600, 15, 0.01, 1e-3}, {0.5, 3000, 30}};
-  const GicpResult result =
-      refine_gicp(source.cloud, robust_centre(source.cloud.points), draw_balanced(source.cloud, 3000),
-                  target.cloud, target.tree, truth * se3::exp(offset), passes);
+  const GicpResult result = refined(source.cloud, draw_balanced(source.cloud, 3000), target.cloud,
+                                    target.tree, truth * se3::exp(offset), passes);
   const Eigen::Isometry3d d = truth.inverse() * result.T_target_source;
   REQUIRE(result.converged);
   REQUIRE(d.translation().norm() < 0.015);  // measured at most 0.0035 m
   REQUIRE(se3::rotation_angle(d) < 0.001);  // measured at most 0.0003 rad
+}
+
+TEST_CASE("FollowedPoints: after any move, the point that a search finds", "[parts][differential]") {
+  const std::uint64_t seed = GENERATE(range(1u, 9u));
+  CAPTURE(seed);
+  Rng rng(seed);
+  const auto drawn = [&](double reach_m) {
+    return Eigen::Vector3f((random_direction(rng) * rng.uniform(0.0, reach_m)).cast<float>());
+  };
+  std::vector<Eigen::Vector3f> target, source;
+  for (int i = 0; i < 600; ++i) target.push_back(drawn(10.0));
+  for (int i = 0; i < 400; ++i) source.push_back(drawn(14.0));
+  for (int i = 0; i < 20; ++i) target.push_back(target.front());  // equal distances
+  const KdTree tree(target);
+  FollowedPoints followed(tree, source.size());
+  std::size_t found = 0, none = 0;
+  for (int step = 0; step < 60; ++step) {
+    // Small steps as at the end of a refinement, and now and then a start elsewhere with another reach.
+    const Eigen::Vector3f move = drawn(step % 15 == 0 ? 3.0 : 0.02);
+    const float reach = std::array{2.0F, 1.0F, 0.5F}[static_cast<std::size_t>(step / 5 % 3)];
+    for (std::size_t k = 0; k < source.size(); ++k) {
+      source[k] += move;
+      const auto expected = tree.nearest(source[k], reach),
+                 nearest = followed.nearest(k, source[k], reach, target);
+      REQUIRE(nearest.has_value() == expected.has_value());
+      if (nearest) REQUIRE(nearest->index == expected->index);
+      if (nearest) REQUIRE(nearest->sq_distance_m2 == expected->sq_distance_m2);
+      ++(nearest ? found : none);
+    }
+  }
+  REQUIRE(std::min(found, none) > 2000);
 }
 
 TEST_CASE("refine_gicp: a wall seen from its other side does not attract", "[parts]") {
@@ -207,8 +245,8 @@ TEST_CASE("refine_gicp: a wall seen from its other side does not attract", "[par
   }
   const auto aligned = [&]() -> Eigen::Vector3d {
     const GicpResult result =
-        refine_gicp(source, robust_centre(source.points), draw_balanced(source, source.size()), target,
-                    KdTree(target.points), Eigen::Isometry3d::Identity(), {{1.0, 1000, 30}});
+        refined(source, draw_balanced(source, source.size()), target, KdTree(target.points),
+                Eigen::Isometry3d::Identity(), {{1.0, 1000, 30}});
     return result.T_target_source.translation();
   };
   REQUIRE(aligned().norm() < 0.01);  // measured 2e-5 m
@@ -224,8 +262,8 @@ TEST_CASE("refine_gicp: without matches it stays and says so", "[parts][error]")
   }
   far = cloud;
   for (auto& p : far.points) p.y() += 100.0F;
-  const GicpResult result = refine_gicp(cloud, robust_centre(cloud.points), draw_balanced(cloud, 50), far,
-                                        KdTree(far.points), Eigen::Isometry3d::Identity(), {{}});
+  const GicpResult result =
+      refined(cloud, draw_balanced(cloud, 50), far, KdTree(far.points), Eigen::Isometry3d::Identity(), {{}});
   REQUIRE_FALSE(result.converged);
   REQUIRE(testing::difference(result.T_target_source, Eigen::Isometry3d::Identity()) == 0.0);
 }
@@ -326,7 +364,7 @@ TEST_CASE("RangeImage: points in front of the seen surfaces contradict them, poi
   REQUIRE(image.contradiction(PointCloud{}, same, 1000) == 0.0);
 }
 
-TEST_CASE("refine_gicp: the last match as a bound changes nothing", "[parts][property]") {
+TEST_CASE("refine_gicp: what is known from other iterations changes nothing", "[parts][property]") {
   Rng rng(47);
   FeatureOptions options;
   const testing::Scene scene(47);
@@ -337,15 +375,20 @@ TEST_CASE("refine_gicp: the last match as a bound changes nothing", "[parts][pro
   // Passes of one iteration each keep no match from the iteration before only if they are runs of their own.
   const GicpPass one{1.0, 0, 1, 1e-9, 1e-9};
   Eigen::Isometry3d apart = Eigen::Isometry3d::Identity();
-  for (int i = 0; i < 6; ++i)
-    apart = refine_gicp(b.cloud, robust_centre(b.cloud.points), order, a.cloud, a.tree, apart, {one})
-                .T_target_source;
+  for (int i = 0; i < 6; ++i) apart = refined(b.cloud, order, a.cloud, a.tree, apart, {one}).T_target_source;
   GicpPass six = one;
   six.iterations = 6;
-  const GicpResult together = refine_gicp(b.cloud, robust_centre(b.cloud.points), order, a.cloud, a.tree,
-                                          Eigen::Isometry3d::Identity(), {six});
+  const GicpResult together = refined(b.cloud, order, a.cloud, a.tree, Eigen::Isometry3d::Identity(), {six});
   REQUIRE(together.iterations == 6);
   REQUIRE(together.T_target_source.matrix() == apart.matrix());
+  FollowedPoints followed(a.tree, order.size());
+  for (const double start_m : {0.7, 0.0}) {  // what the first start found changes nothing either
+    Eigen::Isometry3d start = Eigen::Isometry3d::Identity();
+    start.translation().x() = start_m;
+    const GicpResult after =
+        refine_gicp(b.cloud, robust_centre(b.cloud.points), order, a.cloud, followed, start, {six});
+    if (start_m == 0.0) REQUIRE(after.T_target_source.matrix() == apart.matrix());
+  }
 }
 
 TEST_CASE("building blocks: the functions of FastRegistrar with their checks", "[parts][differential]") {
@@ -370,12 +413,12 @@ TEST_CASE("building blocks: the functions of FastRegistrar with their checks", "
   for (std::size_t i = 0; i < found.hypotheses.size(); ++i) {
     REQUIRE(found.hypotheses[i].T_target_source.matrix() == same.hypotheses[i].T_target_source.matrix());
   }
-  const GicpOptions refined;
+  const GicpOptions options;
   const GicpResult result = gicp(target.cloud, target.tree, source.cloud);
   REQUIRE(result.T_target_source.matrix() ==
-          refine_gicp(source.cloud, robust_centre(source.cloud.points), draw_balanced(source.cloud, 2000),
-                      target.cloud, target.tree, Eigen::Isometry3d::Identity(),
-                      gicp_passes(refined.coarse_reach_m, refined.fine_reach_m, 300, 2000))
+          refined(source.cloud, draw_balanced(source.cloud, 2000), target.cloud, target.tree,
+                  Eigen::Isometry3d::Identity(),
+                  gicp_passes(options.coarse_reach_m, options.fine_reach_m, 300, 2000))
               .T_target_source.matrix());
   // The options' defaults are those of the registrar.
   const FastRegistrarOptions fast;
@@ -383,10 +426,10 @@ TEST_CASE("building blocks: the functions of FastRegistrar with their checks", "
   REQUIRE(described.max_neighbours == fast.fpfh_neighbours);
   REQUIRE(agreed.tolerance_m == fast.match_tolerance_m);
   REQUIRE(agreed.max_hypotheses == fast.hypotheses);
-  REQUIRE(refined.coarse_reach_m == fast.coarse_reach_m);
-  REQUIRE(refined.fine_reach_m == fast.fine_reach_m);
-  REQUIRE(refined.coarse_points == fast.coarse_points);
-  REQUIRE(refined.fine_points == fast.fine_points);
+  REQUIRE(options.coarse_reach_m == fast.coarse_reach_m);
+  REQUIRE(options.fine_reach_m == fast.fine_reach_m);
+  REQUIRE(options.coarse_points == fast.coarse_points);
+  REQUIRE(options.fine_points == fast.fine_points);
 }
 
 }  // namespace

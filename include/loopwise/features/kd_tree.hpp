@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <limits>
 #include <optional>
+#include <utility>
 #include <vector>
 
 #include <Eigen/Core>
@@ -20,10 +21,17 @@ struct Neighbour {
   float sq_distance_m2 = 0;  ///< Squared distance to the query.
 };
 
+/// The nearest point to a query, and how far the others are at least.
+struct NearestOfTwo {
+  Neighbour nearest;          ///< The nearest point.
+  float sq_second_m2 = 0.0F;  ///< Squared distance of the second nearest; that of the bound if it is farther.
+};
+
 /// Exact nearest-neighbour search over points in 3D. Immutable: any number of threads may search at once.
-/// Leaves hold a few points, one array per coordinate, so that a leaf is searched with SIMD. Equal distances
-/// are ordered by index: results depend on the points alone. The method is Bentley's (Multidimensional binary
-/// search trees, CACM 1975), split at the median of the longest axis, with leaves of up to 12 points.
+/// Equal distances are ordered by index: results depend on the points alone. The method is Bentley's
+/// (Multidimensional binary search trees, CACM 1975), split at the median of the longest axis. Three levels
+/// of splits form one node with the bounding boxes of its eight children, and leaves hold up to eight points,
+/// one array per coordinate, so that nodes and leaves are searched with SIMD.
 class LOOPWISE_EXPORT KdTree {
  public:
   KdTree() = default;
@@ -46,6 +54,11 @@ class LOOPWISE_EXPORT KdTree {
   [[nodiscard]] std::optional<Neighbour> nearest(
       const Eigen::Vector3f& query, float max_distance_m = std::numeric_limits<float>::infinity()) const;
 
+  /// The same with the distance of the second nearest point, also within `max_distance_m`. A query that then
+  /// moves by less than half of the difference of both distances has the same nearest point.
+  [[nodiscard]] std::optional<NearestOfTwo> nearest_of_two(
+      const Eigen::Vector3f& query, float max_distance_m = std::numeric_limits<float>::infinity()) const;
+
   /// Replaces `found` by the `count` nearest points, or all if fewer exist, nearest first.
   void nearest(const Eigen::Vector3f& query, std::size_t count, std::vector<Neighbour>& found) const;
 
@@ -58,23 +71,28 @@ class LOOPWISE_EXPORT KdTree {
   [[nodiscard]] std::size_t bytes() const;
 
  private:
-  /// Inner nodes of a complete binary tree in heap order: children of i are 2i+1 and 2i+2.
-  struct Split {
-    float low = 0;   ///< Largest coordinate on the lower side.
-    float high = 0;  ///< Smallest coordinate on the upper side.
-    std::uint32_t axis = 0;
+  static constexpr std::size_t kWidth = 8;  // of nodes and leaves
+  /// Bounding boxes of the children, by axis.
+  struct Node {
+    float low[3][kWidth], high[3][kWidth];
   };
+  struct Item;
   template <class Points>
   void build(const Points& points);
   template <class Visitor>
   void search(const Eigen::Vector3f& query, Visitor& visitor) const;
 
+  void add_leaf(std::size_t leaf, const Item* begin, const Item* end);
+  void bound_nodes(std::size_t leaves);
+  [[nodiscard]] std::pair<float, float> extent(std::size_t child, std::size_t axis) const;
+
   std::size_t size_ = 0, cloud_size_ = 0;
-  int depth_ = 0;                          // of the leaves; there are 2^depth of them
-  std::vector<Split> splits_;              // 2^depth − 1
-  std::vector<std::uint32_t> leaf_begin_;  // 2^depth + 1, positions in the arrays below
-  std::vector<float> x_, y_, z_;           // in the order of the leaves
-  std::vector<std::uint32_t> original_;    // index of each in the input
+  // A complete tree, level by level. Child i of node k is first_child_ + 8k + i; those beyond the nodes are
+  // leaves. The root has two, four or eight children, which are its last ones.
+  std::ptrdiff_t first_child_ = 1;
+  std::vector<Node> nodes_;
+  std::vector<float> x_, y_, z_;         // eight for each leaf; free places are far off
+  std::vector<std::uint32_t> original_;  // index of each in the input
 };
 
 }  // namespace loopwise
