@@ -28,10 +28,14 @@ namespace loopwise {
 namespace {
 
 constexpr std::size_t kFewKeys = 200;  // of a scan at least, for any share
-// Of the poses with the most votes, this many are tried on the scans. Their errors of up to half a cell leave
-// fewer points near the target than a refined pose has: this part of min_score suffices.
-constexpr std::size_t kComparedVotes = 8;
-constexpr double kVotedScorePart = 2.0 / 3.0;
+// Votes of each turn that become poses, and poses that are compared on the scans. Votes favour poses that put
+// the dense surfaces near both sensors on top of each other: in a tunnel, the true pose may have few.
+constexpr std::size_t kVotesOfTurn = 24, kFirstVotes = 8, kComparedVotes = 60;
+// The errors of voted poses of up to half a cell leave fewer points near the target than a refined pose has:
+// this part of min_score suffices. Their points in the other scan's free space count as in consistency(), and
+// a pose with more of them than kMostFree is left out.
+constexpr double kVotedScorePart = 2.0 / 3.0, kFreeWeight = 5.0, kMostFree = 0.15;
+constexpr std::size_t kFreePoints = 100;
 // Votes cover this distance about a guess. Within wider bounds, matches of descriptors follow.
 constexpr double kVotedReachM = 24.0;
 
@@ -215,7 +219,7 @@ class ScopeTimer {
   Stopwatch watch_;
 };
 
-/// A pose and its near_share().
+/// A pose and how promising it is.
 struct Scored {
   Eigen::Isometry3d T_target_source;
   double value;
@@ -349,23 +353,41 @@ std::vector<Eigen::Isometry3d> FastRegistrar::Impl::Pair::find_votes(const PoseS
   about.translation() = target_->centre - source_->centre;
   if (task_.guess_from_to) about = task_.guess_from_to->inverse();
   const double max_turn_rad = task_.guess_from_to ? options_.tests.max_rotation_rad : kPi;
-  return find_rivals(*source_, *target_, about, max_turn_rad,
+  return find_rivals(*source_, *target_, about, max_turn_rad, kVotesOfTurn,
                      [&](const Eigen::Isometry3d& T) { return search.allowed(T) && region_.contains(T); });
 }
 
-/// Refines the voted poses with the most votes that have enough points near the target, and tests them.
-/// \returns as settle()
+/// Refines the voted poses with the most votes that have enough points near the target, and tests them. If
+/// none passes, the same with those of the others that are the best by their points near the target and in
+/// free space. \returns as settle()
 bool FastRegistrar::Impl::Pair::refine_votes(const std::vector<Eigen::Isometry3d>& voted,
                                              PoseSearch& search) {
   const ScopeTimer timer(result_.refine_s);
   const auto points = static_cast<std::size_t>(std::max(options_.score_points / 4, 1));
-  int refined = 0;
+  const auto first = static_cast<std::size_t>(options_.refined_hypotheses);
+  std::size_t refined = 0;
+  std::vector<Scored> others;
   for (std::size_t i = 0; i < std::min(kComparedVotes, voted.size()); ++i) {
-    if (refined == options_.refined_hypotheses) break;
     if (!in_time()) return false;
-    if (near(voted[i], points) < kVotedScorePart * options_.min_score) continue;
-    search.refine_coarsely(voted[i]);
-    ++refined;
+    const double share = near(voted[i], points);
+    if (share < kVotedScorePart * options_.min_score) continue;
+    if (refined < first && i < kFirstVotes) {
+      search.refine_coarsely(voted[i]);
+      ++refined;
+      continue;
+    }
+    others.push_back({voted[i], share});
+  }
+  if (!settle(search)) return false;
+  for (Scored& other : others) {
+    other.value -= kFreeWeight * contradiction(*source_, *target_, other.T_target_source, kFreePoints);
+  }
+  sort_falling(others, [](const Scored& s) { return s.value; });
+  for (std::size_t i = 0; i < std::min(static_cast<std::size_t>(options_.refined_votes), others.size());
+       ++i) {
+    if (!in_time()) return false;
+    if (others[i].value <= 0.0) break;
+    search.refine_coarsely(others[i].T_target_source);
   }
   return settle(search);
 }

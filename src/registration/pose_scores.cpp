@@ -69,6 +69,13 @@ double share_on_surface(const Side& source, std::size_t count, const Side& targe
   return static_cast<double>(on_surface) / static_cast<double>(std::max<std::size_t>(1, count));
 }
 
+double contradiction(const Side& source, const Side& target, const Eigen::Isometry3d& T_target_source,
+                     std::size_t count) {
+  return target.range_image.contradiction(source.submap.cloud(), T_target_source, count) +
+         source.range_image.contradiction(target.submap.parts().front().features->cloud,
+                                          T_target_source.inverse(), count);
+}
+
 Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Side& target,
                                 const Eigen::Isometry3d& T_target_source, const Eigen::Matrix3d& axes,
                                 const ClosureTestOptions& options) {

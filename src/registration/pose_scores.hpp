@@ -25,6 +25,10 @@ namespace loopwise {
                                       const Eigen::Isometry3d& T_target_source,
                                       const ClosureTestOptions& options, FollowedPoints& followed);
 
+/// Share of points in the free space of the other scan, both ways added, by `count` points of each side.
+[[nodiscard]] double contradiction(const Side& source, const Side& target,
+                                   const Eigen::Isometry3d& T_target_source, std::size_t count);
+
 /// For each column of `axes` (orthonormal, in the target's frame), the share of points that fit as well after
 /// a move of one metre along the axis. Only points that constrain the translation along the axis count: the
 /// weight of a point is the square of (its normal · axis)(the target's normal · axis). The result is the

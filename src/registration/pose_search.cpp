@@ -25,7 +25,7 @@ constexpr int kSettlingPoints = 600;
 constexpr float kNearM =
     1.0F;  // Rivals start off by up to half a cell of the votes or half a bin of the compass.
 constexpr double kAttractionM = 2.0, kAttractionRad = 15.0 * kDegree;  // Such starts converge to one pose.
-constexpr std::size_t kScoredRivals = 32, kTriedRivals = 12;
+constexpr std::size_t kRivalsOfTurn = 6, kScoredRivals = 32, kTriedRivals = 12;
 // How far a pose may be below the tests before it settles, and before its last pass. In simulated worlds and
 // on scans of 64 beams, closures have 0.9 of the required overlap after the coarse passes and lack 0.35 of
 // the consistency at most; the last pass changes the consistency by less than 0.2.
@@ -150,10 +150,7 @@ AlignmentFigures PoseSearch::figures_of(const Eigen::Isometry3d& T_target_source
   // In sparse scans of long range, fewer than half of the points have a neighbour.
   figures.expected_overlap = std::min(1.0, 2.0 * target_.share.overlap);
   constexpr std::size_t kLookedAt = 1000;
-  figures.contradiction =
-      target_.range_image.contradiction(source_.submap.cloud(), T_target_source, kLookedAt) +
-      source_.range_image.contradiction(target_.submap.parts().front().features->cloud,
-                                        T_target_source.inverse(), kLookedAt);
+  figures.contradiction = contradiction(source_, target_, T_target_source, kLookedAt);
   return figures;
 }
 
@@ -283,8 +280,8 @@ std::vector<Eigen::Isometry3d> PoseSearch::starts_of_rivals(const Eigen::Isometr
     double near;
   };
   std::vector<Scored> scored;
-  for (const Eigen::Isometry3d& rival :
-       find_rivals(source_, target_, best, max_turn_rad, [&](const auto& T) { return allowed(T); })) {
+  for (const Eigen::Isometry3d& rival : find_rivals(source_, target_, best, max_turn_rad, kRivalsOfTurn,
+                                                    [&](const auto& T) { return allowed(T); })) {
     if (scored.size() == kScoredRivals) break;
     scored.push_back({rival, near(rival)});
   }

@@ -171,6 +171,7 @@ class Votes {
 
 std::vector<Eigen::Isometry3d> find_rivals(const Side& source, const Side& target,
                                            const Eigen::Isometry3d& found, double max_turn_rad,
+                                           std::size_t peaks,
                                            const std::function<bool(const Eigen::Isometry3d&)>& allowed) {
   Eigen::Isometry3d T_level_target = Eigen::Isometry3d::Identity();
   T_level_target.linear() =
@@ -197,7 +198,7 @@ std::vector<Eigen::Isometry3d> find_rivals(const Side& source, const Side& targe
         if (n.dot(to.normals[j]) > 0.95F) votes.add(to.points[j] - p);
       }
     }
-    for (const Votes::Peak& peak : votes.take_peaks(6)) {
+    for (const Votes::Peak& peak : votes.take_peaks(peaks)) {
       Eigen::Isometry3d moved = Eigen::Isometry3d::Identity();
       moved.linear() = turn.R.cast<double>();
       moved.translation() = peak.t.cast<double>();

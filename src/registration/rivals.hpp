@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: BSD-3-Clause
 #pragma once
 
+#include <cstddef>
 #include <functional>
 #include <vector>
 
@@ -14,9 +15,9 @@ namespace loopwise {
 /// first. They result from the symmetries of a room and the periods of a hall. Their rotations relative to
 /// `found` are turns about the vertical and half turns about a level axis that align the surface directions
 /// of both sides, by at most `max_turn_rad`. Their translations are those that most pairs of parallel surface
-/// points support, within 24 m and 6 m of height. All poses are `allowed`.
+/// points support, at most `peaks` for each turn, within 24 m and 6 m of height. All poses are `allowed`.
 [[nodiscard]] std::vector<Eigen::Isometry3d> find_rivals(
     const Side& source, const Side& target, const Eigen::Isometry3d& found, double max_turn_rad,
-    const std::function<bool(const Eigen::Isometry3d&)>& allowed);
+    std::size_t peaks, const std::function<bool(const Eigen::Isometry3d&)>& allowed);
 
 }  // namespace loopwise

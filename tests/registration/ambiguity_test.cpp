@@ -181,13 +181,13 @@ TEST_CASE("find_rivals: the turned pose of a rectangle is among them", "[parts][
       return (T * source.centre - turned * source.centre).norm();
     };
     const std::vector<Eigen::Isometry3d> rivals =
-        find_rivals(source, target, truth, 3.2, [](const Eigen::Isometry3d&) { return true; });
+        find_rivals(source, target, truth, 3.2, 6, [](const Eigen::Isometry3d&) { return true; });
     REQUIRE(std::any_of(rivals.begin(), rivals.end(), [&](const Eigen::Isometry3d& T) {
       return distance(T) < 1.5 && se3::rotation_angle(turned.inverse() * T) < 0.15;
     }));
     // Bounds are kept, and the pose itself is not its rival.
     for (const Eigen::Isometry3d& T : find_rivals(
-             source, target, truth, 0.5, [&](const Eigen::Isometry3d& R) { return distance(R) > 3.0; })) {
+             source, target, truth, 0.5, 6, [&](const Eigen::Isometry3d& R) { return distance(R) > 3.0; })) {
       REQUIRE(se3::rotation_angle(truth.inverse() * T) < 0.51);
       REQUIRE(distance(T) > 3.0);
       REQUIRE((T * source.centre - truth * source.centre).norm() +

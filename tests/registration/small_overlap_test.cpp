@@ -9,6 +9,7 @@
 
 #include "normal_bins.hpp"
 #include "pose_search.hpp"
+#include "rooms.hpp"
 #include "scene.hpp"
 #include "testing.hpp"
 
@@ -176,6 +177,50 @@ TEST_CASE("FastRegistrar: votes of surfaces find a pose that descriptors and gue
 }
 
 }  // namespace
+TEST_CASE("FastRegistrar: in a tunnel, poses with fewer votes are tried as well",
+          "[registrar][small_overlap]") {
+  int by_few = 0, by_more = 0;
+  for (std::uint64_t seed = 330; seed < 360; ++seed) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    testing::Room tunnel;
+    tunnel.add_level(60.0, 0.0);
+    tunnel.add_level(60.0, 3.0);
+    for (const double side : {-1.0, 1.0}) {  // uneven walls
+      Eigen::Vector2d before(-60.0, 2.0 * side);
+      while (before.x() < 60.0) {
+        const Eigen::Vector2d next(before.x() + rng.uniform(0.5, 3.0), side * rng.uniform(1.5, 3.0));
+        tunnel.add_wall(before, next, 0.0, 3.0);
+        before = next;
+      }
+    }
+    const Eigen::Isometry3d a = testing::ground_pose(-4, 0.3, 0.1), b = testing::ground_pose(5.5, -0.3, 0.3);
+    const auto features = std::make_shared<FeatureCache>(
+        testing::loader({{0, tunnel.scan(a, 0.02, rng, 24, 240)}, {1, tunnel.scan(b, 0.02, rng, 24, 240)}}));
+    RegistrationTask task = pair_task(1, 0, 1);
+    const Eigen::Isometry3d truth = b.inverse() * a;
+    const Eigen::Vector3d along = b.linear().transpose() * Eigen::Vector3d::UnitX();
+    Eigen::Isometry3d guess = truth;
+    guess.pretranslate(rng.uniform(-10.0, 10.0) * along);
+    task.guess_from_to = guess;
+    Matrix6d covariance = 0.01 * Matrix6d::Identity();
+    covariance.topLeftCorner<3, 3>() += 25.0 * along * along.transpose();
+    task.guess_covariance = covariance;
+    const auto verified = [&](int refined_votes) {
+      FastRegistrarOptions options;
+      options.refined_hypotheses = 1;
+      options.refined_votes = refined_votes;
+      const RegistrationResult result = FastRegistrar(features, options).compute(task);
+      return result.verified() && (truth.inverse() * *result.T_from_to).translation().norm() < 0.5 ? 1 : 0;
+    };
+    by_few += verified(1);
+    by_more += verified(FastRegistrarOptions().refined_votes);
+  }
+  CAPTURE(by_few, by_more);
+  REQUIRE(by_more >= by_few + 2);
+  REQUIRE(by_more >= 27);
+}
+
 TEST_CASE("FastRegistrar: a guess is searched as far as its covariance says", "[registrar]") {
   int by_unknown = 0, by_wide = 0;
   for (std::uint64_t seed = 320; seed < 326; ++seed) {

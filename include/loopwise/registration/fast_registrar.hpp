@@ -35,8 +35,10 @@ struct FastRegistrarOptions {
   /// The pair is rejected if a smaller share of score_points lies on the target. Points closer to the target
   /// count more.
   double min_score = 0.15;
-  /// Number of best hypotheses of descriptors, and of votes, that are refined and compared in detail.
+  /// Number of best hypotheses of descriptors that are refined and compared in detail.
   int refined_hypotheses = 3;
+  /// The same for votes, near the guess and in the rest of its region.
+  int refined_votes = 6;
   /// The refined guess is tested before other poses are searched if at least this share of score_points lies
   /// on surfaces of the target, relative to the same share within the scans themselves.
   double sure_share = 0.5;
@@ -92,6 +94,7 @@ struct FastRegistrarOptions {
     field("score_points", self.score_points, between(3.0, 100000.0));
     field("min_score", self.min_score, between(0.0, 1.0));
     field("refined_hypotheses", self.refined_hypotheses, between(1.0, 100.0));
+    field("refined_votes", self.refined_votes, between(1.0, 100.0));
     field("sure_share", self.sure_share, between(0.0, 1.0));
     field("ambiguous_margin", self.ambiguous_margin, at_least(0.0));
     field("min_certain_overlap", self.min_certain_overlap, between(0.0, 1.0));
