@@ -13,11 +13,12 @@ namespace loopwise {
 namespace {
 
 constexpr std::size_t kLeaf = 8;  // points of a leaf at most
-// Free places of leaves and nodes are this far away, and their squared distance is above every bound.
-constexpr float kFarM = 1e18F, kSqFar = 1e36F;
+// Free places of leaves and nodes are at infinity, which is above every bound of a squared distance.
+constexpr float kFree = std::numeric_limits<float>::infinity();
+constexpr float kLargestBound = std::numeric_limits<float>::max();
 
 float squared_bound(float distance_m) {
-  return std::min(distance_m * distance_m, kSqFar);
+  return std::min(distance_m * distance_m, kLargestBound);
 }
 
 /// Eight numbers, with SIMD where there is any.
@@ -69,7 +70,7 @@ class NearestOfTwoVisitor {
     const std::uint32_t index = index_at(least, sq_distances, indices);
     Lanes others = sq_distances;
     for (std::size_t i = 0; i < kLeaf; ++i) {
-      if (indices[i] == index) others[static_cast<Eigen::Index>(i)] = kSqFar;
+      if (indices[i] == index) others[static_cast<Eigen::Index>(i)] = kLargestBound;
     }
     const float second = others.minCoeff();
     if (!found_ || least < sq_nearest_) {
@@ -167,7 +168,7 @@ class CountVisitor {
   }
 
   std::size_t count_, kept_ = 0;
-  float bound_ = kSqFar;
+  float bound_ = kLargestBound;
   // Sorted behind a first number that is below all, with kNone in places that are free. Each insertion writes
   // from one buffer to the other, so that the loop has no dependences.
   std::array<std::array<double, 32>, 2> few_;
@@ -241,7 +242,7 @@ void KdTree::build(const Points& points) {
   int depth = 0;  // levels of binary splits
   while (((size_ - 1) >> depth) + 1 > kWidth) ++depth;
   const std::size_t leaves = std::size_t{1} << depth;
-  for (std::vector<float>* coordinates : {&x_, &y_, &z_}) coordinates->assign(kWidth * leaves, kFarM);
+  for (std::vector<float>* coordinates : {&x_, &y_, &z_}) coordinates->assign(kWidth * leaves, kFree);
   original_.assign(kWidth * leaves, ~std::uint32_t{0});
 
   struct Task {
@@ -291,7 +292,7 @@ void KdTree::bound_nodes(std::size_t leaves) {
       const std::ptrdiff_t child = first_child_ + static_cast<std::ptrdiff_t>(kWidth * k + i);
       for (std::size_t axis = 0; axis < 3; ++axis) {
         const auto [low, high] =
-            child < 1 ? std::pair(kFarM, -kFarM) : extent(static_cast<std::size_t>(child), axis);
+            child < 1 ? std::pair(kFree, -kFree) : extent(static_cast<std::size_t>(child), axis);
         nodes_[k].low[axis][i] = low;
         nodes_[k].high[axis][i] = high;
       }
@@ -301,14 +302,14 @@ void KdTree::bound_nodes(std::size_t leaves) {
 
 /// Smallest and largest coordinate of a node or leaf, which has a point.
 std::pair<float, float> KdTree::extent(std::size_t child, std::size_t axis) const {
-  float low = kFarM, high = -kFarM;
+  float low = kFree, high = -kFree;
   for (std::size_t i = 0; i < kWidth; ++i) {
     if (child < nodes_.size()) {
       low = std::min(low, nodes_[child].low[axis][i]);
       high = std::max(high, nodes_[child].high[axis][i]);
     } else {
       const float at = (axis == 0 ? x_ : axis == 1 ? y_ : z_)[kWidth * (child - nodes_.size()) + i];
-      if (at == kFarM) continue;  // a free place
+      if (at == kFree) continue;  // a free place
       low = std::min(low, at);
       high = std::max(high, at);
     }

@@ -32,9 +32,9 @@ constexpr std::size_t kFewKeys = 200;  // of a scan at least, for any share
 // the dense surfaces near both sensors on top of each other: in a tunnel, the true pose may have few.
 constexpr std::size_t kVotesOfTurn = 24, kFirstVotes = 8, kComparedVotes = 60;
 // The errors of voted poses of up to half a cell leave fewer points near the target than a refined pose has:
-// this part of min_score suffices. Their points in the other scan's free space count as in consistency(), and
-// a pose with more of them than kMostFree is left out.
-constexpr double kVotedScorePart = 2.0 / 3.0, kFreeWeight = 5.0, kMostFree = 0.15;
+// this part of min_score suffices. Points in the other scan's free space have the weight that consistency()
+// gives them where half of the points overlap.
+constexpr double kVotedScorePart = 2.0 / 3.0, kFreeWeight = 5.0;
 constexpr std::size_t kFreePoints = 100;
 // Votes cover this distance about a guess. Within wider bounds, matches of descriptors follow.
 constexpr double kVotedReachM = 24.0;
@@ -270,12 +270,21 @@ class FastRegistrar::Impl::Pair {
                       static_cast<float>(options_.coarse_reach_m));
   }
 
+  [[nodiscard]] double near_by_few(const Eigen::Isometry3d& voted) const {
+    return near(voted, static_cast<std::size_t>(std::max(options_.score_points / 4, 1)));
+  }
+  [[nodiscard]] bool has_voted_share(double share) const {
+    return share >= kVotedScorePart * options_.min_score;
+  }
+
   bool load_sides();
   bool has_enough_points();
   bool try_guess(PoseSearch& search);
   bool settle(PoseSearch& search);
   std::vector<Eigen::Isometry3d> find_votes(const PoseSearch& search);
   bool refine_votes(const std::vector<Eigen::Isometry3d>& voted, PoseSearch& search);
+  bool refine_in_free_space(const std::vector<Eigen::Isometry3d>& voted, std::size_t begin,
+                            PoseSearch& search);
   bool search_by_votes(PoseSearch& search);
   bool search_by_votes_about_guess(PoseSearch& search);
   void search_further(PoseSearch& search);
@@ -358,36 +367,38 @@ std::vector<Eigen::Isometry3d> FastRegistrar::Impl::Pair::find_votes(const PoseS
 }
 
 /// Refines the voted poses with the most votes that have enough points near the target, and tests them. If
-/// none passes, the same with those of the others that are the best by their points near the target and in
-/// free space. \returns as settle()
+/// none passes, others follow. \returns as settle()
 bool FastRegistrar::Impl::Pair::refine_votes(const std::vector<Eigen::Isometry3d>& voted,
                                              PoseSearch& search) {
   const ScopeTimer timer(result_.refine_s);
-  const auto points = static_cast<std::size_t>(std::max(options_.score_points / 4, 1));
-  const auto first = static_cast<std::size_t>(options_.refined_hypotheses);
-  std::size_t refined = 0;
-  std::vector<Scored> others;
-  for (std::size_t i = 0; i < std::min(kComparedVotes, voted.size()); ++i) {
+  std::size_t tried = 0;
+  int refined = 0;
+  for (; tried < std::min(kFirstVotes, voted.size()) && refined < options_.refined_hypotheses; ++tried) {
     if (!in_time()) return false;
-    const double share = near(voted[i], points);
-    if (share < kVotedScorePart * options_.min_score) continue;
-    if (refined < first && i < kFirstVotes) {
-      search.refine_coarsely(voted[i]);
-      ++refined;
-      continue;
-    }
-    others.push_back({voted[i], share});
+    if (!has_voted_share(near_by_few(voted[tried]))) continue;
+    search.refine_coarsely(voted[tried]);
+    ++refined;
   }
-  if (!settle(search)) return false;
-  for (Scored& other : others) {
-    other.value -= kFreeWeight * contradiction(*source_, *target_, other.T_target_source, kFreePoints);
-  }
-  sort_falling(others, [](const Scored& s) { return s.value; });
-  for (std::size_t i = 0; i < std::min(static_cast<std::size_t>(options_.refined_votes), others.size());
-       ++i) {
+  return settle(search) && refine_in_free_space(voted, tried, search);
+}
+
+/// The same with the poses from `begin` on that are the best by their points near the target and in free
+/// space. \returns as settle()
+bool FastRegistrar::Impl::Pair::refine_in_free_space(const std::vector<Eigen::Isometry3d>& voted,
+                                                     std::size_t begin, PoseSearch& search) {
+  std::vector<Scored> scored;
+  for (std::size_t i = begin; i < std::min(kComparedVotes, voted.size()); ++i) {
     if (!in_time()) return false;
-    if (others[i].value <= 0.0) break;
-    search.refine_coarsely(others[i].T_target_source);
+    const double share = near_by_few(voted[i]);
+    if (!has_voted_share(share)) continue;
+    const double free = contradiction(*source_, *target_, voted[i], kFreePoints);
+    if (share > kFreeWeight * free) scored.push_back({voted[i], share - kFreeWeight * free});
+  }
+  sort_falling(scored, [](const Scored& s) { return s.value; });
+  const auto most = std::min(static_cast<std::size_t>(options_.refined_votes), scored.size());
+  for (std::size_t i = 0; i < most; ++i) {
+    if (!in_time()) return false;
+    search.refine_coarsely(scored[i].T_target_source);
   }
   return settle(search);
 }

@@ -52,7 +52,7 @@ class FollowedPoints {
   void search(Followed& point, const Eigen::Vector3f& query, float reach, float moved) const {
     // Beyond the reach, so that the next searches of a point without a match are left out as well.
     constexpr float kBeyond = 1.25F;
-    constexpr float kRounding = 1e-4F;  // above the rounding errors of coordinates of a few hundred metres
+    constexpr float kRounding = 1e-4F;  // above the rounding errors of distances up to a hundred metres
     float bound = kBeyond * reach;
     if (point.nearest != kNone) bound = std::min(bound, point.second + moved + kRounding);
     const std::optional<NearestOfTwo> found = tree_.nearest_of_two(query, bound);

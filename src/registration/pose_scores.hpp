@@ -20,7 +20,7 @@ namespace loopwise {
                                 const Eigen::Isometry3d& T_target_source, float reach);
 
 /// Share of source points on the target's surfaces, among the first `count` points of `source.order`.
-/// \param followed the points of `source.order`, which have just been refined to nearly this pose
+/// \param followed the points of `source.order` at any earlier pose; a near one spares searches
 [[nodiscard]] double share_on_surface(const Side& source, std::size_t count, const Side& target,
                                       const Eigen::Isometry3d& T_target_source,
                                       const ClosureTestOptions& options, FollowedPoints& followed);

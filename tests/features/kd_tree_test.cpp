@@ -53,7 +53,7 @@ void require_same(const std::vector<Neighbour>& found, const std::vector<Neighbo
 
 TEST_CASE("KdTree finds the same points as brute force, ties by index", "[kd_tree][differential]") {
   const int kind = GENERATE(range(0, 6));
-  const std::size_t count = GENERATE(1u, 2u, 8u, 9u, 16u, 17u, 33u, 65u, 100u, 513u, 1500u, 4097u);
+  const std::size_t count = GENERATE(1u, 2u, 8u, 9u, 16u, 17u, 33u, 65u, 100u, 200u, 513u, 1500u, 4097u);
   CAPTURE(kind, count);
   Rng rng(combine_seeds(static_cast<std::uint64_t>(kind), count));
   const Points points = cloud(kind, count, rng);
@@ -92,6 +92,26 @@ TEST_CASE("KdTree finds the same points as brute force, ties by index", "[kd_tre
     REQUIRE(two->nearest.index == expected[0].index);
     REQUIRE(two->nearest.sq_distance_m2 == expected[0].sq_distance_m2);
     REQUIRE(two->sq_second_m2 == second);
+  }
+}
+
+TEST_CASE("KdTree: what is searched at the end of the range of floats", "[kd_tree]") {
+  constexpr float kInfinity = std::numeric_limits<float>::infinity(), kHuge = 1e18F;
+  const Points points{{kHuge, kHuge, kHuge}, {0.0F, 0.0F, 0.0F}, {-kHuge, 0.0F, 0.0F}};
+  const KdTree tree(points);
+  for (std::uint32_t i = 0; i < points.size(); ++i) {
+    CAPTURE(i);
+    REQUIRE(tree.nearest(points[i])->index == i);
+    REQUIRE(tree.nearest(points[i], kInfinity)->index == i);
+    REQUIRE(tree.nearest(points[i], 0.0F)->index == i);
+    REQUIRE(tree.nearest_of_two(points[i])->nearest.index == i);
+    REQUIRE_FALSE(tree.nearest(points[i], std::numeric_limits<float>::quiet_NaN()).has_value());
+    std::vector<Neighbour> found;
+    tree.nearest(points[i], 5, found);
+    REQUIRE(found.size() == points.size());
+    tree.within(points[i], kInfinity, found);
+    REQUIRE(found.size() == points.size());
+    for (const Neighbour& neighbour : found) REQUIRE(neighbour.index < points.size());
   }
 }
 

@@ -195,14 +195,15 @@ TEST_CASE("refine_gicp: from 1 m and 10 degrees to the truth", "[parts]") {
 
 TEST_CASE("FollowedPoints: after any move, the point that a search finds", "[parts][differential]") {
   const std::uint64_t seed = GENERATE(range(1u, 9u));
-  CAPTURE(seed);
+  const float offset_m = GENERATE(0.0F, 1e4F);
+  CAPTURE(seed, offset_m);
   Rng rng(seed);
   const auto drawn = [&](double reach_m) {
     return Eigen::Vector3f((random_direction(rng) * rng.uniform(0.0, reach_m)).cast<float>());
   };
   std::vector<Eigen::Vector3f> target, source;
-  for (int i = 0; i < 600; ++i) target.push_back(drawn(10.0));
-  for (int i = 0; i < 400; ++i) source.push_back(drawn(14.0));
+  for (int i = 0; i < 600; ++i) target.push_back(drawn(10.0) + offset_m * Eigen::Vector3f::UnitX());
+  for (int i = 0; i < 400; ++i) source.push_back(drawn(14.0) + offset_m * Eigen::Vector3f::UnitX());
   for (int i = 0; i < 20; ++i) target.push_back(target.front());  // equal distances
   const KdTree tree(target);
   FollowedPoints followed(tree, source.size());

@@ -35,9 +35,11 @@ struct FastRegistrarOptions {
   /// The pair is rejected if a smaller share of score_points lies on the target. Points closer to the target
   /// count more.
   double min_score = 0.15;
-  /// Number of best hypotheses of descriptors that are refined and compared in detail.
+  /// Number of best hypotheses of descriptors, and of poses with the most votes, that are refined and
+  /// compared in detail.
   int refined_hypotheses = 3;
-  /// The same for votes, near the guess and in the rest of its region.
+  /// If none of those with the most votes passes the tests, up to this many other voted poses are refined,
+  /// near the guess and then in the rest of its region.
   int refined_votes = 6;
   /// The refined guess is tested before other poses are searched if at least this share of score_points lies
   /// on surfaces of the target, relative to the same share within the scans themselves.
