@@ -76,8 +76,12 @@ void add_registration_study(Command& app, Action& chosen) {
       ->check(not_negative());
   command->add_option("--preset", options->preset, "How candidates are found (default lamp_base)")
       ->type_name("NAME");
-  command->add_flag("--no-guess", options->no_guess,
-                    "The registrars do not get the odometry's relative pose");
+  const auto* no_guess = command->add_flag("--no-guess", options->no_guess,
+                                           "The registrars do not get the odometry's relative pose");
+  command
+      ->add_flag("--true-guess", options->study.true_guess,
+                 "They get the true relative pose: shows what the tests refuse at the right pose")
+      ->excludes(no_guess);
   command->add_option("--seed", options->study.seed, "Seed of the draw (default 1)")
       ->type_name("S")
       ->check(not_negative());

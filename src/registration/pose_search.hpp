@@ -83,11 +83,14 @@ class PoseSearch {
   [[nodiscard]] Judgement judge(Pose& pose) const;
   [[nodiscard]] bool refuse_hopeless();
   void refuse_if_sliding(Judgement& judged) const;
+  bool refuse_if_sliding(Judgement& judged, double min_overlap, double sigma_m, double max_sigma_m) const;
+  [[nodiscard]] bool clearly_slides(const Pose& pose, Judgement& judged) const;
   void widen(Judgement& found) const;
   [[nodiscard]] bool attracts(const Eigen::Isometry3d& a, const Eigen::Isometry3d& b) const;
   [[nodiscard]] std::vector<Eigen::Isometry3d> starts_of_rivals(const Eigen::Isometry3d& best) const;
   [[nodiscard]] bool add_rivals(Pose& best, const Judgement& found, const Deadline& deadline);
   [[nodiscard]] bool differs(const Pose& pose, const Judgement& found) const;
+  [[nodiscard]] bool favours(const Pose& pose, const Judgement& found) const;
   void refuse_if_ambiguous(Pose& best, Judgement& found);
 
   const Side& source_;

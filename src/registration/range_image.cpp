@@ -2,6 +2,7 @@
 #include "range_image.hpp"
 
 #include "../core/constants.hpp"
+#include "fast_atan2.hpp"
 
 #include <algorithm>
 #include <cmath>
@@ -13,9 +14,9 @@ namespace {
 constexpr int kColumns = 90, kRows = 45;
 constexpr float kMarginM = 0.5F, kMarginShare = 0.05F;
 
-std::size_t cell_of(const Eigen::Vector3f& p, float range) {
-  const float azimuth = std::atan2(p.y(), p.x());
-  const float elevation = std::asin(std::clamp(p.z() / range, -1.0F, 1.0F));
+std::size_t cell_of(const Eigen::Vector3f& p) {
+  const float azimuth = fast_atan2(p.y(), p.x());
+  const float elevation = fast_atan2(p.z(), std::sqrt(p.x() * p.x() + p.y() * p.y()));
   const int column =
       static_cast<int>((azimuth + kPiFloat) * (static_cast<float>(kColumns) / (2.0F * kPiFloat)));
   const int row = static_cast<int>((elevation + 0.5F * kPiFloat) * (static_cast<float>(kRows) / kPiFloat));
@@ -32,7 +33,7 @@ RangeImage::RangeImage(const PointCloud& cloud)
   for (const Eigen::Vector3f& p : cloud.points) {
     const float range = p.norm();
     if (!(range > 0.0F)) continue;
-    const std::size_t cell = cell_of(p, range);
+    const std::size_t cell = cell_of(p);
     nearest[cell] = std::min(nearest[cell], range);
     seen_[cell] = 1;
   }
@@ -59,7 +60,7 @@ double RangeImage::contradiction(const PointCloud& cloud, const Eigen::Isometry3
         (T_sensor_cloud * cloud.points[k * cloud.size() / looked_at].cast<double>()).cast<float>();
     const float range = p.norm();
     if (!(range > kMarginM)) continue;  // too near to the sensor
-    const std::size_t cell = cell_of(p, range);
+    const std::size_t cell = cell_of(p);
     if (seen_[cell] == 0) continue;
     ++seen;
     if (range < free_m_[cell] * (1.0F - kMarginShare) - kMarginM) ++free;

@@ -182,7 +182,7 @@ std::vector<Eigen::Isometry3d> find_rivals(const Side& source, const Side& targe
   std::vector<Turn> turns(1);
   const Compass from_compass = compass(from), to_compass = compass(to);
   add_turns(from_compass, to_compass, false, 6, turns);
-  add_turns(from_compass, to_compass, true, 4, turns);
+  if (max_turn_rad > kPi - 0.01) add_turns(from_compass, to_compass, true, 4, turns);
 
   struct Candidate {
     Eigen::Isometry3d T_target_source = Eigen::Isometry3d::Identity();

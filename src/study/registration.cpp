@@ -58,7 +58,7 @@ std::vector<LoopCandidate> draw(const Mission& mission, std::vector<LoopCandidat
 }
 
 Sample measure(const Mission& mission, const std::vector<LoopCandidate>& candidates,
-               const ReplayOptions& replay, std::uint64_t seed, ThreadPool& threads) {
+               const ReplayOptions& replay, const RegistrationStudyOptions& options, ThreadPool& threads) {
   FeatureCache features(mission.scans->loader(), replay.registration.features);
   Sample out;
   out.pairs.resize(candidates.size());
@@ -69,12 +69,13 @@ Sample measure(const Mission& mission, const std::vector<LoopCandidate>& candida
   threads.for_each(candidates.size(), [&](std::size_t i) {
     const LoopCandidate& c = candidates[i];
     const Eigen::Isometry3d truth = mission.ground_truth.at(c.from).inverse() * mission.ground_truth.at(c.to);
-    out.tasks[i] = make_task(mission.graph, mission.robots, c, replay.engine.task, seed,
+    out.tasks[i] = make_task(mission.graph, mission.robots, c, replay.engine.task, options.seed,
                              [&](Key key) { return mission.scans->has(key); });
     if (out.tasks[i].guess_from_to) {
       out.tasks[i].guess_covariance =
           covariances.between(mission.graph.index_of(c.from), mission.graph.index_of(c.to));
     }
+    if (options.true_guess) out.tasks[i].guess_from_to = truth;
     StudyPair& pair = out.pairs[i];
     pair.candidate = c;
     pair.distance_m = truth.translation().norm();
@@ -96,7 +97,7 @@ std::optional<RegistrationStudy> study_registration(const Mission& mission, cons
   const std::vector<LoopCandidate> candidates = all_candidates(mission, replay);
   study.generated = candidates.size();
   ThreadPool threads(resolve_threads(options.threads));
-  Sample sample = measure(mission, draw(mission, candidates, options), replay, options.seed, threads);
+  Sample sample = measure(mission, draw(mission, candidates, options), replay, options, threads);
   study.pairs = std::move(sample.pairs);
   for (const RegistrarKind kind : options.registrars) {
     RegistrationOptions of_kind = replay.registration;

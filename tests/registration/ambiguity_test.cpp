@@ -63,6 +63,25 @@ TEST_CASE("FastRegistrar: no wrong pose of a room that repeats is verified with 
   REQUIRE(ambiguous >= 6);
 }
 
+TEST_CASE("FastRegistrar: a pose beside the guess that fits as well makes another period ambiguous",
+          "[registrar][ambiguity][property]") {
+  // The true pose overlaps less than one that is off by a period and puts both sensors near each other. Of
+  // 1500 such rooms, 3 are verified wrongly. Without the rule for rivals near the guess, 13 are, among them
+  // all of these but the first two.
+  for (const std::uint64_t seed : {1u, 2u, 96u, 345u, 347u, 430u, 445u, 590u, 613u}) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    const testing::RoomPair pair = testing::make_room("pillars", rng);
+    const CloudPtr target = pair.room.scan(pair.target, 0.02, rng);
+    const CloudPtr source = pair.room.scan(pair.source, 0.02, rng);
+    const Eigen::Isometry3d truth = pair.source.inverse() * pair.target;
+    const RegistrationResult result = align(source, target, truth * Eigen::Translation3d(0.3, 0.2, 0.0));
+    CAPTURE(result.message);
+    REQUIRE((result.reason == RejectionReason::kAmbiguous ||
+             (result.verified() && chi_square(*result.closure, truth) < kChiSquare999)));
+  }
+}
+
 /// A corridor with a pillar every 4 m, seen from two places a metre and a half apart.
 struct PillarCorridor {
   testing::RoomPair pair;

@@ -2,9 +2,11 @@
 /// \file
 /// The parts of FastRegistrar, which are private to the library.
 #include <algorithm>
+#include <cmath>
 #include <numeric>
 
 #include "consensus.hpp"
+#include "fast_atan2.hpp"
 #include "fpfh.hpp"
 #include "gicp.hpp"
 #include "matching.hpp"
@@ -363,6 +365,26 @@ TEST_CASE("RangeImage: points in front of the seen surfaces contradict them, poi
   REQUIRE(image.contradiction(scaled(0.6F), Eigen::Isometry3d(Eigen::Translation3d(0, 0, 40)), 1000) == 0.0);
   REQUIRE(RangeImage(PointCloud{}).contradiction(shell, same, 1000) == 0.0);
   REQUIRE(image.contradiction(PointCloud{}, same, 1000) == 0.0);
+}
+
+TEST_CASE("fast_atan2: as std::atan2 in all directions, also of zeros", "[parts][differential]") {
+  Rng rng(5);
+  for (int i = 0; i < 20000; ++i) {
+    const auto x = static_cast<float>(rng.normal() * std::pow(10.0, rng.uniform(-20.0, 20.0)));
+    const auto y = static_cast<float>(x * std::tan(rng.uniform(-1.6, 1.6)));
+    CAPTURE(x, y);
+    REQUIRE(std::abs(fast_atan2(y, x) - std::atan2(y, x)) < 2e-5F);  // measured 1.2e-5
+  }
+  for (const float x : {-1.0F, -0.0F, 0.0F, 1.0F}) {
+    for (const float y : {-1.0F, 0.0F, 1.0F}) {
+      CAPTURE(x, y);
+      if (x == 0.0F && y == 0.0F) {
+        REQUIRE(fast_atan2(y, x) == 0.0F);
+      } else {
+        REQUIRE(std::abs(fast_atan2(y, x) - std::atan2(y, x)) < 2e-5F);
+      }
+    }
+  }
 }
 
 TEST_CASE("refine_gicp: what is known from other iterations changes nothing", "[parts][property]") {
