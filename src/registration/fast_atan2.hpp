@@ -9,7 +9,7 @@
 
 namespace loopwise {
 
-/// atan2 to 1.2e-5 rad, by the polynomial 4.4.49 of Abramowitz and Stegun (Handbook of Mathematical
+/// atan2 to 1.2e-5 rad, by the polynomial 4.4.47 of Abramowitz and Stegun (Handbook of Mathematical
 /// Functions, 1964). It takes a fraction of the time of the exact function. Of two zeros, the result is
 /// finite.
 inline float fast_atan2(float y, float x) {

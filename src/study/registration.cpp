@@ -71,11 +71,11 @@ Sample measure(const Mission& mission, const std::vector<LoopCandidate>& candida
     const Eigen::Isometry3d truth = mission.ground_truth.at(c.from).inverse() * mission.ground_truth.at(c.to);
     out.tasks[i] = make_task(mission.graph, mission.robots, c, replay.engine.task, options.seed,
                              [&](Key key) { return mission.scans->has(key); });
+    if (options.true_guess) out.tasks[i].guess_from_to = truth;
     if (out.tasks[i].guess_from_to) {
       out.tasks[i].guess_covariance =
           covariances.between(mission.graph.index_of(c.from), mission.graph.index_of(c.to));
     }
-    if (options.true_guess) out.tasks[i].guess_from_to = truth;
     StudyPair& pair = out.pairs[i];
     pair.candidate = c;
     pair.distance_m = truth.translation().norm();

@@ -234,6 +234,48 @@ TEST_CASE("FastRegistrar: a furnished room is verified and right", "[registrar][
   REQUIRE(verified >= 8);
 }
 
+TEST_CASE("FastRegistrar: a larger margin makes more rivals as good", "[registrar][ambiguity]") {
+  FastRegistrarOptions strict;
+  strict.ambiguous_margin = 5.0;  // above all fits: each rival that overlaps is as good
+  int verified = 0, ambiguous = 0;
+  for (std::uint64_t seed = 1; seed <= 12; ++seed) {
+    Rng rng(seed);
+    const testing::RoomPair pair = testing::make_room("furnished", rng);
+    const CloudPtr target = pair.room.scan(pair.target, 0.02, rng);
+    const CloudPtr source = pair.room.scan(pair.source, 0.02, rng);
+    verified += align(source, target).verified() ? 1 : 0;
+    const RegistrationResult result = align(source, target, {}, strict);
+    ambiguous += result.reason == RejectionReason::kAmbiguous ? 1 : 0;
+  }
+  CAPTURE(verified, ambiguous);
+  REQUIRE(verified >= 6);
+  REQUIRE(ambiguous >= verified);
+}
+
+TEST_CASE("FastRegistrar: a straight corridor that two scans hardly share slides and is refused at once",
+          "[registrar][ambiguity]") {
+  int sliding = 0;
+  for (const double apart_m : {16.0, 17.0, 18.0, 19.0, 20.0, 21.0, 22.0}) {
+    CAPTURE(apart_m);
+    Rng rng(7);
+    testing::Room room;
+    for (const double y : {-2.5, 2.5}) room.add_wall({-80.0, y}, {80.0, y}, 0.0, 3.0);
+    room.add_level(100.0, 0.0);
+    room.add_level(100.0, 3.0);
+    const Eigen::Isometry3d at_target = testing::room_pose(0.0, 0.3, 1.3, rng);
+    const Eigen::Isometry3d at_source = testing::room_pose(apart_m, -0.2, 1.3, rng);
+    const CloudPtr target = room.scan(at_target, 0.01, rng), source = room.scan(at_source, 0.01, rng);
+    const RegistrationResult result = align(source, target, at_source.inverse() * at_target);
+    CAPTURE(result.message, result.overlap, result.gicp_fitness_m2);
+    if (result.reason != RejectionReason::kDegenerate) continue;
+    ++sliding;
+    REQUIRE(result.overlap < 0.4);
+    REQUIRE(result.message.find("standard deviation") != std::string::npos);
+    REQUIRE(result.gicp_fitness_m2 > 0.25);  // of points up to fitness_range_m away
+  }
+  REQUIRE(sliding >= 2);
+}
+
 TEST_CASE("FastRegistrar: a straight corridor leaves its direction uncertain, with a guess or without",
           "[registrar][ambiguity]") {
   Rng rng(5);

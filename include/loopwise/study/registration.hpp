@@ -25,8 +25,8 @@ struct RegistrationStudyOptions {
   std::size_t count = 2000;   ///< Candidates to draw; 0 takes all.
   std::size_t pcl_count = 0;  ///< PCL computes only the first so many of them; 0: all.
   std::uint64_t seed = 1;     ///< Of the draw.
-  /// The registrars get the true relative pose in place of the odometry's. Pairs that are refused even then
-  /// fail the tests of closures at the right pose: no search would find them.
+  /// The registrars get the true relative pose in place of the odometry's. The recall is then nearly
+  /// what the tests of closures allow; a few pairs are found only from another guess.
   bool true_guess = false;
   int threads = 0;  ///< 0: all processors. Changes only times, never results.
 };
