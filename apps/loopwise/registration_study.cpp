@@ -80,7 +80,7 @@ void add_registration_study(Command& app, Action& chosen) {
                                            "The registrars do not get the odometry's relative pose");
   command
       ->add_flag("--true-guess", options->study.true_guess,
-                 "They get the true relative pose: shows what the tests refuse at the right pose")
+                 "They get the true relative pose: shows what a better search could gain")
       ->excludes(no_guess);
   command->add_option("--seed", options->study.seed, "Seed of the draw (default 1)")
       ->type_name("S")
