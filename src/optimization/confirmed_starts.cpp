@@ -31,6 +31,8 @@ constexpr int kMostRounds = 6;
 /// If the noise is far below the stated one, the innovation test has a margin. Closures within it may be
 /// false; they do not start a solution, but may join it.
 constexpr double kShareOfMargin = 0.16;
+/// Solutions with different uncertainties of odometry differ clearly if their costs do by this share.
+constexpr double kClearlyLess = 0.01;
 /// Bound on starts from the confirmed closures, each with a new estimate of odometry's uncertainty.
 constexpr int kConfirmedRounds = 6;
 
@@ -67,7 +69,7 @@ bool Starts::from_confirmed() {
     // If the confirmed closures lost right ones at the stated odometry, it seems worse than it is. Another
     // start with the stated odometry may then cost less.
     if (!given_.stop.stop_requested()) from_first_estimate();
-    if (best_ && best_->cost < (1.0 - kEqual) * other->restricted_cost) {
+    if (best_ && is_refuted_by_best(*other)) {
       count_discarded(other->solution.result);
       return false;
     }
@@ -76,6 +78,16 @@ bool Starts::from_confirmed() {
   keep_better(std::move(other->solution));
   refine(false);
   return true;
+}
+
+/// Whether the best solution, with the stated odometry, costs less than one with doubted odometry: as it is,
+/// or with odometry as uncertain as its own closures show. The latter counts only if the solutions differ by
+/// more than chance in what they keep, and clearly in cost: a right closure that is excluded makes odometry
+/// look better than it is, so that the cost is a little too low.
+bool Starts::is_refuted_by_best(const Doubted& other) {
+  if (best_->cost < (1.0 - kEqual) * other.restricted_cost) return true;
+  return gives_up_closures(best_->result, other.solution.result, 1.0 - given_.gnc.inlier_probability) &&
+         judged_cost(refined(*best_)) < (1.0 - kClearlyLess) * other.restricted_cost;
 }
 
 /// A start from the confirmed closures among those that odometry allows.
@@ -334,19 +346,18 @@ std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, 
 
 /// For a start from the confirmed closures that is in doubt, although its closures do not show odometry to be
 /// worse than stated: odometry may have slipped once. Starts from the closures that are confirmed and that
-/// odometry of the largest uncertainty allows, and drops the doubt if this solution costs more. \returns the
-/// solution if it costs less and is beyond doubt itself
+/// odometry of the largest uncertainty allows, with odometry as uncertain as they show it to be, and drops
+/// the doubt if this solution costs more. \returns the solution if it costs less and is beyond doubt itself
 std::optional<Starts::Doubted> Starts::with_doubted_test(FromConfirmed& stated) {
   std::optional<FromConfirmed> rival =
       solve_from_confirmed({}, gross_outliers_of(d2_, given_.gnc.odometry_margin), true, Groups::kFirst);
   if (!rival) return std::nullopt;
   if (rival->settled) {
-    const bool better = rival->solution.cost < (1.0 - kEqual) * stated.solution.cost &&
+    rival->solution = refined(std::move(rival->solution));
+    const double cost = judged_cost(rival->solution);
+    const bool better = cost < (1.0 - kEqual) * stated.solution.cost &&
                         !gives_up_closures(stated.solution.result, rival->solution.result);
-    if (better && rival->beyond_doubt) {
-      const double cost = rival->solution.cost;
-      return Doubted{std::move(rival->solution), cost};
-    }
+    if (better && rival->beyond_doubt) return Doubted{std::move(rival->solution), cost};
     stated.beyond_doubt = !better;
   }
   count_discarded(rival->solution.result);

@@ -18,10 +18,6 @@ namespace {
 /// with a margin. That start counts only if it leaves no doubt, so that the margin may be small.
 constexpr double kFarTooPessimistic = 0.02;
 constexpr double kMeasuredMargin = 2.0;
-/// A start with closures that the stated odometry rules out may lose this share of the closures kept without
-/// them. Closures that agree with each other but not with the others, as from two floors of one plan, would
-/// replace more.
-constexpr double kMostGivenUp = 0.03;
 
 /// Bound on rounds that estimate odometry's uncertainty and solve with it. Each round admits more closures,
 /// which give a better estimate.
@@ -296,15 +292,34 @@ void Starts::finish(RobustSolver& solver, GncStart start, Solution& out) {
   out.freedom = equations_.freedom();
 }
 
-/// Whether another result loses more than kMostGivenUp of the closures that one keeps.
-bool Starts::gives_up_closures(const GncResult& one, const GncResult& other) const {
+/// The cost of a solution with the uncertainty of odometry that it takes, by restricted maximum likelihood.
+double Starts::judged_cost(const Solution& solution) const {
+  double log_determinant = 0.0;
+  if (!solution.odometry_variances.empty()) {
+    const std::optional<OdometryEstimate> estimate = estimated_variances(solution, true);
+    if (estimate) log_determinant = estimate->log_determinant;
+  }
+  return solution.cost + 0.5 * gross_.noise * log_determinant;
+}
+
+/// A solution after refine(). The best one stays as it is.
+Solution Starts::refined(Solution solution) {
+  std::optional<Solution> best = std::exchange(best_, std::move(solution));
+  refine(true);
+  solution = std::move(*best_);
+  best_ = std::move(best);
+  return solution;
+}
+
+/// Whether another result loses more than this share of the closures that one keeps.
+bool Starts::gives_up_closures(const GncResult& one, const GncResult& other, double share) const {
   std::size_t kept = 0, lost = 0;
   for (std::size_t k = 0; k < problem_.edges(); ++k) {
     if (known_inlier(given_.graph.edges()[k]) || one.weights[k] <= kKept) continue;
     ++kept;
     lost += other.weights[k] <= kKept ? 1 : 0;
   }
-  return static_cast<double>(lost) > kMostGivenUp * static_cast<double>(kept);
+  return static_cast<double>(lost) > share * static_cast<double>(kept);
 }
 
 /// Keeps the solution of the lower truncated cost. The iterations of the other one still count.

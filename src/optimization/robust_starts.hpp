@@ -20,6 +20,11 @@ struct Solution {
   Freedom freedom;
 };
 
+/// A start with closures that the stated odometry rules out may lose this share of the closures kept without
+/// them. Closures that agree with each other but not with the others, as from two floors of one plan, would
+/// replace more.
+inline constexpr double kMostGivenUp = 0.03;
+
 /// The solutions of one problem from several starts; the one of the lowest truncated cost is kept.
 class Starts {
  public:
@@ -104,6 +109,7 @@ class Starts {
   [[nodiscard]] std::optional<FromConfirmed> solve_from_confirmed(const OdometryVariances& variances,
                                                                   const GrossOutliers& gross, bool grow,
                                                                   Groups groups);
+  [[nodiscard]] bool is_refuted_by_best(const Doubted& other);
   [[nodiscard]] std::optional<Doubted> with_doubted_odometry(const FromConfirmed& stated,
                                                              const OdometryVariances& shown);
   [[nodiscard]] std::optional<Doubted> settled_odometry(OdometryVariances used, double margin);
@@ -122,7 +128,10 @@ class Starts {
   [[nodiscard]] double discount_of_groups(const Solution& solution) const;
   Solution chordal_of(PoseProblem& problem, const std::vector<char>& chosen) const;
   void finish(RobustSolver& solver, GncStart start, Solution& out);
-  [[nodiscard]] bool gives_up_closures(const GncResult& one, const GncResult& other) const;
+  [[nodiscard]] bool gives_up_closures(const GncResult& one, const GncResult& other,
+                                       double share = kMostGivenUp) const;
+  [[nodiscard]] double judged_cost(const Solution& solution) const;
+  [[nodiscard]] Solution refined(Solution solution);
   void keep_better(Solution&& other);
   void count_discarded(const GncResult& discarded);
 

@@ -435,6 +435,28 @@ TEST_CASE("hard graphs: stretches of a floor taken for another do not make odome
   }
 }
 
+TEST_CASE("hard graphs: floors stay apart if odometry of their own closures explains the graph at lower cost",
+          "[optimization][gnc]") {
+  struct Case {
+    std::uint64_t seed;
+    double stated;  // information of odometry
+    int stretches;
+    std::size_t size;
+  };
+  for (const Case& c : {Case{11, 2.0, 2, 20}, {12, 3.2, 4, 10}, {23, 2.0, 4, 10}}) {
+    CAPTURE(c.seed, c.stated, c.stretches, c.size);
+    Measured measured(c.seed, {c.stated, 1.0});
+    testing::RandomGraph graph = in_three(corridor(measured, 40, 9, 120));
+    for (int stretch = 0; stretch < c.stretches; ++stretch) {
+      const Key from = 5 + measured.rng.below(100 - c.size);
+      add_floor(measured, graph, from, from + 120 + measured.rng.below(3), c.size, 5.0);
+    }
+    const GncResult result = optimize_gnc(graph.graph);
+    REQUIRE(wrong(graph, result).kept == 0);
+    REQUIRE(wrong(graph, result).lost <= 20);  // of 120
+  }
+}
+
 TEST_CASE("hard graphs: errors of odometry that add up do not exclude right closures",
           "[optimization][gnc]") {
   for (std::uint64_t seed = 1; seed <= 5; ++seed) {
