@@ -58,9 +58,11 @@ bool Starts::from_last(const WarmStart& warm) {
   }
   in_doubt = in_doubt || !solver.unexplained(is_new).empty();
   if (!in_doubt) {
+    // Some right closures are beyond the threshold by chance, the more the larger the graph is.
     const double before = static_cast<double>(warm.left_out_confirmed);
+    const double by_chance = (1.0 - given_.gnc.inlier_probability) * static_cast<double>(out.result.inliers);
     const std::size_t now = count(confirmed_left_out(given_, out.result.weights));
-    in_doubt = static_cast<double>(now) > (1.0 + given_.gnc.warm_growth) * before;
+    in_doubt = static_cast<double>(now) > (1.0 + given_.gnc.warm_growth) * before + by_chance;
   }
   keep_better(std::move(out));
   return !in_doubt;

@@ -347,6 +347,34 @@ TEST_CASE("starts: a false closure that came first is found when others contradi
   REQUIRE(late.weights[119] == 0.0);
 }
 
+TEST_CASE("starts: excluded closures that agree cause a solution from scratch if they are not few",
+          "[optimization][gnc]") {
+  for (const std::size_t excluded : {2, 6}) {
+    CAPTURE(excluded);
+    Rng rng(4);
+    testing::RandomGraphOptions shape;
+    shape.nodes = 120;
+    shape.closures = 0;
+    testing::RandomGraph random = testing::random_graph(rng, shape);
+    const Matrix6d information = random.graph.edges().front().information;
+    const auto join = [&](Key k, const Eigen::Isometry3d& shift) {
+      random.graph.add_edge(
+          {k, k + 60, random.truth[k].inverse() * shift * random.truth[k + 60], information});
+    };
+    for (Key k = 0; k < 240; ++k) join(k % 40, Eigen::Isometry3d::Identity());
+    GncOptions continuing;
+    continuing.warm_start = true;
+    PoseGraphOptimizer optimizer;
+    REQUIRE(optimizer.optimize_gnc(random.graph, continuing).inliers >= 236);
+    Eigen::Isometry3d shift = Eigen::Isometry3d::Identity();
+    shift.translation().x() = 30.0;
+    for (Key k = 0; k < excluded; ++k) join(45 + k, shift);
+    const GncResult result = optimizer.optimize_gnc(random.graph, continuing);
+    REQUIRE(result.outliers >= excluded);
+    REQUIRE(result.fresh == (excluded > 2));  // of 240, one in a hundred
+  }
+}
+
 TEST_CASE("starts: kernels that do not truncate are not continued", "[optimization][gnc]") {
   Rng rng(6);
   testing::RandomGraphOptions shape;

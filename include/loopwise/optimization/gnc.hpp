@@ -70,7 +70,8 @@ struct GncOptions {
   /// warm_growth says. Truncated least squares only. Replays and the live module use it.
   bool warm_start = false;
   /// For warm_start: solve from scratch when the number of closures has grown by this share since the last
-  /// solution from scratch, or the number of excluded closures that others confirm. 0: always.
+  /// solution from scratch, or the number of excluded closures that others confirm; for the latter, one in a
+  /// hundred of the kept ones (1 - inlier_probability) does not count. 0: always.
   double warm_growth = 0.2;
 
   template <class Self, class Visitor>
