@@ -86,8 +86,11 @@ bool Starts::from_confirmed() {
 /// look better than it is, so that the cost is a little too low.
 bool Starts::is_refuted_by_best(const Doubted& other) {
   if (best_->cost < (1.0 - kEqual) * other.restricted_cost) return true;
-  return gives_up_closures(best_->result, other.solution.result, 1.0 - given_.gnc.inlier_probability) &&
-         judged_cost(refined(*best_)) < (1.0 - kClearlyLess) * other.restricted_cost;
+  if (!gives_up_closures(best_->result, other.solution.result, 1.0 - given_.gnc.inlier_probability))
+    return false;
+  const Solution rival = refined(without_counts(*best_));
+  count_discarded(rival.result);
+  return judged_cost(rival) < (1.0 - kClearlyLess) * other.restricted_cost;
 }
 
 /// A start from the confirmed closures among those that odometry allows.

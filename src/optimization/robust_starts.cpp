@@ -304,6 +304,14 @@ double Starts::judged_cost(const Solution& solution) const {
   return solution.cost + 0.5 * gross_.noise * log_determinant;
 }
 
+/// A copy whose iterations do not count, because those of the original do.
+Solution Starts::without_counts(Solution copy) {
+  copy.result.outer_iterations = 0;
+  copy.result.optimization.iterations = 0;
+  copy.result.optimization.factorizations = 0;
+  return copy;
+}
+
 /// A solution after refine(). The best one stays as it is.
 Solution Starts::refined(Solution solution) {
   std::optional<Solution> best = std::exchange(best_, std::move(solution));

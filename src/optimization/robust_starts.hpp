@@ -131,6 +131,7 @@ class Starts {
   [[nodiscard]] bool gives_up_closures(const GncResult& one, const GncResult& other,
                                        double share = kMostGivenUp) const;
   [[nodiscard]] double judged_cost(const Solution& solution) const;
+  [[nodiscard]] static Solution without_counts(Solution copy);
   [[nodiscard]] Solution refined(Solution solution);
   void keep_better(Solution&& other);
   void count_discarded(const GncResult& discarded);
