@@ -106,6 +106,8 @@ class Starts::ConfirmedStart {
     out_.solution.odometry_variances = variances;
   }
 
+  /// The confirmed closures, by edge.
+  [[nodiscard]] const std::vector<char>& seeds() const { return confirmed_; }
   [[nodiscard]] bool are_few() const {
     return seeds_ == 0.0 || seeds_ < kFewestConfirmed * static_cast<double>(count(allowed_));
   }
@@ -301,9 +303,10 @@ std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed
     return of.restricted_cost - discount_of_groups(of.solution);
   };
   std::optional<Doubted> best;
+  std::vector<Round> tried;
   for (const auto& [first, margin] : attempts) {
     if (best && margin > 1.0) break;
-    std::optional<Doubted> found = settled_odometry(first, margin);
+    std::optional<Doubted> found = settled_odometry(first, margin, tried);
     if (!found) continue;
     const bool worse = stated.settled && (gives_up_closures(stated.solution.result, found->solution.result) ||
                                           found->restricted_cost > stated.solution.cost);
@@ -319,30 +322,46 @@ std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed
 
 /// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
 /// estimate of the uncertainty at its solution, until this no longer changes. \param margin of the innovation
-/// test, relative to that uncertainty \returns the solution if it is then beyond doubt, and the largest
-/// uncertainty explains its residuals
-std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin) {
+/// test, relative to that uncertainty \param tried rounds of earlier attempts, which are not computed again
+/// \returns the solution if it is then beyond doubt, and the largest uncertainty explains its residuals;
+/// nothing if an earlier attempt has come to it
+std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin,
+                                                        std::vector<Round>& tried) {
   // A large group that agrees may be the error of a slip that bends the path. So graduation comes first; the
   // way of the lower cost is then taken in each round.
   Groups groups = Groups::kAfterwards;
-  for (int round = 0; round < kConfirmedRounds && !given_.stop.stop_requested(); ++round) {
+  for (int number = 0; number < kConfirmedRounds && !given_.stop.stop_requested(); ++number) {
     const Scaled scaled(*this, used);
-    std::optional<FromConfirmed> found = solve_from_confirmed(
-        used, gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), margin), false,
-        groups);
-    if (!found) return std::nullopt;
-    if (found->from_groups) groups = *found->from_groups ? Groups::kFirst : Groups::kNot;
-    std::optional<OdometryEstimate> estimate = estimated_variances(found->solution, true);
+    const GrossOutliers gross =
+        gross_outliers_of(innovations(scaled.given().graph, scaled.given().forest), margin);
+    ConfirmedStart start(*this, used, gross);
+    if (start.are_few()) return std::nullopt;
+    const auto same = std::find_if(tried.begin(), tried.end(), [&](const Round& round) {
+      return round.used == used && round.seeds == start.seeds() && round.groups == groups;
+    });
+    if (same != tried.end()) {
+      if (same->last) return std::nullopt;
+      used = same->next_used;
+      groups = same->next_groups;
+      continue;
+    }
+    tried.push_back({used, start.seeds(), groups, {}, groups, true});
+    FromConfirmed found = start.solve(false, groups);
+    if (found.from_groups) groups = *found.from_groups ? Groups::kFirst : Groups::kNot;
+    std::optional<OdometryEstimate> estimate = estimated_variances(found.solution, true);
     const bool is_worse = estimate && !estimate->variances.empty();
     const bool has_settled = is_worse && !differ(estimate->variances, used);
     // Beyond the largest uncertainty, false closures are more likely than odometry of that kind.
-    if (has_settled && found->beyond_doubt && !estimate->beyond_largest) {
-      const double restricted_cost = found->solution.cost + 0.5 * gross_.noise * estimate->log_determinant;
-      return Doubted{std::move(found->solution), restricted_cost};
+    if (has_settled && found.beyond_doubt && !estimate->beyond_largest) {
+      const double restricted_cost = found.solution.cost + 0.5 * gross_.noise * estimate->log_determinant;
+      return Doubted{std::move(found.solution), restricted_cost};
     }
-    count_discarded(found->solution.result);
+    count_discarded(found.solution.result);
     if (!is_worse || has_settled) return std::nullopt;
     used = std::move(estimate->variances);
+    tried.back().next_used = used;
+    tried.back().next_groups = groups;
+    tried.back().last = false;
   }
   return std::nullopt;
 }

@@ -81,7 +81,9 @@ class Minimizer {
  private:
   /// Whether the step with this prediction is the last one: it is below the tolerances.
   [[nodiscard]] bool small(const IterationRecord& record) const {
-    if (record.damping == 0.0 && record.step <= options_.step_tolerance) return true;
+    if (record.damping == 0.0 &&
+        (record.step <= options_.step_tolerance || record.predicted < control_.enough))
+      return true;
     return record.predicted <= options_.cost_tolerance * cost_ &&
            (record.gradient <= options_.gradient_tolerance * result_.gradient_initial ||
             record.predicted <= 1e-15 * cost_);

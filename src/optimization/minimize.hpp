@@ -11,9 +11,10 @@
 
 namespace loopwise::detail {
 
-/// Bound on the steps of one call of minimize(), and the damping with which the next call continues.
+/// Bounds of one call of minimize(), and the damping with which the next call continues.
 struct StepControl {
   int max_accepted = std::numeric_limits<int>::max();
+  double enough = 0.0;  ///< A step that is predicted to lower the cost by less than this is the last one.
   double damping = 0.0;
 };
 

@@ -70,6 +70,9 @@ namespace {
 constexpr double kFarthestStart = 1e6;
 /// Closures that others confirm are mostly right, so that graduation among them needs fewer values of μ.
 constexpr int kStepsAtOnce = 3;
+/// A minimum is near enough to decide about closures if the last step lowers the cost by less than this share
+/// of the threshold. A step with a full Gauss-Newton matrix then leaves far less.
+constexpr double kEnough = 1e-4;
 /// Bound on attempts to re-admit closures, each of which must lower the truncated cost.
 constexpr int kGrowthAttempts = 30;
 constexpr double kLeastGain = 1e-9;
@@ -151,6 +154,7 @@ std::size_t RobustSolver::minimize_with(const std::vector<char>& chosen, int max
   StepControl control;
   control.max_accepted = max_steps;
   control.damping = options_.initial_damping;
+  if (max_steps < kAnySteps) control.enough = kEnough * c2_;
   descend(control);
   realign_held_components();
   if (total_.termination == Termination::kMaxIterations && max_steps < kAnySteps)
@@ -172,6 +176,7 @@ void RobustSolver::graduate_with(const std::vector<char>& chosen) {
 
 void RobustSolver::keep(const std::vector<char>& kept) {
   trusts_information_ = true;
+  settled_ = false;
   for (const std::size_t k : closures_) problem_.weight[k] = kept[k] != 0 ? 1.0 : 0.0;
 }
 
@@ -210,11 +215,21 @@ void RobustSolver::descend(StepControl& control) {
   total_.trace.insert(total_.trace.end(), part.trace.begin(), part.trace.end());
   part.trace = std::move(total_.trace);
   total_ = std::move(part);
+  settled_ = control.enough == 0.0 && control.max_accepted == kAnySteps;
   evaluate();
 }
 
-/// Descends to the minimum for the present weights.
-void RobustSolver::descend_fully() {
+/// Descends to the minimum for the present weights, as near to it as decisions about closures need.
+void RobustSolver::approach_minimum() {
+  StepControl control;
+  control.enough = kEnough * c2_;
+  control.damping = options_.initial_damping;
+  descend(control);
+  realign_held_components();
+}
+
+void RobustSolver::settle() {
+  if (settled_) return;
   StepControl control;
   control.damping = options_.initial_damping;
   descend(control);
@@ -261,7 +276,7 @@ bool RobustSolver::truncate(bool at_minimum, int max_rounds) {
     const double change = set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
     if (change == 0.0 && (round > 0 || at_minimum)) return true;
     if (gnc_.kernel == RobustKernel::kTls) ++outer_;
-    descend_fully();
+    approach_minimum();
   }
   return false;
 }
@@ -277,15 +292,11 @@ void RobustSolver::grow(const std::vector<char>& may_grow) {
     tried[i] = may_grow[closures_[i]] != 0 ? 0 : 1;
   }
   int attempts = 0;
-  bool stale = false;
   while (!stopped()) {
     std::vector<std::size_t> agreeing = agreeing_with_kept(tried);
-    if (agreeing.empty()) break;
-    stale = !admit_some(agreeing, attempts);
-    if (stale) break;
+    if (agreeing.empty() || !admit_some(agreeing, attempts)) return;
     for (const std::size_t i : agreeing) tried[i] = 1;
   }
-  if (stale) descend_fully();  // updates equations, cost and gradient to the weights
 }
 
 /// Tries to admit these closures, then the first quarter of them, and so on. \returns whether a part was
@@ -304,21 +315,17 @@ bool RobustSolver::admit_unexplained(const std::vector<char>& among) {
   for (std::size_t i = 0; i < closures_.size(); ++i) number[closures_[i]] = i;
   std::vector<char> open = among;
   int attempts = 0;
-  bool stale = false;
   while (!stopped()) {
     const std::vector<std::size_t> edges = unexplained(open);
-    if (edges.empty() || edges.size() > most_exact() || attempts >= kGrowthAttempts) {
-      if (stale) descend_fully();
-      return edges.empty();
-    }
+    if (edges.empty() || edges.size() > most_exact() || attempts >= kGrowthAttempts) return edges.empty();
     std::vector<std::pair<double, std::size_t>> by_innovation;
     for (const std::size_t k : edges) by_innovation.emplace_back(covariance_d2_[k], number[k]);
     std::sort(by_innovation.begin(), by_innovation.end());
     std::vector<std::size_t> closures;
     for (const auto& [d2, i] : by_innovation) closures.push_back(i);
-    stale = !admit_some(closures, attempts);
+    const bool admitted = admit_some(closures, attempts);
     // One that raises the cost alone is explained; larger sets are tried again without it.
-    if (!stale || closures.size() == 1) {
+    if (admitted || closures.size() == 1) {
       for (const std::size_t i : closures) open[closures_[i]] = 0;
     }
   }
@@ -326,17 +333,18 @@ bool RobustSolver::admit_unexplained(const std::vector<char>& among) {
 }
 
 /// Tries the minimum with these closures too. If its truncated cost is not lower, restores poses and weights;
-/// the equations are then out of date. \returns whether the cost is lower
+/// the equations are then out of date until settle(). \returns whether the cost is lower
 bool RobustSolver::try_to_admit(const std::vector<std::size_t>& closures) {
   const std::vector<Pose> poses = poses_;
   const std::vector<double> weights = problem_.weight;
   const double cost = truncated_cost();
   for (const std::size_t i : closures) problem_.weight[closures_[i]] = 1.0;
-  descend_fully();
+  approach_minimum();
   truncate(true);
   if (!stopped() && truncated_cost() < cost * (1.0 - kLeastGain)) return true;
   poses_ = poses;
   problem_.weight = weights;
+  settled_ = false;
   evaluate();
   return false;
 }

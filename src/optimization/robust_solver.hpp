@@ -75,6 +75,9 @@ class RobustSolver {
   /// Re-admits excluded closures that agree with the kept ones around them. Tries only closures in `may_grow`
   /// (by edge); empty: all.
   void grow(const std::vector<char>& may_grow);
+  /// Moves to the minimum for the present weights up to the tolerances of the options. Other functions stop
+  /// as soon as they can decide about closures.
+  void settle();
   /// Writes the present state to the result, whose factorizations count the ones before.
   void report(GncResult& result);
   /// Takes over the weights of a solution, at the present poses.
@@ -99,7 +102,7 @@ class RobustSolver {
   template <class Weight>
   double set_weights(Weight&& weight);
   void descend(StepControl& control);
-  void descend_fully();
+  void approach_minimum();
   [[nodiscard]] bool stopped();
   void graduate(int steps_at_once);
   bool admit_some(std::vector<std::size_t>& closures, int& attempts);
@@ -138,6 +141,7 @@ class RobustSolver {
   const std::vector<char>* chosen_ = nullptr;  // by edge: others have weight 0; null: none are
   int outer_ = 0;
   bool stopped_ = false;
+  bool settled_ = false;  // the poses are the minimum up to the tolerances, and the equations are those there
   /// Growth does not try closures that contradict the covariance of the kept ones: they raise the truncated
   /// cost. They may still be true if odometry is worse than stated; the other starts test this.
   bool trusts_information_ = false;

@@ -45,22 +45,24 @@ bool Starts::from_last(const WarmStart& warm) {
   out.poses = warm.poses;
   out.odometry_variances = variances;
   RobustSolver solver(scaled.given(), gross_, problem, equations_, out.poses);
-  const std::vector<char> chosen = solver.plausible(warm.known, warm.kept);
-  std::vector<char> is_new(warm.known.size());
-  for (std::size_t k = 0; k < is_new.size(); ++k) is_new[k] = warm.known[k] != 0 ? 0 : 1;
-  solver.minimize_with(chosen);
+  solver.minimize_with(solver.plausible(warm.known, warm.kept));
   solver.truncate(true);
-  solver.grow(is_new);
+  std::vector<char> may_return(warm.known.size());
+  for (std::size_t k = 0; k < may_return.size(); ++k) may_return[k] = warm.known[k] != 0 ? 0 : 1;
+  solver.grow(may_return);
+  // A closure that was kept and no longer fits is excluded for a reason, or returns.
+  for (std::size_t k = 0; k < may_return.size(); ++k) may_return[k] |= warm.kept[k];
+  const bool explained = solver.admit_unexplained(may_return);
   finish(solver, GncStart::kLastResult, out);
-  bool in_doubt = !out.result.optimization.converged;
+  // Some right closures are beyond the threshold by chance, the more the larger the graph is.
+  const double by_chance = (1.0 - given_.gnc.inlier_probability) * static_cast<double>(out.result.inliers);
+  std::size_t lost = 0;
   for (std::size_t k = 0; k < warm.kept.size(); ++k) {
-    in_doubt = in_doubt || (warm.kept[k] != 0 && problem.weight[k] <= kKept);
+    lost += warm.kept[k] != 0 && problem.weight[k] <= kKept ? 1 : 0;
   }
-  in_doubt = in_doubt || !solver.unexplained(is_new).empty();
+  bool in_doubt = !out.result.optimization.converged || !explained || static_cast<double>(lost) > by_chance;
   if (!in_doubt) {
-    // Some right closures are beyond the threshold by chance, the more the larger the graph is.
     const double before = static_cast<double>(warm.left_out_confirmed);
-    const double by_chance = (1.0 - given_.gnc.inlier_probability) * static_cast<double>(out.result.inliers);
     const std::size_t now = count(confirmed_left_out(given_, out.result.weights));
     in_doubt = static_cast<double>(now) > (1.0 + given_.gnc.warm_growth) * before + by_chance;
   }
@@ -288,6 +290,7 @@ Solution Starts::chordal_of(PoseProblem& problem, const std::vector<char>& chose
 
 /// Writes the solver's result, cost and components to the solution.
 void Starts::finish(RobustSolver& solver, GncStart start, Solution& out) {
+  if (truncates(given_.gnc.kernel)) solver.settle();
   solver.report(out.result);
   out.result.start = start;
   out.cost = solver.truncated_cost();

@@ -97,6 +97,16 @@ class Starts {
     double restricted_cost = 0.0;  ///< With OdometryEstimate::log_determinant
   };
 
+  /// One round of settled_odometry(), and that which follows it; none if it was the last one.
+  struct Round {
+    OdometryVariances used;
+    std::vector<char> seeds;  ///< Closures that start it, by edge
+    Groups groups = Groups::kAfterwards;
+    OdometryVariances next_used;
+    Groups next_groups = Groups::kAfterwards;
+    bool last = true;
+  };
+
   [[nodiscard]] std::optional<OdometryEstimate> estimated_variances(const Solution& at,
                                                                     bool keep_unmeasured) const;
   bool solve_with(OdometryVariances variances);
@@ -112,7 +122,8 @@ class Starts {
   [[nodiscard]] bool is_refuted_by_best(const Doubted& other);
   [[nodiscard]] std::optional<Doubted> with_doubted_odometry(const FromConfirmed& stated,
                                                              const OdometryVariances& shown);
-  [[nodiscard]] std::optional<Doubted> settled_odometry(OdometryVariances used, double margin);
+  [[nodiscard]] std::optional<Doubted> settled_odometry(OdometryVariances used, double margin,
+                                                        std::vector<Round>& tried);
   [[nodiscard]] std::optional<Doubted> with_doubted_test(FromConfirmed& stated);
   [[nodiscard]] std::size_t in_doubt(const RobustProblem& given, const PoseProblem& problem,
                                      const std::vector<Pose>& poses, const std::vector<char>& among);

@@ -375,6 +375,41 @@ TEST_CASE("starts: excluded closures that agree cause a solution from scratch if
   }
 }
 
+TEST_CASE(
+    "starts: a kept closure that no longer fits causes a solution from scratch if it is not the only one",
+    "[optimization][gnc]") {
+  for (const std::size_t false_ones : {1, 4}) {
+    CAPTURE(false_ones);
+    Rng rng(4);
+    testing::RandomGraphOptions shape;
+    shape.nodes = 120;
+    shape.closures = 0;
+    testing::RandomGraph random = testing::random_graph(rng, shape);
+    const Matrix6d information = random.graph.edges().front().information;
+    const auto join = [&](Key k, const Eigen::Isometry3d& shift) {
+      random.graph.add_edge(
+          {k, k + 60, random.truth[k].inverse() * random.truth[k + 60] * shift, information});
+    };
+    for (Key k = 0; k < 240; ++k) join(k % 40, Eigen::Isometry3d::Identity());
+    // Odometry, with eleven steps from the last of these, allows the shift; one measurement of the truth does
+    // too, but not eight.
+    Eigen::Isometry3d shift = Eigen::Isometry3d::Identity();
+    shift.translation().x() = 5.0 / std::sqrt(information(0, 0));
+    for (Key k = 0; k < false_ones; ++k) join(50 + k, shift);
+    GncOptions continuing;
+    continuing.warm_start = true;
+    PoseGraphOptimizer optimizer;
+    const GncResult before = optimizer.optimize_gnc(random.graph, continuing);
+    for (std::size_t k = 0; k < false_ones; ++k)
+      REQUIRE(before.weights[before.weights.size() - 1 - k] == 1.0);
+    for (Key k = 0; k < 8 * false_ones; ++k) join(50 + k / 8, Eigen::Isometry3d::Identity());
+    const GncResult result = optimizer.optimize_gnc(random.graph, continuing);
+    for (std::size_t k = 0; k < false_ones; ++k)
+      REQUIRE(result.weights[before.weights.size() - 1 - k] == 0.0);
+    REQUIRE(result.fresh == (false_ones > 1));
+  }
+}
+
 TEST_CASE("starts: kernels that do not truncate are not continued", "[optimization][gnc]") {
   Rng rng(6);
   testing::RandomGraphOptions shape;

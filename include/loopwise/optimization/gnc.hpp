@@ -66,7 +66,8 @@ struct GncOptions {
   bool growth = true;
   /// For a graph that is optimised repeatedly as it grows: start from the last result, with the new closures
   /// that contradict neither this result nor the odometry. The graph is solved from scratch if the warm start
-  /// does not converge, if a kept closure is lost, if a new closure is neither kept nor contradicted, and as
+  /// does not converge, if it loses more kept closures than chance explains (one in a hundred, by
+  /// inlier_probability), if it excludes a closure without a contradiction and without a gain, and as
   /// warm_growth says. Truncated least squares only. Replays and the live module use it.
   bool warm_start = false;
   /// For warm_start: solve from scratch when the number of closures has grown by this share since the last
