@@ -128,7 +128,7 @@ class Starts::ConfirmedStart {
       doubtful = !agree || lost() > kMostContradicting * seeds_;
       if (groups == Groups::kAfterwards && loses_many) {
         out_.from_groups = from_large_groups(solver_->truncated_cost());
-        // The state after graduation is back, but the report is that of the groups.
+        // The poses after graduation are back, but the solver's residuals are those of the groups.
         if (agree && !out_.from_groups.value_or(true)) solver_->minimize_with(kept_by(problem().weight));
       }
     }
@@ -137,6 +137,7 @@ class Starts::ConfirmedStart {
       doubtful = false;
     }
     if (!doubtful) explain_the_others(grow);
+    if (agree) solver_->settle();  // otherwise the minimum may be many steps away, and does not count
     out_.settled = agree;
     starts_.finish(*solver_, GncStart::kConfirmed, out_.solution);
     out_.solution.result.optimization.factorizations += factorizations_;
@@ -322,9 +323,10 @@ std::optional<Starts::Doubted> Starts::with_doubted_odometry(const FromConfirmed
 
 /// Alternates between a start from the closures that are confirmed with odometry of some uncertainty, and the
 /// estimate of the uncertainty at its solution, until this no longer changes. \param margin of the innovation
-/// test, relative to that uncertainty \param tried rounds of earlier attempts, which are not computed again
-/// \returns the solution if it is then beyond doubt, and the largest uncertainty explains its residuals;
-/// nothing if an earlier attempt has come to it
+/// test, relative to that uncertainty \param tried rounds of earlier attempts, which are not computed again;
+/// a margin that adds no closures to those that start a round adds nothing to it \returns the solution if it
+/// is then beyond doubt, and the largest uncertainty explains its residuals; nothing if an earlier attempt
+/// has come to it
 std::optional<Starts::Doubted> Starts::settled_odometry(OdometryVariances used, double margin,
                                                         std::vector<Round>& tried) {
   // A large group that agrees may be the error of a slip that bends the path. So graduation comes first; the

@@ -137,10 +137,12 @@ void RobustSolver::solve() {
       graduate(1);
       truncate();
       grow(gross_.excluded);
+      settle();
       break;
     case RobustKernel::kTls:
       truncate();
       grow(gross_.excluded);
+      settle();
       break;
     case RobustKernel::kCauchy:
     case RobustKernel::kGemanMcClure:
@@ -229,11 +231,16 @@ void RobustSolver::approach_minimum() {
 }
 
 void RobustSolver::settle() {
-  if (settled_) return;
-  StepControl control;
-  control.damping = options_.initial_damping;
-  descend(control);
-  realign_held_components();
+  for (int round = 0; round < kTruncatedRounds; ++round) {
+    if (!settled_) {
+      StepControl control;
+      control.damping = options_.initial_damping;
+      descend(control);
+      realign_held_components();
+    }
+    if (stopped() || set_truncated_weights() == 0.0) return;
+    settled_ = false;
+  }
 }
 
 /// Whether a stop was requested, so that the result is incomplete even if the last descent converged.
@@ -271,9 +278,14 @@ void RobustSolver::graduate(int steps_at_once) {
   }
 }
 
+/// \returns the largest change
+double RobustSolver::set_truncated_weights() {
+  return set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
+}
+
 bool RobustSolver::truncate(bool at_minimum, int max_rounds) {
   for (int round = 0; round < max_rounds && !stopped(); ++round) {
-    const double change = set_weights([&](double r2) { return r2 <= c2_ ? 1.0 : 0.0; });
+    const double change = set_truncated_weights();
     if (change == 0.0 && (round > 0 || at_minimum)) return true;
     if (gnc_.kernel == RobustKernel::kTls) ++outer_;
     approach_minimum();
@@ -333,7 +345,8 @@ bool RobustSolver::admit_unexplained(const std::vector<char>& among) {
 }
 
 /// Tries the minimum with these closures too. If its truncated cost is not lower, restores poses and weights;
-/// the equations are then out of date until settle(). \returns whether the cost is lower
+/// the equations are then out of date until settle(). \returns whether the cost is lower, with other closures
+/// than before: further steps with the same ones lower it, too
 bool RobustSolver::try_to_admit(const std::vector<std::size_t>& closures) {
   const std::vector<Pose> poses = poses_;
   const std::vector<double> weights = problem_.weight;
@@ -341,7 +354,7 @@ bool RobustSolver::try_to_admit(const std::vector<std::size_t>& closures) {
   for (const std::size_t i : closures) problem_.weight[closures_[i]] = 1.0;
   approach_minimum();
   truncate(true);
-  if (!stopped() && truncated_cost() < cost * (1.0 - kLeastGain)) return true;
+  if (!stopped() && problem_.weight != weights && truncated_cost() < cost * (1.0 - kLeastGain)) return true;
   poses_ = poses;
   problem_.weight = weights;
   settled_ = false;

@@ -75,8 +75,8 @@ class RobustSolver {
   /// Re-admits excluded closures that agree with the kept ones around them. Tries only closures in `may_grow`
   /// (by edge); empty: all.
   void grow(const std::vector<char>& may_grow);
-  /// Moves to the minimum for the present weights up to the tolerances of the options. Other functions stop
-  /// as soon as they can decide about closures.
+  /// Moves to the minimum of truncated least squares nearby, up to the tolerances of the options. To be
+  /// called last: the functions that truncate or admit stop as soon as they can decide about closures.
   void settle();
   /// Writes the present state to the result, whose factorizations count the ones before.
   void report(GncResult& result);
@@ -101,6 +101,7 @@ class RobustSolver {
   [[nodiscard]] bool is_gross_outlier(std::size_t i) const;
   template <class Weight>
   double set_weights(Weight&& weight);
+  double set_truncated_weights();
   void descend(StepControl& control);
   void approach_minimum();
   [[nodiscard]] bool stopped();
@@ -141,7 +142,7 @@ class RobustSolver {
   const std::vector<char>* chosen_ = nullptr;  // by edge: others have weight 0; null: none are
   int outer_ = 0;
   bool stopped_ = false;
-  bool settled_ = false;  // the poses are the minimum up to the tolerances, and the equations are those there
+  bool settled_ = false;  // the poses are the minimum for the weights, up to the tolerances
   /// Growth does not try closures that contradict the covariance of the kept ones: they raise the truncated
   /// cost. They may still be true if odometry is worse than stated; the other starts test this.
   bool trusts_information_ = false;

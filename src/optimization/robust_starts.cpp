@@ -53,6 +53,7 @@ bool Starts::from_last(const WarmStart& warm) {
   // A closure that was kept and no longer fits is excluded for a reason, or returns.
   for (std::size_t k = 0; k < may_return.size(); ++k) may_return[k] |= warm.kept[k];
   const bool explained = solver.admit_unexplained(may_return);
+  solver.settle();
   finish(solver, GncStart::kLastResult, out);
   // Some right closures are beyond the threshold by chance, the more the larger the graph is.
   const double by_chance = (1.0 - given_.gnc.inlier_probability) * static_cast<double>(out.result.inliers);
@@ -188,6 +189,7 @@ bool Starts::solve_with(OdometryVariances variances) {
   solver.minimize_with(kept_by(best_->result.weights));
   solver.truncate(true);
   solver.grow({});
+  solver.settle();
   finish(solver, best_->result.start, out);
   if (out.result.optimization.termination == Termination::kStopped) {
     count_discarded(out.result);
@@ -290,7 +292,6 @@ Solution Starts::chordal_of(PoseProblem& problem, const std::vector<char>& chose
 
 /// Writes the solver's result, cost and components to the solution.
 void Starts::finish(RobustSolver& solver, GncStart start, Solution& out) {
-  if (truncates(given_.gnc.kernel)) solver.settle();
   solver.report(out.result);
   out.result.start = start;
   out.cost = solver.truncated_cost();

@@ -67,8 +67,8 @@ struct GncOptions {
   /// For a graph that is optimised repeatedly as it grows: start from the last result, with the new closures
   /// that contradict neither this result nor the odometry. The graph is solved from scratch if the warm start
   /// does not converge, if it loses more kept closures than chance explains (one in a hundred, by
-  /// inlier_probability), if it excludes a closure without a contradiction and without a gain, and as
-  /// warm_growth says. Truncated least squares only. Replays and the live module use it.
+  /// inlier_probability), if it excludes closures that it neither contradicts nor shows to raise the cost,
+  /// and as warm_growth says. Truncated least squares only. Replays and the live module use it.
   bool warm_start = false;
   /// For warm_start: solve from scratch when the number of closures has grown by this share since the last
   /// solution from scratch, or the number of excluded closures that others confirm; for the latter, one in a
