@@ -124,6 +124,25 @@ PoseGraph beginning(const PoseGraph& whole, std::size_t nodes) {
   return out;
 }
 
+/// A path of 120 nodes with odometry alone, whose second half passes the first: closures join nodes k and
+/// k + 60.
+struct TwoRounds {
+  TwoRounds() {
+    Rng rng(4);
+    testing::RandomGraphOptions shape;
+    shape.nodes = 120;
+    shape.closures = 0;
+    random = testing::random_graph(rng, shape);
+  }
+  [[nodiscard]] const PoseGraph& graph() const { return random.graph; }
+  [[nodiscard]] const Matrix6d& information() const { return random.graph.edges().front().information; }
+  void join(Key k, const Eigen::Isometry3d& error) {
+    random.graph.add_edge(
+        {k, k + 60, random.truth[k].inverse() * random.truth[k + 60] * error, information()});
+  }
+  testing::RandomGraph random;
+};
+
 }  // namespace
 
 TEST_CASE("starts: random false closures are found although odometry is useless over the whole path",
@@ -351,25 +370,18 @@ TEST_CASE("starts: excluded closures that agree cause a solution from scratch if
           "[optimization][gnc]") {
   for (const std::size_t excluded : {2, 6}) {
     CAPTURE(excluded);
-    Rng rng(4);
-    testing::RandomGraphOptions shape;
-    shape.nodes = 120;
-    shape.closures = 0;
-    testing::RandomGraph random = testing::random_graph(rng, shape);
-    const Matrix6d information = random.graph.edges().front().information;
-    const auto join = [&](Key k, const Eigen::Isometry3d& shift) {
-      random.graph.add_edge(
-          {k, k + 60, random.truth[k].inverse() * shift * random.truth[k + 60], information});
-    };
-    for (Key k = 0; k < 240; ++k) join(k % 40, Eigen::Isometry3d::Identity());
+    TwoRounds rounds;
+    for (Key k = 0; k < 240; ++k) rounds.join(k % 40, Eigen::Isometry3d::Identity());
     GncOptions continuing;
     continuing.warm_start = true;
     PoseGraphOptimizer optimizer;
-    REQUIRE(optimizer.optimize_gnc(random.graph, continuing).inliers >= 236);
-    Eigen::Isometry3d shift = Eigen::Isometry3d::Identity();
-    shift.translation().x() = 30.0;
-    for (Key k = 0; k < excluded; ++k) join(45 + k, shift);
-    const GncResult result = optimizer.optimize_gnc(random.graph, continuing);
+    REQUIRE(optimizer.optimize_gnc(rounds.graph(), continuing).inliers >= 236);
+    const Eigen::Isometry3d shift(Eigen::Translation3d(30.0, 0.0, 0.0));
+    for (Key k = 45; k < 45 + excluded; ++k) {
+      const Eigen::Isometry3d& end = rounds.random.truth[k + 60];
+      rounds.join(k, end.inverse() * shift * end);  // the same shift in the world
+    }
+    const GncResult result = optimizer.optimize_gnc(rounds.graph(), continuing);
     REQUIRE(result.outliers >= excluded);
     REQUIRE(result.fresh == (excluded > 2));  // of 240, one in a hundred
   }
@@ -380,34 +392,41 @@ TEST_CASE(
     "[optimization][gnc]") {
   for (const std::size_t false_ones : {1, 4}) {
     CAPTURE(false_ones);
-    Rng rng(4);
-    testing::RandomGraphOptions shape;
-    shape.nodes = 120;
-    shape.closures = 0;
-    testing::RandomGraph random = testing::random_graph(rng, shape);
-    const Matrix6d information = random.graph.edges().front().information;
-    const auto join = [&](Key k, const Eigen::Isometry3d& shift) {
-      random.graph.add_edge(
-          {k, k + 60, random.truth[k].inverse() * random.truth[k + 60] * shift, information});
-    };
-    for (Key k = 0; k < 240; ++k) join(k % 40, Eigen::Isometry3d::Identity());
+    TwoRounds rounds;
+    for (Key k = 0; k < 240; ++k) rounds.join(k % 40, Eigen::Isometry3d::Identity());
     // Odometry, with eleven steps from the last of these, allows the shift; one measurement of the truth does
     // too, but not eight.
-    Eigen::Isometry3d shift = Eigen::Isometry3d::Identity();
-    shift.translation().x() = 5.0 / std::sqrt(information(0, 0));
-    for (Key k = 0; k < false_ones; ++k) join(50 + k, shift);
+    const Eigen::Isometry3d shift(
+        Eigen::Translation3d(5.0 / std::sqrt(rounds.information()(0, 0)), 0.0, 0.0));
+    for (Key k = 0; k < false_ones; ++k) rounds.join(50 + k, shift);
     GncOptions continuing;
     continuing.warm_start = true;
     PoseGraphOptimizer optimizer;
-    const GncResult before = optimizer.optimize_gnc(random.graph, continuing);
+    const GncResult before = optimizer.optimize_gnc(rounds.graph(), continuing);
     for (std::size_t k = 0; k < false_ones; ++k)
       REQUIRE(before.weights[before.weights.size() - 1 - k] == 1.0);
-    for (Key k = 0; k < 8 * false_ones; ++k) join(50 + k / 8, Eigen::Isometry3d::Identity());
-    const GncResult result = optimizer.optimize_gnc(random.graph, continuing);
+    for (Key k = 0; k < 8 * false_ones; ++k) rounds.join(50 + k / 8, Eigen::Isometry3d::Identity());
+    const GncResult result = optimizer.optimize_gnc(rounds.graph(), continuing);
     for (std::size_t k = 0; k < false_ones; ++k)
       REQUIRE(result.weights[before.weights.size() - 1 - k] == 0.0);
     REQUIRE(result.fresh == (false_ones > 1));
   }
+}
+
+TEST_CASE("starts: a solution from scratch ends at a minimum of its closures", "[optimization][gnc]") {
+  Rng rng(9);
+  testing::RandomGraphOptions shape;
+  shape.nodes = 300;
+  shape.closures = 120;
+  shape.false_closures = 40;
+  PoseGraph graph = testing::random_graph(rng, shape).graph;
+  const GncResult result = PoseGraphOptimizer().optimize_gnc(graph, {});
+  graph.set_poses(result.optimization.poses);
+  for (std::size_t e = 0; e < graph.edges().size(); ++e) graph.set_weight(e, result.weights[e]);
+  const OptimizationResult again = optimize(graph);
+  REQUIRE(result.outliers >= shape.false_closures);
+  REQUIRE(again.cost_initial == Approx(result.optimization.cost).epsilon(1e-9));
+  REQUIRE(again.cost == Approx(again.cost_initial).epsilon(1e-7));
 }
 
 TEST_CASE("starts: kernels that do not truncate are not continued", "[optimization][gnc]") {
