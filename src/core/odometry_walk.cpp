@@ -21,7 +21,8 @@ std::optional<OdometryWalk::Place> OdometryWalk::next() {
       const Key known = graph_.nodes()[at_->node].key;
       if (forward_ ? known <= there : known >= there) continue;
     }
-    at_ = Place{other, here_place.T_start_here * (outgoing ? edge.T_from_to : edge.T_from_to.inverse())};
+    at_ = Place{other, number,
+                here_place.T_start_here * (outgoing ? edge.T_from_to : edge.T_from_to.inverse())};
   }
   return at_;
 }

@@ -22,7 +22,7 @@ void put(ByteWriter& out, const std::vector<SubmapMember>& members) {
   for (const SubmapMember& member : members) {
     const bool identity = member.T_center_member.matrix() == Eigen::Matrix4d::Identity();
     out.put(member.key).put(static_cast<std::uint8_t>(identity));
-    if (!identity) out.put(member.T_center_member);
+    if (!identity) out.put(member.T_center_member).matrix(member.covariance);
   }
 }
 
@@ -30,7 +30,9 @@ std::vector<SubmapMember> get_members(ByteReader& in) {
   std::vector<SubmapMember> members(in.get<std::uint8_t>());
   for (SubmapMember& member : members) {
     member.key = in.get<Key>();
-    if (!in.flag()) member.T_center_member = in.pose();
+    if (in.flag()) continue;
+    member.T_center_member = in.pose();
+    member.covariance = in.matrix<Matrix6d>();
   }
   return members;
 }

@@ -18,6 +18,7 @@
 #include <loopwise/core/robust_centre.hpp>
 #include "normal_bins.hpp"
 #include "submap.hpp"
+#include "submap_errors.hpp"
 
 namespace loopwise {
 namespace {
@@ -313,6 +314,10 @@ RegistrationResult PclRegistrar::compute(const RegistrationTask& task) const {
   }
   judge_alignment(result, refined.T_to_from.inverse(), figures, refined.converged, task.guess_from_to,
                   options.tests);
+  if (result.closure) {
+    result.closure->covariance +=
+        submap_errors(*source, *target, task, refined.T_to_from, figures, options.tests);
+  }
   result.refine_s = refine_watch.seconds();
   return result;
 }

@@ -11,6 +11,7 @@
 #include "pose_scores.hpp"
 #include "rivals.hpp"
 #include "sort_falling.hpp"
+#include "submap_errors.hpp"
 #include "surface.hpp"
 
 namespace loopwise {
@@ -429,6 +430,10 @@ bool PoseSearch::decide(const Deadline& deadline) {
     refuse_if_ambiguous(*best, found);
     refuse_if_sliding(found);
     best->refused = !found.result.verified();
+  }
+  if (found.result.verified()) {
+    found.result.closure->covariance += submap_errors(source_.submap, target_.submap, task_,
+                                                      found.T_target_source, found.figures, options_.tests);
   }
   result_ = std::move(found.result);
   return true;

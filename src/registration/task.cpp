@@ -6,22 +6,55 @@
 
 #include <loopwise/core/odometry_walk.hpp>
 #include <loopwise/core/random.hpp>
+#include <loopwise/core/se3.hpp>
 
 namespace loopwise {
 namespace {
 
+/// Standard deviations of a step of odometry whose information is singular.
+constexpr double kUnknownStepM = 0.01, kUnknownStepRad = 0.003;
+
+/// What a step of the odometry adds to the covariance of its end, in the frame where the walk began. The
+/// error of an edge is on the right of its `to` end.
+Matrix6d covariance_of_step(const PoseGraph& graph, const OdometryWalk::Place& before,
+                            const OdometryWalk::Place& after) {
+  const bool forward = graph.ends(after.edge).to == after.node;
+  const Matrix6d ad = se3::adjoint(forward ? after.T_start_here : before.T_start_here);
+  Matrix6d own = Matrix6d::Zero();
+  own.diagonal() << Eigen::Vector3d::Constant(kUnknownStepM * kUnknownStepM),
+      Eigen::Vector3d::Constant(kUnknownStepRad * kUnknownStepRad);
+  own = se3::covariance_of(graph.edges()[after.edge].information).value_or(own);
+  return ad * own * ad.transpose();
+}
+
+/// A walk along the odometry from the centre of a submap, with the covariance of the way so far.
+struct Way {
+  OdometryWalk walk;
+  OdometryWalk::Place here;
+  Matrix6d covariance = Matrix6d::Zero();
+
+  /// \returns whether there is a next node, which `here` then is
+  bool step(const PoseGraph& graph) {
+    const auto next = walk.next();
+    if (!next) return false;
+    covariance += covariance_of_step(graph, here, *next);
+    here = *next;
+    return true;
+  }
+};
+
 /// Nearest to the centre first: 0, −1, +1, −2, +2, …
 std::vector<SubmapMember> submap(const PoseGraph& graph, const Robots& robots, Key centre, Key other_end,
                                  int neighbours, const std::function<bool(Key)>& has_scan) {
-  std::vector<SubmapMember> members{{centre, Eigen::Isometry3d::Identity()}};
-  std::array<OdometryWalk, 2> walks{OdometryWalk(graph, robots, centre, false),
-                                    OdometryWalk(graph, robots, centre, true)};
+  std::vector<SubmapMember> members{{centre}};
+  std::array<Way, 2> ways{Way{OdometryWalk(graph, robots, centre, false), {}},
+                          Way{OdometryWalk(graph, robots, centre, true), {}}};
   for (int i = 0; i < neighbours; ++i) {
-    for (OdometryWalk& walk : walks) {
-      const auto place = walk.next();
-      if (!place) continue;
-      const Key key = graph.nodes()[place->node].key;
-      if (key != other_end && (!has_scan || has_scan(key))) members.push_back({key, place->T_start_here});
+    for (Way& way : ways) {
+      if (!way.step(graph)) continue;
+      const Key key = graph.nodes()[way.here.node].key;
+      if (key != other_end && (!has_scan || has_scan(key)))
+        members.push_back({key, way.here.T_start_here, way.covariance});
     }
   }
   return members;
@@ -52,21 +85,23 @@ ContentHash hash_of(const RegistrationTask& task) {
       for (Eigen::Index j = 0; j < 4; ++j) hasher.number(T(i, j));
     }
   };
+  const auto add_covariance = [&hasher](const Matrix6d& covariance) {
+    // Rounded, because the covariance may come from another order of sums.
+    for (Eigen::Index i = 0; i < 36; ++i) {
+      hasher.number(static_cast<double>(static_cast<float>(covariance.data()[i])));
+    }
+  };
   hasher.integer(task.candidate.from).integer(task.candidate.to);
   hasher.integer(task.seed).integer(task.enough_points);
   hasher.integer(task.guess_from_to ? 1 : 0);
   if (task.guess_from_to) add_pose(*task.guess_from_to);
-  if (task.guess_covariance) {
-    // Rounded, because the covariance may come from another order of sums.
-    for (Eigen::Index i = 0; i < 36; ++i) {
-      hasher.number(static_cast<double>(static_cast<float>(task.guess_covariance->data()[i])));
-    }
-  }
+  if (task.guess_covariance) add_covariance(*task.guess_covariance);
   for (const std::vector<SubmapMember>* members : {&task.source, &task.target}) {
     hasher.integer(members->size());
     for (const SubmapMember& member : *members) {
       hasher.integer(member.key);
       add_pose(member.T_center_member);
+      add_covariance(member.covariance);
     }
   }
   return hasher.finish();

@@ -25,7 +25,7 @@ RegistrationTask random_task(Rng& rng) {
   if (rng.uniform() < 0.5) task.guess_covariance = Matrix6d::Random();
   for (std::uint64_t k = rng.below(5); k > 0; --k) {
     const Key key = rng();
-    task.target.push_back({key, testing::random_pose(rng, 2.0)});
+    task.target.push_back({key, testing::random_pose(rng, 2.0), Matrix6d::Random()});
   }
   return task;
 }
@@ -71,6 +71,7 @@ TEST_CASE("messages: tasks and results come through to the bit; cut ones are ref
     REQUIRE(back.target.size() == task.target.size());
     for (std::size_t k = 0; k < task.target.size(); ++k) {
       REQUIRE(back.target[k].T_center_member.matrix() == task.target[k].T_center_member.matrix());
+      REQUIRE(back.target[k].covariance == task.target[k].covariance);
     }
     REQUIRE_THROWS_AS(unpack_task(bytes.substr(0, rng.below(bytes.size()))), InputError);
     REQUIRE_THROWS_AS(unpack_task(bytes + "x"), InputError);
@@ -82,7 +83,8 @@ TEST_CASE("messages: tasks and results come through to the bit; cut ones are ref
     const std::string answer = pack_result(result);
     require_same(unpack_result(answer, task.candidate), result);
     REQUIRE_THROWS_AS(unpack_result(answer.substr(0, rng.below(answer.size())), task.candidate), InputError);
-    REQUIRE(bytes.size() + answer.size() <= 1440);
+    constexpr std::size_t kCovariance = 36 * sizeof(double);
+    REQUIRE(bytes.size() + answer.size() <= 1440 + (task.target.size() - 1) * kCovariance);
   }
 }
 

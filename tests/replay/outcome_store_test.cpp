@@ -170,6 +170,7 @@ TEST_CASE("outcome store: the key contains all inputs of an outcome", "[replay][
   require_new(changed([](RegistrationTask& t) { t.target.pop_back(); }));
   require_new(changed([](RegistrationTask& t) { std::swap(t.target[0], t.target[1]); }));
   require_new(changed([](RegistrationTask& t) { t.target[1].T_center_member.translation().z() += 1e-12; }));
+  require_new(changed([](RegistrationTask& t) { t.target[1].covariance(2, 2) += 1e-6; }));
   require_new(changed([](RegistrationTask& t) { t.source.push_back(t.target[2]); }));
   require_new(changed([](RegistrationTask& t) { std::swap(t.candidate.from, t.candidate.to); }));
   require_new(stored(mission, registrar, folder.path(), "other options").key_of(task));

@@ -19,6 +19,8 @@ class LOOPWISE_EXPORT OdometryWalk {
   /// A node on the way.
   struct Place {
     std::size_t node = 0;  ///< Its number in the graph.
+    std::size_t edge =
+        0;  ///< Number of the odometry edge that leads to it; meaningless where the walk began.
     /// Its pose in the frame of the node where the walk began.
     Eigen::Isometry3d T_start_here = Eigen::Isometry3d::Identity();
   };
@@ -28,7 +30,7 @@ class LOOPWISE_EXPORT OdometryWalk {
   /// \param start first node of the walk. \throws UnknownKeyError if it is not in the graph
   /// \param forward towards higher keys
   OdometryWalk(const PoseGraph& graph, const Robots& robots, Key start, bool forward)
-      : graph_(graph), robots_(robots), forward_(forward), at_(Place{graph.index_of(start)}) {}
+      : graph_(graph), robots_(robots), forward_(forward), at_(Place{graph.index_of(start), 0}) {}
 
   /// The next node: among the neighbours by odometry, the one with the nearest key. Empty at the end of the
   /// chain.

@@ -60,12 +60,12 @@ struct ClosureTestOptions {
   /// Standard deviation of a normal, rad. Information that this noise alone explains does not count.
   double normal_sigma_rad = 0.05;
   /// Neighbouring points share their error: this many count as one independent measurement.
-  double points_per_sample = 10.0;
+  double points_per_sample = 4.0;
   /// Added to the standard deviation of the translation in each direction, for errors that scans do not show,
   /// m.
-  double min_sigma_m = 0.01;
+  double min_sigma_m = 0.003;
   /// Added to the standard deviation of the rotation about each axis, for errors that scans do not show, rad.
-  double min_sigma_rad = 0.003;
+  double min_sigma_rad = 0.002;
   /// Standard deviation of the translation in a direction that is not constrained, m.
   double max_sigma_m = 10.0;
   /// Standard deviation of the rotation about an axis that is not constrained, rad.

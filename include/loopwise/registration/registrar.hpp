@@ -21,6 +21,10 @@ struct SubmapMember {
   Key key = 0;  ///< Node of the scan.
   /// Pose of the member's body in the frame of the submap's centre.
   Eigen::Isometry3d T_center_member = Eigen::Isometry3d::Identity();
+  /// Covariance of that pose over the left perturbation Exp(ξ)·T_center_member, order translation, rotation,
+  /// m² and rad². The members with higher keys than the centre's lie on one path from it, those with lower
+  /// keys on another, so that their errors have the steps of the nearer ones in common.
+  Matrix6d covariance = Matrix6d::Zero();
 };
 
 /// All input for the computation of one candidate, except the scans.
@@ -51,8 +55,8 @@ struct RegistrationTask {
   RegistrationTask task;
   task.candidate.from = from;
   task.candidate.to = to;
-  task.source = {{from, Eigen::Isometry3d::Identity()}};
-  task.target = {{to, Eigen::Isometry3d::Identity()}};
+  task.source = {{from}};
+  task.target = {{to}};
   task.seed = seed;
   return task;
 }
