@@ -4,8 +4,6 @@
 #include <cmath>
 #include <limits>
 
-#include <Eigen/Cholesky>
-
 namespace loopwise::se3 {
 
 Eigen::Matrix3d so3_exp(const Eigen::Vector3d& phi) {
@@ -133,13 +131,6 @@ Matrix6d covariance_of_inverse(const Eigen::Isometry3d& T, const Matrix6d& covar
   const Matrix6d ad = adjoint(T);
   const Matrix6d moved = ad * covariance * ad.transpose();
   return 0.5 * (moved + moved.transpose());
-}
-
-std::optional<Matrix6d> covariance_of(const Matrix6d& information) {
-  const Eigen::LDLT<Matrix6d> factor(information);
-  const auto d = factor.vectorD();
-  if (factor.info() != Eigen::Success || !(d.minCoeff() > 1e-12 * d.maxCoeff())) return std::nullopt;
-  return Matrix6d(factor.solve(Matrix6d::Identity()));
 }
 
 Eigen::Isometry3d normalized(const Eigen::Isometry3d& T) {

@@ -20,9 +20,10 @@ namespace {
 void put(ByteWriter& out, const std::vector<SubmapMember>& members) {
   out.put(static_cast<std::uint8_t>(members.size()));
   for (const SubmapMember& member : members) {
-    const bool identity = member.T_center_member.matrix() == Eigen::Matrix4d::Identity();
-    out.put(member.key).put(static_cast<std::uint8_t>(identity));
-    if (!identity) out.put(member.T_center_member).matrix(member.covariance);
+    const bool centre = member.T_center_member.matrix() == Eigen::Matrix4d::Identity() &&
+                        member.covariance == Matrix6d::Zero();
+    out.put(member.key).put(static_cast<std::uint8_t>(centre));
+    if (!centre) out.put(member.T_center_member).matrix(member.covariance);
   }
 }
 

@@ -174,7 +174,7 @@ class Confirmation {
     const Edge& edge = graph_.edges()[e];
     const Edge& across = graph_.edges()[other.edge];
     auto [near_from, near_to] = graph_.ends(other.edge);
-    auto own = se3::covariance_of(edge.information), others = se3::covariance_of(across.information);
+    auto own = covariance_of(edge.information), others = covariance_of(across.information);
     if (!own || !others) return kNotKnown;
     Eigen::Isometry3d B = across.T_from_to;
     if (other.reversed) {

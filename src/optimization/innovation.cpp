@@ -61,7 +61,7 @@ double innovation(const PoseGraph& graph, const OdometryForest& forest, std::siz
 void NeighbourInnovations::set_kept(const std::vector<std::size_t>& edges) {
   kept_.clear();
   for (const std::size_t e : edges) {
-    const auto covariance = se3::covariance_of(graph_.edges()[e].information);
+    const auto covariance = covariance_of(graph_.edges()[e].information);
     if (!covariance) continue;
     const double variance = mean_variance(graph_, *covariance);
     const auto [from, to] = graph_.ends(e);
@@ -114,7 +114,7 @@ const NeighbourInnovations::Kept* NeighbourInnovations::nearest(std::size_t from
 Matrix6d NeighbourInnovations::covariance_across(const Kept& kept, std::size_t from, std::size_t to) const {
   const Edge& edge = graph_.edges()[kept.edge];
   auto [near_from, near_to] = graph_.ends(kept.edge);
-  Matrix6d across = *se3::covariance_of(edge.information);
+  Matrix6d across = *covariance_of(edge.information);
   Eigen::Isometry3d B = edge.T_from_to;
   if (kept.reversed) {
     std::swap(near_from, near_to);

@@ -3,8 +3,6 @@
 
 #include <algorithm>
 
-#include <loopwise/core/se3.hpp>
-
 #include "innovation.hpp"
 #include "odometry_forest.hpp"
 
@@ -29,7 +27,7 @@ OdometryCovariances::Place OdometryCovariances::continued(const PoseGraph& graph
   next.pose = se3::normalized(here.pose * (forward ? step.T_from_to : step.T_from_to.inverse()));
   // The error of the measurement is on the right of the pose of its `to` end.
   const Matrix6d ad = se3::adjoint(forward ? next.pose : here.pose);
-  if (const auto own = se3::covariance_of(step.information)) {
+  if (const auto own = detail::covariance_of(step.information)) {
     next.covariance += ad * *own * ad.transpose();
   } else {
     next.root = kNone;  // a step of unknown certainty does not join
@@ -66,7 +64,7 @@ bool OdometryCovariances::append(const PoseGraph& graph) {
   for (; priors_ < graph.priors().size(); ++priors_) {
     const PriorFactor& prior = graph.priors()[priors_];
     const Place& root = places_[places_[graph.index_of(prior.key)].root];
-    if (!root.anchored && se3::covariance_of(prior.information)) return false;
+    if (!root.anchored && detail::covariance_of(prior.information)) return false;
   }
   return true;
 }
@@ -92,7 +90,7 @@ void OdometryCovariances::rebuild(const PoseGraph& graph) {
   };
   for (const PriorFactor& prior : graph.priors()) {
     const auto node = static_cast<std::uint32_t>(graph.index_of(prior.key));
-    const auto own = se3::covariance_of(prior.information);
+    const auto own = detail::covariance_of(prior.information);
     if (places_[node].root != kNone || !own) continue;
     const Matrix6d ad = se3::adjoint(prior.pose);
     places_[node].pose = prior.pose;

@@ -21,6 +21,13 @@ std::vector<char> known_inliers(const PoseGraph& graph) {
 
 }  // namespace
 
+std::optional<Matrix6d> covariance_of(const Matrix6d& information) {
+  const Eigen::LDLT<Matrix6d> factor(information);
+  const auto d = factor.vectorD();
+  if (factor.info() != Eigen::Success || !(d.minCoeff() > 1e-12 * d.maxCoeff())) return std::nullopt;
+  return Matrix6d(factor.solve(Matrix6d::Identity()));
+}
+
 OdometryForest::OdometryForest(const PoseGraph& graph) : OdometryForest(graph, known_inliers(graph)) {}
 
 OdometryForest::OdometryForest(const PoseGraph& graph, const std::vector<char>& in_tree)
@@ -32,7 +39,7 @@ OdometryForest::OdometryForest(const PoseGraph& graph, const std::vector<char>& 
       anchored_(graph.nodes().size(), 0) {
   for (const PriorFactor& prior : graph.priors()) {
     const auto node = static_cast<std::uint32_t>(graph.index_of(prior.key));
-    const auto own = se3::covariance_of(prior.information);
+    const auto own = covariance_of(prior.information);
     if (root_[node] != kNone || !own) continue;
     poses_[node] = prior.pose;
     const Matrix6d ad = se3::adjoint(prior.pose);
@@ -57,7 +64,7 @@ void OdometryForest::grow(const PoseGraph& graph, std::uint32_t from, const std:
       const bool forward = ends.from == node;
       const auto next = static_cast<std::uint32_t>(forward ? ends.to : ends.from);
       if (root_[next] != kNone || in_tree[e] == 0) continue;
-      const auto step = se3::covariance_of(edge.information);
+      const auto step = covariance_of(edge.information);
       if (!step) continue;
       poses_[next] = se3::normalized(poses_[node] * (forward ? edge.T_from_to : edge.T_from_to.inverse()));
       // The error of the measurement is on the right of the pose of its `to` end.

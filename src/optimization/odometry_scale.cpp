@@ -79,7 +79,7 @@ std::optional<OdometryEstimate> estimated_odometry_variances(const PoseGraph& gr
   std::vector<std::size_t> odometry;
   std::vector<std::pair<std::size_t, std::size_t>> ends;
   for (std::size_t k = 0; k < graph.edges().size(); ++k) {
-    if (graph.edges()[k].kind != EdgeKind::kOdometry || !se3::covariance_of(graph.edges()[k].information))
+    if (graph.edges()[k].kind != EdgeKind::kOdometry || !covariance_of(graph.edges()[k].information))
       continue;
     odometry.push_back(k);
     ends.emplace_back(graph.ends(k).from, graph.ends(k).to);

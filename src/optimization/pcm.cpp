@@ -86,7 +86,7 @@ PcmResult pairwise_consistent(const PoseGraph& graph, const PcmOptions& options)
   for (std::size_t e = 0; e < graph.edges().size(); ++e) {
     const Edge& edge = graph.edges()[e];
     if (known_inlier(edge)) continue;
-    const auto covariance = se3::covariance_of(edge.information);
+    const auto covariance = detail::covariance_of(edge.information);
     if (!covariance) {
       throw InputError("edge " + key_name(edge.from) + " to " + key_name(edge.to) +
                        ": information is singular, so its consistency with others cannot be measured");

@@ -4,6 +4,8 @@
 #include <array>
 #include <vector>
 
+#include <Eigen/Cholesky>
+
 #include <loopwise/core/odometry_walk.hpp>
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/se3.hpp>
@@ -11,8 +13,9 @@
 namespace loopwise {
 namespace {
 
-/// Standard deviations of a step of odometry whose information is singular.
-constexpr double kUnknownStepM = 0.01, kUnknownStepRad = 0.003;
+/// Largest standard deviations of a step of the odometry, m and rad. A submap with larger errors would not
+/// pass the tests of a closure, and odometry without information has no finite covariance.
+constexpr double kLargestStepM = 0.5, kLargestStepRad = 0.1;
 
 /// What a step of the odometry adds to the covariance of its end, in the frame where the walk began. The
 /// error of an edge is on the right of its `to` end.
@@ -20,11 +23,10 @@ Matrix6d covariance_of_step(const PoseGraph& graph, const OdometryWalk::Place& b
                             const OdometryWalk::Place& after) {
   const bool forward = graph.ends(after.edge).to == after.node;
   const Matrix6d ad = se3::adjoint(forward ? after.T_start_here : before.T_start_here);
-  Matrix6d own = Matrix6d::Zero();
-  own.diagonal() << Eigen::Vector3d::Constant(kUnknownStepM * kUnknownStepM),
-      Eigen::Vector3d::Constant(kUnknownStepRad * kUnknownStepRad);
-  own = se3::covariance_of(graph.edges()[after.edge].information).value_or(own);
-  return ad * own * ad.transpose();
+  Matrix6d information = graph.edges()[after.edge].information;
+  information.diagonal().head<3>().array() += 1.0 / (kLargestStepM * kLargestStepM);
+  information.diagonal().tail<3>().array() += 1.0 / (kLargestStepRad * kLargestStepRad);
+  return ad * information.ldlt().solve(Matrix6d(ad.transpose()));
 }
 
 /// A walk along the odometry from the centre of a submap, with the covariance of the way so far.
@@ -33,7 +35,7 @@ struct Way {
   OdometryWalk::Place here;
   Matrix6d covariance = Matrix6d::Zero();
 
-  /// \returns whether there is a next node, which `here` then is
+  /// Moves to the next node; false at the end of the chain.
   bool step(const PoseGraph& graph) {
     const auto next = walk.next();
     if (!next) return false;

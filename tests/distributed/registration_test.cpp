@@ -25,7 +25,9 @@ RegistrationTask random_task(Rng& rng) {
   if (rng.uniform() < 0.5) task.guess_covariance = Matrix6d::Random();
   for (std::uint64_t k = rng.below(5); k > 0; --k) {
     const Key key = rng();
-    task.target.push_back({key, testing::random_pose(rng, 2.0), Matrix6d::Random()});
+    const bool still = rng.uniform() < 0.2;  // no motion by odometry, but an uncertain one
+    task.target.push_back(
+        {key, still ? Eigen::Isometry3d::Identity() : testing::random_pose(rng, 2.0), Matrix6d::Random()});
   }
   return task;
 }

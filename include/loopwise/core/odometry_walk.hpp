@@ -19,8 +19,8 @@ class LOOPWISE_EXPORT OdometryWalk {
   /// A node on the way.
   struct Place {
     std::size_t node = 0;  ///< Its number in the graph.
-    std::size_t edge =
-        0;  ///< Number of the odometry edge that leads to it; meaningless where the walk began.
+    /// Number of the odometry edge that leads to it. Without meaning where the walk began.
+    std::size_t edge = 0;
     /// Its pose in the frame of the node where the walk began.
     Eigen::Isometry3d T_start_here = Eigen::Isometry3d::Identity();
   };

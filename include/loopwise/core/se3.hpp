@@ -6,7 +6,6 @@
 #pragma once
 
 #include <cmath>
-#include <optional>
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
@@ -101,9 +100,6 @@ struct ExpCoefficients {
 /// Covariance of T⁻¹ when `covariance` is that of T (both right perturbations): Ad(T)·Σ·Ad(T)ᵀ.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d covariance_of_inverse(const Eigen::Isometry3d& T,
                                                              const Matrix6d& covariance);
-
-/// Inverse of an information matrix, or nothing if it is singular.
-[[nodiscard]] LOOPWISE_EXPORT std::optional<Matrix6d> covariance_of(const Matrix6d& information);
 
 /// Nearest rotation to a rotation matrix with rounding errors.
 [[nodiscard]] LOOPWISE_EXPORT Eigen::Isometry3d normalized(const Eigen::Isometry3d& T);

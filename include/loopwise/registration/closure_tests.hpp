@@ -174,7 +174,7 @@ measure_alignment(const PointCloud& source, const PointCloud& target, const KdTr
 /// Covariance of T_from_to from the point-to-plane Hessian: σ²·(points_per_sample)·H⁻¹ with σ the plane
 /// distance's root mean square but at least point_sigma_m, plus min_sigma²; each direction (eigenvector of
 /// the Hessian scaled by the bounds) is limited by max_sigma. Symmetric positive definite for every symmetric
-/// finite input.
+/// finite input. Errors of the odometry within submaps are not included: the registrars add them.
 [[nodiscard]] LOOPWISE_EXPORT Matrix6d closure_covariance(const AlignmentFigures& figures,
                                                           const ClosureTestOptions& options);
 

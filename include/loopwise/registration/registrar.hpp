@@ -22,8 +22,9 @@ struct SubmapMember {
   /// Pose of the member's body in the frame of the submap's centre.
   Eigen::Isometry3d T_center_member = Eigen::Isometry3d::Identity();
   /// Covariance of that pose over the left perturbation Exp(ξ)·T_center_member, order translation, rotation,
-  /// m² and rad². The members with higher keys than the centre's lie on one path from it, those with lower
-  /// keys on another, so that their errors have the steps of the nearer ones in common.
+  /// m² and rad². Zero: the pose is exact. Members with higher keys than the centre's lie on one path from
+  /// it, nearest first, and those with lower keys on another. So the covariance of a member contains that of
+  /// the nearer ones on its path.
   Matrix6d covariance = Matrix6d::Zero();
 };
 
