@@ -25,7 +25,8 @@ namespace loopwise {
                                       const Eigen::Isometry3d& T_target_source,
                                       const ClosureTestOptions& options, FollowedPoints& followed);
 
-/// Share of points in the free space of the other scan, both ways added, by `count` points of each side.
+/// Share of points in the free space of the other scan, both ways added, by `count` points of each side. The
+/// shares by which the scans contradict themselves are subtracted: so much is expected of right poses too.
 [[nodiscard]] double contradiction(const Side& source, const Side& target,
                                    const Eigen::Isometry3d& T_target_source, std::size_t count);
 

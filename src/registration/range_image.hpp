@@ -23,11 +23,16 @@ class RangeImage {
   [[nodiscard]] double contradiction(const PointCloud& cloud, const Eigen::Isometry3d& T_sensor_cloud,
                                      std::size_t count) const;
 
+  /// The same share of the scan's own points, each against the image of all others: high for sparse scans of
+  /// rough surfaces, where free space between the points is a guess.
+  [[nodiscard]] double own_contradiction() const { return own_contradiction_; }
+
   [[nodiscard]] std::size_t bytes() const { return sizeof(*this) + free_m_.capacity() * sizeof(float); }
 
  private:
   std::vector<float> free_m_;  // by cell; infinite where nothing was seen
   std::vector<char> seen_;     // whether the cell itself holds a point
+  double own_contradiction_ = 0.0;
 };
 
 }  // namespace loopwise

@@ -414,19 +414,25 @@ TEST_CASE(
 }
 
 TEST_CASE("starts: a solution from scratch ends at a minimum of its closures", "[optimization][gnc]") {
-  Rng rng(9);
+  // Large noise: descents that only decide about closures stop up to 3e-8 above the minimum.
   testing::RandomGraphOptions shape;
   shape.nodes = 300;
-  shape.closures = 120;
-  shape.false_closures = 40;
-  PoseGraph graph = testing::random_graph(rng, shape).graph;
-  const GncResult result = PoseGraphOptimizer().optimize_gnc(graph, {});
-  graph.set_poses(result.optimization.poses);
-  for (std::size_t e = 0; e < graph.edges().size(); ++e) graph.set_weight(e, result.weights[e]);
-  const OptimizationResult again = optimize(graph);
-  REQUIRE(result.outliers >= shape.false_closures);
-  REQUIRE(again.cost_initial == Approx(result.optimization.cost).epsilon(1e-9));
-  REQUIRE(again.cost == Approx(again.cost_initial).epsilon(1e-7));
+  shape.closures = 150;
+  shape.false_closures = 37;
+  shape.sigma_m = 0.2;
+  shape.sigma_rad = 0.1;
+  for (const std::uint64_t seed : {9, 10, 11}) {
+    CAPTURE(seed);
+    Rng rng(seed);
+    PoseGraph graph = testing::random_graph(rng, shape).graph;
+    const GncResult result = PoseGraphOptimizer().optimize_gnc(graph, {});
+    graph.set_poses(result.optimization.poses);
+    for (std::size_t e = 0; e < graph.edges().size(); ++e) graph.set_weight(e, result.weights[e]);
+    const OptimizationResult again = optimize(graph);
+    REQUIRE(result.outliers >= shape.false_closures);
+    REQUIRE(again.cost_initial == Approx(result.optimization.cost).epsilon(1e-9));
+    REQUIRE(again.cost == Approx(again.cost_initial).epsilon(1e-10));
+  }
 }
 
 TEST_CASE("starts: kernels that do not truncate are not continued", "[optimization][gnc]") {

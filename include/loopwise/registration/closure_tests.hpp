@@ -43,8 +43,8 @@ struct ClosureTestOptions {
   double plane_distance_m = 0.08;
   /// Minimum consistency: the share of overlapping points that lie on a surface, relative to the same share
   /// of their neighbours within their own scans, minus five times the share of points in space that the other
-  /// scan saw as free. If less than half of the points overlap, the weight of free space grows in proportion.
-  /// 0: no test.
+  /// scan saw as free, beyond what each scan shows of its own points. If less than half of the points
+  /// overlap, the weight of free space grows in proportion. 0: no test.
   double min_consistency = 0.0;
   /// Closures with more unconstrained directions, whose standard deviation reaches max_sigma_m or
   /// max_sigma_rad, are rejected. A round tunnel has two.
@@ -107,7 +107,8 @@ struct AlignmentFigures {
   double on_plane = 0.0;           ///< Share of these points within plane_distance_m.
   double expected_on_plane = 1.0;  ///< The share among neighbours within the clouds, see PlaneNeighbours.
   double expected_overlap = 1.0;   ///< Overlap of neighbours within the target, see surface_share().
-  /// Share of points in free space of the other scan, summed over source and target; 0 if not measured.
+  /// Share of points in free space of the other scan, summed over source and target, beyond the share of
+  /// points of each scan in what its other points show as free; 0 if not measured.
   double contradiction = 0.0;
   double plane_rmse_m = 0.0;  ///< Over overlapping points with agreeing normals, along the target's normals.
   std::size_t plane_points = 0;  ///< Number of these points.
