@@ -74,8 +74,7 @@ double contradiction(const Side& source, const Side& target, const Eigen::Isomet
   const double found = target.range_image.contradiction(source.submap.cloud(), T_target_source, count) +
                        source.range_image.contradiction(target.submap.parts().front().features->cloud,
                                                         T_target_source.inverse(), count);
-  return std::max(0.0,
-                  found - source.range_image.own_contradiction() - target.range_image.own_contradiction());
+  return found - source.range_image.own_contradiction() - target.range_image.own_contradiction();
 }
 
 Eigen::Vector3d undecided_share(const Side& source, std::size_t count, const Side& target,

@@ -27,6 +27,7 @@ namespace loopwise {
 
 /// Share of points in the free space of the other scan, both ways added, by `count` points of each side. The
 /// shares by which the scans contradict themselves are subtracted: so much is expected of right poses too.
+/// The result may be negative.
 [[nodiscard]] double contradiction(const Side& source, const Side& target,
                                    const Eigen::Isometry3d& T_target_source, std::size_t count);
 

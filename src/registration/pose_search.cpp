@@ -158,7 +158,7 @@ AlignmentFigures PoseSearch::figures_of(const Eigen::Isometry3d& T_target_source
   // In sparse scans of long range, fewer than half of the points have a neighbour.
   figures.expected_overlap = std::min(1.0, 2.0 * target_.share.overlap);
   constexpr std::size_t kLookedAt = 1000;
-  figures.contradiction = contradiction(source_, target_, T_target_source, kLookedAt);
+  figures.contradiction = std::max(0.0, contradiction(source_, target_, T_target_source, kLookedAt));
   return figures;
 }
 

@@ -24,7 +24,8 @@ class RangeImage {
                                      std::size_t count) const;
 
   /// The same share of the scan's own points, each against the image of all others: high for sparse scans of
-  /// rough surfaces, where free space between the points is a guess.
+  /// rough surfaces, where free space between the points is a guess. A point also counts if the others have
+  /// seen something in a cell beside its own only: in sparse scans, few cells hold two points.
   [[nodiscard]] double own_contradiction() const { return own_contradiction_; }
 
   [[nodiscard]] std::size_t bytes() const { return sizeof(*this) + free_m_.capacity() * sizeof(float); }

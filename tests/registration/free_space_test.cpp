@@ -4,7 +4,9 @@
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <memory>
+#include <vector>
 
 #include <loopwise/core/random.hpp>
 #include <loopwise/core/se3.hpp>
@@ -67,14 +69,14 @@ double left_out_one_by_one(const PointCloud& cloud) {
   for (std::size_t i = 0; i < cloud.size(); ++i) {
     PointCloud others = cloud;
     // The image judges a point only in a direction that it has seen: a far point is there.
-    others.points[i] *= 1000.0F;
+    others.points[i] *= 1024.0F;
     const RangeImage image(others);
     const auto contradicts = [&](float factor) {
       PointCloud one;
       one.points = {factor * cloud.points[i]};
       return image.contradiction(one, Eigen::Isometry3d::Identity(), 1) == 1.0;
     };
-    if (contradicts(500.0F)) continue;  // no other point around
+    if (contradicts(512.0F)) continue;  // no other point around
     ++looked_at;
     contradicted += contradicts(1.0F) ? 1 : 0;
   }
@@ -93,6 +95,12 @@ TEST_CASE("RangeImage: a scan contradicts itself as its points contradict the im
     REQUIRE(own == Approx(left_out_one_by_one(*scan)));
     REQUIRE(own > 0.001);
   }
+  // Of two equal points, neither is in the free space of the other.
+  PointCloud twice;
+  twice.points = {{5, 0, 0}, {5, 0, 0}, {10, 0, 0}};
+  REQUIRE(RangeImage(twice).own_contradiction() == 0.0);
+  twice.points = {{5, 0, 0}, {10, 0, 0}};
+  REQUIRE(RangeImage(twice).own_contradiction() == 0.5);
   REQUIRE(RangeImage(PointCloud{}).own_contradiction() == 0.0);
 }
 

@@ -23,6 +23,7 @@
 #include <loopwise/core/se3.hpp>
 #include <loopwise/evaluation/trajectory_errors.hpp>
 #include <loopwise/prioritization/method.hpp>
+#include <loopwise/replay/code_version.hpp>
 #include <loopwise/replay/registration.hpp>
 #include <loopwise/replay/replay.hpp>
 #include <loopwise/simulation/simulate.hpp>
@@ -52,8 +53,8 @@ struct Disturbance {
 
 constexpr Disturbance kDisturbances[] = {
     {"none"},
-    {"odometry with noise of 0.02 m and 0.004 rad a metre", 0.02, 0.004},
-    {"odometry with noise of 0.06 m and 0.012 rad a metre", 0.06, 0.012},
+    {"odometry with noise of 0.02 m and 0.004 rad after 1 m", 0.02, 0.004},
+    {"odometry with noise of 0.06 m and 0.012 rad after 1 m", 0.06, 0.012},
     {"odometry stated three times too certain", 0.0, 0.0, 3.0},
     {"scans of 300 points", 0.0, 0.0, 1.0, true},
     {"a tenth of the refused pairs accepted", 0.0, 0.0, 1.0, false, 0.1},
@@ -88,6 +89,7 @@ class Careless : public Registrar {
 };
 
 /// The graph with changed nodes; those for which `change` returns false, and their factors, are left out.
+/// For graphs without ranges and gravity.
 template <class Change>
 PoseGraph with_nodes(const PoseGraph& graph, Change&& change) {
   PoseGraph out;
@@ -143,9 +145,11 @@ bool is_wrong(const Edge& edge, const PosesByKey& truth) {
   return error.translation().norm() > 0.5 || se3::log(error).tail<3>().norm() > 0.05;
 }
 
-Run run_of(const Mission& mission, const Disturbance& by, const std::string& method) {
+/// \param seed of the noise and of all other draws
+Run run_of(const Mission& mission, const Disturbance& by, const std::string& method, std::uint64_t seed) {
   ReplayOptions options;
   options.engine.guess = GuessSource::kOdometry;
+  options.engine.seed = seed;
   options.prioritization.method = parse_method(method);
   options.cost.workers = kWorkers;
   options.odometry_noise_m_per_m = by.noise_m;
@@ -169,29 +173,48 @@ Run run_of(const Mission& mission, const Disturbance& by, const std::string& met
   return run;
 }
 
-/// The runs of a study by disturbance, method and mission, in a file that grows with each of them.
+/// The runs of a study by disturbance, method and mission, in a file that grows with each of them. A file of
+/// another version of the code is begun anew.
 class Runs {
  public:
   explicit Runs(fs::path file) : file_(std::move(file)) {
+    const std::string version = "version " + replay_code_version();
     std::ifstream in(file_);
-    for (std::string line; std::getline(in, line);) {
-      std::istringstream values(line);
-      std::string name;
-      Run run;
-      if (std::getline(values, name, ';') && values >> run.error_m >> run.without_lost_m >> run.wrong)
-        runs_[name] = run;
+    std::string line;
+    if (std::getline(in, line) && line == version) {
+      while (std::getline(in, line)) read(line);
+    } else {
+      write(version, std::ios::trunc);
     }
   }
   [[nodiscard]] bool has(const std::string& name) const { return runs_.count(name) > 0; }
   [[nodiscard]] const Run& of(const std::string& name) const { return runs_.at(name); }
   void add(const std::string& name, const Run& run) {
     runs_[name] = run;
-    std::ofstream(file_, std::ios::app)
-        << name << "; " << run.error_m << ' ' << run.without_lost_m << ' ' << run.wrong << std::endl;
+    std::ostringstream line;
+    line.precision(17);
+    line << name << "; " << run.error_m << ' ' << run.without_lost_m << ' ' << run.wrong << " .";
+    write(line.str(), std::ios::app);
     std::fprintf(stderr, "%s: %.3f m, %g wrong\n", name.c_str(), run.error_m, run.wrong);
   }
 
  private:
+  /// A line that an interruption has cut lacks the point at its end.
+  void read(const std::string& line) {
+    std::istringstream values(line);
+    std::string name, end;
+    Run run;
+    if (std::getline(values, name, ';') && values >> run.error_m >> run.without_lost_m >> run.wrong >> end &&
+        end == ".")
+      runs_[name] = run;
+  }
+  void write(const std::string& line, std::ios::openmode mode) const {
+    std::ofstream out(file_, mode);
+    if (mode == std::ios::app) out << '\n';  // after a line that was cut
+    out << line << std::endl;
+    if (!out) throw IoError(file_.string(), "cannot be written");
+  }
+
   fs::path file_;
   std::map<std::string, Run> runs_;
 };
@@ -213,6 +236,7 @@ Mission simulated(WorldKind world, std::uint64_t seed, bool few_points) {
 /// Computes what the file lacks for one mission.
 void complete(WorldKind world, std::uint64_t seed, Runs& runs) {
   const std::string name = enum_name(world) + "-" + std::to_string(seed);
+  const std::uint64_t draws = combine_seeds(seed, static_cast<std::uint64_t>(world));
   for (const bool few_points : {false, true}) {
     std::vector<std::pair<const Disturbance*, std::string>> open;
     for (const Disturbance& by : kDisturbances) {
@@ -224,7 +248,7 @@ void complete(WorldKind world, std::uint64_t seed, Runs& runs) {
     if (open.empty()) continue;
     const Mission mission = simulated(world, seed, few_points);
     for (const auto& [by, method] : open) {
-      runs.add(name_of(*by, method, name), run_of(disturbed(mission, *by, seed), *by, method));
+      runs.add(name_of(*by, method, name), run_of(disturbed(mission, *by, draws), *by, method, draws));
     }
   }
 }
@@ -251,10 +275,11 @@ int run(const std::vector<std::string>& arguments) {
   if (arguments.size() < 2) throw OptionError("usage: loopwise_robustness_study FILE SEED...");
   Runs runs(arguments[0]);
   std::vector<std::string> missions;
-  for (auto seed = arguments.begin() + 1; seed != arguments.end(); ++seed) {
+  for (auto argument = arguments.begin() + 1; argument != arguments.end(); ++argument) {
+    const std::uint64_t seed = std::stoull(*argument);
     for (const WorldKind world : kWorlds) {
-      complete(world, std::stoull(*seed), runs);
-      missions.push_back(enum_name(world) + "-" + *seed);
+      complete(world, seed, runs);
+      missions.push_back(enum_name(world) + "-" + std::to_string(seed));
     }
   }
   std::printf("| disturbance |");
