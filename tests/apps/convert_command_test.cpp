@@ -69,8 +69,8 @@ TEST_CASE("convert: round trips, and other commands on the result", "[apps][conv
   for (const std::string& path : {again, g}) {
     const auto [found_there, error_there] = closures(path, fs::path(path).filename().string() + "_run");
     CHECK(found_there == found);
-    CHECK(error_there ==
-          Approx(error).epsilon(1e-9));  // poses as text have 17 digits, quaternions are normalised
+    // Quaternions of text are normalised; registrations compute in floats, which amplify the last digit.
+    CHECK(error_there == Approx(error).epsilon(1e-8));
   }
   CHECK(json_of({"rank", g})["candidates"] == json_of({"rank", m})["candidates"]);
 

@@ -8,7 +8,7 @@
 ///   loopwise_registration_bench foreign DATA
 ///     scans of two places: to be rejected
 ///   loopwise_registration_bench gicp DATA/kitti_pair [STARTS]
-///     the refinement alone, 0.25 m voxels
+///     the refinement alone, 0.25 m voxels, also beside small_gicp if that is installed
 ///   loopwise_registration_bench distance FOLDER [PAIRS [PCL_EVERY]]
 ///     pairs of any folder of scans with poses, by their distance
 ///   loopwise_registration_bench symmetric all|KIND [COUNT [SEED]]
@@ -41,6 +41,7 @@
 #include "normal_bins.hpp"
 #include "registration_distance.hpp"
 #include "registration_pcl.hpp"
+#include "registration_small_gicp.hpp"
 #include "registration_symmetric.hpp"
 
 namespace loopwise::bench {
@@ -323,6 +324,7 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
     }
   }
   const Eigen::Vector3d centre = robust_centre(source.cloud.points);
+  const SmallGicpScan small_source(*pair.source, kFine), small_target(*pair.target, kFine);
   for (std::uint64_t seed = 0; seed < starts; ++seed) {
     Rng rng(seed + 100);
     Eigen::Vector3d shift(rng.normal(), rng.normal(), rng.normal()),
@@ -346,6 +348,18 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
       const PclAlignment peer = pcl_gicp(pcl_source, pcl_target, start, s);
       peers[name].add(0.0, peer.gicp_ms);
       peers[name].judge(peer.accepted, error_of(peer.T_target_source, pair.T_target_source), 0.2, 0.5);
+    }
+    for (const bool voxels : {false, true}) {
+      if (!has_small_gicp()) break;
+      SmallGicpAlignment best_of_three;
+      for (int i = 0; i < 3; ++i) {
+        const SmallGicpAlignment run = small_gicp_align(small_source, small_target, start, voxels);
+        if (i == 0 || run.ms < best_of_three.ms) best_of_three = run;
+      }
+      Column& column = peers[voxels ? "small VGICP" : "small GICP"];
+      column.add(0.0, best_of_three.ms);
+      column.judge(best_of_three.converged, error_of(best_of_three.T_target_source, pair.T_target_source),
+                   0.2, 0.5);
     }
   }
   print_header();
