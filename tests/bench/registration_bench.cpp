@@ -7,8 +7,8 @@
 ///     all pairs of a session; PCL on every n-th
 ///   loopwise_registration_bench foreign DATA
 ///     scans of two places: to be rejected
-///   loopwise_registration_bench gicp DATA/kitti_pair [STARTS]
-///     the refinement alone, 0.25 m voxels, also beside small_gicp if that is installed
+///   loopwise_registration_bench gicp DATA/kitti_pair [STARTS [VOXEL_M]]
+///     the refinement alone, voxels of 0.25 m, also beside small_gicp if that is installed
 ///   loopwise_registration_bench distance FOLDER [PAIRS [PCL_EVERY]]
 ///     pairs of any folder of scans with poses, by their distance
 ///   loopwise_registration_bench symmetric all|KIND [COUNT [SEED]]
@@ -303,15 +303,15 @@ void foreign(const fs::path& data) {
   print_ratio(fast.ms, pcl.ms, "a pair that is rejected");
 }
 
-void gicp(const fs::path& folder, std::uint64_t starts) {
-  constexpr double kFine = 0.25;
+void gicp(const fs::path& folder, std::uint64_t starts, double voxel_m) {
   const KittiPair pair = read_pair(folder);
   FeatureOptions options;
-  options.voxel_m = kFine;
+  options.voxel_m = voxel_m;
   const ScanFeatures source = compute_features(*pair.source, options);
   const ScanFeatures target = compute_features(*pair.target, options);
   const auto order = draw_balanced(source.cloud, source.cloud.size());
-  const PclScan pcl_source(*pair.source, kFine, kFpfhRadius), pcl_target(*pair.target, kFine, kFpfhRadius);
+  const PclScan pcl_source(*pair.source, voxel_m, kFpfhRadius),
+      pcl_target(*pair.target, voxel_m, kFpfhRadius);
   Column fast;
   std::map<std::string, Column> peers;
   std::map<std::string, PclGicpSettings> settings;
@@ -324,7 +324,7 @@ void gicp(const fs::path& folder, std::uint64_t starts) {
     }
   }
   const Eigen::Vector3d centre = robust_centre(source.cloud.points);
-  const SmallGicpScan small_source(*pair.source, kFine), small_target(*pair.target, kFine);
+  const SmallGicpScan small_source(*pair.source, voxel_m), small_target(*pair.target, voxel_m);
   for (std::uint64_t seed = 0; seed < starts; ++seed) {
     Rng rng(seed + 100);
     Eigen::Vector3d shift(rng.normal(), rng.normal(), rng.normal()),
@@ -380,14 +380,15 @@ int main(int argc, char** argv) {
   if (is("kitti")) return kitti(argv[2], number(20)), 0;
   if (is("session")) return session(argv[2], number(10)), 0;
   if (is("foreign")) return foreign(argv[2]), 0;
-  if (is("gicp")) return gicp(argv[2], number(20)), 0;
+  if (is("gicp")) return gicp(argv[2], number(20), argc > 4 ? std::atof(argv[4]) : 0.25), 0;
   if (is("distance"))
     return distance(argv[2], number(100), argc > 4 ? std::strtoull(argv[4], nullptr, 10) : 10), 0;
   if (is("symmetric")) {
     return symmetric(argv[2], number(60), argc > 4 ? std::strtoull(argv[4], nullptr, 10) : 1), 0;
   }
   std::printf(
-      "loopwise_registration_bench kitti|session|gicp FOLDER [COUNT] | foreign DATA | distance FOLDER [PAIRS "
+      "loopwise_registration_bench kitti|session FOLDER [COUNT] | gicp FOLDER [STARTS [VOXEL_M]] | foreign "
+      "DATA | distance FOLDER [PAIRS "
       "[PCL_EVERY]] | symmetric all|KIND "
       "[COUNT [SEED]]\n");
   return 2;
