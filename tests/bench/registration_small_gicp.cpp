@@ -2,6 +2,8 @@
 #include "registration_small_gicp.hpp"
 
 #ifdef LOOPWISE_HAS_SMALL_GICP
+#include <tuple>
+
 #include <small_gicp/registration/registration_helper.hpp>
 
 #include "registration_pcl.hpp"
