@@ -3,7 +3,9 @@
 
 #include <algorithm>
 #include <cstdint>
+#include <map>
 #include <tuple>
+#include <utility>
 
 #include <Eigen/Dense>
 
@@ -21,6 +23,8 @@ namespace {
 constexpr std::uint32_t kNearSteps = 12;
 /// Bound on the neighbours that are tested for a closure, nearest first.
 constexpr std::size_t kMostTried = 12;
+/// Largest difference of the keys of two nodes that are hardly apart.
+constexpr Key kHardlyApart = 3;
 /// Bound on the closures that are examined in each direction: many closures may end at one place.
 constexpr std::size_t kMostSeen = 2000;
 /// Fewest closures with neighbours that show the noise.
@@ -29,6 +33,41 @@ constexpr std::size_t kFewestPairs = 20;
 constexpr double kLeastInnovation = 1e-7;
 /// A large group has a tenth of the closures of the largest one, if that one has a tenth of all.
 constexpr std::size_t kSmallestShare = 10;
+
+Key keys_apart(const Edge& edge) {
+  return edge.from < edge.to ? edge.to - edge.from : edge.from - edge.to;
+}
+
+/// Keys of different robots are far apart, unless they are plain numbers.
+bool may_continue_odometry(const Edge& edge) {
+  return keys_apart(edge) <= kHardlyApart;
+}
+
+/// The longest step of odometry, and the largest turn in one.
+struct LongestStep {
+  double m = 0.0, rad = 0.0;
+
+  explicit LongestStep(const PoseGraph& graph) {
+    for (const Edge& edge : graph.edges()) {
+      if (!known_inlier(edge)) continue;
+      m = std::max(m, edge.T_from_to.translation().norm());
+      rad = std::max(rad, se3::rotation_angle(edge.T_from_to));
+    }
+  }
+  /// Whether the closure is as short as the steps of odometry between its keys would be.
+  [[nodiscard]] bool allows(const Edge& closure) const {
+    const auto steps = static_cast<double>(keys_apart(closure));
+    return closure.T_from_to.translation().norm() <= steps * m &&
+           se3::rotation_angle(closure.T_from_to) <= steps * rad;
+  }
+};
+
+/// Whether Ω determines most directions.
+bool is_informative(const Matrix6d& information) {
+  constexpr int kFewestDirections = 4;
+  const Vector6d values = Eigen::SelfAdjointEigenSolver<Matrix6d>(information).eigenvalues();
+  return (values.array() > 1e-9 * values[5]).count() >= kFewestDirections;
+}
 
 std::uint32_t steps(std::uint32_t a, std::uint32_t b) {
   return a < b ? b - a : a - b;
@@ -100,7 +139,7 @@ class Confirmation {
   std::vector<double> innovations_across_nearest() {
     std::vector<double> out;
     for (std::size_t i = 0; i < seen_.size(); ++i) {
-      if (seen_[i].reversed) continue;
+      if (seen_[i].reversed || !covariance_of(graph_.edges()[seen_[i].edge].information)) continue;
       find_near(i);
       if (near_.empty()) continue;
       const double d2 = innovation_across(seen_[i].edge, *near_.front().second);
@@ -168,14 +207,15 @@ class Confirmation {
     return d2 >= 0.0 && d2 <= c2_;
   }
 
-  /// d² of this closure's measurement by the path A B C across the other closure; NaN without covariances.
+  /// d² of this closure's measurement by the path A B C across the other closure; NaN if that one has no
+  /// covariance, or the information of this one leaves most directions open.
   [[nodiscard]] double innovation_across(std::size_t e, const Seen& other) const {
     const auto [from, to] = graph_.ends(e);
     const Edge& edge = graph_.edges()[e];
     const Edge& across = graph_.edges()[other.edge];
     auto [near_from, near_to] = graph_.ends(other.edge);
-    auto own = covariance_of(edge.information), others = covariance_of(across.information);
-    if (!own || !others) return kNotKnown;
+    auto others = covariance_of(across.information);
+    if (!others || (!covariance_of(edge.information) && !is_informative(edge.information))) return kNotKnown;
     Eigen::Isometry3d B = across.T_from_to;
     if (other.reversed) {
       std::swap(near_from, near_to);
@@ -186,10 +226,9 @@ class Confirmation {
     if (!there || !on) return kNotKnown;
     const Eigen::Isometry3d A = forest_.pose(from).inverse() * forest_.pose(near_from);
     const Eigen::Isometry3d C = forest_.pose(near_to).inverse() * forest_.pose(to);
-    const Matrix6d S = *own + on_the_right(*there, forest_.pose(near_from) * B * C) +
-                       on_the_right(*others, C) + on_the_right(*on, forest_.pose(to));
-    const Vector6d r = se3::log(edge.T_from_to.inverse() * A * B * C);
-    return r.dot(S.ldlt().solve(r));
+    const Matrix6d prediction = on_the_right(*there, forest_.pose(near_from) * B * C) +
+                                on_the_right(*others, C) + on_the_right(*on, forest_.pose(to));
+    return squared_innovation(edge.information, prediction, se3::log(edge.T_from_to.inverse() * A * B * C));
   }
 
   const PoseGraph& graph_;
@@ -207,6 +246,53 @@ std::vector<char> confirmed_closures(const PoseGraph& graph, const OdometryFores
   return Confirmation(graph, forest, c2).find(wanted);
 }
 
+OdometryForest joined_forest(const PoseGraph& graph, double c2) {
+  OdometryForest forest(graph);
+  const std::vector<char> known = known_inliers(graph);
+  std::map<std::pair<std::uint32_t, std::uint32_t>, std::size_t> between_trees;
+  const auto trees_of = [&](std::size_t e) {
+    const auto [from, to] = graph.ends(e);
+    const std::uint32_t a = forest.root(from), b = forest.root(to);
+    return std::make_pair(std::min(a, b), std::max(a, b));
+  };
+  const LongestStep longest(graph);
+  std::vector<char> wanted(known.size());
+  bool any = false;
+  for (std::size_t e = 0; e < wanted.size(); ++e) {
+    const auto [a, b] = trees_of(e);
+    if (known[e] != 0 || a == b) continue;
+    ++between_trees[{a, b}];
+    const Edge& edge = graph.edges()[e];
+    wanted[e] = may_continue_odometry(edge) && longest.allows(edge) ? 1 : 0;
+    any = any || wanted[e] != 0;
+  }
+  if (!any) return forest;
+  const std::vector<char> confirmed = confirmed_closures(graph, forest, wanted, c2);
+  std::vector<std::size_t> joints;
+  for (std::size_t e = 0; e < wanted.size(); ++e) {
+    // Others between the same trees that do not confirm it speak against it.
+    const bool is_joint = wanted[e] != 0 && (confirmed[e] != 0 || between_trees.at(trees_of(e)) == 1);
+    if (is_joint && covariance_of(graph.edges()[e].information)) joints.push_back(e);
+  }
+  std::stable_sort(joints.begin(), joints.end(), [&](std::size_t a, std::size_t b) {
+    return std::make_tuple(-confirmed[a], keys_apart(graph.edges()[a])) <
+           std::make_tuple(-confirmed[b], keys_apart(graph.edges()[b]));
+  });
+  DisjointSets trees(graph.nodes().size());
+  // Trees with priors are joined by these.
+  for (const PriorFactor& prior : graph.priors()) {
+    trees.join(forest.root(graph.index_of(prior.key)), forest.root(graph.index_of(graph.priors()[0].key)));
+  }
+  std::vector<char> in_tree = known;
+  for (const std::size_t e : joints) {
+    const auto [a, b] = trees_of(e);
+    if (trees.root(a) == trees.root(b)) continue;
+    trees.join(a, b);
+    in_tree[e] = 1;
+  }
+  return OdometryForest(graph, in_tree);
+}
+
 std::vector<char> in_large_groups(const PoseGraph& graph, const OdometryForest& forest,
                                   const std::vector<char>& wanted, double c2) {
   if (wanted.empty()) return {};
@@ -219,12 +305,16 @@ std::vector<std::size_t> group_sizes(const PoseGraph& graph, const OdometryFores
   return Confirmation(graph, forest, c2).group_sizes(wanted);
 }
 
-std::optional<double> noise_of_neighbours(const PoseGraph& graph, const OdometryForest& forest) {
+std::vector<double> innovations_of_neighbours(const PoseGraph& graph, const OdometryForest& forest) {
   std::vector<double> d2 = Confirmation(graph, forest, 0.0).innovations_across_nearest();
-  if (d2.size() < kFewestPairs) return std::nullopt;
+  if (d2.size() < kFewestPairs) d2.clear();
+  return d2;
+}
+
+double noise_of_neighbours(std::vector<double> d2, int degrees_of_freedom) {
   const auto decile = d2.begin() + static_cast<std::ptrdiff_t>(d2.size() / 10);
   std::nth_element(d2.begin(), decile, d2.end());
-  return *decile / chi_squared_quantile(0.1, graph.degrees_of_freedom());
+  return *decile / chi_squared_quantile(0.1, degrees_of_freedom);
 }
 
 }  // namespace loopwise::detail

@@ -15,6 +15,9 @@ constexpr double kFirstDamping = 1e-4;
 constexpr double kLargestDamping = 1e12;
 /// Damping below this is replaced by 0: a Gauss-Newton step.
 constexpr double kSmallestDamping = 1e-9;
+/// Damping that keeps undetermined directions in place, if there are some. It hardly shortens the step along
+/// the others, which therefore counts as a Gauss-Newton step.
+constexpr double kHoldingDamping = 1e-8;
 
 /// A step may reuse the factor of the previous step if its predicted decrease is below kReuseBelow of the
 /// cost, and below kReuseContraction of the previous step's predicted decrease.
@@ -68,7 +71,8 @@ class Minimizer {
         control_(control),
         pool_(pool),
         stop_(stop),
-        result_(result) {}
+        result_(result),
+        least_damping_(control.damping == kHoldingDamping ? kHoldingDamping : 0.0) {}
 
   void run() {
     cost_ = problem_.cost(poses_, pool_, residuals_);
@@ -81,12 +85,15 @@ class Minimizer {
  private:
   /// Whether the step with this prediction is the last one: it is below the tolerances.
   [[nodiscard]] bool small(const IterationRecord& record) const {
-    if (record.damping == 0.0 &&
-        (record.step <= options_.step_tolerance || record.predicted < control_.enough))
+    if (!is_damped(record) && (record.step <= options_.step_tolerance || record.predicted < control_.enough))
       return true;
     return record.predicted <= options_.cost_tolerance * cost_ &&
            (record.gradient <= options_.gradient_tolerance * result_.gradient_initial ||
             record.predicted <= 1e-15 * cost_);
+  }
+
+  [[nodiscard]] bool is_damped(const IterationRecord& record) const {
+    return record.damping > least_damping_;
   }
 
   Termination iterate() {
@@ -108,7 +115,11 @@ class Minimizer {
 
       IterationRecord record = begin_record();
       if (!factorize()) {
-        refuse(record);
+        if (record.damping == 0.0) {
+          hold_undetermined(record);
+        } else {
+          refuse(record);
+        }
         continue;
       }
       Eigen::VectorXd step = solve();
@@ -124,6 +135,7 @@ class Minimizer {
         const double ratio = record.decrease / record.predicted;
         control_.damping *= std::max(1.0 / 3.0, 1.0 - std::pow(2.0 * ratio - 1.0, 3));
         if (control_.damping < kSmallestDamping) control_.damping = 0.0;
+        control_.damping = std::max(control_.damping, least_damping_);
         result_.trace.push_back(record);
       }
       if (last) {
@@ -132,7 +144,7 @@ class Minimizer {
       }
       if (!record.accepted) {
         refuse(record);
-      } else if (record.damping == 0.0 && accepted < control_.max_accepted &&
+      } else if (!is_damped(record) && accepted < control_.max_accepted &&
                  record.predicted <= kReuseBelow * cost_ && reuse_factor(iteration)) {
         return Termination::kConverged;
       }
@@ -236,6 +248,12 @@ class Minimizer {
     cost_ = cost;
   }
 
+  /// The factors leave directions undetermined.
+  void hold_undetermined(const IterationRecord& record) {
+    control_.damping = least_damping_ = kHoldingDamping;
+    result_.trace.push_back(record);
+  }
+
   void refuse(const IterationRecord& record) {
     control_.damping = std::max(kFirstDamping, control_.damping * growth_);
     growth_ *= 2.0;
@@ -258,6 +276,7 @@ class Minimizer {
   ThreadPool& pool_;
   const StopToken& stop_;
   OptimizationResult& result_;
+  double least_damping_;  // above 0 if the factors leave directions undetermined
 
   double cost_ = 0.0;
   double growth_ = 2.0;

@@ -13,13 +13,13 @@ namespace {
 
 constexpr std::uint32_t kNone = UINT32_MAX;
 
+}  // namespace
+
 std::vector<char> known_inliers(const PoseGraph& graph) {
   std::vector<char> out(graph.edges().size());
   for (std::size_t e = 0; e < out.size(); ++e) out[e] = known_inlier(graph.edges()[e]) ? 1 : 0;
   return out;
 }
-
-}  // namespace
 
 std::optional<Matrix6d> covariance_of(const Matrix6d& information) {
   const Eigen::LDLT<Matrix6d> factor(information);

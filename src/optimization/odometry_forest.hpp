@@ -13,6 +13,9 @@ namespace loopwise::detail {
 /// Ω⁻¹, or nothing if Ω is singular.
 [[nodiscard]] std::optional<Matrix6d> covariance_of(const Matrix6d& information);
 
+/// The edges that are odometry or trusted, by edge.
+[[nodiscard]] std::vector<char> known_inliers(const PoseGraph& graph);
+
 /// Trees of known inliers (odometry, trusted edges), with poses chained along them and their covariances.
 /// Roots are the nodes with priors, then the first remaining node. The error of a pose is on its left, T =
 /// Exp(η) T̄, so that the errors of steps add up along a path. The error between two nodes is the sum over

@@ -11,6 +11,7 @@
 
 #include "confirmed_closures.hpp"
 #include "gnc_solver.hpp"
+#include "noise_tail.hpp"
 
 namespace loopwise::detail {
 namespace {
@@ -33,7 +34,7 @@ constexpr double kMostApart = 2.0;
 /// counted, because they contain no information on the noise: if a quarter of the closures were such, the
 /// threshold would be 0 and exclude all others.
 GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2, double probability,
-                                  double odometry_margin) {
+                                  double odometry_margin, double least_scale) {
   constexpr std::size_t kFewest = 8;
   // Smaller values are not noise: with information that is pessimistic by 10⁶, one true closure in 50 000 has
   // a smaller d². The scale is therefore at least 7e-7.
@@ -48,7 +49,7 @@ GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<doub
   if (known.size() >= kFewest) {
     const auto quartile = known.begin() + static_cast<std::ptrdiff_t>(known.size() / 4);
     std::nth_element(known.begin(), quartile, known.end());
-    gross.scale = std::min(1.0, kNoiseMargin * *quartile / chi_squared_quantile(0.25, dof));
+    gross.scale = std::clamp(kNoiseMargin * *quartile / chi_squared_quantile(0.25, dof), least_scale, 1.0);
   }
   const double threshold =
       odometry_margin * odometry_margin * gross.scale * chi_squared_quantile(probability, dof);
@@ -56,12 +57,18 @@ GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<doub
   return gross;
 }
 
-void measure_noise(const PoseGraph& graph, const OdometryForest& forest, GrossOutliers& gross) {
-  const std::optional<double> near = noise_of_neighbours(graph, forest);
-  if (!near) return;
-  gross.noise = std::clamp(kTruncationMargin * *near, gross.scale, 1.0);
-  if (*near <= kMostApart * gross.scale / kNoiseMargin)
-    gross.measured = std::max(*near, gross.scale / kNoiseMargin);
+double measure_noise(const PoseGraph& graph, const OdometryForest& forest, double c2, GrossOutliers& gross) {
+  std::vector<double> d2 = innovations_of_neighbours(graph, forest);
+  if (d2.empty()) return 0.0;
+  const double near = noise_of_neighbours(d2, graph.degrees_of_freedom());
+  gross.noise = std::clamp(kTruncationMargin * near, gross.scale, 1.0);
+  if (near <= kMostApart * gross.scale / kNoiseMargin)
+    gross.measured = std::max(near, gross.scale / kNoiseMargin);
+  const double low = gross.noise * c2;
+  if (low >= c2) return 0.0;
+  const double end = end_of_tail(std::move(d2), low, c2);
+  gross.noise = end / c2;
+  return end > low ? gross.noise : 0.0;
 }
 
 namespace {

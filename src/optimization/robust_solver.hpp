@@ -30,12 +30,17 @@ struct GrossOutliers {
 
 /// Finds the closures to exclude before any factorisation, from the innovations d² (innovation.hpp).
 /// \param odometry_margin assumed ratio of true to stated standard deviation of odometry
+/// \param least_scale lower bound of the scale
 [[nodiscard]] GrossOutliers find_gross_outliers(const PoseGraph& graph, const std::vector<double>& d2,
-                                                double probability, double odometry_margin = 1.0);
+                                                double probability, double odometry_margin = 1.0,
+                                                double least_scale = 0.0);
 
 /// Sets GrossOutliers::noise and measured for a scale below 1. The noise must also be that of closures that
 /// are near each other, as the threshold of truncated least squares is final. Both stay 1 if too few are.
-void measure_noise(const PoseGraph& graph, const OdometryForest& forest, GrossOutliers& gross);
+/// \param c2 stated threshold \returns the least scale of all tests: if the innovations of closures near each
+/// other have a heavy tail, where that ends (end_of_tail()), which is `noise` then; otherwise 0
+[[nodiscard]] double measure_noise(const PoseGraph& graph, const OdometryForest& forest, double c2,
+                                   GrossOutliers& gross);
 
 /// Input that all starts of one robust problem share.
 struct RobustProblem {

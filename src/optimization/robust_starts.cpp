@@ -32,12 +32,19 @@ Starts::Starts(const RobustProblem& given, const PoseProblem& problem, NormalEqu
       chains_(odometry_chains(given.graph)),
       d2_(innovations(given.graph, given.forest)),
       gross_(find_gross_outliers(given.graph, d2_, given.gnc.innovation_probability)) {
-  if (gross_.scale < 1.0) measure_noise(given.graph, given.forest, gross_);
+  if (gross_.scale >= 1.0) return;
+  const double c2 = chi_squared_quantile(given.gnc.inlier_probability, given.graph.degrees_of_freedom());
+  least_scale_ = measure_noise(given.graph, given.forest, c2, gross_);
+  if (least_scale_ > gross_.scale) {
+    const double measured = gross_.measured;
+    gross_ = gross_outliers_of(d2_, 1.0);
+    gross_.measured = measured;
+  }
 }
 
 bool Starts::from_last(const WarmStart& warm) {
   // The thresholds of the stated noise would admit false closures that the measured noise excludes.
-  if (given_.gnc.second_start && gross_.measured < kFarTooPessimistic) return false;
+  if (given_.gnc.second_start && gross_.measured < kFarTooPessimistic && !has_heavy_tail()) return false;
   const OdometryVariances variances = allowed(warm.odometry_variances);
   Scaled scaled(*this, variances);
   PoseProblem& problem = scaled.problem();
@@ -72,12 +79,14 @@ bool Starts::from_last(const WarmStart& warm) {
 }
 
 bool Starts::from_measured_noise() {
-  if (gross_.measured >= kFarTooPessimistic) return false;
+  // Noise with a heavy tail has no single variance.
+  if (gross_.measured >= kFarTooPessimistic || least_scale_ > 0.0) return false;
   PoseGraph graph = given_.graph;
   for (std::size_t k = 0; k < graph.edges().size(); ++k) {
     graph.set_information(k, graph.edges()[k].information / (kMeasuredMargin * gross_.measured));
   }
-  const OdometryForest forest(graph);
+  const OdometryForest forest =
+      joined_forest(graph, chi_squared_quantile(given_.gnc.inlier_probability, graph.degrees_of_freedom()));
   const PoseProblem problem(graph);
   const RobustProblem given{graph,      forest,      given_.start, given_.options,
                             given_.gnc, given_.pool, given_.stop};
@@ -113,15 +122,24 @@ void Starts::from_first_estimate() {
   keep_better(std::move(out));
 }
 
-void Starts::from_chordal() {
+bool Starts::from_chordal() {
+  if (std::exchange(chordal_tried_, true)) return false;
   std::vector<char> chosen(gross_.excluded.size());
   for (std::size_t k = 0; k < chosen.size(); ++k) chosen[k] = gross_.excluded[k] != 0 ? 0 : 1;
   PoseProblem problem = problem_;
   Solution out = chordal_of(problem, chosen);
   RobustSolver solver(given_, gross_, problem, equations_, out.poses);
   solver.solve();
+  const bool explained = has_heavy_tail() && solver.unexplained(chosen).empty();
   finish(solver, GncStart::kChordal, out);
+  bool beyond_doubt = explained && out.result.optimization.converged;
+  if (beyond_doubt) {
+    const double by_chance = (1.0 - given_.gnc.inlier_probability) * static_cast<double>(out.result.inliers);
+    beyond_doubt = static_cast<double>(count(confirmed_left_out(given_, out.result.weights))) <= by_chance &&
+                   (!best_ || out.cost <= (1.0 + kEqual) * best_->cost);
+  }
   keep_better(std::move(out));
+  return beyond_doubt;
 }
 
 void Starts::rescale_odometry() {
@@ -259,7 +277,7 @@ OdometryVariances Starts::all_chains_with(double variance) const {
 
 GrossOutliers Starts::gross_outliers_of(const std::vector<double>& d2, double odometry_margin) const {
   GrossOutliers out =
-      find_gross_outliers(given_.graph, d2, given_.gnc.innovation_probability, odometry_margin);
+      find_gross_outliers(given_.graph, d2, given_.gnc.innovation_probability, odometry_margin, least_scale_);
   out.noise = gross_.noise;
   return out;
 }

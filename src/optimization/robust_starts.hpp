@@ -44,8 +44,12 @@ class Starts {
   bool from_confirmed();
   /// Graduates from the first estimate, unless from_confirmed() has.
   void from_first_estimate();
-  /// Starts from the chordal estimate of the closures that odometry does not rule out.
-  void from_chordal();
+  /// Whether the stated information is far too pessimistic, and the noise has a heavy tail.
+  [[nodiscard]] bool has_heavy_tail() const { return least_scale_ > 0.0; }
+  /// Starts from the chordal estimate of the closures that odometry does not rule out, unless that was tried.
+  /// \returns whether the noise has a heavy tail, and its solution is the best, contradicts every closure
+  /// that it excludes, and excludes hardly any that others confirm
+  bool from_chordal();
   /// Continues from the best solution with odometry as uncertain as its closures show it to be, and admits
   /// closures that then agree: true closures that the stated odometry contradicts. Closures that the
   /// innovation test rules out return only through grow(). Excluded closures do not contribute to the
@@ -153,8 +157,9 @@ class Starts {
   const std::vector<std::uint32_t> chains_;  // of odometry, by node
   const std::vector<double> d2_;             // innovations, by edge
   GrossOutliers gross_;
+  double least_scale_ = 0.0;  // of measure_noise()
   std::optional<Solution> best_;
-  bool first_estimate_tried_ = false;
+  bool first_estimate_tried_ = false, chordal_tried_ = false;
   GncResult discarded_counts_;  // counts of solutions that are not the best
 };
 

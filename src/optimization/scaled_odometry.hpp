@@ -8,6 +8,7 @@
 #include <optional>
 #include <vector>
 
+#include "confirmed_closures.hpp"
 #include "robust_starts.hpp"
 
 namespace loopwise::detail {
@@ -48,7 +49,8 @@ class Starts::Scaled {
     const RobustProblem& stated = starts.given_;
     if (!variances.empty()) {
       graph_.emplace(with_odometry_variances(stated.graph, starts.chains_, variances));
-      forest_.emplace(*graph_);
+      forest_.emplace(joined_forest(
+          *graph_, chi_squared_quantile(stated.gnc.inlier_probability, graph_->degrees_of_freedom())));
     }
     given_.emplace(RobustProblem{graph_ ? *graph_ : stated.graph, forest_ ? *forest_ : stated.forest,
                                  stated.start, stated.options, stated.gnc, stated.pool, stated.stop});
