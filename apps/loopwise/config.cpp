@@ -34,6 +34,7 @@ const std::string& section_text(const std::string& section) {
       {"task", "Scans and guess of a registration."},
       {"fast_registrar", "Registration `fast`, with its tests of closures."},
       {"pcl_registrar", "Registration `pcl`, the reference, with its tests of closures."},
+      {"icp_registrar", "Registration `icp`, the way of open SLAM programs, for comparison."},
       {"optimization", "The back end: least squares over poses."},
       {"gnc", "The back end: robust weights of closures."},
       {"replay", "The replay of a mission; most have an option of `loopwise replay` of the same name."},

@@ -18,11 +18,26 @@ std::shared_ptr<const Registrar> make_registrar(const RegistrationOptions& optio
   if (options.registrar == RegistrarKind::kFast) {
     return std::make_shared<FastRegistrar>(std::move(features), options.fast);
   }
+  if (options.registrar == RegistrarKind::kIcp) {
+    return std::make_shared<IcpRegistrar>(std::move(features), options.icp);
+  }
 #ifdef LOOPWISE_WITH_PCL
   return std::make_shared<PclRegistrar>(std::move(features), options.pcl);
 #else
   throw OptionError("registrar = \"pcl\": this build was made without PCL");
 #endif
+}
+
+Json options_of(const RegistrationOptions& options) {
+  switch (options.registrar) {
+    case RegistrarKind::kFast:
+      return to_json(options.fast);
+    case RegistrarKind::kPcl:
+      return to_json(options.pcl);
+    case RegistrarKind::kIcp:
+      return to_json(options.icp);
+  }
+  throw OptionError("registrar: unknown");
 }
 
 }  // namespace
@@ -44,7 +59,7 @@ std::string registration_context(const RegistrationOptions& options) {
   json["registrar"] = enum_name(options.registrar);
   json["features"] = to_json(options.features);
   json["features"].erase("max_cache_mb");
-  json["options"] = options.registrar == RegistrarKind::kFast ? to_json(options.fast) : to_json(options.pcl);
+  json["options"] = options_of(options);
   json["code"] = registration_code_version();
   return json.dump();
 }

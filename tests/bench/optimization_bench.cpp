@@ -12,6 +12,7 @@
 ///   loopwise_optimization_bench batches [POSES [SEED]]  closures and poses that arrive in batches
 ///   loopwise_optimization_bench certify FILE...     the certificate of global optimality on g2o files
 ///   loopwise_optimization_bench planar DATA/rrr     2D graphs of real robots, judged by their truth
+///   loopwise_optimization_bench gtsam FOLDER [FILTER]  the files of a folder beside GTSAM, if it was found
 /// Times are processor time of the one thread that works, so that a busy machine shows less. They are
 /// medians; those of `files` are taken in turns with the peers'.
 #include <sys/resource.h>
@@ -39,6 +40,7 @@
 #include "optimization_ceres.hpp"
 #include "optimization_certify.hpp"
 #include "optimization_graphs.hpp"
+#include "optimization_gtsam.hpp"
 #include "optimization_hard.hpp"
 #include "optimization_incremental.hpp"
 #include "optimization_judge.hpp"
@@ -430,11 +432,14 @@ int main(int argc, char** argv) {
     bench::certify_files({argv + 2, argv + argc});
   } else if (what == "planar" && argc == 3) {
     bench::compare_planar(argv[2]);
+  } else if (what == "gtsam" && (argc == 3 || argc == 4)) {
+    return bench::compare_gtsam(argv[2], argc > 3 ? argv[3] : "") ? 0 : 1;
   } else {
     std::fprintf(
         stderr,
         "usage: %s files FOLDER | gnc FOLDER [CLEAN.g2o] | sizes [LARGEST [SMALLEST [SVG]]] | "
-        "groups | hard [SEED [FOLDER [FILTER]]] | batches [POSES [SEED]] | certify FILE... | planar FOLDER\n",
+        "groups | hard [SEED [FOLDER [FILTER]]] | batches [POSES [SEED]] | certify FILE... | planar FOLDER | "
+        "gtsam FOLDER [FILTER]\n",
         argv[0]);
     return 2;
   }

@@ -90,6 +90,7 @@ struct ReplayOptions {
     visitor("features", self.registration.features);
     visitor("fast_registrar", self.registration.fast);
     visitor("pcl_registrar", self.registration.pcl);
+    visitor("icp_registrar", self.registration.icp);
     BackEndOptions::visit_sections(self.back_end, visitor);
     visitor("cost", self.cost);
     visitor("replay", self);

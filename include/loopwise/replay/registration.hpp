@@ -11,6 +11,7 @@
 #include <loopwise/core/options.hpp>
 #include <loopwise/features/feature_cache.hpp>
 #include <loopwise/registration/fast_registrar.hpp>
+#include <loopwise/registration/icp_registrar.hpp>
 #include <loopwise/registration/pcl_registrar.hpp>
 #include <loopwise/registration/registrar.hpp>
 
@@ -22,18 +23,20 @@ class OutcomeStore;
 enum class RegistrarKind {
   kFast,  ///< FastRegistrar
   kPcl,   ///< PclRegistrar, the reference
+  kIcp,   ///< IcpRegistrar, the way of open SLAM programs
 };
 [[nodiscard]] inline EnumNames<RegistrarKind> enum_names(RegistrarKind) {
-  return {{RegistrarKind::kFast, "fast"}, {RegistrarKind::kPcl, "pcl"}};
+  return {{RegistrarKind::kFast, "fast"}, {RegistrarKind::kPcl, "pcl"}, {RegistrarKind::kIcp, "icp"}};
 }
 
 /// Preparation of scans and registration of pairs.
 struct RegistrationOptions {
-  /// Registration of candidates: fast or pcl.
+  /// Registration of candidates: fast, pcl (the reference) or icp (for comparison).
   RegistrarKind registrar = RegistrarKind::kFast;
   FeatureOptions features;    ///< Voxels, normals, cache.
   FastRegistrarOptions fast;  ///< Options of the registrar `fast`.
   PclRegistrarOptions pcl;    ///< Options of the registrar `pcl`, the reference.
+  IcpRegistrarOptions icp;    ///< Options of the registrar `icp`.
 
   template <class Self, class Visitor>
   static void visit(Self& self, Visitor&& field) {
